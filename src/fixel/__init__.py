@@ -108,10 +108,7 @@ if TYPE_CHECKING:
     from fixel.workflows.model_export.run import export_model as export_model
     from fixel.workflows.parts import part_model as part_model
     from fixel.workflows.planning.run import plan as plan
-    from fixel.workflows.project.comparison import (
-        compare as compare,
-        Comparison as Comparison,
-    )
+    from fixel.workflows.project.comparison import compare as compare, Comparison as Comparison
     from fixel.workflows.project.export import export as export
     from fixel.workflows.report.write import report as report
     from fixel.workflows.sensitivity.run import sensitivity as sensitivity

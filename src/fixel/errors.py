@@ -376,10 +376,7 @@ def unknown_name(where: str, name: object, known: Iterable[str], *, more: str = 
     if len(names) > _MAX_NAMED:
         more = f", ... ({len(names)} in all){more}"
     return InvalidInput(
-        where,
-        found=repr(name),
-        expected=f"one of {', '.join(names[:_MAX_NAMED])}{more}",
-        hint=hint,
+        where, found=repr(name), expected=f"one of {', '.join(names[:_MAX_NAMED])}{more}", hint=hint
     )
 
 

@@ -22,10 +22,7 @@ PLOTS: Final[Mapping[str, Mapping[str, str]]] = {
         "errors": "fixel.drawing.experiment:plot_errors",
         "motion": "fixel.drawing.experiment:plot_motion",
     },
-    "DomainMap": {
-        "map": "fixel.drawing.domain:draw_map",
-        "size": "fixel.drawing.domain:draw_size",
-    },
+    "DomainMap": {"map": "fixel.drawing.domain:draw_map", "size": "fixel.drawing.domain:draw_size"},
     "ErrorBound": {"bounds": "fixel.drawing.domain:draw_bounds"},
     "Experiment": {
         "motion": "fixel.drawing.experiment:plot_experiment",

@@ -258,10 +258,7 @@ def _same(a: Any, b: Any) -> bool:
 
 def _wrapped(text: str, indent: str) -> list[str]:
     return textwrap.wrap(
-        " ".join(text.split()),
-        MAX_COLUMNS,
-        initial_indent=indent,
-        subsequent_indent=f"{indent}  ",
+        " ".join(text.split()), MAX_COLUMNS, initial_indent=indent, subsequent_indent=f"{indent}  "
     )
 
 

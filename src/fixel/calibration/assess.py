@@ -545,9 +545,6 @@ def _touches(comparer: Comparer, member: int, point: FloatArray) -> set[str]:
     )
     others = {run.names[int(k)] for k in np.unique(run.contacts["other"])}
     others |= {run.names[int(k)] for k in np.unique(run.contacts["body"])}
-    kinds: dict[str, tuple[Pusher | Fixel, ...]] = {
-        "pusher": scene.pushers,
-        "fixel": scene.fixels,
-    }
+    kinds: dict[str, tuple[Pusher | Fixel, ...]] = {"pusher": scene.pushers, "fixel": scene.fixels}
     names = {kind: {thing.name for thing in things} for kind, things in kinds.items()}
     return {kind for kind, own in names.items() if own & others}

@@ -147,11 +147,7 @@ def _rho(z: FloatArray, loss: Loss) -> tuple[FloatArray, FloatArray, FloatArray]
         return 2.0 * (np.sqrt(t) - 1.0), t**-0.5, -0.5 * t**-1.5
     far = z > 1.0
     t = np.where(far, z, 1.0)
-    return (
-        np.where(far, 2.0 * np.sqrt(t) - 1.0, z),
-        t**-0.5,
-        np.where(far, -0.5 * t**-1.5, 0.0),
-    )
+    return (np.where(far, 2.0 * np.sqrt(t) - 1.0, z), t**-0.5, np.where(far, -0.5 * t**-1.5, 0.0))
 
 
 def _reweighted(f: FloatArray, columns: FloatArray, loss: Loss) -> tuple[FloatArray, FloatArray]:

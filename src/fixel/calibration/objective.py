@@ -231,10 +231,7 @@ class Comparer:
         return found, good, reasons
 
     def _compared(
-        self,
-        use: Callable[[IntArray, FloatArray], None],
-        which: IntArray,
-        points: FloatArray,
+        self, use: Callable[[IntArray, FloatArray], None], which: IntArray, points: FloatArray
     ) -> tuple[BoolArray, list[str]]:
         """Simulate rollouts and pass their differences (k, n_sample, 3) from the measured poses to
         a function, as `Ensemble.simulate_into` does; they are zero after the last measured pose."""

@@ -43,11 +43,7 @@ class SupportFeatures(NamedTuple):
 
 
 def find_solutions(
-    points: ArrayLike,
-    errors: ArrayLike,
-    scale: ArrayLike,
-    threshold: float,
-    distance: float = 1.0,
+    points: ArrayLike, errors: ArrayLike, scale: ArrayLike, threshold: float, distance: float = 1.0
 ) -> tuple[Solution, ...]:
     """Return the clusters of the points whose error is within a threshold of the smallest.
 

@@ -18,12 +18,7 @@ if TYPE_CHECKING:
     from fixel.workflows.demo.scene_demo import Demo
     from fixel.workflows.diagnostics import Diagnosis
 
-_WHAT = {
-    "scene": "the scene",
-    "plot": "picture",
-    "animate": "film",
-    "trajectory": "numbers",
-}
+_WHAT = {"scene": "the scene", "plot": "picture", "animate": "film", "trajectory": "numbers"}
 LAB = "lab"
 CAMERA = "camera"
 NOT_SOLVED = 3

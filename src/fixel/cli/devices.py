@@ -81,12 +81,7 @@ def check(
     from fixel.workflows.acquisition.devices import check_tactile
 
     with show_progress(stage="reading") as report:
-        found = check_tactile(
-            port,
-            readings=readings,
-            deadline=1e-3 * deadline,
-            progress=report,
-        )
+        found = check_tactile(port, readings=readings, deadline=1e-3 * deadline, progress=report)
     print_answer(as_json, found.summary, lambda: _check_lines(found))
     if not found.passed:
         raise typer.Exit(1)
@@ -364,9 +359,7 @@ def overlay(
     setting = ["--camera", camera, "--rig", rig] + (["--scene", str(scene)] if scene else [])
     files = {"picture": str(output)} if once else {}
     print_answer(
-        as_json,
-        lambda: {**look.summary(), "files": files},
-        lambda: _lines(look, setting, picture),
+        as_json, lambda: {**look.summary(), "files": files}, lambda: _lines(look, setting, picture)
     )
     if once and not look.placed:
         raise typer.Exit(NOT_IN_PLACE)

@@ -64,10 +64,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, Capability | Callable[..., None] | typ
         "new": project.new,
         "serve": serve.serve,
     },
-    "Simulate": {
-        "simulate": CAPABILITIES["simulate"],
-        "sample": CAPABILITIES["sample"],
-    },
+    "Simulate": {"simulate": CAPABILITIES["simulate"], "sample": CAPABILITIES["sample"]},
     "Experiments": {
         "import": project.import_,
         "testbed": testbed.app,
@@ -96,10 +93,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, Capability | Callable[..., None] | typ
         "tactile": devices.tactile,
         "actuator": devices.actuator,
     },
-    "Published data": {
-        "data": project.data,
-        "replay": replay.replay,
-    },
+    "Published data": {"data": project.data, "replay": replay.replay},
     "Jobs and database": {"jobs": jobs.app, "db": db.app, "trust": jobs.trust},
 }
 

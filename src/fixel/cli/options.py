@@ -21,8 +21,7 @@ ProjectFolder = Annotated[
     ),
 ]
 ProjectPlace = Annotated[
-    Path | None,
-    typer.Argument(help="Same as --project.", metavar="[PROJECT]", show_default=False),
+    Path | None, typer.Argument(help="Same as --project.", metavar="[PROJECT]", show_default=False)
 ]
 
 

@@ -54,12 +54,7 @@ def run_plan(
 
     with show_progress(stage="performing") as report:
         done = run_testbed(
-            Project(folder),
-            plan,
-            seed=seed,
-            limit=limit,
-            threads=threads,
-            progress=report,
+            Project(folder), plan, seed=seed, limit=limit, threads=threads, progress=report
         )
     print_imported(done, {"seed": seed}, as_json, folder)
 
@@ -126,13 +121,7 @@ def film(
     )
     with show_progress(stage="filming") as report:
         made = films.film(
-            sources or [],
-            out,
-            settings,
-            project=folder,
-            limit=limit,
-            video=video,
-            progress=report,
+            sources or [], out, settings, project=folder, limit=limit, video=video, progress=report
         )
     print_answer(as_json, lambda: {"films": list(map(_content, made))}, lambda: _lines(made))
 

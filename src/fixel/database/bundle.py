@@ -158,10 +158,7 @@ def _add_video(archive: zipfile.ZipFile, digest: str, media: Path) -> None:
     source, total = arrays.media_path(digest, media), hashlib.sha256()
     info = _info(f"{MEDIA}/{digest[:2]}/{digest}", zipfile.ZIP_STORED)
     try:
-        with (
-            source.open("rb") as stream,
-            archive.open(info, "w", force_zip64=True) as member,
-        ):
+        with source.open("rb") as stream, archive.open(info, "w", force_zip64=True) as member:
             while data := stream.read(CHUNK):
                 total.update(data)
                 member.write(data)

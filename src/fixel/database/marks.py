@@ -73,9 +73,7 @@ def annotate(connection: sa.Connection, experiment_ids: Iterable[int], text: str
     text = text.strip()
     if not text or len(text) > MAX_TEXT:
         raise InvalidInput(
-            "note.text",
-            found=f"{len(text)} characters",
-            expected=f"1 to {MAX_TEXT} characters",
+            "note.text", found=f"{len(text)} characters", expected=f"1 to {MAX_TEXT} characters"
         )
     wanted = _known(connection, tables.experiment, experiment_ids, "experiment")
     instant = rows.now()

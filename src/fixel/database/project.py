@@ -284,10 +284,7 @@ class Project:
         return found
 
     def calibrate(
-        self,
-        experiments: str | Iterable[Experiment] = "",
-        parameters: Any = None,
-        **options: Any,
+        self, experiments: str | Iterable[Experiment] = "", parameters: Any = None, **options: Any
     ) -> Any:
         """Calibrate experiments with `fixel.calibrate`, and store the result.
 

@@ -240,9 +240,7 @@ def scene_of_row(content: Any) -> Scene | None:
 
 
 def experiment_of(
-    row: sa.Row[Any],
-    flags: tuple[Flag, ...],
-    measured: list[Measured],
+    row: sa.Row[Any], flags: tuple[Flag, ...], measured: list[Measured]
 ) -> Experiment:
     """Build an experiment from its row, flags and series."""
     paths = {name: trajectory_of(values) for name, columns, values in measured if columns == PATH}

@@ -47,8 +47,7 @@ def _damage_named(
                 said = " ".join(str(problem).split())[:200] or type(problem).__name__
                 number = f" {given[0]}" if given and isinstance(given[0], int) else ""
                 raise StoreRefused(
-                    f"{what}{number} is damaged: {said}",
-                    hint="list all errors: fixel db check",
+                    f"{what}{number} is damaged: {said}", hint="list all errors: fixel db check"
                 ) from problem
 
         return read_or_refuse

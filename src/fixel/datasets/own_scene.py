@@ -74,9 +74,7 @@ def with_scene(
     scene, source = _scene(choice, experiment)
     body = _object_of(scene, source, object_name)
     track, flags = experiment.trajectory, experiment.flags
-    sentences = [
-        f"{source}: {body.name!r} starts at the first measured pose.",
-    ]
+    sentences = [f"{source}: {body.name!r} starts at the first measured pose."]
     pushers = scene.pushers
     if experiment.pusher is not None:
         pusher = _pusher_of(scene, source)

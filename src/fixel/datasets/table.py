@@ -476,10 +476,9 @@ def _guess(reading: _TableReading, kind: str, column: _TableColumn) -> tuple[str
     alike = [c for r, c in reading.roles.items() if _kind(r) == kind and c.unit is None]
     values = np.abs(np.concatenate([reading.numbers(c) for c in alike]))
     largest = float(np.nanmax(values)) if np.isfinite(values).any() else 0.0
-    small, large, limit = {
-        "length": ("m", "mm", MAX_METRES),
-        "angle": ("rad", "deg", MAX_RADIANS),
-    }[kind]
+    small, large, limit = {"length": ("m", "mm", MAX_METRES), "angle": ("rad", "deg", MAX_RADIANS)}[
+        kind
+    ]
     return (large if largest > limit else small), f"values up to {largest:g}"
 
 

@@ -278,12 +278,7 @@ def _common_area(one: FloatArray, other: FloatArray, here: FloatArray, there: Fl
 
 @entry
 def coverage(
-    pose: FloatArray,
-    pieces: FloatArray,
-    goal: FloatArray,
-    first: int,
-    last: int,
-    out: FloatArray,
+    pose: FloatArray, pieces: FloatArray, goal: FloatArray, first: int, last: int, out: FloatArray
 ) -> None:
     """Compute which share of the goal each body covers.
 

@@ -95,10 +95,7 @@ class Particles:
     def depends(self, names: Sequence[str]) -> FloatArray:
         """(n_name,) share of the particles whose path has depended on each parameter [-]."""
         # Friction of the plane scales all forces and no path, until a drive gives way.
-        on = {
-            "mu_support": self.pushed & self.stalled,
-            "mu_fixel": self.pushed & self.touched,
-        }
+        on = {"mu_support": self.pushed & self.stalled, "mu_fixel": self.pushed & self.touched}
         return np.array([np.mean(on.get(name, self.pushed)) for name in names])
 
     def take(self, which: np.ndarray) -> Particles:

@@ -212,11 +212,7 @@ class Unknowns(NamedTuple):
         return np.asarray(found)
 
     def proposed(
-        self,
-        free: FloatArray,
-        weight: FloatArray,
-        depends: FloatArray,
-        random: np.random.Generator,
+        self, free: FloatArray, weight: FloatArray, depends: FloatArray, random: np.random.Generator
     ) -> tuple[FloatArray, FloatArray]:
         """Return a new place for every particle.
 

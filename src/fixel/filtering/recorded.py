@@ -292,10 +292,7 @@ def _gathered(estimates: list[FilterEstimate], **rest: object) -> FilterRun:
 
 
 def _frames(
-    experiment: Experiment,
-    scene: Scene,
-    use_tactile: bool,
-    occlusion: tuple[float, float] | None,
+    experiment: Experiment, scene: Scene, use_tactile: bool, occlusion: tuple[float, float] | None
 ) -> list[FilterFrame]:
     """Return the frames that a filter receives, in order. The first one always sees the object."""
     track, pusher = experiment.trajectory, _pusher(experiment)

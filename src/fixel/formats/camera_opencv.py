@@ -31,11 +31,7 @@ ENDINGS: Final = {"opencv": (".yml", ".yaml", ".xml", ".json"), "ros": (".yaml",
 
 
 def lens_of(
-    size: tuple[int, int],
-    matrix: FloatArray,
-    distortion: FloatArray,
-    *,
-    fisheye: bool = False,
+    size: tuple[int, int], matrix: FloatArray, distortion: FloatArray, *, fisheye: bool = False
 ) -> Lens:
     """Build a lens from OpenCV's camera matrix and distortion coefficients."""
     k = np.asarray(matrix, dtype=np.float64)

@@ -378,9 +378,7 @@ def only_form(record: FileRecord, path: str, forms: Sequence[str] = ()) -> str:
     given = given or [form for form in record.model_fields_set if not _takes_value(record, form)]
     if len(given) != 1:
         raise InvalidInput(
-            path,
-            found=" and ".join(given) or None,
-            expected="exactly one of " + ", ".join(forms),
+            path, found=" and ".join(given) or None, expected="exactly one of " + ", ".join(forms)
         )
     return given[0]
 

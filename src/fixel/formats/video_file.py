@@ -291,9 +291,7 @@ class _Spoilt:
     def remarks(self, video: VideoFile, times: list[float]) -> list[str]:
         if self._last is None:
             raise InvalidInput(
-                str(video.path),
-                found="no decodable picture",
-                expected="at least one whole frame",
+                str(video.path), found="no decodable picture", expected="at least one whole frame"
             )
         found = []
         missing = (video.n_frames or 0) - len(times)

@@ -107,10 +107,7 @@ class LocalPool(AbstractPool):
         self._started += 1
         name = f"local-{self._session}-{self._started}"
         cores = max(1, (os.cpu_count() or 1) // self.size)
-        command = [
-            *worker_command(self._folder, name, self.interface, cores),
-            "--watch-parent",
-        ]
+        command = [*worker_command(self._folder, name, self.interface, cores), "--watch-parent"]
         with (self._folder / "workers" / f"{name}.log").open("wb") as log:
             process = subprocess.Popen(
                 [self._python, *command],

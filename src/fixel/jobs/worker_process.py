@@ -157,11 +157,7 @@ class WorkerProcess:
             hung.cancel()
 
     def _received(
-        self,
-        pipe: Connection,
-        limit: float,
-        nobody_waits: Callable[[], bool],
-        late: JobRefused,
+        self, pipe: Connection, limit: float, nobody_waits: Callable[[], bool], late: JobRefused
     ) -> tuple[bool, Any]:
         until = time.monotonic() + limit
         try:

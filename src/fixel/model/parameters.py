@@ -31,10 +31,7 @@ KNOWN_PARAMETERS: Final[Mapping[str, ParameterInfo]] = MappingProxyType(
             "-", "friction of every free body against every pusher", contact="pusher"
         ),
         "tripod_radius": ParameterInfo(
-            "m",
-            "distance of tripod points from the centre of mass",
-            above=True,
-            stands_for=_LOADS,
+            "m", "distance of tripod points from the centre of mass", above=True, stands_for=_LOADS
         ),
         **{
             f"support_{k}_{axis}": ParameterInfo(

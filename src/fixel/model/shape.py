@@ -228,9 +228,7 @@ def _simple_outline(given: FloatArray) -> FloatArray:
     vertices = _without_repeats(given)
     if len(vertices) < 3:
         raise InvalidInput(
-            "polygon",
-            found=f"{len(vertices)} distinct vertices",
-            expected="at least 3 vertices",
+            "polygon", found=f"{len(vertices)} distinct vertices", expected="at least 3 vertices"
         )
     size = float(np.ptp(vertices, axis=0).max())
     _check_size(size, "polygon")

@@ -68,9 +68,7 @@ class Parameter:
         low, high = finite(self.low, "parameter.low"), finite(self.high, "parameter.high")
         if not low < high:
             raise InvalidInput(
-                "parameter",
-                found=f"bounds {low:g} to {high:g}",
-                expected="the lower bound first",
+                "parameter", found=f"bounds {low:g} to {high:g}", expected="the lower bound first"
             )
         start = None if self.start is None else finite(self.start, "parameter.start")
         prior = self.prior
@@ -166,12 +164,7 @@ class Unknown(Comparable):
         margin = max(abs(value), 1.0)
         low = max(value - margin, info_of(name).lowest)
         return cls(
-            name=name,
-            low=low,
-            high=value + margin,
-            nominal=value,
-            frozen=True,
-            where=where or {},
+            name=name, low=low, high=value + margin, nominal=value, frozen=True, where=where or {}
         )
 
     @property

@@ -34,12 +34,7 @@ class SeenBelief(NamedTuple):
 
 
 def belief_after(
-    plan: PushPlan,
-    seen: FloatArray,
-    done: int,
-    error: StartError,
-    *,
-    threads: int | None = None,
+    plan: PushPlan, seen: FloatArray, done: int, error: StartError, *, threads: int | None = None
 ) -> SeenBelief:
     """Return the belief for the rest of a plan, from the pose seen after some of its pushes.
 
@@ -70,8 +65,7 @@ def belief_after(
     weight = _weights(off, error.deviation, runs.failure == 0)
     if weight is None:
         return SeenBelief(
-            start,
-            "the seen pose is unlike the planned runs; parameters stay as uncertain",
+            start, "the seen pose is unlike the planned runs; parameters stay as uncertain"
         )
     # Systematic resampling: each run as often as its weight says, up to one.
     places = (np.arange(SETS) + 0.5) / SETS

@@ -160,11 +160,7 @@ class SuccessProbability(Result):
 
     @classmethod
     def of(
-        cls,
-        margins: ArrayLike,
-        confidence: float = 0.95,
-        *,
-        independent: ArrayLike | None = None,
+        cls, margins: ArrayLike, confidence: float = 0.95, *, independent: ArrayLike | None = None
     ) -> SuccessProbability:
         """Estimate the success probability of one plan.
 

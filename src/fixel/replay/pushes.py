@@ -85,11 +85,7 @@ class PushReplay(AbstractReplay):
             groups=self._aggregates(errors),
             left_out=self.left_out,
             not_solved=int((status[chosen] != "converged").sum()),
-            settings={
-                **self.settings,
-                "motion": self.motion.name,
-                "pusher_radius_m": TIP.radius,
-            },
+            settings={**self.settings, "motion": self.motion.name, "pusher_radius_m": TIP.radius},
             notes=self._notes(),
             figure=partial(pushes_figure, data, chosen, self._examples(errors), ends, errors),
         )

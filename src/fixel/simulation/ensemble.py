@@ -20,13 +20,7 @@ from fixel.kernels.arrays import REACHED, SAMPLES, BatchRecord
 from fixel.model import Pusher, Scene
 from fixel.simulation.batch import check_compiled
 from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
-from fixel.simulation.pack import (
-    PackedBatch,
-    Template,
-    fastest_motion,
-    pusher_path,
-    stack,
-)
+from fixel.simulation.pack import PackedBatch, Template, fastest_motion, pusher_path, stack
 from fixel.simulation.record import empty_record, shape_poses
 from fixel.simulation.rollouts import INFEASIBLE, EnsembleOutcome, RolloutCase
 from fixel.simulation.simulate import method_of
@@ -135,10 +129,7 @@ class Ensemble:
         return int(self._times.shape[1])
 
     def simulate(
-        self,
-        which: IntArray,
-        values: Mapping[str, FloatArray],
-        fixels: FloatArray | None = None,
+        self, which: IntArray, values: Mapping[str, FloatArray], fixels: FloatArray | None = None
     ) -> EnsembleOutcome:
         """Simulate cases under parameters.
 

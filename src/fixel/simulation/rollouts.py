@@ -56,10 +56,7 @@ class Rollouts(Protocol):
     def n_sample(self) -> int: ...
 
     def simulate(
-        self,
-        which: IntArray,
-        values: Mapping[str, FloatArray],
-        fixels: FloatArray | None = None,
+        self, which: IntArray, values: Mapping[str, FloatArray], fixels: FloatArray | None = None
     ) -> EnsembleOutcome: ...
 
     def simulate_into(

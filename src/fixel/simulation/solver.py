@@ -152,12 +152,7 @@ class Lemke(AbstractSolver):
 
 
 def _solved(
-    problem: Problem,
-    work: Workspace,
-    guess: FloatArray,
-    kind: int,
-    sweeps: int,
-    give_up_early: int,
+    problem: Problem, work: Workspace, guess: FloatArray, kind: int, sweeps: int, give_up_early: int
 ) -> tuple[float, int]:
     max_attempts = MAX_ATTEMPTS_EARLY if give_up_early else MAX_ATTEMPTS
     if give_up_early == AT_ONCE:

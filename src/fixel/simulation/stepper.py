@@ -252,9 +252,7 @@ class Adaptive(_BuiltInStepper):
             )
         if isinstance(self.max_steps, bool) or not 1 <= int(self.max_steps) == self.max_steps:
             raise InvalidInput(
-                "Adaptive.max_steps",
-                found=self.max_steps,
-                expected="a whole number of at least 1",
+                "Adaptive.max_steps", found=self.max_steps, expected="a whole number of at least 1"
             )
 
     @property

@@ -66,10 +66,7 @@ _START: Final[dict[str, tuple[float, float, float]]] = {
 def pushed_square(duration: float = 2.0) -> Scene:
     """Square that a round finger pushes off its centre line, so that it turns."""
     part = Body(
-        "part",
-        Polygon.rectangle(0.1, 0.1),
-        mass=0.15,
-        support=Tripod(radius=0.038, friction=0.25),
+        "part", Polygon.rectangle(0.1, 0.1), mass=0.15, support=Tripod(radius=0.038, friction=0.25)
     )
     finger = Pusher(
         "finger",
@@ -172,8 +169,7 @@ def micro_push(
         mass=PART_MASS,
         pose=row(0.0, 0.0, 0.0 if upright else 0.5 * pi),
         support=SupportPoints(
-            points=1e-6 * np.array(points),
-            friction=mu_plane if mu_support is None else mu_support,
+            points=1e-6 * np.array(points), friction=mu_plane if mu_support is None else mu_support
         ),
     )
     probe = Pusher(
@@ -305,10 +301,7 @@ def free_push(
         friction=friction,
     )
     return Scene(
-        bodies=(body,),
-        pushers=(finger,),
-        duration=step,
-        support_directions=support_directions,
+        bodies=(body,), pushers=(finger,), duration=step, support_directions=support_directions
     )
 
 

@@ -189,11 +189,7 @@ class Guard:
         address = self.gate.root + path + (f"?{urlencode(query)}" if query else "")
         response = RedirectResponse(address, status_code=303)
         response.set_cookie(
-            self.gate.cookie,
-            self.gate.session,
-            httponly=True,
-            samesite="lax",
-            path=self.gate.root,
+            self.gate.cookie, self.gate.session, httponly=True, samesite="lax", path=self.gate.root
         )
         return response
 

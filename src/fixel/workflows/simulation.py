@@ -212,8 +212,4 @@ def next_words(done: StoredAnswer) -> list[str]:
     return [*again, "--set", f"bodies.{body.name}.mass={2.0 * body.mass:g}"]
 
 
-SIMULATE: Final = Capability(
-    name="simulate",
-    function=simulate_scene,
-    plot="",
-)
+SIMULATE: Final = Capability(name="simulate", function=simulate_scene, plot="")

@@ -93,10 +93,7 @@ class EngineEnsemble:
         return max(len(case.times) for case in self.cases)
 
     def simulate(
-        self,
-        which: IntArray,
-        values: Mapping[str, FloatArray],
-        fixels: FloatArray | None = None,
+        self, which: IntArray, values: Mapping[str, FloatArray], fixels: FloatArray | None = None
     ) -> EnsembleOutcome:
         """Simulate cases under parameters, as `Ensemble.simulate`; forces are not known: zero."""
         n = len(which)

@@ -315,11 +315,7 @@ def _arrays(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _pusher(
-    pusher: Pusher,
-    duration: float,
-    grown: float,
-    registration: FloatArray | None,
-    friction: float,
+    pusher: Pusher, duration: float, grown: float, registration: FloatArray | None, friction: float
 ) -> PlainPusher:
     path = pusher_path(pusher, duration)
     if registration is not None:

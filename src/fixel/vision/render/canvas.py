@@ -83,12 +83,7 @@ def paint(
 
 @entry
 def cover_most(
-    points: FloatArray,
-    starts: IntArray,
-    left: int,
-    top: int,
-    mask: FloatArray,
-    cover: FloatArray,
+    points: FloatArray, starts: IntArray, left: int, top: int, mask: FloatArray, cover: FloatArray
 ) -> None:
     """Raise a mask (h, w) float32 to the share of each pixel that polygons cover; see `paint`."""
     h, w = mask.shape
@@ -238,10 +233,7 @@ class PictureWindow(NamedTuple):
     @property
     def slices(self) -> tuple[slice, slice]:
         """Slices of the rows and columns of the whole picture."""
-        return (
-            slice(self.top, self.top + self.height),
-            slice(self.left, self.left + self.width),
-        )
+        return (slice(self.top, self.top + self.height), slice(self.left, self.left + self.width))
 
     def joined(self, other: PictureWindow) -> PictureWindow:
         """Return the smallest window that contains both; an empty one adds nothing."""

@@ -161,12 +161,7 @@ def _slab_strokes(
         beyond = (last + 1) % n
         step = _towards(low[k[-1]], low[beyond]), _towards(high[k[-1]], high[beyond])
         points = np.concatenate(
-            (
-                low[k],
-                low[k[-1:]] + step[0],
-                high[k[-1:]] + step[1],
-                under[k[::-1]],
-            )
+            (low[k], low[k[-1:]] + step[0], high[k[-1:]] + step[1], under[k[::-1]])
         )
         strokes.append((filled_polygons(points, slab.side * shade, size), None))
     if slab.rim > 0.0:

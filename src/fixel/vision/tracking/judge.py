@@ -14,10 +14,7 @@ from fixel.vision.tracking.base import PartObservation, PartTrack
 
 NEIGHBOURS: Final = 5  # frames to either side; a pose must agree with one side at least
 SCATTERS: Final = 8.0  # times the usual deviation, beyond which a pose is an outlier
-MIN_DISAGREEMENT: Final = (
-    0.3e-3,
-    0.008,
-)  # [m] at 0.55 mm per pixel, [rad]: less is ignored
+MIN_DISAGREEMENT: Final = (0.3e-3, 0.008)  # [m] at 0.55 mm per pixel, [rad]: less is ignored
 JUMP: Final = (1e-3, 0.05)  # [m] at 0.55 mm per pixel, [rad]: impossible change between frames
 USUAL_PIXEL: Final = 0.55e-3  # [m]
 ELSEWHERE: Final = "the camera or the plate was moved"

@@ -139,13 +139,7 @@ class _OutlineTrack:
 
     def _fitted(self, frame: Frame, pose: FloatArray, reach: float) -> PartObservation:
         fit = fit_spread(
-            frame.luma,
-            self._camera,
-            self._edges,
-            pose,
-            reach=reach,
-            last=self._spread,
-            rounds=6,
+            frame.luma, self._camera, self._edges, pose, reach=reach, last=self._spread, rounds=6
         )
         if fit is None or fit.share < MIN_SHARE:
             return PartObservation(reason=f"too little of the outline of {self.name} is visible")

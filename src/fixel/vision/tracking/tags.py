@@ -114,13 +114,7 @@ class _TaggedPart(PartFollower):
             return PartObservation(reason="its tags are out of the picture")
         picture, corner = window
         fit = fit_spread(
-            picture,
-            self._camera,
-            self._edges,
-            pose,
-            reach=reach,
-            last=self._spread,
-            corner=corner,
+            picture, self._camera, self._edges, pose, reach=reach, last=self._spread, corner=corner
         )
         if fit is None:
             return PartObservation(reason="too few edges of its tags are visible")

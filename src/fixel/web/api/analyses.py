@@ -12,12 +12,7 @@ from pydantic import Field
 from fixel.errors import FixelError, NotStored
 from fixel.web.context import Context
 from fixel.web.values import Answer
-from fixel.workflows.analysis import (
-    Analysis,
-    StoredAnalysis,
-    find_analysis,
-    load_with_errors,
-)
+from fixel.workflows.analysis import Analysis, StoredAnalysis, find_analysis, load_with_errors
 from fixel.workflows.planning.execute import run_on_testbed
 from fixel.workflows.planning.report import FILE
 from fixel.workflows.planning.request import load_plan, load_trials

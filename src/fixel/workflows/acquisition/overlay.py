@@ -134,9 +134,7 @@ def scene_of(path: Path | None, key: str | None, project: Path) -> Scene:
         experiment = store.experiment(store.find(str(key)))
     if experiment.scene is None:
         raise InvalidInput(
-            f"experiment {experiment.key}",
-            found="no scene",
-            expected="an experiment with a scene",
+            f"experiment {experiment.key}", found="no scene", expected="an experiment with a scene"
         )
     return experiment.scene
 

@@ -237,11 +237,7 @@ def _provenance(film: Film) -> Provenance:
 
 
 def _draw(
-    film: Film,
-    scene: Scene,
-    tracked: FilmTracks,
-    experiment: Experiment,
-    files: dict[str, Path],
+    film: Film, scene: Scene, tracked: FilmTracks, experiment: Experiment, files: dict[str, Path]
 ) -> None:
     from fixel.drawing.chart import save_figure
     from fixel.drawing.tracking import track_figure

@@ -46,12 +46,7 @@ from fixel.typing import FloatArray
 from fixel.workflows.calibration.parameter_options import call_of, enlarged_command
 from fixel.workflows.calibration.plan import CalibrationPlan
 from fixel.workflows.calibration.request import CalibrationRequest
-from fixel.workflows.calibration.result import (
-    CalibrationResult,
-    FitKind,
-    ParameterSet,
-    outcome_of,
-)
+from fixel.workflows.calibration.result import CalibrationResult, FitKind, ParameterSet, outcome_of
 
 if TYPE_CHECKING:
     from fixel.simulation import Simulation

@@ -40,12 +40,7 @@ from fixel.registry import offered
 from fixel.simulation.trust import permit
 from fixel.workflows import jobs
 from fixel.workflows.calibration.calibration import Calibration, Calibrations, collect
-from fixel.workflows.calibration.job import (
-    CHUNKS,
-    CalibrationSearch,
-    comparer_of,
-    evaluate_here,
-)
+from fixel.workflows.calibration.job import CHUNKS, CalibrationSearch, comparer_of, evaluate_here
 from fixel.workflows.calibration.parameter_options import (
     fixed_unknowns,
     from_dakota,

@@ -9,14 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Self, TypeVar, get_args
 
 import numpy as np
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    PlainSerializer,
-    PlainValidator,
-    create_model,
-)
+from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, PlainValidator, create_model
 
 from fixel.calibration import OPTIMISERS, AbstractOptimiser, MultiStart, PatternSearch
 from fixel.calibration.least_squares import LeastSquares

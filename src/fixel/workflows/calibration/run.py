@@ -10,16 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door
-from fixel.capability.usual import (
-    Dataset,
-    Fit,
-    Flagged,
-    Level,
-    NoiseOption,
-    Seed,
-    Threads,
-    Where,
-)
+from fixel.capability.usual import Dataset, Fit, Flagged, Level, NoiseOption, Seed, Threads, Where
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -57,8 +48,7 @@ ErrorName = Annotated["Named | AbstractError", Door(plain=str, among=_errors)]
 SearchName = Annotated["Named | AbstractOptimiser", Door(plain=str, among=_searches)]
 SiteFile = Annotated["PathLike[str] | str | Site | None", Door(plain=Path | None, effort=True)]
 MotionName = Annotated[
-    "str | AbstractMotionModel",
-    Door(plain=str, metavar="NAME", also=("--engine",), program=True),
+    "str | AbstractMotionModel", Door(plain=str, metavar="NAME", also=("--engine",), program=True)
 ]
 
 

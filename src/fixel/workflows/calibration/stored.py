@@ -105,10 +105,7 @@ def _meets(conditions: Mapping[str, str | float], where: Mapping[str, str]) -> b
 
 
 def load_values(
-    store: Store,
-    calibration_id: int | None = None,
-    experiment: int | None = None,
-    engine: str = "",
+    store: Store, calibration_id: int | None = None, experiment: int | None = None, engine: str = ""
 ) -> CalibratedValues:
     """Load a stored calibration.
 

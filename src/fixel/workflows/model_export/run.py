@@ -345,10 +345,7 @@ def distances_from_fixel(
     for k, case in enumerate(cases):
         count = n // len(cases) + (k < n % len(cases))
         drawn = start_error_of(case.scene).samples(count, seed + k)
-        ends = [
-            _ends(case, drawn, source.motion, source.stepper),
-            _ends(case, drawn, engine, None),
-        ]
+        ends = [_ends(case, drawn, source.motion, source.stepper), _ends(case, drawn, engine, None)]
         good = ~np.isnan(ends[0].pose[:, 0]) & ~np.isnan(ends[1].pose[:, 0])
         apart = pose_error(ends[0].pose[good], ends[1].pose[good])
         position.append(apart[0])
@@ -363,9 +360,7 @@ def distances_from_fixel(
 
 
 def errors_on(
-    cases: Sequence[SourceCase],
-    motion: AbstractMotionModel,
-    stepper: AbstractStepper | None = None,
+    cases: Sequence[SourceCase], motion: AbstractMotionModel, stepper: AbstractStepper | None = None
 ) -> Distances:
     """Return the distances of simulated end poses from the measured ones."""
     position, angle, failures = [], [], Counter[str]()

@@ -52,9 +52,7 @@ class ModelSource(NamedTuple):
 
 
 def source_of(
-    what: Exportable,
-    calibration: int | None = None,
-    held_out: Iterable[Experiment] = (),
+    what: Exportable, calibration: int | None = None, held_out: Iterable[Experiment] = ()
 ) -> ModelSource:
     """Return the source of an export; raise where there is no scene.
 

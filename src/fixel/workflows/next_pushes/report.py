@@ -66,10 +66,7 @@ def report_of(found: PushProposal) -> AnalysisReport:
             *(f"{n} experiment{'s' * (n != 1)} {why}: not used" for why, n in own.skipped.items()),
         ),
         tables=(pushes.table(),),
-        notes=(
-            pushes.notes[0],
-            f"learned from {len(own.known)} pushes of {len(parts)} parts",
-        ),
+        notes=(pushes.notes[0], f"learned from {len(own.known)} pushes of {len(parts)} parts"),
         numbers=_numbers(found),
     )
     return AnalysisReport(analysis, [Picture("pushes", chart, banner_of(simulated), caption)])

@@ -42,11 +42,7 @@ def analysis_of(found: FoundPlan) -> Analysis:
         question={},
         headline=(f"Goal: {plan.goal}", *_headline(found)),
         warnings=found.warnings,
-        tables=(
-            _pushes_table(plan),
-            _success_table(plan),
-            causes_chart(explained).table(),
-        ),
+        tables=(_pushes_table(plan), _success_table(plan), causes_chart(explained).table()),
         notes=explained.sentences,
         methods=(_methods(plan),),
         numbers=numbers_of(found),

@@ -181,10 +181,7 @@ def _written(
     """Write experiments as tables or as a LeRobot dataset; return counts."""
     _refuse_none(len(experiments), dataset)
     rows = [entry.row for entry in experiments.entries]
-    with (
-        show_progress(progress, "exporting") as report,
-        folder_whole(target) as unfinished,
-    ):
+    with show_progress(progress, "exporting") as report, folder_whole(target) as unfinished:
         records = _reported(experiments, report)
         if format == "parquet":
             frames = write_frames(records, unfinished)

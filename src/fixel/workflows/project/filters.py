@@ -142,9 +142,7 @@ def _axis(name: str, values: FloatArray) -> CoverageAxis:
     return CoverageAxis(name, edges.tolist(), ((edges[1:] + edges[:-1]) / 2.0).tolist())
 
 
-def _table(
-    rows: Sequence[tuple[Any, Any, int]],
-) -> tuple[list[str], list[str], list[list[int]]]:
+def _table(rows: Sequence[tuple[Any, Any, int]]) -> tuple[list[str], list[str], list[list[int]]]:
     """Count the experiments of each shape in each layout."""
     counted: Counter[tuple[str, str]] = Counter()
     for shape, layout, n in rows:
