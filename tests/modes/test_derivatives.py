@@ -8,7 +8,7 @@ from benchmarks.seated import seated_grasp
 
 from fixel.errors import InvalidInput
 from fixel.model import Body, LineDrive, Pusher, Scene, Tripod
-from fixel.simulation import Midpoint, Simulator, simulate
+from fixel.simulation import Midpoint, Simulator, simulate, simulate_batch
 from fixel.testing.scenes import box, free_push, grasp, row
 
 SUPPORT = Tripod(radius=0.03, friction=0.3)
@@ -84,6 +84,56 @@ def test_a_seated_part_does_not_depend_on_its_start():
     """Pegs and head hold the part where geometry alone says."""
     push = simulate(seated_grasp(0), motion="quasistatic", derivatives=NAMES)
     assert np.abs(list(push.derivatives.values())).max() < 1e-3
+
+
+def test_a_batch_has_the_derivatives_of_its_runs():
+    """Also the same bits for any number of threads, and none where modes alternate."""
+    scene, friction = free_push(SUPPORT), np.linspace(0.1, 0.5, 70)
+    names = ["mu_pusher", "theta", "tripod_radius"]
+    batches = [
+        simulate_batch(
+            scene,
+            {"mu_pusher": friction},
+            motion="quasistatic",
+            threads=threads,
+            derivatives=names,
+        )
+        for threads in (1, 2)
+    ]
+    runs = batches[0]
+    for name in names:
+        assert np.array_equal(runs.derivatives[name], batches[1].derivatives[name])
+    assert runs.differentiable.all()
+    assert "derivatives of 70 runs" in str(runs)
+    own = simulate(
+        scene, {"mu_pusher": friction[40]}, motion="quasistatic", derivatives=names
+    ).derivatives
+    assert list(runs.derivatives) == names
+    for name in names:
+        assert runs[40].derivatives[name] == pytest.approx(own[name][None], rel=1e-6)
+    alternate = simulate_batch(seated_grasp(578), motion="quasistatic", derivatives=["x"])
+    assert not alternate.differentiable.any()
+    assert np.isnan(alternate.derivatives["x"]).all()
+
+
+def test_shifts_of_the_start_and_of_the_path():
+    """A shifted path and a start that is shifted the other way differ by a shift of all."""
+    scene = free_push(SUPPORT)
+    slope = simulate(
+        scene,
+        motion="quasistatic",
+        derivatives=["x", "start_x", "y", "registration_y", "outline_x", "start_theta", "theta"],
+    ).derivatives
+    assert slope["start_x"] == pytest.approx(slope["x"], abs=1e-6)
+    assert slope["start_theta"] == pytest.approx(slope["theta"], abs=1e-6)
+    assert slope["y"] + slope["registration_y"] == pytest.approx([0.0, 1.0, 0.0], abs=1e-5)
+    assert np.linalg.norm(slope["outline_x"] - slope["x"]) > 0.01
+
+
+def test_what_modes_do_not_describe_has_no_derivative():
+    """Friction that depends on the direction of slip."""
+    push = simulate(free_push(SUPPORT), motion="quasistatic", derivatives=["anisotropy_xy"])
+    assert push.derivatives == {}
 
 
 def test_the_report_has_units():

@@ -8,6 +8,7 @@ error of the simulator.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
@@ -316,7 +317,7 @@ def fitted_model(name: str, features: FloatArray, values: FloatArray, seed: int)
         return _forest(features, values, seed)
     if name == "neighbours":
         return _Neighbours(Scale.of(features), features, values)
-    return _Constant(float(np.median(values)) if len(values) else 0.0)
+    return partial(_constant, float(np.median(values)) if len(values) else 0.0)
 
 
 class Scale(NamedTuple):
@@ -335,11 +336,9 @@ class Scale(NamedTuple):
         return np.asarray((features[:, used] - self.centre[used]) / self.spread[used])
 
 
-class _Constant(NamedTuple):
-    value: float
-
-    def __call__(self, features: FloatArray, /) -> FloatArray:
-        return np.full(len(features), self.value)
+def _constant(value: float, features: FloatArray, /) -> FloatArray:
+    """Return the same value for all features."""
+    return np.full(len(features), value)
 
 
 class _Neighbours(NamedTuple):

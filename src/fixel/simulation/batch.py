@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from importlib import import_module
 from os import PathLike
 from typing import Any, Final, overload
 
@@ -43,9 +44,10 @@ from fixel.simulation.solver import SOLVERS, AbstractSolver, Newton
 from fixel.simulation.stepper import AbstractStepper, Adaptive
 from fixel.simulation.threads import rollout_in_threads
 from fixel.simulation.vary import Variation
-from fixel.typing import BoolArray, FloatArray
+from fixel.typing import BoolArray, FloatArray, IntArray
 
 _NAMES: Final = np.array(codes.STATUS_NAMES)
+SLOPES: Final = "fixel.simulation.derivatives"  # imported late: few batches need it
 
 
 @overload
@@ -63,6 +65,7 @@ def simulate_batch(
     threads: int | None = None,
     max_contacts: int = 4096,
     accuracy: bool = False,
+    derivatives: Sequence[str] = (),
 ) -> BatchResult: ...
 
 
@@ -84,6 +87,7 @@ def simulate_batch(  # type: ignore[misc]
     threads: int | None = None,
     max_contacts: int = 4096,
     accuracy: bool = False,
+    derivatives: Sequence[str] = (),
 ) -> BatchResult | list[BatchResult]:
     """Simulate one scene in many variations, or many scenes.
 
@@ -112,6 +116,9 @@ def simulate_batch(  # type: ignore[misc]
         Largest number of contacts in one rollout.
     accuracy : bool
         Whether to solve every run in a second, independent way; see `BatchResult.accuracy`.
+    derivatives : sequence of str
+        Parameters, or ``"x"``, ``"y"`` and ``"theta"`` of the start pose, by which to differentiate
+        the ends; for quasi-static motion of one part.
 
     Returns
     -------
@@ -144,16 +151,19 @@ def simulate_batch(  # type: ignore[misc]
     check_compiled(motion, stepper, solver)
     method = method_of(motion, stepper, solver, max_contacts)
     if not isinstance(scene, Scene):
-        if parameters is not None or start is not None or waypoints is not None or accuracy:
+        varied = any(given is not None for given in (parameters, start, waypoints))
+        if varied or accuracy or derivatives:
             raise InvalidInput(
                 "scene",
-                found="several scenes with variations or accuracy",
+                found="several scenes with variations, accuracy or derivatives",
                 expected="one scene to vary",
             )
         return _simulate_scenes(
             scene, motion, stepper, solver, duration, times, threads, max_contacts
         )
     check_method(scene, solver)
+    if derivatives:
+        import_module(SLOPES).check_differentiable(scene, motion)
     variation, n = _variation(scene, parameters, start, waypoints)
     seconds = duration_of(scene, duration)
     packed = pack(scene, motion, stepper, variation, n, seconds)
@@ -166,13 +176,41 @@ def simulate_batch(  # type: ignore[misc]
         partial = _unpack(scene, packed, record, instants, variation.parameters)
         raise Interrupted(partial, "its result has the finished runs") from None
     runs = _unpack(scene, packed, record, instants, variation.parameters)
+    if derivatives:
+        way = motion, stepper, method, seconds, threads
+        runs = _differentiated(runs, variation, derivatives, *way)
     if not accuracy:
         return runs
     from fixel.simulation.accuracy import confirm  # late: few batches need it
 
-    found = confirm(packed, method, runs.final[:, : len(scene.bodies)], record.status, threads)
-    apart = np.stack((found.distance, found.angle), axis=1)
-    return replace(runs, accuracy=found.verdict, apart=apart)
+    sure = confirm(packed, method, runs.final[:, : len(scene.bodies)], record.status, threads)
+    apart = np.stack((sure.distance, sure.angle), axis=1)
+    return replace(runs, accuracy=sure.verdict, apart=apart)
+
+
+def _differentiated(
+    runs: BatchResult,
+    variation: Variation,
+    names: Sequence[str],
+    motion: AbstractMotionModel,
+    stepper: AbstractStepper,
+    method: StepMethod,
+    seconds: float,
+    threads: int | None,
+) -> BatchResult:
+    """Return runs with the derivatives of their ends."""
+
+    def packed_of(nudges: Variation, rows: IntArray) -> PackedBatch:
+        return pack(runs.scene, motion, stepper, nudges, len(rows), seconds)
+
+    ends, time = runs.pose[:, -1:, 0], np.full((len(runs), 1), seconds)
+    slope, found = import_module(SLOPES).pose_slopes(
+        runs.scene, variation, names, packed_of, method, ends, time, threads
+    )
+    found &= runs.converged
+    slope = np.where(found[:, None, None], slope[:, 0], np.nan)
+    columns = dict(zip(names, np.moveaxis(slope, 2, 0), strict=True))
+    return replace(runs, derivatives=columns, differentiable=found)
 
 
 def simulate_packed(

@@ -1,53 +1,129 @@
-"""Derivatives of the end of a quasi-static simulation by its start pose and by parameters."""
+"""Derivatives of quasi-static motion by its start pose and by parameters."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Final
 
 import numpy as np
 
 from fixel.errors import InvalidInput
+from fixel.kernels import codes
 from fixel.kernels.arrays import StepMethod
+from fixel.kernels.batch import BODY
 from fixel.kernels.modes.derivatives import differentiate_batch
 from fixel.model import Scene
 from fixel.model.parameters import info_of
-from fixel.simulation.accuracy import walked
+from fixel.simulation.accuracy import APART_ANGLE, APART_LENGTH, walked
+from fixel.simulation.load_profile import PROFILE_NAMES
+from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.pack import PackedBatch
+from fixel.simulation.record import shape_poses
+from fixel.simulation.result import POSE_NAMES
 from fixel.simulation.threads import in_ranges
-from fixel.simulation.vary import Variation
-from fixel.typing import BoolArray, FloatArray
+from fixel.simulation.uneven_table import TABLE_NAMES
+from fixel.simulation.vary import Variation, composed
+from fixel.typing import BoolArray, FloatArray, IntArray
 
 NUDGE: Final = 1e-4  # of a parameter, to differentiate the rows of contacts
 SMALLEST_NUDGE: Final = 1e-7  # of a parameter that is zero, in SI units
+PASS: Final = 512  # rollouts whose tapes are held at once
 
 
-def nudged(scene: Scene, variation: Variation, names: Sequence[str], n: int) -> Variation:
-    """Return a variation in which every rollout is followed by two for each parameter: a little
-    larger, and a little smaller."""
+def check_differentiable(scene: Scene, motion: AbstractMotionModel) -> None:
+    """Raise where contact modes do not describe the motion."""
+    if motion.kind != codes.QUASI_STATIC or len(scene.bodies) != 1:
+        raise InvalidInput(
+            "derivatives",
+            found=f"{motion.name} motion of {len(scene.bodies)} free bodies",
+            expected="quasi-static motion of one body",
+            hint='motion="quasistatic"',
+        )
+
+
+def pose_slopes(
+    scene: Scene,
+    variation: Variation,
+    names: Sequence[str],
+    packed_of: Callable[[Variation, IntArray], PackedBatch],
+    method: StepMethod,
+    pose: FloatArray,
+    time: FloatArray,
+    threads: int | None = None,
+) -> tuple[FloatArray, BoolArray]:
+    """Differentiate poses of one part by its start pose and by parameters.
+
+    Parameters
+    ----------
+    scene : Scene
+    variation : Variation
+        That of the rollouts.
+    names : sequence of str
+        Parameters, or ``"x"``, ``"y"`` and ``"theta"`` of the start pose.
+    packed_of : callable
+        Packs rollouts of another variation, given the numbers (m,) of the original ones.
+    method : StepMethod
+    pose : (n, n_time, 3) float64
+        Poses of the rollouts.
+    time : (n, n_time) float64
+        Times of these, increasing; the last is the end [s].
+    threads : int, optional
+        Number of threads; all cores by default.
+
+    Returns
+    -------
+    (n, n_time, 3, n_name) float64
+        Derivatives of x, y and theta, in SI units; NaN where there are none.
+    (n,) bool
+        Whether there are any.
+    """
+    columns = _columns(names, variation)
+    own = [name for name in dict.fromkeys(columns) if name not in POSE_NAMES]
+    order = [*POSE_NAMES, *own]
+    place = [order.index(name) for name in columns]
+    slope = np.full((*pose.shape, len(columns)), np.nan)
+    found = np.zeros(len(pose), bool)
+    for k in range(0, len(pose), PASS):
+        rows = np.arange(k, min(len(pose), k + PASS))
+        again = np.repeat(rows, 1 + 2 * len(own))
+        nudges, widths = _nudged(scene, variation, own, again)
+        packed = packed_of(nudges, again)
+        part, good = _slopes(packed, method, widths, pose[rows], time[rows], threads)
+        found[rows] = good
+        slope[rows[good]] = part[good][..., place]
+    return slope, found
+
+
+def _columns(names: Sequence[str], variation: Variation) -> list[str]:
+    """Return the names to differentiate by; loads on an uneven table depend on the start angle."""
+    uneven = any(name in (*TABLE_NAMES, *PROFILE_NAMES) for name in (*variation.parameters, *names))
+    return ["start_theta" if uneven and name == "theta" else name for name in names]
+
+
+def _nudged(
+    scene: Scene, variation: Variation, names: Sequence[str], rows: IntArray
+) -> tuple[Variation, FloatArray]:
+    """Return a variation in which every rollout is followed by two for each parameter, a little
+    larger and a little smaller, and by how much (n, n_parameter)."""
     stride = 1 + 2 * len(names)
-    values = {k: np.repeat(v, stride) for k, v in variation.parameters.items()}
+    values = {k: np.array(v[rows]) for k, v in variation.parameters.items()}
+    widths = np.zeros((len(rows) // stride, len(names)))
     for j, name in enumerate(names):
         if name not in values:
-            values[name] = np.full(n * stride, scene_value(scene, name))
-        width = nudge_of(values[name][::stride])
-        values[name][1 + 2 * j :: stride] += width
-        values[name][2 + 2 * j :: stride] -= width
-    if variation.path_of is not None or variation.fixels is not None:
-        raise InvalidInput(
-            "derivatives", found="paths or fixels of many rollouts", expected="one path"
-        )
-    return Variation(
+            values[name] = np.full(len(rows), scene_value(scene, name))
+        widths[:, j] = np.maximum(NUDGE * np.abs(values[name][::stride]), SMALLEST_NUDGE)
+        values[name][1 + 2 * j :: stride] += widths[:, j]
+        values[name][2 + 2 * j :: stride] -= widths[:, j]
+    start, path, of, fixels = variation[1:]
+    nudges = Variation(
         values,
-        None if variation.start is None else np.repeat(variation.start, stride, axis=0),
-        None if variation.path is None else np.repeat(variation.path, stride, axis=0),
+        None if start is None else start[rows],
+        path if path is None or of is not None else path[rows],
+        None if of is None else of[rows],
+        None if fixels is None else fixels[rows],
     )
-
-
-def nudge_of(value: FloatArray) -> FloatArray:
-    """Small change of a parameter, in SI units."""
-    return np.maximum(NUDGE * np.abs(value), SMALLEST_NUDGE)
+    return nudges, widths
 
 
 def scene_value(scene: Scene, name: str) -> float:
@@ -75,58 +151,63 @@ def scene_value(scene: Scene, name: str) -> float:
     return float(value)
 
 
-def end_derivatives(
+def _slopes(
     packed: PackedBatch,
     method: StepMethod,
-    values: Mapping[str, FloatArray],
-    names: Sequence[str],
-    heading: FloatArray,
-    threads: int | None = None,
+    widths: FloatArray,
+    pose: FloatArray,
+    time: FloatArray,
+    threads: int | None,
 ) -> tuple[FloatArray, BoolArray]:
-    """Differentiate the last pose of the part.
-
-    Parameters
-    ----------
-    packed : PackedBatch
-        Of a variation by `nudged`.
-    method : StepMethod
-    values : mapping from name to (n * stride,) float64
-        Those of that variation.
-    names : sequence of str
-        Names of the parameters.
-    heading : (n,) float64
-        Angle of the part at the start [rad].
-    threads : int, optional
-
-    Returns
-    -------
-    (n, 3, 3 + n_parameter) float64
-        Derivatives of x, y, theta by x, y and theta at the start and by the parameters, in SI
-        units.
-    (n,) bool
-        Whether there are derivatives: every mode held, and ended where a margin crosses zero.
-    """
-    stride = 1 + 2 * len(names)
-    n = len(heading)
+    """Differentiate poses by x, y and theta at the start, and by parameters changed by `widths`."""
+    n, n_own = widths.shape
+    stride, length = 1 + 2 * n_own, packed.units.length
     record = walked(packed, method, n, stride=stride, taped=True, threads=threads)
-    slope = np.zeros((n, 3, 3 + len(names)))
+    slope = np.zeros((*pose.shape, 3 + n_own))
     found = np.zeros(n, np.int64)
+    times = time / packed.units.time
     in_ranges(
-        partial(differentiate_batch, packed.batch, method, stride, record, slope, found), n, threads
+        partial(differentiate_batch, packed.batch, method, stride, record, times, slope, found),
+        n,
+        threads,
     )
-    length = packed.units.length
-    slope[:, :2, 2:] *= length
-    slope[:, 2, :2] /= length
-    for j, name in enumerate(names):
-        slope[:, :, 3 + j] /= nudge_of(values[name][::stride])[:, None]
-    # From poses of the centre of mass to those of the shape frame, at both ends.
-    x, y = packed.com[0]
-    slope[:, :, 2] += np.einsum("nij,nj->ni", slope[:, :, :2], _lever(x, y, heading))
-    slope[:, :2] -= _lever(x, y, record.end[:, 2])[:, :, None] * slope[:, 2][:, None]
-    return slope, found == 1
+    slope[:, :, :2, 2:] *= length
+    slope[:, :, 2, :2] /= length
+    slope[..., 3:] /= widths[:, None, None]
+    ends = shape_poses(_every(packed, stride), record.end[:, None, None, :3])[:, 0, 0]
+    gap = np.abs(ends - pose[:, -1])
+    same = (gap[:, :2].max(axis=1) <= APART_LENGTH * length) & (gap[:, 2] <= APART_ANGLE)
+    _refer_to_frames(slope, packed, stride, widths, pose[..., 2])
+    return slope, (found == 1) & same
 
 
-def _lever(x: float, y: float, angle: FloatArray) -> FloatArray:
-    """Derivative of a rotated vector by the angle (n, 2)."""
+def _every(packed: PackedBatch, stride: int) -> PackedBatch:
+    """Return what converts the poses of every rollout that was followed."""
+    return packed if packed.outline is None else packed._replace(outline=packed.outline[::stride])
+
+
+def _refer_to_frames(
+    slope: FloatArray, packed: PackedBatch, stride: int, widths: FloatArray, angle: FloatArray
+) -> None:
+    """Convert derivatives of and by poses of the centre of mass to those of the frame of poses,
+    whose angle is `angle` (n, n_time)."""
+    n_own = widths.shape[1]
+    outline = np.zeros((len(packed.batch.count), 3)) if packed.outline is None else packed.outline
+    centre = composed(outline, np.append(packed.com[0], 0.0))
+    own = centre[::stride]
+    heading = packed.batch.pose[packed.batch.begin[::stride, BODY], 2] - own[:, 2]
+    slope[..., 2] += np.einsum("ntij,nj->nti", slope[..., :2], _turned(own, heading + 0.5 * np.pi))
+    lever = _turned(own[:, None], angle + 0.5 * np.pi)
+    for j in range(n_own):
+        moved = centre[1 + 2 * j :: stride] - centre[2 + 2 * j :: stride]
+        moved /= 2.0 * widths[:, j, None]
+        slope[..., 2, 3 + j] -= moved[:, None, 2]
+        slope[..., :2, 3 + j] -= _turned(moved[:, None], angle)
+    slope[..., :2, :] -= lever[..., None] * slope[..., 2:, :]
+
+
+def _turned(point: FloatArray, angle: FloatArray) -> FloatArray:
+    """Rotate points (..., 2 or more), of which x and y count."""
     c, s = np.cos(angle), np.sin(angle)
-    return np.stack((-s * x - c * y, c * x - s * y), axis=-1)
+    x, y = point[..., 0], point[..., 1]
+    return np.stack((c * x - s * y, s * x + c * y), axis=-1)

@@ -164,7 +164,8 @@ class Simulation(Result):
         How far a second, independent way confirms the end; None where that was not asked for.
     derivatives : mapping from name to (3,) float64, or None
         Derivative of x, y and theta of the part at the end, by each name that was asked for [SI
-        units]; empty where there are none: contact modes are lost, or one ends in a jump.
+        units]; empty where there are none: contact modes are lost, or one ends in a jump, or
+        elsewhere than the stepper.
 
     Examples
     --------
@@ -469,6 +470,11 @@ class BatchResult(Result):
         asked for.
     apart : (n, 2) float64 or None
         Largest distance [m] and angle [rad] between the ends by two independent ways.
+    derivatives : mapping from name to (n, 3) float64, or None
+        Derivatives of the last poses [m, m, rad] by each parameter or start coordinate that was
+        asked for; NaN where there are none.
+    differentiable : (n,) bool or None
+        Whether there are derivatives; see `Simulation.derivatives`.
     version : str
         Version of fixel.
 
@@ -499,6 +505,8 @@ class BatchResult(Result):
     contacts: BoolArray | None = None
     accuracy: NDArray[np.str_] | None = None
     apart: FloatArray | None = None
+    derivatives: Mapping[str, FloatArray] | None = None
+    differentiable: BoolArray | None = None
     version: str = ""
 
     @property
@@ -574,8 +582,10 @@ class BatchResult(Result):
         index: Any = key if isinstance(key, slice) else np.asarray(key)
         values = {name: getattr(self, name) for name in PER_RUN}
         own: dict[str, Any] = {k: None if v is None else v[index] for k, v in values.items()}
-        parameters = {name: value[index] for name, value in self.parameters.items()}
-        return replace(self, **own, parameters=parameters)
+        for name in ("parameters", "derivatives"):
+            columns = getattr(self, name)
+            own[name] = columns and {k: v[index] for k, v in columns.items()}
+        return replace(self, **own)
 
     def _summary(self) -> Summary:
         n, n_sample = self.pose.shape[:2]
@@ -588,6 +598,8 @@ class BatchResult(Result):
         if self.accuracy is not None:
             verdicts = Counter(self.accuracy.tolist()).most_common()
             notes.append("accuracy: " + ", ".join(f"{count} {own}" for own, count in verdicts))
+        if self.differentiable is not None:
+            notes.append(f"derivatives of {self.differentiable.sum()} runs")
         tables = []
         if n and n_sample:
             unit, factor = _length_unit(self.final)
@@ -636,6 +648,7 @@ PER_RUN: Final = (
     "contacts",
     "accuracy",
     "apart",
+    "differentiable",
 )
 
 

@@ -34,13 +34,13 @@ from fixel.simulation.motion import AbstractMotionModel, OtherEngine, motion_mod
 from fixel.simulation.pack import PackedBatch, pack
 from fixel.simulation.plain import rollout_in_python
 from fixel.simulation.record import empty_record, shape_poses
-from fixel.simulation.result import CONTACT_FIELDS, POSE_NAMES, PusherTrajectory, Simulation
+from fixel.simulation.result import CONTACT_FIELDS, PusherTrajectory, Simulation
 from fixel.simulation.solver import SOLVERS, AbstractSolver, GaussSeidel, Lemke, Newton
 from fixel.simulation.stepper import STEPPERS, AbstractStepper, Adaptive
 from fixel.simulation.threads import rollout_in_threads
 from fixel.simulation.trust import permit
 from fixel.simulation.vary import Variation
-from fixel.typing import FloatArray
+from fixel.typing import FloatArray, IntArray
 
 MAX_STEPS = 1_000_000  # of a stepper without a limit
 MAX_SAMPLES = 200_000
@@ -294,7 +294,7 @@ class Simulator:
                     packed, self._method, np.array([ends]), record.status, threads=1
                 )[0]
             if derivatives:
-                found["derivatives"] = self._derivatives(known, variation, duration, derivatives)
+                found["derivatives"] = self._derivatives(known, variation, derivatives, found)
         simulation = Simulation(
             scene=scene, parameters=parameters, version=fixel_version(), **found
         )
@@ -334,26 +334,22 @@ class Simulator:
         return replace(scene, bodies=bodies, pushers=pushers)
 
     def _derivatives(
-        self, scene: Scene, variation: Variation, duration: float, names: Sequence[str]
+        self, scene: Scene, variation: Variation, names: Sequence[str], found: Mapping[str, Any]
     ) -> Mapping[str, FloatArray]:
-        if self.motion.kind != codes.QUASI_STATIC or len(scene.bodies) != 1:
-            raise InvalidInput(
-                "derivatives",
-                found=f"{self.motion.name} motion of {len(scene.bodies)} free bodies",
-                expected="quasi-static motion of one body",
-                hint='motion="quasistatic"',
-            )
-        from fixel.simulation.derivatives import end_derivatives, nudged
+        """Return the derivatives of the end of a motion that was found; none of an early end."""
+        slopes = import_module("fixel.simulation.derivatives")  # late: few runs need it
+        slopes.check_differentiable(scene, self.motion)
+        duration: float = found["duration"]
 
-        own = [name for name in dict.fromkeys(names) if name not in POSE_NAMES]
-        nudges = nudged(scene, variation, own, 1)
-        packed = pack(scene, self.motion, self.stepper, nudges, 1 + 2 * len(own), duration)
-        start = scene.bodies[0].pose if variation.start is None else variation.start[0, 0]
-        slope, there = end_derivatives(
-            packed, self._method, nudges.parameters, own, np.array([start[2]]), threads=1
+        def packed_of(nudges: Variation, rows: IntArray) -> PackedBatch:
+            return pack(scene, self.motion, self.stepper, nudges, len(rows), duration)
+
+        end = found["pose"][scene.bodies[0].name][None, -1:]
+        slope, good = slopes.pose_slopes(
+            scene, variation, names, packed_of, self._method, end, np.array([[duration]]), threads=1
         )
-        columns = dict(zip([*POSE_NAMES, *own], slope[0].T, strict=True))
-        return {name: columns[name] for name in names} if there[0] else {}
+        good &= found["stopped_at"] is None
+        return dict(zip(names, slope[0, 0].T, strict=True)) if good[0] else {}
 
     def _record(
         self, packed: PackedBatch, duration: float, times: FloatArray | None

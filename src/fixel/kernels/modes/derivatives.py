@@ -3,242 +3,280 @@
 Inside a mode the derivative obeys the linear equation of the flow. Where one mode ends and the next
 begins it jumps by the change of velocity times the derivative of that time; docs/theory/modes.md
 derives both. Rows change by differences of the residual, not of solutions, so that Newton's method
-is never asked.
+solves for nothing but the motion itself. Each parameter is visited once, along the whole rollout.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 
+from fixel.kernels import arrays
 from fixel.kernels.allocate import allocate
-from fixel.kernels.arrays import DURATION as SETTING_DURATION
 from fixel.kernels.arrays import Batch, Model, Problem, StepMethod, Workspace
 from fixel.kernels.batch import BODY, select
-from fixel.kernels.jit import allocating_kernel, entry
+from fixel.kernels.jit import allocating_kernel, entry, kernel, large_kernel
 from fixel.kernels.linear import solve_dense
+from fixel.kernels.modes import geometry, walk
 from fixel.kernels.modes.equation import assemble, solve_mode, write_rows
-from fixel.kernels.modes.geometry import (
-    DURATION,
-    MOST,
-    N_CLOSED,
-    OPEN,
-    PIVOT,
-    POLE,
-    ROWS,
-    ContactMode,
-    empty_mode,
-    measure,
-    open_gap,
-    place_mode,
-    set_motion,
-)
-from fixel.kernels.modes.walk import (
-    AROUND,
-    BEGIN,
-    CLOSED,
-    COMPLETE,
-    CONTACTS,
-    EVENT,
-    FOLDS,
-    FROM,
-    KIND,
-    LENGTH,
-    MODES,
-    OF_MODE,
-    PART,
-    POSE,
-    SLOPES,
-    START,
-    STEPS,
-    STICKING,
-    TO,
-    UNKNOWNS,
-    ModeRecord,
-    Tape,
-    dense,
-)
+from fixel.kernels.modes.geometry import ContactMode
+from fixel.kernels.modes.walk import Tape
 from fixel.typing import FloatArray, IntArray
 
 NUDGE = 1e-5  # of a pose, in scaled units
 AGO = 1e-6  # of the clock
 FLAT = 1e-9  # rate of a margin below which its root has no derivative
+# Columns of `Flow.span`: of a mode, its first state, the one after its last, and its first step.
+ONWARD = 0
+UP_TO = 1
+STEP = 2
 
 
-@allocating_kernel
-def _load_mode(mode: ContactMode, row: FloatArray) -> None:
-    """Set the contacts of a mode on the tape."""
-    mode.size[N_CLOSED] = int(row[CLOSED])
-    mode.size[PIVOT] = int(row[STICKING])
-    for c in range(MOST):
+class Flow(NamedTuple):
+    """Linear equations of the derivatives along a rollout.
+
+    They are known at states: at the start, in the middle and at the end of each step of a mode,
+    where the end of one step is the start of the next.
+    """
+
+    span: IntArray  # (n_mode, 3) see ONWARD; no states of modes at rest and of those not entered
+    state: FloatArray  # (n_state, 4)
+    unknown: FloatArray  # (n_state, 9)
+    pole: IntArray  # (n_state,)
+    gain: FloatArray  # (n_state, 3, 6) change of the velocity by a change of the residual
+    velocity: FloatArray  # (n_state, 3)
+    slope: FloatArray  # (n_state, 3, 3 + n_parameter) derivative of the velocity
+    change: FloatArray  # (n_state, 9) differences of the velocity and of the residual
+    matrix: FloatArray  # (6, 6) derivative of the residual by the unknowns at one state
+    event: FloatArray  # (n_mode, 4) state at the end of a mode
+    rate: FloatArray  # (n_mode,) by the time, of the margin that ends it
+    slant: FloatArray  # (n_mode, 3 + n_parameter) its derivative
+
+
+@large_kernel
+def _load_mode(model: Model, mode: ContactMode, row: FloatArray, moves: bool) -> None:
+    """Set a mode on the tape."""
+    geometry.set_motion(model, mode, row[walk.BEGIN])
+    mode.size[geometry.N_CLOSED] = int(row[walk.CLOSED]) if moves else 0
+    mode.size[geometry.PIVOT] = int(row[walk.STICKING])
+    for c in range(geometry.MOST):
         for i in range(6):
-            mode.contact[c, i] = int(row[CONTACTS + 6 * c + i])
+            mode.contact[c, i] = int(row[walk.CONTACTS + 6 * c + i])
 
 
-@allocating_kernel
-def _load_step(mode: ContactMode, row: FloatArray, q: FloatArray) -> float:
-    """Set a step of the tape; returns its length."""
+@large_kernel
+def _load_step(mode: ContactMode, row: FloatArray, q: FloatArray) -> None:
+    """Set a step of the tape."""
     for i in range(3):
-        q[i] = row[FROM + i]
-        mode.point[0, i] = row[TO + i]
+        q[i] = row[walk.FROM + i]
+        mode.point[0, i] = row[walk.TO + i]
         for k in range(7):
-            mode.slope[k, i] = row[SLOPES + 3 * k + i]
-    q[3] = row[START]
+            mode.slope[k, i] = row[walk.SLOPES + 3 * k + i]
+    q[3] = row[walk.START]
     for i in range(9):
-        mode.unknown[i] = row[UNKNOWNS + i]
-    mode.size[POLE] = int(row[AROUND])
-    return float(row[LENGTH])
+        mode.unknown[i] = row[walk.UNKNOWNS + i]
+    mode.size[geometry.POLE] = int(row[walk.AROUND])
 
 
-@allocating_kernel
-def _slopes(
-    batch: Batch,
-    base: int,
-    model: Model,
-    mode: ContactMode,
-    q: FloatArray,
-    clock: float,
-    start: FloatArray,
-    slope: FloatArray,
-) -> bool:
-    """Write the derivative of the velocity by the pose and by the parameters, (3, 3 + n)."""
+@large_kernel
+def _evaluate(model: Model, mode: ContactMode, q: FloatArray) -> None:
+    """Write velocity and residual of the present unknowns at a state."""
+    geometry.place_mode(model, mode, q)
+    write_rows(model, mode)
+    assemble(model, mode, mode.size[geometry.ROWS], False)
+
+
+@kernel
+def _add_change(mode: ContactMode, change: FloatArray, sign: float) -> None:
+    """Add the velocity to the changes, and subtract the residual."""
+    for i in range(3):
+        change[i] += sign * mode.velocity[i]
+    for i in range(3 + mode.size[geometry.ROWS]):
+        change[3 + i] -= sign * mode.vector[i]
+
+
+@kernel
+def _write_slope(flow: Flow, k: int, n: int, column: int, width: float) -> None:
+    """Write a column of the derivative of the velocity from changes over an interval."""
+    change = flow.change[k]
+    for i in range(3):
+        total = change[i]
+        for j in range(n):
+            total += flow.gain[k, i, j] * change[3 + j]
+        flow.slope[k, i, column] = total / width
+    for i in range(9):
+        change[i] = 0.0
+
+
+@large_kernel
+def _linearise_state(model: Model, mode: ContactMode, flow: Flow, k: int) -> bool:
+    """Solve the mode at state k, and differentiate its velocity by the pose."""
+    q = flow.state[k]
     if not solve_mode(model, mode, q):
         return False
-    n = mode.size[ROWS]
-    assemble(model, mode, n, True)
-    matrix = mode.matrix.copy()
-    ways = mode.ways.copy()
-    change = np.zeros((2, 6))
-    velocity = np.zeros((2, 3))
-    at = q.copy()
-    for column in range(slope.shape[1]):
-        for side in range(2):
-            sign = 1.0 - 2.0 * side
-            own = model
-            for i in range(4):
-                at[i] = q[i]
-            if column < 3:
-                at[column] += sign * NUDGE
-            else:
-                own = select(batch, base + 2 * column - 5 + side)
-                measure(own, mode, start)
-                set_motion(own, mode, clock)
-            place_mode(own, mode, at)
-            write_rows(own, mode)
-            assemble(own, mode, n, False)
-            for i in range(6):
-                change[side, i] = mode.vector[i]
-            for i in range(3):
-                velocity[side, i] = mode.velocity[i]
-        width = 0.5 / NUDGE if column < 3 else 0.5
-        for i in range(6):
-            mode.vector[i] = width * (change[1, i] - change[0, i])
-        for i in range(6):
-            for j in range(6):
-                mode.matrix[i, j] = matrix[i, j]
-        if not solve_dense(mode.matrix, mode.vector, 3 + n):
+    n = 3 + mode.size[geometry.ROWS]
+    for i in range(9):
+        flow.unknown[k, i] = mode.unknown[i]
+    for i in range(3):
+        flow.velocity[k, i] = mode.velocity[i]
+    flow.pole[k] = mode.size[geometry.POLE]
+    assemble(model, mode, n - 3, True)
+    for i in range(n):
+        for j in range(n):
+            flow.matrix[i, j] = mode.matrix[i, j]
+    for way in range(3):
+        for i in range(n):
+            mode.vector[i] = mode.ways[way, i] if i < 3 else 0.0
+            for j in range(n):
+                mode.matrix[i, j] = flow.matrix[j, i]
+        if not solve_dense(mode.matrix, mode.vector, n):
             return False
-        for i in range(3):
-            slope[i, column] = width * (velocity[0, i] - velocity[1, i])
-            for j in range(3):
-                slope[i, column] += ways[i, j] * mode.vector[j]
-    if slope.shape[1] > 3:
-        measure(model, mode, start)
-        set_motion(model, mode, clock)
+        for i in range(n):
+            flow.gain[k, way, i] = mode.vector[i]
+    for column in range(3):
+        middle = q[column]
+        q[column] = middle + NUDGE
+        _evaluate(model, mode, q)
+        _add_change(mode, flow.change[k], 1.0)
+        q[column] = middle - NUDGE
+        _evaluate(model, mode, q)
+        _add_change(mode, flow.change[k], -1.0)
+        q[column] = middle
+        _write_slope(flow, k, n, column, 2.0 * NUDGE)
     return True
 
 
-@allocating_kernel
+@large_kernel
 def _margin(
     model: Model, mode: ContactMode, q: FloatArray, which: int, work: Workspace, problem: Problem
 ) -> float:
     """Margin of the mode at a state; NaN where the mode cannot be solved."""
-    if which == OPEN:
-        place_mode(model, mode, q)
-        return open_gap(model, mode, work, problem, 1.0)
+    if which == geometry.OPEN:
+        geometry.place_mode(model, mode, q)
+        return geometry.open_gap(model, mode, work, problem, 1.0)
     if not solve_mode(model, mode, q):
         return np.nan
     return float(mode.margin[which])
 
 
-@allocating_kernel
-def _event_times(
-    batch: Batch,
-    base: int,
+@large_kernel
+def _linearise_event(
     model: Model,
     mode: ContactMode,
-    q: FloatArray,
-    clock: float,
-    velocity: FloatArray,
+    flow: Flow,
+    number: int,
     which: int,
-    state: FloatArray,
-    start: FloatArray,
     work: Workspace,
     problem: Problem,
-    times: FloatArray,
 ) -> bool:
-    """Write the derivative of the time at which a margin vanishes, by each column of `state`."""
-    at = q.copy()
-    unknown = mode.unknown.copy()
-    value = np.zeros(2)
-    for column in range(-1, state.shape[1]):
-        for side in range(2):
-            sign = 1.0 - 2.0 * side
-            own = model
-            at[3] = q[3]
-            for i in range(3):
-                if column < 0:
-                    at[i] = q[i] + sign * AGO * velocity[i]
-                else:
-                    width = NUDGE if column < 3 else 1.0
-                    at[i] = q[i] + sign * width * state[i, column]
-            if column < 0:
-                at[3] = q[3] + sign * AGO
-            elif column >= 3:
-                own = select(batch, base + 2 * column - 5 + side)
-                measure(own, mode, start)
-                set_motion(own, mode, clock)
-            for i in range(9):
-                mode.unknown[i] = unknown[i]
-            value[side] = _margin(own, mode, at, which, work, problem)
-        if column < 0:
-            rate = (value[0] - value[1]) / (2.0 * AGO)
-            if not abs(rate) > FLAT:
-                return False
-        else:
-            width = NUDGE if column < 3 else 1.0
-            times[column] = -(value[0] - value[1]) / (2.0 * width * rate)
-            if np.isnan(times[column]):
-                return False
-    measure(model, mode, start)
-    set_motion(model, mode, clock)
+    """Differentiate the margin that ends a mode by the pose and along the motion."""
+    q = flow.event[number]
+    rate = 0.0
+    for column in range(4):
+        width = NUDGE if column < 3 else AGO
+        middle = q[column]
+        q[column] = middle + width
+        above = _margin(model, mode, q, which, work, problem)
+        q[column] = middle - width
+        below = _margin(model, mode, q, which, work, problem)
+        q[column] = middle
+        slant = (above - below) / (2.0 * width)
+        speed = 1.0
+        if column < 3:
+            flow.slant[number, column] = slant
+            last = flow.span[number, UP_TO] - 1
+            moves = last >= flow.span[number, ONWARD]
+            speed = flow.velocity[last, column] if moves else 0.0
+        rate += slant * speed
+    flow.rate[number] = rate
+    return abs(rate) > FLAT
+
+
+@large_kernel
+def _linearise(
+    model: Model, mode: ContactMode, tape: Tape, flow: Flow, work: Workspace, problem: Problem
+) -> bool:
+    """Write the equations of all modes, without columns of parameters."""
+    n_mode = flow.span.shape[0]
+    k = 0
+    step = 0
+    for number in range(n_mode):
+        row = tape.mode[number]
+        span = flow.span[number]
+        span[ONWARD] = k
+        span[UP_TO] = k
+        span[STEP] = step
+        event = flow.event[number]
+        n_step = tape.step.shape[0]
+        moves = step < n_step and int(tape.step[step, walk.OF_MODE]) == number
+        _load_mode(model, mode, row, moves)
+        while step < n_step and tape.step[step, walk.OF_MODE] == number:
+            own = tape.step[step]
+            _load_step(mode, own, event)
+            for part in range(0 if step == span[STEP] else 1, 3):
+                walk.dense(
+                    mode, event, own[walk.LENGTH], 0.5 * part * own[walk.PART], flow.state[k]
+                )
+                if not _linearise_state(model, mode, flow, k):
+                    return False
+                k += 1
+            step += 1
+        span[UP_TO] = k
+        # At rest, up to the gap that closes where the next mode begins.
+        for i in range(3):
+            event[i] = flow.state[k - 1, i] if moves else row[walk.POSE + i]
+        event[3] = tape.mode[min(number + 1, n_mode - 1), walk.BEGIN]
+        if moves:
+            event[3] = flow.state[k - 1, 3]
+        which = int(row[walk.EVENT])
+        if (
+            which >= 0
+            and not _is_skipped(row, flow, number)
+            and not _linearise_event(model, mode, flow, number, which, work, problem)
+        ):
+            return False
     return True
 
 
-@entry
-def differentiate_batch(
-    batch: Batch, method: StepMethod, stride: int, record: ModeRecord, slope: FloatArray,
-    found: IntArray, first: int, last: int,
-) -> None:  # fmt: skip
-    """Write the derivatives of the last poses by the start poses and by parameters.
-
-    Rollout ``stride * r`` of the batch is the one on tape r; after it, two rollouts for each
-    parameter have it a little larger and a little smaller, and are not simulated. Column 3 + k of
-    `slope` (n, 3, 3 + n_parameter) is half the difference that parameter k makes. `found` (n,) is
-    zero where a mode or its end has no derivative.
-    """
-    for r in range(first, last):
-        complete = record.status[r] == COMPLETE and record.count[r, FOLDS] == 0
-        room = record.count[r, MODES] <= record.mode.shape[1]
-        room = room and record.count[r, STEPS] <= record.step.shape[1]
-        tape = Tape(record.mode[r], record.step[r])
-        found[r] = 0
-        if (
-            complete
-            and room
-            and _differentiate(batch, stride * r, method, tape, record.count[r], slope[r])
-        ):
-            found[r] = 1
+@kernel
+def _is_skipped(row: FloatArray, flow: Flow, number: int) -> bool:
+    """Whether a mode on the tape was not entered, since it does not hold."""
+    still = flow.span[number, ONWARD] == flow.span[number, UP_TO]
+    return bool(row[walk.KIND] < 0.0 or (row[walk.KIND] == 0.0 and still))
 
 
-@allocating_kernel
+@large_kernel
+def _vary(
+    own: Model,
+    mode: ContactMode,
+    tape: Tape,
+    flow: Flow,
+    column: int,
+    sign: float,
+    work: Workspace,
+    problem: Problem,
+) -> None:
+    """Add what a model with another parameter changes of the velocities and margins."""
+    for number in range(flow.span.shape[0]):
+        row = tape.mode[number]
+        span = flow.span[number]
+        if _is_skipped(row, flow, number):
+            continue
+        _load_mode(own, mode, row, span[UP_TO] > span[ONWARD])
+        for k in range(span[ONWARD], span[UP_TO]):
+            mode.size[geometry.POLE] = flow.pole[k]
+            for i in range(9):
+                mode.unknown[i] = flow.unknown[k, i]
+            _evaluate(own, mode, flow.state[k])
+            _add_change(mode, flow.change[k], sign)
+            if sign < 0.0:
+                _write_slope(flow, k, 3 + mode.size[geometry.ROWS], column, 2.0)
+        if row[walk.EVENT] >= 0.0:
+            q = flow.event[number]
+            margin = _margin(own, mode, q, int(row[walk.EVENT]), work, problem)
+            flow.slant[number, column] += 0.5 * sign * margin
+
+
+@kernel
 def _jump(state: FloatArray, before: FloatArray, after: FloatArray, times: FloatArray) -> None:
     """Add the change of velocity at an event times the derivatives of its time, which are spent."""
     for column in range(times.size):
@@ -247,95 +285,172 @@ def _jump(state: FloatArray, before: FloatArray, after: FloatArray, times: Float
         times[column] = 0.0
 
 
-@allocating_kernel
-def _advance(state: FloatArray, slope: FloatArray, span: float, stage: FloatArray) -> None:
-    """Integrate the linear equation of the derivatives over a step by the classical method of Runge
-    and Kutta; `slope` has its factors at the start, in the middle and at the end."""
-    trial = state.copy()
-    for k in range(4):
-        here = slope[(k + 1) // 2]
-        for column in range(state.shape[1]):
-            for i in range(3):
-                total = here[i, column] if column >= 3 else 0.0
-                for j in range(3):
-                    total += here[i, j] * trial[j, column]
-                stage[k, i, column] = total
-        reach = 0.5 * span if k < 2 else span
-        for column in range(state.shape[1]):
-            for i in range(3):
-                trial[i, column] = state[i, column] + reach * stage[k, i, column]
+@kernel
+def _rate(slope: FloatArray, state: FloatArray, i: int, column: int) -> float:
+    """Rate at which an entry of the derivatives changes."""
+    total = slope[i, column] if column >= 3 else 0.0
+    for j in range(3):
+        total += slope[i, j] * state[j, column]
+    return total
+
+
+@large_kernel
+def _advance(flow: Flow, k: int, span: float, state: FloatArray, stage: FloatArray) -> None:
+    """Integrate the linear equation over the step from state k to k + 2 by the classical method of
+    Runge and Kutta; leaves the rates at both ends in the first and last of the stages."""
+    trial = stage[4]
     for column in range(state.shape[1]):
+        for i in range(3):
+            trial[i, column] = state[i, column]
+        for s in range(4):
+            for i in range(3):
+                stage[s, i, column] = _rate(flow.slope[k + (s + 1) // 2], trial, i, column)
+            reach = 0.5 * span if s < 2 else span
+            for i in range(3):
+                trial[i, column] = state[i, column] + reach * stage[s, i, column]
         for i in range(3):
             middle = stage[1, i, column] + stage[2, i, column]
             ends = stage[0, i, column] + stage[3, i, column]
             state[i, column] += (span / 6.0) * (ends + 2.0 * middle)
+        for i in range(3):
+            stage[3, i, column] = _rate(flow.slope[k + 2], state, i, column)
+
+
+@kernel
+def _write_between(
+    before: FloatArray, state: FloatArray, stage: FloatArray, span: float, x: float, out: FloatArray
+) -> None:
+    """Write the derivatives at the part x of a step, by Hermite's cubic."""
+    y = 1.0 - x
+    for column in range(state.shape[1]):
+        for i in range(3):
+            out[i, column] = (
+                y * y * (1.0 + 2.0 * x) * before[i, column]
+                + x * x * (1.0 + 2.0 * y) * state[i, column]
+                + span * x * y * (y * stage[0, i, column] - x * stage[3, i, column])
+            )
+
+
+@large_kernel
+def _integrate(
+    tape: Tape, flow: Flow, times: FloatArray, stage: FloatArray, root: FloatArray, out: FloatArray
+) -> bool:
+    """Integrate the derivatives, which are in the last of the stages at the start, to all times."""
+    state = stage[5]
+    was = stage[6]
+    before = root[0]
+    velocity = root[1]
+    late = root[2]
+    at = 0
+    for number in range(flow.span.shape[0]):
+        row = tape.mode[number]
+        span = flow.span[number]
+        if _is_skipped(row, flow, number):
+            continue
+        moves = span[UP_TO] > span[ONWARD]
+        for i in range(3):
+            velocity[i] = flow.velocity[span[ONWARD], i] if moves else 0.0
+        while at < times.size and times[at] < row[walk.BEGIN]:
+            _write_between(state, state, stage, 0.0, 0.0, out[at])
+            at += 1
+        _jump(state, before, velocity, late)
+        for k in range(span[ONWARD], span[UP_TO] - 2, 2):
+            own = tape.step[span[STEP] + (k - span[ONWARD]) // 2]
+            length = own[walk.LENGTH] * own[walk.PART]
+            _write_between(state, state, stage, 0.0, 0.0, was)
+            _advance(flow, k, length, state, stage)
+            while at < times.size and times[at] < own[walk.START] + length:
+                x = (times[at] - own[walk.START]) / length
+                _write_between(was, state, stage, length, x, out[at])
+                at += 1
+        for i in range(3):
+            before[i] = flow.velocity[span[UP_TO] - 1, i] if moves else 0.0
+        if row[walk.EVENT] >= 0.0:
+            for column in range(late.size):
+                total = flow.slant[number, column] if column >= 3 else 0.0
+                for i in range(3):
+                    total += flow.slant[number, i] * state[i, column]
+                late[column] = -total / flow.rate[number]
+                if not abs(late[column]) < np.inf:
+                    return False
+    # A part that stalls stops where the last mode ended.
+    for i in range(3):
+        velocity[i] = 0.0
+    _jump(state, before, velocity, late)
+    for k in range(at, times.size):
+        _write_between(state, state, stage, 0.0, 0.0, out[k])
+    return True
+
+
+@entry
+def differentiate_batch(
+    batch: Batch, method: StepMethod, stride: int, record: walk.ModeRecord, times: FloatArray,
+    slope: FloatArray, found: IntArray, first: int, last: int,
+) -> None:  # fmt: skip
+    """Write the derivatives of poses by the start poses and by parameters.
+
+    Rollout ``stride * r`` of the batch is the one on tape r; after it, two rollouts for each
+    parameter have it a little larger and a little smaller, and are not simulated. `slope` (n,
+    n_time, 3, 3 + n_parameter) has the derivatives at the increasing `times` (n, n_time); column
+    3 + k is half the difference that parameter k makes. `found` (n,) is zero where a mode or its
+    end has no derivative.
+    """
+    for r in range(first, last):
+        n_mode = record.count[r, walk.MODES]
+        n_step = record.count[r, walk.STEPS]
+        found[r] = 0
+        if (
+            record.status[r] == walk.COMPLETE
+            and record.count[r, walk.FOLDS] == 0
+            and n_mode <= record.mode.shape[1]
+            and n_step <= record.step.shape[1]
+        ):
+            tape = Tape(record.mode[r, :n_mode], record.step[r, :n_step])
+            if _differentiate(batch, stride * r, method, tape, times[r], slope[r]):
+                found[r] = 1
 
 
 @allocating_kernel
 def _differentiate(
-    batch: Batch, base: int, method: StepMethod, tape: Tape, counts: IntArray, state: FloatArray
+    batch: Batch, base: int, method: StepMethod, tape: Tape, times: FloatArray, slope: FloatArray
 ) -> bool:
-    """Write the derivatives of rollout `base` into zeros; False where there are none."""
+    """Write the derivatives of rollout `base`; False where there are none."""
     model = select(batch, base)
-    start = batch.pose[batch.begin[base, BODY] : batch.begin[base, BODY] + batch.count[base, BODY]]
     problem, work = allocate(model, method.max_contacts)
-    mode = empty_mode(model)
-    measure(model, mode, start)
-    mode.number[DURATION] = batch.settings[base, SETTING_DURATION]
-    wide = state.shape[1]
-    for i in range(3):
-        state[i, i] = 1.0
-    times = np.zeros(wide)
-    before = np.zeros(3)
-    velocity = np.zeros(3)
-    slope = np.zeros((3, 3, wide))
-    stage = np.zeros((4, 3, wide))
-    q = np.zeros(4)
-    x = np.zeros(4)
-    step = 0
-    for number in range(counts[MODES]):
-        row = tape.mode[number]
-        first = step
-        while step < counts[STEPS] and tape.step[step, OF_MODE] == number:
-            step += 1
-        if row[KIND] < 0.0 or (row[KIND] == 0.0 and step == first):
-            continue  # a mode that did not hold
-        for i in range(3):
-            velocity[i] = tape.step[first, SLOPES + i] if step > first else 0.0
-        _jump(state, before, velocity, times)
-        for i in range(3):
-            before[i] = velocity[i]
-        _load_mode(mode, row)
-        which = int(row[EVENT])
-        clock = row[BEGIN]
-        if step == first:
-            # At rest, up to the gap that closes where the next mode begins.
-            for i in range(3):
-                x[i] = row[POSE + i]
-            x[3] = tape.mode[min(number + 1, counts[MODES] - 1), BEGIN]
-            set_motion(model, mode, clock)
-            mode.size[N_CLOSED] = 0
-        for k in range(first, step):
-            own = tape.step[k]
-            h = _load_step(mode, own, q)
-            clock = own[START]
-            set_motion(model, mode, clock)
-            for part in range(3):
-                dense(mode, q, h, 0.5 * part * own[PART], x)
-                if not _slopes(batch, base, model, mode, x, clock, start, slope[part]):
-                    return False
-            _advance(state, slope, h * own[PART], stage)
-        if step > first:
-            if not solve_mode(model, mode, x):
-                return False
-            for i in range(3):
-                before[i] = mode.velocity[i]
-        if which >= 0 and not _event_times(
-            batch, base, model, mode, x, clock, before, which, state, start, work, problem, times
-        ):
+    mode = geometry.empty_mode(model)
+    mode.number[geometry.DURATION] = batch.settings[base, arrays.DURATION]
+    wide = slope.shape[2]
+    n_mode = tape.mode.shape[0]
+    n_state = n_mode + 2 * tape.step.shape[0]
+    flow = Flow(
+        span=np.zeros((n_mode, 3), np.int64),
+        state=np.zeros((n_state, 4)),
+        unknown=np.zeros((n_state, 9)),
+        pole=np.zeros(n_state, np.int64),
+        gain=np.zeros((n_state, 3, 6)),
+        velocity=np.zeros((n_state, 3)),
+        slope=np.zeros((n_state, 3, wide)),
+        change=np.zeros((n_state, 9)),
+        matrix=np.zeros((6, 6)),
+        event=np.zeros((n_mode, 4)),
+        rate=np.zeros(n_mode),
+        slant=np.zeros((n_mode, wide)),
+    )
+    stage = np.zeros((7, 3, wide))
+    for k in range(2 * wide - 5):
+        own = select(batch, base + k)
+        begin = batch.begin[base + k, BODY]
+        geometry.measure(own, mode, batch.pose[begin : begin + batch.count[base + k, BODY]])
+        column = 3 + (k - 1) // 2
+        sign = 1.0 if k % 2 == 1 else -1.0
+        if not walk.suits(own):
             return False
-    # A part that stalls stops where the last mode ended.
+        if k > 0:
+            _vary(own, mode, tape, flow, column, sign, work, problem)
+            for i in range(3):
+                stage[5, i, column] += 0.5 * sign * batch.pose[begin, i]
+        elif not _linearise(own, mode, tape, flow, work, problem):
+            return False
     for i in range(3):
-        velocity[i] = 0.0
-    _jump(state, before, velocity, times)
-    return True
+        stage[5, i, i] = 1.0
+    return _integrate(tape, flow, times, stage, np.zeros((3, wide)), slope)

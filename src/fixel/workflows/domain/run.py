@@ -39,7 +39,8 @@ Widths = Annotated[
     Mapping[str, float] | None, Door(metavar="AXIS=WIDTH", commas=True, also=("--step",))
 ]
 Facets = Annotated[
-    Sequence[str], Door(plain=tuple[str, ...], metavar="NAME[,NAME]", commas=True, also=("--by",))
+    Sequence[str],
+    Door(plain=tuple[str, ...], metavar="NAME[,NAME]", commas=True, also=("--by",)),
 ]
 
 
@@ -211,5 +212,8 @@ def map_stored(
 
 
 DOMAIN: Final = Capability(
-    name="domain", function=map_stored, of=map_domain, leave_out=("experiments", "motion", "store")
+    name="domain",
+    function=map_stored,
+    of=map_domain,
+    leave_out=("experiments", "motion", "store"),
 )
