@@ -1,6 +1,7 @@
 """Shared by all tests: a quiet Matplotlib, Hypothesis profiles, and real data if there is any."""
 
 import atexit
+import functools
 import gc
 import math
 import os
@@ -57,6 +58,10 @@ _FIRST = (
 )
 
 
+_APART = ("tests/docs/test_pages.py", "tests/docs/test_docstrings.py",
+          "tests/benchmarks/test_benchmarks.py")  # fmt: skip
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put long files first: one that starts last leaves all other processes idle."""
 
@@ -70,12 +75,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
-    """Run all files of kernels in one process, where they share what they compile."""
+    """Run all files of kernels in one process, where they share what they compile, and long files
+    whose tests share nothing in several."""
     from xdist.scheduler import LoadFileScheduling
 
     class Scheduling(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
             file = super()._split_scope(nodeid)
+            if file in _APART:
+                return nodeid
             return "tests/kernels" if file.startswith("tests/kernels/") else file
 
     return Scheduling(config, log) if config.getvalue("dist") == "loadfile" else None
@@ -91,15 +99,35 @@ def pytest_collection_finish() -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def full_style() -> dict[str, object]:
-    """Save pictures with few pixels and without embedded fonts, in half of the time.
+    """Save pictures with few pixels and without embedded fonts, and lay them out only where tests
+    look at pictures: in a third of the time.
 
     Returns the style that users get.
     """
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
     from fixel.drawing import palette
 
-    full = dict(palette.STYLE)
+    full, lay_out = dict(palette.STYLE), ConstrainedLayoutEngine.execute
     palette.STYLE.update({"savefig.dpi": 60, "pdf.fonttype": 3})
+
+    def where_seen(engine: ConstrainedLayoutEngine, figure: object) -> None:
+        test = os.environ.get("PYTEST_CURRENT_TEST", "")
+        if any(words in test for words in ("/drawing/", "figures")):
+            lay_out(engine, figure)
+
+    ConstrainedLayoutEngine.execute = where_seen
     return full
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_command_tree() -> None:
+    """Build the commands of the program once: each call would build all of them anew."""
+    import typer.main
+    import typer.testing
+
+    build = functools.cache(typer.main.get_command)
+    typer.main.get_command = typer.testing._get_command = build
 
 
 @pytest.fixture(scope="module")

@@ -74,6 +74,7 @@ def _fitted(name):
     return comparer, run_assessment(comparer, members, counted()), asked
 
 
+@pytest.mark.system
 def test_intervals_of_the_demo_hold_its_true_friction():
     comparer, found, _ = _fitted("demo")
     assert found.misfit.ratio > 10.0

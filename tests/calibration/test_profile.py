@@ -176,6 +176,7 @@ def test_bumps_as_high_as_the_threshold_widen_an_interval():
     assert ((ends[:, 0] < TRUTH) & (ends[:, 1] > TRUTH)).all()
 
 
+@pytest.mark.system
 def test_coverage():
     # T9: 95 % intervals hold the truth in 90-99 % of data sets. 200 data sets, three parameters;
     # each rate has a standard error of 1.5 %.

@@ -87,9 +87,12 @@ HEAVY = {"numpy", "numba", "scipy", "matplotlib", "sqlalchemy", "pyarrow", "rich
 NAMES = st.from_regex(r"[a-z][a-z_]{0,8}", fullmatch=True)
 FINITE = st.floats(-1e6, 1e6, allow_subnormal=False)
 # Capabilities with jobs of their own store records, which make their report again.
-STORING = pytest.mark.parametrize(
-    "name", [k for k, own in CAPABILITIES.items() if own.on_project and own.prepare is None]
-)
+STORED = [k for k, own in CAPABILITIES.items() if own.on_project and own.prepare is None]
+STORING = pytest.mark.parametrize("name", STORED)
+# One job runs every capability: those that take seconds are run once more by the system tests.
+LONG = ("growth", "plan", "uncertainty")
+BY_JOB = [pytest.param(name, marks=[pytest.mark.system] * (name in LONG)) for name in STORED]
+STEPS = ("domain", "error-bound", "growth")  # in a project with steps along each axis
 # A short run of each.
 GOAL = {"pose": {"pose_mm_deg": [0, 0, 0], "position_mm": 200}}
 PUSHES = {"fit": ("mu_pusher",), "folds": 2}
@@ -280,18 +283,29 @@ def test_hints_have_the_name_of_the_door():
     assert named(deaf, CAPABILITIES["filter"].flags()).hint == "filter without: --no-tactile"
 
 
-@REGISTERED
-def test_help_loads_no_numerics(capability):
+@pytest.fixture(scope="module")
+def helps():
+    """Help of every capability, printed by one process, and the heavy packages loaded so far."""
     code = (
-        "import sys; from fixel.cli.main import app\n"
-        f"try: app([*{capability.path!r}, '--help'])\n"
-        f"finally: print(*sorted({HEAVY!r} & {{*sys.modules}}), file=sys.stderr)"
+        "import contextlib, io, json, sys; from fixel.cli.main import app\n"
+        "found = {}\n"
+        "for path in json.loads(sys.argv[1]):\n"
+        "    with contextlib.redirect_stdout(io.StringIO()) as out:\n"
+        "        with contextlib.suppress(SystemExit): app([*path, '--help'])\n"
+        f"    found[path[-1]] = out.getvalue(), sorted({HEAVY!r} & {{*sys.modules}})\n"
+        "print(json.dumps(found))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    paths = json.dumps([own.path for own in CAPABILITIES.values()])
+    words = [sys.executable, "-c", code, paths]
+    return json.loads(subprocess.run(words, capture_output=True, text=True, check=True).stdout)
 
+
+@REGISTERED
+def test_help_loads_no_numerics(capability, helps):
+    text, heavy = helps[capability.path[-1]]
     shown = [option for option in capability.shown.values() if not option.place]
-    assert all(option.flag in done.stdout for option in shown)
-    assert done.stderr.strip() == ""
+    assert all(option.flag in text for option in shown)
+    assert heavy == []
 
 
 @pytest.fixture(scope="module")
@@ -305,10 +319,10 @@ def campaign(tmp_path_factory):
     return Project(laboratories.campaign(tmp_path_factory.mktemp("campaigns") / "lab"))
 
 
-@pytest.fixture
-def lab(name, request):
-    steps = name in ("domain", "error-bound", "growth")
-    return request.getfixturevalue("campaign" if steps else "project")
+@pytest.fixture(scope="module")
+def labs(project, campaign):
+    """Project of each capability, by its name."""
+    return {name: campaign if name in STEPS else project for name in STORED}
 
 
 def project_of_all(folder):
@@ -319,51 +333,51 @@ def project_of_all(folder):
 
 
 @pytest.fixture(scope="module")
-def runs():
-    """Runs of capabilities here, by their names."""
-    return {}
+def here(labs, few_live):
+    """Analyses of runs in this process, by the names of the capabilities."""
+    return {
+        name: run(own, own.request(SHORT[name]), labs[name].folder, progress=False).analysis
+        for name, own in CAPABILITIES.items()
+        if name in STORED
+    }
 
 
-@pytest.fixture
-def here(name, lab, runs, few_live):
-    if name not in runs:
-        capability = CAPABILITIES[name]
-        request = capability.request(SHORT[name])
-        runs[name] = run(capability, request, lab.folder, progress=False).analysis
-    return runs[name]
+@pytest.fixture(scope="module")
+def printed(project, campaign, here):
+    """Lines of the same, as a new process loads them."""
+    code = (
+        "import json, sys; from fixel.database.project import Project\n"
+        "from fixel.workflows.analysis import load_analyses\n"
+        "kept = [one for folder in sys.argv[1:] for one in load_analyses(Project(folder))]\n"
+        "print(json.dumps({one.analysis.kind: one.analysis.lines() for one in kept}))"
+    )
+    words = [sys.executable, "-c", code, str(project.folder), str(campaign.folder)]
+    return json.loads(subprocess.run(words, capture_output=True, text=True, check=True).stdout)
 
 
 @STORING
-def test_a_stored_result_prints_the_same_text_in_a_new_process(name, lab, here):
-    project, capability = lab, CAPABILITIES[name]
-    request = capability.request(SHORT[capability.name])
-    (kept,) = load_analyses(project, capability.name)
+def test_a_stored_result_prints_the_same_text_in_a_new_process(name, labs, here, printed):
+    project, capability = labs[name], CAPABILITIES[name]
+    request = capability.request(SHORT[name])
+    (kept,) = load_analyses(project, name)
 
     assert capability.request(kept.analysis.request) == request
     assert kept.analysis.command == capability.command(request, project.folder)
-    code = (
-        "import sys; from fixel.database.project import Project\n"
-        "from fixel.workflows.analysis import load_analyses\n"
-        "(kept,) = load_analyses(Project(sys.argv[1]), sys.argv[2])\n"
-        "print('\\n'.join(kept.analysis.lines()))"
-    )
-    words = [sys.executable, "-c", code, str(project.folder), capability.name]
-    printed = subprocess.run(words, capture_output=True, text=True, check=True).stdout
-    assert printed.splitlines() == here.lines()
+    assert printed[name] == "\n".join(here[name].lines()).splitlines()
 
 
-@STORING
-def test_a_job_stores_the_same_analysis_and_shows_its_progress(name, lab, here):
-    project, capability = lab, CAPABILITIES[name]
-    request = capability.request(SHORT[capability.name])
+@pytest.mark.parametrize("name", BY_JOB)
+def test_a_job_stores_the_same_analysis_and_shows_its_progress(name, labs, here):
+    project, capability = labs[name], CAPABILITIES[name]
+    request = capability.request(SHORT[name])
     shown = []
     folder = prepare(capability, request, Project(project.folder))
     status = jobs.run_here(folder, shown.append)
 
-    (kept,) = load_analyses(project, capability.name)
+    (kept,) = load_analyses(project, name)
     assert (status.state, (folder / "result").read_text()) == ("done", kept.folder.name)
-    assert kept.analysis.question == here.question
-    assert [one.text() for one in kept.analysis.tables] == [one.text() for one in here.tables]
+    assert kept.analysis.question == here[name].question
+    assert [one.text() for one in kept.analysis.tables] == [t.text() for t in here[name].tables]
     assert kept.analysis.request == json.loads(request.model_dump_json())
     assert any(one.text for one in shown)
 

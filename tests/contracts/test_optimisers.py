@@ -27,6 +27,11 @@ CONVERGING = [
     MultiStart(optimiser=NelderMead(), starts=3),
     MultiStart(optimiser=PatternSearch(), starts=2),
 ]
+CASES = [
+    # NOMAD is a process of its own, which tests/calibration/test_mads.py looks at.
+    pytest.param(k, id=f"{k}-{own.name}", marks=[pytest.mark.system] * isinstance(own, Mads))
+    for k, own in enumerate(CONVERGING)
+]
 # Values that each option must not have.
 IMPOSSIBLE = {
     CmaEs: {"sigma": 0.0, "population": 2, "tolerance": -1.0, "restarts": -1},
@@ -59,7 +64,7 @@ def _leaves_the_dice_of_others_alone():
 
 
 class TestConverging(OptimiserContract):
-    @pytest.fixture(params=range(len(CONVERGING)), ids=lambda k: f"{k}-{CONVERGING[k].name}")
+    @pytest.fixture(params=CASES)
     def optimiser(self, request) -> AbstractOptimiser:
         return CONVERGING[request.param]
 

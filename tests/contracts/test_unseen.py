@@ -183,6 +183,7 @@ def test_left_out_groups_give_two_bounds_and_what_they_prove(left):
     assert bound.at(new_pushes()[other][0]).verdict == "no data"
 
 
+@pytest.mark.system
 def test_commands_and_pages_name_it_first(tmp_path, fit, capsys):
     new = {what: new_pushes()[what] for what in ("shape", "side", "dataset")}
     folder = tmp_path / "lab"

@@ -43,6 +43,7 @@ def test_twenty_trials(data_root: Path) -> None:
     assert all(np.abs(trial.trajectory.pose[:, 2]).max() < 10.0 for trial in trials)
 
 
+@pytest.mark.system
 def test_all_pushes_of_the_end_point_set(data_root: Path) -> None:
     pushes = _imported(data_root / "mit_push_endpoints")
 
@@ -84,6 +85,7 @@ def test_five_runs(data_root: Path) -> None:
     }
 
 
+@pytest.mark.system
 def test_pushes_on_known_supports(data_root: Path) -> None:
     pushes = _imported(data_root / "cmu_tripod_push")
 

@@ -242,6 +242,7 @@ def test_bad_actions_and_states_are_refused():
         env.reset(seed=[1])
 
 
+@pytest.mark.system
 def test_planner_solves_most_episodes():
     n = 12
     env, planner = PushTVectorEnv(n), PushTPlanner(n)

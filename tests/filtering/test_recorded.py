@@ -70,6 +70,7 @@ def test_uncertainty_grows_while_hidden_and_no_longer(filtered):
     assert filtered.seen[~filtered.hidden].all()
 
 
+@pytest.mark.system
 def test_fixels_help_the_blind():
     long = (1.0, 7.0)
     experiment = replace(push(aside=0.006), effective=(0.0, long[1] + 0.1))  # the rest says nothing
@@ -146,6 +147,7 @@ def test_experiment_141_with_a_second_hidden(data_root):
     assert found.uses_tactile
 
 
+@pytest.mark.system
 def test_a_part_drawn_too_large_for_its_seat_teaches_no_friction():
     """Most particles of the seated part have no simulation; who survives must not be a lottery."""
     planned = thesis_plan().experiments[2]

@@ -76,15 +76,21 @@ def solve_lcp(matrix: FloatArray, vector: FloatArray, max_pivots: int) -> tuple[
     return tableau.answer, code
 
 
-@entry
 def solve_problem(
-    problem: Problem, work: Workspace, sides_for_discs: int, max_pivots: int
+    problem: Problem, work: Workspace, sides_for_discs: int, max_pivots: int, rows: int = 0
 ) -> tuple[float, int, int]:
-    """Call `solve_linear_form` with a new tableau; returns the natural-map residual, the code and
-    the number of pivots."""
+    """Call `solve_linear_form` with a new tableau, of this many rows if they are stated; returns
+    the natural-map residual, the code and the number of pivots."""
+    return _solve_problem(problem, work, sides_for_discs, max_pivots, rows)
+
+
+@entry
+def _solve_problem(
+    problem: Problem, work: Workspace, sides_for_discs: int, max_pivots: int, rows: int
+) -> tuple[float, int, int]:
     n = tableau_size(problem, sides_for_discs)
     if n < 0:
         return residual(problem, work.right), NOT_LINEAR, 0
-    tableau = allocate_tableau(n)
+    tableau = allocate_tableau(rows or n)
     code = solve_linear_form(problem, work, tableau, sides_for_discs, max_pivots)
     return residual(problem, work.right), code, tableau.spent[0]

@@ -142,6 +142,7 @@ def process(tmp_path: Path, script: str, cache: Path) -> subprocess.Popen:
     )
 
 
+@pytest.mark.system
 def test_code_that_cannot_be_stored_or_read_back_is_one_sentence(tmp_path):
     full = "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, resource.RLIM_INFINITY)); run()"
     unread = "from fixel.kernels import code_cache; code_cache.MAX_BYTES = 10; run()"
@@ -160,6 +161,7 @@ def test_code_that_cannot_be_stored_or_read_back_is_one_sentence(tmp_path):
     assert [f for f in (tmp_path / "cache").rglob("*") if f.is_file()] == []  # nor half a file
 
 
+@pytest.mark.system
 def test_processes_that_compile_at_once_leave_sound_files(tmp_path):
     cache = tmp_path / "cache"
     all_at_once = [process(tmp_path, "run()", cache) for _ in range(3)]
@@ -170,6 +172,7 @@ def test_processes_that_compile_at_once_leave_sound_files(tmp_path):
     assert process(tmp_path, "run()", cache).communicate() == ("0\n", "")
 
 
+@pytest.mark.system
 def test_long_compilation_is_one_line_on_standard_error_and_loading_is_none(tmp_path):
     at_once = "jit.PATIENCE_S = -1.0; run()"
 

@@ -16,18 +16,16 @@ STIFF_DRIVE = 90.0  # largest impulse of the drive, a hundred times what sliding
 
 
 @njit
-def turns_of(problem: Problem, work: Workspace, n: int) -> bool:
+def turns_of(problem: Problem, work: Workspace, n: int, iterations: int) -> bool:
+    """Take turns of pivoting, then iterations of Newton; two functions would compile longer."""
     more = True
     for turn in range(n):
         more = josephy(problem, work, turn, turn)
         if not more:
             break
+    if iterations:
+        newton(problem, work, 1e-11, iterations)
     return more
-
-
-@njit
-def newton_alone(problem: Problem, work: Workspace, iterations: int) -> float:
-    return newton(problem, work, 1e-11, iterations)
 
 
 def body(momentum, contacts, inertia=1.0):
@@ -88,7 +86,7 @@ def seating(limit=STIFF_DRIVE):
 
 def test_nothing_to_do():
     problem, work = body((1.0, 2.0, 3.0), [])
-    turns_of(problem, work, 3)
+    turns_of(problem, work, 3, 0)
     assert problem.velocity[:3] == pytest.approx([1.0, 2.0, 3.0], abs=1e-10)
 
 
@@ -96,7 +94,7 @@ def test_nothing_to_do():
 def test_a_linear_problem_takes_one_turn(inertia):
     walls = [(math.pi / 2, 0.1, 0.0, 0.5), (0.0, -0.2, 0.3, 0.2), (0.7, 0.4, -0.1, 0.0)]
     problem, work = body(inertia * np.array([-1.0, -2.0, 0.5]), walls, inertia)
-    turns_of(problem, work, 1)
+    turns_of(problem, work, 1, 0)
     # Every block is pulled towards where it was by 1e-11 of its stiffness.
     assert entries.judge(problem, work.right) <= 1e-11 * max(1.0, inertia)
     assert (problem.impulse[:3, 0] >= 0.0).all()
@@ -105,20 +103,19 @@ def test_a_linear_problem_takes_one_turn(inertia):
 def test_the_same_contact_twice():
     walls = [(math.pi / 2, 0.1, 0.0, 0.5)] * 3
     problem, work = body((-1.0, -2.0, 0.5), walls)
-    turns_of(problem, work, 1)
+    turns_of(problem, work, 1, 0)
     assert entries.judge(problem, work.right) <= TOLERANCE
 
 
 def test_newton_alone_goes_in_circles_where_a_part_seats():
     problem, work = seating()
-    newton_alone(problem, work, 60)
+    turns_of(problem, work, 0, 60)
     assert entries.judge(problem, work.right) > 1e-4
 
 
 def test_a_part_that_seats_stalls_the_drive():
     problem, work = seating()
-    turns_of(problem, work, 3)
-    newton_alone(problem, work, 10)
+    turns_of(problem, work, 3, 10)
     assert entries.judge(problem, work.right) <= TOLERANCE
     assert problem.element_impulse[3, 0] == pytest.approx(STIFF_DRIVE)
     assert 0.0 < problem.velocity[3] < 1.0
@@ -138,12 +135,12 @@ def test_more_contacts_than_it_is_for_are_left_alone():
     walls = [(0.3 * i, 0.1, 0.0, 0.5) for i in range(MAX_CONTACTS + 1)]
     problem, work = body((-1.0, -2.0, 0.5), walls)
     problem.velocity[:3] = 0.1, 0.2, 0.3
-    assert not turns_of(problem, work, 1)
+    assert not turns_of(problem, work, 1, 0)
     assert problem.velocity[:3].tolist() == [0.1, 0.2, 0.3]
 
 
 def test_walls_that_squeeze_have_no_answer():
     problem, work = body((0.0, 0.0, 0.0), [(0.0, 0.0, -1.0, 0.0), (math.pi, 0.0, -1.0, 0.0)])
-    turns_of(problem, work, 4)
+    turns_of(problem, work, 4, 0)
     assert np.isfinite(problem.velocity[:3]).all()
     assert entries.judge(problem, work.right) > TOLERANCE

@@ -4,13 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from numba import njit
 from tests.kernels.entries import solve_problem
 
 from fixel.kernels import entries
 from fixel.kernels.arrays import Problem, Workspace
-from fixel.kernels.lemke import RAY, SOLVED, allocate_tableau
-from fixel.kernels.linear_form import NO_ROOM, NOT_LINEAR, solve_linear_form
+from fixel.kernels.lemke import RAY, SOLVED
+from fixel.kernels.linear_form import NO_ROOM, NOT_LINEAR
 from fixel.model import Body, Polygon, Scene, UniformPressure
 from fixel.simulation.motion import AbstractMotionModel, Dynamic, QuasiStatic
 from fixel.simulation.simulate import simulate
@@ -21,11 +20,6 @@ from fixel.typing import FloatArray
 
 STEP_TOLERANCE = 1e-9  # the judge's, as in kernels/solve.py
 PIVOTS = 5000
-
-
-@njit
-def in_tableau_of(rows: int, problem: Problem, work: Workspace) -> int:
-    return solve_linear_form(problem, work, allocate_tableau(rows), 0, PIVOTS)
 
 
 def empty(n_free: int, n_drive: int, n_contact: int, n_element: int) -> tuple[Problem, Workspace]:
@@ -291,8 +285,8 @@ def test_ellipsoids_are_not_linear() -> None:
 
 def test_small_tableau_is_told() -> None:
     problem, work = pushed_block(16, False, 0.1, None)
-    assert in_tableau_of(4 + 3 * 17 - 1, problem, work) == NO_ROOM
-    assert in_tableau_of(4 + 3 * 17, problem, work) == SOLVED
+    assert solve_problem(problem, work, 0, PIVOTS, 4 + 3 * 17 - 1)[1] == NO_ROOM
+    assert solve_problem(problem, work, 0, PIVOTS, 4 + 3 * 17)[1] == SOLVED
 
 
 def test_a_free_body_has_no_rows() -> None:

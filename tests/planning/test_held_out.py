@@ -13,6 +13,7 @@ from fixel.workflows.planning.execute import held_out_success
 SPACE = {"mu_pusher": (0.0, 1.0), "tripod_radius": 0.038}
 
 
+@pytest.mark.system
 def test_pushes_of_a_right_model_hold_what_is_stated():
     """Recorded by the model itself, so that what is left out ends where it is predicted."""
     pushes = example_pushes(20, duration=0.6)

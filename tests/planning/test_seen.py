@@ -22,6 +22,7 @@ def plan():
     )  # fmt: skip
 
 
+@pytest.mark.system
 def test_the_seen_pose_tells_the_pressure_centre_of_the_run(plan):
     """A world is simulated apart from the plan; its end after one push leads back to its value."""
     assert len(plan.pushes) == 2

@@ -109,6 +109,7 @@ def test_problems_are_the_published_ones(name):
     assert again.fun == pytest.approx(least, rel=1e-5, abs=1e-9)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("tolerance", TOLERANCES)
 @pytest.mark.parametrize("form", FORMS)
 def test_simplex_is_never_below_scipys_beyond_100(form, tolerance):
@@ -117,6 +118,7 @@ def test_simplex_is_never_below_scipys_beyond_100(form, tolerance):
         assert (us <= budget).sum() >= (them <= budget).sum()
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("form", FORMS)
 def test_pattern_search_finds_the_rough_place(form):
     # It does not keep up with a simplex: measured 2026-11, the two compared alone, it solves 20, 17
@@ -127,6 +129,7 @@ def test_pattern_search_finds_the_rough_place(form):
     assert (fine <= BUDGET).sum() < (theirs <= BUDGET).sum()
 
 
+@pytest.mark.system
 def test_several_starts_find_what_one_misses():
     several, simplex = profiles("smooth", 1e-3, "several", "simplex")
     assert (several <= BUDGET).sum() == len(PROBLEMS)

@@ -31,6 +31,7 @@ def named(targets, left):
     }
 
 
+@pytest.mark.system
 def test_all_pushes_of_a_left_out_plate_surface_side_or_speed_are_named(targets):
     for name in ("shape", "surface"):
         labels = np.array([target.conditions[name] for target in targets])
@@ -45,6 +46,7 @@ def test_all_pushes_of_a_left_out_plate_surface_side_or_speed_are_named(targets)
         assert named(targets, sides == side)[0] == 1.0
 
 
+@pytest.mark.system
 def test_hardly_any_push_like_the_others_is_named(targets):
     left = np.random.default_rng(0).random(len(targets)) < 0.1
     assert named(targets, left)[0] <= 0.01

@@ -181,6 +181,7 @@ def test_a_stopped_run_goes_on_where_it_was(tmp_path: Path) -> None:
     assert len(list((out / "fits").iterdir())) == 2
 
 
+@pytest.mark.system
 def test_what_is_held_out_is_never_looked_at(tmp_path: Path) -> None:
     """Wrong ends of held-out pushes change no prediction, neither of physics nor of the process."""
     data = read_mit_pushes(made_up(tmp_path / "data"))
@@ -200,6 +201,7 @@ def test_what_is_held_out_is_never_looked_at(tmp_path: Path) -> None:
     assert not np.array_equal(learned_ends(group, changed, physics, speed)[0], end)
 
 
+@pytest.mark.system
 def test_fits_depend_on_training_pushes_alone(tmp_path: Path) -> None:
     folder = made_up(tmp_path / "data", 16)
     data = read_mit_pushes(folder)
@@ -229,6 +231,7 @@ def _unzipped(folder: Path) -> list[str]:
 # --- the command ----------------------------------------------------------------------------------
 
 
+@pytest.mark.system
 def test_command_prints_json_and_a_table(tmp_path: Path) -> None:
     folder = made_up(tmp_path / "data", 12)
     arguments = ["--data", str(folder), "--quick", "--protocol", "few"]

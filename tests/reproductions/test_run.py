@@ -81,6 +81,7 @@ def test_values_that_ended_on_a_bound_are_named() -> None:
     assert at_bound({"mu_pusher": 0.0, "tripod_radius": 0.03}) == ["mu_pusher"]
 
 
+@pytest.mark.system
 def test_bounds_on_real_pushes_that_were_held_out(data_root: Path, tmp_path: Path) -> None:
     found = reproduce("coverage", data_root, out=tmp_path, quick=True)
     curve = {row["level"]: row for row in found.tables["curve"]}

@@ -135,6 +135,7 @@ def test_limits_are_lowered_and_never_raised(tmp_path, monkeypatch, modules):
     assert (tmp_path / "limits.toml").read_text().count("# why") == len(figures)
 
 
+@pytest.mark.system
 def test_no_figure_exceeds_its_limit():
     figures = measure(read_modules(PACKAGE))
     limits = read_limits()

@@ -210,6 +210,7 @@ def otherwise_seen(k3: float, seed: int, n_view: int = 12) -> list[BoardView]:
     return views
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("k3", [pytest.param(0.0, marks=pytest.mark.slow), -0.06])
 def test_the_lens_is_as_sure_as_it_says_in_the_corners(k3: float) -> None:
     """Directions of pixels all over the picture, against OpenCV's: 95 of 100 within the radius.

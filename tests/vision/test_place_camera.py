@@ -158,6 +158,7 @@ def flat_points() -> FloatArray:
     return np.column_stack([i.ravel(), j.ravel(), np.zeros(35)])
 
 
+@pytest.mark.system
 def test_errors_hold_95_percent_of_the_time() -> None:
     """Lens and place anew from noisy corners, ten times: is the truth within the radius?"""
     true, points, held, ratios = above(), flat_points(), [], []

@@ -74,7 +74,7 @@ def browser_page(chromium, server):
     """A page that has opened the link; every error in it fails the test."""
     context = chromium.new_context(viewport={"width": 1280, "height": 800})
     page = context.new_page()
-    page.set_default_timeout(20_000)  # the machine may be busy
+    page.set_default_timeout(60_000)  # the machine may be busy
     problems = []
     page.on("pageerror", lambda error: problems.append(str(error)))
     page.on("console", lambda line: problems.append(line.text) if line.type == "error" else None)

@@ -121,6 +121,7 @@ def many(test, examples):
     )(test)()
 
 
+@pytest.mark.system
 def test_every_operation_keeps_its_word(operations, served):
     session, found = operations
     assert len(found) > 25

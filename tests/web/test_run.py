@@ -20,6 +20,7 @@ EVERY = pytest.mark.parametrize("capability", FORMS.values(), ids=[*FORMS])
 SLOW = ("domain", "error-bound", "growth")
 STORING = [own for own in FORMS.values() if own.prepare is None and own.name not in SLOW]
 WITH_RESULT = pytest.mark.parametrize("capability", STORING, ids=[own.name for own in STORING])
+QUICK = [own for own in STORING if own.name not in ("plan", "uncertainty")]  # these take seconds
 DOCUMENT = {"sec-fetch-mode": "navigate", "sec-fetch-dest": "document"}
 EVIL = "<script>window.hacked = 1</script>"
 
@@ -117,7 +118,11 @@ def test_a_wrong_value_is_refused_next_to_its_field(capability, bench, begun):
     assert begun == []
 
 
-@WITH_RESULT
+@pytest.mark.parametrize(
+    "capability",
+    [pytest.param(own, marks=[] if own in QUICK else pytest.mark.system) for own in STORING],
+    ids=[own.name for own in STORING],
+)
 def test_a_result_page_has_all_that_the_terminal_prints(capability, bench):
     request = capability.request(SHORT[capability.name])
     done = run(capability, request, bench.folder, progress=False)

@@ -110,6 +110,7 @@ def test_a_calibration_predicts_with_its_values_and_motion_model():
     assert found.time[-1] == pytest.approx(0.5)
 
 
+@pytest.mark.system
 def test_the_posterior_holds_the_truth_and_predicts_another_push(tmp_path, monkeypatch):
     monkeypatch.setattr("fixel.workflows.analysis.write_picture", lambda *_: [])
     pushes = example_pushes(2, duration=0.3)

@@ -359,14 +359,26 @@ class _Forest(NamedTuple):
     trees: Any
 
     def __call__(self, features: FloatArray, /) -> FloatArray:
-        return np.asarray(self.trees.predict(features), np.float64)
+        rows = features.astype(np.float32)
+        total = np.zeros(len(rows))
+        for tree in self.trees:
+            total += tree.predict(rows)[:, 0]
+        return np.asarray(total / len(self.trees))
 
 
 def _forest(features: FloatArray, values: FloatArray, seed: int) -> ScaleModel:
-    from sklearn.ensemble import ExtraTreesRegressor
+    """Trees of `sklearn.ensemble.ExtraTreesRegressor`, whose own loop takes twice the time."""
+    import sklearn
+    from sklearn.tree import ExtraTreeRegressor
 
-    trees = ExtraTreesRegressor(
-        TREES, min_samples_leaf=MIN_LEAF, max_features=SHARE_OF_FEATURES, random_state=seed,
-        n_jobs=1,
-    )  # fmt: skip
-    return _Forest(trees.fit(features, values))
+    state = np.random.RandomState(seed)
+    rows, targets = features.astype(np.float32), np.ascontiguousarray(values)
+    with sklearn.config_context(assume_finite=True, skip_parameter_validation=True):
+        trees = [
+            ExtraTreeRegressor(
+                min_samples_leaf=MIN_LEAF, max_features=SHARE_OF_FEATURES,
+                random_state=state.randint(np.iinfo(np.int32).max),
+            ).fit(rows, targets, check_input=False)
+            for _ in range(TREES)
+        ]  # fmt: skip
+    return _Forest([tree.tree_ for tree in trees])

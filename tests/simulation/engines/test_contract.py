@@ -49,6 +49,7 @@ class TestPymunk(EngineContract):
         return "pymunk"
 
 
+@pytest.mark.system
 class TestBox2D(EngineContract):
     position, angle, stop = 4e-4, math.radians(0.5), 2e-3
     misses: ClassVar = {
@@ -64,6 +65,7 @@ class TestBox2D(EngineContract):
         return "box2d"
 
 
+@pytest.mark.system
 class TestMuJoCo(EngineContract):
     position, angle, stop = 3e-4, math.radians(0.7), 5e-4
 
@@ -73,6 +75,7 @@ class TestMuJoCo(EngineContract):
         return "mujoco:step=0.0005,timeconst=0.004,impratio=10"
 
 
+@pytest.mark.system
 class TestDrake(EngineContract):
     stop = 5e-3
     misses: ClassVar = {

@@ -137,6 +137,7 @@ def enlarged(found):
     return run.collect(project, folder, "", {})
 
 
+@pytest.mark.system
 def test_pressure_under_the_whole_body_misfits_less(found, enlarged):
     _, done = found
     before, after = (one.outcome.found[-1].misfit_ratio for one in (done, enlarged))
@@ -145,6 +146,7 @@ def test_pressure_under_the_whole_body_misfits_less(found, enlarged):
     assert verdicts["pressure_spread"] != "identified"
 
 
+@pytest.mark.system
 def test_what_reads_a_calibration_simulates_with_its_pressure(found, enlarged):
     """The errors stored with the calibration result again where only its parameters are passed on.
 

@@ -198,6 +198,7 @@ def test_urdf_has_loads_on_its_feet_and_lists_what_it_lacks(tmp_path: Path) -> N
     assert masses[1:].sum() * rough[0] == pytest.approx(0.2 * 0.3)  # the friction force is exact
 
 
+@pytest.mark.system
 def test_the_card_of_a_calibration_has_intervals_and_errors(tmp_path: Path) -> None:
     pushes = example_pushes(4)
     fit = fixel.calibrate(pushes[:2], SPACE, progress=False)
@@ -241,6 +242,7 @@ def test_a_stored_calibration_is_exported_as_its_value(tmp_path: Path) -> None:
     assert done.card["source"]["calibration"] == fit.run.ids[0]
 
 
+@pytest.mark.system
 def test_fresh_scenes_are_as_far_from_fixel_as_the_card_states(tmp_path: Path) -> None:
     """The program of the export is run on starts of another seed; 16 scenes instead of 100."""
     from benchmarks.model_export import measured
