@@ -56,25 +56,25 @@ def solve_envelope(
     Entries beyond are neither read nor written. `matrix` is destroyed. No pivots: the systems of
     this package have a dominant symmetric part. False where a pivot vanishes.
     """
-    for k in range(n):
-        if not abs(matrix[k, k]) > 0.0:
-            return False
-        inverse = 1.0 / matrix[k, k]
+    k = 0
+    while k < n:
         inner = min(reach[k], n_inner) if k < n_inner else k + 1
         border = max(n_inner, k + 1)
-        for part in range(2):
-            first = k + 1 if part == 0 else border
-            last = inner if part == 0 else n
-            for i in range(first, last):
-                factor = matrix[i, k] * inverse
-                if factor == 0.0:
-                    continue
-                # Along the rows, so that the processor can vectorise.
-                for j in range(k + 1, inner):
-                    matrix[i, j] -= factor * matrix[k, j]
-                for j in range(border, n):
-                    matrix[i, j] -= factor * matrix[k, j]
-                right[i] -= factor * right[k]
+        body = k + 2 < n_inner and reach[k + 2] == reach[k]  # then three pivots at once
+        following = k + 3 if body else k + 1
+        for p in range(k, following):
+            if not abs(matrix[p, p]) > 0.0:
+                return False
+            for part in range(1 if body else 2):
+                first = p + 1 if part == 0 else border
+                last = n if part == 1 else following if body else inner
+                for i in range(first, last):
+                    _subtract(matrix, right, i, p, inner, border, n)
+        if body:
+            for part in range(2):
+                for i in range(following if part == 0 else border, inner if part == 0 else n):
+                    _subtract_three(matrix, right, i, k, inner, border, n)
+        k = following
     for k in range(n - 1, -1, -1):
         inner = min(reach[k], n_inner) if k < n_inner else k + 1
         total = right[k]
@@ -84,6 +84,42 @@ def solve_envelope(
             total -= matrix[k, j] * right[j]
         right[k] = total / matrix[k, k]
     return True
+
+
+@kernel
+def _subtract(
+    matrix: FloatArray, right: FloatArray, i: int, k: int, inner: int, border: int, n: int
+) -> None:
+    """Subtract from row i the share of pivot row k that makes its entry there zero."""
+    factor = matrix[i, k] * (1.0 / matrix[k, k])
+    if factor == 0.0:
+        return
+    # Along the rows, so that the processor can vectorise.
+    for j in range(k + 1, inner):
+        matrix[i, j] -= factor * matrix[k, j]
+    for j in range(border, n):
+        matrix[i, j] -= factor * matrix[k, j]
+    right[i] -= factor * right[k]
+
+
+@kernel
+def _subtract_three(
+    matrix: FloatArray, right: FloatArray, i: int, k: int, inner: int, border: int, n: int
+) -> None:
+    """Subtract as `_subtract` does for k, k + 1 and k + 2, but read and write row i once."""
+    f = matrix[i, k] * (1.0 / matrix[k, k])
+    g = (matrix[i, k + 1] - f * matrix[k, k + 1]) * (1.0 / matrix[k + 1, k + 1])
+    h = matrix[i, k + 2] - f * matrix[k, k + 2] - g * matrix[k + 1, k + 2]
+    h *= 1.0 / matrix[k + 2, k + 2]
+    if f == 0.0 and g == 0.0 and h == 0.0:
+        return
+    for j in range(k + 3, inner):
+        less = matrix[i, j] - f * matrix[k, j] - g * matrix[k + 1, j]
+        matrix[i, j] = less - h * matrix[k + 2, j]
+    for j in range(border, n):
+        less = matrix[i, j] - f * matrix[k, j] - g * matrix[k + 1, j]
+        matrix[i, j] = less - h * matrix[k + 2, j]
+    right[i] = right[i] - f * right[k] - g * right[k + 1] - h * right[k + 2]
 
 
 @kernel

@@ -156,10 +156,12 @@ def _clear_envelope(problem: Problem, work: Workspace) -> None:
     n_dof = problem.size[N_DOF]
     n_free = problem.size[N_FREE_DOF]
     matrix = work.matrix
+    first = 0  # column of the row; profiles never fall, and are those of the columns, too
     for k in range(n_free):
-        for j in range(k, work.profile[k]):
+        while work.profile[first] <= k:
+            first += 1
+        for j in range(first, work.profile[k]):
             matrix[k, j] = 0.0
-            matrix[j, k] = 0.0
         for j in range(n_free, n_dof):
             matrix[k, j] = 0.0
             matrix[j, k] = 0.0

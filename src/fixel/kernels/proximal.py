@@ -30,6 +30,7 @@ SOFT = 1e-4
 STIFFEN = 0.4
 STIFF = 1e-8
 ROUND = 25  # iterations after which it is SOFTEST again
+STALLED = 6  # iterations without gain that end it: where one helps later, sweeps help sooner
 STICKS = 0.999  # of the friction limit
 INNER = 12  # Newton steps in search of a balance
 SEARCH = 10  # evaluations of one line search
@@ -89,7 +90,8 @@ def stiffening_newton(
 ) -> float:
     """Iterate as `newton` with soft constraints that stiffen; returns the residual.
 
-    They do not stiffen while the residual exceeds `ahead` times the compliance.
+    They do not stiffen while the residual exceeds `ahead` times the compliance. If `ahead` is
+    infinite, this ends early where the residual does not fall at first.
 
     Stiff constraints make Newton overshoot where many contacts open, close or slide at once. Soft
     ones let a few change in each iteration. Where several contacts hold a body and only one can,
@@ -98,9 +100,13 @@ def stiffening_newton(
     would slide the other way sticks first.
     """
     worst = residual(problem, work.right)
+    first = worst
+    least = math.inf
     epsilon = min(SOFTEST, max(SOFT, worst))
     for iteration in range(max_iterations):
         if worst <= tolerance or not math.isfinite(worst):
+            break
+        if iteration == STALLED and least >= first and math.isinf(ahead):
             break
         linearise_any(problem, work, epsilon, FLOOR, False, False, True)
         if not solve_any(problem, work):
@@ -108,6 +114,7 @@ def stiffening_newton(
         step_all(problem, work)
         _obey_laws(problem, work)
         worst = residual(problem, work.right)
+        least = min(least, worst)
         if iteration % ROUND == ROUND - 1:
             epsilon = SOFTEST
         elif worst <= ahead * epsilon:
