@@ -7,8 +7,9 @@ import pytest
 
 from fixel.errors import InvalidInput
 from fixel.model import Parameters, Seated
-from fixel.simulation import StewartTrinkle, simulate, simulate_batch
-from fixel.testing.scenes import grasp, heap, micro_push, sliding_block
+from fixel.simulation import Simulator, StewartTrinkle, simulate, simulate_batch
+from fixel.simulation.motion import OtherEngine
+from fixel.testing.scenes import grasp, heap, micro_push, pushed_square, sliding_block
 
 QUICK = {"stepper": StewartTrinkle(step=0.1)}
 
@@ -148,3 +149,44 @@ def test_runs_meet_a_goal_where_single_simulations_do():
     assert failed.meets(Seated("fixel-1")).tolist() == [False, True]
     with pytest.raises(InvalidInput, match="fixel-9"):
         runs.meets(Seated("fixel-9"))
+
+
+RIGID = replace(grasp(force_limit=None), duration=12.0)  # ends in a jam
+
+
+@pytest.mark.parametrize(
+    ("scene", "method", "varied"),
+    [
+        (
+            grasp("seated"),
+            {},
+            {"parameters": {"mu_fixel": [0.1, 0.2], "tripod_radius": [2e-2, 3e-2]}},
+        ),
+        (grasp("seated"), {"motion": "quasistatic"}, {"start": [[0.09, 0, 0.1], [0.1, 0.01, 0.2]]}),
+        (grasp(), QUICK, {"waypoints": [[[0.0, 0, 0, 0], [11.0, x, 0, 0]] for x in (0.02, 0.04)]}),
+        (grasp(), QUICK, {"parameters": {"outline_y": [0.0, 1e-3]}, "duration": 3.0, "threads": 1}),
+        (heap(5), {}, {}),
+        (RIGID, {}, {"parameters": [{"mu_fixel": 0.5}, {"mu_fixel": 0.01}]}),
+    ],
+    ids=["parameters", "start", "waypoints", "outline", "heap", "jam"],
+)
+def test_ends_are_those_of_a_batch(scene, method, varied):
+    simulator = Simulator(scene, **method)
+    options = dict(varied)
+    runs = simulate_batch(scene, options.pop("parameters", None), **method, **options)
+    for _ in range(2):
+        poses, status = simulator.ends(**varied)
+        assert np.array_equal(poses, runs.final[:, : len(scene.bodies)])
+        assert np.array_equal(status, runs.status)
+
+
+def test_ends_refuse_what_a_batch_refuses():
+    simulator = Simulator(pushed_square())
+    for varied in ({"start": [[0.0, 0.0]]}, {"waypoints": [1.0]}, {"duration": -1.0}):
+        with pytest.raises(InvalidInput) as batch:
+            simulate_batch(pushed_square(), **varied)
+        with pytest.raises(InvalidInput) as ends:
+            simulator.ends(**varied)
+        assert str(ends.value) == str(batch.value)
+    with pytest.raises(InvalidInput, match="motion"):
+        Simulator(pushed_square(), motion=OtherEngine("pymunk")).ends()

@@ -293,3 +293,22 @@ def test_a_path_needs_one_pusher_and_a_start_every_body():
 def test_a_simulator_raises_where_asked_to_check():
     with pytest.raises(SolveFailed, match="max_steps"):
         Simulator(grasp(), stepper=Adaptive(max_steps=3)).run(check=True)
+
+
+def test_a_call_does_not_depend_on_the_calls_before():
+    long, short = grasp("seated"), pushed_square()
+    first = [simulate(scene) for scene in (long, short, heap(4))]
+    for scene, kept in zip((short, long, heap(4)), (first[1], first[0], first[2]), strict=True):
+        own = simulate(scene)
+        again = simulate(scene)
+        for one in (own, again, simulate(replace(scene))):
+            assert np.array_equal(one.contacts, kept.contacts)
+            assert np.array_equal(one.time, kept.time)
+            for name in kept.pose:
+                assert np.array_equal(one.pose[name], kept.pose[name])
+                assert np.array_equal(one.twist[name], kept.twist[name])
+            for name, trace in kept.pushers.items():
+                assert np.array_equal(one.pushers[name].force, trace.force)
+        own.time[:] = own.contacts["time"][:] = np.nan  # a result shares nothing with others
+        for name in own.pose:
+            own.pose[name][:] = np.nan

@@ -151,7 +151,7 @@ def table(value: ArrayLike, where: str, labels: str) -> FloatArray:
 
 def frozen(array: ArrayLike) -> FloatArray:
     """Return a read-only C-ordered copy; minus zero becomes zero."""
-    copy = np.array(array, dtype=np.float64, order="C") + 0.0
+    copy: FloatArray = np.add(np.asarray(array, np.float64), 0.0, order="C")
     copy.flags.writeable = False
     return copy
 

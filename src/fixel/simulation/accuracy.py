@@ -18,10 +18,11 @@ from fixel.kernels import arrays as at
 from fixel.kernels import codes
 from fixel.kernels.arrays import Batch, StepMethod
 from fixel.kernels.modes import walk
+from fixel.simulation.batch import ends_of
 from fixel.simulation.pack import PackedBatch
-from fixel.simulation.record import empty_record, shape_poses
+from fixel.simulation.record import shape_poses
 from fixel.simulation.result import AGREED, CERTIFIED, UNCERTAIN, Accuracy
-from fixel.simulation.threads import in_ranges, rollout_in_threads
+from fixel.simulation.threads import in_ranges
 from fixel.typing import FloatArray, IntArray
 
 APART_LENGTH: Final = 5e-3  # of the characteristic length: two ends that are this close agree
@@ -78,7 +79,7 @@ def confirm(
     threads : int, optional
         Number of threads; all cores by default.
     """
-    n, n_free = final.shape[:2]
+    n = len(final)
     other = np.array(final)
     ended = np.full(n, walk.UNSUITED)
     folds = np.zeros(n, np.int64)
@@ -95,7 +96,7 @@ def confirm(
     stopped = np.zeros(n, np.bool_)
     if doubtful.any():
         again = np.flatnonzero(doubtful)
-        repeated, stopped[again] = _repeated(packed, method, again, n_free, threads)
+        repeated, stopped[again] = _repeated(packed, method, again, threads)
         farther = _apart(repeated, final[again]) > _apart(other[again], final[again])
         other[again[farther]] = repeated[farther]
     gap = other - final
@@ -154,7 +155,7 @@ def walked(
 
 
 def _repeated(
-    packed: PackedBatch, method: StepMethod, chosen: IntArray, n_free: int, threads: int | None
+    packed: PackedBatch, method: StepMethod, chosen: IntArray, threads: int | None
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Ends (k, n_free, 3) of some rollouts in fixed steps, and whether each stopped early."""
     batch = _chosen(packed.batch, chosen)
@@ -163,11 +164,8 @@ def _repeated(
     part = packed._replace(
         batch=batch, outline=None if packed.outline is None else packed.outline[chosen]
     )
-    record = empty_record(part, 1, 0, bare=True)
-    record.time[:] = batch.settings[:, at.DURATION, None]
-    rollout_in_threads(batch, fixed, record, threads)
-    ends = shape_poses(part, record.pose[:, :, :n_free])[:, 0]
-    return ends, record.status != codes.CONVERGED
+    ends, status = ends_of(part, fixed, threads)
+    return ends, status != codes.CONVERGED
 
 
 def _chosen(batch: Batch, chosen: IntArray) -> Batch:

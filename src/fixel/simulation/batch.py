@@ -15,6 +15,7 @@ from fixel.errors import Interrupted, InvalidInput
 from fixel.kernels import codes
 from fixel.kernels.arrays import (
     CONTACT_ROWS,
+    DURATION,
     FALLBACKS,
     LAST_CONTACTS,
     REACHED,
@@ -46,7 +47,7 @@ from fixel.simulation.threads import rollout_in_threads
 from fixel.simulation.vary import Variation
 from fixel.typing import BoolArray, FloatArray, IntArray
 
-_NAMES: Final = np.array(codes.STATUS_NAMES)
+STATUS_NAMES: Final = np.array(codes.STATUS_NAMES)
 SLOPES: Final = "fixel.simulation.derivatives"  # imported late: few batches need it
 
 
@@ -164,7 +165,7 @@ def simulate_batch(  # type: ignore[misc]
     check_method(scene, solver)
     if derivatives:
         import_module(SLOPES).check_differentiable(scene, motion)
-    variation, n = _variation(scene, parameters, start, waypoints)
+    variation, n = variation_of(scene, parameters, start, waypoints)
     seconds = duration_of(scene, duration)
     packed = pack(scene, motion, stepper, variation, n, seconds)
     instants = _instants(times, seconds)
@@ -233,6 +234,16 @@ def simulate_packed(
     return _unpack(scene, packed, record, instants)
 
 
+def ends_of(
+    packed: PackedBatch, method: StepMethod, threads: int | None
+) -> tuple[FloatArray, IntArray]:
+    """Simulate packed rollouts; return their last poses (n, n_free, 3) and statuses (n,)."""
+    record = empty_record(packed, 1, 0, bare=True)
+    record.time[:] = packed.batch.settings[:, DURATION, None]
+    rollout_in_threads(packed.batch, method, record, threads)
+    return shape_poses(packed, record.pose)[:, 0], record.status
+
+
 def check_compiled(
     motion: AbstractMotionModel, stepper: AbstractStepper, solver: AbstractSolver
 ) -> None:
@@ -247,12 +258,13 @@ def check_compiled(
             )
 
 
-def _variation(
+def variation_of(
     scene: Scene,
     parameters: Mapping[str, ArrayLike] | Sequence[Mapping[str, float]] | None,
     start: ArrayLike | None,
     waypoints: ArrayLike | None,
 ) -> tuple[Variation, int]:
+    """Check the variation of a scene; return it with its number of runs."""
     values: dict[str, FloatArray] = {}
     if isinstance(parameters, Mapping):
         values = {k: np.atleast_1d(np.asarray(v, np.float64)) for k, v in parameters.items()}
@@ -334,7 +346,7 @@ def _unpack(
     return BatchResult(
         scene=scene,
         parameters={} if parameters is None else parameters,
-        status=_NAMES[record.status],
+        status=STATUS_NAMES[record.status],
         time=times,
         pose=shape_poses(packed, record.pose),
         stopped_at=record.total[:, REACHED] * units.time,

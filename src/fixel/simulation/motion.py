@@ -192,6 +192,8 @@ MOTION_MODELS: tuple[type[AbstractMotionModel], ...] = (Dynamic, QuasiStatic, Fi
 
 def motion_model(motion: AbstractMotionModel | str | None) -> AbstractMotionModel:
     """Return a motion model, also by its name, or another engine; the dynamic one for None."""
+    if motion is None:
+        return Dynamic()
     own = [model.name for model in MOTION_MODELS]
     if isinstance(motion, str) and motion and motion not in own:
         if is_engine(motion):
@@ -216,7 +218,7 @@ def named_part(part: Part | str, family: Sequence[type[Part]], where: str) -> Pa
     """Return a part of a method, also by its name; raise for names outside its family."""
     if not isinstance(part, str):
         return part
-    members = {str(getattr(member, "name", "")): member for member in family}
-    if part not in members:
-        raise unknown_name(where, part, members)
-    return members[part]()
+    for member in family:
+        if getattr(member, "name", "") == part:
+            return member()
+    raise unknown_name(where, part, [str(getattr(member, "name", "")) for member in family])

@@ -35,7 +35,7 @@ from fixel.model import (
 )
 from fixel.simulation.geometry import contact_outline, contact_pieces
 from fixel.simulation.motion import AbstractMotionModel
-from fixel.simulation.stepper import AbstractStepper, Adaptive
+from fixel.simulation.stepper import STEPPERS, AbstractStepper, Adaptive
 from fixel.simulation.vary import Elements, Variation, VariedScene, composed, vary
 from fixel.typing import FloatArray, IntArray
 
@@ -340,7 +340,17 @@ def pack(
     duration: float,
 ) -> PackedBatch:
     """Pack the arrays of `n` rollouts of a scene, which last `duration` [s]."""
+    plain = n == 1 and not variation.parameters and all(array is None for array in variation[1:])
+    if plain and type(stepper) in STEPPERS:
+        return _packed_once(_Same(scene), motion, stepper, duration)
     return Template(scene, motion, stepper).packed(variation, n, duration)
+
+
+@functools.lru_cache(maxsize=RECENT_SCENES)
+def _packed_once(
+    key: _Same, motion: AbstractMotionModel, stepper: AbstractStepper, duration: float
+) -> PackedBatch:
+    return Template(key.objects[0], motion, stepper).packed(Variation({}), 1, duration)
 
 
 class SceneArrays(NamedTuple):

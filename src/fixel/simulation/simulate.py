@@ -28,12 +28,12 @@ from fixel.kernels.arrays import (
     StepMethod,
 )
 from fixel.model import Parameters, PathDrive, Scene
-from fixel.model.fields import instance
+from fixel.model.fields import frozen, instance, settle
 from fixel.registry import offered
 from fixel.simulation.motion import AbstractMotionModel, OtherEngine, motion_model, named_part
 from fixel.simulation.pack import PackedBatch, pack
 from fixel.simulation.plain import rollout_in_python
-from fixel.simulation.record import empty_record, shape_poses
+from fixel.simulation.record import borrowed_record, empty_record, give_back, shape_poses
 from fixel.simulation.result import CONTACT_FIELDS, PusherTrajectory, Simulation
 from fixel.simulation.solver import SOLVERS, AbstractSolver, GaussSeidel, Lemke, Newton
 from fixel.simulation.stepper import STEPPERS, AbstractStepper, Adaptive
@@ -210,9 +210,11 @@ class Simulator:
         self.stepper = stepper or Adaptive()
         self.solver = named_part(solver or Newton.name, SOLVERS, "solver")
         check_method(scene, self.solver)
-        self._method = method_of(self.motion, self.stepper, self.solver, max_contacts)
         parts = (self.motion, self.stepper, self.solver)
-        self._plain = plain or not all(is_compiled(part) for part in parts)
+        own = all(is_compiled(part) for part in parts)
+        convert = _converted if own else _converted.__wrapped__
+        self._method, self._described = convert(*parts, max_contacts)
+        self._plain = plain or not own
 
     def run(
         self,
@@ -284,7 +286,7 @@ class Simulator:
             seconds = clock.perf_counter() - seconds
             found = _unpacked(scene, packed, record, duration) | {
                 "wall_time_s": seconds,
-                "method": _described(self.motion, self.stepper, self.solver),
+                "method": dict(self._described),
             }
             if accuracy:
                 from fixel.simulation.accuracy import confirm  # late: few runs need it
@@ -295,6 +297,8 @@ class Simulator:
                 )[0]
             if derivatives:
                 found["derivatives"] = self._derivatives(known, variation, derivatives, found)
+            if not self._plain:
+                give_back(record)
         simulation = Simulation(
             scene=scene, parameters=parameters, version=fixel_version(), **found
         )
@@ -307,6 +311,54 @@ class Simulator:
                 stopped_at=simulation.stopped_at,
             )
         return simulation
+
+    def ends(
+        self,
+        parameters: Mapping[str, ArrayLike] | Sequence[Mapping[str, float]] | None = None,
+        *,
+        start: ArrayLike | None = None,
+        waypoints: ArrayLike | None = None,
+        duration: float | None = None,
+        threads: int | None = None,
+    ) -> tuple[FloatArray, NDArray[np.str_]]:
+        """Simulate the scene in many variations, and return only how they end.
+
+        For searches, which call this often: no samples, contacts or forces are stored.
+
+        Parameters
+        ----------
+        parameters, start, waypoints, duration, threads : optional
+            As for `simulate_batch`.
+
+        Returns
+        -------
+        poses : (n, n_free, 3) float64
+            Last pose of the shape frame of every free body [m, m, rad], bit for bit that of
+            `simulate_batch`.
+        status : (n,) str
+            ``converged``, or the reason of an early end (`fixel.kernels.codes.STATUS_NAMES`).
+
+        Raises
+        ------
+        InvalidInput
+            As for `simulate_batch`.
+
+        Examples
+        --------
+        >>> from fixel.testing.scenes import pushed_square
+        >>> simulator = Simulator(pushed_square(), motion="quasistatic")
+        >>> poses, status = simulator.ends({"mu_pusher": [0.1, 0.2, 0.3]})
+        >>> poses.shape, list(status)
+        ((3, 1, 3), ['converged', 'converged', 'converged'])
+        """
+        from fixel.simulation import batch  # late: it imports this module
+
+        batch.check_compiled(self.motion, self.stepper, self.solver)
+        variation, n = batch.variation_of(self.scene, parameters, start, waypoints)
+        seconds = duration_of(self.scene, duration)
+        packed = pack(self.scene, self.motion, self.stepper, variation, n, seconds)
+        poses, status = batch.ends_of(packed, self._method, threads)
+        return poses, batch.STATUS_NAMES[status]
 
     def _changed(self, start: ArrayLike | None, waypoints: ArrayLike | None) -> Scene:
         """Return the scene with other start poses of its bodies and another path."""
@@ -468,7 +520,7 @@ def _roll_compiled(
                 expected=f"at most {MAX_SAMPLES} samples",
                 hint=f"set output_interval, for example to {duration / 1000:.3g} s",
             )
-        record = empty_record(packed, room, per_sample * room)
+        record = borrowed_record(packed, room, per_sample * room)
         _roll_one(packed, method, record, every_step=True)
         n_sample = int(record.count[0, STEPS_TAKEN]) + 1
         if n_sample <= room or record.status[0] == codes.INTERRUPTED:
@@ -509,13 +561,16 @@ def _unpacked(
     reached = float(record.total[0, REACHED]) * units.time
     status = int(record.status[0])
     pushers = {}
+    own_time = frozen(time) if scene.pushers else time
     for k, pusher in enumerate(scene.pushers):
         path = poses[:, len(scene.bodies) + k]
         step = path[1:] - path[:-1]
         force, stalled = record.drive[0, :n_sample, k].T
-        pushers[pusher.name] = PusherTrajectory(
-            time=time,
-            pose=path,
+        pushers[pusher.name] = trace = object.__new__(PusherTrajectory)
+        settle(  # without its checks, which take as long as all else here
+            trace,
+            time=own_time,
+            pose=frozen(path),
             travel=float(np.hypot(step[:, 0], step[:, 1]).sum()),
             force=force * units.force,
             stalled=stalled > 0.0,
@@ -545,10 +600,11 @@ def _contact_table(packed: PackedBatch, rows: FloatArray, time: FloatArray) -> N
     return np.asarray(values.view(CONTACT_FIELDS)[:, 0])
 
 
-def _described(
-    motion: AbstractMotionModel, stepper: AbstractStepper, solver: AbstractSolver
-) -> dict[str, Any]:
-    """Return names and options of the method, sufficient to run it again."""
+@functools.lru_cache(maxsize=16)
+def _converted(
+    motion: AbstractMotionModel, stepper: AbstractStepper, solver: AbstractSolver, max_contacts: int
+) -> tuple[StepMethod, Mapping[str, Any]]:
+    """Return a method for the kernels; and its names and options, sufficient to run it again."""
     described: dict[str, Any] = {}
     parts: dict[str, Any] = {"motion": motion, "stepper": stepper, "solver": solver}
     for role, part in parts.items():
@@ -556,4 +612,4 @@ def _described(
         if is_dataclass(part):
             own = ((f.name, getattr(part, f.name)) for f in fields(part))
             described |= {f"{role}.{name}": value for name, value in own}
-    return described
+    return method_of(motion, stepper, solver, max_contacts), described

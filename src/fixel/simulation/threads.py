@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
 from functools import partial
 from queue import Empty, SimpleQueue
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 from fixel.errors import InvalidInput
 from fixel.kernels import batch as kernel
@@ -163,6 +163,8 @@ def _threads(n: int) -> ThreadPoolExecutor:
 _pool: ThreadPoolExecutor | None = None
 _pool_size = 0
 _starting = threading.Lock()
+# Not `signal.getsignal`, which searches an enumeration for every handler, in 20 us.
+_handler: Callable[[int], Any] = getattr(signal, "_signal", signal).getsignal
 _sender: socket.socket | None = None  # of the numbers of signals, to the thread that watches
 _rolling: BatchRecord | None = None  # what the main thread computes, for that thread to stop
 _next_fd = -1  # where signals went before
@@ -177,7 +179,7 @@ def _run(call: Callable[[], None], record: BatchRecord) -> None:
     global _rolling, _next_fd
     if (
         threading.current_thread() is not threading.main_thread()
-        or signal.getsignal(signal.SIGINT) is not signal.default_int_handler
+        or _handler(signal.SIGINT) is not signal.default_int_handler
     ):
         call()
         return
