@@ -117,7 +117,7 @@ def test_ctrl_c_says_how_to_go_on(tmp_path):
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=os.environ)
     await_true(lambda: names_in(folder), "an answer")
     process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=20)
+    _, said = process.communicate(timeout=60)
     assert process.returncode == 130
     assert f"Resume with: fixel jobs resume {folder}" in said
     assert "Traceback" not in said

@@ -124,13 +124,13 @@ def test_ctrl_c_ends_the_page(bench, capsys, monkeypatch):
     seen = {}
 
     def visit():
-        until = time.monotonic() + 30.0
+        until = time.monotonic() + 60.0
         while not (link := capsys.readouterr().err.partition("Open ")[2].split("\n")[0]):
             wait(until)
         opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
-        page = opener.open(link, timeout=5)
+        page = opener.open(link, timeout=60)
         seen["page"] = page.read()
-        while not (status := json.load(opener.open(f"{page.url}/status", timeout=5))):
+        while not (status := json.load(opener.open(f"{page.url}/status", timeout=60))):
             wait(until)
         seen["status"] = status
 

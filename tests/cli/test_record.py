@@ -145,7 +145,7 @@ def ended_by(tmp_path: Path, end: Callable[[subprocess.Popen[bytes], int], None]
             pytest.fail(f"it does not record: {process.communicate()}")
         time.sleep(0.01)
     end(process, ours)
-    said, complaints = process.communicate(timeout=10.0)
+    said, complaints = process.communicate(timeout=60.0)
     os.close(ours)
     os.close(theirs)
     assert process.returncode == 0, complaints
@@ -184,7 +184,7 @@ def test_a_served_film_is_a_camera(tmp_path: Path, capsys: Any) -> None:
         code, said, _ = fixel(capsys, "record", "--camera", served["url"], "--out", out)
     finally:
         server.send_signal(signal.SIGINT)
-        server.communicate(timeout=10.0)
+        server.communicate(timeout=60.0)
     assert code == 1  # nobody wanted it to end there
     assert "30 frames" in said
     assert "ended early: the camera ended the stream" in said

@@ -194,7 +194,7 @@ def test_the_server_ends_with_the_tests_that_use_it(number):
         pid, folder = line_of(tests).split()
         os.kill(int(pid), 0)
         tests.send_signal(number)
-    until = time.monotonic() + 30.0
+    until = time.monotonic() + 60.0
     while Path(folder).exists() or is_running(int(pid)):
         assert time.monotonic() < until
         time.sleep(0.05)

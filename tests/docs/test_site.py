@@ -24,7 +24,7 @@ def page(chromium):  # noqa: F811
     """A page that notes what it asks from elsewhere, and what goes wrong in it."""
     context = chromium.new_context(offline=True, viewport={"width": 390, "height": 844})
     page = context.new_page()
-    page.set_default_timeout(10_000)
+    page.set_default_timeout(60_000)
     page.asked, page.errors = [], []
     page.on("request", lambda request: page.asked.append(request.url))
     page.on("pageerror", lambda error: page.errors.append(str(error)))

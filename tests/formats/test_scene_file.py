@@ -5,7 +5,7 @@ import json
 from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from time import perf_counter
+from time import process_time
 
 import pytest
 
@@ -347,10 +347,10 @@ def test_something_else_than_a_scene_is_refused(raw):
 
 
 def refusal_of(text, suffix=".yaml"):
-    start = perf_counter()
+    start = process_time()
     with pytest.raises(InvalidInput) as refusal:
         loaded(text, suffix)
-    assert perf_counter() - start < 5.0
+    assert process_time() - start < 5.0
     return str(refusal.value)
 
 
@@ -358,10 +358,10 @@ def test_a_file_of_a_hundred_megabytes_is_refused_unread(tmp_path):
     path = tmp_path / "large.yaml"
     with path.open("wb") as stream:
         stream.truncate(100_000_000)
-    start = perf_counter()
+    start = process_time()
     with pytest.raises(InvalidInput, match="more than 10 MB"):
         load_scene(path)
-    assert perf_counter() - start < 0.5
+    assert process_time() - start < 0.5
 
 
 @pytest.mark.parametrize("suffix", [".yaml", ".json"])

@@ -54,7 +54,7 @@ def storm(folder, kinds, seed, between_s=(0.0, 1.0)):
 
 def _victims(folder, kind, coordinator):
     """Processes to choose from; those that are only just being started may be waited for."""
-    deadline = time.monotonic() + 20.0
+    deadline = time.monotonic() + 60.0
     while coordinator.poll() is None and time.monotonic() < deadline:
         found = processes(folder, kind)
         if found:

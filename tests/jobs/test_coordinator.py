@@ -103,7 +103,7 @@ def test_ctrl_c_and_sigterm_stop_and_keep_what_is_finished(tmp_path):
         coordinator = start(folder)
         await_true(lambda known=known: len(names_in(folder)) > known + 1, "answers")
         coordinator.send_signal(how)
-        assert coordinator.wait(20) == 130
+        assert coordinator.wait(60) == 130
         assert files.read_status(folder).state == "stopped"
     assert coordinate(folder).state == "done"
     assert_as_undisturbed(folder, **options)

@@ -154,7 +154,7 @@ def test_submissions_keep_their_distance(fake, folder, said):
     begun = time.monotonic()
     while len(fake.active()) < 3:
         pool.keep()
-        assert time.monotonic() < begun + 20.0
+        assert time.monotonic() < begun + 60.0
     gaps = [b - a for a, b in zip(fake["calls"], fake["calls"][1:], strict=False)]
     assert min(gaps) > 0.2
 

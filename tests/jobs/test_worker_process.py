@@ -37,12 +37,12 @@ def test_and_raises_as_the_function_would(root):
 
 
 def test_a_call_that_takes_too_long_is_ended_and_the_next_one_works():
-    with WorkerProcess(time.sleep, limit=0.3) as sleep:
+    with WorkerProcess(time.sleep, limit=2.0) as sleep:
         sleep.start()
         began = time.monotonic()
-        with pytest.raises(JobRefused, match=r"more than 0\.3 s"):
+        with pytest.raises(JobRefused, match=r"more than 2 s"):
             sleep.call(60.0)
-        assert time.monotonic() - began < 10.0
+        assert time.monotonic() - began < 40.0
         assert sleep.call(0.0) is None
 
 
@@ -86,7 +86,7 @@ def test_others_wait_for_their_turn_only_so_long():
 
 
 def test_the_first_call_waits_for_a_process_that_starts_longer_than_for_another_call():
-    with WorkerProcess(len, limit=1.0, ready=partial(time.sleep, 3.0)) as length:
+    with WorkerProcess(len, limit=2.0, ready=partial(time.sleep, 4.0)) as length:
         starter = threading.Thread(target=length.start)
         starter.start()
         while not length._starting:
@@ -110,7 +110,7 @@ def test_it_ends_with_the_program_that_started_it_also_in_the_middle_of_a_call(t
     )
     done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=60)
     process = int(done.stdout)
-    until = time.monotonic() + 10.0
+    until = time.monotonic() + 40.0
     while time.monotonic() < until:
         try:
             os.kill(process, 0)

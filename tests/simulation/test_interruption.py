@@ -21,7 +21,7 @@ from fixel.testing.scenes import pushed_square
 LONG = {"stepper": StewartTrinkle(step=1e-6)}  # a rollout of ten seconds of computing
 FINE = {"stepper": StewartTrinkle(step=1e-3)}
 SOON_S = 0.3
-PROMPT_S = 2.0  # on a machine that does other things as well; alone it takes milliseconds
+PROMPT_S = 5.0  # on a machine that does other things as well; alone it takes milliseconds
 
 pytestmark = [
     pytest.mark.system,

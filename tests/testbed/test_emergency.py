@@ -126,7 +126,7 @@ def test_any_key_stops_the_drive_of_a_busy_program():
             command = [sys.executable, "-c", PROGRAM.format(then=BUSY), controller.port]
             os.execv(sys.executable, command)
         try:
-            until = time.monotonic() + 5.0
+            until = time.monotonic() + 60.0
             while controller.place < 43.0 and time.monotonic() < until:
                 time.sleep(0.002)
             since = time.monotonic()
@@ -253,7 +253,7 @@ def test_a_stop_is_not_forgotten_over_a_release(guarded):
     guard.stdin.write(bytes([signal.SIGINT]) + b"q")
     guard.stdin.flush()
 
-    assert guard.wait(5.0) == 0
+    assert guard.wait(60.0) == 0
     assert os.read(port, 9) == emergency.STOP
 
 

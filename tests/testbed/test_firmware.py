@@ -82,7 +82,7 @@ def test_a_request_behind_a_stray_beginning_is_understood(mega, port):
 def test_the_emulator_takes_no_file_away(mega_folder, tmp_path):
     (tmp_path / "notes").write_text("mine")
     command = [mega_folder / "emulated_mega", mega_folder / "tactile.elf", tmp_path / "notes"]
-    done = subprocess.run(command, input="", capture_output=True, text=True, timeout=20.0)
+    done = subprocess.run(command, input="", capture_output=True, text=True, timeout=60.0)
 
     assert (done.returncode, "exists" in done.stderr) == (1, True)
     assert (tmp_path / "notes").read_text() == "mine"

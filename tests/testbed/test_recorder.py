@@ -86,7 +86,7 @@ def test_a_slow_disk_loses_frames_and_says_how_many(tmp_path: Path) -> None:
         trouble = ""
 
         def read(self) -> Any:
-            full.wait(5.0)
+            full.wait(60.0)
             return Fixels(lambda k: 0).read()
 
     def before(k: int) -> None:
@@ -134,7 +134,7 @@ def test_pulling_the_tactile_plug_ends_it(tmp_path: Path) -> None:
 def test_a_camera_that_falls_silent_ends_it(tmp_path: Path) -> None:
     def wait(k: int) -> None:
         if k == 8:
-            source.pulled.wait(5.0)
+            source.pulled.wait(60.0)
 
     source = Pictures(9, before=wait)
     done = record(source, tmp_path / "r", patience=0.2)

@@ -167,7 +167,7 @@ def test_a_late_answer_is_not_taken_for_the_next_one(mega, reader):
     mega.touch(4)
     reader.deadline = PATIENT
     second, third = reader.read(), reader.read()
-    time.sleep(0.06)
+    time.sleep(0.3)  # longer than the answer is late, also on a busy machine
     fourth = reader.read()
 
     assert (first.bits, first.problem) == (None, "no answer within 20 ms")
@@ -219,7 +219,7 @@ def test_an_old_board_that_answers_late_does_not_shift_the_readings():
         first = reader.read().bits
         reader.deadline = 0.02
         missing = reader.read()
-        time.sleep(0.05)
+        time.sleep(0.3)
         reader.deadline = PATIENT
         following = [reader.read().bits for _ in range(3)]
 

@@ -29,7 +29,7 @@ class Client:
             base_url=self._base_url,
             cookies=self.cookies,
             follow_redirects=self._follow,
-            timeout=10.0,
+            timeout=60.0,
         ) as client:
             answer = await client.request(method, path, headers=headers, **more)
             self.cookies = client.cookies

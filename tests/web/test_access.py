@@ -262,7 +262,7 @@ def test_the_token_is_in_no_log(caplog):
             ("GET", "/nowhere", {"Authorization": f"Bearer {token}"}),
             ("BREW", f"/{token}", {"Cookie": f"{server.gate.cookie}={server.gate.session}"}),
         ):
-            connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=5)
+            connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=60)
             connection.request(method, path, headers=headers)
             connection.getresponse().read()
             connection.close()

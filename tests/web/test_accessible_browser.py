@@ -24,7 +24,7 @@ LOOKS = [("light", WIDE), ("dark", NARROW)]
 OTHER_LOOKS = [("dark", WIDE), ("light", NARROW)]
 BAD = ("moderate", "serious", "critical")
 RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
-PATIENCE = 30_000  # [ms]
+PATIENCE = 60_000  # [ms]
 
 # What can be reached; of a group of radio buttons or tabs, one.
 REACHABLE = """() => {

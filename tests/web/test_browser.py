@@ -17,7 +17,7 @@ from fixel.workflows.acquisition.overlay import Overlay, watch
 
 pytestmark = pytest.mark.system
 
-PATIENCE = 8000  # [ms]
+PATIENCE = 60_000  # [ms]
 RIG = small_rig()
 # Whether the table shows this error, to the hundredth of a mm it is written with.
 SHOWS = """wanted => {

@@ -40,7 +40,7 @@ def bench(project):
     made.close()
 
 
-def until(condition, patience=30.0):
+def until(condition, patience=60.0):
     end = time.monotonic() + patience
     while not condition():
         assert time.monotonic() < end

@@ -48,7 +48,7 @@ class Mortal:
 
     def close(self):
         self._mother.stdin.close()
-        self._mother.wait(10)
+        self._mother.wait(60)
         self._mother.stdout.close()
 
 
@@ -61,7 +61,7 @@ class Writer(threading.Thread):
         self.promised, self.asked = [], None
 
     def run(self):
-        connection = http.client.HTTPConnection("127.0.0.1", self.server.port, timeout=30)
+        connection = http.client.HTTPConnection("127.0.0.1", self.server.port, timeout=60)
         headers = {
             "Authorization": f"Bearer {self.server.token}",
             "Content-Type": "application/json",
@@ -109,14 +109,14 @@ def storm(folder, kills, seed, first=1):
             writers = [Writer(server, act, number) for act in acts]
             for writer in writers:
                 writer.start()
-            deadline = time.monotonic() + 30.0
+            deadline = time.monotonic() + 60.0
             while not all(writer.promised for writer in writers[:3]):
                 assert time.monotonic() < deadline
                 time.sleep(0.005)
             time.sleep(chance.uniform(0.0, 0.4))
             server.kill()
             for writer in writers:
-                writer.join(10)
+                writer.join(60)
                 told[writer.act.__name__] += len(writer.promised)
             _whole(folder, *writers)
     finally:

@@ -85,7 +85,7 @@ def neighbour():
 
 def sent(server, method, path, headers=None, body=None):
     """Status and body of a request that no browser sends."""
-    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=30)
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=60)
     connection.request(method, path, body, headers or {})
     answer = connection.getresponse()
     text = answer.read()
@@ -129,14 +129,14 @@ def test_a_server_on_another_port_receives_nothing_that_opens(server, name):
     jar = http.cookiejar.CookieJar()
     browser = urllib.request.build_opener(urllib.request.HTTPCookieProcessor(jar))
     link = server.link.replace("127.0.0.1", name)
-    with browser.open(link, timeout=30) as answer:
+    with browser.open(link, timeout=60) as answer:
         home, name_of_page = answer.url.rsplit("/", 1)
     assert name_of_page == "experiments"
     assert len(jar) == 1
     before = total(server)
     with neighbour() as other:
         for path in ("/", "/experiments", "/overlay/stream", f"/static{urlsplit(home).path}"):
-            browser.open(f"http://{name}:{other.server_port}{path}", timeout=30).close()
+            browser.open(f"http://{name}:{other.server_port}{path}", timeout=60).close()
         received = {cookies or "" for _, cookies in other.received}
     for cookies in received:
         assert rob(server, cookies) == []
@@ -145,7 +145,7 @@ def test_a_server_on_another_port_receives_nothing_that_opens(server, name):
     assert rob(server, f"{server.gate.cookie}={server.gate.session}") == []
     assert total(server) == before
     # The jar itself still opens everything that is ours.
-    with browser.open(f"{home}/{TOTAL}", timeout=30) as answer:
+    with browser.open(f"{home}/{TOTAL}", timeout=60) as answer:
         assert json.load(answer)["total"] == before
 
 

@@ -37,7 +37,7 @@ def test_a_goal_is_dragged_planned_shown_and_tried(browser_page, server):
     assert "stated success probability" in page.inner_text("#content")
     assert page.locator("figure img").count() == 3
     page.click("#try")
-    page.wait_for_selector("#trials:has-text('20 trials')", timeout=60_000)
+    page.wait_for_selector("#trials:has-text('20 trials')")
     for width in (1280, 390):
         page.set_viewport_size({"width": width, "height": 800})
         assert page.evaluate("document.documentElement.scrollWidth") <= width

@@ -205,10 +205,10 @@ def test_the_command_prints_a_link_that_opens_and_ends_at_once(project):
             asked = urllib.request.Request(
                 f"{page}api/v1/project", headers={"Authorization": f"Bearer {token}"}
             )
-            with urllib.request.urlopen(asked, timeout=30) as answer:
+            with urllib.request.urlopen(asked, timeout=60) as answer:
                 assert json.load(answer)["name"] == "my_lab"
             process.send_signal(signal.SIGINT)
-            out, err = process.communicate(timeout=30)
+            out, err = process.communicate(timeout=60)
         finally:
             process.kill()
     assert process.returncode == 0
@@ -247,7 +247,7 @@ def test_no_other_user_reads_the_token_in_the_arguments_of_the_browser(project, 
         assert stat.S_IMODE(door.stat().st_mode) == 0o600
         assert f"?token={token}" in door.read_text()
         process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=10) == 0
+        assert process.wait(timeout=60) == 0
         assert not door.exists()
     finally:
         process.kill()
@@ -261,7 +261,7 @@ def test_for_others_it_answers_to_its_own_names_and_no_other(bench):
     with server:
         assert socket.gethostname() in server.link
         for name, status in ((socket.gethostname(), 200), ("evil.example", 400)):
-            line = http.client.HTTPConnection("127.0.0.1", server.port, timeout=5)
+            line = http.client.HTTPConnection("127.0.0.1", server.port, timeout=60)
             line.request(
                 "GET",
                 "/api/v1/project",

@@ -29,7 +29,7 @@ def server(view):
 
 
 def connected(server, path):
-    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=10)
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=60)
     cookie = f"{server.gate.cookie}={server.gate.session}"
     connection.request("GET", server.gate.root + path, headers={"Cookie": cookie})
     return connection, connection.getresponse()
@@ -37,11 +37,11 @@ def connected(server, path):
 
 def test_the_link_opens_the_page(server):
     jar = urllib.request.HTTPCookieProcessor()
-    with urllib.request.build_opener(jar).open(server.link, timeout=10) as answer:
+    with urllib.request.build_opener(jar).open(server.link, timeout=60) as answer:
         assert answer.url == f"{server.home}overlay"
         assert b"a scene" in answer.read()
     with pytest.raises(urllib.error.HTTPError, match="403"):
-        urllib.request.urlopen(server.home, timeout=10)
+        urllib.request.urlopen(server.home, timeout=60)
 
 
 def test_it_listens_here_only(server):
@@ -78,11 +78,14 @@ def test_it_ends_though_a_browser_does_not_read(view):
     still.sendall(asked.encode())
     view.show(picture, {"n": 0})
     connection, quick = connected(server, "/overlay/stream")
+    took = []
     for number in range(1, 30):
         begun = time.monotonic()
         view.show(picture, {"n": number})
-        assert time.monotonic() - begun < 0.1
+        took.append(time.monotonic() - begun)
         assert len(quick.read(60_000)) == 60_000
+    assert sorted(took)[len(took) // 2] < 0.1  # one of them may meet a busy machine
+    assert max(took) < 10.0
     begun = time.monotonic()
     server.stop()
     assert time.monotonic() - begun < 4.0

@@ -20,14 +20,14 @@ def project(tmp_path_factory):
 @pytest.fixture
 def domain(browser_page, server):
     browser_page.goto(server.home + "domain")
-    browser_page.wait_for_selector("#panels td", timeout=30_000)
+    browser_page.wait_for_selector("#panels td")
     return browser_page
 
 
 @pytest.fixture
 def one(browser_page, server):
     browser_page.goto(server.home + "calibrations/1")
-    browser_page.wait_for_selector("#calibration", timeout=30_000)
+    browser_page.wait_for_selector("#calibration")
     return browser_page
 
 
@@ -58,14 +58,14 @@ def test_a_calibration_is_begun_watched_stopped_and_resumed(browser_page, server
     page.fill("#starts", "9")
     page.select_option("#optimiser", "pattern-search")
     page.select_option("#verdicts", "no")
-    page.click("button[type=submit]", timeout=60_000)  # simulates a few experiments first
-    page.wait_for_selector("#calibrating", timeout=30_000)
+    page.click("button[type=submit]")  # simulates a few experiments first
+    page.wait_for_selector("#calibrating")
     until_more(page, 10)
     assert page.get_attribute(".graph path.best", "d").startswith("M")
     assert "best so far" in page.inner_text(".figures")
     assert "evaluations/s" in page.inner_text(".figures")
     page.click("#stop")
-    page.wait_for_selector("#calibrating[data-state=cancelled]", timeout=30_000)
+    page.wait_for_selector("#calibrating[data-state=cancelled]")
     assert "Resume continues from there" in page.inner_text(".notice")
     before = evaluations(page)
     page.click("nav >> text=Calibrations")
@@ -75,7 +75,7 @@ def test_a_calibration_is_begun_watched_stopped_and_resumed(browser_page, server
     page.click("#resume")
     until_more(page, before)
     page.click("#stop")
-    page.wait_for_selector("#calibrating[data-state=cancelled]", timeout=30_000)
+    page.wait_for_selector("#calibrating[data-state=cancelled]")
 
 
 def test_a_wrong_request_says_why_and_can_be_mended(browser_page, server):
@@ -186,7 +186,7 @@ def test_no_map_yet(browser_page, server, project):
 def test_nothing_is_wider_than_a_phone(browser_page, server, path):
     browser_page.set_viewport_size({"width": 390, "height": 800})
     browser_page.goto(server.home + path)
-    browser_page.wait_for_selector("h1", timeout=30_000)
+    browser_page.wait_for_selector("h1")
     assert browser_page.evaluate("document.documentElement.scrollWidth") <= 390
 
 
@@ -196,7 +196,7 @@ def test_nothing_is_wider_than_a_phone(browser_page, server, path):
 def test_an_experiment_opens_with_nominal_against_calibrated(browser_page, server):
     page = browser_page
     page.goto(server.home + "experiments/7")
-    page.wait_for_selector("#figures td", timeout=30_000)
+    page.wait_for_selector("#figures td")
     heads = page.locator("#figures thead th").all_inner_texts()
     assert [head.strip() for head in heads] == ["nominal", "calibrated"]
     before, after = page.locator("#figures tbody tr:first-child td").all_inner_texts()
@@ -207,7 +207,7 @@ def test_an_experiment_opens_with_nominal_against_calibrated(browser_page, serve
 def test_comparing_opens_with_nominal_against_calibrated(browser_page, server):
     page = browser_page
     page.goto(server.home + "compare?experiment=id:7")
-    page.wait_for_selector("#sets svg", timeout=30_000)
+    page.wait_for_selector("#sets svg")
     shown = [row.get_attribute("data-set") for row in page.locator("#sets tr").all()]
     assert shown[:2] == ["adjusted", "nominal"]
     assert shown[2].startswith("calibration-")

@@ -54,7 +54,7 @@ def test_cancelled_with_its_workers_and_gone_on_with(tmp_path):
     coordinator = start(folder)
     await_true(lambda: names_in(folder), "an answer")
     assert jobs.cancel(folder).state == "cancelled"
-    assert coordinator.wait(20) == 0
+    assert coordinator.wait(60) == 0
     assert not processes(folder, "worker")
     assert jobs.cancel(folder).state == "cancelled"  # again: nothing to do
     jobs.arrange(folder, workers=0)
@@ -161,4 +161,4 @@ def test_the_log_from_beginning_to_end(tmp_path):
     await_true(lambda: files.coordinator_of(folder), "it to start")
     words = [line.split()[1] for line in jobs.log_lines(folder, follow=True)]
     assert words == ["preparing", "running", "collecting", "done"]
-    assert coordinator.wait(10) == 0
+    assert coordinator.wait(60) == 0

@@ -46,7 +46,7 @@ for line in sys.stdin:
     print(json.dumps({{"pose": pose}}), flush=True)
 """
 BAD = {
-    "hangs": ("time.sleep(60)", "no answer within 0.5 s"),
+    "hangs": ("time.sleep(60)", "no answer within 2 s"),
     "crashes": ("raise RuntimeError('no more memory')", "RuntimeError: no more memory"),
     "is killed": ("os.kill(os.getpid(), 11)", "SIGSEGV"),
     "answers NaN": ("pose[2][0] = float('nan')", "not finite"),
@@ -92,12 +92,12 @@ def many(engine: OtherEngine, limit: float | None = None, threads: int = 2) -> E
 @pytest.mark.parametrize("fault", BAD)
 def test_a_bad_answer_is_one_failed_rollout_with_its_reason(fault: str, tmp_path: Path) -> None:
     misbehave, expected = BAD[fault]
-    ensemble = many(program(tmp_path, misbehave), limit=0.5 if fault == "hangs" else 20.0)
+    ensemble = many(program(tmp_path, misbehave), limit=2.0 if fault == "hangs" else 60.0)
     friction = np.array([0.1, 0.2, 0.5, 0.3, 0.4, 0.6])
     begin = time.monotonic()
     outcome = ensemble.simulate(np.zeros(6, np.int64), {"mu_pusher": friction})
     ensemble.close()
-    assert time.monotonic() - begin < 15.0  # an end is noticed before the limit of 20 s
+    assert time.monotonic() - begin < 45.0  # an end is noticed before the limit of 60 s
     assert outcome.status[2] == codes.ENGINE_FAILED
     assert expected in outcome.reasons[2]
     assert outcome.reasons[2].startswith("toy: ")
@@ -312,5 +312,5 @@ def test_a_time_limit_follows_the_times_of_a_case(tmp_path: Path) -> None:
     ensemble = many(program(tmp_path))
     begin = time.monotonic()
     ensemble.simulate(np.zeros(4, np.int64), {})
-    assert time.monotonic() - begin < 30.0
+    assert time.monotonic() - begin < 60.0
     assert Parameters({"toy.grip": 0.5})["toy.grip"] == 0.5

@@ -231,7 +231,7 @@ class Hangs(FrameSource):
 
     def frames(self):
         yield CameraPicture(0.0, pixels=np.zeros((360, 640, 3), np.uint8))
-        self.closed.wait(20.0)
+        self.closed.wait(120.0)
 
     def close(self):
         self.closed.set()
@@ -242,7 +242,7 @@ def test_a_camera_that_hangs_ends_the_pictures(monkeypatch):
     source, told = Hangs(), []
     begun = time.monotonic()
     assert len(list(frames_of(source, True, told.append))) == 1
-    assert time.monotonic() - begun < 10.0
+    assert time.monotonic() - begun < 60.0
     assert told == ["the camera has sent nothing for 0.3 s"]
     assert source.closed.is_set()
 

@@ -27,7 +27,9 @@ let timer = 0;
 export async function renew(address = location.href) {
   newest += 1;
   const mine = newest;
-  const answer = await fetch(address, { redirect: "error", headers: { "X-Fixel-Parts": "only" } });
+  clearTimeout(timer); // a renewal by the clock would overtake one for another address
+  const answer = await fetch(address, { redirect: "error", headers: { "X-Fixel-Parts": "only" } })
+    .finally(() => mine === newest && wait());
   const text = await answer.text();
   if (mine !== newest) return; // something else is wanted meanwhile
   if (!text.includes(" data-part")) throw new Error(`The server answered with status ${answer.status}.`);
