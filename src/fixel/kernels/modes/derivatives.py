@@ -15,9 +15,8 @@ from fixel.kernels.allocate import allocate
 from fixel.kernels.arrays import Batch, Model, Problem, StepMethod, Workspace
 from fixel.kernels.batch import BODY, select
 from fixel.kernels.jit import allocating_kernel, entry, kernel, large_kernel
-from fixel.kernels.linear import solve_dense
 from fixel.kernels.modes import geometry, walk
-from fixel.kernels.modes.equation import assemble, solve_mode, write_rows
+from fixel.kernels.modes.equation import assemble, newton_step, solve_mode, write_rows
 from fixel.kernels.modes.geometry import ContactMode
 from fixel.kernels.modes.walk import Tape
 from fixel.typing import FloatArray, IntArray
@@ -46,7 +45,6 @@ class Flow(NamedTuple):
     velocity: FloatArray  # (n_state, 3)
     slope: FloatArray  # (n_state, 3, 3 + n_parameter) derivative of the velocity
     change: FloatArray  # (n_state, 9) differences of the velocity and of the residual
-    matrix: FloatArray  # (6, 6) derivative of the residual by the unknowns at one state
     event: FloatArray  # (n_mode, 4) state at the end of a mode
     rate: FloatArray  # (n_mode,) by the time, of the margin that ends it
     slant: FloatArray  # (n_mode, 3 + n_parameter) its derivative
@@ -80,9 +78,9 @@ def _load_step(mode: ContactMode, row: FloatArray, q: FloatArray) -> None:
 @large_kernel
 def _evaluate(model: Model, mode: ContactMode, q: FloatArray) -> None:
     """Write velocity and residual of the present unknowns at a state."""
-    geometry.place_mode(model, mode, q)
+    geometry.place_mode(mode, q)
     write_rows(model, mode)
-    assemble(model, mode, mode.size[geometry.ROWS], False)
+    assemble(model, mode, mode.size[geometry.ROWS])
 
 
 @kernel
@@ -119,19 +117,17 @@ def _linearise_state(model: Model, mode: ContactMode, flow: Flow, k: int) -> boo
     for i in range(3):
         flow.velocity[k, i] = mode.velocity[i]
     flow.pole[k] = mode.size[geometry.POLE]
-    assemble(model, mode, n - 3, True)
+    assemble(model, mode, n - 3)
     for i in range(n):
         for j in range(n):
-            flow.matrix[i, j] = mode.matrix[i, j]
-    for way in range(3):
-        for i in range(n):
-            mode.vector[i] = mode.ways[way, i] if i < 3 else 0.0
-            for j in range(n):
-                mode.matrix[i, j] = flow.matrix[j, i]
-        if not solve_dense(mode.matrix, mode.vector, n):
+            mode.vector[j] = 1.0 if i == j else 0.0
+        if not newton_step(mode, n - 3):
             return False
-        for i in range(n):
-            flow.gain[k, way, i] = mode.vector[i]
+        for way in range(3):
+            total = 0.0
+            for j in range(3):
+                total += mode.ways[way, j] * mode.vector[j]
+            flow.gain[k, way, i] = total
     for column in range(3):
         middle = q[column]
         q[column] = middle + NUDGE
@@ -151,8 +147,8 @@ def _margin(
 ) -> float:
     """Margin of the mode at a state; NaN where the mode cannot be solved."""
     if which == geometry.OPEN:
-        geometry.place_mode(model, mode, q)
-        return geometry.open_gap(model, mode, work, problem, 1.0)
+        geometry.place_mode(mode, q)
+        return float(geometry.open_gap(geometry.pieces_of(model, mode, work, problem)))
     if not solve_mode(model, mode, q):
         return np.nan
     return float(mode.margin[which])
@@ -431,7 +427,6 @@ def _differentiate(
         velocity=np.zeros((n_state, 3)),
         slope=np.zeros((n_state, 3, wide)),
         change=np.zeros((n_state, 9)),
-        matrix=np.zeros((6, 6)),
         event=np.zeros((n_mode, 4)),
         rate=np.zeros(n_mode),
         slant=np.zeros((n_mode, wide)),

@@ -36,12 +36,14 @@ from fixel.typing import FloatArray
 NEWTON_STEPS = 25
 SOLVED = 1e-12
 ENOUGH = 1e-10
+CLOSED = 0.0  # gap that is no drift
 TURN = 0.6  # [rad] of the pole's direction in one step of Newton, at most
 FASTEST = 1e6
+CAUTIOUS = 1e4  # residual over the square of the one before, at most, before it is known
 SLOW = 1e-9  # slip of a support point below which its direction is not resolved
 
 
-@large_kernel
+@kernel
 def write_rows(model: Model, mode: ContactMode) -> int:
     """Write the rows of the contacts and of the pivot at the frames of the mode; returns their
     number, or -1 for too many."""
@@ -124,44 +126,21 @@ def lever(model: Model, mode: ContactMode, e: int) -> tuple[float, float]:
 
 
 @kernel
-def _add_friction(
-    model: Model,
-    mode: ContactMode,
-    e: int,
-    velocity: FloatArray,
-    total: FloatArray,
-    matrix: FloatArray,
-    ways: FloatArray,
-    sloped: bool,
-) -> None:
-    """Add the resistance of a sliding element to `total`; with `sloped`, its derivative along the
-    three columns of `ways` to `matrix`."""
+def _slide(
+    model: Model, mode: ContactMode, e: int
+) -> tuple[float, float, float, float, float, float, float]:
+    """Wrench of a sliding element at the velocity of the mode, for a friction limit of one, its
+    lever, its arm about its own axis, and one over its speed."""
+    velocity = mode.velocity
     rx, ry = lever(model, mode, e)
     arm = model.element_ratio[e] if model.element_kind[e] == codes.ELLIPSOID else 0.0
     ux = velocity[0] - velocity[2] * ry
     uy = velocity[1] + velocity[2] * rx
     uz = arm * velocity[2]
-    speed = max(math.sqrt(ux * ux + uy * uy + uz * uz), SLOW)
-    ex = ux / speed
-    ey = uy / speed
-    ez = uz / speed
-    w = mode.weight[e]
-    total[0] += w * ex
-    total[1] += w * ey
-    total[2] += w * (rx * ey - ry * ex + arm * ez)
-    if not sloped:
-        return
-    for j in range(3):
-        dx = ways[0, j] - ways[2, j] * ry
-        dy = ways[1, j] + ways[2, j] * rx
-        dz = arm * ways[2, j]
-        along = ex * dx + ey * dy + ez * dz
-        dx = w * (dx - along * ex) / speed
-        dy = w * (dy - along * ey) / speed
-        dz = w * (dz - along * ez) / speed
-        matrix[0, j] += dx
-        matrix[1, j] += dy
-        matrix[2, j] += rx * dy - ry * dx + arm * dz
+    slow = 1.0 / max(math.sqrt(ux * ux + uy * uy + uz * uz), SLOW)
+    ex = ux * slow
+    ey = uy * slow
+    return ex, ey, rx * ey - ry * ex + arm * uz * slow, rx, ry, arm, slow
 
 
 @large_kernel
@@ -189,88 +168,196 @@ def seed(model: Model, mode: ContactMode, velocity: FloatArray) -> None:
     mode.unknown[2] = velocity[2]
 
 
-@large_kernel
-def assemble(model: Model, mode: ContactMode, n: int, sloped: bool) -> None:
-    """Write the velocity of the unknowns and the residuals of the balance of wrenches and of `n`
-    rows; with `sloped`, their derivatives too."""
+@kernel
+def write_velocity(model: Model, mode: ContactMode) -> tuple[float, float, float, float]:
+    """Write the velocity of the unknowns; returns direction and lever of the pole."""
+    y = mode.unknown
+    velocity = mode.velocity
+    velocity[2] = y[2]
+    if mode.size[POLE] < 0:
+        velocity[0] = y[0]
+        velocity[1] = y[1]
+        return 1.0, 0.0, 0.0, 0.0
+    rx, ry = lever(model, mode, mode.size[POLE])
+    c = math.cos(y[1])
+    s = math.sin(y[1])
+    velocity[0] = y[0] * c + y[2] * ry
+    velocity[1] = y[0] * s - y[2] * rx
+    return c, s, rx, ry
+
+
+@kernel
+def assemble(model: Model, mode: ContactMode, n: int) -> None:
+    """Write the velocity of the unknowns, the residuals of the balance of wrenches and of `n` rows,
+    and their derivatives by the first three unknowns."""
     y = mode.unknown
     matrix = mode.matrix
     vector = mode.vector
-    velocity = mode.velocity
     ways = mode.ways
     pole = mode.size[POLE]
-    for i in range(3 + n):
-        vector[i] = 0.0
-        for j in range(3 + n):
-            matrix[i, j] = 0.0
-    for i in range(3):
-        for j in range(3):
-            ways[i, j] = 1.0 if i == j else 0.0
-        velocity[i] = y[i]
-    if pole >= 0:
-        rx, ry = lever(model, mode, pole)
-        c = math.cos(y[1])
-        s = math.sin(y[1])
-        velocity[0] = y[0] * c + y[2] * ry
-        velocity[1] = y[0] * s - y[2] * rx
-        ways[0, 0] = c
-        ways[1, 0] = s
-        ways[0, 1] = -y[0] * s
-        ways[1, 1] = y[0] * c
-        ways[0, 2] = ry
-        ways[1, 2] = -rx
-        w = mode.weight[pole]
-        vector[0] = w * c
-        vector[1] = w * s
-        vector[2] = w * (rx * s - ry * c)
-        matrix[0, 1] = -w * s
-        matrix[1, 1] = w * c
-        matrix[2, 1] = w * (rx * c + ry * s)
+    c, s, px, py = write_velocity(model, mode)
+    v0 = v1 = v2 = 0.0
+    a00 = a01 = a02 = a11 = a12 = a22 = 0.0
     for e in range(model.element_body.size):
-        if e != pole and e != mode.size[PIVOT]:
-            _add_friction(model, mode, e, velocity, vector, matrix, ways, sloped)
+        if e == pole or e == mode.size[PIVOT]:
+            continue
+        ex, ey, ez, rx, ry, arm, slow = _slide(model, mode, e)
+        w = mode.weight[e]
+        v0 += w * ex
+        v1 += w * ey
+        v2 += w * ez
+        w *= slow
+        a00 += w * (1.0 - ex * ex)
+        a01 -= w * ex * ey
+        a02 -= w * (ry + ex * ez)
+        a11 += w * (1.0 - ey * ey)
+        a12 += w * (rx - ey * ez)
+        a22 += w * (rx * rx + ry * ry + arm * arm - ez * ez)
+    ways[0, 0] = c
+    ways[1, 0] = s
+    ways[2, 0] = 0.0
+    ways[0, 1] = -y[0] * s if pole >= 0 else 0.0
+    ways[1, 1] = y[0] * c if pole >= 0 else 1.0
+    ways[2, 1] = 0.0
+    ways[0, 2] = py
+    ways[1, 2] = -px
+    ways[2, 2] = 1.0
+    for j in range(3):
+        matrix[0, j] = a00 * ways[0, j] + a01 * ways[1, j] + a02 * ways[2, j]
+        matrix[1, j] = a01 * ways[0, j] + a11 * ways[1, j] + a12 * ways[2, j]
+        matrix[2, j] = a02 * ways[0, j] + a12 * ways[1, j] + a22 * ways[2, j]
+    if pole >= 0:
+        w = mode.weight[pole]
+        v0 += w * c
+        v1 += w * s
+        v2 += w * (px * s - py * c)
+        matrix[0, 1] -= w * s
+        matrix[1, 1] += w * c
+        matrix[2, 1] += w * (px * c + py * s)
+    velocity = mode.velocity
     for k in range(n):
-        for i in range(3):
-            vector[i] -= mode.pull[k, i] * y[3 + k]
-            matrix[i, 3 + k] = -mode.pull[k, i]
-        vector[3 + k] = -mode.right[k]
-        for i in range(3):
-            vector[3 + k] += mode.row[k, i] * velocity[i]
-            matrix[3 + k, i] = (
-                mode.row[k, 0] * ways[0, i]
-                + mode.row[k, 1] * ways[1, i]
-                + mode.row[k, 2] * ways[2, i]
-            )
+        v0 -= mode.pull[k, 0] * y[3 + k]
+        v1 -= mode.pull[k, 1] * y[3 + k]
+        v2 -= mode.pull[k, 2] * y[3 + k]
+        r0 = mode.row[k, 0]
+        r1 = mode.row[k, 1]
+        r2 = mode.row[k, 2]
+        vector[3 + k] = r0 * velocity[0] + r1 * velocity[1] + r2 * velocity[2] - mode.right[k]
+        for j in range(3):
+            matrix[3 + k, j] = r0 * ways[0, j] + r1 * ways[1, j] + r2 * ways[2, j]
+    vector[0] = v0
+    vector[1] = v1
+    vector[2] = v2
 
 
-@large_kernel
+@kernel
+def _write_cross(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
+    out[0] = a[1] * b[2] - a[2] * b[1]
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]
+
+
+@kernel
+def _write_dual(rows: FloatArray, dual: FloatArray) -> bool:
+    """Write the vectors of which each makes 1 with its row and 0 with the others; False where the
+    rows depend on each other."""
+    _write_cross(rows[1], rows[2], dual[0])
+    _write_cross(rows[2], rows[0], dual[1])
+    _write_cross(rows[0], rows[1], dual[2])
+    volume = rows[0, 0] * dual[0, 0] + rows[0, 1] * dual[0, 1] + rows[0, 2] * dual[0, 2]
+    if not abs(volume) > 0.0:
+        return False
+    for k in range(3):
+        for i in range(3):
+            dual[k, i] /= volume
+    return True
+
+
+@kernel
+def newton_step(mode: ContactMode, n: int) -> bool:
+    """Replace the residuals by the changes of the unknowns that make them; False where there are
+    none.
+
+    The balance along directions in which no contact force acts, and the rows, are three equations
+    for the velocity. The forces follow from the balance.
+    """
+    vector = mode.vector
+    matrix = mode.matrix
+    pull = mode.pull
+    solve = mode.solve
+    dual = mode.dual
+    right = mode.change
+    if n == 1:
+        pull[1, 0] = -pull[0, 1]
+        pull[1, 1] = pull[0, 0]
+        pull[1, 2] = 0.0
+    if n < 3:
+        _write_cross(pull[0], pull[1], pull[2])
+    for k in range(3):
+        if k < n:
+            for j in range(3):
+                solve[k, j] = matrix[3 + k, j]
+            right[k] = vector[3 + k]
+        else:
+            x = pull[k, 0]
+            y = pull[k, 1]
+            z = pull[k, 2]
+            for j in range(3):
+                solve[k, j] = x * matrix[0, j] + y * matrix[1, j] + z * matrix[2, j]
+            right[k] = x * vector[0] + y * vector[1] + z * vector[2]
+    if not _write_dual(solve, dual):
+        return False
+    for i in range(3):
+        right[3 + i] = -vector[i]
+    for j in range(3):
+        vector[j] = right[0] * dual[0, j] + right[1] * dual[1, j] + right[2] * dual[2, j]
+        for i in range(3):
+            right[3 + i] += matrix[i, j] * vector[j]
+    if not _write_dual(pull, dual):
+        return False
+    for k in range(n):
+        vector[3 + k] = 0.0
+        for i in range(3):
+            vector[3 + k] += dual[k, i] * right[3 + i]
+    return True
+
+
+@kernel
 def _solve_sliding(model: Model, mode: ContactMode, n: int) -> bool:
     """Newton's method for a part that slides on all its supports with one or two rows."""
     y = mode.unknown
     vector = mode.vector
     polar = mode.size[POLE] >= 0
-    worst = math.inf
+    worst = 1.0
+    rate = CAUTIOUS
     for _ in range(NEWTON_STEPS):
-        assemble(model, mode, n, True)
+        last = worst
+        assemble(model, mode, n)
         worst = 0.0
         for i in range(3 + n):
             worst = max(worst, abs(vector[i]))
         if worst < SOLVED:
             break
-        if not solve_dense(mode.matrix, vector, 3 + n):
+        if not newton_step(mode, n):
             return False
         part = TURN / abs(vector[1]) if polar and abs(vector[1]) > TURN else 1.0
         for i in range(3 + n):
             y[i] -= part * vector[i]
         if not abs(y[0]) < FASTEST:
             return False
+        # It converges as the square: the next residual is known well enough not to be computed.
+        rate = max(1.0, min(rate, worst / (last * last)))
+        if rate * worst * worst < 1e-2 * SOLVED:
+            write_velocity(model, mode)
+            worst = SOLVED
+            break
     for k in range(n):
         mode.force[k] = y[3 + k]
     mode.margin[SUPPORT] = y[0] if polar else math.inf
     return worst < ENOUGH
 
 
-@large_kernel
+@kernel
 def _solve_moved(model: Model, mode: ContactMode) -> bool:
     """Solve a mode whose three rows prescribe the velocity; their forces follow."""
     matrix = mode.matrix
@@ -290,7 +377,11 @@ def _solve_moved(model: Model, mode: ContactMode) -> bool:
         return False
     for e in range(model.element_body.size):
         if e != mode.size[PIVOT]:
-            _add_friction(model, mode, e, mode.velocity, vector, matrix, mode.ways, False)
+            ex, ey, ez, _, _, _, _ = _slide(model, mode, e)
+            w = mode.weight[e]
+            vector[0] += w * ex
+            vector[1] += w * ey
+            vector[2] += w * ez
     for k in range(3):
         for i in range(3):
             matrix[i, k] = mode.pull[k, i]
@@ -314,7 +405,7 @@ def solve_mode(model: Model, mode: ContactMode, q: FloatArray) -> bool:
     Forces are in units of the whole support friction. Returns False where Newton's method does not
     arrive.
     """
-    place_mode(model, mode, q)
+    place_mode(mode, q)
     n = write_rows(model, mode)
     if n < 1 or n > 3 or (mode.size[PIVOT] >= 0 and n != 3):
         return False
@@ -362,18 +453,19 @@ def solve_mode(model: Model, mode: ContactMode, q: FloatArray) -> bool:
 
 
 @large_kernel
-def project(model: Model, mode: ContactMode, q: FloatArray) -> None:
-    """Take back the drift of closed gaps and flush angles, by the least change of the pose.
+def project(mode: ContactMode, q: FloatArray) -> bool:
+    """Take back the drift of closed gaps and flush angles, by the least change of the pose; False
+    where there is none.
 
     The rows must be those of the pose `q`.
     """
     count = 0
     for k in range(mode.size[ROWS]):
-        if mode.gap[k] != 0.0:
+        if abs(mode.gap[k]) > CLOSED:
             mode.drifted[count] = k
             count += 1
     if count == 0 or count > 3:
-        return
+        return False
     matrix = mode.matrix
     right = mode.force
     for a in range(count):
@@ -383,7 +475,8 @@ def project(model: Model, mode: ContactMode, q: FloatArray) -> None:
             other = mode.row[mode.drifted[b]]
             matrix[a, b] = row[0] * other[0] + row[1] * other[1] + row[2] * other[2]
     if not solve_dense(matrix, right, count):
-        return
+        return False
     for a in range(count):
         for i in range(3):
             q[i] -= right[a] * mode.row[mode.drifted[a], i]
+    return True

@@ -58,7 +58,8 @@ class ContactMode(NamedTuple):
     contact: IntArray  # (MOST, 6)
     size: IntArray  # (4,)
     frame: FloatArray  # (n_body, 4) cosine and sine of the angle, x and y
-    motion: FloatArray  # (3,) velocity of the pusher
+    origin: FloatArray  # (4,) pose of the pusher at a time of its clock, and that time
+    motion: FloatArray  # (3,) its velocity from there on
     weight: FloatArray  # (n_element,) share of the friction limit
     row: FloatArray  # (6, 3) of the relative velocities that vanish
     right: FloatArray  # (6,)
@@ -74,8 +75,12 @@ class ContactMode(NamedTuple):
     margin: FloatArray  # (N_MARGIN,)
     matrix: FloatArray  # (6, 6)
     vector: FloatArray  # (6,)
+    solve: FloatArray  # (3, 3)
+    dual: FloatArray  # (3, 3)
+    change: FloatArray  # (6,)
     ways: FloatArray  # (3, 3) derivatives of the velocity by the unknowns
     saved: FloatArray  # (9,) unknowns at the start of a step
+    before: FloatArray  # (9,) unknowns of the stage before
     floor: FloatArray  # (N_MARGIN,) by which margins may be negative
     slope: FloatArray  # (7, 3) of the stages of a step
     point: FloatArray  # (3, 4) states: end of a step, stage, inside
@@ -89,6 +94,7 @@ def empty_mode(model: Model) -> ContactMode:
         contact=np.zeros((MOST, 6), np.int64),
         size=np.zeros(4, np.int64),
         frame=np.zeros((model.friction.shape[0], 4)),
+        origin=np.zeros(4),
         motion=np.zeros(3),
         weight=np.zeros(model.element_body.size),
         row=np.zeros((6, 3)),
@@ -105,8 +111,12 @@ def empty_mode(model: Model) -> ContactMode:
         margin=np.zeros(N_MARGIN),
         matrix=np.zeros((6, 6)),
         vector=np.zeros(6),
+        solve=np.zeros((3, 3)),
+        dual=np.zeros((3, 3)),
+        change=np.zeros(6),
         ways=np.zeros((3, 3)),
         saved=np.zeros(9),
+        before=np.zeros(9),
         floor=np.zeros(N_MARGIN),
         slope=np.zeros((7, 3)),
         point=np.zeros((3, 4)),
@@ -115,11 +125,16 @@ def empty_mode(model: Model) -> ContactMode:
 
 
 @kernel
-def place_mode(model: Model, mode: ContactMode, q: FloatArray) -> None:
+def place_mode(mode: ContactMode, q: FloatArray) -> None:
     """Write the frames of the part and the pusher at a state (x, y, theta, clock)."""
     set_frame(mode, 0, q[0], q[1], q[2])
-    x, y, a = path_pose(model.path_start, model.path, 0, q[3])
-    set_frame(mode, 1, x, y, a)
+    origin = mode.origin
+    span = q[3] - origin[3]
+    frame = mode.frame[1]
+    if mode.motion[2] != 0.0:
+        set_frame(mode, 1, 0.0, 0.0, origin[2] + span * mode.motion[2])
+    frame[2] = origin[0] + span * mode.motion[0]
+    frame[3] = origin[1] + span * mode.motion[1]
 
 
 @large_kernel
@@ -158,6 +173,11 @@ def set_motion(model: Model, mode: ContactMode, clock: float) -> None:
     span = until - clock
     x0, y0, a0 = path_pose(model.path_start, model.path, 0, clock)
     x1, y1, a1 = path_pose(model.path_start, model.path, 0, until)
+    set_frame(mode, 1, x0, y0, a0)
+    mode.origin[0] = x0
+    mode.origin[1] = y0
+    mode.origin[2] = a0
+    mode.origin[3] = clock
     motion = mode.motion
     motion[0] = (x1 - x0) / span
     motion[1] = (y1 - y0) / span
@@ -218,7 +238,7 @@ def _lean(
     return (dx * nx + dy * ny) / math.sqrt(dx * dx + dy * dy)
 
 
-@large_kernel
+@kernel
 def place_contact(
     model: Model, mode: ContactMode, c: int
 ) -> tuple[float, float, float, float, float, float]:
@@ -294,58 +314,91 @@ def place_contact(
     return ey, -ex, ox, oy, 0.5 * (y1 + y2), math.atan2(y2 - y1, x1 - x2)
 
 
+class Pieces(NamedTuple):
+    """Arrays that gaps are computed from: a call copies every array that it is given."""
+
+    body: IntArray
+    bound: FloatArray
+    start: IntArray
+    radius: FloatArray
+    real: IntArray
+    vertex: FloatArray
+    world: FloatArray
+    place: FloatArray
+    key: IntArray
+    frame: FloatArray
+    contact: IntArray
+    size: IntArray
+
+
+@kernel
+def pieces_of(model: Model, mode: ContactMode, work: Workspace, problem: Problem) -> Pieces:
+    """Collect the arrays of `open_gap`."""
+    return Pieces(
+        model.piece_body,
+        model.piece_bound,
+        model.piece_start,
+        model.piece_radius,
+        model.edge_real,
+        model.vertex,
+        work.world,
+        problem.contact_place,
+        problem.contact_key,
+        mode.frame,
+        mode.contact,
+        mode.size,
+    )
+
+
+@kernel
+def _place_piece(pieces: Pieces, piece: int) -> None:
+    f = pieces.frame[pieces.body[piece]]
+    for i in range(pieces.start[piece], pieces.start[piece + 1]):
+        x = pieces.vertex[i, 0]
+        y = pieces.vertex[i, 1]
+        pieces.world[i, 0] = f[2] + f[0] * x - f[1] * y
+        pieces.world[i, 1] = f[3] + f[1] * x + f[0] * y
+
+
 @large_kernel
-def open_gap(
-    model: Model, mode: ContactMode, work: Workspace, problem: Problem, far: float
-) -> float:
-    """Smallest gap of the pairs that are not in contact in the mode, at the frames of the mode; at
-    most `far`."""
-    smallest = far
-    n_piece = model.piece_body.size
-    frame = mode.frame
+def open_gap(pieces: Pieces) -> float:
+    """Smallest gap of the pairs that are not in contact in the mode, at its frames; at most 1."""
+    smallest = 1.0
+    bound = pieces.bound
+    n_piece = pieces.body.size
     for one in range(n_piece):
-        if model.piece_body[one] != 0:
+        if pieces.body[one] != 0:
             break
-        work.is_placed[one] = 0
-        f = frame[0]
-        bx = model.piece_bound[one, 0]
-        by = model.piece_bound[one, 1]
-        cx = f[2] + f[0] * bx - f[1] * by
-        cy = f[3] + f[1] * bx + f[0] * by
+        placed = False
+        f = pieces.frame[0]
+        cx = f[2] + f[0] * bound[one, 0] - f[1] * bound[one, 1]
+        cy = f[3] + f[1] * bound[one, 0] + f[0] * bound[one, 1]
         for two in range(one + 1, n_piece):
-            body = model.piece_body[two]
-            if body == 0:
+            if pieces.body[two] == 0:
                 continue
-            g = frame[body]
-            bx = model.piece_bound[two, 0]
-            by = model.piece_bound[two, 1]
-            dx = g[2] + g[0] * bx - g[1] * by - cx
-            dy = g[3] + g[1] * bx + g[0] * by - cy
-            reach = model.piece_bound[one, 2] + model.piece_bound[two, 2] + smallest
+            g = pieces.frame[pieces.body[two]]
+            dx = g[2] + g[0] * bound[two, 0] - g[1] * bound[two, 1] - cx
+            dy = g[3] + g[1] * bound[two, 0] + g[0] * bound[two, 1] - cy
+            reach = bound[one, 2] + bound[two, 2] + smallest
             if reach <= 0.0 or dx * dx + dy * dy >= reach * reach:
                 continue
             closed = False
-            for c in range(mode.size[N_CLOSED]):
-                if mode.contact[c, FIRST] == one and mode.contact[c, SECOND] == two:
+            for c in range(pieces.size[N_CLOSED]):
+                if pieces.contact[c, FIRST] == one and pieces.contact[c, SECOND] == two:
                     closed = True
             if closed:
                 continue
-            for piece in (one, two):
-                if piece == one and work.is_placed[one] == 1:
-                    continue
-                h = mode.frame[model.piece_body[piece]]
-                for i in range(model.piece_start[piece], model.piece_start[piece + 1]):
-                    vx = model.vertex[i, 0]
-                    vy = model.vertex[i, 1]
-                    work.world[i, 0] = h[2] + h[0] * vx - h[1] * vy
-                    work.world[i, 1] = h[3] + h[1] * vx + h[0] * vy
-            work.is_placed[one] = 1
+            if not placed:
+                _place_piece(pieces, one)
+                placed = True
+            _place_piece(pieces, two)
+            start = pieces.start
             found = contact_pair(
-                work.world, model.edge_real,
-                model.piece_start[one], model.piece_start[one + 1], model.piece_radius[one],
-                model.piece_start[two], model.piece_start[two + 1], model.piece_radius[two],
-                smallest, problem.contact_place, problem.contact_key, 0,
+                pieces.world, pieces.real,
+                start[one], start[one + 1], pieces.radius[one],
+                start[two], start[two + 1], pieces.radius[two],
+                smallest, pieces.place, pieces.key, 0,
             )  # fmt: skip
             for k in range(found):
-                smallest = min(smallest, problem.contact_place[k, GAP])
+                smallest = min(smallest, pieces.place[k, GAP])
     return smallest

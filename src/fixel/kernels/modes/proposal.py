@@ -19,7 +19,7 @@ from fixel.kernels.arrays import (
 )
 from fixel.kernels.gap import FEATURES, FIRST_VERTEX, VERTEX_VERTEX
 from fixel.kernels.jit import kernel, large_kernel, spliced_kernel
-from fixel.kernels.modes.equation import project, seed, solve_mode
+from fixel.kernels.modes.equation import project, seed, solve_mode, write_rows
 from fixel.kernels.modes.geometry import (
     EDGE,
     FIRST,
@@ -44,6 +44,7 @@ from fixel.kernels.modes.geometry import (
     ContactMode,
     after,
     is_disk,
+    place_mode,
     set_frame,
     vertex_at,
 )
@@ -278,9 +279,10 @@ def read_mode(
 @large_kernel
 def settle(model: Model, mode: ContactMode, q: FloatArray) -> bool:
     """Solve the mode at a state, after taking back the drift of its closed gaps."""
-    if not solve_mode(model, mode, q):
+    place_mode(mode, q)
+    if write_rows(model, mode) < 0:
         return False
-    project(model, mode, q)
+    project(mode, q)
     return solve_mode(model, mode, q)
 
 

@@ -23,7 +23,7 @@ from fixel.kernels.arrays import (
 )
 from fixel.kernels.batch import BODY, select
 from fixel.kernels.jit import entry, kernel, large_kernel, spliced_kernel
-from fixel.kernels.modes.equation import seed, solve_mode
+from fixel.kernels.modes.equation import project, seed, solve_mode
 from fixel.kernels.modes.geometry import (
     CLOCK_END,
     DRIVE,
@@ -40,9 +40,11 @@ from fixel.kernels.modes.geometry import (
     SPEED,
     STEP_LENGTH,
     ContactMode,
+    Pieces,
     empty_mode,
     measure,
     open_gap,
+    pieces_of,
     place_mode,
     set_motion,
 )
@@ -68,7 +70,8 @@ CHATTER = 3  # too many modes
 FOLD = 4  # a mode ended where none of its margins did
 
 AHEAD = 1e-6  # how far ahead the next mode is looked for
-SECOND_LOOK = 1e-4  # and once more
+AFTER_FOLD = 1e-4
+FARTHEST = 1e-3  # where none holds nearer
 ACCURACY = 1e-7  # of a step
 LONGEST = 0.3
 SHORTEST = 1e-8
@@ -78,7 +81,7 @@ MOST_MODES = 400
 MOST_FOLDS = 4
 INSIDE = 8  # states inside a step that are looked at where something may happen
 FIRST_WAIT = 1e-5  # of the clock, where a gap is too narrow for its width to matter
-LAST_WAIT = 1e-3
+LAST_WAIT = 4e-3
 NARROW = 1e-6
 FIRST_STEP = 0.05
 # Entries of the counts.
@@ -142,6 +145,7 @@ _A = np.array(
     ]
 )
 _C = np.array([1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0])
+_R = np.array([0.0, 1 / 2, 5.0, 8 / 45, 5 / 4, 0.0])  # spans of `_C`, each over the one before
 _E = np.array(
     [
         71 / 57600,
@@ -179,7 +183,7 @@ def suits(model: Model) -> bool:
     return bool(w[0] == 0.0 and w[1] == 0.0 and w[2] == 0.0)
 
 
-@large_kernel
+@kernel
 def least(mode: ContactMode) -> tuple[float, int]:
     """Smallest margin above its floor, and which."""
     best = math.inf
@@ -210,7 +214,7 @@ def dense(mode: ContactMode, q: FloatArray, h: float, x: float, out: FloatArray)
     out[3] = q[3] + x * h
 
 
-@large_kernel
+@kernel
 def try_step(model: Model, mode: ContactMode, q: FloatArray, h: float) -> tuple[float, bool]:
     """Take a step of Dormand and Prince from the first slopes; returns its error, infinite where
     the mode could not be solved, and whether a margin was broken at a stage."""
@@ -218,6 +222,12 @@ def try_step(model: Model, mode: ContactMode, q: FloatArray, h: float) -> tuple[
     stage = mode.point[1]
     broken = False
     for s in range(6):
+        # Newton's method starts where the unknowns would be if they changed evenly.
+        for i in range(9):
+            now = mode.unknown[i]
+            if s > 0:
+                mode.unknown[i] += _R[s] * (now - mode.before[i])
+            mode.before[i] = now
         for i in range(3):
             change = 0.0
             for j in range(s + 1):
@@ -243,14 +253,22 @@ def try_step(model: Model, mode: ContactMode, q: FloatArray, h: float) -> tuple[
 
 @large_kernel
 def look(
-    model: Model, mode: ContactMode, q: FloatArray, work: Workspace, problem: Problem, exact: bool
+    model: Model, mode: ContactMode, q: FloatArray, pieces: Pieces, exact: bool
 ) -> tuple[float, int]:
     """Smallest margin at a state, with open gaps, and which; `exact` on the closed gaps."""
     solved = settle(model, mode, q) if exact else solve_mode(model, mode, q)
     if not solved:
         return -1.0, -1
-    mode.margin[OPEN] = open_gap(model, mode, work, problem, 1.0)
+    mode.margin[OPEN] = open_gap(pieces)
     return least(mode)
+
+
+@kernel
+def between(a: float, above: float, b: float, below: float, n: int) -> float:
+    """Place of a root between a and b, where a function is `above` and `below` zero: by false
+    position, and from the twentieth look `n` by bisection."""
+    x = (a * below - b * above) / (below - above) if n < 20 else 0.5 * (a + b)
+    return min(max(x, a + 1e-3 * (b - a)), b - 1e-3 * (b - a))
 
 
 @large_kernel
@@ -262,27 +280,27 @@ def find_end(
     a: float,
     b: float,
     low: float,
-    work: Workspace,
-    problem: Problem,
+    pieces: Pieces,
 ) -> int:
-    """Go to where the smallest margin vanishes between the parts a and b of a step, by false
-    position and bisection; returns which margin, or FOLDED."""
+    """Go to where the smallest margin vanishes between the parts a and b of a step; returns which
+    margin, or FOLDED."""
     point = mode.point[2]
     above = 1e-9
     if a > 0.0:
         dense(mode, q, h, a, point)
-        above, _ = look(model, mode, point, work, problem, False)
+        above, _ = look(model, mode, point, pieces, False)
         above = max(above, 1e-12)
     below = low
     side = 0
     narrow = ROOT / max(h, 1e-3)
+    which = -1
+    x = a
     for n in range(80):
         if b - a < narrow:
             break
-        x = (a * below - b * above) / (below - above) if n < 20 else 0.5 * (a + b)
-        x = min(max(x, a + 1e-3 * (b - a)), b - 1e-3 * (b - a))
+        x = between(a, above, b, below, n)
         dense(mode, q, h, x, point)
-        value, _ = look(model, mode, point, work, problem, True)
+        value, which = look(model, mode, point, pieces, True)
         if value < 0.0:
             b = x
             below = value
@@ -295,8 +313,9 @@ def find_end(
             above = value
             below *= 0.5 if side == 1 else 1.0
             side = 1
-    dense(mode, q, h, b, point)
-    _, which = look(model, mode, point, work, problem, True)
+    if x != b:
+        dense(mode, q, h, b, point)
+        _, which = look(model, mode, point, pieces, True)
     for i in range(4):
         q[i] = point[i]
     return which if which >= 0 else FOLDED
@@ -345,8 +364,7 @@ def follow(
     model: Model,
     mode: ContactMode,
     q: FloatArray,
-    work: Workspace,
-    problem: Problem,
+    pieces: Pieces,
     counts: IntArray,
     tape: Tape,
 ) -> int:
@@ -379,7 +397,7 @@ def follow(
         if last:
             end[3] = number[CLOCK_END]
         # At the end, and inside where a stage or the gaps make it doubtful.
-        now_open = open_gap(model, mode, work, problem, 1.0)
+        now_open = open_gap(pieces)
         mode.margin[OPEN] = now_open
         low, _ = least(mode)
         a = 0.0
@@ -393,8 +411,8 @@ def follow(
         if not doubtful and was_open + now_open < 1.2 * h * fastest:
             for n in range(1, INSIDE):
                 dense(mode, q, h, n / INSIDE, point)
-                place_mode(model, mode, point)
-                if open_gap(model, mode, work, problem, 1.0) + mode.floor[OPEN] < 0.0:
+                place_mode(mode, point)
+                if open_gap(pieces) + mode.floor[OPEN] < 0.0:
                     doubtful = True
                     break
         broken = False
@@ -402,7 +420,7 @@ def follow(
             for n in range(1, INSIDE + 1):
                 x = n / INSIDE
                 dense(mode, q, h, x, point)
-                low, _ = look(model, mode, point, work, problem, n == INSIDE)
+                low, _ = look(model, mode, point, pieces, n == INSIDE)
                 if low < 0.0:
                     broken = True
                     b = x
@@ -411,8 +429,8 @@ def follow(
         write_step(mode, q, h, counts, tape)
         counts[STEPS] += 1
         if broken:
-            number[STEP_LENGTH] = max(0.02, 0.3 * h)
-            ended = find_end(model, mode, q, h, a, b, low, work, problem)
+            number[STEP_LENGTH] = max(0.05, 0.5 * h)
+            ended = find_end(model, mode, q, h, a, b, low, pieces)
             if counts[STEPS] <= tape.step.shape[0]:
                 tape.step[counts[STEPS] - 1, PART] = (
                     q[3] - tape.step[counts[STEPS] - 1, START]
@@ -420,7 +438,11 @@ def follow(
             return ended
         for i in range(4):
             q[i] = end[i]
-        if not settle(model, mode, q):
+        # The last stage was solved there.
+        if doubtful:
+            if not settle(model, mode, q):
+                return FOLDED
+        elif project(mode, q) and not solve_mode(model, mode, q):
             return FOLDED
         mode.margin[OPEN] = now_open
         was_open = now_open
@@ -438,7 +460,7 @@ def follow(
 
 
 @large_kernel
-def wait(model: Model, mode: ContactMode, q: FloatArray, work: Workspace, problem: Problem) -> None:
+def wait(mode: ContactMode, q: FloatArray, pieces: Pieces) -> None:
     """Move the clock on while the part rests, to the first gap that closes or to its end.
 
     No gap closes in less than its width over the speed of the pusher's fastest point.
@@ -446,31 +468,48 @@ def wait(model: Model, mode: ContactMode, q: FloatArray, work: Workspace, proble
     mode.size[N_CLOSED] = 0
     number = mode.number
     slow = FIRST_WAIT
+    wide = _gap_at(mode, q, q[3], pieces)
     last = -1.0
-    while q[3] < number[CLOCK_END] - 1e-12:
-        place_mode(model, mode, q)
-        gap = open_gap(model, mode, work, problem, 1.0)
+    while q[3] < number[CLOCK_END] - 1e-12 and not wide <= TOUCH < last:
         low = q[3]
-        if gap <= TOUCH < last:
-            return
-        last = max(gap, 0.0)
+        last = max(wide, 0.0)
         step = last / number[PUSHER_SPEED]
-        if gap < NARROW:
+        if wide < NARROW:
             # It may slide along the part, or leave it.
             step = max(step, slow)
             slow = min(2.0 * slow, LAST_WAIT)
-        q[3] = min(number[CLOCK_END], low + step)
-        place_mode(model, mode, q)
-        if open_gap(model, mode, work, problem, 1.0) < -FLOOR:
-            high = q[3]
-            while high - low > 1e-13:
-                q[3] = 0.5 * (low + high)
-                place_mode(model, mode, q)
-                if open_gap(model, mode, work, problem, 1.0) < -FLOOR:
-                    high = q[3]
-                else:
-                    low = q[3]
-            return
+        wide = _gap_at(mode, q, min(number[CLOCK_END], low + step), pieces)
+        if wide >= -FLOOR:
+            continue
+        high = q[3]
+        above = last + FLOOR
+        below = wide + FLOOR
+        side = 0
+        for n in range(60):
+            if high - low < 1e-13:
+                break
+            wide = _gap_at(mode, q, between(low, above, high, below, n), pieces)
+            if abs(wide + FLOOR) < 1e-13:
+                break
+            if wide < -FLOOR:
+                high = q[3]
+                below = wide + FLOOR
+                above *= 0.5 if side == -1 else 1.0
+                side = -1
+            else:
+                low = q[3]
+                above = wide + FLOOR
+                below *= 0.5 if side == 1 else 1.0
+                side = 1
+        return
+
+
+@kernel
+def _gap_at(mode: ContactMode, q: FloatArray, clock: float, pieces: Pieces) -> float:
+    """Go to a time of the clock; returns the smallest gap there."""
+    q[3] = clock
+    place_mode(mode, q)
+    return open_gap(pieces)
 
 
 @spliced_kernel
@@ -551,6 +590,7 @@ def _follow_piece(
 ) -> int:
     """Follow the modes of one straight piece of the path; returns how it ended."""
     ahead = AHEAD
+    pieces = pieces_of(model, mode, work, problem)
     while q[3] < mode.number[CLOCK_END] - 1e-12:
         counts[MODES] += 1
         if counts[MODES] > MOST_MODES:
@@ -563,28 +603,33 @@ def _follow_piece(
             counts[SUDDEN] = 1
             return STALLED
         if kind == RESTS:
-            wait(model, mode, q, work, problem)
+            wait(mode, q, pieces)
             if q[3] < mode.number[CLOCK_END] and counts[MODES] <= tape.mode.shape[0]:
                 tape.mode[counts[MODES] - 1, EVENT] = OPEN
             ahead = AHEAD
             continue
+        held = mode.point[1]
+        for i in range(4):
+            held[i] = q[i]
         holds = kind == SLIDES and enter(model, mode, q, ahead)
         if not holds and mode.margin[DRIVE] < 0.0 and kind == SLIDES:
             return STALLED
         if not holds:
-            if ahead < SECOND_LOOK:
-                ahead = SECOND_LOOK
+            if ahead < FARTHEST:
+                ahead *= 10.0
+                for i in range(4):
+                    q[i] = held[i]
                 continue
             return NO_MODE
         ahead = AHEAD
         write_mode(mode, q, kind, counts, tape)
-        mode.margin[OPEN] = open_gap(model, mode, work, problem, 1.0)
+        mode.margin[OPEN] = open_gap(pieces)
         for c in range(N_MARGIN):
             # What begins at zero may fall a little.
             mode.floor[c] = 0.0
             if mode.margin[c] < FLOOR:
                 mode.floor[c] = FLOOR + max(0.0, -mode.margin[c])
-        ended = follow(model, mode, q, work, problem, counts, tape)
+        ended = follow(model, mode, q, pieces, counts, tape)
         if counts[MODES] <= tape.mode.shape[0]:
             tape.mode[counts[MODES] - 1, EVENT] = ended
         if ended == DRIVE:
@@ -594,7 +639,7 @@ def _follow_piece(
             counts[FOLDS] += 1
             if counts[FOLDS] > MOST_FOLDS:
                 return FOLD
-            ahead = SECOND_LOOK
+            ahead = AFTER_FOLD
         for i in range(3):
             guess[i] = mode.velocity[i]
     return COMPLETE
