@@ -30,7 +30,7 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
     "push": ("batch", "run_pushes", "free pushes with random parameters on two cores"),
     "contract": ("batch", "run_contract", "grasps through the contract of other engines"),
     "varied": ("varied", "run", "accuracy over grasps of varied layouts, shapes and poses"),
-    "seated": ("seated", "run", "random grasps that end seated, stalled or beside their pegs"),
+    "seated": ("seated", "run", "random grasps and pushes: how many are wrong, or flagged"),
     "filter": ("filter", "run", "a particle filter frame by frame on one core"),
     "filter-coverage": ("filter_coverage", "run", "intervals of 200 filter runs with known truth"),
     "filter-wrong": (
