@@ -26,7 +26,7 @@ PARALLEL   = -n $(JOBS) --dist loadfile --no-loadscope-reorder --max-worker-rest
 SCRIPTS   := build/scripts/.packages
 TSC       := build/scripts/node_modules/typescript/bin/tsc
 
-.PHONY: help demo demo-camera test test-system test-all test-slow test-cluster check lint lint-scripts format house soak bench docs wheel lock clean
+.PHONY: help demo demo-camera test test-system test-slow test-cluster check lint lint-scripts format house soak bench docs wheel lock clean
 .DELETE_ON_ERROR:
 
 help:  ## this list
@@ -49,10 +49,6 @@ test: $(READY)  ## the tests, and the check that each floor imports only from th
 
 test-system: $(READY)  ## tests of whole systems: browsers, PostgreSQL, killed processes, long examples
 	@$(BIN)/python -m pytest -m "system and not slow and not soak and not cluster" $(PARALLEL) $(PYTEST_ARGS)
-
-test-all: $(READY)  ## `make test` and `make test-system` in one run, as continuous integration does
-	@$(BIN)/lint-imports --no-logo
-	@$(BIN)/python -m pytest -m "not slow and not soak and not cluster" $(PARALLEL) $(PYTEST_ARGS)
 
 test-slow: $(READY)  ## the tests marked slow, which `make test` leaves out
 	@$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)
