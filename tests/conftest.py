@@ -17,6 +17,10 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 os.environ.setdefault("MPLBACKEND", "Agg")
+# Several processes run tests. Threads of linear algebra would wait for each other, up to ten times
+# as long as one alone computes.
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
 # Tests neither use nor change the list of trusted programs of the person who runs them.
 os.environ["XDG_CONFIG_HOME"] = tempfile.mkdtemp(prefix="fixel-settings-")
 atexit.register(shutil.rmtree, os.environ["XDG_CONFIG_HOME"], ignore_errors=True)
@@ -113,7 +117,7 @@ def full_style() -> dict[str, object]:
 
     def where_seen(engine: ConstrainedLayoutEngine, figure: object) -> None:
         test = os.environ.get("PYTEST_CURRENT_TEST", "")
-        if any(words in test for words in ("/drawing/", "figures")):
+        if any(words in test for words in ("/drawing/", "/reproductions/", "figures")):
             lay_out(engine, figure)
 
     ConstrainedLayoutEngine.execute = where_seen

@@ -16,6 +16,7 @@ def process(search):
     return search._nomad._process
 
 
+@pytest.mark.system
 def test_two_searches_do_not_disturb_each_other():
     alone = np.concatenate([points for points, _ in run(Mads().start(box(), 2), bowl, 80)])
     a, b = Mads().start(box(), 2), Mads().start(box(), 2)
@@ -80,6 +81,7 @@ def test_frame_size_ends_it():
     assert search.reason == "the frame shrank to 0.05 of the scale"
 
 
+@pytest.mark.system
 def test_runs_from_several_starts():
     several = MultiStart(optimiser=Mads(threshold=0.01), starts=2).start(box())
     run(several, bowl)

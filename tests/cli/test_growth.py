@@ -19,6 +19,7 @@ def call(folder, *arguments):
     return CliRunner().invoke(app, ["domain", "growth", "-p", str(folder), *map(str, arguments)])
 
 
+@pytest.mark.system
 def test_the_answer_for_people(folder, tmp_path):
     result = call(folder, "--threshold", "1.5mm", "--plot", tmp_path / "drawn")
     assert result.exit_code == 0, result.output
@@ -37,6 +38,7 @@ def test_the_answer_for_people(folder, tmp_path):
     assert {"growth_matrix.png", "growth_matrix.pdf", "axis_square_y.csv"} <= names
 
 
+@pytest.mark.system
 def test_the_answer_for_programs(folder):
     result = call(folder, "--json", "--index", "printed", "--sizes", "2", "--sizes", "y=3,4")
     answer = json.loads(result.stdout)

@@ -133,6 +133,7 @@ def test_readings_must_be_one_a_fixel(experiment):
         run_filter(replace(experiment, channels=(one,)), SOME)
 
 
+@pytest.mark.system
 def test_experiment_141_with_a_second_hidden(data_root):
     """Real data. The model is off there: its nominal simulation ends 15 mm from what was seen."""
     folder = data_root / "rpi_2dgad"

@@ -17,7 +17,7 @@ from fixel.simulation.geometry import PackedShapes, pack_shapes
 
 N_SHAPE = 1200
 # Plain Python is a thousand times slower than compiled code.
-N_PAIR = 300 if numba.config.DISABLE_JIT else 20_000
+N_PAIR = 300 if numba.config.DISABLE_JIT else 8_000
 PROMISE = 1e-9
 
 

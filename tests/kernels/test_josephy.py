@@ -11,6 +11,7 @@ from fixel.kernels.arrays import Problem, Workspace
 from fixel.kernels.josephy import MAX_CONTACTS, josephy
 from fixel.kernels.newton import newton
 
+pytestmark = pytest.mark.system  # these compile for long
 TOLERANCE = 1e-9  # the judge's
 STIFF_DRIVE = 90.0  # largest impulse of the drive, a hundred times what sliding takes
 

@@ -51,12 +51,14 @@ def residual_along(problem, work, sigma, tresca, place):
 polygon = njit(lambda x, y, limit, sides: nearest_in_polygon(x, y, limit, sides))
 
 
+@pytest.mark.system
 def test_sweeps_settle_on_the_answer():
     problem, work = step_problem((-1.0, -2.0, 0.5), WALLS, limit=0.25)
     assert swept(problem, work, 1000) <= 1e-14
     assert entries.judge(problem, work.right) <= TOLERANCE
 
 
+@pytest.mark.system
 def test_sweeps_of_a_body_without_inertia():
     problem, work = step_problem((-0.6, -2.0, 0.0), WALLS, limit=2.0)
     problem.inertia[:] = 0.0
@@ -65,12 +67,14 @@ def test_sweeps_of_a_body_without_inertia():
     assert entries.judge(problem, work.right) <= TOLERANCE
 
 
+@pytest.mark.system
 def test_proximal_steps_arrive_as_well():
     problem, work = step_problem((-1.0, -2.0, 0.5), WALLS, limit=0.25)
     proximal(problem, work, 30)
     assert entries.judge(problem, work.right) <= 1e-6
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("height", [1e-7, 1e-5, 1e-3])
 def test_contacts_that_only_one_of_can_hold(height):
     """Two floors at nearly the same height share the weight at first; the higher one bears it."""
@@ -82,6 +86,7 @@ def test_contacts_that_only_one_of_can_hold(height):
     assert problem.velocity[:3] == pytest.approx([0.0, height, 0.5], abs=1e-12)
 
 
+@pytest.mark.system
 def test_line_of_bodies_by_stiffening_and_by_sweeps():
     softly, work = many_bodies(4, coupled=True)
     assert stiffened(softly, work) <= 1e-12
@@ -90,6 +95,7 @@ def test_line_of_bodies_by_stiffening_and_by_sweeps():
     assert softly.velocity == pytest.approx(plainly.velocity, abs=1e-9)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("tresca", [False, True])
 @pytest.mark.parametrize("sides", [0, 6])
 def test_line_searches_see_the_balance(sides, tresca):

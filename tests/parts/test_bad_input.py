@@ -29,6 +29,7 @@ def _named_first(answer):
     return answer.bound
 
 
+@pytest.mark.system
 def test_a_concave_part_is_bounded_as_a_new_part(model):
     arrow = Polygon([(-0.05, -0.05), (0.05, -0.05), (0.0, 0.0), (0.05, 0.05), (-0.05, 0.05)])
     bound = _named_first(model.at(_scene(arrow)[0], part="arrow", surface="board"))

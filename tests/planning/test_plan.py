@@ -109,6 +109,7 @@ def test_an_unreachable_goal_is_refused_with_the_nearest_end():
         fixel.plan(pushed_square(), far, rollouts=1_000, progress=False)
 
 
+@pytest.mark.system
 def test_the_tolerance_that_an_error_advises_is_enough():
     """One push of a finger on a part turns it: 30 mm aside without a rotation are out of reach."""
     pose, choose = (0.02, 0.03, 0.0), FreePushes(length=(5 * mm, 60 * mm))

@@ -7,6 +7,7 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
+import pytest
 from tests.fixtures import project_of
 
 from fixel.datasets import plan_import
@@ -14,6 +15,7 @@ from fixel.workflows.domain.report import report_of
 from fixel.workflows.domain.run import map_stored
 
 
+@pytest.mark.system
 def test_a_steel_plate_on_plastic_by_where_it_is_pushed(data_root: Path, tmp_path: Path) -> None:
     """Every sixth of 360 pushes; a published simulator is off by 2.7 mm on average there."""
     plan = plan_import(data_root / "mit_push_endpoints")

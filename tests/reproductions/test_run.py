@@ -23,6 +23,7 @@ def answer(tmp_path_factory: pytest.TempPathFactory) -> tuple[Reproduction, Path
     return reproduce("asme-table-1", out=out, quick=True), out
 
 
+@pytest.mark.system
 def test_a_few_short_searches_find_sets_as_good_as_p1(
     answer: tuple[Reproduction, Path],
 ) -> None:
@@ -34,6 +35,7 @@ def test_a_few_short_searches_find_sets_as_good_as_p1(
     assert good[0]["mean_radius_um"] == pytest.approx(695.0, abs=60.0)
 
 
+@pytest.mark.system
 def test_tables_and_picture_are_left_in_the_folder(answer: tuple[Reproduction, Path]) -> None:
     made, out = answer
     told = json.loads((out / "asme-table-1.json").read_text(encoding="utf-8"))
@@ -43,6 +45,7 @@ def test_tables_and_picture_are_left_in_the_folder(answer: tuple[Reproduction, P
     assert (out / "asme-table-1.png").stat().st_size > 10_000
 
 
+@pytest.mark.system
 def test_noise_of_the_camera_is_the_error_of_the_truth(
     answer: tuple[Reproduction, Path],
 ) -> None:
@@ -51,6 +54,7 @@ def test_noise_of_the_camera_is_the_error_of_the_truth(
     assert answer[0].settings["error_of_p1_um"] == pytest.approx(1e6 * expected, rel=0.05)
 
 
+@pytest.mark.system
 def test_friction_of_the_plane_changes_nothing(answer: tuple[Reproduction, Path]) -> None:
     # Below a thousandth of a pixel over three decades.
     assert all(row["f_um"] < 5e-3 for row in answer[0].tables["plane_friction"])

@@ -110,7 +110,10 @@ def test_the_result_states_the_simplification() -> None:
     assert "corners" not in str(simulate(pushed_square(), duration=0.1))
 
 
-@pytest.mark.parametrize("motion", [Dynamic(), QuasiStatic()], ids=lambda m: m.name)
+@pytest.mark.parametrize(
+    "motion", [pytest.param(Dynamic(), marks=pytest.mark.system), QuasiStatic()],
+    ids=["dynamic", "quasistatic"],
+)  # fmt: skip
 def test_ends_are_near_those_of_the_full_outline(
     motion: AbstractMotionModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:

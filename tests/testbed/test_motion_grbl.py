@@ -270,7 +270,15 @@ def test_whoever_finds_a_drive_moving_stops_it_first(controller):
 
 @pytest.mark.parametrize(
     ("firmware", "axes"),
-    [("GRBL", 4), ("GRBL", 2), ("grblHAL", 3), ("grblHAL", 4), ("FluidNC", 1), ("FluidNC", 2)],
+    [
+        ("GRBL", 4),
+        ("grblHAL", 3),
+        ("FluidNC", 1),
+        *(
+            pytest.param(*rest, marks=pytest.mark.system)
+            for rest in (("GRBL", 2), ("grblHAL", 4), ("FluidNC", 2))
+        ),
+    ],
 )
 def test_firmware_of_today_is_driven_with_one_to_four_axes(firmware, axes):
     with (

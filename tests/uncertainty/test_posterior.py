@@ -70,7 +70,7 @@ def test_a_seed_gives_the_same_bits_and_another_gives_others():
     assert not np.array_equal(run(3).points, run(4).points)
 
 
-@pytest.mark.parametrize("walks", [False, True])
+@pytest.mark.parametrize("walks", [False, pytest.param(True, marks=pytest.mark.system)])
 def test_a_normal_posterior_has_its_spread(walks):
     found = NestedSampling(samples=300, live=150, walks=walks).sample(
         lambda p: peak(p, (0.4, 0.5, 0.6)), Cube(3), seed=5

@@ -57,6 +57,7 @@ def test_charuco_pictures_recover_the_lens(pictures: list[tuple[str, Picture]]) 
     assert found.camera.seen.sum() == sum(used.corners for used in found.used)
 
 
+@pytest.mark.system
 def test_checkerboard_pictures_recover_the_lens() -> None:
     studio = Studio(LENS, CHECKERS)
     places = spread(studio, 8, 0.40, near=0.6)
@@ -253,6 +254,7 @@ def test_the_lens_is_as_sure_as_it_says_in_the_corners(k3: float) -> None:
     assert np.mean(held) > 0.9
 
 
+@pytest.mark.system
 def test_it_is_said_whether_more_coefficients_are_needed() -> None:
     found = calibrate_lens(otherwise_seen(-0.06, 0, n_view=10))
     assert set(found.unseen) == {4, 5, 8}

@@ -88,6 +88,7 @@ def test_doubts_come_first_and_calibrations_stand_beside(project):
     assert calibrated.split()[2:] == ["mu_pusher", "0.35", "0.31", "open", "at", "least"]
 
 
+@pytest.mark.system
 def test_more_noise_than_believed_is_reported(project):
     noisy = replace(push(duration=2.0, noise=(1.4e-3, 0.03), ahead=0.0), name="noisy")
     with project.store() as store:
@@ -116,6 +117,7 @@ def test_the_answer_for_programs(project):
     assert 0.3 <= own["q05"] <= own["q95"] <= 0.4
 
 
+@pytest.mark.system
 def test_the_next_command_works_until_there_is_a_picture(project, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     out = good(project, "push")

@@ -116,6 +116,7 @@ def test_a_scene_file_that_bifurcates(file, tmp_path):
     assert out.splitlines()[-1].startswith("Next: ")
 
 
+@pytest.mark.system
 def test_everything_in_a_project_is_ranked_and_kept(folder):
     out = good("--project", folder, "--samples", "60")
     assert out.startswith("Warning: testbed/bare was skipped: ")

@@ -29,6 +29,7 @@ from fixel.vision.render import film_scene, looks_named
 from fixel.vision.tracking import Stickers, Tags, track
 
 
+@pytest.mark.system
 class TestTags(TrackingContract):
     @pytest.fixture
     def tracking(self):
@@ -87,6 +88,7 @@ class TestTags(TrackingContract):
             track([Frame(0.0, turned)], painter.rig)
 
 
+@pytest.mark.system
 class TestStickers(TrackingContract):
     @pytest.fixture
     def tracking(self):
@@ -239,6 +241,7 @@ def test_unknown_methods_are_refused():
         track([], rig)
 
 
+@pytest.mark.system
 def test_a_part_that_was_pushed_on_while_covered_is_seen_at_once():
     """A hand over the object for 0.7 s, in which it goes 50 mm at 75 mm/s."""
     painter = painted(tag_rig())

@@ -108,6 +108,7 @@ def test_of_one_set_for_all(lab, tmp_path):
     assert sum(int(row["evaluations"]) for row in starts) == len(trace.errors)
 
 
+@pytest.mark.system
 def test_of_a_campaign(lab, tmp_path):
     done = _done(lab, n=2, mode="campaign")
     names = _names(done.draw(tmp_path))

@@ -189,6 +189,7 @@ def test_the_same_command_continues_and_then_has_nothing_to_do(project, chosen, 
             assert (a.trace.points == b.trace.points).all()
 
 
+@pytest.mark.system
 def test_verdicts_killed_at_any_round_continue_with_the_same_bits(project, chosen):
     """Every answer that verdicts stand on is in the journal: none is computed a second time."""
     few = replace(chosen, ids=chosen.ids[:2], targets=chosen.targets[:2])

@@ -147,6 +147,7 @@ def test_every_option_is_stored_and_loaded(option, project, fit):
     assert repr(found) == repr(run[0])
 
 
+@pytest.mark.system
 @pytest.mark.usefixtures("blank")
 def test_what_was_printed_is_printed_again(project, fit, tmp_path, capsys):
     number = fit.run.ids[0]

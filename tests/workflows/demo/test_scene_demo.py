@@ -11,7 +11,9 @@ from fixel.workflows.demo.scene_demo import example_names, example_text, motion_
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory):
-    return run_demo(tmp_path_factory.mktemp("demo") / "new" / "folder")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fixel.drawing.animation.RATE", 3)  # a film of few pictures
+        return run_demo(tmp_path_factory.mktemp("demo") / "new" / "folder")
 
 
 @pytest.mark.system

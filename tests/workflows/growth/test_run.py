@@ -167,6 +167,7 @@ def test_searches_that_got_stuck_are_told(tmp_path, experiments, points, errors,
     assert "experiments have less than half" in told
 
 
+@pytest.mark.system
 def test_the_analysis_is_kept_with_pictures_and_the_banner(lab):
     project, _ = lab
     asked = GROWTH.request({"limit": "2.0", "sizes": ("y=3",)})

@@ -54,6 +54,7 @@ def test_a_job_finds_the_plan_of_the_same_call(job: Path, expected: fixel.PushPl
     assert planned(job) == expected
 
 
+@pytest.mark.system
 def test_a_stopped_job_continues_to_the_same_plan(job: Path, expected: fixel.PushPlan):
     class Stop(Exception):
         pass

@@ -84,6 +84,7 @@ def test_it_is_kept_as_an_analysis(folder, answered):
     json.dumps(numbers, allow_nan=False)
 
 
+@pytest.mark.system
 @pytest.mark.usefixtures("few_live")
 def test_the_cameras_noise_is_found_out(folder):
     found = _asked(folder, motion="quasistatic", samples=50)
