@@ -1,5 +1,6 @@
 """Derivatives of ends, beside differences of small fixed steps and of known motion."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -7,8 +8,8 @@ import pytest
 from benchmarks.seated import seated_grasp
 
 from fixel.errors import InvalidInput
-from fixel.model import Body, LineDrive, Pusher, Scene, Tripod
-from fixel.simulation import Midpoint, Simulator, simulate, simulate_batch
+from fixel.model import Body, Disk, LineDrive, Pusher, Scene, Tripod
+from fixel.simulation import Adaptive, Midpoint, Simulator, simulate, simulate_batch
 from fixel.testing.scenes import box, free_push, grasp, row
 
 SUPPORT = Tripod(radius=0.03, friction=0.3)
@@ -161,3 +162,75 @@ def test_parameters_without_one_value_are_refused():
         simulate(grasp(), motion="quasistatic", derivatives=["ellipsoid_force"])
     with pytest.raises(InvalidInput, match="mu_pushr"):
         simulate(grasp(), motion="quasistatic", derivatives=["mu_pushr"])
+
+
+def _tight(scene, name, width):
+    """Derivative of the end by differences of the stepper at a tolerance of 1e-11 m."""
+    body = scene.bodies[0]
+    simulator = Simulator(scene, motion="quasistatic", stepper=Adaptive(tolerance=1e-11))
+    nominal = {
+        "mu_pusher": scene.pushers[0].friction, "tripod_radius": body.support.radius
+    }.get(name, 0.0)  # fmt: skip
+    ends = [
+        simulator.run({name: nominal + step}, output_interval=scene.duration).final[body.name]
+        for step in (width, -width)
+    ]
+    return (np.array(ends[0]) - np.array(ends[1])) / (2.0 * width)
+
+
+def _errors(scene, names):
+    """Relative errors of derivatives, a radian counted as five centimetres."""
+    push = simulate(scene, motion="quasistatic", derivatives=names)
+    scale = np.array([1.0, 1.0, 0.05])  # [m/rad]
+    errors = {}
+    for name in names:
+        # Where the stepper sees an event earlier or later, wider differences are exact.
+        is_length = name not in ("mu_pusher", "start_theta")
+        widths = 1e-4 * np.array([1.0, 3.0, 10.0]) * (0.06 if is_length else 1.0)
+        found = [scale * _tight(scene, name, width) for width in widths]
+        gaps = [np.linalg.norm(a - b) for a, b in itertools.pairwise(found)]
+        numeric = found[int(np.argmin(gaps)) + 1]
+        size = max(np.linalg.norm(numeric), 1e-2 if is_length else 1e-3)
+        if min(gaps) < 0.003 * size:
+            errors[name] = np.linalg.norm(scale * push.derivatives[name] - numeric) / size
+    return errors
+
+
+PROVEN = ("mu_pusher", "tripod_radius", "start_x", "start_y", "start_theta")
+
+
+@pytest.mark.parametrize("seed", range(20, 32))
+def test_agrees_with_a_tight_stepper(seed):
+    errors = _errors(_without_pegs(seed), PROVEN)
+    assert len(errors) == 5
+    assert max(errors.values()) < 0.01
+
+
+def test_agrees_with_a_tight_stepper_where_pegs_seat_the_part():
+    errors = [e for seed in range(60, 66) for e in _errors(seated_grasp(seed), PROVEN).values()]
+    assert len(errors) >= 26
+    assert max(errors) < 0.01
+
+
+def _finger(offset, angle):
+    """A finger that touches a square, `offset` beside its middle, and moves at an angle."""
+    finger = Pusher(
+        name="finger",
+        shape=Disk(0.005),
+        pose=row(-0.035, offset, 0.0),
+        drive=LineDrive(direction=row(np.cos(angle), np.sin(angle)), speed=0.02, travel=0.06),
+        friction=0.2,
+    )
+    part = Body(
+        name="part", shape=box(0.06, 0.06), mass=0.2, pose=row(0.0, 0.0, 0.0), support=SUPPORT
+    )
+    return Scene(bodies=(part,), pushers=(finger,), duration=3.0)
+
+
+@pytest.mark.parametrize(("offset", "angle"), [(0.01, 0.0), (-0.02, 0.0), (0.01, 1.2)])
+def test_a_part_that_touches_the_pusher_at_the_start(offset, angle):
+    """The last finger slides off, and the part comes to rest."""
+    names = (*PROVEN, "registration_y", "contact_offset")
+    errors = _errors(_finger(offset, angle), names)
+    assert len(errors) == 7
+    assert max(errors.values()) < 0.01

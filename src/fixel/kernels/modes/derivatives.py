@@ -24,6 +24,9 @@ from fixel.typing import FloatArray, IntArray
 NUDGE = 1e-5  # of a pose, in scaled units
 AGO = 1e-6  # of the clock
 FLAT = 1e-9  # rate of a margin below which its root has no derivative
+BEFORE = 3e-3  # part of a step before its end at which a part that comes to rest still moves
+AT_REST = 1e-2  # velocity over that at the start of a mode, at its end
+TOUCHING = -3  # event of a part that touches the pusher at the start: as if it came from a gap
 # Columns of `Flow.span`: of a mode, its first state, the one after its last, and its first step.
 ONWARD = 0
 UP_TO = 1
@@ -45,9 +48,9 @@ class Flow(NamedTuple):
     velocity: FloatArray  # (n_state, 3)
     slope: FloatArray  # (n_state, 3, 3 + n_parameter) derivative of the velocity
     change: FloatArray  # (n_state, 9) differences of the velocity and of the residual
-    event: FloatArray  # (n_mode, 4) state at the end of a mode
-    rate: FloatArray  # (n_mode,) by the time, of the margin that ends it
-    slant: FloatArray  # (n_mode, 3 + n_parameter) its derivative
+    event: FloatArray  # (n_mode + 1, 4) state at the end of a mode; the last is the start
+    rate: FloatArray  # (n_mode + 1,) by the time, of the margin that ends it
+    slant: FloatArray  # (n_mode + 1, 3 + n_parameter) its derivative
 
 
 @large_kernel
@@ -146,6 +149,10 @@ def _margin(
     model: Model, mode: ContactMode, q: FloatArray, which: int, work: Workspace, problem: Problem
 ) -> float:
     """Margin of the mode at a state; NaN where the mode cannot be solved."""
+    if which == TOUCHING:
+        geometry.place_mode(mode, q)
+        write_rows(model, mode)
+        return float(mode.gap[0])
     if which == geometry.OPEN:
         geometry.place_mode(mode, q)
         return float(geometry.open_gap(geometry.pieces_of(model, mode, work, problem)))
@@ -179,12 +186,23 @@ def _linearise_event(
         speed = 1.0
         if column < 3:
             flow.slant[number, column] = slant
-            last = flow.span[number, UP_TO] - 1
-            moves = last >= flow.span[number, ONWARD]
+            last = flow.span[number, UP_TO] - 1 if number < flow.span.shape[0] else -1
+            moves = last >= 0 and last >= flow.span[number, ONWARD]
             speed = flow.velocity[last, column] if moves else 0.0
         rate += slant * speed
     flow.rate[number] = rate
     return abs(rate) > FLAT
+
+
+@kernel
+def _slows_down(flow: Flow, first: int, last: int) -> bool:
+    """Whether a mode begins to move and ends at rest, or nearly so."""
+    begin = 0.0
+    end = 0.0
+    for i in range(3):
+        begin += flow.velocity[first, i] ** 2
+        end += flow.velocity[last, i] ** 2
+    return last > first and end < AT_REST**2 * begin
 
 
 @large_kernel
@@ -204,16 +222,37 @@ def _linearise(
         event = flow.event[number]
         n_step = tape.step.shape[0]
         moves = step < n_step and int(tape.step[step, walk.OF_MODE]) == number
+        which = int(row[walk.EVENT])
         _load_mode(model, mode, row, moves)
+        if moves and number == 0:
+            for i in range(3):
+                flow.event[n_mode, i] = tape.step[0, walk.FROM + i]
+            flow.event[n_mode, 3] = AGO  # the path begins at zero
+            # One contact closes at once; several do so in one order or in another.
+            one = mode.size[geometry.N_CLOSED] == 1
+            one = one and mode.contact[0, geometry.FORM] != geometry.FLUSH
+            if not (one and _linearise_event(model, mode, flow, n_mode, TOUCHING, work, problem)):
+                return False
         while step < n_step and tape.step[step, walk.OF_MODE] == number:
             own = tape.step[step]
             _load_step(mode, own, event)
             for part in range(0 if step == span[STEP] else 1, 3):
-                walk.dense(
-                    mode, event, own[walk.LENGTH], 0.5 * part * own[walk.PART], flow.state[k]
-                )
+                x = 0.5 * part * own[walk.PART]
+                walk.dense(mode, event, own[walk.LENGTH], x, flow.state[k])
                 if not _linearise_state(model, mode, flow, k):
-                    return False
+                    if part < 2:
+                        return False
+                    # A velocity that vanishes has no direction. Just before it has.
+                    walk.dense(mode, event, own[walk.LENGTH], x * (1.0 - BEFORE), flow.state[k])
+                    mode.size[geometry.POLE] = flow.pole[k - 1]
+                    for i in range(9):
+                        # From the middle of the step the velocity falls evenly.
+                        lasts = i > 2 or (i == 1 and flow.pole[k - 1] >= 0)
+                        share = 1.0 if lasts else 2.0 * BEFORE
+                        mode.unknown[i] = share * flow.unknown[k - 1, i]
+                    if not _linearise_state(model, mode, flow, k):
+                        return False
+                    which = walk.FOLDED
                 k += 1
             step += 1
         span[UP_TO] = k
@@ -223,8 +262,12 @@ def _linearise(
         event[3] = tape.mode[min(number + 1, n_mode - 1), walk.BEGIN]
         if moves:
             event[3] = flow.state[k - 1, 3]
-        which = int(row[walk.EVENT])
-        if (
+        if which == walk.FOLDED:
+            # It comes to rest, or else it jumps.
+            if not _slows_down(flow, span[ONWARD], k - 1):
+                return False
+            row[walk.EVENT] = walk.CLOCK_RAN_OUT
+        elif (
             which >= 0
             and not _is_skipped(row, flow, number)
             and not _linearise_event(model, mode, flow, number, which, work, problem)
@@ -258,6 +301,9 @@ def _vary(
         if _is_skipped(row, flow, number):
             continue
         _load_mode(own, mode, row, span[UP_TO] > span[ONWARD])
+        if span[UP_TO] > 0 and number == 0:
+            margin = _margin(own, mode, flow.event[-1], TOUCHING, work, problem)
+            flow.slant[-1, column] += 0.5 * sign * margin
         for k in range(span[ONWARD], span[UP_TO]):
             mode.size[geometry.POLE] = flow.pole[k]
             for i in range(9):
@@ -327,6 +373,19 @@ def _write_between(
             )
 
 
+@kernel
+def _time_event(flow: Flow, number: int, state: FloatArray, late: FloatArray) -> bool:
+    """Write the derivatives of the time of an event."""
+    for column in range(late.size):
+        total = flow.slant[number, column] if column >= 3 else 0.0
+        for i in range(3):
+            total += flow.slant[number, i] * state[i, column]
+        late[column] = -total / flow.rate[number]
+        if not abs(late[column]) < np.inf:
+            return False
+    return True
+
+
 @large_kernel
 def _integrate(
     tape: Tape, flow: Flow, times: FloatArray, stage: FloatArray, root: FloatArray, out: FloatArray
@@ -338,6 +397,8 @@ def _integrate(
     velocity = root[1]
     late = root[2]
     at = 0
+    if flow.rate[-1] != 0.0 and not _time_event(flow, flow.span.shape[0], state, late):
+        return False
     for number in range(flow.span.shape[0]):
         row = tape.mode[number]
         span = flow.span[number]
@@ -361,14 +422,8 @@ def _integrate(
                 at += 1
         for i in range(3):
             before[i] = flow.velocity[span[UP_TO] - 1, i] if moves else 0.0
-        if row[walk.EVENT] >= 0.0:
-            for column in range(late.size):
-                total = flow.slant[number, column] if column >= 3 else 0.0
-                for i in range(3):
-                    total += flow.slant[number, i] * state[i, column]
-                late[column] = -total / flow.rate[number]
-                if not abs(late[column]) < np.inf:
-                    return False
+        if row[walk.EVENT] >= 0.0 and not _time_event(flow, number, state, late):
+            return False
     # A part that stalls stops where the last mode ended.
     for i in range(3):
         velocity[i] = 0.0
@@ -397,7 +452,6 @@ def differentiate_batch(
         found[r] = 0
         if (
             record.status[r] == walk.COMPLETE
-            and record.count[r, walk.FOLDS] == 0
             and n_mode <= record.mode.shape[1]
             and n_step <= record.step.shape[1]
         ):
@@ -427,9 +481,9 @@ def _differentiate(
         velocity=np.zeros((n_state, 3)),
         slope=np.zeros((n_state, 3, wide)),
         change=np.zeros((n_state, 9)),
-        event=np.zeros((n_mode, 4)),
-        rate=np.zeros(n_mode),
-        slant=np.zeros((n_mode, wide)),
+        event=np.zeros((n_mode + 1, 4)),
+        rate=np.zeros(n_mode + 1),
+        slant=np.zeros((n_mode + 1, wide)),
     )
     stage = np.zeros((7, 3, wide))
     for k in range(2 * wide - 5):
