@@ -18,9 +18,8 @@ from fixel.kernels import arrays as at
 from fixel.kernels import codes
 from fixel.kernels.arrays import Batch, StepMethod
 from fixel.kernels.modes import walk
-from fixel.simulation.batch import ends_of
 from fixel.simulation.pack import PackedBatch
-from fixel.simulation.record import shape_poses
+from fixel.simulation.record import ends_of, shape_poses
 from fixel.simulation.result import AGREED, CERTIFIED, UNCERTAIN, Accuracy
 from fixel.simulation.threads import in_ranges
 from fixel.typing import FloatArray, IntArray

@@ -15,7 +15,6 @@ from fixel.errors import Interrupted, InvalidInput
 from fixel.kernels import codes
 from fixel.kernels.arrays import (
     CONTACT_ROWS,
-    DURATION,
     FALLBACKS,
     LAST_CONTACTS,
     REACHED,
@@ -25,7 +24,7 @@ from fixel.kernels.arrays import (
     BatchRecord,
     StepMethod,
 )
-from fixel.model import Parameters, Scene
+from fixel.model import Scene
 from fixel.simulation.motion import AbstractMotionModel, motion_model, named_part
 from fixel.simulation.pack import PackedBatch, pack, stack
 from fixel.simulation.record import empty_record, shape_poses
@@ -33,10 +32,10 @@ from fixel.simulation.result import BatchResult
 from fixel.simulation.simulate import (
     CONTACTS_PER_BODY,
     SceneWithMethod,
+    check_compiled,
     check_method,
     duration_of,
     fixel_version,
-    is_compiled,
     method_of,
     one_variation,
     scene_file,
@@ -44,7 +43,7 @@ from fixel.simulation.simulate import (
 from fixel.simulation.solver import SOLVERS, AbstractSolver, Newton
 from fixel.simulation.stepper import AbstractStepper, Adaptive
 from fixel.simulation.threads import rollout_in_threads
-from fixel.simulation.vary import Variation
+from fixel.simulation.vary import Variation, variation_of
 from fixel.typing import BoolArray, FloatArray, IntArray
 
 STATUS_NAMES: Final = np.array(codes.STATUS_NAMES)
@@ -232,94 +231,6 @@ def simulate_packed(
     record = empty_record(packed, len(instants), 0, instants)
     rollout_in_threads(packed.batch, method, record, threads)
     return _unpack(scene, packed, record, instants)
-
-
-def ends_of(
-    packed: PackedBatch, method: StepMethod, threads: int | None
-) -> tuple[FloatArray, IntArray]:
-    """Simulate packed rollouts; return their last poses (n, n_free, 3) and statuses (n,)."""
-    record = empty_record(packed, 1, 0, bare=True)
-    record.time[:] = packed.batch.settings[:, DURATION, None]
-    rollout_in_threads(packed.batch, method, record, threads)
-    return shape_poses(packed, record.pose)[:, 0], record.status
-
-
-def check_compiled(
-    motion: AbstractMotionModel, stepper: AbstractStepper, solver: AbstractSolver
-) -> None:
-    """Raise for parts of a method that the compiled loop does not support."""
-    for role, part in (("motion", motion), ("stepper", stepper), ("solver", solver)):
-        if not is_compiled(part):
-            raise InvalidInput(
-                role,
-                found=type(part).__name__,
-                expected="a part of the compiled loop, since batches run only in it",
-                hint="call simulate for each rollout",
-            )
-
-
-def variation_of(
-    scene: Scene,
-    parameters: Mapping[str, ArrayLike] | Sequence[Mapping[str, float]] | None,
-    start: ArrayLike | None,
-    waypoints: ArrayLike | None,
-) -> tuple[Variation, int]:
-    """Check the variation of a scene; return it with its number of runs."""
-    values: dict[str, FloatArray] = {}
-    if isinstance(parameters, Mapping):
-        values = {k: np.atleast_1d(np.asarray(v, np.float64)) for k, v in parameters.items()}
-    elif parameters is not None:
-        names = set(parameters[0]) if parameters else set()
-        for k, own in enumerate(parameters):
-            if set(own) != names:
-                raise InvalidInput(
-                    f"parameters[{k}]",
-                    found=", ".join(sorted(own)),
-                    expected=f"the names of the first set: {', '.join(sorted(names))}",
-                )
-        values = {name: np.array([own[name] for own in parameters]) for name in sorted(names)}
-    for name, column in values.items():
-        # Parameters checks names and ranges; the smallest value is the most likely to fail.
-        worst = (
-            column[np.argmin(np.where(np.isfinite(column), column, -np.inf))] if column.size else 0
-        )
-        Parameters({name: float(worst)})
-    lengths = {f"parameters.{name}": len(v) for name, v in values.items()}
-    poses = path = None
-    if start is not None:
-        poses = np.asarray(start, np.float64)
-        poses = poses[:, None, :] if poses.ndim == 2 else poses
-        _check_shape("start", poses, (len(scene.bodies), 3))
-        lengths["start"] = len(poses)
-    if waypoints is not None:
-        path = np.asarray(waypoints, np.float64)
-        if len(scene.pushers) != 1:
-            raise InvalidInput(
-                "waypoints",
-                found=f"{len(scene.pushers)} pushers",
-                expected="a scene with one pusher",
-            )
-        _check_shape("waypoints", path, (path.shape[1] if path.ndim == 3 else 0, 4))
-        if np.any(np.diff(path[:, :, 0], axis=1) <= 0.0):
-            raise InvalidInput(
-                "waypoints",
-                found="a time that does not increase",
-                expected="times in increasing order",
-            )
-        lengths["waypoints"] = len(path)
-    if len(set(lengths.values())) > 1:
-        found = ", ".join(f"{name}: {n}" for name, n in lengths.items())
-        raise InvalidInput("variations", found=found, expected="the same length for all")
-    return Variation(values, poses, path), next(iter(lengths.values()), 1)
-
-
-def _check_shape(where: str, array: FloatArray, tail: tuple[int, ...]) -> None:
-    if array.shape[1:] != tail or not np.isfinite(array).all():
-        raise InvalidInput(
-            where,
-            found=f"shape {array.shape}" + ("" if np.isfinite(array).all() else ", not all finite"),
-            expected=f"finite numbers of shape (n, {', '.join(map(str, tail))})",
-        )
 
 
 def _instants(times: ArrayLike | None, duration: float) -> FloatArray:

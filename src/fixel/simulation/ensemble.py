@@ -18,12 +18,11 @@ from fixel.errors import InvalidInput
 from fixel.kernels import codes
 from fixel.kernels.arrays import REACHED, SAMPLES, BatchRecord
 from fixel.model import Pusher, Scene
-from fixel.simulation.batch import check_compiled
 from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
 from fixel.simulation.pack import PackedBatch, Template, fastest_motion, pusher_path, stack
 from fixel.simulation.record import empty_record, shape_poses
 from fixel.simulation.rollouts import INFEASIBLE, EnsembleOutcome, RolloutCase
-from fixel.simulation.simulate import method_of
+from fixel.simulation.simulate import check_compiled, method_of
 from fixel.simulation.solver import AbstractSolver, Newton
 from fixel.simulation.stepper import AbstractStepper, Adaptive
 from fixel.simulation.threads import rollout_in_threads

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from fixel.kernels import batch as kernel
-from fixel.kernels.arrays import N_TOTAL, BatchRecord
+from fixel.kernels.arrays import DURATION, N_TOTAL, BatchRecord, StepMethod
 from fixel.simulation.pack import PackedBatch
+from fixel.simulation.threads import rollout_in_threads
 from fixel.simulation.vary import composed, inverted
-from fixel.typing import FloatArray
+from fixel.typing import FloatArray, IntArray
 
 
 def empty_record(
@@ -82,3 +83,13 @@ def shape_poses(packed: PackedBatch, pose: FloatArray) -> FloatArray:
         frame = inverted(packed.outline)[:, None, None]
         free[:] = composed(free, frame if out.ndim == 4 else frame[0, 0])
     return np.asarray(out)
+
+
+def ends_of(
+    packed: PackedBatch, method: StepMethod, threads: int | None
+) -> tuple[FloatArray, IntArray]:
+    """Simulate packed rollouts; return their last poses (n, n_free, 3) and statuses (n,)."""
+    record = empty_record(packed, 1, 0, bare=True)
+    record.time[:] = packed.batch.settings[:, DURATION, None]
+    rollout_in_threads(packed.batch, method, record, threads)
+    return shape_poses(packed, record.pose)[:, 0], record.status

@@ -33,13 +33,13 @@ from fixel.registry import offered
 from fixel.simulation.motion import AbstractMotionModel, OtherEngine, motion_model, named_part
 from fixel.simulation.pack import PackedBatch, pack
 from fixel.simulation.plain import rollout_in_python
-from fixel.simulation.record import borrowed_record, empty_record, give_back, shape_poses
+from fixel.simulation.record import borrowed_record, empty_record, ends_of, give_back, shape_poses
 from fixel.simulation.result import CONTACT_FIELDS, PusherTrajectory, Simulation
 from fixel.simulation.solver import SOLVERS, AbstractSolver, GaussSeidel, Lemke, Newton
 from fixel.simulation.stepper import STEPPERS, AbstractStepper, Adaptive
 from fixel.simulation.threads import rollout_in_threads
 from fixel.simulation.trust import permit
-from fixel.simulation.vary import Variation
+from fixel.simulation.vary import Variation, variation_of
 from fixel.typing import FloatArray, IntArray
 
 MAX_STEPS = 1_000_000  # of a stepper without a limit
@@ -271,11 +271,9 @@ class Simulator:
         times = None if interval is None else sample_times(duration, interval)
         if isinstance(self.motion, OtherEngine):
             if accuracy or derivatives:
-                raise InvalidInput(
-                    "accuracy" if accuracy else "derivatives",
-                    found=f"the engine {self.motion.name}",
-                    expected="a motion model of fixel",
-                )
+                asked = "accuracy" if accuracy else "derivatives"
+                name = f"the engine {self.motion.name}"
+                raise InvalidInput(asked, found=name, expected="a motion model of fixel")
             engines = import_module("fixel.simulation.engines.single")
             found = engines.fields_of_engine(scene, self.motion, parameters, duration, times)
         else:
@@ -351,14 +349,12 @@ class Simulator:
         >>> poses.shape, list(status)
         ((3, 1, 3), ['converged', 'converged', 'converged'])
         """
-        from fixel.simulation import batch  # late: it imports this module
-
-        batch.check_compiled(self.motion, self.stepper, self.solver)
-        variation, n = batch.variation_of(self.scene, parameters, start, waypoints)
+        check_compiled(self.motion, self.stepper, self.solver)
+        variation, n = variation_of(self.scene, parameters, start, waypoints)
         seconds = duration_of(self.scene, duration)
         packed = pack(self.scene, self.motion, self.stepper, variation, n, seconds)
-        poses, status = batch.ends_of(packed, self._method, threads)
-        return poses, batch.STATUS_NAMES[status]
+        poses, status = ends_of(packed, self._method, threads)
+        return poses, np.array(codes.STATUS_NAMES)[status]
 
     def _changed(self, start: ArrayLike | None, waypoints: ArrayLike | None) -> Scene:
         """Return the scene with other start poses of its bodies and another path."""
@@ -476,6 +472,20 @@ def is_compiled(part: AbstractMotionModel | AbstractStepper | AbstractSolver) ->
     if isinstance(part, AbstractStepper):
         return type(part) in STEPPERS
     return part.kind != codes.EXTERNAL
+
+
+def check_compiled(
+    motion: AbstractMotionModel, stepper: AbstractStepper, solver: AbstractSolver
+) -> None:
+    """Raise for parts of a method that the compiled loop does not support."""
+    for role, part in (("motion", motion), ("stepper", stepper), ("solver", solver)):
+        if not is_compiled(part):
+            raise InvalidInput(
+                role,
+                found=type(part).__name__,
+                expected="a part of the compiled loop, since batches run only in it",
+                hint="call simulate for each rollout",
+            )
 
 
 def sample_times(duration: float, interval: float) -> FloatArray:

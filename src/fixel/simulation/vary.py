@@ -7,16 +7,16 @@ changes (n, ...); others remain shared.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fixel.errors import InvalidInput
 from fixel.kernels import codes
-from fixel.model import Disk, Pusher, Scene, SupportPoints, UniformPressure
+from fixel.model import Disk, Parameters, Pusher, Scene, SupportPoints, UniformPressure
 from fixel.model.footprint import cells
 from fixel.model.parameters import check_supports, info_of
 from fixel.model.support import LOAD_ROUNDING, tilted_shares, triangle_shares
@@ -523,3 +523,67 @@ def infeasible(scene: Scene, values: Values) -> list[str]:
 def _note(reasons: list[str], where: NDArray[np.bool_], reason: str) -> None:
     for k in np.flatnonzero(where):
         reasons[k] = reasons[k] or reason
+
+
+def variation_of(
+    scene: Scene,
+    parameters: Mapping[str, ArrayLike] | Sequence[Mapping[str, float]] | None,
+    start: ArrayLike | None,
+    waypoints: ArrayLike | None,
+) -> tuple[Variation, int]:
+    """Check the variation of a scene; return it with its number of runs."""
+    values: dict[str, FloatArray] = {}
+    if isinstance(parameters, Mapping):
+        values = {k: np.atleast_1d(np.asarray(v, np.float64)) for k, v in parameters.items()}
+    elif parameters is not None:
+        names = set(parameters[0]) if parameters else set()
+        for k, own in enumerate(parameters):
+            if set(own) != names:
+                raise InvalidInput(
+                    f"parameters[{k}]",
+                    found=", ".join(sorted(own)),
+                    expected=f"the names of the first set: {', '.join(sorted(names))}",
+                )
+        values = {name: np.array([own[name] for own in parameters]) for name in sorted(names)}
+    for name, column in values.items():
+        # Parameters checks names and ranges; the smallest value is the most likely to fail.
+        worst = (
+            column[np.argmin(np.where(np.isfinite(column), column, -np.inf))] if column.size else 0
+        )
+        Parameters({name: float(worst)})
+    lengths = {f"parameters.{name}": len(v) for name, v in values.items()}
+    poses = path = None
+    if start is not None:
+        poses = np.asarray(start, np.float64)
+        poses = poses[:, None, :] if poses.ndim == 2 else poses
+        _check_shape("start", poses, (len(scene.bodies), 3))
+        lengths["start"] = len(poses)
+    if waypoints is not None:
+        path = np.asarray(waypoints, np.float64)
+        if len(scene.pushers) != 1:
+            raise InvalidInput(
+                "waypoints",
+                found=f"{len(scene.pushers)} pushers",
+                expected="a scene with one pusher",
+            )
+        _check_shape("waypoints", path, (path.shape[1] if path.ndim == 3 else 0, 4))
+        if np.any(np.diff(path[:, :, 0], axis=1) <= 0.0):
+            raise InvalidInput(
+                "waypoints",
+                found="a time that does not increase",
+                expected="times in increasing order",
+            )
+        lengths["waypoints"] = len(path)
+    if len(set(lengths.values())) > 1:
+        found = ", ".join(f"{name}: {n}" for name, n in lengths.items())
+        raise InvalidInput("variations", found=found, expected="the same length for all")
+    return Variation(values, poses, path), next(iter(lengths.values()), 1)
+
+
+def _check_shape(where: str, array: FloatArray, tail: tuple[int, ...]) -> None:
+    if array.shape[1:] != tail or not np.isfinite(array).all():
+        raise InvalidInput(
+            where,
+            found=f"shape {array.shape}" + ("" if np.isfinite(array).all() else ", not all finite"),
+            expected=f"finite numbers of shape (n, {', '.join(map(str, tail))})",
+        )

@@ -155,7 +155,7 @@ def _margin(
         return float(mode.gap[0])
     if which == geometry.OPEN:
         geometry.place_mode(mode, q)
-        return float(geometry.open_gap(geometry.pieces_of(model, mode, work, problem)))
+        return float(geometry.open_gap(geometry.gap_arrays(model, mode, work, problem)))
     if not solve_mode(model, mode, q):
         return np.nan
     return float(mode.margin[which])

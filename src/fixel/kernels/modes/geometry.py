@@ -314,7 +314,7 @@ def place_contact(
     return ey, -ex, ox, oy, 0.5 * (y1 + y2), math.atan2(y2 - y1, x1 - x2)
 
 
-class Pieces(NamedTuple):
+class GapArrays(NamedTuple):
     """Arrays that gaps are computed from: a call copies every array that it is given."""
 
     body: IntArray
@@ -332,9 +332,9 @@ class Pieces(NamedTuple):
 
 
 @kernel
-def pieces_of(model: Model, mode: ContactMode, work: Workspace, problem: Problem) -> Pieces:
+def gap_arrays(model: Model, mode: ContactMode, work: Workspace, problem: Problem) -> GapArrays:
     """Collect the arrays of `open_gap`."""
-    return Pieces(
+    return GapArrays(
         model.piece_body,
         model.piece_bound,
         model.piece_start,
@@ -351,7 +351,7 @@ def pieces_of(model: Model, mode: ContactMode, work: Workspace, problem: Problem
 
 
 @kernel
-def _place_piece(pieces: Pieces, piece: int) -> None:
+def _place_piece(pieces: GapArrays, piece: int) -> None:
     f = pieces.frame[pieces.body[piece]]
     for i in range(pieces.start[piece], pieces.start[piece + 1]):
         x = pieces.vertex[i, 0]
@@ -361,7 +361,7 @@ def _place_piece(pieces: Pieces, piece: int) -> None:
 
 
 @large_kernel
-def open_gap(pieces: Pieces) -> float:
+def open_gap(pieces: GapArrays) -> float:
     """Smallest gap of the pairs that are not in contact in the mode, at its frames; at most 1."""
     smallest = 1.0
     bound = pieces.bound

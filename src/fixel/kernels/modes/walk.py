@@ -40,11 +40,11 @@ from fixel.kernels.modes.geometry import (
     SPEED,
     STEP_LENGTH,
     ContactMode,
-    Pieces,
+    GapArrays,
     empty_mode,
+    gap_arrays,
     measure,
     open_gap,
-    pieces_of,
     place_mode,
     set_motion,
 )
@@ -253,7 +253,7 @@ def try_step(model: Model, mode: ContactMode, q: FloatArray, h: float) -> tuple[
 
 @large_kernel
 def look(
-    model: Model, mode: ContactMode, q: FloatArray, pieces: Pieces, exact: bool
+    model: Model, mode: ContactMode, q: FloatArray, pieces: GapArrays, exact: bool
 ) -> tuple[float, int]:
     """Smallest margin at a state, with open gaps, and which; `exact` on the closed gaps."""
     solved = settle(model, mode, q) if exact else solve_mode(model, mode, q)
@@ -280,7 +280,7 @@ def find_end(
     a: float,
     b: float,
     low: float,
-    pieces: Pieces,
+    pieces: GapArrays,
 ) -> int:
     """Go to where the smallest margin vanishes between the parts a and b of a step; returns which
     margin, or FOLDED."""
@@ -364,7 +364,7 @@ def follow(
     model: Model,
     mode: ContactMode,
     q: FloatArray,
-    pieces: Pieces,
+    pieces: GapArrays,
     counts: IntArray,
     tape: Tape,
 ) -> int:
@@ -460,7 +460,7 @@ def follow(
 
 
 @large_kernel
-def wait(mode: ContactMode, q: FloatArray, pieces: Pieces) -> None:
+def wait(mode: ContactMode, q: FloatArray, pieces: GapArrays) -> None:
     """Move the clock on while the part rests, to the first gap that closes or to its end.
 
     No gap closes in less than its width over the speed of the pusher's fastest point.
@@ -505,7 +505,7 @@ def wait(mode: ContactMode, q: FloatArray, pieces: Pieces) -> None:
 
 
 @kernel
-def _gap_at(mode: ContactMode, q: FloatArray, clock: float, pieces: Pieces) -> float:
+def _gap_at(mode: ContactMode, q: FloatArray, clock: float, pieces: GapArrays) -> float:
     """Go to a time of the clock; returns the smallest gap there."""
     q[3] = clock
     place_mode(mode, q)
@@ -590,7 +590,7 @@ def _follow_piece(
 ) -> int:
     """Follow the modes of one straight piece of the path; returns how it ended."""
     ahead = AHEAD
-    pieces = pieces_of(model, mode, work, problem)
+    pieces = gap_arrays(model, mode, work, problem)
     while q[3] < mode.number[CLOCK_END] - 1e-12:
         counts[MODES] += 1
         if counts[MODES] > MOST_MODES:
