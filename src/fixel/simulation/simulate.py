@@ -346,7 +346,7 @@ class Simulator:
         >>> from fixel.testing.scenes import pushed_square
         >>> simulator = Simulator(pushed_square(), motion="quasistatic")
         >>> poses, status = simulator.ends({"mu_pusher": [0.1, 0.2, 0.3]})
-        >>> poses.shape, list(status)
+        >>> poses.shape, status.tolist()
         ((3, 1, 3), ['converged', 'converged', 'converged'])
         """
         check_compiled(self.motion, self.stepper, self.solver)
