@@ -126,7 +126,7 @@ def full_style() -> dict[str, object]:
 
 @pytest.fixture(scope="session", autouse=True)
 def one_command_tree() -> None:
-    """Build the commands of the program once: each call would build all of them anew."""
+    """Build the commands of the program once: each call would build them again."""
     import typer.main
     import typer.testing
 

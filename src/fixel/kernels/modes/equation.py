@@ -36,7 +36,6 @@ from fixel.typing import FloatArray
 NEWTON_STEPS = 25
 SOLVED = 1e-12
 ENOUGH = 1e-10
-CLOSED = 0.0  # gap that is no drift
 TURN = 0.6  # [rad] of the pole's direction in one step of Newton, at most
 FASTEST = 1e6
 CAUTIOUS = 1e4  # residual over the square of the one before, at most, before it is known
@@ -461,7 +460,7 @@ def project(mode: ContactMode, q: FloatArray) -> bool:
     """
     count = 0
     for k in range(mode.size[ROWS]):
-        if abs(mode.gap[k]) > CLOSED:
+        if mode.gap[k] != 0.0:
             mode.drifted[count] = k
             count += 1
     if count == 0 or count > 3:
