@@ -123,7 +123,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "fixel.model.experiment": "Channel Experiment Flag Provenance",
         "fixel.model.goals": "AllOf AnyOf Beyond Contact Exit ForceAbove Inside PoseRegion Seated",
         "fixel.model.parameters": "Parameters",
-        "fixel.model.plane": "FrictionMap Plane",
+        "fixel.model.plane": "FrictionMap LoadMap Plane",
         "fixel.model.probability": "Probability",
         "fixel.model.records": "CalibrationRecord Estimate Evaluations FilterParameters"
         " FilterRecord Member ProfileRecord SimulationRecord",

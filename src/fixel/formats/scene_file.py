@@ -42,6 +42,7 @@ from fixel.model import (
     Fixel,
     FrictionMap,
     LineDrive,
+    LoadMap,
     NoSupport,
     PairFriction,
     PathDrive,
@@ -130,6 +131,7 @@ record_of(Pusher, "pusher", required=["drive"])
 record_of(Fixel, "fixel")
 record_of(PairFriction, "contact_friction")
 record_of(FrictionMap, "friction_map", cell=Pair, factor=list[list[Positive]])
+record_of(LoadMap, "load_map", cell=Pair, log_load=list[list[Number]])
 record_of(Plane, "plane", anisotropy=Pair)
 SceneRecord: Any = record_of(
     Scene,

@@ -17,7 +17,7 @@ from fixel.model.goals import (
     Seated,
 )
 from fixel.model.parameters import KNOWN_PARAMETERS, Parameters
-from fixel.model.plane import FrictionMap, Plane
+from fixel.model.plane import FrictionMap, LoadMap, Plane
 from fixel.model.probability import Probability
 from fixel.model.scene import PairFriction, Scene
 from fixel.model.shape import Disk, Polygon, Shape, placed
@@ -53,6 +53,7 @@ __all__ = [
     "Goal",
     "Inside",
     "LineDrive",
+    "LoadMap",
     "NoSupport",
     "PairFriction",
     "ParameterInfo",

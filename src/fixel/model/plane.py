@@ -1,4 +1,4 @@
-"""Anisotropic and uneven friction of the plane on which bodies rest."""
+"""Anisotropic and uneven friction of the plane on which bodies rest, and its unevenness."""
 
 from __future__ import annotations
 
@@ -55,17 +55,49 @@ class FrictionMap(Comparable):
 
     def at(self, position: ArrayLike) -> FloatArray:
         """Interpolate the multipliers (...) at world positions (..., 2) [m]."""
-        n_y, n_x = self.factor.shape
-        node = (np.asarray(position, dtype=np.float64) - self.origin) / self.cell
-        column = np.clip(node[..., 0], 0.0, n_x - 1.0)
-        row = np.clip(node[..., 1], 0.0, n_y - 1.0)
-        left = np.minimum(column.astype(np.intp), max(n_x - 2, 0))
-        low = np.minimum(row.astype(np.intp), max(n_y - 2, 0))
-        right, high = np.minimum(left + 1, n_x - 1), np.minimum(low + 1, n_y - 1)
-        u, v = column - left, row - low
-        below = (1.0 - u) * self.factor[low, left] + u * self.factor[low, right]
-        above = (1.0 - u) * self.factor[high, left] + u * self.factor[high, right]
-        return np.asarray((1.0 - v) * below + v * above)
+        return _bilinear(self.origin, self.cell, self.factor, position)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LoadMap(Comparable):
+    """Unevenness of a table, as the logarithm of a factor of the loads on support points by place.
+
+    A rigid part on an uneven table presses more where the table is high. The loads are those at the
+    start of the motion, balanced so that their centre and sum do not change; hence a constant or an
+    inclined map has no effect, nor has any map on parts on three points. It is bilinear between the
+    nodes of a grid, and constant beyond the border.
+
+    Parameters
+    ----------
+    origin : (2,) array_like
+        World position of node [0, 0] [m].
+    cell : (2,) array_like
+        Distance of neighbouring nodes along x and y [m].
+    log_load : (n_y, n_x) array_like
+        Logarithm of the factor at each node, row by row from low y to high [-].
+
+    Examples
+    --------
+    >>> hill = LoadMap(origin=(0, 0), cell=(0.1, 0.1), log_load=[[0.0, 0.0], [0.0, 1.0]])
+    >>> float(hill.at((0.05, 0.05)))
+    0.25
+    """
+
+    origin: Annotated[FloatArray, Value(vector, "x [m], y [m]")]
+    cell: Annotated[FloatArray, Value(vector, "x [m], y [m]")]
+    log_load: FloatArray
+
+    def __post_init__(self) -> None:
+        check_fields(self, "load_map")
+        if (self.cell <= 0.0).any():
+            found = self.cell.tolist()
+            raise InvalidInput("load_map.cell", found=found, expected="numbers greater than 0 [m]")
+        settle(self, log_load=frozen(_grid(self.log_load, "load_map.log_load", "log_load")))
+
+    def at(self, position: ArrayLike) -> FloatArray:
+        """Interpolate the logarithms (...) at world positions (..., 2) [m]."""
+        return _bilinear(self.origin, self.cell, self.log_load, position)
 
 
 @final
@@ -81,6 +113,8 @@ class Plane(Comparable):
         Angle of the first principal axis from world x [rad].
     friction_map : FrictionMap, optional
         Multiplier by place.
+    load_map : LoadMap, optional
+        Unevenness of the table, which changes how parts press on it.
 
     Examples
     --------
@@ -91,6 +125,7 @@ class Plane(Comparable):
     anisotropy: Annotated[ArrayField, Value(vector, "along the axis, across it")] = (1.0, 1.0)  # type: ignore[assignment]
     axis: Annotated[float, Value(finite, "rad")] = 0.0
     friction_map: FrictionMap | None = None
+    load_map: LoadMap | None = None
 
     def __post_init__(self) -> None:
         check_fields(self, "plane")
@@ -100,15 +135,12 @@ class Plane(Comparable):
         instance(
             self.friction_map, FrictionMap | None, "plane.friction_map", "a FrictionMap, or None"
         )
+        instance(self.load_map, LoadMap | None, "plane.load_map", "a LoadMap, or None")
 
 
 def _positive_grid(factor: ArrayLike) -> FloatArray:
     where = "friction_map.factor"
-    try:
-        width = len(factor[0])  # type: ignore[index,arg-type]
-    except (TypeError, IndexError, KeyError):
-        raise InvalidInput(where, found=type(factor).__name__, expected="rows of factors") from None
-    grid = table(factor, where, ", ".join(["factor"] * width))
+    grid = _grid(factor, where, "factor")
     if (grid <= 0.0).any():
         row, column = np.argwhere(grid <= 0.0)[0].tolist()
         raise InvalidInput(
@@ -117,3 +149,30 @@ def _positive_grid(factor: ArrayLike) -> FloatArray:
             expected="factors greater than 0",
         )
     return frozen(grid)
+
+
+def _grid(values: ArrayLike, where: str, name: str) -> FloatArray:
+    """Return values (n_y, n_x) of the nodes of a grid; raise for rows of different lengths."""
+    try:
+        width = len(values[0])  # type: ignore[index,arg-type]
+    except (TypeError, IndexError, KeyError):
+        found = type(values).__name__
+        raise InvalidInput(where, found=found, expected=f"rows of {name}s") from None
+    return table(values, where, ", ".join([name] * width))
+
+
+def _bilinear(
+    origin: FloatArray, cell: FloatArray, grid: FloatArray, position: ArrayLike
+) -> FloatArray:
+    """Interpolate a grid (n_y, n_x) at positions (..., 2)."""
+    n_y, n_x = grid.shape
+    node = (np.asarray(position, dtype=np.float64) - origin) / cell
+    column = np.clip(node[..., 0], 0.0, n_x - 1.0)
+    row = np.clip(node[..., 1], 0.0, n_y - 1.0)
+    left = np.minimum(column.astype(np.intp), max(n_x - 2, 0))
+    low = np.minimum(row.astype(np.intp), max(n_y - 2, 0))
+    right, high = np.minimum(left + 1, n_x - 1), np.minimum(low + 1, n_y - 1)
+    u, v = column - left, row - low
+    below = (1.0 - u) * grid[low, left] + u * grid[low, right]
+    above = (1.0 - u) * grid[high, left] + u * grid[high, right]
+    return np.asarray((1.0 - v) * below + v * above)

@@ -78,7 +78,7 @@ def pose_slopes(
     (n,) bool
         Whether there are any.
     """
-    columns = _columns(names, variation)
+    columns = _columns(scene, names, variation)
     own = [name for name in dict.fromkeys(columns) if name not in POSE_NAMES]
     order = [*POSE_NAMES, *own]
     place = [order.index(name) for name in columns]
@@ -95,8 +95,10 @@ def pose_slopes(
     return slope, found
 
 
-def _columns(names: Sequence[str], variation: Variation) -> list[str]:
-    """Return the names to differentiate by; loads on an uneven table depend on the start angle."""
+def _columns(scene: Scene, names: Sequence[str], variation: Variation) -> list[str]:
+    """Return the names to differentiate by; loads on an uneven table depend on the start pose."""
+    if scene.plane.load_map is not None:
+        return [f"start_{name}" if name in POSE_NAMES else name for name in names]
     uneven = any(name in (*TABLE_NAMES, *PROFILE_NAMES) for name in (*variation.parameters, *names))
     return ["start_theta" if uneven and name == "theta" else name for name in names]
 

@@ -101,8 +101,10 @@ class LoadNet(NamedTuple):
         return _shares(exponent + tilt_x * x + tilt_y * y)
 
 
-def balance(exponent: FloatArray, points: FloatArray) -> FloatArray:
-    """Return the tilt (n, 2) that puts the centre of the loads exp(exponent + tilt . r) at zero.
+def balance(
+    exponent: FloatArray, points: FloatArray, centre_at: FloatArray | None = None
+) -> FloatArray:
+    """Return the tilt (n, 2) that moves the centre of the loads exp(exponent + tilt . r).
 
     It is the change of the loads with the smallest relative entropy. Newton's method minimises
     log(sum(exp(exponent + tilt . r))), which is convex, with steps that are halved where needed.
@@ -113,10 +115,17 @@ def balance(exponent: FloatArray, points: FloatArray) -> FloatArray:
         Logarithms of the loads.
     points : (n_point, 2) float64
         Points relative to the centre of mass, in units of about the size of the plate.
+    centre_at : (n, 2) float64, optional
+        Where to put the centres, inside the hull of the points; zero by default.
+
+    Raises
+    ------
+    InvalidInput
+        Zero is not inside the hull of the points.
 
     Source: Csiszar (1975), I-divergence geometry of probability distributions.
     """
-    if not can_balance(points):
+    if centre_at is None and not can_balance(points):
         raise InvalidInput(
             "support",
             found="a centre of mass that is not above the support points",
@@ -128,16 +137,19 @@ def balance(exponent: FloatArray, points: FloatArray) -> FloatArray:
     for _ in range(STEPS):
         share = _shares(exponent + tilt @ points.T)
         centre = share @ points
-        if np.abs(centre).max(initial=0.0) < TOLERANCE:
+        away = centre if centre_at is None else centre - centre_at
+        if np.abs(away).max(initial=0.0) < TOLERANCE:
             break
         moment = np.einsum("np,pi,pj->nij", share, points, points)
         moment -= centre[:, :, None] * centre[:, None, :]
         moment += 1e-12 * np.eye(2)
-        step = -np.linalg.solve(moment, centre[:, :, None])[:, :, 0]
+        step = -np.linalg.solve(moment, away[:, :, None])[:, :, 0]
         size = np.ones(len(tilt))
         for _ in range(30):
             trial = _log_sum(exponent + (tilt + size[:, None] * step) @ points.T)
-            worse = trial > height + 1e-4 * size * (centre * step).sum(axis=1) + 1e-14
+            if centre_at is not None:
+                trial -= ((tilt + size[:, None] * step) * centre_at).sum(axis=1)
+            worse = trial > height + 1e-4 * size * (away * step).sum(axis=1) + 1e-14
             if not worse.any():
                 break
             size[worse] *= 0.5

@@ -20,13 +20,14 @@ from fixel.model import Disk, Parameters, Pusher, Scene, SupportPoints, UniformP
 from fixel.model.footprint import cells
 from fixel.model.parameters import check_supports, info_of
 from fixel.model.support import LOAD_ROUNDING, tilted_shares, triangle_shares
-from fixel.simulation.load_profile import PROFILE_NAMES, LoadNet, can_balance
+from fixel.simulation.load_profile import PROFILE_NAMES, LoadNet, balance, can_balance
 from fixel.simulation.uneven_table import MAX_EXPONENT, TABLE_NAMES, factors_on_table
 from fixel.typing import FloatArray, IntArray
 
 Values = Mapping[str, FloatArray]  # name -> (n,)
 
 MIN_FACTOR = 0.05  # least friction of the plane in one direction, relative to its mean
+NO_LOAD = 1e-300  # share of a point without load, whose logarithm is needed
 PRESSURE_POINTS = 24  # approximate number of points for pressure under the whole body
 
 _CORNERS = tuple(f"support_{k}_{axis}" for k in (1, 2, 3) for axis in "xy")
@@ -74,6 +75,7 @@ def vary(
     values = variation.parameters
     if not values:
         plane = varied_plane(scene, values)
+        elements = on_load_map(scene, elements, variation.start)
         return VariedScene(variation.start, elements, None, friction, None, None, plane, None)
     _check_own(values)
     start = varied_start(scene, variation.start, values)
@@ -131,6 +133,7 @@ def varied_elements(
         elements = _on_net(scene, elements, values, start)
     elif any(name in values for name in TABLE_NAMES):
         elements = _on_table(scene, elements, values, start)
+    elements = on_load_map(scene, elements, start)
     if "tripod_radius" in values:
         elements = _at_radius(elements, values["tripod_radius"])
     if "mu_support" in values:
@@ -299,6 +302,48 @@ def _on_table(
     # Without gravity there is no load to distribute.
     ratio = np.divide(total, now, out=np.ones(n), where=now > 0.0)
     return elements._replace(load=load * ratio[:, None])
+
+
+def on_load_map(scene: Scene, elements: Elements, start: FloatArray | None) -> Elements:
+    """Distribute the loads of every body as on the uneven table of the scene.
+
+    Their sum and their centre do not change, so that three points bear what they bore before.
+
+    Parameters
+    ----------
+    start : (n, n_free, 3) float64, optional
+        Poses of the outlines at the start [m, m, rad]; the scene's by default.
+    """
+    uneven = scene.plane.load_map
+    if uneven is None:
+        return elements
+    poses = np.array([[body.pose for body in scene.bodies]]) if start is None else start
+    load = np.atleast_2d(elements.load)
+    load = np.array(np.broadcast_to(load, (max(len(poses), len(load)), len(elements.body))))
+    for k, body in enumerate(scene.bodies):
+        own = np.flatnonzero((elements.body == k) & (elements.kind == codes.POINT))
+        if len(own) > 3:
+            place = elements.point[own] + body.com
+            c, s = np.cos(poses[:, k, 2, None]), np.sin(poses[:, k, 2, None])
+            world = np.stack(
+                (c * place[:, 0] - s * place[:, 1], s * place[:, 0] + c * place[:, 1]), -1
+            )
+            height = uneven.at(world + poses[:, k, None, :2])
+            load[:, own] = _redistributed(load[:, own], height, place)
+    shared = start is None and elements.load.ndim == 1
+    return elements._replace(load=load[0] if shared else load)
+
+
+def _redistributed(load: FloatArray, height: FloatArray, place: FloatArray) -> FloatArray:
+    """Return loads (n, k) on points (k, 2) times exp(height), with their former sum and centre."""
+    total = load.sum(axis=1, keepdims=True)
+    share = np.divide(load, total, out=np.zeros_like(load), where=total > 0.0)
+    away = (place - place.mean(axis=0)) / float(np.ptp(place, axis=0).max())
+    # Points without load keep next to none, and those of a body without weight none.
+    exponent = np.log(np.maximum(share, NO_LOAD)) + height
+    exponent += balance(exponent, away, share @ away) @ away.T
+    bare = np.exp(exponent - exponent.max(axis=1, keepdims=True))
+    return np.asarray(total * bare / bare.sum(axis=1, keepdims=True))
 
 
 def _check_support_grid(scene: Scene, elements: Elements) -> None:
