@@ -41,6 +41,7 @@ if TYPE_CHECKING:
         Goal as Goal,
         Inside as Inside,
         LineDrive as LineDrive,
+        LoadMap as LoadMap,
         NoSupport as NoSupport,
         PairFriction as PairFriction,
         Parameters as Parameters,
@@ -62,6 +63,7 @@ if TYPE_CHECKING:
     from fixel.parts.next_pushes import push_candidates as push_candidates
     from fixel.parts.model import PartModel as PartModel
     from fixel.parts.next_pushes import NextPushes as NextPushes
+    from fixel.parts.table_map import TableMap as TableMap
     from fixel.planning.orienting import (
         orienting_plan as orienting_plan,
         OrientingPlan as OrientingPlan,
@@ -113,6 +115,7 @@ if TYPE_CHECKING:
     from fixel.workflows.report.write import report as report
     from fixel.workflows.sensitivity.run import sensitivity as sensitivity
     from fixel.workflows.prediction import predict as predict
+    from fixel.workflows.table_map import table_map as table_map
     from fixel.workflows.uncertainty.run import posterior as posterior
 
     __version__: str
@@ -132,12 +135,13 @@ _NAMES = {
     "fixel.formats": "load_scene",
     "fixel.io": "load",
     "fixel.model": "AllOf AnyOf Beyond Body Contact Disk Ellipsoid Exit Experiment Fixel ForceAbove"
-    " Goal Inside LineDrive NoSupport PairFriction Parameters PathDrive Plane Polygon Pose"
+    " Goal Inside LineDrive LoadMap NoSupport PairFriction Parameters PathDrive Plane Polygon Pose"
     " PoseRegion Pusher Scene Seated SupportPoints Trajectory Tripod UniformPressure",
     "fixel.model.records": "Estimate",
     "fixel.model.space": "Parameter",
     "fixel.parts.model": "PartModel",
     "fixel.parts.next_pushes": "NextPushes push_candidates",
+    "fixel.parts.table_map": "TableMap",
     "fixel.planning.orienting": "orienting_plan OrientingPlan",
     "fixel.planning.belief": "Belief RigError",
     "fixel.planning.plan": "PushPlan",
@@ -163,6 +167,7 @@ _NAMES = {
     "fixel.workflows.report.write": "report",
     "fixel.workflows.sensitivity.run": "sensitivity",
     "fixel.workflows.prediction": "predict",
+    "fixel.workflows.table_map": "table_map",
     "fixel.workflows.uncertainty.run": "posterior",
 }
 _HOME_OF = {name: module for module, names in _NAMES.items() for name in names.split()}

@@ -137,6 +137,8 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "fixel.parts.model": "PartModel",
         "fixel.parts.next_pushes": "NextPushes",
         "fixel.parts.fit": "PartValues",
+        "fixel.parts.table_fit": "OwnFit",
+        "fixel.parts.table_map": "BoardShift MapJudgement TableMap",
         "fixel.planning.belief": "Belief RigError Scenarios",
         "fixel.planning.causes": "Explanation FailureRegion UnknownEffect",
         "fixel.planning.held_out": "HeldSuccess",

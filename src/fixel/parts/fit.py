@@ -352,6 +352,7 @@ class PartPushes:
         self.tip_end = np.array([path[-1, 1:3] for path in paths])
         self.radius = float(getattr(scenes[0].pushers[0].shape, "radius", 0.0))
         cases = [RolloutCase(scene, np.array([scene.duration])) for scene in scenes]
+        self.cases, self.threads = cases, threads
         stepper = StewartTrinkle(step=STEP)
         self._ensemble = Ensemble(cases, QuasiStatic(), stepper, threads=threads)
 

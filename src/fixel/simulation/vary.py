@@ -329,12 +329,12 @@ def on_load_map(scene: Scene, elements: Elements, start: FloatArray | None) -> E
                 (c * place[:, 0] - s * place[:, 1], s * place[:, 0] + c * place[:, 1]), -1
             )
             height = uneven.at(world + poses[:, k, None, :2])
-            load[:, own] = _redistributed(load[:, own], height, place)
+            load[:, own] = redistributed(load[:, own], height, place)
     shared = start is None and elements.load.ndim == 1
     return elements._replace(load=load[0] if shared else load)
 
 
-def _redistributed(load: FloatArray, height: FloatArray, place: FloatArray) -> FloatArray:
+def redistributed(load: FloatArray, height: FloatArray, place: FloatArray) -> FloatArray:
     """Return loads (n, k) on points (k, 2) times exp(height), with their former sum and centre."""
     total = load.sum(axis=1, keepdims=True)
     share = np.divide(load, total, out=np.zeros_like(load), where=total > 0.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from importlib.metadata import version
 from typing import Final
 
@@ -13,7 +14,9 @@ from fixel.model import (
     Disk,
     Experiment,
     LineDrive,
+    LoadMap,
     Parameters,
+    Plane,
     Provenance,
     Pusher,
     Scene,
@@ -23,6 +26,7 @@ from fixel.model import (
 )
 from fixel.parts.next_pushes import push_candidates
 from fixel.simulation import simulate
+from fixel.simulation.vary import composed
 from fixel.testing.scenes import box, row
 from fixel.typing import FloatArray
 
@@ -83,7 +87,9 @@ def _scene(offset: float, duration: float) -> Scene:
     return Scene(bodies=(part,), pushers=(finger,), duration=duration)
 
 
-def example_parts(n: int = 3, pushes: int = 12, *, seed: int = 1) -> list[Experiment]:
+def example_parts(
+    n: int = 3, pushes: int = 12, *, seed: int = 1, uneven: float = 0.0
+) -> list[Experiment]:
     """Return simulated pushes of several parts on a board, measured with noise.
 
     Every part is a rectangle of its own size that presses on its own points. The pushes start
@@ -97,6 +103,9 @@ def example_parts(n: int = 3, pushes: int = 12, *, seed: int = 1) -> list[Experi
         Number of pushes of each.
     seed : int
         Seed of the sizes, of the loads under the parts and of the noise.
+    uneven : float
+        Standard deviation of the logarithm of the loads on an uneven board, which the scenes of the
+        experiments do not have. The parts then start at many places and angles of it.
 
     Examples
     --------
@@ -104,6 +113,7 @@ def example_parts(n: int = 3, pushes: int = 12, *, seed: int = 1) -> list[Experi
     ['part-1', 'part-2']
     """
     rng = np.random.default_rng(seed)
+    board = Plane() if uneven == 0.0 else Plane(load_map=uneven_board(uneven))
     found = []
     for k in range(n):
         width, height = rng.uniform(0.08, 0.11, 2)
@@ -121,13 +131,46 @@ def example_parts(n: int = 3, pushes: int = 12, *, seed: int = 1) -> list[Experi
         scenes = push_candidates(body, travel=0.04, contacts=max(pushes, 4))
         for j, which in enumerate(rng.permutation(len(scenes))[:pushes].tolist()):
             scene = scenes[which]
-            run = simulate(scene, truth, motion="quasistatic", output_interval=scene.duration)
+            if uneven:
+                scene = _moved(scene, rng)
+            run = simulate(
+                replace(scene, plane=board),
+                truth,
+                motion="quasistatic",
+                output_interval=scene.duration,
+            )
             noise = rng.normal(size=3) * (POSITION_NOISE, POSITION_NOISE, ANGLE_NOISE)
             pose = run.pose["part"][[0, -1]] + [np.zeros(3), noise]
             name, time = f"part-{k + 1}", np.array([0.0, scene.duration])
             conditions = {"part": name, "surface": "board"}
             found.append(_experiment(f"{name}-{j + 1:02d}", scene, time, pose, seed, conditions))
     return found
+
+
+def uneven_board(deviation: float, seed: int = 5, *, cell: float = 0.05) -> LoadMap:
+    """Return a board whose nodes have random logarithms of load factors."""
+    nodes = np.random.default_rng(seed).normal(0.0, deviation, (9, 9))
+    return LoadMap(origin=np.full(2, -4.0 * cell), cell=np.full(2, cell), log_load=nodes)
+
+
+def _moved(scene: Scene, rng: np.random.Generator) -> Scene:
+    """Return a scene turned as a whole, and moved to a random place."""
+    place = np.array([*rng.uniform(-0.08, 0.08, 2), rng.uniform(-np.pi, np.pi)])
+    body, (pusher,) = scene.bodies[0], scene.pushers
+    drive = pusher.drive
+    turn = np.array([[np.cos(place[2]), -np.sin(place[2])], [np.sin(place[2]), np.cos(place[2])]])
+    assert isinstance(drive, LineDrive)
+    return replace(
+        scene,
+        bodies=(replace(body, pose=composed(place, body.pose)),),
+        pushers=(
+            replace(
+                pusher,
+                pose=composed(place, pusher.pose),
+                drive=replace(drive, direction=turn @ drive.direction),
+            ),
+        ),
+    )
 
 
 def _experiment(

@@ -91,8 +91,8 @@ def part_model(
             expected="pushes of parts",
             hint="fixel.read_experiments(folder) reads them",
         )
-    part = part or _condition(used, PARTS, "part")
-    surface = surface or _condition(used, SURFACES, "")
+    part = part or condition_of(used, PARTS, "part")
+    surface = surface or condition_of(used, SURFACES, "")
     targets = [target_of(own) for own in used]
     named = [own._replace(conditions={part: "", surface: "", **own.conditions}) for own in targets]
     groups = grouped(named, surface, part, threads)
@@ -100,7 +100,7 @@ def part_model(
     fits = []
     with show_progress(progress, "fitting parts") as report:
         for done, ((on, name), group) in enumerate(groups.items()):
-            fits.append(PartValues(name, on, _fitted(group, seed, cache, f"{on}_{name}")))
+            fits.append(PartValues(name, on, fitted_values(group, seed, cache, f"{on}_{name}")))
             report(done + 1, len(groups), name)
     share = best_share(groups, fits, seed)
     with show_progress(progress, "leaving parts out") as report:
@@ -118,7 +118,7 @@ def part_model(
     )
 
 
-def _fitted(group: PartPushes, seed: int, cache: ResultCache, name: str) -> np.ndarray:
+def fitted_values(group: PartPushes, seed: int, cache: ResultCache, name: str) -> np.ndarray:
     """Return the values fitted to a part on a surface."""
     which = np.sort(np.random.default_rng(seed).permutation(len(group))[:MAX_FIT])
 
@@ -132,7 +132,7 @@ def _fitted(group: PartPushes, seed: int, cache: ResultCache, name: str) -> np.n
     return np.array(found["values"], np.float64)
 
 
-def _condition(experiments: tuple[Experiment, ...], names: tuple[str, ...], needed: str) -> str:
+def condition_of(experiments: tuple[Experiment, ...], names: tuple[str, ...], needed: str) -> str:
     """Return the first name that all experiments have among their conditions."""
     for name in names:
         if all(name in own.conditions for own in experiments):

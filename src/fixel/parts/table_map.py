@@ -1,0 +1,441 @@
+"""Map of an uneven table, learned from pushes of several parts that stand on it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final, NamedTuple, TypeVar, final
+
+import numpy as np
+
+from fixel.calibration.contacts import contacts_of
+from fixel.calibration.objective import ANGLE_SCALE
+from fixel.calibration.target import target_of
+from fixel.errors import InvalidInput
+from fixel.model import Experiment, LoadMap, Scene
+from fixel.model.support import support_points
+from fixel.parts.fit import LOST_PUSH, PartPushes
+from fixel.parts.table_fit import (
+    DEVIATION,
+    MapGrid,
+    MapRows,
+    OwnFit,
+    StandingPart,
+    TableFit,
+    fit_table,
+    own_fit,
+    shift_of,
+)
+from fixel.progress import ProgressOption, show_progress
+from fixel.results import Result, Summary
+from fixel.table import Column, Table
+from fixel.typing import FloatArray, IntArray, ProgressCallback
+
+Standing = TypeVar("Standing", Scene, Experiment)
+
+MIN_PARTS: Final = 3  # with fewer, sides are left out instead of parts
+WEIGHTS: Final = (0.0, 0.5, 0.75, 1.0)  # of the map, of which leaving out chooses one; 0 first
+SCALES: Final = (1e3, math.degrees(1.0))  # of errors in tables: [mm], [deg]
+DRAWS: Final = 2000  # of the bootstrap
+# Posterior over prior deviation above which a place counts as never seen.
+UNSEEN: Final = 0.8
+MOVED_LEVEL: Final = 3.0  # in standard deviations, at which a board counts as moved
+
+
+class MapJudgement(NamedTuple):
+    """Errors of pushes that were left out, without and with the map from the others."""
+
+    left_out: str  # "part" or "side"
+    part: tuple[str, ...]  # part of each push (n,)
+    # (n, 2) Errors of position [m] and angle [rad]; large where the simulation failed.
+    before: FloatArray
+    after: FloatArray
+
+    def gain(self, seed: int = 0) -> FloatArray:
+        """Return the mean change (2,) of both errors with a 95 % interval, as rows (3, 2).
+
+        Parts, and pushes within them, are drawn again.
+        """
+        change, names = self.after - self.before, np.array(self.part)
+        rng = np.random.default_rng(seed)
+        rows = [np.flatnonzero(names == name) for name in dict.fromkeys(self.part)]
+        draws = []
+        for _ in range(DRAWS):
+            drawn = [rows[k] for k in rng.integers(0, len(rows), len(rows))]
+            draws.append(np.mean([change[rng.choice(x, len(x))].mean(axis=0) for x in drawn], 0))
+        mean = np.mean([change[own].mean(axis=0) for own in rows], axis=0)
+        return np.array([mean, *np.percentile(draws, (2.5, 97.5), axis=0)])
+
+    def table(self) -> Table:
+        """Return the mean errors of each part without and with the map."""
+        rows, names = [], np.array(self.part)
+        for name in dict.fromkeys(self.part):
+            own = names == name
+            means = [x for e in (self.before, self.after) for x in e[own].mean(axis=0) * SCALES]
+            rows.append((name, int(own.sum()), *means))
+        columns = ("without map [mm]", "without map [deg]", "with map [mm]", "with map [deg]")
+        title = f"mean errors of pushes whose {self.left_out} was left out"
+        head: list[str | Column] = ["part", "pushes"]
+        head += [Column(name, format=".2f") for name in columns]
+        return Table(head, rows, title=title)
+
+    def sentence(self) -> str:
+        """Return the change of the errors in words."""
+        (x, turn), (low_x, low_turn), (high_x, high_turn) = (self.gain() * SCALES).tolist()
+        return (
+            f"errors of pushes whose {self.left_out} was left out change by {x:+.2f} mm"
+            f" ({low_x:+.2f} to {high_x:+.2f}) and {turn:+.2f} deg ({low_turn:+.2f} to"
+            f" {high_turn:+.2f})"
+        )
+
+
+class BoardShift(NamedTuple):
+    """Estimated motion of a table since its map was made."""
+
+    shift: FloatArray  # (3,) [m, m, rad]
+    deviation: FloatArray  # (3,) standard deviations
+    pushes: int
+
+    @property
+    def noticed(self) -> bool:
+        """Whether the table has moved beyond doubt."""
+        return bool((np.abs(self.shift) > MOVED_LEVEL * self.deviation).any())
+
+    def __repr__(self) -> str:
+        verdict = "the table has moved" if self.noticed else "no motion of the table is seen"
+        scales = (("mm", 1e3), ("mm", 1e3), ("deg", math.degrees(1.0)))
+        ends = [
+            f"{name} {k * value:+.1f} +- {2.0 * k * sd:.1f} {unit}"
+            for name, (unit, k), value, sd in zip(
+                ("x", "y", "turn"),
+                scales,
+                self.shift.tolist(),
+                self.deviation.tolist(),
+                strict=True,
+            )
+        ]
+        return f"{verdict}: {', '.join(ends)} (95 %), from {self.pushes} pushes"
+
+
+@final
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class TableMap(Result):
+    """Unevenness of a table in world coordinates, shared by all parts that stand on it.
+
+    Made by `fixel.table_map`. Where the table is high, parts press more; the map is the logarithm
+    of that factor, never a height: heights and stiffness cannot be told apart. It belongs to one
+    table in one place. It is used by putting it into scenes, with `on`, before these are given to
+    `fixel.calibrate`, `fixel.part_model`, `fixel.predict`, `fixel.plan` or any other function.
+
+    Attributes
+    ----------
+    surface, name : str
+        Condition that names the table, and its value.
+    frame : tuple of str
+        Datasets of the experiments, in whose world coordinates the map is.
+    part : str
+        Condition that names the part.
+    values : mapping of str to mapping of str to float
+        Calibrated values of each part.
+    load_map : LoadMap
+        Mean of the map, times its weight.
+    spread : (n_node, k) float64
+        Square root of the covariance of the nodes.
+    own : mapping of str to OwnFit
+        What is the parts' own on the table, from pose to pose.
+    weight : float
+        Weight of the map that leaving out chose; 0 for a map that does not help.
+    new_parts : MapJudgement or None
+        Errors of pushes of parts that were left out, for three parts or more.
+    new_sides : MapJudgement
+        Errors of pushes on one half of the outlines, after those on the other.
+    experiments : tuple of str
+        Names of the experiments.
+
+    Examples
+    --------
+    >>> import fixel
+    >>> from fixel.testing.pushes import example_parts
+    >>> pushes = example_parts(3, 8, uneven=0.8)
+    >>> table = fixel.table_map(pushes, progress=False)
+    >>> table.name, table.load_map.log_load.shape == table.deviation.shape
+    ('board', True)
+    """
+
+    surface: str
+    name: str
+    frame: tuple[str, ...]
+    part: str
+    values: Mapping[str, Mapping[str, float]]
+    load_map: LoadMap
+    spread: FloatArray
+    own: Mapping[str, OwnFit]
+    weight: float
+    new_parts: MapJudgement | None
+    new_sides: MapJudgement
+    experiments: tuple[str, ...]
+
+    def on(self, push: Standing) -> Standing:
+        """Return a scene, or an experiment with its scene, on this table.
+
+        Raises
+        ------
+        InvalidInput
+            The experiment names another table, or is from another dataset, whose world
+            coordinates the map does not know.
+        """
+        if isinstance(push, Scene):
+            return replace(push, plane=replace(push.plane, load_map=self.load_map))
+        found = push.conditions.get(self.surface, self.name)
+        if found != self.name:
+            raise InvalidInput(
+                f"experiment {push.key}",
+                found=f"{self.surface}={found}",
+                expected=f"experiments on the table of this map, {self.surface}={self.name}",
+            )
+        if push.dataset not in self.frame:
+            raise InvalidInput(
+                f"experiment {push.key}",
+                found=f"dataset {push.dataset}, whose world coordinates are not those of the map",
+                expected=f"experiments of {' or '.join(self.frame)}",
+                hint="make a map of each laboratory",
+            )
+        return push if push.scene is None else replace(push, scene=self.on(push.scene))
+
+    def unseen(self, push: Scene | Experiment) -> str:
+        """Return why the map tells little about a push; empty if it has seen its place."""
+        scene = push if isinstance(push, Scene) else push.scene
+        if scene is None:
+            return ""
+        body = scene.bodies[0]
+        points = support_points(body.support, body.shape, body.com, body.mass, scene.gravity)[0]
+        x, y, angle = body.pose
+        c, s = math.cos(angle), math.sin(angle)
+        world = (points + body.com) @ np.array([[c, s], [-s, c]]) + (x, y)
+        spread = replace(self.load_map, log_load=self.deviation).at(world)
+        share = float((spread > UNSEEN * DEVIATION).mean())
+        if share < 0.5:
+            return ""
+        return (
+            f"the part stands {'for the most part ' if share < 1.0 else ''}where none of the"
+            f" {len(self.experiments)} pushes of the map was"
+        )
+
+    def moved(
+        self, experiments: Iterable[Experiment], progress: ProgressOption = False
+    ) -> BoardShift:
+        """Estimate how far the table has moved, from new pushes of the parts of the map.
+
+        Parameters
+        ----------
+        experiments : sequence of Experiment
+            Pushes of known parts on this table, made since.
+
+        Raises
+        ------
+        InvalidInput
+            A part is not one of the map, or `on` refuses an experiment.
+        """
+        pushes = [self.on(own) for own in experiments]
+        groups = by_part(pushes, self.part)
+        self._refuse_strange(groups)
+        parts = []
+        with show_progress(progress, "differentiating pushes") as report:
+            for done, (name, group) in enumerate(groups.items()):
+                parts.append(StandingPart(group, self.values[name]))
+                report(done + 1, len(groups), name)
+        return BoardShift(*shift_of(parts, self.load_map, self.spread), len(pushes))
+
+    @cached_property
+    def deviation(self) -> FloatArray:
+        """Standard deviation (n_y, n_x) at the nodes; that of the prior is 1."""
+        size = np.linalg.norm(self.spread, axis=1)
+        return np.asarray(size.reshape(self.load_map.log_load.shape), np.float64)
+
+    def predict(self, pushes: Sequence[Experiment]) -> FloatArray:
+        """Predict the ends of pushes of parts that the map knows, with what is their own.
+
+        How a part stands differs from pose to pose by more than the map explains; where it has
+        stood in nearly the same pose, its own pushes tell.
+
+        Parameters
+        ----------
+        pushes : sequence of Experiment
+            Their measured ends are not used.
+
+        Returns
+        -------
+        (n, 3) float64
+            End poses [m, m, rad]; the start where a simulation failed.
+
+        Raises
+        ------
+        InvalidInput
+            A part is not one of the map, or `on` refuses an experiment.
+        """
+        rows: dict[str, list[int]] = {}
+        for k, own in enumerate(pushes):
+            self.on(own)
+            rows.setdefault(str(own.conditions.get(self.part, "")), []).append(k)
+        groups = by_part(pushes, self.part)
+        self._refuse_strange(groups)
+        ends = np.zeros((len(pushes), 3))
+        for name, group in groups.items():
+            part = StandingPart(group, self.values[name], differentiate=False)
+            every, height = np.arange(len(group)), self.load_map.at(part.places)
+            ends[rows[name]] = part.ends(every, height, self.own[name])
+        return ends
+
+    def _refuse_strange(self, groups: Mapping[str, PartPushes]) -> None:
+        strange = sorted(set(groups) - set(self.values))
+        if strange:
+            raise InvalidInput(
+                "experiments",
+                found=f"a part {strange[0]!r}",
+                expected="parts of the map: " + ", ".join(self.values),
+            )
+
+    def _summary(self) -> Summary:
+        verdict = f"weight {self.weight:g}" if self.weight else "not used, as it does not help"
+        seen = self.deviation < UNSEEN * DEVIATION
+        area = float(seen.sum() * np.prod(self.load_map.cell))
+        judged = [own for own in (self.new_parts, self.new_sides) if own is not None]
+        return Summary(
+            f"TableMap of {self.surface}={self.name}: {len(self.experiments)} pushes of"
+            f" {len(self.values)} parts; {verdict}",
+            [own.table() for own in judged],
+            [
+                *(own.sentence() for own in judged),
+                f"the pushes have seen {1e4 * area:.0f} cm^2 of the table",
+            ],
+            {"world coordinates of": ", ".join(self.frame)},
+        )
+
+    def _data(self) -> Table:
+        """Nodes of the map, with their standard deviations."""
+        grid = self.load_map
+        n_y, n_x = grid.log_load.shape
+        y, x = np.meshgrid(np.arange(n_y), np.arange(n_x), indexing="ij")
+        return Table.from_columns(
+            {
+                "x_m": grid.origin[0] + grid.cell[0] * x.ravel(),
+                "y_m": grid.origin[1] + grid.cell[1] * y.ravel(),
+                "log_load": grid.log_load.ravel(),
+                "deviation": self.deviation.ravel(),
+            }
+        )
+
+
+def by_part(
+    experiments: Iterable[Experiment], part: str, threads: int | None = None
+) -> dict[str, PartPushes]:
+    """Return the pushes of each part, by the condition that names it."""
+    rows: dict[str, list[Experiment]] = {}
+    for own in experiments:
+        rows.setdefault(str(own.conditions.get(part, "")), []).append(own)
+    return {name: PartPushes([target_of(e) for e in rows[name]], threads) for name in sorted(rows)}
+
+
+class FittedMap(NamedTuple):
+    """Map on its grid, with its weight, and what is the parts' own."""
+
+    load_map: LoadMap
+    spread: FloatArray  # (n_node, k)
+    own: dict[str, OwnFit]
+    weight: float
+    new_parts: MapJudgement | None
+    new_sides: MapJudgement
+
+
+def fitted_map(
+    groups: Mapping[str, PartPushes],
+    values: Mapping[str, Mapping[str, float]],
+    progress: ProgressCallback | None = None,
+) -> FittedMap:
+    """Fit a map to the pushes of all parts, and judge it by leaving parts and sides out."""
+    parts = {}
+    for done, (name, group) in enumerate(groups.items()):
+        parts[name] = StandingPart(group, values[name])
+        if progress is not None:
+            progress(done + 1, len(groups), name)
+    places = np.concatenate([own.places.reshape(-1, 2) for own in parts.values()])
+    grid = MapGrid.over(places)
+    rows = {name: MapRows.of(own, grid) for name, own in parts.items()}
+    fit = fit_table(list(rows.values()))
+    new_parts = None
+    if len(parts) >= MIN_PARTS:
+        weight, new_parts = _weighed(lambda weight: _without_parts(parts, fit, grid, weight))
+        new_sides = _without_sides(parts, rows, grid, weight)
+    else:
+        weight, new_sides = _weighed(lambda weight: _without_sides(parts, rows, grid, weight))
+    mean = weight * grid.levelled(grid.root @ fit.mean, places).reshape(grid.shape)
+    return FittedMap(
+        LoadMap(origin=grid.origin, cell=np.full(2, grid.cell), log_load=mean),
+        grid.levelled(grid.root @ fit.factor, places),
+        {name: own_fit(own, weight * fit.mean) for name, own in rows.items()},
+        weight,
+        new_parts,
+        new_sides,
+    )
+
+
+def _weighed(judge: Callable[[float], MapJudgement]) -> tuple[float, MapJudgement]:
+    """Return the weight with the smallest errors of left-out pushes, and these; 0 unless the
+    interval of the gain excludes none."""
+    best, least, found = 0.0, 0.0, None
+    for weight in WEIGHTS:
+        judged = judge(weight)
+        gain = judged.gain()
+        cost = float(gain[0] @ (1.0, ANGLE_SCALE))
+        if found is None or (cost < least and gain[2, 0] < 0.0):
+            best, least, found = (weight if cost < 0.0 else 0.0), min(cost, 0.0), judged
+    assert found is not None
+    return best, found
+
+
+def _without_parts(
+    parts: Mapping[str, StandingPart], fit: TableFit, grid: MapGrid, weight: float
+) -> MapJudgement:
+    """Predict the pushes of each part with the map from the others."""
+    names, before, after = [], [], []
+    for k, (name, part) in enumerate(parts.items()):
+        height = grid.heights(part, grid.root @ fit.without(k))
+        every = np.arange(len(height))
+        names += [name] * len(height)
+        before.append(_errors(part, every, 0.0 * height))
+        after.append(_errors(part, every, weight * height))
+    return MapJudgement("part", tuple(names), np.concatenate(before), np.concatenate(after))
+
+
+def _without_sides(
+    parts: Mapping[str, StandingPart], rows: Mapping[str, MapRows], grid: MapGrid, weight: float
+) -> MapJudgement:
+    """Predict the pushes on one half of every outline with the map from the other halves."""
+    names, before, after = [], [], []
+    half = {name: _half(own.pushes) for name, own in parts.items()}
+    for side in (0, 1):
+        seen = [rows[name].rows(np.flatnonzero(half[name] != side)) for name in parts]
+        fit = fit_table(seen)
+        for own, (name, part) in zip(seen, parts.items(), strict=True):
+            new = np.flatnonzero(half[name] == side)
+            height = grid.heights(part, grid.root @ fit.mean)[new]
+            names += [name] * len(new)
+            before.append(_errors(part, new, 0.0 * height))
+            after.append(_errors(part, new, weight * height, own_fit(own, weight * fit.mean)))
+    return MapJudgement("side", tuple(names), np.concatenate(before), np.concatenate(after))
+
+
+def _half(pushes: PartPushes) -> IntArray:
+    """Return which half of the outline each push begins on (n,), by the direction of its normal."""
+    every = np.arange(len(pushes))
+    normal = contacts_of(pushes.configurations(every), np.ones(len(pushes))).normal
+    return np.asarray(normal > np.median(normal), np.int64)
+
+
+def _errors(
+    part: StandingPart, which: IntArray, height: FloatArray, own: OwnFit | None = None
+) -> FloatArray:
+    """Return the errors (k, 2) of pushes on a table; large ones where a simulation failed."""
+    return np.minimum(part.pushes.errors(which, part.ends(which, height, own)), LOST_PUSH)
