@@ -64,6 +64,7 @@ if TYPE_CHECKING:
     from fixel.parts.model import PartModel as PartModel
     from fixel.parts.next_pushes import NextPushes as NextPushes
     from fixel.parts.table_map import TableMap as TableMap
+    from fixel.parts.table_check import TableCheck as TableCheck
     from fixel.planning.orienting import (
         orienting_plan as orienting_plan,
         OrientingPlan as OrientingPlan,
@@ -116,6 +117,7 @@ if TYPE_CHECKING:
     from fixel.workflows.sensitivity.run import sensitivity as sensitivity
     from fixel.workflows.prediction import predict as predict
     from fixel.workflows.table_map import table_map as table_map
+    from fixel.workflows.table_check import table_check as table_check
     from fixel.workflows.uncertainty.run import posterior as posterior
 
     __version__: str
@@ -142,6 +144,7 @@ _NAMES = {
     "fixel.parts.model": "PartModel",
     "fixel.parts.next_pushes": "NextPushes push_candidates",
     "fixel.parts.table_map": "TableMap",
+    "fixel.parts.table_check": "TableCheck",
     "fixel.planning.orienting": "orienting_plan OrientingPlan",
     "fixel.planning.belief": "Belief RigError",
     "fixel.planning.plan": "PushPlan",
@@ -168,6 +171,7 @@ _NAMES = {
     "fixel.workflows.sensitivity.run": "sensitivity",
     "fixel.workflows.prediction": "predict",
     "fixel.workflows.table_map": "table_map",
+    "fixel.workflows.table_check": "table_check",
     "fixel.workflows.uncertainty.run": "posterior",
 }
 _HOME_OF = {name: module for module, names in _NAMES.items() for name in names.split()}

@@ -52,6 +52,7 @@ PLOTS: Final[Mapping[str, Mapping[str, str]]] = {
         "indices": "fixel.drawing.sensitivity:draw_indices",
     },
     "Simulation": {"motion": "fixel.drawing.picture:plot_simulation"},
+    "TableCheck": {"pairs": "fixel.drawing.parts:draw_table"},
     "SuccessProbability": {"draws": "fixel.drawing.planning:draw_success"},
     "Trials": {"evidence": "fixel.drawing.planning:draw_trials"},
 }
@@ -139,6 +140,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "fixel.parts.fit": "PartValues",
         "fixel.parts.table_fit": "OwnFit",
         "fixel.parts.table_map": "BoardShift MapJudgement TableMap",
+        "fixel.parts.table_check": "TableCheck TableEffect",
         "fixel.planning.belief": "Belief RigError Scenarios",
         "fixel.planning.causes": "Explanation FailureRegion UnknownEffect",
         "fixel.planning.held_out": "HeldSuccess",

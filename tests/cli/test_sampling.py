@@ -98,3 +98,14 @@ def test_bad_input_exits_2(arguments, sentence, tmp_path, monkeypatch, capsys):
     assert (code, out) == (2, "")
     assert sentence in err
     assert not (tmp_path / "plan.bmp").exists()
+
+
+def test_a_plan_of_a_table_is_run_next(tmp_path, capsys):
+    file = tmp_path / "table.yaml"
+    code, out, _ = fixel(capsys, "sample", "--table", "--out", file)
+
+    assert code == 0
+    assert "54 places of the rig on the table" in out
+    assert out.splitlines()[-1] == f"Next: fixel testbed run {file}"
+    assert fixel(capsys, "sample", "--table", "--eight-push")[0] == 2
+    assert fixel(capsys, "sample", file, "--table")[0] == 2

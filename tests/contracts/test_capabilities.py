@@ -16,6 +16,7 @@ import typer
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests import laboratories
+from tests.equal_pushes import over_a_table
 from tests.filtering.recordings import push
 from tests.fixtures import project_of
 from typer.testing import CliRunner
@@ -115,6 +116,7 @@ SHORT = {
         "experiments": ("push-1",), "fit": ("tripod_radius_mm=20:60",), "motion": "quasistatic",
         "samples": 50,
     },
+    "table-check": {"where": ("part=part-1",), "position": 3e-3, "seed": 1},
 }  # fmt: skip
 
 
@@ -329,7 +331,9 @@ def project_of_all(folder):
     """Project for a short run of every capability."""
     pushes = [replace(push(seed=k, duration=1.2), name=f"push-{k}") for k in (1, 2)]
     parts = example_parts(4, 8)[:-4]
-    return project_of(folder, [*pushes, *parts])
+    # Equal pushes of a known part, so that learning from parts has no new one.
+    equal = over_a_table(places=2, turns=(0.0, 2.0), noise=(1e-3, 0.01))
+    return project_of(folder, [*pushes, *parts, *equal])
 
 
 @pytest.fixture(scope="module")

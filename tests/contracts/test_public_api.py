@@ -21,6 +21,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib import pyplot
+from tests.equal_pushes import over_a_table
 
 import fixel
 from fixel.model import PlannedExperiment
@@ -96,6 +97,9 @@ CASES = {
         functools.partial(fixel.error_bound, folds=2, **QUIET),
     ),
     "PartModel": Case(lambda: (example_parts(3, 8),), functools.partial(fixel.part_model, **QUIET)),
+    "TableCheck": Case(
+        lambda: (over_a_table(noise=(1e-3, 0.01)),), functools.partial(fixel.table_check, level=0.9)
+    ),
     "NextPushes": Case(
         lambda: (example_parts(3, 8), fixel.push_candidates(pushed_square(0.5), contacts=4)),
         lambda pushes, candidates: fixel.part_model(pushes, **QUIET).next_pushes(

@@ -5,24 +5,29 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fixel.errors import InvalidInput
 from fixel.model import (
     Body,
     Ellipsoid,
     FrictionMap,
     NoSupport,
     Plane,
+    PlannedExperiment,
     SupportPoints,
     Tripod,
     UniformPressure,
 )
 from fixel.model.probability import stream
 from fixel.testbed.imperfections import (
+    NODES_PER_GRAIN,
     nominal_friction,
     planned_support,
     rough_plane,
     uneven_support,
+    uneven_table,
 )
-from fixel.testing.scenes import box
+from fixel.testbed.simulated import SimulatedTestbed
+from fixel.testing.scenes import box, pushed_square
 
 GRAIN = 0.06  # [m]
 
@@ -100,3 +105,30 @@ def test_streams_differ_by_purpose_alone():
     assert stream(1, "run", "a").random() == stream(1, "run", "a").random()
     different = [(1, "run", "a"), (2, "run", "a"), (1, "run", "b"), (1, "ru", "na"), (1, "runa")]
     assert len({stream(*purpose).random() for purpose in different}) == len(different)
+
+
+def test_an_uneven_table_has_the_stated_deviation_and_length():
+    nodes = np.array([uneven_table(Plane(), k, 0.8, GRAIN).load_map.log_load for k in range(40)])
+    along = uneven_table(Plane(), 3, 0.8, GRAIN).load_map
+
+    assert nodes.std() == pytest.approx(0.8, rel=0.03)
+    steps = NODES_PER_GRAIN  # one length: correlation exp(-1/2)
+    near = np.mean(nodes[:, :, steps:] * nodes[:, :, :-steps]) / nodes.var()
+    assert near == pytest.approx(np.exp(-0.5), abs=0.05)
+    assert along.cell == pytest.approx(GRAIN / steps)
+
+
+def test_a_table_is_flat_by_default_and_has_a_seed_of_its_own():
+    planned = PlannedExperiment(name="push", scene=pushed_square())
+
+    def table(**fields):
+        return SimulatedTestbed(**fields).true_scene(planned).plane.load_map
+
+    assert table() is None
+    assert table(seed=1, uneven_table=1.0) == table(seed=2, uneven_table=1.0)
+    assert table(uneven_table=1.0, table_seed=2) != table(uneven_table=1.0)
+    rough = SimulatedTestbed(uneven_table=1.0).true_scene(planned).plane.friction_map
+    assert rough == SimulatedTestbed().true_scene(planned).plane.friction_map
+    for wrong in ({"table_seed": -1}, {"uneven_table": -1.0}, {"table_length": 0.0}):
+        with pytest.raises(InvalidInput, match=next(iter(wrong))):
+            SimulatedTestbed(**wrong)

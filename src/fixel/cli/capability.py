@@ -29,13 +29,20 @@ _PREPARE = Annotated[
 ]
 
 
-def typer_commands(name: str, every: Mapping[str, Capability]) -> typer.Typer:
-    """Return the command of a capability with those of its group as sub-commands."""
-    app = typer.Typer(invoke_without_command=True, rich_markup_mode=None)
-    app.callback()(typer_command(every[name]))
+def typer_commands(name: str, every: Mapping[str, Capability], said: str = "") -> typer.Typer:
+    """Return the commands of a group; one of its own name is the command without a sub-command."""
+    own = name in every
+    app = typer.Typer(
+        help=said or None,
+        invoke_without_command=own,
+        no_args_is_help=not own,
+        rich_markup_mode=None,
+    )
+    if own:
+        app.callback()(typer_command(every[name]))
     for one in every.values():
         if one.group == name:
-            app.command(one.name)(typer_command(one))
+            app.command(one.verb or one.name)(typer_command(one))
     return app
 
 

@@ -41,6 +41,9 @@ def run_plan(
     ),
     folder: ProjectFolder = Path(),
     seed: AnySeed = 1,
+    uneven_table: float = option(
+        0.0, "Standard deviation of the logarithm of loads by place; 0 for a flat table.", min=0.0
+    ),
     limit: int | None = option(None, "Maximum number of experiments.", min=1, metavar="COUNT"),
     threads: int | None = option(None, "Number of threads; all cores by default.", min=1),
     as_json: AsJson = False,
@@ -54,7 +57,13 @@ def run_plan(
 
     with show_progress(stage="performing") as report:
         done = run_testbed(
-            Project(folder), plan, seed=seed, limit=limit, threads=threads, progress=report
+            Project(folder),
+            plan,
+            seed=seed,
+            uneven_table=uneven_table,
+            limit=limit,
+            threads=threads,
+            progress=report,
         )
     print_imported(done, {"seed": seed}, as_json, folder)
 

@@ -1,4 +1,4 @@
-"""Charts of parts that have hardly been pushed: errors of left-out parts, proposed pushes."""
+"""Charts of pushed parts: errors of left-out parts, proposed pushes, equal pushes on a table."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, Chart, Mark, bars, panel, panels, plot_of, tint, vline
+from fixel.drawing.chart import WIDE, Chart, Mark, bars, line, panel, panels, plot_of, tint, vline
 from fixel.drawing.top_view import closed_line, plain_view
 from fixel.drawing.view import unit_for
 from fixel.parts.model import PartModel
 from fixel.parts.next_pushes import NextPushes
+from fixel.parts.table_check import ELSEWHERE, SPOT, TURNED, TableCheck
 from fixel.table import Table
 
 if TYPE_CHECKING:
@@ -107,5 +108,38 @@ def _draw_pushes(figure: Figure, own: NextPushes) -> None:
     plain_view(axes, unit, " of the part", 0.08)
 
 
+BINS: Final = 8  # of distance, beyond one spot
+
+
+def table_chart(check: TableCheck) -> Chart:
+    """Draw the differences of equal pushes against distance, by their turn on the table."""
+    x, turn, *away = check.pairs.T
+    bins = np.digitize(x, np.linspace(SPOT[0], max(x.max(), 2.0 * SPOT[0]), BINS + 1)[:-1])
+    kinds = {
+        "same orientation": (turn < ELSEWHERE[1], palette.BODY),
+        "turned by 90 deg or more": (turn > TURNED, palette.FORCE),
+    }
+    row = []
+    for what, factor, values in zip(
+        ("position [mm]", "angle [deg]"), (1e3, np.degrees(1.0)), away, strict=True
+    ):
+        marks: list[Mark] = []
+        for name, (own, colour) in kinds.items():
+            points = np.column_stack((1e3 * x, factor * values))
+            groups = [points[own & (bins == k)] for k in np.unique(bins[own])]
+            means = np.array([group.mean(axis=0) for group in groups]).reshape(-1, 2)
+            marks.append(line(*points[own].T, ".", color=tint(colour, 0.4), markersize=2.5))
+            marks.append(line(*means.T, "o-", color=colour, markersize=3.5, label=name, zorder=3))
+        row.append(panel(*marks, xlabel="distance [mm]", ylabel=f"difference of the {what}"))
+    names = ("distance_m", "turn_rad", "position_m", "angle_rad")
+    return Chart(
+        title="Pushes that are equal in the frame of the part",
+        size=(WIDE, 2.6),
+        fill=panels([row]),
+        data=Table(names, check.pairs.tolist()),
+    )
+
+
 draw_errors = plot_of(left_out_chart)
+draw_table = plot_of(table_chart)
 draw_next = plot_of(next_pushes_chart)

@@ -53,7 +53,7 @@ _NUMBERS: Final[Mapping[Any, Any]] = {
 }
 # Keys that are not written for a default; files show all others.
 _OMITTED: Final = frozenset(
-    {"velocity", "force", "restitution", "plane", "pushers", "fixels", "contact_friction"}
+    {"velocity", "force", "restitution", "plane", "pushers", "fixels", "contact_friction", "places"}
 )
 _ENDINGS: Final = {"m": "_mm", "rad": "_deg", "px": "_px"}  # of keys, by unit
 _UNIT = re.compile("(_mm|_deg|_px)+$")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from math import hypot
@@ -25,7 +25,7 @@ from fixel.model import (
     placed,
 )
 from fixel.model.fields import settle
-from fixel.sampling.offsets import Offset, OffsetScheme
+from fixel.sampling.offsets import Offset, OffsetScheme, Triple
 from fixel.sampling.rig import FixelLayout, PlannedShape, SamplingRig, plain_name, shape_of
 from fixel.simulation import QuasiStatic, simulate_batch
 from fixel.typing import FloatArray
@@ -42,6 +42,10 @@ SAMPLES: Final = 61  # instants of the motion; one every 2.5 mm of the thesis's 
 TOUCH: Final = 0.95e-3
 
 
+HERE: Final[Triple] = (0.0, 0.0, 0.0)
+_PLACE: Final = ("place_x_m", "place_y_m", "place_theta_rad")
+
+
 class PlanEntry(NamedTuple):
     """Line of a plan, before its scene is built."""
 
@@ -49,6 +53,7 @@ class PlanEntry(NamedTuple):
     shape: PlannedShape
     layout: FixelLayout
     offset: Offset
+    place: Triple
     repetition: int
 
 
@@ -69,6 +74,8 @@ class Plan:
         Layouts of the fixels.
     schemes : tuple of OffsetScheme
         Schemes of the object's offsets, one after the other.
+    places : tuple of (x, y, theta)
+        Poses of the frame of the rig on the table, one run after the other [m, m, rad].
     repetitions : int
         Number of consecutive runs of every configuration.
 
@@ -83,6 +90,7 @@ class Plan:
     shapes: tuple[PlannedShape, ...]
     layouts: tuple[FixelLayout, ...]
     schemes: tuple[OffsetScheme, ...]
+    places: tuple[Triple, ...] = (HERE,)
     repetitions: int = 1
 
     def __post_init__(self) -> None:
@@ -92,11 +100,14 @@ class Plan:
             shapes=tuple(self.shapes),
             layouts=tuple(self.layouts),
             schemes=tuple(self.schemes),
+            places=tuple((float(x), float(y), float(a)) for x, y, a in self.places),
         )
         _refuse_repeats([shape.name for shape in self.shapes], "shapes")
         _refuse_repeats([layout.name for layout in self.layouts], "layouts")
         if not self.schemes:
             raise InvalidInput("offsets", found="none", expected="at least the nominal pose")
+        if not self.places:
+            raise InvalidInput("places", found="none", expected="at least [0, 0, 0]")
         if self.repetitions < 1:
             raise InvalidInput("repetitions", found=self.repetitions, expected="at least 1")
         if self.total > MAX_EXPERIMENTS:
@@ -115,7 +126,8 @@ class Plan:
     @property
     def total(self) -> int:
         """Number of all experiments, also of those that cannot be built."""
-        return len(self.shapes) * len(self.layouts) * self.configurations * self.repetitions
+        runs = len(self.places) * self.repetitions
+        return len(self.shapes) * len(self.layouts) * self.configurations * runs
 
     @cached_property
     def offsets(self) -> tuple[Offset, ...]:
@@ -137,12 +149,12 @@ class Plan:
         """Yield the lines of the plan in order."""
         width = len(str(self.total))
         runs = range(1, self.repetitions + 1)
-        lines = product(self.shapes, self.layouts, self.offsets, runs)
-        for number, (shape, layout, offset, repetition) in enumerate(lines, 1):
+        lines = product(self.shapes, self.layouts, self.offsets, self.places, runs)
+        for number, (shape, layout, offset, place, repetition) in enumerate(lines, 1):
             # The number comes first, so that the names sort in the order of the plan.
             parts = [f"{number:0{width}d}", shape.name, layout.name, offset.label]
             parts += [f"r{repetition}"] if self.repetitions > 1 else []
-            yield PlanEntry("-".join(parts), shape, layout, offset, repetition)
+            yield PlanEntry("-".join(parts), shape, layout, offset, place, repetition)
 
     def scene(self, shape: PlannedShape, layout: FixelLayout, offset: Offset) -> Scene:
         """Return the scene of one configuration; raise `InvalidInput` if bodies overlap."""
@@ -159,13 +171,34 @@ class Plan:
         for entry in self.entries():
             try:
                 scene = self.scene(entry.shape, entry.layout, entry.offset)
+                scene = scene if entry.place == HERE else _moved(scene, entry.place)
             except InvalidInput as problem:
                 refused.append(PlanProblem(entry.name, str(problem)))
                 continue
-            built.append(
-                PlannedExperiment(name=entry.name, scene=scene, conditions=_conditions(entry))
-            )
+            conditions = _conditions(entry)
+            if self.places != (HERE,):
+                conditions |= dict(zip(_PLACE, entry.place, strict=True))
+            built.append(PlannedExperiment(name=entry.name, scene=scene, conditions=conditions))
         return tuple(built), tuple(refused)
+
+
+def _moved(scene: Scene, place: Triple) -> Scene:
+    """Move a scene from the frame of the rig to the world, where the frame has a pose."""
+
+    def at(pose: FloatArray) -> FloatArray:
+        return np.array([*placed(pose[:2], place), pose[2] + place[2]])
+
+    head, body = scene.pushers[0], scene.bodies[0]
+    assert isinstance(head.drive, LineDrive)
+    direction = placed(head.drive.direction, (0.0, 0.0, place[2]))
+    return replace(
+        scene,
+        bodies=(replace(body, pose=at(body.pose)),),
+        pushers=(
+            replace(head, pose=at(head.pose), drive=replace(head.drive, direction=direction)),
+        ),
+        fixels=tuple(replace(own, pose=at(own.pose)) for own in scene.fixels),
+    )
 
 
 def object_pose(rig: SamplingRig, shape: PlannedShape, offset: Offset) -> FloatArray:
@@ -307,6 +340,9 @@ def scene_problems(scene: Scene) -> Iterator[str]:
     that contains it. The circle moves straight ahead for the rest of the travel after the head has
     met it: the object may rotate, but does not slide sideways.
     """
+    x, y, angle = scene.pushers[0].pose.tolist()
+    if (x, y, angle) != HERE:  # back in the frame of the rig
+        scene = _moved(_moved(scene, (-x, -y, 0.0)), (0.0, 0.0, -angle))
     drive = scene.pushers[0].drive
     assert isinstance(drive, LineDrive)
     way = _clearance(scene)

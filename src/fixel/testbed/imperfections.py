@@ -17,6 +17,7 @@ from fixel.model import (
     Ellipsoid,
     FrictionMap,
     LineDrive,
+    LoadMap,
     NoSupport,
     PathDrive,
     Plane,
@@ -58,7 +59,7 @@ def rough_plane(plane: Plane, seed: int, roughness: float, grain: float) -> Plan
     """
     if roughness == 0.0:
         return plane
-    place, field = _smooth_field(seed, grain)
+    place, field = _smooth_field(seed, grain, "plate")
     factor = np.exp(roughness * field)
     if plane.friction_map is not None:
         factor *= plane.friction_map.at(place)
@@ -67,8 +68,30 @@ def rough_plane(plane: Plane, seed: int, roughness: float, grain: float) -> Plan
     return replace(plane, friction_map=friction_map)
 
 
+def uneven_table(plane: Plane, seed: int, unevenness: float, length: float) -> Plane:
+    """Return the plane with a smooth random map of loads, fixed in space, in place of its own.
+
+    Parameters
+    ----------
+    plane : Plane
+    seed : int
+        Seed of the table.
+    unevenness : float
+        Standard deviation of the logarithm of loads from place to place [-]; 0 for no change.
+    length : float
+        Distance over which it changes, as `grain` of `rough_plane` [m].
+    """
+    if unevenness == 0.0:
+        return plane
+    _, field = _smooth_field(seed, length, "table")
+    cell = np.full(2, length / NODES_PER_GRAIN)
+    origin = np.array(PLATE_ORIGIN)
+    load_map = LoadMap(origin=origin, cell=cell, log_load=unevenness * field)
+    return replace(plane, load_map=load_map)
+
+
 @functools.lru_cache(maxsize=8)  # every run has the same plate
-def _smooth_field(seed: int, grain: float) -> tuple[FloatArray, FloatArray]:
+def _smooth_field(seed: int, grain: float, what: str) -> tuple[FloatArray, FloatArray]:
     """Return nodes (n_y, n_x, 2) [m] and values (n_y, n_x) of mean 0 and variance 1 [-].
 
     The field is a sum of waves. Normal wave vectors of deviation 1/grain give values at a distance
@@ -77,7 +100,7 @@ def _smooth_field(seed: int, grain: float) -> tuple[FloatArray, FloatArray]:
     spans = zip(PLATE_ORIGIN, PLATE_SIZE, strict=True)
     x, y = (start + np.arange(0.0, size, grain / NODES_PER_GRAIN) for start, size in spans)
     place = np.stack(np.meshgrid(x, y), axis=-1)
-    rng = stream(seed, "plate")
+    rng = stream(seed, what)
     wave = rng.standard_normal((2, N_WAVES)) / grain
     phase = rng.uniform(0.0, 2.0 * math.pi, N_WAVES)
     values = math.sqrt(2.0 / N_WAVES) * np.cos(place @ wave + phase).sum(axis=-1)

@@ -50,6 +50,7 @@ from fixel.testbed.imperfections import (
     tactile_channel,
     touching,
     uneven_support,
+    uneven_table,
     with_stall_force,
 )
 from fixel.typing import BoolArray, FloatArray, ProgressCallback
@@ -90,6 +91,13 @@ class SimulatedTestbed:
         Standard deviation of the logarithm of the plate's friction from place to place [-].
     plate_grain : float
         Distance over which that friction changes [m].
+    uneven_table : float
+        Standard deviation of the logarithm of the load that the table adds from place to place [-];
+        0 for a flat table.
+    table_length : float
+        Distance over which that load changes [m].
+    table_seed : int
+        Seed of the table, so that testbeds with other seeds can share it.
     size : float
         Ratio of the object's size, about the origin of its frame [-]. Above 1, an object that was
         planned to touch something does not fit.
@@ -128,6 +136,9 @@ class SimulatedTestbed:
     centre_of_pressure_spread: float = 0.0005
     plate_roughness: float = 0.1
     plate_grain: float = 0.06
+    uneven_table: float = 0.0
+    table_length: float = 0.05
+    table_seed: int = 1
     size: float = 0.998
     stall_force: float | None = 34.3
     ripple: float = 0.05
@@ -143,7 +154,9 @@ class SimulatedTestbed:
 
     def __post_init__(self) -> None:
         name_of(self.dataset, "testbed.dataset")
-        _check_counts(self.seed, self.support_cells)
+        _check_seed(self.seed, "seed")
+        _check_seed(self.table_seed, "table_seed")
+        _check_cells(self.support_cells)
         for name in _NOT_NEGATIVE:
             settle(self, **{name: non_negative(getattr(self, name), f"testbed.{name}")})
         for name, unit in _POSITIVE.items():
@@ -237,7 +250,12 @@ class SimulatedTestbed:
             fixels=tuple(
                 replace(fixel, friction=fixel.friction * drawn.fixel) for fixel in scene.fixels
             ),
-            plane=rough_plane(scene.plane, self.seed, self.plate_roughness, self.plate_grain),
+            plane=uneven_table(
+                rough_plane(scene.plane, self.seed, self.plate_roughness, self.plate_grain),
+                self.table_seed,
+                self.uneven_table,
+                self.table_length,
+            ),
         )
 
     def _draw(self, name: str) -> _RunConditions:
@@ -371,6 +389,7 @@ _RATIOS = ("support_friction", "pusher_friction", "fixel_friction", "size")
 _POSITIVE = {
     **dict.fromkeys(_RATIOS, ""),
     "plate_grain": "m",
+    "table_length": "m",
     "ripple_frequency": "Hz",
     "frame_rate": "Hz",
 }
@@ -381,6 +400,7 @@ _NOT_NEGATIVE = (
     "unevenness",
     "centre_of_pressure_spread",
     "plate_roughness",
+    "uneven_table",
     "speed_spread",
     "lead_in",
     "position_noise",
@@ -409,10 +429,12 @@ def _version() -> str:
     return version("fixel")
 
 
-def _check_counts(seed: object, support_cells: object) -> None:
+def _check_seed(seed: object, name: str) -> None:
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-        raise InvalidInput("testbed.seed", found=seed, expected="a whole number of at least 0")
-    cells = support_cells
+        raise InvalidInput(f"testbed.{name}", found=seed, expected="a whole number of at least 0")
+
+
+def _check_cells(cells: object) -> None:
     if isinstance(cells, bool) or not isinstance(cells, int) or (cells != 0 and cells < 4):
         raise InvalidInput(
             "testbed.support_cells",

@@ -23,6 +23,7 @@ from fixel.workflows.planning.run import PLAN
 from fixel.workflows.sampling import SAMPLE
 from fixel.workflows.sensitivity.run import SENSITIVITY
 from fixel.workflows.simulation import SIMULATE
+from fixel.workflows.table_check import TABLE_CHECK
 from fixel.workflows.uncertainty.run import UNCERTAINTY
 
 if TYPE_CHECKING:
@@ -47,6 +48,7 @@ CAPABILITIES: Final[Mapping[str, Capability]] = {
         SAMPLE,
         SENSITIVITY,
         SIMULATE,
+        TABLE_CHECK,
         UNCERTAINTY,
     )
 }

@@ -33,6 +33,7 @@ def sample(
     *,
     out: Annotated[Path | None, Door(also=("--output",), writes=True, effort=True)] = None,
     eight_push: bool = False,
+    table: bool = False,
     simulate: bool = False,
     progress: object = None,
 ) -> SampleAnswer:
@@ -47,6 +48,9 @@ def sample(
     eight_push : bool
         Whether to use the eight pushes of the ASME paper, which identify three support points,
         instead of the scheme of the thesis.
+    table : bool
+        Whether to plan equal pushes at places and orientations of the table for `fixel table
+        check`, which the rig moves to.
     simulate : bool
         Whether to simulate every experiment and check that the object touches a fixel.
     progress : object
@@ -60,11 +64,13 @@ def sample(
     from fixel.drawing.chart import refuse_ending
     from fixel.formats.plan_file import load_plan, plan_text
     from fixel.io.atomic import refuse_unwritable, written_whole
-    from fixel.sampling import eight_push_plan, rehearse, thesis_plan
+    from fixel.sampling import eight_push_plan, rehearse, table_plan, thesis_plan
     from fixel.workflows.compilation import get_ready
 
-    if eight_push and plan is not None:
-        raise InvalidInput("eight_push", found="a plan file too", expected="one of them")
+    given = {"eight_push": eight_push, "table": table, "a plan file": plan is not None}
+    first, *others = [name for name, own in given.items() if own] or [""]
+    if others:
+        raise InvalidInput(first, found=f"{others[0]} too", expected="one of them")
     if out is not None:
         refuse_ending(out, PLAN_ENDINGS, "plan")
         refuse_unwritable(out)
@@ -74,7 +80,7 @@ def sample(
     if plan is not None:
         own = load_plan(plan)
     else:
-        own = eight_push_plan() if eight_push else thesis_plan()
+        own = eight_push_plan() if eight_push else table_plan() if table else thesis_plan()
     problems = own.check()
     if simulate and own.experiments:
         get_ready(own.experiments[0].scene)
@@ -118,6 +124,7 @@ def report_of(answer: SampleAnswer) -> AnalysisReport:
             tables=(_table(plan),),
             notes=(
                 *([f"layouts: {', '.join(titles)}"] if titles else []),
+                *([f"{n} places of the rig on the table"] if (n := len(plan.places)) > 1 else []),
                 f"{plan.rig.duration:.3g} s per push, {hours:.2g} h in total",
                 *_problems(answer),
             ),
@@ -141,7 +148,9 @@ def next_words(done: StoredAnswer) -> list[object]:
     plan = request.out or request.plan
     if plan is None:
         return [*done.again, "--out", "plan.yaml"]
-    if not any(layout.pegs for layout in done.result.plan.layouts):  # the testbed is for grasps
+    found = done.result.plan
+    # The testbed is for grasps and tables.
+    if len(found.places) == 1 and not any(layout.pegs for layout in found.layouts):
         return ["sample", plan, "--simulate"]
     return ["testbed", "run", plan]
 
@@ -149,7 +158,7 @@ def next_words(done: StoredAnswer) -> list[object]:
 def _table(plan: Plan) -> Table:
     from fixel.table import Table
 
-    n_layouts, n = len(plan.layouts), len(plan.layouts) * plan.configurations * plan.repetitions
+    n_layouts, n = len(plan.layouts), plan.total // len(plan.shapes)
     rows: list[tuple[str | int, ...]] = [
         (shape.name, n_layouts, plan.configurations, plan.repetitions, n) for shape in plan.shapes
     ]

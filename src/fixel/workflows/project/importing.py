@@ -108,6 +108,7 @@ def run_testbed(
     plan: Path | None,
     *,
     seed: int = 1,
+    uneven_table: float = 0.0,
     limit: int | None = None,
     threads: int | None = None,
     progress: ProgressCallback | None = None,
@@ -118,7 +119,8 @@ def run_testbed(
     from fixel.testbed.simulated import SimulatedTestbed
 
     planned = (thesis_plan() if plan is None else load_plan(plan)).experiments[:limit]
-    experiments = SimulatedTestbed(seed=seed).run(planned, threads=threads)
+    testbed = SimulatedTestbed(seed=seed, uneven_table=uneven_table)
+    experiments = testbed.run(planned, threads=threads)
     with project.store() as store:
         return add_experiments(store, experiments, progress, len(planned))
 
