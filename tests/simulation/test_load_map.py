@@ -66,7 +66,8 @@ def loads_by_optimiser(share, points, height):
     [
         UniformPressure(friction=0.3, n_points=9),
         SupportPoints(
-            points=[(-0.04, -0.03), (0.04, -0.03), (0.04, 0.03), (-0.04, 0.03), (0, 0)], friction=0.3
+            points=[(-0.04, -0.03), (0.04, -0.03), (0.04, 0.03), (-0.04, 0.03), (0, 0)],
+            friction=0.3,
         ),
     ],
 )  # fmt: skip
@@ -94,7 +95,7 @@ def test_a_constant_an_incline_and_three_points_change_nothing():
 def test_the_map_belongs_to_the_world_and_not_to_the_part():
     even = UniformPressure(friction=0.3)
     here = end(push(even, HILLS)) - POSE
-    for pose in (POSE + (0.06, 0.0, 0.0), POSE + (0.0, 0.0, np.pi)):
+    for pose in (POSE + np.array([0.06, 0.0, 0.0]), POSE + np.array([0.0, 0.0, np.pi])):
         there = end(push(even, HILLS, pose)) - pose
         turn = pose[2] - POSE[2]
         c, s = np.cos(turn), np.sin(turn)

@@ -114,7 +114,7 @@ class TableCheck(Result):
         start = open_ if self.verdict == "undecided" else f"The table is {self.verdict}"
         heading = (
             f"{start} for {goal}: with it {flat - loss:.2f} of the pushes end within them, with a"
-            f" flat one {flat:.2f}. It costs {low:.2f} to {high:.2f} of them; {ACCEPTED:g} is accepted."
+            f" flat one {flat:.2f}. It costs {low:.2f} to {high:.2f}; {ACCEPTED:g} is accepted."
         )
         factors = (1e3, math.degrees(1.0), 1.0)
         rows = [(own.name, *map(_text, own[1:4], factors)) for own in self.effects]
