@@ -261,8 +261,9 @@ def check_table(
     different = len(np.unique(pairs.groups(np.ones(len(pairs.pushes), bool))))
     towards = math.degrees(math.atan2(*moments.tilt[0, ::-1].tolist()))
     notes = (
-        f"{100.0 * level:g} % intervals; {len(np.unique(pairs.pushes))} pushes, {different}"
-        " different; a share is with the effects up to its row, where the mean of a push is known",
+        f"{100.0 * level:g} % intervals from {len(np.unique(pairs.pushes))} pushes of {different}"
+        f" kind{'s' * (different > 1)}; a share is with the effects up to its row, for a plan that"
+        " knows the mean of its push",
         *(f"{own.name} unknown: no equal pushes for it" for own in rooms if not own.pairs),
         *([f"parts drift towards {towards:.0f} deg from world x"] if tilt.is_found else []),
         f"sessions: {session if drift.pairs else 'no spot was pushed in two of them'}",

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from math import hypot
-from typing import Final, NamedTuple, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 import shapely
@@ -185,20 +185,15 @@ class Plan:
 def _moved(scene: Scene, place: Triple) -> Scene:
     """Move a scene from the frame of the rig to the world, where the frame has a pose."""
 
-    def at(pose: FloatArray) -> FloatArray:
-        return np.array([*placed(pose[:2], place), pose[2] + place[2]])
+    def at(own: Any) -> Any:
+        pose = np.array([*placed(own.pose[:2], place), own.pose[2] + place[2]])
+        return replace(own, pose=pose)
 
-    head, body = scene.pushers[0], scene.bodies[0]
-    assert isinstance(head.drive, LineDrive)
-    direction = placed(head.drive.direction, (0.0, 0.0, place[2]))
-    return replace(
-        scene,
-        bodies=(replace(body, pose=at(body.pose)),),
-        pushers=(
-            replace(head, pose=at(head.pose), drive=replace(head.drive, direction=direction)),
-        ),
-        fixels=tuple(replace(own, pose=at(own.pose)) for own in scene.fixels),
-    )
+    head = at(scene.pushers[0])
+    along = placed(head.drive.direction, (0.0, 0.0, place[2]))
+    head = replace(head, drive=replace(head.drive, direction=along))
+    bodies, fixels = (tuple(map(at, own)) for own in (scene.bodies, scene.fixels))
+    return replace(scene, bodies=bodies, pushers=(head,), fixels=fixels)
 
 
 def object_pose(rig: SamplingRig, shape: PlannedShape, offset: Offset) -> FloatArray:

@@ -14,15 +14,12 @@ from fixel.model import Disk, UniformPressure
 from fixel.sampling.offsets import Offset, OffsetList, Triple
 from fixel.sampling.plan import Plan, object_pose
 from fixel.sampling.published import SUPPORT_FRICTION, thesis_plan
+from fixel.sampling.rig import FixelLayout
 
-TIP: Final = 4.75e-3  # [m]
-TRAVEL: Final = 0.05  # [m]
 OFF_CENTRE: Final = 0.025  # [m] of the contact, so that the part turns and its loads matter
-# Start of the part on the table. Thirds of a turn tell a saddle from a flat table, halves do not.
-GRID_X: Final = (0.0, 0.15, 0.3)  # [m]
-GRID_Y: Final = (-0.15, 0.0, 0.15)  # [m]
+# Starts of the part. Thirds of a turn tell a saddle from a flat table, halves do not.
+GRID: Final = ((0.0, 0.15, 0.3), (-0.15, 0.0, 0.15))  # [m]
 ANGLES: Final = (0.0, radians(120.0), radians(240.0))
-REPEATS: Final = 2
 
 
 @cache
@@ -38,24 +35,21 @@ def table_plan(seed: int = 0) -> Plan:
     as a table does that is moved and turned under a fixed axis. Poses must be measured in the frame
     of the table. A fixed axis over a fixed table can only move a part along its own line.
     """
-    usual = thesis_plan()
-    rig = replace(
-        usual.rig, head=Disk(TIP), travel=TRAVEL, gap=0.002, angle=0.0, head_friction=0.25
-    )
-    support = UniformPressure(friction=SUPPORT_FRICTION)
-    square = replace(usual.shapes[0], support=support)
-    offset = (0.0, OFF_CENTRE, 0.0)
+    usual, tip = thesis_plan(), Disk(4.75e-3)
+    rig = replace(usual.rig, head=tip, travel=0.05, gap=0.002, angle=0.0, head_friction=0.25)
+    square = replace(usual.shapes[0], support=UniformPressure(friction=SUPPORT_FRICTION))
     x, y, _ = object_pose(rig, square, Offset(axis="list", step=1.0, y=OFF_CENTRE)).tolist()
     places: list[Triple] = []
-    for to_x, to_y, angle in product(GRID_X, GRID_Y, ANGLES):
+    for to_x, to_y, angle in product(*GRID, ANGLES):
         c, s = cos(angle), sin(angle)
         places.append((to_x - c * x + s * y, to_y - s * x - c * y, angle))
-    order = np.random.default_rng(seed).permutation(REPEATS * len(places)) % len(places)
-    return Plan(
+    order = np.random.default_rng(seed).permutation(2 * len(places)) % len(places)
+    return replace(
+        usual,
         name="table",
         rig=rig,
         shapes=(square,),
-        layouts=(replace(usual.layouts[0], name="open", pegs=(), number=None),),
-        schemes=(OffsetList((offset,)),),
+        layouts=(FixelLayout(name="open", pegs=()),),
+        schemes=(OffsetList(((0.0, OFF_CENTRE, 0.0),)),),
         places=tuple(places[k] for k in order),
     )

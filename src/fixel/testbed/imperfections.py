@@ -68,26 +68,14 @@ def rough_plane(plane: Plane, seed: int, roughness: float, grain: float) -> Plan
     return replace(plane, friction_map=friction_map)
 
 
-def uneven_table(plane: Plane, seed: int, unevenness: float, length: float) -> Plane:
-    """Return the plane with a smooth random map of loads, fixed in space, in place of its own.
-
-    Parameters
-    ----------
-    plane : Plane
-    seed : int
-        Seed of the table.
-    unevenness : float
-        Standard deviation of the logarithm of loads from place to place [-]; 0 for no change.
-    length : float
-        Distance over which it changes, as `grain` of `rough_plane` [m].
-    """
-    if unevenness == 0.0:
+def uneven_table(plane: Plane, seed: int, spread: float, length: float) -> Plane:
+    """Return the plane with a smooth random map of loads: the standard deviation of their logarithm
+    [-], and the distance over which it changes [m], as `grain` of `rough_plane`."""
+    if spread == 0.0:
         return plane
     _, field = _smooth_field(seed, length, "table")
-    cell = np.full(2, length / NODES_PER_GRAIN)
-    origin = np.array(PLATE_ORIGIN)
-    load_map = LoadMap(origin=origin, cell=cell, log_load=unevenness * field)
-    return replace(plane, load_map=load_map)
+    origin, cell = np.array(PLATE_ORIGIN), np.full(2, length / NODES_PER_GRAIN)
+    return replace(plane, load_map=LoadMap(origin=origin, cell=cell, log_load=spread * field))
 
 
 @functools.lru_cache(maxsize=8)  # every run has the same plate

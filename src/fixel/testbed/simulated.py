@@ -92,8 +92,7 @@ class SimulatedTestbed:
     plate_grain : float
         Distance over which that friction changes [m].
     uneven_table : float
-        Standard deviation of the logarithm of the load that the table adds from place to place [-];
-        0 for a flat table.
+        Standard deviation of the logarithm of loads from place to place [-]; 0 for a flat table.
     table_length : float
         Distance over which that load changes [m].
     table_seed : int
@@ -154,9 +153,7 @@ class SimulatedTestbed:
 
     def __post_init__(self) -> None:
         name_of(self.dataset, "testbed.dataset")
-        _check_seed(self.seed, "seed")
-        _check_seed(self.table_seed, "table_seed")
-        _check_cells(self.support_cells)
+        _check_counts(self.support_cells, seed=self.seed, table_seed=self.table_seed)
         for name in _NOT_NEGATIVE:
             settle(self, **{name: non_negative(getattr(self, name), f"testbed.{name}")})
         for name, unit in _POSITIVE.items():
@@ -243,6 +240,8 @@ class SimulatedTestbed:
     def true_scene(self, planned: PlannedExperiment) -> Scene:
         """Return the scene with the true values that a run of this plan has."""
         scene, drawn = planned.scene, self._draw(planned.name)
+        plane = rough_plane(scene.plane, self.seed, self.plate_roughness, self.plate_grain)
+        plane = uneven_table(plane, self.table_seed, self.uneven_table, self.table_length)
         return replace(
             scene,
             bodies=(self._true_body(scene.bodies[0], scene.gravity, drawn),),
@@ -250,12 +249,7 @@ class SimulatedTestbed:
             fixels=tuple(
                 replace(fixel, friction=fixel.friction * drawn.fixel) for fixel in scene.fixels
             ),
-            plane=uneven_table(
-                rough_plane(scene.plane, self.seed, self.plate_roughness, self.plate_grain),
-                self.table_seed,
-                self.uneven_table,
-                self.table_length,
-            ),
+            plane=plane,
         )
 
     def _draw(self, name: str) -> _RunConditions:
@@ -429,12 +423,11 @@ def _version() -> str:
     return version("fixel")
 
 
-def _check_seed(seed: object, name: str) -> None:
-    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-        raise InvalidInput(f"testbed.{name}", found=seed, expected="a whole number of at least 0")
-
-
-def _check_cells(cells: object) -> None:
+def _check_counts(cells: object, **seeds: object) -> None:
+    for name, seed in seeds.items():
+        if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+            expected = "a whole number of at least 0"
+            raise InvalidInput(f"testbed.{name}", found=seed, expected=expected)
     if isinstance(cells, bool) or not isinstance(cells, int) or (cells != 0 and cells < 4):
         raise InvalidInput(
             "testbed.support_cells",
