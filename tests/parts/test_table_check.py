@@ -11,6 +11,7 @@ from fixel import table_check
 from fixel.errors import InvalidInput
 from fixel.sampling import table_plan
 from fixel.testbed.simulated import SimulatedTestbed
+from fixel.testing.pushes import example_parts
 from fixel.workflows.experiments import read_experiments
 
 NOISE = (0.6e-3, math.radians(0.9))
@@ -120,8 +121,21 @@ def test_pushes_without_repeats_are_refused_with_the_command_that_plans_them():
     assert "\n" not in str(problem.value)
     with pytest.raises(InvalidInput, match="0 elsewhere"):
         table_check(over_a_table(noise=NOISE, places=1, turns=(0.0,), repeats=5))
+    with pytest.raises(InvalidInput, match="0 pairs of equal pushes at one spot, 0 elsewhere"):
+        table_check(example_parts(2, 3))
     with pytest.raises(InvalidInput, match="experiments: found none"):
         table_check([])
+
+
+def test_a_condition_with_many_values_names_no_sessions():
+    pushes = over_a_table(noise=NOISE)
+    speeds = [
+        replace(own, conditions={**own.conditions, "speed": k}) for k, own in enumerate(pushes)
+    ]
+    one, other = table_check(pushes), table_check(speeds)
+
+    assert other.session == ""
+    assert other["noise"] == one["noise"]
 
 
 def test_several_tables_are_refused():

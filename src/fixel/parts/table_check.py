@@ -22,6 +22,7 @@ from fixel.simulation.pack import pusher_path
 from fixel.table import Column, Table
 from fixel.typing import BoolArray, FloatArray, IntArray
 
+MAX_SESSIONS: Final = 20  # a condition with more values names no sessions
 SESSIONS: Final = ("session", "date", "day", "batch", "speed", "speed_m_s")
 # Two pushes are at one spot of the table within the first length and angle; beyond the others they
 # are elsewhere with the same orientation, or turned.
@@ -247,6 +248,8 @@ def check_table(
         found, hint = " and ".join(map(repr, tables)), f"select one: where={surface}={tables[-1]}"
         raise InvalidInput("surface", found=found, expected="pushes on one table", hint=hint)
     session = session or _condition(targets, SESSIONS)
+    if len({own.conditions.get(session) for own in targets}) > MAX_SESSIONS:
+        session = ""
     pairs = equal_pushes(targets, part or _condition(targets, PARTS), session)
     moments = table_moments(pairs, tolerance, seed)
     n = moments.n.tolist()
@@ -314,22 +317,29 @@ def table_moments(pairs: EqualPushes, tolerance: tuple[float, float], seed: int)
     # A drift t in the world differs by (R(-b) - R(-a)) t between parts at the angles a and b.
     a, b = pairs.angle.T
     moved = _rotated(pairs.away, b) - _rotated(pairs.away, a)
-    scale = 4.0 * np.sin(0.5 * (b - a)) ** 2
-    steps = np.diff(np.eye(int(pairs.sessions.max(initial=0)) + 1)[pairs.sessions], axis=1)[:, 0]
+    tilted = np.column_stack((moved, 4.0 * np.sin(0.5 * (b - a)) ** 2))
+    shifted = np.column_stack((pairs.along, np.ones(len(one))))
+    parts = [*(own[:, None] * columns for own in masks[:3]), kept[:, None] * tilted]
+    rows = np.hstack((*parts, masks[3, :, None] * shifted))
     groups = pairs.groups(np.full(len(one), True))
     groups = groups if len(np.unique(groups)) >= MIN_DIFFERENT else pairs.groups(spot)
+    # Pairs of the same groups and sessions have one weight.
+    keys, which = np.unique(np.hstack((groups, pairs.sessions)), axis=0, return_inverse=True)
+    table = np.zeros((len(keys), rows.shape[1]))
+    np.add.at(table, which.ravel(), rows)
+    steps = np.diff(np.eye(int(keys[:, 2:].max(initial=0)) + 1)[keys[:, 2:]], axis=1)[:, 0]
     rng, m = np.random.default_rng(seed), int(groups.max(initial=0)) + 1
-    rows = []
+    found = []
     for draw in range(1 + DRAWS):
         times = rng.multinomial(m, np.full(m, 1.0 / m)) if draw else np.ones(m)
-        first, second = times[groups].T
-        weight = np.where(groups[:, 0] == groups[:, 1], first, first * second)
-        total, plain, crossed = masks[:3] * weight @ columns, weight * kept, weight * masks[3]
+        first, second = times[keys[:, :2]].T
+        weighted = np.where(keys[:, 0] == keys[:, 1], first, first * second)[:, None] * table
+        total, (x, y, scale) = weighted.sum(axis=0)[:12].reshape(3, 4), weighted.sum(axis=0)[12:15]
         with np.errstate(invalid="ignore", divide="ignore"):
-            mean, tilt = total[:, :3] / total[:, 3:], plain @ moved / (plain @ scale)
-        some = steps.T * crossed
-        rows.append((mean, tilt, np.linalg.pinv(some @ steps) @ some @ pairs.along))
-    mean, tilt, drift = (np.array(own) for own in zip(*rows, strict=True))
+            mean, tilt = total[:, :3] / total[:, 3:], np.array([x, y]) / scale
+        drift = np.linalg.pinv(steps.T * weighted[:, 18] @ steps) @ steps.T @ weighted[:, 15:18]
+        found.append((mean, tilt, drift))
+    mean, tilt, drift = (np.array(own) for own in zip(*found, strict=True))
     return TableMoments(mean, tilt, drift, n)
 
 
