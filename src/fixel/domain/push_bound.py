@@ -23,12 +23,18 @@ from fixel.calibration.known_pushes import (
 from fixel.calibration.target import Target
 from fixel.domain.cells import PUSH, TRAVEL, coordinates_of, label_of, refuse_missing
 from fixel.domain.error_bound import CAUTIOUS, NO_DATA, TYPICAL, ConformalBound, min_experiments
-from fixel.model import Experiment, Probability, Scene
+from fixel.errors import InvalidInput
+from fixel.model import Experiment, Probability, Scene, pose_error
 from fixel.results import Result, Summary
+from fixel.simulation import QuasiStatic
+from fixel.simulation.ensemble import Ensemble
+from fixel.simulation.pack import check_motion
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
 
-FEATURES: Final = ("contact_x", "contact_y", "push_angle_rad", "travel_m", "speed_m_s")
+FEATURES: Final = (
+    "contact_x", "contact_y", "push_angle_rad", "travel_m", "speed_m_s", "moved_m", "turned_rad",
+)  # fmt: skip
 BOUNDED: Final = "bounded"
 UNSEEN: Final = "unseen"
 FOLDS: Final = 5  # parts of the experiments whose coverage is measured in turn
@@ -101,8 +107,9 @@ class ErrorBound(Result):
     ----------
     keys : tuple of str
         Names of the experiments.
-    features : (n, 5) float64
-        Features of the pushes: place of the contact, direction, travel and speed.
+    features : (n, 7) float64
+        Features of the pushes: place of the contact, direction, travel and speed; how far the part
+        moves and turns by a quasi-static simulation of the scene as it is, before any calibration.
     position, angle : (n,) float64
         Held-out errors of the end [m], [rad]; inf for a failed simulation.
     level : float
@@ -320,7 +327,7 @@ def _columns(condition: str) -> list[int]:
 
 
 def features_of(targets: Sequence[Target]) -> FloatArray:
-    """Return features (n, 5) of pushes from their geometry; zeros without a pusher."""
+    """Return features (n, 7) of pushes before they are made; zeros without a pusher."""
     rows = []
     for target in targets:
         own = coordinates_of(target._replace(conditions={}))
@@ -329,4 +336,28 @@ def features_of(targets: Sequence[Target]) -> FloatArray:
         rows.append(
             (math.cos(bearing), math.sin(bearing), float(own.get(PUSH) or 0.0), travel, speed)
         )
-    return np.array(rows, np.float64)
+    return np.column_stack((np.array(rows, np.float64), _motions(targets)))
+
+
+def _motions(targets: Sequence[Target]) -> FloatArray:
+    """Return how far parts move [m] and turn [rad], (n, 2), quasi-statically; zeros without an end.
+
+    Errors grow with motion, for which the friction of the scene is near enough.
+    """
+    found = np.zeros((len(targets), 2))
+    can = [k for k, target in enumerate(targets) if _slides(target.case.scene)]
+    if can:
+        ends = Ensemble([targets[k].case for k in can]).simulate(np.arange(len(can)), {})
+        start = np.array([targets[k].case.scene.bodies[0].pose for k in can])
+        position, angle = pose_error(ends.pose[:, -1], start)
+        found[can] = np.where(ends.converged[:, None], np.column_stack((position, angle)), 0.0)
+    return np.abs(found)
+
+
+def _slides(scene: Scene) -> bool:
+    """Whether quasi-static motion describes a scene: one pusher, and friction under one body."""
+    try:
+        check_motion(scene, QuasiStatic.kind)
+    except InvalidInput:
+        return False
+    return len(scene.bodies) == len(scene.pushers) == 1

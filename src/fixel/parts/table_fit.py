@@ -29,7 +29,7 @@ LENGTH: Final = 50e-3
 DEVIATION: Final = 1.0
 # Of the logarithms of the loads on the points of a part: beyond its calibration everywhere, and
 # from pose to pose. Friction at the points differs from pose to pose too, without balance.
-OWN_DEVIATION: Final = 0.3
+OWN_DEVIATION: Final = 0.6
 POSE_DEVIATION: Final = 0.6
 FRICTION_DEVIATION: Final = 0.3
 # Poses as far apart as this have different loads [m], [rad].
@@ -335,19 +335,21 @@ class OwnFit(NamedTuple):
 
 
 class TableFit(NamedTuple):
-    """Fitted map in standard normal coordinates of its prior, and what is the parts' own."""
+    """Fitted map in standard normal coordinates of its prior."""
 
     mean: FloatArray  # (m,)
     factor: FloatArray  # (m, m) square root of the covariance
-    own: tuple[OwnFit, ...]
     # What the pushes of each part tell of the map: precision (m, m) and its product with the mean.
     told: tuple[tuple[FloatArray, FloatArray], ...]
+    parts: tuple[MapRows, ...]  # pushes that were used
+    force: tuple[FloatArray, ...]  # (n, 3) what is left of the ends over their covariance
 
     def without(self, part: int) -> FloatArray:
         """Return the mean (m,) without the pushes of a part; weights of other pushes stay."""
         others = [own for k, own in enumerate(self.told) if k != part]
-        precision = np.eye(len(self.mean)) + sum(own for own, _ in others)
-        return np.asarray(np.linalg.solve(precision, sum(own for _, own in others)))
+        m = len(self.mean)
+        precision = sum((own for own, _ in others), np.eye(m))
+        return np.asarray(np.linalg.solve(precision, sum((own for _, own in others), np.zeros(m))))
 
 
 def fit_table(rows: Sequence[MapRows], by_pose: bool = False) -> TableFit:
@@ -383,22 +385,36 @@ def fit_table(rows: Sequence[MapRows], by_pose: bool = False) -> TableFit:
         ]
         size = np.clip(np.median(np.concatenate(left)) / MEDIAN, SMALLEST_NOISE, LARGEST_NOISE)
         noise = [size**2 * np.sqrt(1.0 + (own / size) ** 2) for own in left]
-    owns = [_own_fit(part, own.reshape(-1, 3)) for part, own in zip(parts, force, strict=True)]
     factor = np.asarray(np.linalg.inv(np.linalg.cholesky(precision)).T, np.float64)
-    return TableFit(mean, factor, tuple(owns), tuple(told))
+    forces = tuple(own.reshape(-1, 3) for own in force)
+    return TableFit(mean, factor, tuple(told), tuple(parts), forces)
 
 
 def own_fit(rows: MapRows, mean: FloatArray) -> OwnFit:
     """Fit what is a part's own, from pose to pose, given the mean (m,) of the map."""
     left = rows._replace(residual=rows.residual - rows.by_map @ mean, by_map=rows.by_map[:, :, :0])
-    return fit_table([left], by_pose=True).own[0]
-
-
-def _own_fit(part: MapRows, force: FloatArray) -> OwnFit:
+    (part,), (force,) = fit_table([left], by_pose=True)[-2:]
     balanced, free = (
         np.einsum("ni,nip->np", force, own) for own in (part.by_balanced, part.by_load)
     )
     return OwnFit(np.einsum("ni,niq->q", force, part.by_value), part.pose, balanced, free)
+
+
+def own_of(part: StandingPart, load_map: LoadMap) -> OwnFit:
+    """Fit what is a part's own on a known map."""
+    rows = MapRows.of(part, _nodes_of(load_map, np.zeros((load_map.log_load.size, 0))))
+    return own_fit(rows._replace(residual=_left_by(part, load_map)), np.zeros(0))
+
+
+def _nodes_of(load_map: LoadMap, root: FloatArray) -> MapGrid:
+    n_y, n_x = load_map.log_load.shape
+    return MapGrid(load_map.origin, float(load_map.cell[0]), (n_y, n_x), root)
+
+
+def _left_by(part: StandingPart, load_map: LoadMap) -> FloatArray:
+    """Return what a map leaves of the ends (n, 3) [m]."""
+    height = load_map.at(part.places)[:, :, None]
+    return np.asarray(part.residual - (part.by_load @ part.balanced(height))[:, :, 0])
 
 
 # Motions of a table by which its map is differentiated, and their prior [m], [rad].
@@ -419,7 +435,7 @@ def shift_of(
     spread : (n_node, k) float64
         Square root of the covariance of the nodes.
     """
-    grid = MapGrid(load_map.origin, float(load_map.cell[0]), load_map.log_load.shape, spread)
+    grid = _nodes_of(load_map, spread)
     centre = np.concatenate([part.places.reshape(-1, 2) for part in parts]).mean(axis=0)
     rows = []
     for part in parts:
@@ -432,15 +448,14 @@ def shift_of(
 
         steps = np.diag(MOTION)
         slope = [(height(step) - height(-step)) / (2.0 * step.sum()) for step in steps]
-        known = part.by_load @ part.balanced(height(np.zeros(3))[:, :, None])
         own = MapRows.of(part, grid)
         by_move = part.by_load @ part.balanced(np.stack(slope, axis=-1))
         rows.append(
             own._replace(
                 by_map=np.concatenate((by_move * PRIOR_MOTION, own.by_map), axis=2),
-                residual=own.residual - known[:, :, 0],
+                residual=_left_by(part, load_map),
             )
         )
-    fit = fit_table(rows)
+    fit = fit_table(rows, by_pose=True)
     deviation = np.linalg.norm(fit.factor[:3], axis=1)
     return PRIOR_MOTION * fit.mean[:3], PRIOR_MOTION * deviation

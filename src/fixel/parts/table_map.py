@@ -26,6 +26,7 @@ from fixel.parts.table_fit import (
     TableFit,
     fit_table,
     own_fit,
+    own_of,
     shift_of,
 )
 from fixel.progress import ProgressOption, show_progress
@@ -287,6 +288,32 @@ class TableMap(Result):
             every, height = np.arange(len(group)), self.load_map.at(part.places)
             ends[rows[name]] = part.ends(every, height, self.own[name])
         return ends
+
+    def with_part(self, experiments: Sequence[Experiment], values: Mapping[str, float]) -> TableMap:
+        """Return the map with one more part, so that `predict` knows it; the table stays as it is.
+
+        Parameters
+        ----------
+        experiments : sequence of Experiment
+            Pushes of the part, few or many.
+        values : mapping of str to float
+            Its calibrated values, such as those of `fixel.part_model` after these pushes.
+
+        Raises
+        ------
+        InvalidInput
+            The pushes are of several parts, or `on` refuses one.
+        """
+        groups = by_part([self.on(own) for own in experiments], self.part)
+        if len(groups) != 1:
+            found = " and ".join(groups) or "none"
+            raise InvalidInput("experiments", found=found, expected="pushes of one part")
+        ((name, group),) = groups.items()
+        part = StandingPart(group, values)
+        own = own_of(part, self.load_map)
+        return replace(
+            self, values={**self.values, name: dict(values)}, own={**self.own, name: own}
+        )
 
     def _refuse_strange(self, groups: Mapping[str, PartPushes]) -> None:
         strange = sorted(set(groups) - set(self.values))

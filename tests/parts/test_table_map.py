@@ -1,0 +1,222 @@
+"""Maps of uneven tables, against the tables that made the pushes and dense linear algebra."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fixel
+from fixel.errors import InvalidInput
+from fixel.parts.table_fit import (
+    CORRECTED,
+    FRICTION_DEVIATION,
+    OWN_DEVIATION,
+    POSE_DEVIATION,
+    MapGrid,
+    MapRows,
+    StandingPart,
+    fit_table,
+    own_fit,
+)
+from fixel.parts.table_map import BoardShift, MapJudgement, by_part
+from fixel.testing.pushes import example_parts, example_pushes, uneven_board
+
+BUMPS = 0.8
+
+
+@pytest.fixture(scope="module")
+def every():
+    return example_parts(3, 48, uneven=BUMPS)
+
+
+@pytest.fixture(scope="module")
+def pushes(every):
+    return [one for one in every if int(one.name[-2:]) <= 24]
+
+
+@pytest.fixture(scope="module")
+def table(pushes):
+    return fixel.table_map(pushes, progress=False)
+
+
+def test_the_map_resembles_the_table_that_made_the_pushes(table):
+    assert table.weight > 0.0
+    grid = table.load_map
+    n_y, n_x = grid.log_load.shape
+    y, x = np.meshgrid(np.arange(n_y), np.arange(n_x), indexing="ij")
+    place = grid.origin + grid.cell * np.stack((x, y), axis=-1)
+    seen = table.deviation < 0.7
+    assert seen.sum() > 100
+    plane = np.column_stack((np.ones(seen.sum()), place[seen]))
+
+    def flat(heights):
+        return heights - plane @ np.linalg.lstsq(plane, heights, rcond=None)[0]
+
+    true = flat(uneven_board(BUMPS).at(place[seen]))
+    other = flat(uneven_board(BUMPS, seed=6).at(place[seen]))
+    found = flat(grid.log_load[seen])
+    assert np.corrcoef(true, found)[0, 1] > 0.55
+    assert abs(np.corrcoef(other, found)[0, 1]) < 0.3
+
+
+def test_errors_of_new_pushes_fall(table, every):
+    new = [one for one in every if int(one.name[-2:]) > 24]
+    assert not {one.key for one in new} & set(table.experiments)
+    measured = np.array([one.trajectory.pose[-1] for one in new])
+    ends = table.predict(new)
+    bare = replace(
+        table, load_map=replace(table.load_map, log_load=0.0 * table.load_map.log_load),
+        own={name: own._replace(balanced=0.0 * own.balanced, free=0.0 * own.free)
+             for name, own in table.own.items()},
+    ).predict(new)  # fmt: skip
+
+    def error(found):
+        return np.hypot(*(found - measured)[:, :2].T).mean()
+
+    assert error(ends) < 0.8 * error(bare)
+    changed = [replace(own, trajectory=replace(own.trajectory, pose=own.trajectory.pose * [[1], [0]]
+               )) for own in new[:1]]  # fmt: skip
+    np.testing.assert_array_equal(table.predict(changed)[0], ends[0])
+
+
+def test_a_flat_table_gets_no_map():
+    flat = fixel.table_map(example_parts(3, 16, seed=4), progress=False)
+    assert flat.weight == 0.0
+    assert not flat.load_map.log_load.any()
+    assert "not used" in repr(flat)
+
+
+def test_another_table_and_another_laboratory_are_refused(table, pushes):
+    other = replace(pushes[0], conditions={**pushes[0].conditions, "surface": "desk"})
+    with pytest.raises(InvalidInput, match="surface=desk"):
+        table.on(other)
+    with pytest.raises(InvalidInput, match="world coordinates"):
+        table.on(replace(pushes[0], dataset="elsewhere"))
+    with pytest.raises(InvalidInput, match="one table"):
+        fixel.table_map([*pushes[:6], other], progress=False)
+    stranger = replace(pushes[0], conditions={**pushes[0].conditions, "part": "part-9"})
+    with pytest.raises(InvalidInput, match="part-9"):
+        table.predict([stranger])
+
+
+def test_parts_on_three_points_are_refused():
+    pushes = [replace(one, conditions={"part": "a", "surface": "b"}) for one in example_pushes(4)]
+    with pytest.raises(InvalidInput, match="three points"):
+        fixel.table_map(pushes, {"a": {"mu_pusher": 0.25}}, progress=False)
+
+
+def test_scenes_and_experiments_stand_on_the_table(table, pushes):
+    scene = table.on(pushes[0]).scene
+    assert scene.plane.load_map == table.load_map
+    assert table.on(pushes[0].scene) == scene
+    assert table.unseen(pushes[0]) == ""
+    body = scene.bodies[0]
+    away = replace(
+        scene, bodies=(replace(body, pose=body.pose + np.array([3.0, 0.0, 0.0])),), pushers=()
+    )
+    assert "none of the" in table.unseen(away)
+
+
+def test_a_saved_map_is_the_same(table, tmp_path):
+    again = fixel.load(table.save(tmp_path / "table.fixel"))
+    assert repr(again) == repr(table)
+    np.testing.assert_array_equal(again.load_map.log_load, table.load_map.log_load)
+    np.testing.assert_array_equal(again.deviation, table.deviation)
+
+
+def test_derivatives_by_loads_are_those_of_the_engine(pushes):
+    group = by_part(pushes, "part")["part-1"]
+    part = StandingPart(group, {"mu_pusher": 0.25})
+    case = part._ensemble.cases[0]
+    values = {f"load_{k + 1}": float(x) for k, x in enumerate(part.loads[0])}
+    values["mu_pusher"] = 0.25
+    names = ["load_1", "load_4", "load_7"]
+    run = fixel.simulate(case.scene, values, motion="quasistatic", derivatives=names)
+    for name in names:
+        k = int(name[5:]) - 1
+        exact = run.derivatives[name] * values[name] * (1.0, 1.0, 35e-3)
+        # The steps are wide, because ends are rough functions of loads.
+        largest = np.abs(part.by_load[0]).max()
+        np.testing.assert_allclose(part.by_load[0, :, k], exact, atol=0.1 * largest)
+
+
+def test_the_fit_is_that_of_dense_linear_algebra():
+    rng = np.random.default_rng(1)
+    n, p, m = 6, 5, 4
+    pose = rng.normal(0.0, 0.03, (n, 3))
+    rows = MapRows(
+        rng.normal(size=(n, 3, m)), rng.normal(size=(n, 3, p)), rng.normal(size=(n, 3, p)),
+        rng.normal(size=(n, 3, len(CORRECTED))), pose, 1e-3 * rng.normal(size=(n, 3)),
+        np.ones(n, bool),
+    )  # fmt: skip
+    fit = fit_table([rows])
+    a, b, c = (x.reshape(3 * n, -1) for x in (rows.by_map, rows.by_balanced, rows.by_value))
+    own = OWN_DEVIATION**2 * b @ b.T + c @ c.T
+    # The noise that the fit has settled at follows from its answer: left = noise * force.
+    force = fit.force[0].reshape(-1)
+    left = rows.residual.reshape(-1) - a @ fit.mean - own @ force
+    noise = np.linalg.norm(left.reshape(n, 3), axis=1) / np.linalg.norm(force.reshape(n, 3), axis=1)
+    total = a @ a.T + own + np.diag(np.repeat(noise, 3))
+    mean = a.T @ np.linalg.solve(total, rows.residual.reshape(-1))
+    np.testing.assert_allclose(fit.mean, mean, rtol=1e-6)
+    spread = np.eye(m) - a.T @ np.linalg.solve(total, a)
+    np.testing.assert_allclose(fit.factor @ fit.factor.T, spread, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(fit.without(0), 0.0)
+
+
+def test_what_is_a_parts_own_is_a_gaussian_process_over_poses():
+    rng = np.random.default_rng(2)
+    n, p = 5, 4
+    pose = rng.normal(0.0, 0.04, (n, 3))
+    rows = MapRows(
+        np.zeros((n, 3, 2)), rng.normal(size=(n, 3, p)), rng.normal(size=(n, 3, p)),
+        np.zeros((n, 3, len(CORRECTED))), pose, 1e-2 * rng.normal(size=(n, 3)), np.ones(n, bool),
+    )  # fmt: skip
+    own = own_fit(rows, np.zeros(2))
+    at = rng.normal(0.0, 0.04, (3, 3))
+    load, friction = own.changes(at)
+    force = fit_table([rows._replace(by_map=rows.by_map[:, :, :0])], by_pose=True).force[0]
+    for k in range(3):
+        expected_load, expected_friction = np.zeros(p), np.zeros(p)
+        for j in range(n):
+            d2 = ((at[k, :2] - pose[j, :2]) ** 2).sum() / 0.05**2
+            turn = (2 * np.sin(0.5 * (at[k, 2] - pose[j, 2])) / 0.5) ** 2
+            near = np.exp(-0.5 * (d2 + turn))
+            expected_load += (OWN_DEVIATION**2 + POSE_DEVIATION**2 * near) * (
+                rows.by_balanced[j].T @ force[j])  # fmt: skip
+            expected_friction += FRICTION_DEVIATION**2 * near * (rows.by_load[j].T @ force[j])
+        np.testing.assert_allclose(load[k], expected_load)
+        np.testing.assert_allclose(friction[k], expected_friction)
+
+
+def test_weights_interpolate_linear_fields_exactly():
+    rng = np.random.default_rng(0)
+    grid = MapGrid.over(rng.uniform(-0.1, 0.2, (50, 2)))
+    n_y, n_x = grid.shape
+    y, x = np.meshgrid(np.arange(n_y), np.arange(n_x), indexing="ij")
+    field = (2.0 * x - 3.0 * y).ravel()
+    places = rng.uniform(-0.1, 0.2, (20, 2))
+    node = (places - grid.origin) / grid.cell
+    np.testing.assert_allclose(grid.weights(places) @ field, 2.0 * node[:, 0] - 3.0 * node[:, 1])
+    np.testing.assert_allclose(grid.levelled(field, places), 0.0, atol=1e-9)
+    # Neighbours are as alike as the prior says, and nodes far apart are not.
+    covariance = grid.root @ grid.root.T
+    assert covariance[0, 1] == pytest.approx(np.exp(-0.5 * (grid.cell / 0.05) ** 2), abs=0.02)
+    assert abs(covariance[0, -1]) < 0.02
+
+
+def test_the_gain_counts_parts_equally():
+    part = ("a",) * 9 + ("b",)
+    before = np.ones((10, 2))
+    after = before - np.array([[0.1, 0.0]] * 9 + [[0.5, 0.0]])
+    mean, low, high = MapJudgement("part", part, before, after).gain()
+    assert mean[0] == pytest.approx(-0.3)
+    assert low[0] == pytest.approx(-0.5)
+    assert high[0] == pytest.approx(-0.1)
+
+
+def test_a_motion_is_noticed_beyond_three_deviations():
+    seen = BoardShift(np.array([5e-3, 0.0, 0.0]), np.array([1e-3, 1e-3, 0.01]), 80)
+    assert seen.noticed
+    assert "has moved: x +5.0 +- 2.0 mm" in repr(seen)
+    assert not seen._replace(shift=seen.shift / 2).noticed
