@@ -1,6 +1,7 @@
 """The check of a table finds components of variance that were put in, and no others."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -8,11 +9,11 @@ import pytest
 from tests.equal_pushes import over_a_table
 
 from fixel import table_check
+from fixel.datasets import plan_import
 from fixel.errors import InvalidInput
 from fixel.sampling import table_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing.pushes import example_parts
-from fixel.workflows.experiments import read_experiments
 
 NOISE = (0.6e-3, math.radians(0.9))
 
@@ -147,8 +148,9 @@ def test_several_tables_are_refused():
 
 def test_repeats_of_the_mit_dataset(data_root):
     """Means of the differences of equal pushes on the board of ABS, from a separate study."""
-    pushes = read_experiments(data_root / "mit_push_endpoints", progress=False)
-    check = table_check(own for own in pushes.where("surface=abs"))
+    plan = plan_import(data_root / "mit_push_endpoints")
+    repeated = re.compile(".*/abs_(rect1|ellip1|tri1)_v(10|20)_")
+    check = table_check(plan.build(k) for k, name in enumerate(plan.names) if repeated.match(name))
     distance, turn, position, angle = check.pairs.T
     means = {
         "spot": (distance < 5e-3) & (turn < math.radians(5.0)),
