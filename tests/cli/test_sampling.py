@@ -109,3 +109,30 @@ def test_a_plan_of_a_table_is_run_next(tmp_path, capsys):
     assert out.splitlines()[-1] == f"Next: fixel testbed run {file}"
     assert fixel(capsys, "sample", "--table", "--eight-push")[0] == 2
     assert fixel(capsys, "sample", file, "--table")[0] == 2
+
+
+@pytest.mark.system
+def test_a_planned_table_is_run_and_checked(tmp_path, capsys):
+    lab, file = tmp_path / "lab", tmp_path / "table.yaml"
+    fixel(capsys, "new", lab)
+    fixel(capsys, "sample", "--table", "--out", file)
+    fixel(capsys, "testbed", "run", file, "--uneven-table", "2", "--project", lab)
+    words = ("table", "check", "--project", lab)
+    code, out, _ = fixel(capsys, *words, "--plot", tmp_path / "pictures")
+    answer = json.loads(fixel(capsys, *words, "--json")[1])
+
+    assert code == 0
+    assert out.startswith("The table is not good enough for 2 mm and 3 deg: with it 0.")
+    assert (tmp_path / "pictures" / "pairs.png").is_file()
+    assert answer["verdict"] == "not good enough"
+    assert [own["name"] for own in answer["effects"]] == [
+        "noise", "place", "orientation", "tilt", "drift"
+    ]  # fmt: skip
+    assert answer["effects"][1]["position_m"][1] > 0.0
+    code, _, err = fixel(capsys, *words, "--where", "step=7")
+    assert code == 2
+    assert err.count("\n") == 1
+    wide = json.loads(
+        fixel(capsys, *words, "--position-mm", "20", "--angle-deg", "30", "--json")[1]
+    )
+    assert wide["verdict"] == "good enough"
