@@ -129,7 +129,7 @@ class TableCheck(Result):
         ])  # fmt: skip
 
     def _differences(self) -> Table:
-        distance, turn, *away = self.pairs.T
+        distance, turn, position, angle = self.pairs.T
         apart, far, alike = ELSEWHERE[0], 2.0 * ELSEWHERE[0], turn < ELSEWHERE[1]
         near = f"{1e3 * apart:.0f} to {1e3 * far:.0f} mm"
         rows = {
@@ -141,12 +141,10 @@ class TableCheck(Result):
         }
         columns = ("mean of equal pushes", "pairs", Column("difference", "mm", ".2f"),
                    Column("turn", "deg", ".2f"))  # fmt: skip
-        means = [
-            (name, own.sum(), *(x[own].mean() for x in away))
-            for name, own in rows.items()
-            if own.any()
-        ]
-        return Table(columns, [(name, n, 1e3 * x, math.degrees(y)) for name, n, x, y in means])
+        return Table(columns, [
+            (name, own.sum(), 1e3 * position[own].mean(), np.degrees(angle[own].mean()))
+            for name, own in rows.items() if own.any()
+        ])  # fmt: skip
 
 
 def _text(values: Range, factor: float) -> str | None:
@@ -171,11 +169,6 @@ class EqualPushes(NamedTuple):
     def size(self) -> FloatArray:
         """Differences (n, 2) of position [m] and angle [rad]."""
         return np.column_stack((np.hypot(*self.away[:, :2].T), np.abs(self.away[:, 2])))
-
-    @property
-    def spot(self) -> BoolArray:
-        """Pairs (n,) at one spot of the table."""
-        return np.asarray((self.place < SPOT).all(axis=1))
 
     def groups(self, which: BoolArray) -> IntArray:
         """Return the number of the group (n, 2) of each push, as some of the pairs link them."""
@@ -305,7 +298,7 @@ def table_moments(pairs: EqualPushes, tolerance: tuple[float, float], seed: int)
     Half the squared difference of two equal pushes estimates the variance of what differs between
     them; the difference over the root of two is like the error of one push.
     """
-    (distance, turn), spot = pairs.place.T, pairs.spot
+    (distance, turn), spot = pairs.place.T, np.all(pairs.place < SPOT, axis=1)
     one = pairs.sessions[:, 0] == pairs.sessions[:, 1]
     kept = one if (spot & one).sum() >= MIN_PAIRS else np.full(len(one), True)
     elsewhere = (distance > ELSEWHERE[0]) & (turn < ELSEWHERE[1])

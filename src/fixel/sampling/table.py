@@ -28,7 +28,7 @@ def table_plan(seed: int = 0) -> Plan:
 
     Each is made twice, in shuffled order, so that a drift in time is not taken for a place. The
     plan separates noise from run to run, place, orientation and a tilt of the table. It cannot
-    separate drift between sessions, unless it is run in several, nor say whether pushes at other
+    separate drift between sessions, unless it is run in several, nor show whether pushes at other
     contacts or of other parts behave alike.
 
     The tip moves along +x of the rig, so the rig moves to each place and turns: as a robot does, or
