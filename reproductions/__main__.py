@@ -35,9 +35,9 @@ def reproduce_published(
     ),
     only: str = option(
         "mit",
-        "Part of the benchmark: mit, error-bounds, new-sides, new-parts, learned-sides, coverage,"
-        " plans, repeated-plans, rates, engines, cmu-tripod, rpi-141, repeats, asme-table-1,"
-        " asme-figure-11, asme-assembly or thesis-grasps.",
+        "Part of the benchmark: mit, error-bounds, new-sides, new-parts, table-maps, learned-sides,"
+        " coverage, plans, repeated-plans, rates, engines, cmu-tripod, rpi-141, repeats,"
+        " asme-table-1, asme-figure-11, asme-assembly or thesis-grasps.",
         metavar="PART",
     ),
     protocol: list[str] | None = option(

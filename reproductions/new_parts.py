@@ -61,7 +61,7 @@ def run(options: RunOptions) -> Reproduction:
     data = read_mit_pushes(options.folder)
     published = dict(zip(data.names.tolist(), data.published[PUBLISHED], strict=True))
     usable = set(data.names[data.usable].tolist())
-    plates = _plates([own for own in data.experiments if own.name in usable], options.quick)
+    plates = plates_of([own for own in data.experiments if own.name in usable], options.quick)
     names = sorted({plate for _, plate in plates})
     counts = QUICK_COUNTS if options.quick else COUNTS
     scores: list[Score] = []
@@ -95,7 +95,7 @@ def run(options: RunOptions) -> Reproduction:
     )
 
 
-def _plates(
+def plates_of(
     experiments: Sequence[Experiment], quick: bool
 ) -> dict[tuple[str, str], list[Experiment]]:
     """Return the pushes of each plate on each surface, at most `MAX_PUSHES` random ones."""

@@ -31,6 +31,7 @@ from reproductions import (
     repeated_plans,
     repeats,
     rpi_141,
+    table_maps,
     thesis_grasps,
 )
 from reproductions.charts.pictures import benchmark_figure
@@ -61,6 +62,7 @@ REPRODUCTIONS: Final[Mapping[str, tuple[str | None, Callable[[RunOptions], Repro
             "error-bounds": (MIT_PUSHES, error_bounds.run),
             "new-sides": (MIT_PUSHES, new_sides.run),
             "new-parts": (MIT_PUSHES, new_parts.run),
+            "table-maps": (MIT_PUSHES, table_maps.run),
             "learned-sides": (MIT_PUSHES, learned_sides.run),
             "coverage": (MIT_PUSHES, coverage.run),
             "plans": (MIT_PUSHES, plans.run),

@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Final, NamedTuple, final
 
 import numpy as np
+from scipy.stats import t as student
 
 from fixel.calibration.contacts import PART
 from fixel.calibration.known_pushes import KnownPushes, push_target, texts_of, with_dataset
@@ -42,6 +43,7 @@ from fixel.table import Column, Table
 from fixel.typing import BoolArray, FloatArray
 
 MIN_PARTS: Final = 3  # with fewer, leaving one out says nothing
+UPPER: Final = 0.8  # probability of the upper estimate of the errors of one more part
 # Two pushes count as one if contact and direction are as close as this.
 SAME_PLACE: Final = 2e-3  # [m]
 SAME_DIRECTION: Final = math.radians(3.0)
@@ -316,6 +318,23 @@ class PartModel(Result):
         return _median(self.left_out.errors[:, 0])
 
     @cached_property
+    def expected_error(self) -> FloatArray:
+        """Mean errors [m], [rad] of a new part, and what they stay below with 80 %, as rows (2, 2).
+
+        A part is one draw from all parts: its mean errors have a Student distribution about those
+        of the parts that were left out. NaN below `MIN_PARTS` parts.
+        """
+        parts, errors = np.array(self.left_out.part), self.left_out.errors
+        ended = np.isfinite(errors).all(axis=1)
+        names = dict.fromkeys(parts[ended].tolist())
+        means = np.array([errors[ended & (parts == name)].mean(axis=0) for name in names])
+        n = len(means)
+        if n < MIN_PARTS:
+            return np.full((2, 2), np.nan)
+        wide = float(student.ppf(UPPER, n - 1)) * math.sqrt(1.0 + 1.0 / n)
+        return np.array([means.mean(axis=0), means.mean(axis=0) + wide * means.std(axis=0, ddof=1)])
+
+    @cached_property
     def misfit(self) -> float:
         """Median error of the position on the known parts, fitted to their own pushes [m]."""
         errors = []
@@ -467,7 +486,12 @@ class PartModel(Result):
             position, angle = done.mean(axis=0) if len(done) else (math.nan, math.nan)
             rows.append((name, len(errors), 1e3 * position, math.degrees(angle)))
         n = len(self.parts)
-        notes = [
+        (x, turn), (most_x, most_turn) = (self.expected_error * (1e3, math.degrees(1.0))).tolist()
+        notes = [] if math.isnan(x) else [
+            f"mean errors of one more part: about {x:.1f} mm and {turn:.1f} deg; below"
+            f" {most_x:.1f} mm and {most_turn:.1f} deg each with {100.0 * UPPER:.0f} %"
+        ]  # fmt: skip
+        notes += [
             f"{100.0 * self.level:g} % bounds hold on left-out parts, {name}: typical"
             f" {100.0 * typical:.0f} %, cautious {100.0 * cautious:.0f} %"
             for name, (typical, cautious) in self.coverage.items()

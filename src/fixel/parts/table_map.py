@@ -441,7 +441,7 @@ def _without_sides(
 ) -> MapJudgement:
     """Predict the pushes on one half of every outline with the map from the other halves."""
     names, before, after = [], [], []
-    half = {name: _half(own.pushes) for name, own in parts.items()}
+    half = {name: half_of_outline(own.pushes) for name, own in parts.items()}
     for side in (0, 1):
         seen = [rows[name].rows(np.flatnonzero(half[name] != side)) for name in parts]
         fit = fit_table(seen)
@@ -454,7 +454,7 @@ def _without_sides(
     return MapJudgement("side", tuple(names), np.concatenate(before), np.concatenate(after))
 
 
-def _half(pushes: PartPushes) -> IntArray:
+def half_of_outline(pushes: PartPushes) -> IntArray:
     """Return which half of the outline each push begins on (n,), by the direction of its normal."""
     every = np.arange(len(pushes))
     normal = contacts_of(pushes.configurations(every), np.ones(len(pushes))).normal
