@@ -16,7 +16,7 @@ from fixel.model import KNOWN_PARAMETERS
 # Public names in the order of the reference; names that are in none come last.
 GROUPS = {
     "Scenes": "Scene Body Pusher Fixel Polygon Disk Tripod SupportPoints UniformPressure Ellipsoid"
-    " NoSupport LineDrive PathDrive PairFriction Plane Pose Parameters load_scene",
+    " NoSupport LineDrive PathDrive PairFriction Plane LoadMap Pose Parameters load_scene",
     "Simulation": "simulate simulate_batch Simulator Simulation BatchResult Trajectory Dynamic"
     " QuasiStatic FirstOrder Adaptive StewartTrinkle Newton Lemke GaussSeidel",
     "Experiments": "read_experiments Experiment Experiments Project export report load",

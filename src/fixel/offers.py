@@ -52,6 +52,7 @@ PLOTS: Final[Mapping[str, Mapping[str, str]]] = {
         "indices": "fixel.drawing.sensitivity:draw_indices",
     },
     "Simulation": {"motion": "fixel.drawing.picture:plot_simulation"},
+    "TableMap": {"map": "fixel.drawing.parts:draw_map"},
     "TableCheck": {"pairs": "fixel.drawing.parts:draw_table"},
     "SuccessProbability": {"draws": "fixel.drawing.planning:draw_success"},
     "Trials": {"evidence": "fixel.drawing.planning:draw_trials"},

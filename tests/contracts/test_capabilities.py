@@ -117,6 +117,7 @@ SHORT = {
         "samples": 50,
     },
     "table-check": {"where": ("part=part-1",), "position": 3e-3, "seed": 1},
+    "table-map": {"where": ("part=part-2",)},
 }  # fmt: skip
 
 

@@ -100,6 +100,9 @@ CASES = {
     "TableCheck": Case(
         lambda: (over_a_table(noise=(1e-3, 0.01)),), functools.partial(fixel.table_check, level=0.9)
     ),
+    "TableMap": Case(
+        lambda: (example_parts(2, 6, uneven=0.8),), functools.partial(fixel.table_map, **QUIET)
+    ),
     "NextPushes": Case(
         lambda: (example_parts(3, 8), fixel.push_candidates(pushed_square(0.5), contacts=4)),
         lambda pushes, candidates: fixel.part_model(pushes, **QUIET).next_pushes(

@@ -15,6 +15,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from fixel.capability.options import FACTORS, Option, is_group, members, options_of
+from fixel.capability.usual import TABLE
 from fixel.errors import InvalidInput, unknown_name
 
 if TYPE_CHECKING:
@@ -72,6 +73,9 @@ class Capability:
     in_project : callable, optional
         Returns whether a request needs the project, without which the function gets None; by
         default every request does, or uses the project of the folder if there is one.
+    on_table : bool
+        Whether the option `TABLE` puts experiments of the project on a mapped table. The function
+        gets a project with these experiments instead of the option.
     """
 
     name: str
@@ -86,6 +90,7 @@ class Capability:
     group: str = ""
     verb: str = ""
     in_project: Callable[[Any], bool] | None = None
+    on_table: bool = False
 
     @property
     def heading(self) -> str:
@@ -129,7 +134,8 @@ class Capability:
         known = ("progress", *self.leave_out, *(one.name for one in own))
         others = [] if self.of is None else options_of(self.of, leave_out=known)
         others = [replace(one, place=False) for one in others]
-        return {one.name: one for one in (*own[:first], *others, *own[first:])}
+        last = [TABLE] if self.on_table else []
+        return {one.name: one for one in (*own[:first], *others, *own[first:], *last)}
 
     @cached_property
     def shown(self) -> dict[str, Option]:
@@ -174,6 +180,8 @@ class Capability:
     def asked(self, call: Mapping[str, Any]) -> BaseModel:
         """Return the checked request of a call, from the `locals()` at the begin of a function."""
         own = {name: value for name, value in call.items() if name in self.options}
+        if self.on_table:
+            own[TABLE.name] = getattr(getattr(call.get("project"), "view", None), "path", None)
         return self.request({**own, **call.get("options", {})})
 
     def from_json(self, text: str | bytes) -> BaseModel:
@@ -238,7 +246,8 @@ class Capability:
 
     def arguments(self, request: BaseModel) -> dict[str, Any]:
         """Return the arguments of the function, with the objects of groups."""
-        values = {name: getattr(request, name) for name in self.options}
+        own = [name for name in self.options if not (self.on_table and name == TABLE.name)]
+        values = {name: getattr(request, name) for name in own}
         groups = {name for name, option in self.options.items() if is_group(option.kind)}
         return {k: v.build() if v and k in groups else v for k, v in values.items()}
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
 
-from fixel.capability.options import Door
+from fixel.capability.options import Door, Option
 
 if TYPE_CHECKING:
     from fixel.calibration.noise import Noise
@@ -59,3 +60,11 @@ class StatedNoise:
 
 
 NoiseOption = Annotated["Noise | None", Door(plain=StatedNoise | None, usual="estimated")]
+
+# Option of a capability whose experiments may stand on a mapped table.
+TABLE: Final = Option(
+    name="table",
+    plain=Path | None,
+    default=None,
+    meaning="Map of an uneven table, saved by fixel table map, for the experiments on it.",
+)

@@ -82,7 +82,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, Capability | Callable[..., None] | typ
         "sensitivity": CAPABILITIES["sensitivity"],
         "uncertainty": CAPABILITIES["uncertainty"],
         "next": CAPABILITIES["next"],
-        "table": typer_commands("table", CAPABILITIES, "Check a table for plans."),
+        "table": typer_commands("table", CAPABILITIES, "Check a table for plans, and map it."),
         "plan": plan.app,
         "report": show.report,
     },

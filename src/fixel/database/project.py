@@ -8,6 +8,7 @@ my_lab/
 
 from __future__ import annotations
 
+import copy
 import os
 import shlex
 import sqlite3
@@ -24,7 +25,7 @@ from typing import Any, Final, NamedTuple, final
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from fixel.database.store import Store
+from fixel.database.store import ExperimentView, Store
 from fixel.datasets.experiments import ExperimentEntry, Experiments
 from fixel.errors import InvalidInput, StoreRefused, machine_failure
 from fixel.io.atomic import written_whole
@@ -86,6 +87,8 @@ class Project:
     ----------
     folder : Path
     settings : ProjectSettings
+    view : ExperimentView, optional
+        Function that changes experiments when they are loaded; set by `seen_through`.
 
     Raises
     ------
@@ -108,6 +111,7 @@ class Project:
 
     folder: Path
     settings: ProjectSettings
+    view: ExperimentView | None = None
 
     def __init__(self, place: str | os.PathLike[str], *, media: Path | None = None) -> None:
         if "://" in str(place):
@@ -133,6 +137,12 @@ class Project:
                 expected="the key name and, for a server, database",
             ) from None
         _check_inside(path, self.settings.database)
+
+    def seen_through(self, view: ExperimentView | None) -> Project:
+        """Return the project with experiments that a function changes when they are loaded."""
+        found = copy.copy(self)
+        object.__setattr__(found, "view", view)
+        return found
 
     @classmethod
     def create(cls, folder: str | os.PathLike[str], *, database: str | None = None) -> Project:
@@ -410,7 +420,7 @@ class Project:
 
     def store(self) -> Store:
         """Open the project's store; raise `StoreRefused` if its tables have another version."""
-        store = Store(self.url, self.media)
+        store = Store(self.url, self.media, self.view)
         try:
             store.check_version(self.upgrade_command)
         except StoreRefused:
@@ -468,8 +478,9 @@ def _store(url: str, media: Path) -> Store:
     return Store(url, media)
 
 
-def _stored_experiment(url: str, media: Path, experiment_id: int) -> Experiment:
-    return _store(url, media).experiment(experiment_id)
+def _stored_experiment(url: str, media: Path, view: ExperimentView | None, k: int) -> Experiment:
+    found = _store(url, media).experiment(k)
+    return found if view is None else view(found)
 
 
 def stored_experiments(store: Store, query: ExperimentQuery) -> Experiments:
@@ -483,7 +494,7 @@ def stored_experiments(store: Store, query: ExperimentQuery) -> Experiments:
         for entry in entries
         if entry.row.id in published
     }
-    load = partial(_stored_experiment, store.url, store.media)
+    load = partial(_stored_experiment, store.url, store.media, store.view)
     return Experiments(entries, load, (), tuple(skipped), simulations)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Concatenate, Final, NamedTuple, ParamSpec, TypeVar, final
+from typing import Any, Concatenate, Final, NamedTuple, ParamSpec, Protocol, TypeVar, final
 
 import numpy as np
 import sqlalchemy as sa
@@ -69,6 +69,15 @@ def _method(
     return method
 
 
+class ExperimentView(Protocol):
+    """Function that changes experiments when they are loaded, as a file states."""
+
+    path: Path
+    sha256: str  # of its content
+
+    def __call__(self, experiment: Experiment, /) -> Experiment: ...
+
+
 class AddResult(NamedTuple):
     """Id of an added record, and whether it was new."""
 
@@ -96,6 +105,8 @@ class Store:
         ``sqlite:///FILE`` or ``postgresql+psycopg://USER@HOST/DATABASE``.
     media : Path
         Folder of arrays and videos too large for the database. Several projects may share it.
+    view : ExperimentView, optional
+        Function that changes the experiments that `experiment` returns.
 
     Raises
     ------
@@ -103,9 +114,10 @@ class Store:
         From the constructor and every method: the obstacle, and a command that helps.
     """
 
-    def __init__(self, url: str, media: Path) -> None:
+    def __init__(self, url: str, media: Path, view: ExperimentView | None = None) -> None:
         self.url = url
         self.media = media
+        self.view = view
         self._engine = open_engine(url)
 
     def __enter__(self) -> Store:
@@ -194,9 +206,13 @@ class Store:
             )
         return experiment_id
 
-    @_damage_named("experiment")
     def experiment(self, experiment_id: int) -> Experiment:
         """Load an experiment by its id."""
+        found = self._experiment(experiment_id)
+        return found if self.view is None else self.view(found)
+
+    @_damage_named("experiment")
+    def _experiment(self, experiment_id: int) -> Experiment:
         flag = tables.flag
         with reading(self._engine) as connection:
             row = _row(connection, tables.experiment, experiment_id, "experiment")

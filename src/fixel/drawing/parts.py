@@ -7,13 +7,29 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, Chart, Mark, bars, line, panel, panels, plot_of, tint, vline
+from fixel.drawing.chart import (
+    DASHED,
+    WIDE,
+    Chart,
+    Mark,
+    bars,
+    legend_below,
+    line,
+    panel,
+    panels,
+    plot_of,
+    tint,
+    vline,
+)
 from fixel.drawing.top_view import closed_line, plain_view
 from fixel.drawing.view import unit_for
 from fixel.parts.model import PartModel
 from fixel.parts.next_pushes import NextPushes
 from fixel.parts.table_check import ELSEWHERE, SPOT, TURNED, TableCheck
+from fixel.parts.table_fit import DEVIATION
+from fixel.parts.table_map import UNSEEN, TableMap
 from fixel.table import Table
+from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -140,6 +156,47 @@ def table_chart(check: TableCheck) -> Chart:
     )
 
 
+def map_chart(table: TableMap) -> Chart:
+    """Draw the map of a table, its standard deviation, and the places of the pushes."""
+    places = np.concatenate([own.pose[:, :2] for own in table.own.values()])
+    rows = [("node", *row) for row in table._data().rows]
+    rows += [("push", x, y, None, None) for x, y in places.tolist()]
+    return Chart(
+        title=f"Table {table.name}".rstrip(),
+        size=(WIDE, 3.7),
+        fill=lambda figure: _draw_map(figure, table, places),
+        data=Table(("what", "x_m", "y_m", "log_load", "deviation"), rows),
+    )
+
+
+def _draw_map(figure: Figure, table: TableMap, places: FloatArray) -> None:
+    from matplotlib.colors import LinearSegmentedColormap
+
+    grid = table.load_map
+    n_y, n_x = grid.log_load.shape
+    unit = unit_for(float((grid.cell * (n_x, n_y)).max()))
+    x, y = (
+        unit.factor * (grid.origin[k] + grid.cell[k] * np.arange(n))
+        for k, n in enumerate((n_x, n_y))
+    )
+    most, way = max(float(np.abs(grid.log_load).max()), 0.1), [palette.BODY, "white", palette.FORCE]
+    every = (
+        ("logarithm of the load factor", grid.log_load, -most, most, way),
+        ("its standard deviation", table.deviation, 0.0, DEVIATION, ["white", palette.FIXEL]),
+    )
+    for axes, (label, values, *ends, own) in zip(figure.subplots(1, 2), every, strict=True):
+        look = {"cmap": LinearSegmentedColormap.from_list(label, own), "shading": "gouraud"}
+        shown = axes.pcolormesh(x, y, values, vmin=ends[0], vmax=ends[1], rasterized=True, **look)
+        axes.plot(*(unit.factor * places.T), ".", color=palette.INK, markersize=2.0, label="push")
+        style = {"linestyles": [DASHED], "linewidths": 0.8, "colors": palette.INK}
+        axes.contour(x, y, table.deviation, [UNSEEN * DEVIATION], **style)
+        axes.plot([], [], linestyle=DASHED, color=palette.INK, label="border of places seen")
+        figure.colorbar(shown, ax=axes, location="bottom", shrink=0.7, aspect=30, label=label)
+        axes.set(xlabel=f"x [{unit.name}]", ylabel=f"y [{unit.name}]", aspect="equal")
+    legend_below(figure, figure.axes[:1])
+
+
 draw_errors = plot_of(left_out_chart)
+draw_map = plot_of(map_chart)
 draw_table = plot_of(table_chart)
 draw_next = plot_of(next_pushes_chart)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from fixel.capability.capability import Capability
+from fixel.capability.usual import TABLE
 from fixel.errors import InvalidInput
 from fixel.jobs.functions import callable_by_jobs
 from fixel.workflows.calibration.run import CALIBRATE
@@ -24,6 +25,7 @@ from fixel.workflows.sampling import SAMPLE
 from fixel.workflows.sensitivity.run import SENSITIVITY
 from fixel.workflows.simulation import SIMULATE
 from fixel.workflows.table_check import TABLE_CHECK
+from fixel.workflows.table_map import TABLE_MAP, TableView
 from fixel.workflows.uncertainty.run import UNCERTAINTY
 
 if TYPE_CHECKING:
@@ -32,7 +34,7 @@ if TYPE_CHECKING:
     from fixel.database.project import Project
     from fixel.jobs.work import Work
     from fixel.progress import ProgressOption
-    from fixel.workflows.analysis import StoredAnswer
+    from fixel.workflows.analysis import Analysis, StoredAnswer
 
 CAPABILITIES: Final[Mapping[str, Capability]] = {
     one.name: one
@@ -49,10 +51,12 @@ CAPABILITIES: Final[Mapping[str, Capability]] = {
         SENSITIVITY,
         SIMULATE,
         TABLE_CHECK,
+        TABLE_MAP,
         UNCERTAINTY,
     )
 }
 MAKER: Final = "capability:run_request"
+MAP: Final = "table.map"  # input of a job whose experiments are on a mapped table
 
 
 def run(
@@ -88,6 +92,7 @@ def run(
     if capability.in_project is not None:
         needed = capability.in_project(request)
     project = Project(folder) if capability.on_project and needed else None
+    project = _on_table(capability, project, request)
     place = (project,) if capability.on_project else ()
     result = capability.function(*place, **capability.arguments(request), progress=progress)
     return report_result(capability, request, project, result, time.monotonic() - begun, plot)
@@ -109,6 +114,34 @@ def call(project: Project, name: str, /, *, progress: ProgressOption = None, **o
     request = capability.request(options)
     permit(*capability.programs(request))
     return run(capability, request, project.folder, progress=progress).result
+
+
+def _on_table(
+    capability: Capability, project: Project | None, request: BaseModel, inputs: Path | None = None
+) -> Project | None:
+    """Return the project with its experiments on the table whose map a request names.
+
+    A job has the map among its inputs.
+    """
+    path = getattr(request, TABLE.name) if capability.on_table else None
+    if path is None:
+        return project
+    if project is None:
+        expected = "experiments of a project, which a table is put under"
+        raise InvalidInput(TABLE.name, found="no project", expected=expected)
+    return project.seen_through(TableView.of(path, inputs and inputs / MAP))
+
+
+def _table_warnings(project: Project, analysis: Analysis) -> list[str]:
+    """Return what a reader must know about the table under the experiments."""
+    if isinstance(project.view, TableView):
+        return project.view.warnings(project, analysis.experiments)
+    if analysis.kind == CALIBRATE.name:
+        return []
+    with project.store() as store:
+        results = {k: store.calibration(k).result or {} for k in analysis.calibrations}
+    why = "was made with the map of a table, and this result is without it"
+    return [f"calibration {k} {why}" for k, own in results.items() if "load_maps" in own]
 
 
 def report_result(
@@ -136,10 +169,15 @@ def report_result(
 
     present = capability.present
     report = present.report_of(result)
+    view = None if project is None else project.view
+    warnings = [] if project is None else _table_warnings(project, report.analysis)
     analysis = report.analysis.model_copy(
         update={
             "kind": capability.name,
-            "question": capability.question(request) | report.analysis.question,
+            "question": capability.question(request)
+            | report.analysis.question
+            | ({"table_sha256": view.sha256} if view else {}),
+            "warnings": (*report.analysis.warnings, *warnings),
             "request": request.model_dump(mode="json"),
             "command": capability.command(request, project.folder if project else Path()),
             "seed": getattr(request, "seed", None),
@@ -201,7 +239,9 @@ def request_of(inputs: Path) -> JobRequest:
     options = read_job(inputs.parent).options
     capability = CAPABILITIES[options["capability"]]
     request = capability.from_json(json.dumps(options["request"]))
-    return JobRequest(capability, request, Project(inputs.resolve().parents[2]))
+    project = _on_table(capability, Project(inputs.resolve().parents[2]), request, inputs)
+    assert project is not None
+    return JobRequest(capability, request, project)
 
 
 @callable_by_jobs
@@ -246,6 +286,7 @@ def prepare(capability: Capability, request: BaseModel, project: Project) -> Pat
 
     if not capability.on_project:
         raise InvalidInput("job", found=capability.name, expected="a capability on a project")
+    project = _on_table(capability, project, request) or project
     if capability.prepare is not None:
         job: Path = capability.prepare(project, **capability.arguments(request))
         return job
@@ -254,13 +295,16 @@ def prepare(capability: Capability, request: BaseModel, project: Project) -> Pat
     content = request.model_dump(mode="json")
     with project.store() as store:
         records = [store.datasets(), *store.calibration_summaries()]
-    digest = hashlib.sha256(json.dumps([content, records], sort_keys=True).encode()).hexdigest()
+    of, table = [content, records], project.view
+    of += [table.sha256] if table else []
+    digest = hashlib.sha256(json.dumps(of, sort_keys=True).encode()).hexdigest()
     folder = project.folder / jobs.JOBS / f"{capability.name}-{digest[:10]}"
     if not (folder / "job.json").is_file():
         for name in capability.programs(request):
             remember(name)  # for the processes of the job, if the user has named it
         options = {"capability": capability.name, "request": content}
-        jobs.prepare_job(folder, maker=MAKER, options=options)
+        inputs = {MAP: table.path} if table else None
+        jobs.prepare_job(folder, maker=MAKER, inputs=inputs, options=options)
     return folder
 
 

@@ -127,6 +127,8 @@ def fitted_values(group: PartPushes, seed: int, cache: ResultCache, name: str) -
         return {"values": listed(fit_part(group, which, SupportPrior.unpushed(), noise).mean)}
 
     of = [group.start[which], group.end[which], group.tip_start[which], group.tip_end[which]]
+    uneven = group.cases[0].scene.plane.load_map
+    of += [] if uneven is None else [uneven.origin, uneven.cell, uneven.log_load]
     outline = getattr(group.body.shape, "outline", group.radius)
     found = cache.get(name, [*of, outline, repr(UNPUSHED), NOISE_OF_MANY], compute)
     return np.array(found["values"], np.float64)

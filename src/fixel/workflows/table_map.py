@@ -1,23 +1,30 @@
-"""Map an uneven table from pushes of parts on it."""
+"""Map an uneven table from pushes of parts on it: in memory, or of a project."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, final
 
-from fixel.calibration.known_pushes import PARTS, SURFACES
+from fixel.capability.capability import Capability
+from fixel.capability.options import Door
+from fixel.capability.usual import TABLE, Dataset, Flagged, Threads, Where
 from fixel.errors import InvalidInput
-from fixel.io.array_bytes import ResultCache
-from fixel.model import Experiment
-from fixel.parts.fit import NAMES
-from fixel.parts.model import PartModel
-from fixel.parts.table_map import TableMap, by_part, fitted_map
-from fixel.progress import ProgressOption, show_progress
-from fixel.workflows.parts import condition_of, fitted_values
 
 if TYPE_CHECKING:
+    from fixel.database.project import Project
+    from fixel.model import Experiment
+    from fixel.model.selection import ExperimentRow
+    from fixel.parts.model import PartModel
+    from fixel.parts.table_map import TableMap
+    from fixel.progress import ProgressOption
+    from fixel.workflows.analysis import AnalysisReport, StoredAnswer
     from fixel.workflows.calibration.calibration import Calibration
+
+FITS: Final = Path("cache") / "parts"  # finished fits, in the project; those of `fixel next` too
+JSON: Final = ("headline", "warnings", "folder", "files")  # what `--json` has besides numbers
 
 
 def table_map(
@@ -26,7 +33,7 @@ def table_map(
     *,
     part: str | None = None,
     surface: str | None = None,
-    threads: int | None = None,
+    threads: Threads = None,
     store: str | Path | None = None,
     progress: ProgressOption = None,
 ) -> TableMap:
@@ -79,6 +86,13 @@ def table_map(
     >>> table.name, table.frame
     ('board', ('example',))
     """
+    from fixel.calibration.known_pushes import PARTS, SURFACES
+    from fixel.io.array_bytes import ResultCache
+    from fixel.parts.fit import NAMES
+    from fixel.parts.table_map import TableMap, by_part, fitted_map
+    from fixel.progress import show_progress
+    from fixel.workflows.parts import condition_of, fitted_values
+
     used = tuple(own for own in experiments if own.scene is not None)
     if not used:
         raise InvalidInput("experiments", found="none with a scene", expected="pushes of parts")
@@ -123,6 +137,9 @@ def _values(
     conditions: Mapping[str, str | float],
 ) -> dict[str, float]:
     """Return the calibrated values of a part on a surface."""
+    from fixel.parts.fit import NAMES
+    from fixel.parts.model import PartModel
+
     if isinstance(calibrations, PartModel):
         for own in calibrations.fits:
             if (own.part, own.surface) == (part, surface):
@@ -134,3 +151,167 @@ def _values(
     raise InvalidInput(
         "calibrations", found=f"none of part {part!r}", expected="a calibration of every part"
     )
+
+
+def map_stored(
+    project: Project,
+    *,
+    dataset: Dataset = "",
+    where: Where = (),
+    flagged: Flagged = False,
+    out: Annotated[Path | None, Door(writes=True, effort=True)] = None,
+    progress: ProgressOption = None,
+    **options: Any,
+) -> StoredMap:
+    """Map the unevenness of a table from pushes of one or several parts on it.
+
+    The map is judged by pushes of parts, or on sides, that were left out. Give the file of --out
+    to other commands as --table.
+
+    Parameters
+    ----------
+    dataset : str
+        Select only experiments of this dataset.
+    where : sequence of str
+        Select experiments that match, such as "surface=abs real"; may be repeated.
+    flagged : bool
+        Include experiments whose data have faults.
+    out : Path, optional
+        File to which the map is saved.
+    **options
+        Options of `fixel.table_map`.
+
+    Raises
+    ------
+    InvalidInput
+        The experiments are of several tables, none has a scene, or a part stands on three points.
+    """
+    from fixel.database.project import stored_experiments
+    from fixel.model.selection import parse_filter
+    from fixel.workflows.project.filters import check_known_names
+
+    query = parse_filter(*where, dataset=dataset or None, include_faulty=flagged)
+    with project.store() as store:
+        experiments = stored_experiments(store, query)
+        if not experiments:
+            check_known_names(store, query)
+    found = table_map(experiments, store=project.folder / FITS, progress=progress, **options)
+    if out is not None:
+        found.save(out)
+    rows = {entry.row.key: entry.row for entry in experiments.entries}
+    return StoredMap(found, [rows[key] for key in found.experiments])
+
+
+class StoredMap(NamedTuple):
+    """Map of a table from experiments of a project."""
+
+    table: TableMap
+    rows: list[ExperimentRow]
+
+
+def report_of(found: StoredMap) -> AnalysisReport:
+    """Return headline, tables, notes, figure and numbers of a map."""
+    from fixel.drawing.parts import map_chart
+    from fixel.workflows.analysis import AnalysisReport, analysis_of
+    from fixel.workflows.figures import Picture
+
+    table, names = found.table, ("position_m", "angle_rad")
+    gains = {  # mean of the changes of errors, and its 95 % interval
+        own.left_out: dict(zip(names, own.gain().T.tolist(), strict=True))
+        for own in (table.new_parts, table.new_sides)
+        if own is not None
+    }
+    numbers = {name: getattr(table, name) for name in ("surface", "name", "part", "weight")}
+    numbers |= {"frame": [*table.frame], "parts": [*table.values], "change_of_errors": gains}
+    said, *notes = table._summary().notes
+    verdict = f"helps, with weight {table.weight:g}" if table.weight else "does not help"
+    pushes = f"{len(found.rows)} pushes of {len(table.values)} parts on {_named(table)}"
+    analysis = analysis_of(
+        TABLE_MAP.name,
+        table,
+        title=f"Map of {_named(table)}",
+        headline=(f"The map from {pushes} {verdict}.", said),
+        notes=tuple(notes),
+        numbers=numbers,
+        experiments=tuple(row.id for row in found.rows),
+    )
+    caption = "Map, its standard deviation, and the places of the pushes."
+    banner = "" if all(row.is_real for row in found.rows) else "SIMULATED"
+    return AnalysisReport(analysis, [Picture("map", map_chart(table), banner, caption)])
+
+
+def next_words(done: StoredAnswer) -> list[object]:
+    """Return the words of the command that uses the map, or that saves it."""
+    table, out = done.result.table, done.request.out
+    if not table.weight:
+        return []
+    if out is None:
+        return [*done.again, "--out", "table.fixel"]
+    return ["calibrate", *(["--where", _named(table)] if table.name else []), "--table", out]
+
+
+def _named(table: TableMap) -> str:
+    return f"{table.surface}={table.name}" if table.name else "the table"
+
+
+TABLE_MAP: Final = Capability(
+    name="table-map",
+    title="Table map",
+    function=map_stored,
+    of=table_map,
+    leave_out=("experiments", "calibrations", "store"),
+    group="table",
+    verb="map",
+)
+
+
+# --- experiments of a project on a mapped table -------------------------------------------------
+
+
+@final
+@dataclass(slots=True, eq=False)
+class TableView:
+    """Function that puts experiments that name a table on the map of it."""
+
+    path: Path
+    table: TableMap
+    sha256: str
+    # Why the map tells little about an experiment, by the name of each that was put on it.
+    unseen: dict[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, path: Path, copy: Path | None = None) -> TableView:
+        """Load a saved map, from its copy if there is one."""
+        from fixel.io.saved import load
+        from fixel.parts.table_map import TableMap
+
+        table = load(copy or path)
+        if not isinstance(table, TableMap):
+            hint = "make one with: fixel table map --out FILE"
+            found = f"a {type(table).__name__} in {path}"
+            raise InvalidInput(TABLE.name, found=found, expected="a TableMap", hint=hint)
+        grid = table.load_map
+        arrays = [own.tolist() for own in (grid.origin, grid.cell, grid.log_load)]
+        content = repr((table.surface, table.name, table.frame, arrays))
+        return cls(path, table, hashlib.sha256(content.encode()).hexdigest())
+
+    def __call__(self, experiment: Experiment, /) -> Experiment:
+        table = self.table
+        if str(experiment.conditions.get(table.surface, "")) != table.name:
+            return experiment
+        found = table.on(experiment)
+        self.unseen[experiment.key] = table.unseen(found)
+        return found
+
+    def warnings(self, project: Project, experiments: Sequence[int]) -> list[str]:
+        """Return what a reader must know about the experiments, which may not be loaded yet."""
+        if not self.unseen:
+            with project.store() as store:
+                for number in experiments:
+                    store.experiment(number)
+        reasons = {key: reason for key, reason in self.unseen.items() if reason}
+        if not reasons:
+            return [] if self.unseen else [f"no experiment is on {_named(self.table)} of the map"]
+        key, n = next(iter(reasons)), len(reasons)
+        more = f" and {n - 1} more of {len(self.unseen)} experiments" if n > 1 else ""
+        return [f"{key}{more}: {reasons[key]}"]

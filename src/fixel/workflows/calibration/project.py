@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Final, final, overload
+from typing import Any, Final, final, overload
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from fixel.io.atomic import written_whole
 from fixel.io.damaged_files import INVALID_CONTENT, readable
 from fixel.io.lock import FileLock
 from fixel.jobs import folder as files
-from fixel.model import Parameters, Provenance
+from fixel.model import LoadMap, Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Evaluations, Member
 from fixel.model.selection import ExperimentQuery
 from fixel.model.space import ParameterSpace
@@ -288,7 +288,12 @@ def _from_records(store: Store, records: Mapping[int, CalibrationRecord]) -> Cal
         ids, ordered = zip(*(found[place] for place in sorted(found)), strict=True)
         members = dict.fromkeys(m.experiment_id for record in ordered for m in record.members)
         places = {experiment_id: k for k, experiment_id in enumerate(members)}
-        targets = tuple(target_of(store.experiment(experiment_id)) for experiment_id in members)
+        under: dict[int, tuple[list[LoadMap], int | None]] = {}
+        for record in ordered:
+            maps = [LoadMap(**own) for own in (record.result or {}).get("load_maps", ())]
+            on = (record.result or {}).get("on_map", [None] * len(record.members))
+            under |= {m.experiment_id: (maps, k) for m, k in zip(record.members, on, strict=True)}
+        targets = tuple(_on_map(target_of(store.experiment(k)), *under[k]) for k in members)
         nominal = np.full(len(targets), math.nan)
         sets = []
         for record in ordered:
@@ -445,8 +450,29 @@ def _records(run: Calibrations, experiments: Sequence[int]) -> Iterator[Calibrat
                 "source": run.source,
                 "asked": dict(run.asked),
                 "left_out": dict(run.left_out),
+                **_maps([run.targets[m] for m in one.members]),
             },
         )
+
+
+def _maps(targets: Sequence[Target]) -> dict[str, Any]:
+    """Return the maps of tables under experiments, and the one that each is on; none if flat."""
+    on = [target.case.scene.plane.load_map for target in targets]
+    maps: list[LoadMap] = []
+    for own in on:
+        if own is not None and own not in maps:
+            maps.append(own)
+    names = ("origin", "cell", "log_load")
+    content = [{name: getattr(own, name).tolist() for name in names} for own in maps]
+    places = [None if own is None else maps.index(own) for own in on]
+    return {"load_maps": content, "on_map": places} if maps else {}
+
+
+def _on_map(target: Target, maps: Sequence[LoadMap], place: int | None) -> Target:
+    if place is None:
+        return target
+    plane = replace(target.case.scene.plane, load_map=maps[place])
+    return target._replace(case=target.case._replace(scene=replace(target.case.scene, plane=plane)))
 
 
 def _method(run: Calibrations, one: ParameterSet) -> dict[str, str | float]:

@@ -41,4 +41,5 @@ def next_words(done: StoredAnswer) -> list[str]:
     space, found = fit.space, fit.found
     columns = space.columns(found.values(space.labels)[None], target.conditions)
     values = {name: float(column[0]) for name, column in columns.items()}
-    return [*compare_words(target.key, values, run.request.motion)]
+    table = ["--table", run.asked["table"]] if run.asked.get("table") else []
+    return [*compare_words(target.key, values, run.request.motion), *table]

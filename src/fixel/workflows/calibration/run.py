@@ -311,7 +311,7 @@ def _prepare(project: Project, **options: Any) -> Path:
     from fixel.workflows.calibration.execution import plan_in_project
     from fixel.workflows.calibration.plan import job_folder, prepare_folder
 
-    plan = plan_in_project(project, CALIBRATE.request(options))
+    plan = plan_in_project(project, CALIBRATE.asked(locals()))
     folder = job_folder(project.folder, plan)
     prepare_folder(plan, folder)
     return folder
@@ -323,4 +323,5 @@ CALIBRATE: Final = Capability(
     of=calibrate,
     leave_out=("experiments", "parameters", "start", "store"),
     prepare=_prepare,
+    on_table=True,
 )

@@ -66,6 +66,7 @@ def compare_stored(
     InvalidInput
         The experiment has no scene or no motion to compare with, or a parameter changes nothing.
     """
+    call = locals()
     from fixel.calibration.target import target_of
     from fixel.model import Parameters
     from fixel.simulation.motion import motion_model
@@ -74,8 +75,7 @@ def compare_stored(
     from fixel.workflows.project.compare import RunComparison
     from fixel.workflows.project.comparison import compare
 
-    asked = {"experiment": experiment, "parameters": parameters, "calibration": calibration}
-    request = COMPARE.request({**asked, "motion": motion, "save": save})
+    request = COMPARE.asked(call)
     with project.store() as store:
         number = store.find(experiment)
         own = store.experiment(number)
@@ -104,4 +104,4 @@ def _published(store: Store, number: int, experiment: Experiment) -> PathCompari
     return None if simulation is None else compare_path(experiment, store.simulation(simulation))
 
 
-COMPARE: Final = Capability(name="compare", function=compare_stored, plot="file")
+COMPARE: Final = Capability(name="compare", function=compare_stored, plot="file", on_table=True)

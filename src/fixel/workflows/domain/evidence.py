@@ -118,6 +118,7 @@ def mark_of(of: ProjectRequest, ids: Sequence[int]) -> str:
     names = ("calibration", "fit", "apart", "leave_out", "folds", "seed")
     kept = asked.model_dump(mode="json", include=set(names))
     kept |= {"engine": asked.engine} if asked.engine else {}
+    kept |= {"table": of.project.view.sha256} if of.project.view is not None else {}
     if asked.calibration is None and not asked.fit:
         kept["newest_calibration"] = newest_calibration(of.store, engine=asked.engine)
     whole = [VERSION, kept, list(ids), repr(SQUARES), MAX_TRAINING]

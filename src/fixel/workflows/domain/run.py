@@ -216,4 +216,5 @@ DOMAIN: Final = Capability(
     function=map_stored,
     of=map_domain,
     leave_out=("experiments", "motion", "store"),
+    on_table=True,
 )

@@ -182,4 +182,5 @@ ERROR_BOUND: Final = Capability(
     function=bound_stored,
     of=error_bound,
     leave_out=("experiments", "motion", "store"),
+    on_table=True,
 )

@@ -96,4 +96,4 @@ def propose_pushes(
     return found
 
 
-NEXT: Final = Capability(name="next", title="Next pushes", function=propose_pushes)
+NEXT: Final = Capability(name="next", title="Next pushes", function=propose_pushes, on_table=True)

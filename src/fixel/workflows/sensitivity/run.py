@@ -267,4 +267,5 @@ SENSITIVITY: Final = Capability(
     leave_out=("scene", "start", "model", "motion", "stepper"),
     in_project=in_project,
     settled=_settled,
+    on_table=True,
 )

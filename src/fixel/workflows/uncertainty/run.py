@@ -156,4 +156,5 @@ UNCERTAINTY: Final = Capability(
     function=uncertainty,
     of=posterior,
     leave_out=("experiments", "parameters", "threads"),
+    on_table=True,
 )
