@@ -456,6 +456,15 @@ def shift_of(
                 residual=_left_by(part, load_map),
             )
         )
-    fit = fit_table(rows, by_pose=True)
+    fit = fit_table(rows)
     deviation = np.linalg.norm(fit.factor[:3], axis=1)
+    if len(rows) > 1:
+        # How a part touches the table differs from pose to pose, which the fit does not know. Parts
+        # that disagree by more than they should show how much it matters.
+        alone = [fit_table([own]) for own in rows]
+        away = np.array([own.mean[:3] - fit.mean[:3] for own in alone])
+        size = np.array([np.linalg.norm(own.factor[:3], axis=1) for own in alone])
+        deviation = deviation * np.sqrt(
+            np.maximum(1.0, ((away / size) ** 2).sum(axis=0) / (len(rows) - 1))
+        )
     return PRIOR_MOTION * fit.mean[:3], PRIOR_MOTION * deviation
