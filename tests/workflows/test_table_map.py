@@ -12,7 +12,7 @@ import fixel
 from fixel.calibration.objective import Comparer
 from fixel.cli.main import app
 from fixel.drawing.parts import map_chart
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, StoreRefused
 from fixel.model import LoadMap, Pose, Trajectory
 from fixel.testing.pushes import example_parts
 from fixel.workflows import jobs
@@ -191,18 +191,25 @@ def test_a_push_where_no_other_was_has_a_warning(lab, pushes, file):
 def test_other_files_and_laboratories_are_refused(lab, pushes, table, file, tmp_path):
     with lab.store() as store:
         store.add_experiment(replace(pushes[0], dataset="elsewhere"))
-    scene = pushes[0].scene.save(tmp_path / "scene.yaml")
     disk = fixel.io.save(fixel.Disk(0.01), tmp_path / "disk.fixel")
     for name, options, said in (
         ("compare", {"experiment": "elsewhere/part-1-01", "table": file}, "world coordinates"),
         ("compare", {"experiment": "part-1-02", "table": disk}, "table: found a Disk"),
         ("compare", {"experiment": "part-1-02", "table": tmp_path / "none"}, "none: "),
-        ("sensitivity", {"experiments": (str(scene),), "table": file}, "table: found no project"),
     ):
-        folder = tmp_path if name == "sensitivity" else lab.folder
         capability = CAPABILITIES[name]
         with pytest.raises(InvalidInput, match=said):
-            run(capability, capability.request(options), folder, progress=False)
+            run(capability, capability.request(options), lab.folder, progress=False)
+
+
+def test_a_scene_file_is_not_put_on_the_table(lab, pushes, file, tmp_path):
+    scene = pushes[0].scene.save(tmp_path / "scene.yaml")
+    given = {"experiments": (str(scene),), "samples": 50, "table": file}
+    done = answer(lab, "sensitivity", **given)
+    assert "no experiment is on surface=board of the map" in done.analysis.warnings
+    elsewhere = CAPABILITIES["sensitivity"].request(given)
+    with pytest.raises(StoreRefused, match="is not a fixel project"):
+        run(CAPABILITIES["sensitivity"], elsewhere, tmp_path, progress=False)
 
 
 # --- the map itself -------------------------------------------------------------------------------

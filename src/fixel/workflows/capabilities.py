@@ -92,7 +92,7 @@ def run(
     if capability.in_project is not None:
         needed = capability.in_project(request)
     project = Project(folder) if capability.on_project and needed else None
-    project = _on_table(capability, project, request)
+    project = project and _on_table(project, capability, request)
     place = (project,) if capability.on_project else ()
     result = capability.function(*place, **capability.arguments(request), progress=progress)
     return report_result(capability, request, project, result, time.monotonic() - begun, plot)
@@ -117,19 +117,11 @@ def call(project: Project, name: str, /, *, progress: ProgressOption = None, **o
 
 
 def _on_table(
-    capability: Capability, project: Project | None, request: BaseModel, inputs: Path | None = None
-) -> Project | None:
-    """Return the project with its experiments on the table whose map a request names.
-
-    A job has the map among its inputs.
-    """
+    project: Project, capability: Capability, request: BaseModel, copy: Path | None = None
+) -> Project:
+    """Return the project with its experiments on the table whose map, or copy, a request names."""
     path = getattr(request, TABLE.name) if capability.on_table else None
-    if path is None:
-        return project
-    if project is None:
-        expected = "experiments of a project, which a table is put under"
-        raise InvalidInput(TABLE.name, found="no project", expected=expected)
-    return project.seen_through(TableView.of(path, inputs and inputs / MAP))
+    return project if path is None else project.seen_through(TableView.of(path, copy))
 
 
 def _table_warnings(project: Project, analysis: Analysis) -> list[str]:
@@ -239,9 +231,8 @@ def request_of(inputs: Path) -> JobRequest:
     options = read_job(inputs.parent).options
     capability = CAPABILITIES[options["capability"]]
     request = capability.from_json(json.dumps(options["request"]))
-    project = _on_table(capability, Project(inputs.resolve().parents[2]), request, inputs)
-    assert project is not None
-    return JobRequest(capability, request, project)
+    project = Project(inputs.resolve().parents[2])
+    return JobRequest(capability, request, _on_table(project, capability, request, inputs / MAP))
 
 
 @callable_by_jobs
@@ -286,7 +277,7 @@ def prepare(capability: Capability, request: BaseModel, project: Project) -> Pat
 
     if not capability.on_project:
         raise InvalidInput("job", found=capability.name, expected="a capability on a project")
-    project = _on_table(capability, project, request) or project
+    project = _on_table(project, capability, request)
     if capability.prepare is not None:
         job: Path = capability.prepare(project, **capability.arguments(request))
         return job

@@ -288,12 +288,13 @@ def _from_records(store: Store, records: Mapping[int, CalibrationRecord]) -> Cal
         ids, ordered = zip(*(found[place] for place in sorted(found)), strict=True)
         members = dict.fromkeys(m.experiment_id for record in ordered for m in record.members)
         places = {experiment_id: k for k, experiment_id in enumerate(members)}
-        under: dict[int, tuple[list[LoadMap], int | None]] = {}
-        for record in ordered:
-            maps = [LoadMap(**own) for own in (record.result or {}).get("load_maps", ())]
-            on = (record.result or {}).get("on_map", [None] * len(record.members))
-            under |= {m.experiment_id: (maps, k) for m, k in zip(record.members, on, strict=True)}
-        targets = tuple(_on_map(target_of(store.experiment(k)), *under[k]) for k in members)
+        maps = {
+            record.members[k].experiment_id: LoadMap(**own)
+            for record in ordered
+            for on, own in (record.result or {}).get("load_maps", ())
+            for k in on
+        }
+        targets = tuple(_on_map(target_of(store.experiment(k)), maps.get(k)) for k in members)
         nominal = np.full(len(targets), math.nan)
         sets = []
         for record in ordered:
@@ -450,29 +451,30 @@ def _records(run: Calibrations, experiments: Sequence[int]) -> Iterator[Calibrat
                 "source": run.source,
                 "asked": dict(run.asked),
                 "left_out": dict(run.left_out),
-                **_maps([run.targets[m] for m in one.members]),
+                **_load_maps([run.targets[m] for m in one.members]),
             },
         )
 
 
-def _maps(targets: Sequence[Target]) -> dict[str, Any]:
-    """Return the maps of tables under experiments, and the one that each is on; none if flat."""
-    on = [target.case.scene.plane.load_map for target in targets]
-    maps: list[LoadMap] = []
-    for own in on:
-        if own is not None and own not in maps:
-            maps.append(own)
+def _load_maps(targets: Sequence[Target]) -> dict[str, Any]:
+    """Return the maps of tables under experiments, each with the places of its experiments."""
+    found: dict[LoadMap, list[int]] = {}
+    for k, target in enumerate(targets):
+        if (own := target.case.scene.plane.load_map) is not None:
+            found.setdefault(own, []).append(k)
     names = ("origin", "cell", "log_load")
-    content = [{name: getattr(own, name).tolist() for name in names} for own in maps]
-    places = [None if own is None else maps.index(own) for own in on]
-    return {"load_maps": content, "on_map": places} if maps else {}
+    rows = [
+        (on, {name: getattr(own, name).tolist() for name in names}) for own, on in found.items()
+    ]
+    return {"load_maps": rows} if rows else {}
 
 
-def _on_map(target: Target, maps: Sequence[LoadMap], place: int | None) -> Target:
-    if place is None:
+def _on_map(target: Target, load_map: LoadMap | None) -> Target:
+    if load_map is None:
         return target
-    plane = replace(target.case.scene.plane, load_map=maps[place])
-    return target._replace(case=target.case._replace(scene=replace(target.case.scene, plane=plane)))
+    scene = target.case.scene
+    scene = replace(scene, plane=replace(scene.plane, load_map=load_map))
+    return target._replace(case=target.case._replace(scene=scene))
 
 
 def _method(run: Calibrations, one: ParameterSet) -> dict[str, str | float]:

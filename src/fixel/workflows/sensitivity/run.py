@@ -243,11 +243,12 @@ def _analysed(
 
 
 def in_project(request: Any) -> bool:
-    """Return whether a request needs a project: for stored experiments or a calibration."""
+    """Return whether a request needs a project: for experiments, a calibration or a table."""
     from fixel.workflows.sensitivity.report import is_scene_file
 
     things = request.experiments
-    return request.calibration is not None or not things or not all(map(is_scene_file, things))
+    stored = request.calibration is not None or request.table is not None
+    return stored or not things or not all(map(is_scene_file, things))
 
 
 def _settled(project: Project, request: Any) -> Any:
