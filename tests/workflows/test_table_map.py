@@ -226,7 +226,7 @@ def test_a_map_of_a_project_is_that_of_its_experiments(lab, pushes, tmp_path):
     )
     assert (printed["weight"], printed["parts"]) == (found.weight, ["part-1", "part-2"])
     mean, low, high = printed["change_of_errors"]["side"]["position_m"]
-    side = found.new_sides
+    side = found.judgement
     by_part = [
         np.mean([a - b for name, a, b in zip(side.part, side.after, side.before, strict=True)
                  if name == part], axis=0)[0]

@@ -16,7 +16,7 @@ from fixel.calibration.target import target_of
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, LoadMap, Scene
 from fixel.model.support import support_points
-from fixel.parts.fit import LOST_PUSH, PartPushes
+from fixel.parts.fit import PartPushes
 from fixel.parts.table_fit import (
     DEVIATION,
     MapGrid,
@@ -39,7 +39,7 @@ Standing = TypeVar("Standing", Scene, Experiment)
 MIN_PARTS: Final = 3  # with fewer, sides are left out instead of parts
 WEIGHTS: Final = (0.0, 0.5, 0.75, 1.0)  # of the map, of which leaving out chooses one; 0 first
 SCALES: Final = (1e3, math.degrees(1.0))  # of errors in tables: [mm], [deg]
-DRAWS: Final = 2000  # of the bootstrap
+DRAWS: Final = 500  # of the bootstrap
 # Posterior over prior deviation above which a place counts as never seen.
 UNSEEN: Final = 0.8
 MOVED_LEVEL: Final = 3.0  # in standard deviations, at which a board counts as moved
@@ -50,7 +50,7 @@ class MapJudgement(NamedTuple):
 
     left_out: str  # "part" or "side"
     part: tuple[str, ...]  # part of each push (n,)
-    # (n, 2) Errors of position [m] and angle [rad]; large where the simulation failed.
+    # (n, 2) Errors of position [m] and angle [rad]; of the start where a simulation failed.
     before: FloatArray
     after: FloatArray
 
@@ -62,12 +62,13 @@ class MapJudgement(NamedTuple):
         change, names = self.after - self.before, np.array(self.part)
         rng = np.random.default_rng(seed)
         rows = [np.flatnonzero(names == name) for name in dict.fromkeys(self.part)]
-        draws = []
-        for _ in range(DRAWS):
-            drawn = [rows[k] for k in rng.integers(0, len(rows), len(rows))]
-            draws.append(np.mean([change[rng.choice(x, len(x))].mean(axis=0) for x in drawn], 0))
-        mean = np.mean([change[own].mean(axis=0) for own in rows], axis=0)
-        return np.array([mean, *np.percentile(draws, (2.5, 97.5), axis=0)])
+        means = np.array([change[own].mean(axis=0) for own in rows])
+        redrawn = np.array(
+            [change[rng.choice(own, (DRAWS, len(own)))].mean(axis=1) for own in rows]
+        )
+        parts = rng.integers(0, len(rows), (DRAWS, len(rows)))
+        draws = redrawn[parts, np.arange(DRAWS)[:, None]].mean(axis=1)
+        return np.array([means.mean(axis=0), *np.percentile(draws, (2.5, 97.5), axis=0)])
 
     def table(self) -> Table:
         """Return the mean errors of each part without and with the map."""
@@ -126,7 +127,7 @@ class TableMap(Result):
     """Unevenness of a table in world coordinates, shared by all parts that stand on it.
 
     Made by `fixel.table_map`. Where the table is high, parts press more; the map is the logarithm
-    of that factor, never a height: heights and stiffness cannot be told apart. It belongs to one
+    of that factor, never a height: heights and stiffness have the same effect. It belongs to one
     table in one place. It is used by putting it into scenes, with `on`, before these are given to
     `fixel.calibrate`, `fixel.part_model`, `fixel.predict`, `fixel.plan` or any other function.
 
@@ -148,10 +149,8 @@ class TableMap(Result):
         What is the parts' own on the table, from pose to pose.
     weight : float
         Weight of the map that leaving out chose; 0 for a map that does not help.
-    new_parts : MapJudgement or None
-        Errors of pushes of parts that were left out, for three parts or more.
-    new_sides : MapJudgement
-        Errors of pushes on one half of the outlines, after those on the other.
+    judgement : MapJudgement
+        Errors of pushes that were left out.
     experiments : tuple of str
         Names of the experiments.
 
@@ -174,8 +173,7 @@ class TableMap(Result):
     spread: FloatArray
     own: Mapping[str, OwnFit]
     weight: float
-    new_parts: MapJudgement | None
-    new_sides: MapJudgement
+    judgement: MapJudgement
     experiments: tuple[str, ...]
 
     def on(self, push: Standing) -> Standing:
@@ -206,7 +204,7 @@ class TableMap(Result):
         return push if push.scene is None else replace(push, scene=self.on(push.scene))
 
     def unseen(self, push: Scene | Experiment) -> str:
-        """Return why the map tells little about a push; empty if it has seen its place."""
+        """Return why the map knows little about a push; empty if it has seen its place."""
         scene = push if isinstance(push, Scene) else push.scene
         if scene is None:
             return ""
@@ -259,7 +257,7 @@ class TableMap(Result):
         """Predict the ends of pushes of parts that the map knows, with what is their own.
 
         How a part stands differs from pose to pose by more than the map explains; where it has
-        stood in nearly the same pose, its own pushes tell.
+        stood in nearly the same pose, its own pushes count.
 
         Parameters
         ----------
@@ -328,13 +326,12 @@ class TableMap(Result):
         verdict = f"weight {self.weight:g}" if self.weight else "not used, as it does not help"
         seen = self.deviation < UNSEEN * DEVIATION
         area = float(seen.sum() * np.prod(self.load_map.cell))
-        judged = [own for own in (self.new_parts, self.new_sides) if own is not None]
         return Summary(
             f"TableMap of {self.surface}={self.name}: {len(self.experiments)} pushes of"
             f" {len(self.values)} parts; {verdict}",
-            [own.table() for own in judged],
+            [self.judgement.table()],
             [
-                *(own.sentence() for own in judged),
+                self.judgement.sentence(),
                 f"the pushes have seen {1e4 * area:.0f} cm^2 of the table",
             ],
             {"world coordinates of": ", ".join(self.frame)},
@@ -372,8 +369,7 @@ class FittedMap(NamedTuple):
     spread: FloatArray  # (n_node, k)
     own: dict[str, OwnFit]
     weight: float
-    new_parts: MapJudgement | None
-    new_sides: MapJudgement
+    judgement: MapJudgement
 
 
 def fitted_map(
@@ -391,20 +387,17 @@ def fitted_map(
     grid = MapGrid.over(places)
     rows = {name: MapRows.of(own, grid) for name, own in parts.items()}
     fit = fit_table(list(rows.values()))
-    new_parts = None
     if len(parts) >= MIN_PARTS:
-        weight, new_parts = _weighed(lambda weight: _without_parts(parts, fit, grid, weight))
-        new_sides = _without_sides(parts, rows, grid, weight)
+        weight, judgement = _weighed(lambda weight: _without_parts(parts, fit, grid, weight))
     else:
-        weight, new_sides = _weighed(lambda weight: _without_sides(parts, rows, grid, weight))
+        weight, judgement = _weighed(lambda weight: _without_sides(parts, rows, grid, weight))
     mean = weight * grid.levelled(grid.root @ fit.mean, places).reshape(grid.shape)
     return FittedMap(
         LoadMap(origin=grid.origin, cell=np.full(2, grid.cell), log_load=mean),
         grid.levelled(grid.root @ fit.factor, places),
         {name: own_fit(own, weight * fit.mean) for name, own in rows.items()},
         weight,
-        new_parts,
-        new_sides,
+        judgement,
     )
 
 
@@ -464,5 +457,5 @@ def half_of_outline(pushes: PartPushes) -> IntArray:
 def _errors(
     part: StandingPart, which: IntArray, height: FloatArray, own: OwnFit | None = None
 ) -> FloatArray:
-    """Return the errors (k, 2) of pushes on a table; large ones where a simulation failed."""
-    return np.minimum(part.pushes.errors(which, part.ends(which, height, own)), LOST_PUSH)
+    """Return the errors (k, 2) of pushes on a table: position [m] and angle [rad]."""
+    return part.pushes.errors(which, part.ends(which, height, own))

@@ -40,7 +40,7 @@ def table_map(
     """Map the unevenness of a table from pushes of one or several parts on it.
 
     The same push ends elsewhere when it is made at another place or orientation, because no table
-    is flat. The map says where parts press more. It is judged by leaving out whole parts, or the
+    is flat. The map has where parts press more. It is judged by leaving out whole parts, or the
     sides of fewer than three parts, and has weight 0 where it does not help.
 
     Parameters
@@ -66,8 +66,8 @@ def table_map(
     Returns
     -------
     TableMap
-        `.on(scene)` puts the table into a scene or an experiment; `.moved(experiments)` tells
-        whether it has moved since.
+        `.on(scene)` puts the table into a scene or an experiment; `.moved(experiments)` estimates how
+        far it has moved since.
 
     Raises
     ------
@@ -217,9 +217,7 @@ def report_of(found: StoredMap) -> AnalysisReport:
 
     table, names = found.table, ("position_m", "angle_rad")
     gains = {  # mean of the changes of errors, and its 95 % interval
-        own.left_out: dict(zip(names, own.gain().T.tolist(), strict=True))
-        for own in (table.new_parts, table.new_sides)
-        if own is not None
+        table.judgement.left_out: dict(zip(names, table.judgement.gain().T.tolist(), strict=True))
     }
     numbers = {name: getattr(table, name) for name in ("surface", "name", "part", "weight")}
     numbers |= {"frame": [*table.frame], "parts": [*table.values], "change_of_errors": gains}
@@ -276,7 +274,7 @@ class TableView:
     path: Path
     table: TableMap
     sha256: str
-    # Why the map tells little about an experiment, by the name of each that was put on it.
+    # Why the map knows little about an experiment, by the name of each that was put on it.
     unseen: dict[str, str] = field(default_factory=dict)
 
     @classmethod
