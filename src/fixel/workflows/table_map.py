@@ -66,8 +66,8 @@ def table_map(
     Returns
     -------
     TableMap
-        `.on(scene)` puts the table into a scene or an experiment; `.moved(experiments)` estimates how
-        far it has moved since.
+        `.on(scene)` puts the table into a scene or an experiment; `.moved(experiments)` estimates
+        how far it has moved since.
 
     Raises
     ------
