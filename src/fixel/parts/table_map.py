@@ -37,7 +37,7 @@ from fixel.typing import FloatArray, IntArray, ProgressCallback
 Standing = TypeVar("Standing", Scene, Experiment)
 
 MIN_PARTS: Final = 3  # with fewer, sides are left out instead of parts
-WEIGHTS: Final = (0.0, 0.5, 0.75, 1.0)  # of the map, of which leaving out chooses one; 0 first
+WEIGHTS: Final = (0.0, 1.0)  # of the map, of which leaving out chooses one; 0 first
 SCALES: Final = (1e3, math.degrees(1.0))  # of errors in tables: [mm], [deg]
 DRAWS: Final = 500  # of the bootstrap
 # Posterior over prior deviation above which a place counts as never seen.
