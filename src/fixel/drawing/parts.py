@@ -179,7 +179,9 @@ def _draw_map(figure: Figure, table: TableMap, places: FloatArray) -> None:
         unit.factor * (grid.origin[k] + grid.cell[k] * np.arange(n))
         for k, n in enumerate((n_x, n_y))
     )
-    most, way = max(float(np.abs(grid.log_load).max()), 0.1), [palette.BODY, "white", palette.FORCE]
+    # Beyond the places that were seen, the map is hardly more than its prior.
+    seen = np.where(table.deviation < UNSEEN * DEVIATION, np.abs(grid.log_load), 0.0)
+    most, way = max(float(seen.max()), 0.1), [palette.BODY, "white", palette.FORCE]
     every = (
         ("logarithm of the load factor", grid.log_load, -most, most, way),
         ("its standard deviation", table.deviation, 0.0, DEVIATION, ["white", palette.FIXEL]),
@@ -187,13 +189,16 @@ def _draw_map(figure: Figure, table: TableMap, places: FloatArray) -> None:
     for axes, (label, values, *ends, own) in zip(figure.subplots(1, 2), every, strict=True):
         look = {"cmap": LinearSegmentedColormap.from_list(label, own), "shading": "gouraud"}
         shown = axes.pcolormesh(x, y, values, vmin=ends[0], vmax=ends[1], rasterized=True, **look)
-        axes.plot(*(unit.factor * places.T), ".", color=palette.INK, markersize=2.0, label="push")
+        if values is table.deviation:  # they would hide the map
+            axes.plot(
+                *(unit.factor * places.T), ".", color=palette.INK, markersize=1.0, label="push"
+            )
         style = {"linestyles": [DASHED], "linewidths": 0.8, "colors": palette.INK}
         axes.contour(x, y, table.deviation, [UNSEEN * DEVIATION], **style)
         axes.plot([], [], linestyle=DASHED, color=palette.INK, label="border of places seen")
         figure.colorbar(shown, ax=axes, location="bottom", shrink=0.7, aspect=30, label=label)
         axes.set(xlabel=f"x [{unit.name}]", ylabel=f"y [{unit.name}]", aspect="equal")
-    legend_below(figure, figure.axes[:1])
+    legend_below(figure, figure.axes[1:2])
 
 
 draw_errors = plot_of(left_out_chart)
