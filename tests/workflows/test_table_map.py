@@ -264,5 +264,5 @@ def test_the_figure_shows_nodes_and_pushes(table, pushes):
     halfway = np.array([0.5 * (p.trajectory.pose[0] + p.trajectory.pose[-1]) for p in pushes[:-1]])
     away = np.abs(np.array([row[1:3] for row in dots]) - halfway[:, :2]).max()
     assert away < 5e-3
-    drawn = figure.axes[0].lines[0].get_xydata()
+    drawn = figure.axes[1].lines[0].get_xydata()
     assert np.allclose(drawn, 1e3 * np.array([row[1:3] for row in dots], float))
