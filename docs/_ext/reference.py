@@ -23,7 +23,8 @@ GROUPS = {
     "Calibration": "calibrate calibrate_each calibrate_campaign known_parameters Parameter"
     " Calibration Calibrations Estimate Noise",
     "Comparison and trust": "compare Comparison map_domain DomainMap error_bound ErrorBound"
-    " sensitivity Sensitivity posterior Posterior predict Prediction filter FilterRun StartError",
+    " sensitivity Sensitivity posterior Posterior predict Prediction filter FilterRun StartError"
+    " part_model PartModel table_check TableCheck table_map TableMap",
     "Goals": "PoseRegion Seated Inside Beyond AllOf AnyOf Contact Exit ForceAbove Goal",
     "Errors": "FixelError InvalidInput SolveFailed StoreRefused MissingExtra Interrupted",
 }
