@@ -37,7 +37,7 @@ def table_map(
     store: str | Path | None = None,
     progress: ProgressOption = None,
 ) -> TableMap:
-    """Map the unevenness of a table from pushes of one or several parts on it.
+    """Map the unevenness of a table from pushes of parts on it.
 
     The same push ends elsewhere when it is made at another place or orientation, because no table
     is flat. The map has where parts press more. It is judged by leaving out whole parts, or the
@@ -163,7 +163,7 @@ def map_stored(
     progress: ProgressOption = None,
     **options: Any,
 ) -> StoredMap:
-    """Map the unevenness of a table from pushes of one or several parts on it.
+    """Map the unevenness of a table from pushes of parts on it.
 
     The map is judged by pushes of parts, or on sides, that were left out. Give the file of --out
     to other commands as --table.
