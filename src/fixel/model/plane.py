@@ -46,11 +46,7 @@ class FrictionMap(Comparable):
 
     def __post_init__(self) -> None:
         check_fields(self, "friction_map")
-        if (self.cell <= 0.0).any():
-            found = self.cell.tolist()
-            raise InvalidInput(
-                "friction_map.cell", found=found, expected="numbers greater than 0 [m]"
-            )
+        _check_cell(self.cell, "friction_map.cell")
         settle(self, factor=_positive_grid(self.factor))
 
     def at(self, position: ArrayLike) -> FloatArray:
@@ -90,9 +86,7 @@ class LoadMap(Comparable):
 
     def __post_init__(self) -> None:
         check_fields(self, "load_map")
-        if (self.cell <= 0.0).any():
-            found = self.cell.tolist()
-            raise InvalidInput("load_map.cell", found=found, expected="numbers greater than 0 [m]")
+        _check_cell(self.cell, "load_map.cell")
         settle(self, log_load=frozen(_grid(self.log_load, "load_map.log_load", "log_load")))
 
     def at(self, position: ArrayLike) -> FloatArray:
@@ -136,6 +130,11 @@ class Plane(Comparable):
             self.friction_map, FrictionMap | None, "plane.friction_map", "a FrictionMap, or None"
         )
         instance(self.load_map, LoadMap | None, "plane.load_map", "a LoadMap, or None")
+
+
+def _check_cell(cell: FloatArray, where: str) -> None:
+    if (cell <= 0.0).any():
+        raise InvalidInput(where, found=cell.tolist(), expected="numbers greater than 0 [m]")
 
 
 def _positive_grid(factor: ArrayLike) -> FloatArray:

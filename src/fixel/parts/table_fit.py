@@ -17,7 +17,7 @@ from fixel.parts.fit import STEP, PartPushes
 from fixel.simulation import QuasiStatic, StewartTrinkle
 from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.pack import pair_tables, supports_of
-from fixel.simulation.vary import Variation, redistributed, vary
+from fixel.simulation.vary import Variation, redistributed, vary, world_places
 from fixel.typing import BoolArray, FloatArray, IntArray
 
 CELL: Final = 20e-3  # distance of the nodes of the map [m]
@@ -77,9 +77,9 @@ class StandingPart:
     ) -> None:
         self.pushes = pushes
         n = len(pushes)
-        scenes = [replace(case.scene, plane=replace(case.scene.plane, load_map=None))
-                  for case in pushes.cases]  # fmt: skip
-        scene, body = scenes[0], pushes.body
+        scene, body = pushes.cases[0].scene, pushes.body
+        flat = replace(scene.plane, load_map=None)
+        scene = replace(scene, plane=flat)
         given = {name: np.full(n, x) for name, x in values.items()}
         start = pushes.start[:, None]
         varied = vary(
@@ -101,11 +101,10 @@ class StandingPart:
         support = SupportPoints(
             points=self.points, friction=np.ravel(own.friction)[: len(self.points)]
         )
-        stands = replace(body, support=support)
-        cases = [
-            case._replace(scene=replace(own, bodies=(replace(stands, pose=own.bodies[0].pose),)))
-            for case, own in zip(pushes.cases, scenes, strict=True)
-        ]
+        cases = []
+        for case, pose in zip(pushes.cases, pushes.start, strict=True):
+            stands = replace(body, support=support, pose=pose)
+            cases.append(case._replace(scene=replace(case.scene, bodies=(stands,), plane=flat)))
         self._ensemble = Ensemble(
             cases, QuasiStatic(), StewartTrinkle(step=STEP), threads=pushes.threads
         )
@@ -155,7 +154,7 @@ class StandingPart:
         Parameters
         ----------
         own : OwnFit, optional
-            What is the part's own on the table, as found by `fit_table`.
+            What is the part's own on the table.
 
         Returns
         -------
@@ -182,10 +181,7 @@ class StandingPart:
     @property
     def places(self) -> FloatArray:
         """World places (n, p, 2) of the support points at the start [m]."""
-        x, y, angle = self.outline.T
-        c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
-        u, v = self.points.T
-        return np.stack((x[:, None] + c * u - s * v, y[:, None] + s * u + c * v), axis=-1)
+        return world_places(self.points, self.outline)
 
     @property
     def residual(self) -> FloatArray:
@@ -214,9 +210,7 @@ class MapGrid(NamedTuple):
     root: FloatArray  # (n_node, m)
 
     @classmethod
-    def over(
-        cls, places: FloatArray, length: float = LENGTH, deviation: float = DEVIATION
-    ) -> MapGrid:
+    def over(cls, places: FloatArray) -> MapGrid:
         """Return a grid over places (n, 2) and a margin around them."""
         low, high = places.min(axis=0) - MARGIN, places.max(axis=0) + MARGIN
         cell = max(CELL, float(np.sqrt(np.prod(high - low) / MAX_NODES)))
@@ -225,7 +219,7 @@ class MapGrid(NamedTuple):
         y, x = np.meshgrid(np.arange(n_y), np.arange(n_x), indexing="ij")
         node = cell * np.column_stack((x.ravel(), y.ravel()))
         square = ((node[:, None] - node[None]) ** 2).sum(axis=-1)
-        size, way = np.linalg.eigh(deviation**2 * np.exp(-0.5 * square / length**2))
+        size, way = np.linalg.eigh(DEVIATION**2 * np.exp(-0.5 * square / LENGTH**2))
         kept = size > SMALLEST * size.max()
         return cls(origin, cell, (n_y, n_x), way[:, kept] * np.sqrt(size[kept]))
 
@@ -255,10 +249,10 @@ class MapGrid(NamedTuple):
         counted = plane * np.asarray(self.weights(places).sum(axis=0)).reshape(-1, 1)
         return np.asarray(field - plane @ np.linalg.solve(counted.T @ plane, counted.T @ field))
 
-    def heights(self, part: StandingPart, field: FloatArray) -> FloatArray:
-        """Interpolate values (n_node,) at the support points of pushes, (n, p)."""
-        places = part.places
-        return np.asarray(self.weights(places.reshape(-1, 2)) @ field).reshape(places.shape[:2])
+    def load_map(self, field: FloatArray) -> LoadMap:
+        """Return values (n_node,) of the nodes as a map."""
+        cell = np.full(2, self.cell)
+        return LoadMap(origin=self.origin, cell=cell, log_load=field.reshape(self.shape))
 
 
 class MapRows(NamedTuple):
@@ -320,7 +314,7 @@ def likeness(pose: FloatArray, other: FloatArray) -> FloatArray:
 
 
 class OwnFit(NamedTuple):
-    """What is a part's own on the table: corrections of its values, and loads by pose."""
+    """Corrections of a part's values, and changes of its loads and friction from pose to pose."""
 
     value: FloatArray  # (q,) in standard deviations
     pose: FloatArray  # (n, 3) of the pushes
@@ -393,7 +387,8 @@ def fit_table(rows: Sequence[MapRows], by_pose: bool = False) -> TableFit:
 def own_fit(rows: MapRows, mean: FloatArray) -> OwnFit:
     """Fit what is a part's own, from pose to pose, given the mean (m,) of the map."""
     left = rows._replace(residual=rows.residual - rows.by_map @ mean, by_map=rows.by_map[:, :, :0])
-    (part,), (force,) = fit_table([left], by_pose=True)[-2:]
+    fit = fit_table([left], by_pose=True)
+    part, force = fit.parts[0], fit.force[0]
     balanced, free = (
         np.einsum("ni,nip->np", force, own) for own in (part.by_balanced, part.by_load)
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, NamedTuple, TypeVar, final
@@ -14,9 +14,10 @@ from fixel.calibration.contacts import contacts_of
 from fixel.calibration.objective import ANGLE_SCALE
 from fixel.calibration.target import target_of
 from fixel.errors import InvalidInput
-from fixel.model import Experiment, LoadMap, Scene
+from fixel.model import Experiment, LoadMap, Scene, placed
 from fixel.model.support import support_points
 from fixel.parts.fit import PartPushes
+from fixel.parts.model import grouped
 from fixel.parts.table_fit import (
     DEVIATION,
     MapGrid,
@@ -187,6 +188,11 @@ class TableMap(Result):
         """
         if isinstance(push, Scene):
             return replace(push, plane=replace(push.plane, load_map=self.load_map))
+        self._refuse_elsewhere(push)
+        return push if push.scene is None else replace(push, scene=self.on(push.scene))
+
+    def _refuse_elsewhere(self, push: Experiment) -> None:
+        """Raise for an experiment on another table, or in other world coordinates."""
         found = push.conditions.get(self.surface, self.name)
         if found != self.name:
             raise InvalidInput(
@@ -201,7 +207,17 @@ class TableMap(Result):
                 expected=f"experiments of {' or '.join(self.frame)}",
                 hint="make a map of each laboratory",
             )
-        return push if push.scene is None else replace(push, scene=self.on(push.scene))
+
+    def _groups(self, pushes: Sequence[Experiment], new: bool = False) -> dict[str, PartPushes]:
+        """Return the pushes of each part on this table; raise for new parts unless asked for."""
+        for own in pushes:
+            self._refuse_elsewhere(own)
+        groups = by_part(pushes, self.part)
+        strange = sorted(set(groups) - set(self.values))
+        if strange and not new:
+            expected = "parts of the map: " + ", ".join(self.values)
+            raise InvalidInput("experiments", found=f"a part {strange[0]!r}", expected=expected)
+        return groups
 
     def unseen(self, push: Scene | Experiment) -> str:
         """Return why the map knows little about a push; empty if it has seen its place."""
@@ -210,11 +226,9 @@ class TableMap(Result):
             return ""
         body = scene.bodies[0]
         points = support_points(body.support, body.shape, body.com, body.mass, scene.gravity)[0]
-        x, y, angle = body.pose
-        c, s = math.cos(angle), math.sin(angle)
-        world = (points + body.com) @ np.array([[c, s], [-s, c]]) + (x, y)
-        spread = replace(self.load_map, log_load=self.deviation).at(world)
-        share = float((spread > UNSEEN * DEVIATION).mean())
+        spread = replace(self.load_map, log_load=self.deviation)
+        far = spread.at(placed(points + body.com, body.pose)) > UNSEEN * DEVIATION
+        share = float(far.mean())
         if share < 0.5:
             return ""
         return (
@@ -237,9 +251,8 @@ class TableMap(Result):
         InvalidInput
             A part is not one of the map, or `on` refuses an experiment.
         """
-        pushes = [self.on(own) for own in experiments]
-        groups = by_part(pushes, self.part)
-        self._refuse_strange(groups)
+        pushes = list(experiments)
+        groups = self._groups(pushes)
         parts = []
         with show_progress(progress, "differentiating pushes") as report:
             for done, (name, group) in enumerate(groups.items()):
@@ -274,17 +287,13 @@ class TableMap(Result):
         InvalidInput
             A part is not one of the map, or `on` refuses an experiment.
         """
-        rows: dict[str, list[int]] = {}
-        for k, own in enumerate(pushes):
-            self.on(own)
-            rows.setdefault(str(own.conditions.get(self.part, "")), []).append(k)
-        groups = by_part(pushes, self.part)
-        self._refuse_strange(groups)
+        groups = self._groups(pushes)
+        names = np.array([str(own.conditions.get(self.part, "")) for own in pushes])
         ends = np.zeros((len(pushes), 3))
         for name, group in groups.items():
             part = StandingPart(group, self.values[name], differentiate=False)
             every, height = np.arange(len(group)), self.load_map.at(part.places)
-            ends[rows[name]] = part.ends(every, height, self.own[name])
+            ends[names == name] = part.ends(every, height, self.own[name])
         return ends
 
     def with_part(self, experiments: Sequence[Experiment], values: Mapping[str, float]) -> TableMap:
@@ -302,7 +311,7 @@ class TableMap(Result):
         InvalidInput
             The pushes are of several parts, or `on` refuses one.
         """
-        groups = by_part([self.on(own) for own in experiments], self.part)
+        groups = self._groups(experiments, new=True)
         if len(groups) != 1:
             found = " and ".join(groups) or "none"
             raise InvalidInput("experiments", found=found, expected="pushes of one part")
@@ -312,15 +321,6 @@ class TableMap(Result):
         return replace(
             self, values={**self.values, name: dict(values)}, own={**self.own, name: own}
         )
-
-    def _refuse_strange(self, groups: Mapping[str, PartPushes]) -> None:
-        strange = sorted(set(groups) - set(self.values))
-        if strange:
-            raise InvalidInput(
-                "experiments",
-                found=f"a part {strange[0]!r}",
-                expected="parts of the map: " + ", ".join(self.values),
-            )
 
     def _summary(self) -> Summary:
         verdict = f"weight {self.weight:g}" if self.weight else "not used, as it does not help"
@@ -356,10 +356,8 @@ def by_part(
     experiments: Iterable[Experiment], part: str, threads: int | None = None
 ) -> dict[str, PartPushes]:
     """Return the pushes of each part, by the condition that names it."""
-    rows: dict[str, list[Experiment]] = {}
-    for own in experiments:
-        rows.setdefault(str(own.conditions.get(part, "")), []).append(own)
-    return {name: PartPushes([target_of(e) for e in rows[name]], threads) for name in sorted(rows)}
+    groups = grouped([target_of(own) for own in experiments], "", part, threads)
+    return {name: pushes for (_, name), pushes in groups.items()}
 
 
 class FittedMap(NamedTuple):
@@ -388,12 +386,11 @@ def fitted_map(
     rows = {name: MapRows.of(own, grid) for name, own in parts.items()}
     fit = fit_table(list(rows.values()))
     if len(parts) >= MIN_PARTS:
-        weight, judgement = _weighed(lambda weight: _without_parts(parts, fit, grid, weight))
+        weight, judgement = _weighed(_without_parts(parts, fit, grid))
     else:
-        weight, judgement = _weighed(lambda weight: _without_sides(parts, rows, grid, weight))
-    mean = weight * grid.levelled(grid.root @ fit.mean, places).reshape(grid.shape)
+        weight, judgement = _weighed(_without_sides(parts, rows, grid))
     return FittedMap(
-        LoadMap(origin=grid.origin, cell=np.full(2, grid.cell), log_load=mean),
+        grid.load_map(weight * grid.levelled(grid.root @ fit.mean, places)),
         grid.levelled(grid.root @ fit.factor, places),
         {name: own_fit(own, weight * fit.mean) for name, own in rows.items()},
         weight,
@@ -401,13 +398,12 @@ def fitted_map(
     )
 
 
-def _weighed(judge: Callable[[float], MapJudgement]) -> tuple[float, MapJudgement]:
+def _weighed(judged: Mapping[float, MapJudgement]) -> tuple[float, MapJudgement]:
     """Return the weight with the smallest errors of left-out pushes, and these.
 
     It is 0, with the errors of half the map, unless the interval of the gain with half the map
     excludes none: a few parts may dislike the whole map, and still show that it is one.
     """
-    judged = {weight: judge(weight) for weight in WEIGHTS}
     gains = {weight: own.gain() for weight, own in judged.items()}
     best = min(WEIGHTS, key=lambda weight: float(gains[weight][0] @ (1.0, ANGLE_SCALE)))
     half = gains[WEIGHTS[0]]
@@ -416,35 +412,50 @@ def _weighed(judge: Callable[[float], MapJudgement]) -> tuple[float, MapJudgemen
 
 
 def _without_parts(
-    parts: Mapping[str, StandingPart], fit: TableFit, grid: MapGrid, weight: float
-) -> MapJudgement:
-    """Predict the pushes of each part with the map from the others."""
-    names, before, after = [], [], []
+    parts: Mapping[str, StandingPart], fit: TableFit, grid: MapGrid
+) -> dict[float, MapJudgement]:
+    """Predict the pushes of each part with the map from the others, by its weight."""
+    names: list[str] = []
+    errors: list[list[FloatArray]] = []
     for k, (name, part) in enumerate(parts.items()):
-        height = grid.heights(part, grid.root @ fit.without(k))
+        height = grid.load_map(grid.root @ fit.without(k)).at(part.places)
         every = np.arange(len(height))
         names += [name] * len(height)
-        before.append(_errors(part, every, 0.0 * height))
-        after.append(_errors(part, every, weight * height))
-    return MapJudgement("part", tuple(names), np.concatenate(before), np.concatenate(after))
+        ends = [part.base, *(part.ends(every, weight * height) for weight in WEIGHTS)]
+        errors.append([part.pushes.errors(every, own) for own in ends])
+    return _judgements("part", names, errors)
 
 
 def _without_sides(
-    parts: Mapping[str, StandingPart], rows: Mapping[str, MapRows], grid: MapGrid, weight: float
-) -> MapJudgement:
+    parts: Mapping[str, StandingPart], rows: Mapping[str, MapRows], grid: MapGrid
+) -> dict[float, MapJudgement]:
     """Predict the pushes on one half of every outline with the map from the other halves."""
-    names, before, after = [], [], []
+    names: list[str] = []
+    errors: list[list[FloatArray]] = []
     half = {name: half_of_outline(own.pushes) for name, own in parts.items()}
     for side in (0, 1):
         seen = [rows[name].rows(np.flatnonzero(half[name] != side)) for name in parts]
-        fit = fit_table(seen)
+        mean = fit_table(seen).mean
+        found = grid.load_map(grid.root @ mean)
         for own, (name, part) in zip(seen, parts.items(), strict=True):
             new = np.flatnonzero(half[name] == side)
-            height = grid.heights(part, grid.root @ fit.mean)[new]
+            height = found.at(part.places[new])
             names += [name] * len(new)
-            before.append(_errors(part, new, 0.0 * height))
-            after.append(_errors(part, new, weight * height, own_fit(own, weight * fit.mean)))
-    return MapJudgement("side", tuple(names), np.concatenate(before), np.concatenate(after))
+            ends = [part.base[new]]
+            ends += [part.ends(new, w * height, own_fit(own, w * mean)) for w in WEIGHTS]
+            errors.append([part.pushes.errors(new, end) for end in ends])
+    return _judgements("side", names, errors)
+
+
+def _judgements(
+    left_out: str, names: Sequence[str], errors: Sequence[Sequence[FloatArray]]
+) -> dict[float, MapJudgement]:
+    """Return judgements by weight, from errors of each part without a map and with `WEIGHTS`."""
+    before, *after = (np.concatenate(own) for own in zip(*errors, strict=True))
+    return {
+        weight: MapJudgement(left_out, tuple(names), before, own)
+        for weight, own in zip(WEIGHTS, after, strict=True)
+    }
 
 
 def half_of_outline(pushes: PartPushes) -> IntArray:
@@ -452,10 +463,3 @@ def half_of_outline(pushes: PartPushes) -> IntArray:
     every = np.arange(len(pushes))
     normal = contacts_of(pushes.configurations(every), np.ones(len(pushes))).normal
     return np.asarray(normal > np.median(normal), np.int64)
-
-
-def _errors(
-    part: StandingPart, which: IntArray, height: FloatArray, own: OwnFit | None = None
-) -> FloatArray:
-    """Return the errors (k, 2) of pushes on a table: position [m] and angle [rad]."""
-    return part.pushes.errors(which, part.ends(which, height, own))

@@ -324,14 +324,15 @@ def on_load_map(scene: Scene, elements: Elements, start: FloatArray | None) -> E
         own = np.flatnonzero((elements.body == k) & (elements.kind == codes.POINT))
         if len(own) > 3:
             place = elements.point[own] + body.com
-            c, s = np.cos(poses[:, k, 2, None]), np.sin(poses[:, k, 2, None])
-            world = np.stack(
-                (c * place[:, 0] - s * place[:, 1], s * place[:, 0] + c * place[:, 1]), -1
-            )
-            height = uneven.at(world + poses[:, k, None, :2])
+            height = uneven.at(world_places(place, poses[:, k]))
             load[:, own] = redistributed(load[:, own], height, place)
     shared = start is None and elements.load.ndim == 1
     return elements._replace(load=load[0] if shared else load)
+
+
+def world_places(place: FloatArray, pose: FloatArray) -> FloatArray:
+    """Return the places (n, k, 2) of points (k, 2) of a body at poses (n, 3)."""
+    return composed(pose[:, None], np.pad(place, ((0, 0), (0, 1))))[..., :2]
 
 
 def redistributed(load: FloatArray, height: FloatArray, place: FloatArray) -> FloatArray:
