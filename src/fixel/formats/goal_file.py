@@ -118,7 +118,9 @@ class BeliefRecord(FileRecord):
     start: StartRecord | None = Field(None, description="error of the start pose")
     rig: RigErrorRecord | None = Field(None, description="errors of the rig")
     run_to_run: Literal["learned", "none"] = Field(
-        "learned", description="scatter between runs, learned from the experiments"
+        "none",
+        description="learned: scatter between runs from experiments that repeat pushes, instead of"
+        " the error of the calibrated model",
     )
     conditions: dict[str, str | Number] = Field({}, description="labels that select parameters")
 
@@ -151,7 +153,7 @@ class GoalFile:
     belief: Belief = field(default_factory=Belief)  # without the parameters of `calibration`
     calibration: int | None = None  # id of the stored calibration whose parameters the belief takes
     # Whether the scatter between runs is learned from the experiments of the calibration.
-    run_to_run: bool = True
+    run_to_run: bool = False
     scene: Path | None = None  # scene file
     # Wanted success probability, and confidence level of its bound.
     success: float = 0.95
@@ -193,7 +195,7 @@ def goal_file_from_dict(raw: Any, folder: Path | None = None) -> GoalFile:
         choose=None if record.choose is None else made(record.choose, "choose"),
         belief=Belief() if known is None else _belief(known, "belief"),
         calibration=None if known is None else known.calibration,
-        run_to_run=known is None or known.run_to_run == "learned",
+        run_to_run=known is not None and known.run_to_run == "learned",
         scene=None if record.scene is None else (folder or Path()) / record.scene,
         success=record.want.success,
         confidence=record.want.confidence,

@@ -22,6 +22,7 @@ from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
 from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.discrepancy import LABEL
 from fixel.uncertainty.posterior import Posterior
+from fixel.uncertainty.predictive import EndError, PredictiveModel
 from fixel.uncertainty.push import CalibratedModel
 from fixel.uncertainty.run_to_run import RunToRun
 from fixel.uncertainty.starts import StartError, even_points
@@ -81,6 +82,9 @@ class Scenarios(NamedTuple):
     fixels: FloatArray | None  # (n, n_fixel, 3) errors of the places of fixels [m, m, rad]
     rest: FloatArray  # (n, 3) error of ends that touch nothing, by rotation, see `rest_at`
     drift: FloatArray  # (n, 3) error of such ends, for any rotation [m, m, rad]
+    # (n, 3) error of ends after a mean motion, in standard deviations, and what these are.
+    misfit: FloatArray
+    end_error: EndError | None
     world: IntArray  # (n,) sample of the parameters, which runs share
 
     @property
@@ -97,6 +101,8 @@ class Scenarios(NamedTuple):
             None if self.fixels is None else self.fixels[which],
             self.rest[which],
             self.drift[which],
+            self.misfit[which],
+            self.end_error,
             self.world[which],
         )
 
@@ -124,8 +130,9 @@ class Belief:
     rig : RigError, optional
         Errors of the rig. By default none.
     run_to_run : RunToRun, optional
-        What differs between runs of the same push, drawn inside the simulation. By default the
-        model error of a posterior or part model, added to ends where nothing touches.
+        What differs between runs of the same push, drawn inside the simulation, as learned from
+        repetitions. By default the error of the model itself: that of a posterior or part model,
+        added to ends where nothing touches, or that of a calibration, in proportion to the motion.
     conditions : mapping of str to str or float
         Labels of the part, the surface and others, which select parameters.
 
@@ -183,6 +190,14 @@ class Belief:
         return getattr(self.parameters, "known", None) is not None
 
     @property
+    def error_text(self) -> str:
+        """Error of the calibrated model as text; empty where none is known."""
+        if self.run_to_run is not None or not isinstance(self.parameters, PredictiveModel):
+            return ""
+        own = self.parameters.predictive.error
+        return f"error of ends: {1e3 * own.size:.3g} mm after a motion of {1e3 * own.motion:.3g} mm"
+
+    @property
     def start_text(self) -> str:
         """Error of the start as text."""
         return "start: no stated error" if self.start is None else str(self.start)
@@ -232,19 +247,24 @@ class Belief:
         """
         n = worlds * runs
         world = np.repeat(np.arange(worlds), runs)
-        columns, tau = self._drawn(scene, worlds, seed)
+        columns, error = self._drawn(scene, worlds, seed)
         values = {name: column[world] for name, column in columns.items()}
         start = np.zeros((n, 3)) if self.start is None else self._starts(n, seed)
-        rest, drift = np.zeros((n, 3)), np.zeros((n, 3))
+        rest, drift, misfit = np.zeros((3, n, 3))
         if self.run_to_run is not None:
             own = self.run_to_run.drawn(n, seed=_seed(seed, _RUN), scene=scene, values=values)
             values, start, rest = own.values, start + own.start, own.rest
-        elif tau is not None:
+        elif error is not None:
             arm = math.sqrt(scene.bodies[0].shape.unit_inertia)
             drawn = np.random.default_rng(_seed(seed, _REST)).standard_normal((n, 3))
-            drift = tau[world, None] * drawn / np.array([1.0, 1.0, arm])
+            drawn /= np.array([1.0, 1.0, arm])
+            if isinstance(error, EndError):
+                misfit = drawn
+            else:
+                drift = error[world, None] * drawn
         tool, fixels = self._rig(scene, n, seed)
-        return Scenarios(values, start, tool, fixels, rest, drift, world)
+        end_error = error if isinstance(error, EndError) else None
+        return Scenarios(values, start, tool, fixels, rest, drift, misfit, end_error, world)
 
     def _starts(self, n: int, seed: int) -> FloatArray:
         assert self.start is not None
@@ -265,7 +285,7 @@ class Belief:
 
     def _drawn(
         self, scene: Scene, worlds: int, seed: int
-    ) -> tuple[dict[str, FloatArray], FloatArray | None]:
+    ) -> tuple[dict[str, FloatArray], FloatArray | EndError | None]:
         """Draw parameters (worlds,), and standard deviations of the model error [m], if known."""
         given: Any = self.parameters
         number = _seed(seed, _PARAMETERS)
@@ -281,6 +301,9 @@ class Belief:
             error = given.typical_error
             tau = np.full(worlds, error / math.sqrt(2.0 * math.log(2.0))) if error else None
             return given.samples(worlds, number, **labels), tau
+        if isinstance(given, PredictiveModel) and self.run_to_run is None:
+            found = given.predictive
+            return _without_start(found.samples(worlds, number, self.conditions)), found.error
         if isinstance(given, CalibratedModel):
             return _without_start(given.samples(worlds, number, **self.conditions)), None
         if isinstance(given, Sequence):

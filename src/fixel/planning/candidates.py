@@ -170,7 +170,7 @@ def last_pushes(simulator: PlanSimulator, table: PushTable, seed: int) -> LastPu
     none = np.zeros((n, 3))
     nothing = Scenarios(
         {name: np.full(n, x) for name, x in simulator.nominal.items()},
-        shaken, none, None, none, none, np.zeros(n, np.int64),
+        shaken, none, None, none, none, none, None, np.zeros(n, np.int64),
     )  # fmt: skip
     runs = simulator.run(planned, np.repeat(rows, PERTURBED), nothing)
     met = (simulator.margins(runs) >= 0.0).reshape(len(rows), PERTURBED).mean(axis=1)

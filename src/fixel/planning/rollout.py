@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, NamedTuple, final
@@ -20,6 +21,7 @@ from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
 from fixel.simulation.vary import composed, varied_start
 from fixel.typing import BoolArray, FloatArray, IntArray
+from fixel.uncertainty.predictive import motion_of
 from fixel.uncertainty.run_to_run import rest_at
 
 # What became of a run; all but the first count as failures of the plan.
@@ -157,10 +159,21 @@ class PlanSimulator:
             pose, failed, stalled, peak = self._push(
                 start[which], path[which], fixels, scenarios, actual
             )
+            # The pushes share one draw; so divided, it has the variance of k independent ones.
+            error = self._error(pose[:, -1], actual, scenarios) / np.sqrt(k)
+            held = self._held(pose[:, -1], fixels, error)
+            pose[:, -1] += np.where(held[:, None], 0.0, error)
+            if scenarios.end_error is not None and held.any():
+                # Where a fixel holds the part, it comes there off by the error that it would have.
+                own, along = np.flatnonzero(held), path[which[held], 1] - path[which[held], 0]
+                aside = actual[own] + _across(error[own], along)
+                again = self._push(
+                    start[which[own]], path[which[own]], None if fixels is None else fixels[own],
+                    scenarios.rows(own), aside,
+                )  # fmt: skip
+                pose[own], failed[own], stalled[own], peak[own] = again
             failure = np.where(failure == CARRIED_OUT, failed, failure)
             force = np.maximum(force, peak)
-            # The pushes share one draw; so divided, it has the variance of k independent ones.
-            pose[:, -1] += self._error(pose[:, -1], actual, fixels, scenarios) / np.sqrt(k)
             poses[:, push * self.samples : (push + 1) * self.samples] = pose
             actual = pose[:, -1]
         return Runs(poses, failure, stalled, force, fixels)
@@ -216,15 +229,28 @@ class PlanSimulator:
         own = composed(registration(scenarios.values, len(path)), error)
         return dict(zip(REGISTRATION, own.T.copy(), strict=True))
 
-    def _error(
-        self, end: FloatArray, start: FloatArray, fixels: FloatArray | None, scenarios: Scenarios
-    ) -> FloatArray:
-        """Return the errors (n, 3) of the model that are added to ends that touch nothing."""
-        if not (scenarios.rest.any() or scenarios.drift.any()):
-            return np.zeros_like(end)
-        held = touching(self.scene, self.scene.bodies[0], end, fixels).any(axis=1, keepdims=True)
+    def _error(self, end: FloatArray, start: FloatArray, scenarios: Scenarios) -> FloatArray:
+        """Return the errors (n, 3) of the model for ends that touch nothing."""
         error = rest_at(scenarios.rest, end[:, 2] - start[:, 2]) + scenarios.drift
-        return np.asarray(np.where(held, 0.0, error))
+        if scenarios.end_error is not None:
+            arm = math.sqrt(self.scene.bodies[0].shape.unit_inertia)
+            size = scenarios.end_error.deviation(motion_of(start, end, arm))
+            error = error + size[:, None] * scenarios.misfit
+        return error
+
+    def _held(self, end: FloatArray, fixels: FloatArray | None, error: FloatArray) -> BoolArray:
+        """Return which ends (n, 3) touch a fixel, where there is an error at all."""
+        if not error.any():
+            return np.zeros(len(end), bool)
+        return np.asarray(touching(self.scene, self.scene.bodies[0], end, fixels).any(axis=1))
+
+
+def _across(error: FloatArray, way: FloatArray) -> FloatArray:
+    """Return errors (n, 3) without what is along the tool's way (n, 4), which the tool undoes."""
+    along = way[:, 1:3] / np.maximum(np.hypot(way[:, 1], way[:, 2]), 1e-12)[:, None]
+    found = error.copy()
+    found[:, :2] -= np.sum(error[:, :2] * along, axis=1)[:, None] * along
+    return found
 
 
 def _at_rest(pose: FloatArray) -> PlannedMotions:

@@ -43,6 +43,7 @@ from fixel.simulation.engine_names import EngineName
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
+from fixel.uncertainty.predictive import POOL, Predictive, predictive_of
 from fixel.workflows.calibration.parameter_options import call_of, enlarged_command
 from fixel.workflows.calibration.plan import CalibrationPlan
 from fixel.workflows.calibration.request import CalibrationRequest
@@ -332,6 +333,20 @@ class Calibration(Result, Mapping[str, float]):
         **conditions
             Conditions, such as `surface="abs"`, for parameters with a value for each of them.
         """
+        return self.space.columns(self._sample_points(n, seed), conditions)
+
+    @cached_property
+    def predictive(self) -> Predictive:
+        """Parameter sets and the error of ends with which plans predict other pushes.
+
+        Simulated when first asked.
+        """
+        value = np.array([self.estimates[label].value for label in self.space.labels])
+        points = self._sample_points(POOL, 0)
+        return predictive_of(self.targets, self.space, self.motion, self.found.point, value, points)
+
+    def _sample_points(self, n: int, seed: int) -> FloatArray:
+        """Return samples (n, n_free) of the free parameters."""
         space, level = self.space, self.level
         own = [self.estimates[label] for label in space.labels]
         value = np.array([e.value for e in own])
@@ -345,8 +360,7 @@ class Calibration(Result, Mapping[str, float]):
                 raise InvalidInput("level", found=found, expected="a level", hint="calibrate again")
             reach = NormalDist().inv_cdf(0.5 + 0.5 * level)
             sd[closed] = np.nanmean(half[closed], axis=1) / reach
-        points = draw_joint(value, space.low, space.high, sd, self.correlation, n, seed)
-        return space.columns(points, conditions)
+        return draw_joint(value, space.low, space.high, sd, self.correlation, n, seed)
 
     @cached_property
     def known(self) -> KnownPushes:
