@@ -84,9 +84,10 @@ def displacements(
 ) -> PushTable:
     """Simulate pushes of the part alone; the plane is even, so that any place will do."""
     n = 2 ** int(np.log2(np.clip(rollouts / EACH, *LIBRARY)))
-    scene = simulator.scene
-    body = replace(scene.bodies[0], pose=np.zeros(3))
-    alone = replace(simulator, rollouts=0, scene=replace(scene, bodies=(body,), fixels=()))
+    alone = replace(
+        simulator, rollouts=0, scene=_alone(simulator.scene),
+        simplified=None if simulator.simplified is None else _alone(simulator.simplified),
+    )  # fmt: skip
     numbers = spread_pushes(alone.scene, alone.choice, n, seed)
     planned = alone.planned(numbers)
     good = planned.nominal.failure == CARRIED_OUT
@@ -100,6 +101,11 @@ def displacements(
     spread = np.median(ends.std(axis=1), axis=0)
     simulator.rollouts += alone.rollouts
     return PushTable(numbers[:, 0], planned.nominal.pose[:, -1], spread)
+
+
+def _alone(scene: Scene) -> Scene:
+    body = replace(scene.bodies[0], pose=np.zeros(3))
+    return replace(scene, bodies=(body,), fixels=())
 
 
 def sequences(
@@ -160,7 +166,7 @@ def last_pushes(simulator: PlanSimulator, table: PushTable, seed: int) -> LastPu
     planned = simulator.planned(pushes[:, None], poses)
     margin = np.where(planned.collides, -np.inf, simulator.margins(planned.nominal))
     # Poses inside a fixel are impossible starts.
-    margin[part_overlap(scene, poses, None) > 0.0] = -np.inf
+    margin[part_overlap(simulator.simulated, poses, None) > 0.0] = -np.inf
     rows = np.flatnonzero(margin >= 0.0)
     rows = rows[np.argsort(-margin[rows], kind="stable")][: 4 * kept]
     if not len(rows):

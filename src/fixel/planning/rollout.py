@@ -88,8 +88,15 @@ class PlanSimulator:
     motion: AbstractMotionModel
     stepper: AbstractStepper | None = None
     samples: int = 1  # number of poses that are kept of each push
+    # Scene that is simulated where its part has fewer corners; the tool moves as for `scene`.
+    simplified: Scene | None = None
     threads: int | None = None
     rollouts: int = 0  # number of pushes simulated so far
+
+    @property
+    def simulated(self) -> Scene:
+        """Scene that is simulated: `simplified`, else `scene`."""
+        return self.simplified or self.scene
 
     def margins(self, runs: Runs) -> FloatArray:
         """Return the margins (n,) of the goal; far below zero where a run failed."""
@@ -99,7 +106,7 @@ class PlanSimulator:
     def unlimited_margins(self, runs: Runs) -> FloatArray:
         """Return the margins (n,) of the goal without limits, for runs that were carried out."""
         track = BodyTrack(runs.pose, runs.stalled, runs.force, runs.fixels)
-        return np.asarray(self.goal.margin(self.scene, track))
+        return np.asarray(self.goal.margin(self.simulated, track))
 
     def planned(self, numbers: FloatArray, start: FloatArray | None = None) -> PlannedMotions:
         """Return the motions of plans (m, k, d), each push from the nominal end of the one before.
@@ -143,14 +150,14 @@ class PlanSimulator:
 
         The errors of the start are those before push `first`; the pushes before it are left out.
         """
-        part = self.scene.bodies[0].shape
+        part = self.simulated.bodies[0].shape
         n, k = len(which), plans.start.shape[1] - first
         if k == 0:
             return _at_rest(plans.nominal.pose[which, -1] + scenarios.start).nominal
         fixels = _summed(plans.fixels, which, scenarios.fixels)
         actual = plans.start[which, first] + scenarios.start
         failure = np.zeros(n, np.int64)
-        inside = part_overlap(self.scene, actual, fixels) > TOUCHED * part.radius
+        inside = part_overlap(self.simulated, actual, fixels) > TOUCHED * part.radius
         failure[inside & (scenarios.start != 0.0).any(axis=1)] = START_OVERLAPS
         poses = np.zeros((n, k * self.samples, 3))
         force, stalled = np.zeros(n), np.zeros(n, bool)
@@ -190,7 +197,7 @@ class PlanSimulator:
         n = len(path)
         self.rollouts += n
         ensemble = Ensemble.of_pushes(
-            self.scene, planned, path, self.samples,
+            self.simulated, planned, path, self.samples,
             motion=self.motion, stepper=self.stepper, threads=self.threads,
         )  # fmt: skip
         if scenarios is None:
@@ -204,7 +211,7 @@ class PlanSimulator:
         values |= dict(zip(("start_x", "start_y", "start_theta"), offset.T.copy(), strict=True))
         begun = varied_start(ensemble.cases[0].scene, planned[:, None], values)
         assert begun is not None
-        put_down = tool_overlap(self.scene, begun[:, 0], tool)
+        put_down = tool_overlap(self.simulated, begun[:, 0], tool)
         outcome = ensemble.simulate(np.arange(n), values, fixels)
         failure = np.zeros(n, np.int64)
         failure[put_down > TOUCHED * self.scene.bodies[0].shape.radius] = TOOL_ON_PART
@@ -242,7 +249,8 @@ class PlanSimulator:
         """Return which ends (n, 3) touch a fixel, where there is an error at all."""
         if not error.any():
             return np.zeros(len(end), bool)
-        return np.asarray(touching(self.scene, self.scene.bodies[0], end, fixels).any(axis=1))
+        scene = self.simulated
+        return np.asarray(touching(scene, scene.bodies[0], end, fixels).any(axis=1))
 
 
 def _across(error: FloatArray, way: FloatArray) -> FloatArray:

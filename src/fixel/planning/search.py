@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Generator, MutableMapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from importlib import import_module
 from importlib.util import find_spec
@@ -27,6 +27,7 @@ from fixel.planning.candidates import (
 from fixel.planning.pushes import FreePushes
 from fixel.planning.race import RaceResult, RaceRound, race_rounds
 from fixel.planning.rollout import CARRIED_OUT, WORST_MARGIN, PlannedMotions, PlanSimulator
+from fixel.planning.simplified import simplified
 from fixel.planning.success import SuccessProbability
 from fixel.progress import Progress
 from fixel.typing import FloatArray, IntArray
@@ -39,6 +40,7 @@ ENTRANTS: Final = 1024  # candidates in the race
 REFINED: Final = 4  # plans from which the refinement starts
 FINALISTS: Final = 8
 FINAL_RUNS: Final = 16
+SLOW_RUNS: Final = 4  # the same for traced outlines
 APART: Final = 0.1  # shares of the ranges by which plans differ that are refined separately
 REACHED: Final = math.log1p(0.8)  # score of a nominal end well inside the goal
 REACH_ROUNDS: Final = 80  # of CMA-ES, to move nominal ends to the goal
@@ -108,11 +110,19 @@ class PlanSearch:
     report: Callable[[Progress], None] | None = None
     best: float = 0.0
     done: int = 0
+    # Simulates the search itself; the plan is chosen and its success stated by `simulator`.
+    quick: PlanSimulator = field(init=False)
+
+    def __post_init__(self) -> None:
+        own = self.simulator
+        fewer = simplified(own.scene, own.goal)
+        self.quick = own if fewer is own.scene else replace(own, simplified=fewer)
 
     @property
     def final_stage(self) -> SearchStage:
-        """SearchStage in which the plan is chosen."""
-        return SearchStage(FINAL, WORLDS, min(FINAL_RUNS, max(2, self.rollouts // 5_000)))
+        """SearchStage in which the plan is chosen, with fewer runs where each takes long."""
+        most = FINAL_RUNS if self.quick is self.simulator else SLOW_RUNS
+        return SearchStage(FINAL, WORLDS, min(most, max(2, self.rollouts // 5_000)))
 
     @property
     def fresh_stage(self) -> SearchStage:
@@ -140,14 +150,13 @@ class PlanSearch:
     def margins(self, request: MarginRequest) -> FloatArray:
         """Simulate the margins (m, n) of a request."""
         scenarios = self.scenarios(request.stage).rows(np.arange(request.first, request.last))
+        simulator = self.simulator if request.stage.stream >= FINAL else self.quick
         n = scenarios.n
         found = np.zeros((len(request.plans), n))
-        for own, planned in grouped(self.simulator, request.plans):
+        for own, planned in grouped(simulator, request.plans):
             which = np.repeat(np.arange(len(own)), n)
-            runs = self.simulator.run(
-                planned, which, scenarios.rows(np.tile(np.arange(n), len(own)))
-            )
-            margin = self.simulator.margins(runs).reshape(len(own), n)
+            runs = simulator.run(planned, which, scenarios.rows(np.tile(np.arange(n), len(own))))
+            margin = simulator.margins(runs).reshape(len(own), n)
             found[own] = np.where(planned.collides[:, None], WORST_MARGIN, margin)
         return found
 
@@ -199,7 +208,7 @@ class PlanSearch:
 
     def candidates(self) -> Numbers:
         """Return plans whose nominal end is near the goal, the nearest first."""
-        simulator, choice = self.simulator, self.simulator.choice
+        simulator, choice = self.quick, self.simulator.choice
         n = min(8192, max(256, 2 ** int(math.log2(max(2, 0.5 * SHARES[0] * self.rollouts)))))
         plans = [
             *self.first,
@@ -289,7 +298,7 @@ class PlanSearch:
         for _ in range(REACH_ROUNDS):
             asked = [search.ask() for search in busy]
             every = [plan for own in asked for plan in own]
-            margin = np.maximum(nominal_margins(self.simulator, every), WORST_MARGIN)
+            margin = np.maximum(nominal_margins(self.quick, every), WORST_MARGIN)
             scores = np.sign(margin) * np.log1p(np.abs(margin))
             ends = np.cumsum([len(own) for own in asked])[:-1]
             for search, score in zip(busy, np.split(scores, ends), strict=True):
@@ -337,7 +346,7 @@ class PlanSearch:
         """Return the error for a goal that no candidate reaches, with the nearest end."""
         wider, found = "wider tolerances", "no push of the candidates can be carried out"
         least = -np.inf
-        for _, planned in grouped(self.simulator, plans):
+        for _, planned in grouped(self.quick, plans):
             own = planned.nominal
             good = ~planned.collides & (own.failure == CARRIED_OUT)
             margin = np.where(good, self.simulator.unlimited_margins(own), -np.inf)
