@@ -109,6 +109,29 @@ def test_an_unreachable_goal_is_refused_with_the_nearest_end():
         fixel.plan(pushed_square(), far, rollouts=1_000, progress=False)
 
 
+@pytest.mark.parametrize(("travel", "likely"), [(0.0, 1.0), (2 * mm, 0.383)])
+def test_a_refused_goal_says_how_likely_the_nearest_end_is(travel, likely):
+    """A square before a finger goes as far as the finger: a normal error of 2 mm is within 1 mm in
+    38.3 % of the runs."""
+    far = PoseRegion((3.0, 0.0, 0.0), position=1 * mm)
+    belief = Belief(rig=RigError(travel=travel))
+    with pytest.raises(InvalidInput, match="within the same tolerances of that pose") as refused:
+        fixel.plan(pushed_square(), far, belief=belief, rollouts=1_000, progress=False)
+    stated = float(str(refused.value).split("with probability ")[-1].split(",")[0])
+    assert stated == pytest.approx(likely, abs=0.1)
+
+
+def test_a_goal_that_only_part_of_the_belief_reaches_has_a_plan():
+    """Pushes of 10 mm along the normals of the sides reach the goal only if the start is off."""
+    choose = FreePushes(angle=1e-6, length=(10 * mm, 10.001 * mm))
+    goal = PoseRegion((0.01, 0.005, 0.0), position=2.5 * mm, angle=3 * deg)
+    with pytest.raises(InvalidInput, match="the nearest candidate ends"):
+        fixel.plan(pushed_square(), goal, choose, rollouts=2_000, progress=False)
+    belief = Belief(start=StartError(y=8 * mm, kind="uniform"))
+    plan = fixel.plan(pushed_square(), goal, choose, belief, rollouts=2_000, progress=False)
+    assert 0.2 < plan.success.mean < 0.4  # 5 mm of the start's 16 mm, and less for those that turn
+
+
 @pytest.mark.system
 def test_the_tolerance_that_an_error_advises_is_enough():
     """One push of a finger on a part turns it: 30 mm aside without a rotation are out of reach."""

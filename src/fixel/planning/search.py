@@ -15,6 +15,7 @@ import numpy as np
 from scipy.special import expit
 
 from fixel.errors import InvalidInput
+from fixel.model.goals import AllOf, PoseRegion
 from fixel.planning.belief import Belief, Scenarios
 from fixel.planning.candidates import (
     Numbers,
@@ -65,6 +66,8 @@ class SearchStage(NamedTuple):
 RACE_STAGE: Final = SearchStage(1, WORLDS, RACE[-1] // WORLDS)
 REFINE_STAGE: Final = SearchStage(2, 32, 4)
 FINAL, FRESH = 3, 4  # streams of the last two stages
+SOME: Final = SearchStage(11, 8, 1)  # whether any part of the belief meets the goal
+NEAREST: Final = SearchStage(12, WORLDS, 4)  # how likely the nearest end is
 
 
 class MarginRequest(NamedTuple):
@@ -150,7 +153,8 @@ class PlanSearch:
     def margins(self, request: MarginRequest) -> FloatArray:
         """Simulate the margins (m, n) of a request."""
         scenarios = self.scenarios(request.stage).rows(np.arange(request.first, request.last))
-        simulator = self.simulator if request.stage.stream >= FINAL else self.quick
+        quick = request.stage in (RACE_STAGE, REFINE_STAGE, SOME)
+        simulator = self.quick if quick else self.simulator
         n = scenarios.n
         found = np.zeros((len(request.plans), n))
         for own, planned in grouped(simulator, request.plans):
@@ -231,7 +235,12 @@ class PlanSearch:
             margin = nominal_margins(simulator, plans)
             order = np.argsort(-margin, kind="stable")
         if margin[order[0]] < 0.0:
-            raise self._unreachable(plans)
+            # Some part of the belief may meet what its middle misses.
+            some = order[margin[order] > -np.inf][:ENTRANTS]
+            request = MarginRequest([plans[k] for k in some], SOME, 0, SOME.worlds)
+            margin[some] = np.maximum(margin[some], self.margins(request).max(axis=1))
+            if margin.max() < 0.0:
+                raise self._unreachable(plans)
         self.done = simulator.rollouts
         near = order[margin[order] > -NEAR][:ENTRANTS]
         return [plans[k] for k in near]
@@ -349,11 +358,14 @@ class PlanSearch:
         for _, planned in grouped(self.quick, plans):
             own = planned.nominal
             good = ~planned.collides & (own.failure == CARRIED_OUT)
-            margin = np.where(good, self.simulator.unlimited_margins(own), -np.inf)
+            margin = np.where(good, self.quick.unlimited_margins(own), -np.inf)
             k = int(np.argmax(margin))
             if margin[k] > least:
-                least, end = float(margin[k]), pose_text(own.pose[k, -1])
-                found = f"the nearest candidate ends at {end}: it misses by {-least:.3g} tolerances"
+                least, nearest = float(margin[k]), planned.rows(np.array([k]))
+        if least > -np.inf:
+            end = nearest.nominal.pose[0, -1]
+            found = f"the nearest candidate ends at {pose_text(end)}: it misses by {-least:.3g}"
+            found += f" tolerances{self._chance(nearest, end)}"
         if least > -NEARLY:
             wider = f"tolerances {1.01 - least:.3g} times as wide, which that end meets"
         return InvalidInput(
@@ -362,6 +374,17 @@ class PlanSearch:
             expected="a goal that the pushes can reach",
             hint=f"allow more or longer pushes, another tool or {wider}",
         )
+
+    def _chance(self, planned: PlannedMotions, end: FloatArray) -> str:
+        """Return how likely a plan ends near a pose (3,), by the goal's tolerances of poses."""
+        regions = [one for one in self.simulator.goal.clauses if isinstance(one, PoseRegion)]
+        if not regions:
+            return ""
+        scenarios = self.scenarios(NEAREST)
+        runs = self.simulator.run(planned, np.zeros(scenarios.n, np.int64), scenarios)
+        near = AllOf(*(replace(one, pose=end) for one in regions))
+        chance = np.mean(replace(self.simulator, goal=near).margins(runs) >= 0.0)
+        return f"; it ends within the same tolerances of that pose with probability {chance:.2g}"
 
     def _show(self, stage: str) -> None:
         if self.report is not None:
