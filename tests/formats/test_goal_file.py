@@ -86,6 +86,35 @@ def test_a_goal_file_describes_goal_choice_and_belief(tmp_path: Path):
     assert found.scene == tmp_path / "scenes" / "rig.yaml"
 
 
+@pytest.mark.parametrize("form", ["free", "rig"])
+def test_obstacles_and_cost_of_pushes(form):
+    text = "{cost: length, obstacles_mm: [[[0, 0], [10, 0], [10, 20]], [[5, 5], [6, 5], [6, 6]]]}"
+    found = goal_file_from_dict(
+        parse_yaml(
+            f"{{fixel: 1, goal: {{seated: {{fixels: [a]}}}}, choose: {{{form}: {text}}}}}", "text"
+        )
+    )
+    assert found.choose.cost == "length"
+    assert [own.area for own in found.choose.obstacles] == pytest.approx([1e-4, 5e-7])
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        ("{cost: lenght}", "choose.free.cost"),
+        ("{obstacles_mm: [[[0, 0], [1, 0]]]}", r"choose.free.obstacles_mm\[0\]"),
+        ("{obstacles_mm: [[[0, 0], [1, 0], [2, 0]]]}", r"choose.free.obstacles\[0\].*no area"),
+    ],
+)
+def test_obstacles_and_costs_that_are_none(text, where):
+    with pytest.raises(InvalidInput, match=where):
+        goal_file_from_dict(
+            parse_yaml(
+                f"{{fixel: 1, goal: {{seated: {{fixels: [a]}}}}, choose: {{free: {text}}}}}", "text"
+            )
+        )
+
+
 def test_free_pushes_and_intervals_of_parameters():
     found = goal_file_from_dict(
         parse_yaml(

@@ -196,3 +196,23 @@ def test_a_sequence_reaches_what_no_single_push_does():
     plan = fixel.plan(pushed_square(), goal, choose, rollouts=10_000, progress=False)
     assert plan.success.mean == 1.0
     assert len(plan.pushes) == 2
+
+
+@pytest.mark.parametrize(("cost", "column"), [("length", slice(1, 3)), ("time", slice(0, 1))])
+def test_the_cheapest_of_plans_that_succeed_as_often(cost, column):
+    """A goal of 12 mm about 30 mm ahead takes 18 mm at least; the default goes to its middle."""
+    goal = PoseRegion((0.03, 0.0, 0.0), position=12 * mm, angle=20 * deg)
+
+    def path(kind):
+        choose = FreePushes(length=(5 * mm, 60 * mm), cost=kind)
+        plan = fixel.plan(pushed_square(), goal, choose, rollouts=4_000, progress=False)
+        assert plan.success.mean == 1.0
+        steps = np.diff(plan.path, axis=1)[..., column]
+        return float(np.linalg.norm(steps, axis=-1).sum())
+
+    assert path(cost) < 0.95 * path("pushes")
+
+
+def test_a_cost_that_is_none():
+    with pytest.raises(InvalidInput, match=r"choose\.cost: found .*tiem.*did you mean .*time"):
+        FreePushes(cost="tiem")

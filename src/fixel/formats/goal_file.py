@@ -44,7 +44,7 @@ from fixel.model.goals import (
 )
 from fixel.model.parameters import info_of
 from fixel.planning.belief import Belief, RigError
-from fixel.planning.pushes import FreePushes, RigPushes
+from fixel.planning.pushes import Cost, FreePushes, RigPushes
 from fixel.uncertainty.starts import StartError, preset
 
 Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
@@ -78,22 +78,26 @@ record_of(
     FreePushes,
     "choose",
     units=True,
-    names={"length": "length_mm"},
+    names={"length": "length_mm", "obstacles": "obstacles_mm"},
     most=Annotated[int, Field(ge=1, le=4)],
     tool=choice_of("ToolRecord", disk_mm=Disk, polygon_mm=Polygon),
     length=Range,
+    cost=Cost,
+    obstacles=list[Corners],
 )
 _AXES: Final = {"x": "x_mm", "y": "y_mm", "theta": "theta_deg"}
 record_of(
     RigPushes,
     "choose",
     units=True,
-    names=_AXES | {"stroke": "stroke_mm", "fixels": "fixels_mm"},
+    names=_AXES | {"stroke": "stroke_mm", "fixels": "fixels_mm", "obstacles": "obstacles_mm"},
     fixels=dict[str, Annotated[list[Range], Field(min_length=2, max_length=2)]],
     x=Range,
     y=Range,
     theta=Range,
     stroke=Range,
+    cost=Cost,
+    obstacles=list[Corners],
 )
 ChooseRecord: Any = choice_of("ChooseRecord", free=FreePushes, rig=RigPushes)
 StartRecord: Any = record_of(

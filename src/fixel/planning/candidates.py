@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import replace
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -84,8 +84,9 @@ def displacements(
 ) -> PushTable:
     """Simulate pushes of the part alone; the plane is even, so that any place will do."""
     n = 2 ** int(np.log2(np.clip(rollouts / EACH, *LIBRARY)))
+    own: Any = simulator.choice
     alone = replace(
-        simulator, rollouts=0, scene=_alone(simulator.scene),
+        simulator, rollouts=0, choice=replace(own, obstacles=()), scene=_alone(simulator.scene),
         simplified=None if simulator.simplified is None else _alone(simulator.simplified),
     )  # fmt: skip
     numbers = spread_pushes(alone.scene, alone.choice, n, seed)

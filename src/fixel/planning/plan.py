@@ -315,7 +315,7 @@ def simulator_of(
     threads: int | None,
 ) -> PlanSimulator:
     """Return the simulator of plans; `scene` has the tool."""
-    whole = any(own.whole_motion for own in goal.clauses)
+    whole = choose.obstacles or any(own.whole_motion for own in goal.clauses)
     return PlanSimulator(
         scene=scene,
         goal=goal,

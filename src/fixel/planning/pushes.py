@@ -6,20 +6,21 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 from itertools import pairwise
-from typing import Annotated, Final, NamedTuple, Protocol, final
+from typing import Annotated, Any, Final, Literal, NamedTuple, Protocol, final, get_args
 
 import numpy as np
 import shapely
 
 from fixel.errors import InvalidInput, unknown_name
-from fixel.model import Body, Disk, LineDrive, PathDrive, Pusher, Scene, Shape
+from fixel.model import Body, Disk, LineDrive, PathDrive, Polygon, Pusher, Scene, Shape
 from fixel.model.fields import Value, check_fields, instance, non_negative, positive, settle
 from fixel.model.overlap import overlaps
 from fixel.simulation.vary import composed
-from fixel.typing import FloatArray
+from fixel.typing import BoolArray, FloatArray
 from fixel.units import deg, mm
 
 Range = tuple[float, float]
+Cost = Literal["pushes", "time", "length"]
 
 MAX_PUSHES: Final = 4
 TOOL: Final = "tool"  # name of the pusher of a plan
@@ -89,6 +90,14 @@ class PushChoice(Protocol):
     def most(self) -> int:
         """Largest number of pushes in sequence."""
 
+    @property
+    def cost(self) -> Cost:
+        """Cost by which plans of equal success are ordered."""
+
+    @property
+    def obstacles(self) -> tuple[Polygon, ...]:
+        """Regions that neither part nor tool may touch."""
+
     def names(self, scene: Scene) -> tuple[str, ...]:
         """Names of the numbers of one push."""
 
@@ -135,6 +144,12 @@ class FreePushes:
         Friction of the tool on the part [-]; by default that of the scene's pusher, else 0.25.
     force_limit : float, optional
         Force at which the drive stalls [N]; by default a rigid drive.
+    cost : {"pushes", "time", "length"}
+        Cost of which the least is chosen among plans of equal success: the number of pushes, the
+        time of the tool on its paths, or their length.
+    obstacles : sequence of Polygon or (n, 2) array_like
+        Regions in the world that neither part nor tool may touch [m]. They stop nothing in
+        simulations: a run that touches one counts as a failure.
 
     Examples
     --------
@@ -152,6 +167,8 @@ class FreePushes:
     speed: Annotated[float, Value(positive, "m/s")] = 0.02
     friction: Annotated[float | None, Value(non_negative)] = None
     force_limit: Annotated[float | None, Value(positive, "N")] = None
+    cost: Cost = "pushes"
+    obstacles: tuple[Polygon, ...] = ()
 
     def __post_init__(self) -> None:
         _check_most(self.most)
@@ -159,6 +176,8 @@ class FreePushes:
         if self.length is not None:
             settle(self, length=_range(self.length, "choose.length", lowest=0.0))
         check_fields(self, "choose")
+        _check_cost(self.cost)
+        settle(self, obstacles=_regions(self.obstacles))
         if self.angle >= 0.5 * math.pi:
             raise InvalidInput(
                 "choose.angle",
@@ -246,6 +265,10 @@ class RigPushes:
         Ranges of the displacement of fixels along x and y [m]; others stay in place.
     retract : float
         Way back of the pusher before the end is judged [m]; 0 holds the part.
+    cost : {"pushes", "time", "length"}
+        Cost as for `FreePushes`.
+    obstacles : sequence of Polygon or (n, 2) array_like
+        Regions that neither part nor pusher may touch [m], as for `FreePushes`.
 
     Examples
     --------
@@ -260,6 +283,8 @@ class RigPushes:
     stroke: Range | None = None
     fixels: Mapping[str, tuple[Range, Range]] | None = None
     retract: Annotated[float, Value(non_negative, "m")] = 0.0
+    cost: Cost = "pushes"
+    obstacles: tuple[Polygon, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("x", "y", "theta"):
@@ -272,6 +297,8 @@ class RigPushes:
             }
             settle(self, fixels=moved)
         check_fields(self, "choose")
+        _check_cost(self.cost)
+        settle(self, obstacles=_regions(self.obstacles))
 
     @property
     def most(self) -> int:
@@ -407,23 +434,35 @@ def scene_of_push(scene: Scene, start: FloatArray, path: FloatArray) -> Scene:
     )
 
 
-def collides(
-    scene: Scene, path: FloatArray, fixels: FloatArray | None, steps: int = 24
-) -> FloatArray:
+def swept(path: FloatArray, steps: int = 24) -> FloatArray:
+    """Return poses (n, k, 3) of the tool on the way along paths (n, m, 4) [m, m, rad]."""
+    share = np.linspace(0.0, 1.0, steps)[:, None]
+    waypoints = path[:, :, 1:].swapaxes(0, 1)
+    ways = [a[:, None] + share * (b - a)[:, None] for a, b in pairwise(waypoints)]
+    return np.concatenate(ways, axis=1)
+
+
+def collides(scene: Scene, path: FloatArray, fixels: FloatArray | None) -> FloatArray:
     """Return the deepest overlap (n,) of the tool with fixels on paths (n, m, 4) [m]."""
     deepest = np.full(len(path), -np.inf)
     if not scene.fixels:
         return deepest
-    share = np.linspace(0.0, 1.0, steps)[:, None]
-    waypoints = path[:, :, 1:].swapaxes(0, 1)
-    ways = [a[:, None] + share * (b - a)[:, None] for a, b in pairwise(waypoints)]
-    poses = np.concatenate(ways, axis=1)
-    tool = scene.pushers[0].shape
+    poses, tool = swept(path), scene.pushers[0].shape
     for k, fixel in enumerate(scene.fixels):
         own = poses if fixels is None else poses - fixels[:, None, k] * (1.0, 1.0, 0.0)
         depth = overlaps(tool, own.reshape(-1, 3), fixel.shape, fixel.pose).depth
         deepest = np.maximum(deepest, depth.reshape(len(path), -1).max(axis=1))
     return deepest
+
+
+def touches(shape: Shape, poses: FloatArray, obstacles: Sequence[Polygon]) -> BoolArray:
+    """Return whether a shape at any of some poses (n, k, 3) overlaps an obstacle, (n,)."""
+    flat, found = poses.reshape(-1, 3), np.zeros(poses.shape[:2], bool)
+    for own in obstacles:
+        low, high = own.outline.min(axis=0) - shape.radius, own.outline.max(axis=0) + shape.radius
+        near = np.flatnonzero(((flat[:, :2] > low) & (flat[:, :2] < high)).all(axis=1))
+        found.flat[near] |= overlaps(shape, flat[near], own, np.zeros(3)).depth > 0.0
+    return np.asarray(found.any(axis=1))
 
 
 def _only_body(scene: Scene) -> Body:
@@ -455,6 +494,23 @@ def _radius(scene: Scene) -> float:
 def _check_most(most: int) -> None:
     if isinstance(most, bool) or not 1 <= most <= MAX_PUSHES:
         raise InvalidInput("choose.most", found=most, expected=f"1 to {MAX_PUSHES} pushes")
+
+
+def _regions(given: Any) -> tuple[Polygon, ...]:
+    if not isinstance(given, Sequence) or isinstance(given, str):
+        raise InvalidInput("choose.obstacles", found=repr(given), expected="a list of polygons")
+    found = []
+    for k, own in enumerate(given):
+        try:
+            found.append(own if isinstance(own, Polygon) else Polygon(own))
+        except InvalidInput as problem:
+            raise problem.within(f"choose.obstacles[{k}]") from None
+    return tuple(found)
+
+
+def _check_cost(cost: str) -> None:
+    if cost not in get_args(Cost):
+        raise unknown_name("choose.cost", cost, get_args(Cost))
 
 
 def _range(given: Sequence[float], where: str, lowest: float = -math.inf) -> Range:

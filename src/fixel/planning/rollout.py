@@ -15,7 +15,7 @@ from fixel.model.goals import BodyTrack, Goal, touching
 from fixel.model.overlap import overlaps
 from fixel.model.trajectory import wrapped
 from fixel.planning.belief import Scenarios
-from fixel.planning.pushes import PushChoice, collides
+from fixel.planning.pushes import PushChoice, collides, swept, touches
 from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
@@ -25,12 +25,13 @@ from fixel.uncertainty.predictive import motion_of
 from fixel.uncertainty.run_to_run import rest_at
 
 # What became of a run; all but the first count as failures of the plan.
-CARRIED_OUT, NOT_SIMULATED, TOOL_ON_PART, START_OVERLAPS = range(4)
+CARRIED_OUT, NOT_SIMULATED, TOOL_ON_PART, START_OVERLAPS, OBSTACLE = range(5)
 FAILURES: Final = (
     "carried out",
     "could not be simulated",
     "the tool is put down on the part",
     "the part starts inside a fixel",
+    "an obstacle is touched",
 )
 WORST_MARGIN: Final = -1e3  # of a run that failed, and limit of all margins
 REGISTRATION: Final = ("registration_x", "registration_y", "registration_theta")
@@ -179,6 +180,7 @@ class PlanSimulator:
                     scenarios.rows(own), aside,
                 )  # fmt: skip
                 pose[own], failed[own], stalled[own], peak[own] = again
+            failed[touches(part, pose[:, -1:], self.choice.obstacles)] = OBSTACLE
             failure = np.where(failure == CARRIED_OUT, failed, failure)
             force = np.maximum(force, peak)
             poses[:, push * self.samples : (push + 1) * self.samples] = pose
@@ -215,9 +217,25 @@ class PlanSimulator:
         outcome = ensemble.simulate(np.arange(n), values, fixels)
         failure = np.zeros(n, np.int64)
         failure[put_down > TOUCHED * self.scene.bodies[0].shape.radius] = TOOL_ON_PART
+        failure[self._obstructed(begun[:, :1], outcome.pose, registration(values, n), path)] = (
+            OBSTACLE
+        )
         ended = np.isin(outcome.status, (codes.CONVERGED, codes.JAMMED))
         failure[~ended & (failure == CARRIED_OUT)] = NOT_SIMULATED
         return outcome.pose, failure, outcome.stalled, outcome.force
+
+    def _obstructed(
+        self, begun: FloatArray, after: FloatArray, registered: FloatArray, path: FloatArray
+    ) -> BoolArray:
+        """Return whether the part, at poses (n, k, 3), or the tool touches an obstacle, (n,)."""
+        obstacles, scene = self.choice.obstacles, self.simulated
+        if not obstacles:
+            return np.zeros(len(path), bool)
+        tool = composed(registered[:, None], swept(path))
+        part = np.concatenate((begun, after), axis=1)
+        return touches(scene.pushers[0].shape, tool, obstacles) | touches(
+            scene.bodies[0].shape, part, obstacles
+        )
 
     def _tool_errors(self, path: FloatArray, scenarios: Scenarios) -> dict[str, FloatArray]:
         """Return the registration of tools that miss their paths, instead of the calibrated."""

@@ -195,6 +195,8 @@ class PlanSearch:
                 raise _refused(texts[0])
         ranked = yield from self._race(plans)
         finalists = self.distinct(ranked, FINALISTS)
+        if self.simulator.choice.cost != "pushes":
+            finalists += [ranked[k] for k in np.argsort(self._costs(ranked))[:FINALISTS]]
         better = yield from self._refined(self.distinct(ranked, REFINED))
         can = nominal_margins(self.simulator, better)
         finalists += [
@@ -304,7 +306,7 @@ class PlanSearch:
             for number, plan in enumerate(plans)
         ]
         busy = searches
-        for _ in range(REACH_ROUNDS):
+        for _ in range(REACH_ROUNDS if plans else 0):
             asked = [search.ask() for search in busy]
             every = [plan for own in asked for plan in own]
             margin = np.maximum(nominal_margins(self.quick, every), WORST_MARGIN)
@@ -321,17 +323,26 @@ class PlanSearch:
         """Return the order of plans by their margins (m, n) in fresh scenarios.
 
         By the middle between the mean success rate and that in the worst 5 % of parameter draws,
-        then by the margin in the worst 5 % of scenarios and by the number of pushes. The worst
-        draws alone would decide by chance where all plans fail under some of them.
+        then by their cost, the margin in the worst 5 % of scenarios and the number of pushes. The
+        worst draws alone would decide by chance where all plans fail under some of them.
         """
         ranks = []
-        for plan, own in zip(plans, margins, strict=True):
+        for plan, own, cost in zip(plans, margins, self._costs(plans), strict=True):
             success = self.success(own)
             worst = success.mean if success.quantile is None else success.quantile
             # Differences below the noise of the estimate are ties.
             middle = 0.5 * (worst + success.mean)
-            ranks.append((-round(50 * middle), -success.margin, len(plan)))
+            ranks.append((-round(50 * middle), cost, -success.margin, len(plan)))
         return np.array(sorted(range(len(plans)), key=ranks.__getitem__), np.int64)
+
+    def _costs(self, plans: Numbers) -> FloatArray:
+        """Return the time [s] or the length [m] of plans (n,), zeros where neither is asked for."""
+        cost, found = self.simulator.choice.cost, np.zeros(len(plans))
+        for own, planned in grouped(self.quick, plans) if cost != "pushes" else ():
+            step = np.diff(planned.path, axis=2)
+            each = step[..., 0] if cost == "time" else np.hypot(step[..., 1], step[..., 2])
+            found[own] = each.sum(axis=(1, 2))
+        return found
 
     def success(self, margins: FloatArray) -> SuccessProbability:
         """Estimate success from margins (n,); by parameter draw only if parameters are unknown."""
