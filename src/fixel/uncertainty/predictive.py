@@ -121,7 +121,7 @@ def predictive_of(
 def end_residuals(
     ends: Sequence[Target], space: ParameterSpace, motion: AbstractMotionModel, points: FloatArray
 ) -> FloatArray:
-    """Return simulated less measured ends (k, n, 3) at points (n, n_free), rotations as arcs [m]."""
+    """Return simulated less measured ends (k, n, 3) at points (n, n_free), turns as arcs [m]."""
     which = np.repeat(np.arange(len(ends)), len(points))
     found, good, _ = Comparer(ends, space, None, motion).differences(
         which, np.tile(points, (len(ends), 1))
