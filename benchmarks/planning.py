@@ -34,7 +34,7 @@ from fixel.model.goals import BodyTrack, Goal, touching
 from fixel.parts.next_pushes import push_candidates
 from fixel.planning.plan import PushPlan, simulator_of
 from fixel.planning.pushes import FreePushes, scene_of_push
-from fixel.planning.search import FRESH, WORLDS, PlanSearch
+from fixel.planning.search import DRAWS, PlanSearch, SearchStage, stage_scenarios
 from fixel.planning.success import SuccessProbability, rates_without_noise
 from fixel.sampling.published import thesis_plan
 from fixel.simulation.ensemble import Ensemble
@@ -76,7 +76,7 @@ class Row(NamedTuple):
     task: str
     kind: str
     mean: float  # stated mean over samples of the parameters
-    low: float  # stated success probability, the lower one of two numbers
+    low: float  # lower end of the stated range over samples of the parameters
     held: float
     expected: float  # mean |mean - held| over the belief's own samples of the parameters
     without_scatter: float  # stated mean without the learned scatter between runs
@@ -186,7 +186,7 @@ def compared(task: Task, runs: int, rollouts: int) -> Row:
         ).found.plan  # fmt: skip
         seconds = time.process_time() - begun
     return Row(
-        task.name, task.kind, plan.success.mean, plan.success.stated,
+        task.name, task.kind, plan.success.mean, plan.success.least,
         held(task, plan.goal, plan.scenes, runs), expected_difference(plan.success, runs),
         mean_without_scatter(plan), plan.nominal_success.mean,
         held(task, plan.goal, nominal_pushes(plan, rollouts), runs),
@@ -229,7 +229,8 @@ def expected_difference(success: SuccessProbability, runs: int) -> float:
 def mean_without_scatter(plan: PushPlan) -> float:
     """Mean success of a plan by the calibration alone, in scenarios of the same seed."""
     belief = replace(plan.belief, run_to_run=None)
-    scenarios = belief.scenarios(plan.scene, worlds=WORLDS, runs=WORLDS, seed=FRESH)
+    stage = SearchStage(DRAWS, len(plan.runs.margin), 1)
+    scenarios = stage_scenarios(belief, plan.scene, stage, DRAWS)
     runs = plan.run(scenarios, samples=1, threads=1)
     simulator = simulator_of(plan.scene, plan.goal, plan.choose, belief, None, None, 1)
     return float((simulator.margins(runs) >= 0.0).mean())

@@ -106,14 +106,14 @@ def grasps_figure(rows: Sequence[Row]) -> Figure:
     order = sorted(range(len(rows)), key=lambda k: rows[k]["held"])
     place = np.arange(len(rows))
     for name, colour, marker, label in (
-        ("stated", palette.PUSHER, "|", "stated: worst 5 % of parameters"),
+        ("least", palette.PUSHER, "|", "worst 5 % of parameters"),
         ("mean", palette.BODY, "o", "mean over parameters"),
         ("held", palette.FORCE, "D", "held in the simulated laboratory"),
     ):
         axes.plot(
             [rows[k][name] for k in order], place, marker, color=colour, label=label, markersize=4.0
         )
-    axes.hlines(place, [rows[k]["stated"] for k in order], [rows[k]["mean"] for k in order],
+    axes.hlines(place, [rows[k]["least"] for k in order], [rows[k]["mean"] for k in order],
                 color=palette.FAINT, zorder=0)  # fmt: skip
     axes.set_yticks(
         place, [f"{rows[k]['shape']}, {rows[k]['layout']}: {rows[k]['mode']}" for k in order]

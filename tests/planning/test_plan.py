@@ -153,7 +153,7 @@ def test_a_part_that_meets_its_goal_is_left_alone(tmp_path):
     plan = fixel.plan(pushed_square(), goal, belief=belief, rollouts=4_000, progress=False)
     assert plan.pushes == ()
     assert plan.success.mean == pytest.approx(0.75, abs=0.01)
-    assert repr(plan).startswith("Plan of no push, for the part already meets the goal: stated")
+    assert repr(plan).startswith("Plan of no push, for the part already meets the goal: success")
     assert fixel.load(plan.save(tmp_path / "alone.plan")) == plan
     assert len(plan.waypoints().rows) == 0
     assert plan.plot() is not None
@@ -216,3 +216,27 @@ def test_the_cheapest_of_plans_that_succeed_as_often(cost, column):
 def test_a_cost_that_is_none():
     with pytest.raises(InvalidInput, match=r"choose\.cost: found .*tiem.*did you mean .*time"):
         FreePushes(cost="tiem")
+
+
+def test_a_plan_that_depends_on_a_parameter_says_which_to_measure():
+    """The part turns to the side of its load, whose place decides alone; the friction does not."""
+    goal = PoseRegion((0.03, 0.0, 0.0), position=5 * mm, angle=4 * deg)
+    places = {"friction_centre_y": (-8 * mm, 8 * mm), "mu_pusher": (0.2, 0.4)}
+    plan = fixel.plan(
+        pushed_square(), goal, belief=Belief(parameters=places), rollouts=4_000, progress=False
+    )
+    success = plan.success
+    assert success.low <= success.stated == success.mean <= success.high
+    assert success.worst < 0.2
+    assert success.best > 0.9
+    assert "measure friction_centre_y first" in plan.advice
+    assert plan.advice in " ".join(repr(plan).split())
+    assert success.sentence in " ".join(repr(plan).split())
+    again = plan.success_under(plan.belief)
+    assert again.n == 2400
+    assert len(again.rates) == 256
+    assert again.stated == pytest.approx(success.stated, abs=0.06)
+    # Without unknown parameters there is no range, and nothing to measure.
+    known = plan.success_under(Belief(parameters={"friction_centre_y": 1 * mm}))
+    assert known.worst is None
+    assert "parameters" not in known.sentence

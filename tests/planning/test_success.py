@@ -43,24 +43,26 @@ def test_interval_is_that_of_scipy(good, n):
     found = SuccessProbability.of(np.where(np.arange(n) < good, 1.0, -1.0))
     both = binomtest(good, n).proportion_ci(0.95, method="exact")
     assert (found.low, found.high) == pytest.approx((both.low, both.high), abs=1e-12)
-    one = binomtest(good, n, alternative="greater").proportion_ci(0.95, method="exact")
-    assert found.bound == pytest.approx(one.low, abs=1e-12)
-    assert found.quantile is None
-    assert found.stated == found.bound
+    assert found.worst is None
+    assert found.best is None
+    assert found.stated == good / n
+    assert found.least == found.low
 
 
-def test_4096_successes_prove_0_99927():
-    assert SuccessProbability.of(np.zeros(4096)).bound == pytest.approx(0.99927, abs=5e-6)
+def test_one_sided_bound_is_that_of_scipy():
+    one = binomtest(13, 20, alternative="greater").proportion_ci(0.95, method="exact")
+    assert lower_bound(13, 20) == pytest.approx(one.low, abs=1e-12)
+    assert lower_bound(4096, 4096) == pytest.approx(0.99927, abs=5e-6)
 
 
 @pytest.mark.parametrize("name", TRUTHS)
-def test_five_percent_of_new_draws_are_below_the_stated_probability(name):
+def test_five_percent_of_new_draws_are_below_the_least_rate(name):
     rng = np.random.default_rng(1)
     many = np.sort(TRUTHS[name](rng, 100_000))
     below = []
     for _ in range(200):
         found = SuccessProbability.of(_margins(rng, TRUTHS[name](rng, 64), 64))
-        below.append(np.searchsorted(many, found.stated) / len(many))
+        below.append(np.searchsorted(many, found.least) / len(many))
     assert np.mean(below) <= 0.065
     if name in ("wide", "narrow", "logistic", "two kinds"):
         assert np.mean(below) >= 0.035
@@ -78,32 +80,31 @@ def test_rates_of_few_runs_have_no_more_spread_than_the_truth():
 
 
 @pytest.mark.parametrize("name", ["alike", "wide", "narrow", "U-shaped", "logistic", "0 or 1"])
-def test_bound_of_the_mean_over_worlds_covers(name):
+def test_interval_of_the_mean_over_worlds_covers(name):
     rng = np.random.default_rng(3)
     truth = float(np.mean(TRUTHS[name](rng, 400_000)))
-    above = [
-        SuccessProbability.of(_margins(rng, TRUTHS[name](rng, 64), 16)).bound > truth
-        for _ in range(400)
-    ]
-    assert np.mean(above) <= 0.05 + 3.0 * np.sqrt(0.05 * 0.95 / 400)
+    found = [SuccessProbability.of(_margins(rng, TRUTHS[name](rng, 64), 16)) for _ in range(400)]
+    above = np.mean([own.low > truth for own in found])
+    assert above <= 0.025 + 3.0 * np.sqrt(0.025 * 0.975 / 400)
 
 
-def test_stated_probability_is_what_the_worst_draws_reach():
+def test_the_range_is_what_the_worst_and_best_draws_reach():
     margins = np.ones((64, 64))
     margins[:8, :32] = -0.2
     found = SuccessProbability.of(margins)
-    assert found.mean == 0.9375
-    assert found.stated == pytest.approx(0.5, abs=0.01)
+    assert found.stated == found.mean == 0.9375
+    assert found.worst == found.least == pytest.approx(0.5, abs=0.01)
+    assert found.best == pytest.approx(1.0, abs=0.01)
     assert found.calibrate_first
     assert "Calibrate first" in repr(found)
     assert found.margin == -0.2
-    assert found.spare(0.4) == pytest.approx(0.1, abs=0.01)
+    assert found.spare(0.9) == pytest.approx(0.0375)
 
 
 def test_few_runs_of_equal_draws_are_no_reason_to_calibrate():
     rng = np.random.default_rng(6)
     found = [SuccessProbability.of(_margins(rng, np.full(64, 0.5), 8)) for _ in range(100)]
-    assert sum(own.mean - own.quantile > 0.05 for own in found) > 20
+    assert sum(own.mean - own.worst > 0.05 for own in found) > 20
     assert sum(own.calibrate_first for own in found) <= 3
 
 
@@ -111,9 +112,11 @@ def test_independent_scenarios_decide_the_mean():
     worlds = np.where(np.arange(64)[:, None] < 8, -1.0, np.ones((64, 64)))
     found = SuccessProbability.of(worlds, independent=np.ones(299))
     assert found.mean == 1.0
-    assert found.bound == pytest.approx(0.99, abs=1e-3)
-    assert found.quantile == 0.0
-    assert found.stated == 0.0
+    # Closed form of the two-sided interval of 299 successes in 299 scenarios.
+    assert found.low == pytest.approx(0.025 ** (1.0 / 299.0))
+    assert found.worst == 0.0
+    assert found.stated == 1.0
+    assert found.least == 0.0
 
 
 def test_a_larger_tolerance_never_lowers_anything():
@@ -122,7 +125,7 @@ def test_a_larger_tolerance_never_lowers_anything():
     found = [SuccessProbability.of(1.0 - error / tolerance) for tolerance in (2.0, 3.0, 5.0)]
     for smaller, larger in pairwise(found):
         assert smaller.mean <= larger.mean
-        assert smaller.bound <= larger.bound
+        assert smaller.low <= larger.low
         assert smaller.margin <= larger.margin
 
 

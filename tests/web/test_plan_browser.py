@@ -34,7 +34,7 @@ def test_a_goal_is_dragged_planned_shown_and_tried(browser_page, server):
     page.click("#start")
     page.click("#result", timeout=120_000)
     page.wait_for_selector("#of-plan")
-    assert "stated success probability" in page.inner_text("#content")
+    assert "success probability" in page.inner_text("#content")
     assert page.locator("figure img").count() == 3
     page.click("#try")
     page.wait_for_selector("#trials:has-text('20 trials')")

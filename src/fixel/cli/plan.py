@@ -247,7 +247,8 @@ def run(
     print_answer(
         as_json,
         lambda: {"met": last.met, "failure": last.failure, "trials": done.n,
-                 "successes": done.successes, "stated": done.stated, "refuted": done.refuted},
+                 "successes": done.successes, "stated": done.mean, "least": done.stated,
+                 "refuted": done.refuted},
         lambda: [*str(done).splitlines(), f"Next: {again}"],
     )  # fmt: skip
 

@@ -55,7 +55,7 @@ def paths_chart(plan: PushPlan, n: int = MOTIONS) -> Chart:
     track = _tracks(plan, rows)
     outcome = [plan.runs.outcome[k] for k in rows]
     return Chart(
-        title=f"Plan with a stated success probability of {plan.success.stated:.3f}",
+        title=f"Plan with a success probability of {plan.success.stated:.3f}",
         size=(0.62 * chart.WIDE, 3.4),
         fill=lambda figure: _draw_paths(figure, plan, track, outcome),
         data=Table.from_columns(
@@ -336,7 +336,7 @@ def _success_curve(own: UnknownEffect, mean: float, k: int) -> Mark:
 
 
 def success_chart(own: SuccessProbability) -> Chart:
-    """Draw the success rates of the parameter draws in order, their mean, and what is stated."""
+    """Draw the success rates of the parameter draws in order, their mean, and their range."""
     rates = np.sort(own.rates)
     share = 100.0 * np.arange(1, len(rates) + 1) / len(rates)
     draws = chart.panel(
@@ -344,11 +344,15 @@ def success_chart(own: SuccessProbability) -> Chart:
                     label=f"parameter draws, {own.n_runs} runs each"),
         chart.hline(own.mean, color=palette.INK, linewidth=0.8, linestyle="--", label="mean"),
         lambda axes: axes.axhspan(own.low, own.high, color=palette.INK, alpha=0.1, linewidth=0.0),
-        chart.hline(own.stated, color=palette.FORCE, linewidth=1.0, label="stated"),
+        *(
+            chart.hline(end, color=palette.FORCE, linewidth=1.0, label=label)
+            for end, label in ((own.worst, "range of 90 % of the draws"), (own.best, None))
+            if end is not None
+        ),
         xlabel="share of the parameter draws [%]",
         ylabel="success rate",
         xlim=(0.0, 100.0),
-        ylim=(min(0.9, rates[0], own.stated) - 0.03, 1.02),
+        ylim=(min(0.9, rates[0], own.mean) - 0.03, 1.02),
     )  # fmt: skip
     return Chart(size=(palette.COLUMN, 2.3), fill=chart.panels([[draws]]), data=own._data())
 

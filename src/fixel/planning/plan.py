@@ -15,7 +15,7 @@ from fixel.model.fields import instance
 from fixel.model.goal_checks import check_goal
 from fixel.model.goals import Goal
 from fixel.planning.belief import UNKNOWN_UNITS, Belief, Scenarios, check_centres
-from fixel.planning.causes import Explanation
+from fixel.planning.causes import MIN_SCENARIOS, Explanation
 from fixel.planning.pushes import (
     FreePushes,
     PlanPush,
@@ -25,14 +25,20 @@ from fixel.planning.pushes import (
     scene_of_push,
 )
 from fixel.planning.rollout import FAILURES, PlannedMotions, PlanSimulator, Runs
-from fixel.planning.search import WORLDS, PlanSearch, Rounds, pose_text
+from fixel.planning.search import (
+    PlanSearch,
+    Rounds,
+    fresh_stages,
+    pose_text,
+    stage_scenarios,
+)
 from fixel.planning.success import SuccessProbability
 from fixel.progress import Progress
 from fixel.results import Result, Summary
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
 from fixel.table import Column, Table
-from fixel.typing import FloatArray
+from fixel.typing import FloatArray, IntArray
 
 SAMPLES: Final = 12  # poses of each push that goals about the whole motion regard
 MIN_ROLLOUTS: Final = 1000
@@ -80,7 +86,7 @@ class PushPlan(Result):
     nominal_success : SuccessProbability
         The same for the plan that would be best if nothing were unknown.
     runs : PlanRuns
-        Runs from which `success` is computed.
+        Runs from which the mean of `success` is computed.
     alternatives : (m, n) float64
         Margins of the best plans of the search, this one first, in `compared`.
     compared : Scenarios
@@ -161,6 +167,16 @@ class PushPlan(Result):
             columns, [(k + 1, *row) for k, path in enumerate(self.path) for row in path.tolist()]
         )
 
+    def success_table(self, title: str = "") -> Table:
+        """Return the success of this plan, and of the best one without errors, as a table."""
+        names = ("stated", "low", "high", "worst", "best")
+        plans = {"this plan": self.success, "best without errors": self.nominal_success}
+        return Table(
+            ("success", *(Column(name, format=".3f") for name in names)),
+            [(name, *(getattr(own, one) for one in names)) for name, own in plans.items()],
+            title=title,
+        )
+
     def simulate(self, n: int = 200, *, samples: int = SAMPLES, threads: int | None = None) -> Runs:
         """Simulate the plan again in n of its scenarios, with the poses on the way.
 
@@ -216,10 +232,14 @@ class PushPlan(Result):
 
     def success_under(self, belief: Belief) -> SuccessProbability:
         """Compute the success probability from fresh scenarios of a belief, such as a later one."""
-        scenarios = belief.scenarios(self.scene, worlds=WORLDS, runs=WORLDS, seed=self.seed + FRESH)
-        simulator = replace(self, belief=belief)._simulator(None)
-        runs = simulator.run(self.planned(), np.zeros(scenarios.n, np.int64), scenarios)
-        return SuccessProbability.of(simulator.margins(runs).reshape(WORLDS, WORLDS))
+        simulator, planned = replace(self, belief=belief)._simulator(None), self.planned()
+        margins = []
+        for own in fresh_stages(belief, self.scene):
+            seed = self.seed + FRESH + own.stream
+            scenarios = stage_scenarios(belief, self.scene, own, seed)
+            runs = simulator.run(planned, np.zeros(scenarios.n, np.int64), scenarios)
+            margins.append(simulator.margins(runs).reshape(own.worlds, own.runs))
+        return SuccessProbability.of(margins[-1], independent=margins[0][:, 0])
 
     def explain(self) -> Explanation:
         """Return the reasons why the plan fails, and what measuring each unknown is worth.
@@ -241,13 +261,33 @@ class PushPlan(Result):
         """
         own, others = self.runs.scenarios, self.compared
         failures = Explanation.of(
-            self.runs.margin[None], own.unknowns(), worlds=own.world, units=UNKNOWN_UNITS,
+            self.runs.margin[None], own.unknowns(), worlds=self._sets(own), units=UNKNOWN_UNITS,
             kinds=self.runs.outcome,
         )  # fmt: skip
         compared = Explanation.of(
-            self.alternatives, others.unknowns(), worlds=others.world, units=UNKNOWN_UNITS
+            self.alternatives, others.unknowns(), worlds=self._sets(others), units=UNKNOWN_UNITS
         )
         return failures.with_worth(compared)
+
+    def _sets(self, own: Scenarios) -> IntArray:
+        """Number the parameter sets (n,) of scenarios, of which draws may repeat some."""
+        if self.belief.run_to_run is not None or not own.values:
+            return own.world
+        sets = np.unique(np.array([*own.values.values()]), axis=1, return_inverse=True)[1]
+        return sets if sets.max() >= MIN_SCENARIOS else own.world  # few sets are all there is
+
+    @property
+    def advice(self) -> str:
+        """Sentence on the parameter whose measurement decides most; empty for a narrow range."""
+        if not self.success.calibrate_first:
+            return ""
+        text = "Success depends on parameters that are not known well"
+        own = [one for one in self.explain().effects if one.name in self.runs.scenarios.values]
+        most = max(own, key=lambda one: (one.worth, one.share), default=None)
+        if most is None or not most.worth + most.share:
+            return f"{text}: calibrate first"
+        gain = f", which would raise success to {self.success.mean + most.worth:.2f}"
+        return f"{text}: measure {most.name} first{gain if most.worth else ''}"
 
     def _simulator(self, threads: int | None) -> PlanSimulator:
         return simulator_of(
@@ -273,20 +313,12 @@ class PushPlan(Result):
         numbers = Table(
             ("push", "what"), [(k + 1, str(push)) for k, push in enumerate(self.pushes)]
         )
-        rows: list[tuple[Any, ...]] = [
-            ("this plan", self.success.stated, self.success.mean),
-            ("best without errors", self.nominal_success.stated, self.nominal_success.mean),
-        ]
-        columns: tuple[Column | str, ...] = (
-            "success",
-            *(Column(c, format=".3f") for c in ("stated", "mean")),
-        )
         notes = [
             self.belief.start_text,
             *(f"fails: {100.0 * share:.1f} % {why}" for why, share in self.failures.items()),
         ]
-        if self.success.calibrate_first:
-            notes.append("calibrate first: success depends on parameters that are not known")
+        if advice := self.advice:
+            notes.append(advice)
         if self.belief.misfit:
             notes.insert(0, f"calibration: {self.belief.misfit}")
         if not self.belief.is_calibrated:
@@ -294,7 +326,7 @@ class PushPlan(Result):
         notes.append(f"planned end {pose_text(self.end)}")
         return Summary(
             f"Plan of {self.count}: {self.success.sentence}",
-            [numbers, Table(columns, rows)],
+            [numbers, self.success_table()],
             notes,
             {"rollouts": str(self.rollouts), "seed": str(self.seed), "motion": self.motion.name},
             self.unseen,
@@ -364,7 +396,7 @@ def plan_rounds(search: PlanSearch, *, untrusted: bool = False) -> Rounds[PushPl
     simulator, belief = search.simulator, search.belief
     checked = belief.has_known_pushes and not untrusted
     found = yield from search.rounds(partial(_unseen, simulator, belief) if checked else None)
-    plan = found.plans[0]
+    plan, margins = found.plans[0], found.margins[0][:, 0]
     planned = simulator.planned(plan[None])
     choose: Any = simulator.choice
     return PushPlan(
@@ -372,9 +404,9 @@ def plan_rounds(search: PlanSearch, *, untrusted: bool = False) -> Rounds[PushPl
         pushes=choose.pushes(simulator.scene, plan),
         start=planned.start[0], path=planned.path[0], end=planned.nominal.pose[0, -1],
         fixels=None if planned.fixels is None else planned.fixels[0],
-        success=search.success(found.margins),
-        nominal_success=search.success(found.nominal_margins),
-        runs=_runs(search, planned, found.margins),
+        success=SuccessProbability.of(found.margins[-1], independent=margins),
+        nominal_success=SuccessProbability.of(found.nominal_margins),
+        runs=_runs(search, planned, margins),
         alternatives=found.compared, compared=search.scenarios(search.final_stage),
         unseen=_unseen(simulator, belief, plan), motion=simulator.motion,
         stepper=simulator.stepper, rollouts=search.done, seed=search.seed,
@@ -382,7 +414,7 @@ def plan_rounds(search: PlanSearch, *, untrusted: bool = False) -> Rounds[PushPl
 
 
 def _runs(search: PlanSearch, planned: PlannedMotions, margin: FloatArray) -> PlanRuns:
-    scenarios = search.scenarios(search.fresh_stage)
+    scenarios = search.scenarios(search.fresh_stages[0])
     runs = search.simulator.run(planned, np.zeros(scenarios.n, np.int64), scenarios)
     why = [
         "" if ok >= 0.0 else (FAILURES[code] if code else MISSED)

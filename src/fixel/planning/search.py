@@ -15,6 +15,7 @@ import numpy as np
 from scipy.special import expit
 
 from fixel.errors import InvalidInput
+from fixel.model import Scene
 from fixel.model.goals import AllOf, PoseRegion
 from fixel.planning.belief import Belief, Scenarios
 from fixel.planning.candidates import (
@@ -33,7 +34,8 @@ from fixel.planning.success import SuccessProbability
 from fixel.progress import Progress
 from fixel.typing import FloatArray, IntArray
 
-WORLDS: Final = 64  # parameter draws, each with as many runs in the statement of success
+WORLDS: Final = 64  # parameter draws of the race and of the choice
+ROLLOUTS: Final = 160_000
 RACE: Final = (8, 16, 32, 64, 128, 256, 512, 1024)  # scenarios of a plan, rounds of the race
 NEARLY: Final = 9.0  # tolerances off, up to which wider ones are advised by number
 NEAR: Final = 3.0  # tolerances by which the nominal end of a candidate may miss the goal
@@ -65,9 +67,10 @@ class SearchStage(NamedTuple):
 
 RACE_STAGE: Final = SearchStage(1, WORLDS, RACE[-1] // WORLDS)
 REFINE_STAGE: Final = SearchStage(2, 32, 4)
-FINAL, FRESH = 3, 4  # streams of the last two stages
 SOME: Final = SearchStage(11, 8, 1)  # whether any part of the belief meets the goal
 NEAREST: Final = SearchStage(12, WORLDS, 4)  # how likely the nearest end is
+FINAL, DRAWS, RANGE = 3, 4, 5  # streams of the last stages
+POOL: Final = 16  # draws of which one is chosen at random for the mean
 
 
 class MarginRequest(NamedTuple):
@@ -96,8 +99,9 @@ class FoundNumbers(NamedTuple):
 
     plans: Numbers  # the best of the search, the chosen one first
     compared: FloatArray  # (m, n) their margins in the scenarios in which it was chosen
-    margins: FloatArray  # (n,) of the chosen plan in fresh scenarios
-    nominal_margins: FloatArray  # (n,) of the plan that would be best if nothing were unknown
+    margins: Sequence[FloatArray]  # (n_worlds, n_runs) of the chosen plan in every fresh stage
+    # (n,) of the plan that would be best if nothing were unknown, in the first of these stages.
+    nominal_margins: FloatArray
 
 
 @final
@@ -107,7 +111,7 @@ class PlanSearch:
 
     simulator: PlanSimulator
     belief: Belief
-    rollouts: int = 160_000  # number of simulated pushes that the search should not exceed by much
+    rollouts: int = ROLLOUTS  # number of simulated pushes that the search should not exceed by much
     seed: int = 0
     first: Sequence[FloatArray] = ()  # plans that are candidates in any case
     report: Callable[[Progress], None] | None = None
@@ -128,20 +132,15 @@ class PlanSearch:
         return SearchStage(FINAL, WORLDS, min(most, max(2, self.rollouts // 5_000)))
 
     @property
-    def fresh_stage(self) -> SearchStage:
-        """SearchStage from which the success of the chosen plan is computed.
-
-        64 runs for each of 64 draws of the parameters, less for searches below 64,000 rollouts.
-        """
-        return SearchStage(FRESH, WORLDS, min(WORLDS, max(8, self.rollouts // 1_000)))
+    def fresh_stages(self) -> tuple[SearchStage, ...]:
+        """Stages from which the success of the chosen plan is computed."""
+        return fresh_stages(self.belief, self.simulator.scene, self.rollouts)
 
     def scenarios(self, stage: SearchStage) -> Scenarios:
         """Draw the scenarios of a stage."""
         if stage not in self._drawn:
-            drawn = self.belief.scenarios(
-                self.simulator.scene, worlds=stage.worlds, runs=stage.runs,
-                seed=1000 * self.seed + stage.stream,
-            )  # fmt: skip
+            seed = 1000 * self.seed + stage.stream
+            drawn = stage_scenarios(self.belief, self.simulator.scene, stage, seed)
             if stage == RACE_STAGE:  # scenario k belongs to parameter draw k % WORLDS
                 order = np.arange(drawn.n).reshape(stage.worlds, -1).T.reshape(-1)
                 drawn = drawn.rows(order)
@@ -209,8 +208,13 @@ class PlanSearch:
         compared = yield from self._ask(finalists, self.final_stage)
         order = self._order(finalists, compared)
         chosen = finalists[order[0]]
-        both = yield from self._ask([chosen, nominal_best], self.fresh_stage)
-        return FoundNumbers([finalists[k] for k in order], compared[order], both[0], both[1])
+        draws, *more = self.fresh_stages
+        both = yield from self._ask([chosen, nominal_best], draws)
+        margins = [both[0][:, None]]
+        for stage in more:
+            found = yield from self._ask([chosen], stage)
+            margins.append(found.reshape(stage.worlds, stage.runs))
+        return FoundNumbers([finalists[k] for k in order], compared[order], margins, both[1])
 
     def candidates(self) -> Numbers:
         """Return plans whose nominal end is near the goal, the nearest first."""
@@ -328,8 +332,9 @@ class PlanSearch:
         """
         ranks = []
         for plan, own, cost in zip(plans, margins, self._costs(plans), strict=True):
-            success = self.success(own)
-            worst = success.mean if success.quantile is None else success.quantile
+            known = self.belief.parameters is None
+            success = SuccessProbability.of(own if known else own.reshape(WORLDS, -1))
+            worst = success.mean if success.worst is None else success.worst
             # Differences below the noise of the estimate are ties.
             middle = 0.5 * (worst + success.mean)
             ranks.append((-round(50 * middle), cost, -success.margin, len(plan)))
@@ -343,11 +348,6 @@ class PlanSearch:
             each = step[..., 0] if cost == "time" else np.hypot(step[..., 1], step[..., 2])
             found[own] = each.sum(axis=(1, 2))
         return found
-
-    def success(self, margins: FloatArray) -> SuccessProbability:
-        """Estimate success from margins (n,); by parameter draw only if parameters are unknown."""
-        known = self.belief.parameters is None
-        return SuccessProbability.of(margins if known else margins.reshape(WORLDS, -1))
 
     def distinct(self, plans: Numbers, n: int) -> Numbers:
         """Return the first n plans of which no two are near each other."""
@@ -401,6 +401,35 @@ class PlanSearch:
         if self.report is not None:
             note = f"success {self.best:.3f}"
             self.report(Progress(stage, self.done, max(self.done, self.rollouts), note=note))
+
+
+def fresh_stages(belief: Belief, scene: Scene, rollouts: int = ROLLOUTS) -> tuple[SearchStage, ...]:
+    """Return the stages from which the success of a plan is computed.
+
+    The first has 2,400 draws of the parameters with one run each, for the mean. If parameters are
+    unknown, the second has 256 draws with 16 runs each, for the range of their success rates. A
+    search with fewer rollouts has fewer draws.
+    """
+    stages = [SearchStage(DRAWS, min(2400, max(512, rollouts // 16)), 1)]
+    scatter = belief.run_to_run and replace(belief.run_to_run, centre=0.0, friction=0.0)
+    drawn = replace(belief, run_to_run=scatter).scenarios(scene, worlds=WORLDS, runs=1)
+    if any(np.ptp(values) > 0.0 for values in drawn.values.values()):
+        worlds = min(256, max(WORLDS, rollouts // 250))
+        stages.append(SearchStage(RANGE, worlds, min(16, max(8, rollouts // 4_000))))
+    return tuple(stages)
+
+
+def stage_scenarios(belief: Belief, scene: Scene, stage: SearchStage, seed: int) -> Scenarios:
+    """Draw the scenarios of a stage; those of the mean are independent of each other.
+
+    Beliefs draw evenly, so that the mean of many draws scatters less than the interval of
+    independent ones says, by an unknown amount. A few rows of many even ones are independent.
+    """
+    if stage.stream != DRAWS:
+        return belief.scenarios(scene, worlds=stage.worlds, runs=stage.runs, seed=seed)
+    n = POOL * stage.worlds
+    rows = np.random.default_rng(seed).permutation(n)[: stage.worlds]
+    return belief.scenarios(scene, worlds=n, runs=1, seed=seed).rows(rows)
 
 
 def conduct(search: PlanSearch, rounds: Rounds[T], answers: Answers) -> T:

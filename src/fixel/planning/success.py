@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +17,7 @@ from fixel.table import Column, Table
 from fixel.typing import FloatArray
 
 WORST: Final = 0.05  # share of parameter draws, and of runs, that count as the worst ones
-# Difference of mean and quantile above which a calibration helps more than a longer search.
+# Difference of mean and worst draws above which a calibration helps more than a longer search.
 MAX_SPREAD: Final = 0.05
 CERTAIN: Final = 0.01  # chance of a spread of equal draws below which they count as different
 
@@ -135,25 +136,23 @@ class SuccessProbability(Result):
     >>> margins = np.ones((64, 64))
     >>> margins[:8, :32] = -0.2  # 8 of 64 parameter draws succeed in half of their runs
     >>> found = SuccessProbability.of(margins)
-    >>> found.mean
-    0.9375
-    >>> round(found.stated, 2)
-    0.5
+    >>> print(found.sentence)
+    success probability 0.94 (0.88 to 0.97); for 90 % of the possible parameters it is 0.50 to 0.999
     """
 
     mean: float  # share of successful scenarios: the probability that the next trial succeeds
     # Two-sided confidence interval of `mean`.
     low: float
     high: float
-    bound: float  # one-sided lower confidence bound of `mean`
     rates: FloatArray  # (n_worlds,) success rate of each parameter draw, as observed
     n_runs: int  # number of scenarios of each parameter draw
-    # Success rate that 95 % of the parameter draws exceed, without the chance of few runs. None for
-    # one run of each draw, which separates nothing, and for one draw.
-    quantile: float | None
+    # Success rates that 95 % and 5 % of the parameter draws exceed, without the chance of few runs.
+    # None for one run of each draw, which separates nothing, and for one draw.
+    worst: float | None
+    best: float | None
     margin: float  # margin that 95 % of the scenarios exceed, in units of the goal's tolerance
-    n: int  # number of scenarios from which `mean` and its bounds are computed
-    confidence: float = 0.95  # confidence level of `low`, `high` and `bound`
+    n: int  # number of scenarios from which `mean` and its interval are computed
+    confidence: float = 0.95  # confidence level of `low` and `high`
 
     def __post_init__(self) -> None:
         settle(self, rates=np.asarray(self.rates, dtype=np.float64))
@@ -171,8 +170,8 @@ class SuccessProbability(Result):
             success, and negative for a simulation that failed. A row has the runs of one draw of
             the parameters. Of (n,) margins, each has its own draw.
         independent : (n,) float64, optional
-            Margins in further scenarios, each with its own draw of the parameters. The mean and
-            its bounds are then computed from these alone.
+            Margins in further scenarios, each with its own draw of the parameters. The mean, its
+            interval and the margin are then computed from these alone.
 
         Returns
         -------
@@ -185,9 +184,9 @@ class SuccessProbability(Result):
 
         Notes
         -----
-        The bounds of Clopper and Pearson are for an effective number of scenarios: runs of one
+        The interval of Clopper and Pearson is for an effective number of scenarios: runs of one
         draw resemble each other, so 64 draws with 64 runs each prove less than 4096 draws. The
-        bound is exact for scenarios with a draw each. For runs of few draws it relies on the
+        interval is exact for scenarios with a draw each. For runs of few draws it relies on the
         observed spread of their rates: 64 draws without a failure do not show that fewer than 4 %
         of all draws fail.
 
@@ -201,21 +200,26 @@ class SuccessProbability(Result):
         own = finite_margins(flat[:, None] if flat.ndim == 1 else flat, 2)
         if independent is not None:
             mean = cls.of(finite_margins(independent, 1, "independent"), confidence)
-            return replace(mean, **cls.of(own, confidence)._by_draw())
+            names = ("rates", "n_runs", "worst", "best")
+            worlds = cls.of(own, confidence)
+            return replace(mean, **{name: getattr(worlds, name) for name in names})
         n_worlds, n_runs = own.shape
         successes = np.sum(own >= 0.0, axis=1)
         share = float(successes.sum()) / own.size
         n = effective_number(successes, np.full(n_worlds, n_runs), confidence)
         low, high = interval(share, n, confidence)
-        known = n_runs > 1 and n_worlds > 1
+        worst, best = (
+            float(rate_quantile(successes, n_runs, at)) if n_runs > 1 and n_worlds > 1 else None
+            for at in (WORST, 1.0 - WORST)
+        )
         return cls(
             mean=share,
             low=low,
             high=high,
-            bound=lower_bound(share * n, n, confidence),
             rates=successes / n_runs,
             n_runs=n_runs,
-            quantile=float(rate_quantile(successes, n_runs)) if known else None,
+            worst=worst,
+            best=best,
             margin=float(np.quantile(own, WORST, method="inverted_cdf")),
             confidence=confidence,
             n=own.size,
@@ -223,16 +227,21 @@ class SuccessProbability(Result):
 
     @property
     def stated(self) -> float:
-        """Stated success probability: the lower one of `bound` and `quantile`."""
-        return self.bound if self.quantile is None else min(self.bound, self.quantile)
+        """Stated success probability, that of the next trial: `mean`."""
+        return self.mean
+
+    @property
+    def least(self) -> float:
+        """Least success rate to expect of one laboratory: `worst`, or `low` if that is lower."""
+        return self.low if self.worst is None else min(self.worst, self.low)
 
     @property
     def calibrate_first(self) -> bool:
         """Whether a calibration is the first advice.
 
-        It is if mean and quantile differ by more than 0.05, and the draws by more than chance.
+        It is if `mean` and `worst` differ by more than 0.05, and the draws by more than chance.
         """
-        if self.quantile is None or self.mean - self.quantile <= MAX_SPREAD:
+        if self.worst is None or self.mean - self.worst <= MAX_SPREAD:
             return False
         mean = float(np.mean(self.rates))
         variance = max(mean * (1.0 - mean), 1e-12) / self.n_runs
@@ -255,41 +264,38 @@ class SuccessProbability(Result):
 
     @property
     def sentence(self) -> str:
-        """One line: the stated probability, the mean and its bound."""
-        stated, mean, bound = map(probability_text, (self.stated, self.mean, self.bound))
-        level = f"{100.0 * self.confidence:g} % confidence"
-        return f"stated success probability {stated} (mean {mean}, at least {bound} with {level})"
-
-    def _by_draw(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in ("rates", "n_runs", "quantile", "margin")}
+        """One line: the probability with its interval, and its range over the parameters."""
+        half = max(0.5 * (self.high - self.low), 1e-4)
+        places = max(2, -math.floor(math.log10(half)))
+        mean, low, high = (f"{x:.{places}f}" for x in (self.mean, self.low, self.high))
+        text = f"success probability {mean} ({low} to {high})"
+        if self.worst is None or self.best is None:
+            return text
+        ends = dict.fromkeys(f"{x:.{3 if x >= 0.99 else 2}f}" for x in (self.worst, self.best))
+        return f"{text}; for 90 % of the possible parameters it is {' to '.join(ends)}"
 
     def _notes(self) -> list[str]:
         notes = []
         if self.calibrate_first:
+            notes.append("Calibrate first: success depends on unknown parameters.")
+        if self.worst is not None and len(self.rates) < 59:
             notes.append(
-                f"Calibrate first: success depends on unknown parameters. In the worst 5 % of "
-                f"their draws this plan succeeds at most {_percent(self.quantile)} of the time."
-            )
-        if self.quantile is not None and len(self.rates) < 59:
-            notes.append(
-                f"{len(self.rates)} parameter draws determine the worst 5 % only roughly; use 59 "
-                "or more."
+                f"{len(self.rates)} parameter draws determine the range only roughly; use 59 or "
+                "more."
             )
         return notes
 
     def _summary(self) -> Summary:
-        worlds = len(self.rates)
-        rows: list[tuple[str, float, str]] = [
-            ("stated", self.stated, "lower one of the bound and the worst draws"),
-            ("mean", self.mean, f"share of {self.n} fresh scenarios"),
-            (
-                "bound",
-                self.bound,
-                f"lower bound of the mean, {100.0 * self.confidence:g} % confidence",
-            ),
+        level = f"{100.0 * self.confidence:g} % confidence"
+        rows: list[tuple[str, float | None, str]] = [
+            ("stated", self.mean, f"mean: share of {self.n} fresh scenarios"),
+            ("low", self.low, f"lower end of the mean with {level}"),
+            ("high", self.high, f"upper end of the mean with {level}"),
         ]
-        if self.quantile is not None:
-            rows.append(("worst draws", self.quantile, f"exceeded by 95 % of {worlds} draws"))
+        if self.worst is not None:
+            draws = f"of {len(self.rates)} parameter draws"
+            rows.append(("worst draws", self.worst, f"rate that 95 % {draws} exceed"))
+            rows.append(("best draws", self.best, f"rate that 5 % {draws} exceed"))
         table = Table(("value", Column("probability", "", ".3f"), "meaning"), rows, left=3)
         margin = f"In 95 % of the scenarios the margin exceeds {self.margin:.2f} tolerances."
         return Summary(self.sentence.capitalize(), [table], [*self._notes(), margin])
@@ -334,7 +340,3 @@ def probability_text(value: float) -> str:
     """Format a probability; one that is nearly 1 with more digits, never rounded to 1."""
     digits = 2 if value < 0.99 else 3 if value < 0.999 else 4
     return f"{value if value == 1.0 else min(value, 0.9999):.{digits}f}"
-
-
-def _percent(value: float | None) -> str:
-    return "unknown" if value is None else f"{100.0 * value:.0f} %"

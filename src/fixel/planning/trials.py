@@ -85,21 +85,24 @@ class PlanTrial:
 class Trials(Result):
     """Executed trials of one plan, and the success probability stated before them.
 
+    The stated mean is one over all that is unknown; a laboratory has one success rate, which may be
+    lower. So the trials test the lower end of the stated range.
+
     Parameters
     ----------
     plan : str
         Id of the plan.
     stated : float
-        Stated success probability, at least 0 and below 1.
+        Least success rate that was stated, at least 0 and below 1: `SuccessProbability.least`.
     mean : float
-        Expected success probability, at least the stated one. The success rate is believed to be
-        beta distributed with this mean, and to be below the stated one with about 5 % probability.
+        Success probability that was stated, not below `stated`. The success rate is believed to be
+        beta distributed with this mean, and to be below `stated` with about 5 % probability.
     trials : sequence of PlanTrial
 
     Raises
     ------
     InvalidInput
-        A probability is not in its range, or the mean is below the stated one.
+        A probability is not in its range, or the mean is below the least rate.
 
     Examples
     --------
@@ -107,9 +110,10 @@ class Trials(Result):
     >>> for k, met in enumerate([True, False, True, False, False, True, False, False]):
     ...     trials = trials.added(PlanTrial(f"2026-11-22T21:0{k}:00+00:00", met))
     >>> trials
-    8 trials: 3 met the goal; the stated success probability 0.95 is refuted
+    8 trials: 3 met the goal; a success rate of at least 0.95 is refuted
       value     probability  meaning
-      stated    0.950        before the trials
+      stated    0.970        before the trials
+      at least  0.950        lower end of the stated range, tested by the trials
       observed  0.375        0.09 to 0.76 with 95 % confidence
       updated   0.400        0.17 to 0.66, with a prior of 2 trials
     """
@@ -149,7 +153,7 @@ class Trials(Result):
 
     @property
     def evidence(self) -> FloatArray:
-        """E-value (n,) against the stated probability after each trial."""
+        """E-value (n,) against a success rate of at least `stated`, after each trial."""
         return evidence_against(self.stated, [trial.met for trial in self.trials])
 
     @property
@@ -166,7 +170,7 @@ class Trials(Result):
     def updated(self) -> Probability:
         """Success rate after the trials: mean and 5 % to 95 % quantiles of its beta posterior.
 
-        A stated probability that is refuted counts no more: the prior is then uniform.
+        A statement that is refuted counts no more: the prior is then uniform.
         """
         a, b = self._prior
         a, b = a + self.successes, b + self.n - self.successes
@@ -179,8 +183,11 @@ class Trials(Result):
 
     def _summary(self) -> Summary:
         verdict = "is refuted" if self.refuted else "is not refuted"
-        stated = f"the stated success probability {probability_text(self.stated)}"
-        rows: list[tuple[str, float | None, str]] = [("stated", self.stated, "before the trials")]
+        stated = f"a success rate of at least {probability_text(self.stated)}"
+        rows: list[tuple[str, float | None, str]] = [
+            ("stated", self.mean, "before the trials"),
+            ("at least", self.stated, "lower end of the stated range, tested by the trials"),
+        ]
         if (seen := self.observed) is not None:
             text = f"{seen.low:.2f} to {seen.high:.2f} with 95 % confidence"
             rows.append(("observed", seen.value, text))
@@ -203,13 +210,13 @@ def prior_counts(mean: float, stated: float) -> tuple[float, float]:
     """Return the successes and failures that a belief about a success rate counts as.
 
     They are the parameters of the beta distribution with this mean. Its variance is that of a
-    normal distribution whose 5 % quantile is the stated probability. Their sum is at most 20,
+    normal distribution whose 5 % quantile is the least rate. Their sum is at most 20,
     because the model may be wrong in a way that none of its parameters includes, and at least 2.
 
     Parameters
     ----------
     mean, stated : float
-        Expected and stated success probability.
+        Stated success probability, and the least success rate stated.
 
     Examples
     --------

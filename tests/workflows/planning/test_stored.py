@@ -106,7 +106,8 @@ def test_trials_are_added_next_to_the_plan(tmp_path: Path):
         add_trials(path, file, trial(k, met=k != 1))
     again = load_trials(path, file)
     assert again.trials == (trial(0), trial(1, met=False), trial(2))
-    assert again.stated == pytest.approx(found_plan().plan.success.stated)
+    assert again.mean == pytest.approx(found_plan().plan.success.stated)
+    assert again.stated == pytest.approx(found_plan().plan.success.least)
     assert not again.refuted
     assert add_trials(path, file, *(trial(k, met=False) for k in range(10, 30))).refuted
 

@@ -11,8 +11,7 @@ from fixel.drawing.planning import capture_chart, causes_chart, paths_chart
 from fixel.io.atomic import written_whole
 from fixel.io.document import yaml_text
 from fixel.planning.plan import PushPlan
-from fixel.planning.success import probability_text
-from fixel.table import Column, Table
+from fixel.table import Table
 from fixel.workflows.analysis import Analysis, AnalysisReport
 from fixel.workflows.figures import Picture
 from fixel.workflows.planning.request import FoundPlan, PlanAnswer, save_plan
@@ -42,7 +41,11 @@ def analysis_of(found: FoundPlan) -> Analysis:
         question={},
         headline=(f"Goal: {plan.goal}", *_headline(found)),
         warnings=found.warnings,
-        tables=(_pushes_table(plan), _success_table(plan), causes_chart(explained).table()),
+        tables=(
+            _pushes_table(plan),
+            plan.success_table("Success probability"),
+            causes_chart(explained).table(),
+        ),
         notes=explained.sentences,
         methods=(_methods(plan),),
         numbers=numbers_of(found),
@@ -84,11 +87,9 @@ def _headline(found: FoundPlan) -> list[str]:
     """Return the main results of a plan in sentences."""
     plan = found.plan
     lines = [f"{plan.count.capitalize()}: {plan.success.sentence}."]
-    nominal = plan.nominal_success.stated
-    lines.append(
-        "The plan that is best without any error has a stated success probability of"
-        f" {probability_text(nominal)}."
-    )
+    if plan.advice:
+        lines.append(f"{plan.advice}.")
+    lines.append(f"The plan that is best without any error: {plan.nominal_success.sentence}.")
     lines.append(f"{plan.belief.start_text.capitalize()}.")
     if plan.failures:
         kinds = (f"{100.0 * share:.1f} % {why}" for why, share in plan.failures.items())
@@ -102,29 +103,14 @@ def _pushes_table(plan: PushPlan) -> Table:
     return Table(("push", "what"), rows, title="Pushes", left=2)
 
 
-def _success_table(plan: PushPlan) -> Table:
-    """Return the success probabilities of a plan and of the nominal one."""
-    head: tuple[Column | str, ...] = (
-        "plan",
-        *(Column(name, format=".3f") for name in ("stated", "mean", "bound")),
-    )
-    rows = [
-        (name, own.stated, own.mean, own.bound)
-        for name, own in (
-            ("this plan", plan.success),
-            ("best without errors", plan.nominal_success),
-        )
-    ]
-    return Table(head, rows, title="Success probability")
-
-
 def _methods(plan: PushPlan) -> str:
     """Return a sentence for the methods section of a paper."""
     own = plan.success
+    draws = f", and its range from {len(own.rates)} further samples with {own.n_runs} runs each"
     return (
         f"Open-loop pushes were planned with {plan.rollouts} simulated pushes (seed {plan.seed});"
         f" the success probability was computed from {own.n} scenarios that the search had not"
-        f" used, {len(own.rates)} samples of the parameters with {own.n_runs} runs each."
+        f" used, each with its own sample of the parameters{'' if own.worst is None else draws}."
     )
 
 
@@ -138,8 +124,10 @@ def numbers_of(found: FoundPlan) -> dict[str, Any]:
         "success": {
             "stated": own.stated,
             "mean": own.mean,
-            "bound": own.bound,
-            "quantile": own.quantile,
+            "bound": own.low,
+            "high": own.high,
+            "quantile": own.worst,
+            "quantile_high": own.best,
             "margin": own.margin,
             "wanted": found.wanted,
         },

@@ -199,11 +199,9 @@ def warnings_of(found: PushPlan, wanted: float) -> list[str]:
     if found.belief.misfit:
         warnings.append(f"Calibration: {found.belief.misfit}")
     if own.stated < wanted:
-        warnings.append(
-            f"The stated success probability {own.stated:.3f} is below the wanted {wanted:g}"
-        )
-    if own.calibrate_first:
-        warnings.append("Success depends on parameters that are not known well: calibrate first")
+        warnings.append(f"The success probability {own.stated:.3f} is below the wanted {wanted:g}")
+    if found.advice:
+        warnings.append(found.advice)
     if not found.belief.is_calibrated:
         warnings.append("No calibration: the parameters were given, and not measured")
     return warnings
@@ -305,8 +303,7 @@ def load_trials(path: Path, file: PlanFile) -> Trials:
     if where.exists():
         return read_trials(where, plan=file.id)
     success = file.found.plan.success
-    stated = min(success.stated, 1.0 - 1e-9)
-    return Trials(plan=file.id, stated=stated, mean=max(stated, success.mean))
+    return Trials(plan=file.id, stated=min(success.least, 1.0 - 1e-9), mean=success.mean)
 
 
 def add_trials(path: Path, file: PlanFile, *trials: PlanTrial) -> Trials:
