@@ -135,9 +135,9 @@ def _worst_draws(n_problems: int) -> list[Figure]:
         many = np.sort(rates(rng, 200_000))
         below = []
         for _ in range(n_problems):
-            own = rates(rng, 64)
-            runs = np.where(rng.random((64, 64)) < own[:, None], 0.5, -0.5)
-            least = SuccessProbability.of(runs).least
+            worlds = rates(rng, 256)[:, None] - rng.random((256, 16))
+            draws = rates(rng, 2400) - rng.random(2400)
+            least = SuccessProbability.of(worlds, independent=draws).least
             below.append(float(np.searchsorted(many, least)) / len(many))
         label = f"least rate, {name}, draws below"
         figures.append(Figure(label, "-", (float(np.mean(below)),), at_most(0.065)))

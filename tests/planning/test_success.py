@@ -133,3 +133,9 @@ def test_a_larger_tolerance_never_lowers_anything():
 def test_margins_that_are_no_answer_are_rejected(bad):
     with pytest.raises(InvalidInput, match="margins"):
         SuccessProbability.of(bad)
+
+
+def test_the_sentence_never_rounds_a_failure_away():
+    for failures, text in ((0, "1.0000 (0.9985 to 1.0000)"), (1, "0.9996 (0.9977 to 1.0000)")):
+        found = SuccessProbability.of(np.where(np.arange(2400) < failures, -1.0, 1.0))
+        assert found.sentence == f"success probability {text}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Final, final
 
@@ -265,8 +264,7 @@ class SuccessProbability(Result):
     @property
     def sentence(self) -> str:
         """One line: the probability with its interval, and its range over the parameters."""
-        half = max(0.5 * (self.high - self.low), 1e-4)
-        places = max(2, -math.floor(math.log10(half)))
+        places = len(probability_text(self.mean)) - 2
         mean, low, high = (f"{x:.{places}f}" for x in (self.mean, self.low, self.high))
         text = f"success probability {mean} ({low} to {high})"
         if self.worst is None or self.best is None:
@@ -275,27 +273,23 @@ class SuccessProbability(Result):
         return f"{text}; for 90 % of the possible parameters it is {' to '.join(ends)}"
 
     def _notes(self) -> list[str]:
-        notes = []
-        if self.calibrate_first:
-            notes.append("Calibrate first: success depends on unknown parameters.")
+        advice = "Calibrate first: success depends on unknown parameters."
+        notes = [advice] if self.calibrate_first else []
         if self.worst is not None and len(self.rates) < 59:
-            notes.append(
-                f"{len(self.rates)} parameter draws determine the range only roughly; use 59 or "
-                "more."
-            )
+            few = f"{len(self.rates)} parameter draws determine the range only roughly"
+            notes.append(f"{few}; use 59 or more.")
         return notes
 
     def _summary(self) -> Summary:
-        level = f"{100.0 * self.confidence:g} % confidence"
-        rows: list[tuple[str, float | None, str]] = [
-            ("stated", self.mean, f"mean: share of {self.n} fresh scenarios"),
+        level, draws = f"{100.0 * self.confidence:g} % confidence", len(self.rates)
+        rows = [
+            ("stated", self.mean, f"mean of {self.n} fresh scenarios"),
             ("low", self.low, f"lower end of the mean with {level}"),
             ("high", self.high, f"upper end of the mean with {level}"),
+            ("worst draws", self.worst, f"rate that 95 % of {draws} parameter draws exceed"),
+            ("best draws", self.best, f"rate that 5 % of {draws} parameter draws exceed"),
         ]
-        if self.worst is not None:
-            draws = f"of {len(self.rates)} parameter draws"
-            rows.append(("worst draws", self.worst, f"rate that 95 % {draws} exceed"))
-            rows.append(("best draws", self.best, f"rate that 5 % {draws} exceed"))
+        rows = [row for row in rows if row[1] is not None]
         table = Table(("value", Column("probability", "", ".3f"), "meaning"), rows, left=3)
         margin = f"In 95 % of the scenarios the margin exceeds {self.margin:.2f} tolerances."
         return Summary(self.sentence.capitalize(), [table], [*self._notes(), margin])
