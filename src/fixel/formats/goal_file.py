@@ -78,10 +78,11 @@ record_of(
     FreePushes,
     "choose",
     units=True,
-    names={"length": "length_mm", "obstacles": "obstacles_mm"},
+    names={"length": "length_mm", "turn": "turn_deg", "obstacles": "obstacles_mm"},
     most=Annotated[int, Field(ge=1, le=4)],
     tool=choice_of("ToolRecord", disk_mm=Disk, polygon_mm=Polygon),
     length=Range,
+    turn=Range,
     cost=Cost,
     obstacles=list[Corners],
 )

@@ -68,7 +68,8 @@ def plans_of_mechanics(simulator: PlanSimulator) -> Numbers:
                 found += fence_pushes(
                     body, float(pose[2]), most=choice.most, angle=choice.angle, length=length
                 )
-    return found
+    straight = np.clip(0.0, low[3:], high[3:])  # where the tool may turn
+    return [np.hstack((plan, np.tile(straight, (len(plan), 1)))) for plan in found]
 
 
 class PushTable(NamedTuple):

@@ -25,6 +25,7 @@ Cost = Literal["pushes", "time", "length"]
 MAX_PUSHES: Final = 4
 TOOL: Final = "tool"  # name of the pusher of a plan
 HALVINGS: Final = 40  # of the distance at which a tool touches the part
+ARC: Final = 8  # waypoints of a push on which the tool turns
 CLEARANCE: Final = 0.25  # from the part where the tool is put down, relative to the part's radius
 
 
@@ -38,15 +39,17 @@ class PlanPush:
     contact: float
     angle: float  # direction of the push, from the inward normal at that point [rad]
     length: float  # way of the tool after it has reached that point [m]
+    turn: float = 0.0  # rotation of the tool on that way, counter-clockwise [rad]
 
     def __post_init__(self) -> None:
         non_negative(self.length, "push.length", "m")
 
     def __str__(self) -> str:
         """Return the push as text."""
+        turn = f", turning by {self.turn / deg:+.1f} deg" if self.turn else ""
         return (
             f"contact at {100.0 * self.contact:.1f} % of the outline, {self.angle / deg:+.1f} deg"
-            f" from the normal, {self.length / mm:.4g} mm"
+            f" from the normal, {self.length / mm:.4g} mm{turn}"
         )
 
 
@@ -120,7 +123,7 @@ class PushChoice(Protocol):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FreePushes:
-    """Straight pushes by a tool that can be lifted and put down anywhere around the part.
+    """Pushes by a tool that can be lifted and put down anywhere around the part.
 
     Parameters
     ----------
@@ -133,6 +136,9 @@ class FreePushes:
         Range of the way after contact [m]; by default from a tenth of the part's radius to two.
     angle : float
         Largest angle between push and inward normal [rad].
+    turn : (float, float), optional
+        Range of the rotation of the tool on that way, counter-clockwise [rad]; by default it moves
+        straight on. A tool that turns moves along an arc, in the direction of its x axis.
     clearance : float, optional
         Gap between tool and part where the tool is put down [m]; by default a quarter of the part's
         radius.
@@ -162,6 +168,7 @@ class FreePushes:
     tool: Shape | None = None
     length: Range | None = None
     angle: Annotated[float, Value(non_negative, "rad")] = 30.0 * deg
+    turn: Range | None = None
     clearance: Annotated[float | None, Value(positive, "m")] = None
     retract: Annotated[float | None, Value(non_negative, "m")] = None
     speed: Annotated[float, Value(positive, "m/s")] = 0.02
@@ -175,6 +182,8 @@ class FreePushes:
         instance(self.tool, Shape | None, "choose.tool", "a Polygon or a Disk")
         if self.length is not None:
             settle(self, length=_range(self.length, "choose.length", lowest=0.0))
+        if self.turn is not None:
+            settle(self, turn=_range(self.turn, "choose.turn"))
         check_fields(self, "choose")
         _check_cost(self.cost)
         settle(self, obstacles=_regions(self.obstacles))
@@ -186,13 +195,14 @@ class FreePushes:
             )
 
     def names(self, scene: Scene) -> tuple[str, ...]:
-        """Names of the three numbers of a push."""
-        return ("contact", "angle", "length")
+        """Names of the three numbers of a push, four where the tool turns."""
+        return ("contact", "angle", "length", *(() if self.turn is None else ("turn",)))
 
     def bounds(self, scene: Scene) -> tuple[FloatArray, FloatArray]:
         """Bounds of these numbers."""
         low, high = self.length or (0.1 * _radius(scene), 2.0 * _radius(scene))
-        return np.array([0.0, -self.angle, low]), np.array([1.0, self.angle, high])
+        least, most = ((), ()) if self.turn is None else ((own,) for own in self.turn)
+        return np.array([0.0, -self.angle, low, *least]), np.array([1.0, self.angle, high, *most])
 
     def prepared(self, scene: Scene) -> Scene:
         """Scene with the tool, which waits far from the part."""
@@ -214,18 +224,18 @@ class FreePushes:
         )
 
     def motions(self, scene: Scene, numbers: FloatArray, before: FloatArray) -> PushMotions:
-        """Motions of pushes (n, 3) of parts at planned poses `before` (n, 3)."""
+        """Motions of pushes (n, d) of parts at planned poses `before` (n, 3)."""
         body, tool = _only_body(scene), self._tool(scene)
         gap = self.clearance or CLEARANCE * _radius(scene)
         back = gap if self.retract is None else self.retract
         point, inward = outline_points(body.shape, numbers[:, 0])
         heading = np.arctan2(inward[:, 1], inward[:, 0]) + numbers[:, 1]
-        along = np.column_stack((np.cos(heading), np.sin(heading)))
         touch = _touching(body.shape, tool, point, inward, heading)
         ways = np.column_stack((np.full(len(numbers), -gap), numbers[:, 2], numbers[:, 2] - back))
-        place = touch[:, None] + ways[:, :, None] * along[:, None]
-        angle = np.broadcast_to(heading[:, None], place.shape[:2])
-        own = np.dstack((place, angle))
+        place = np.pad(ways[..., None], ((0, 0), (0, 0), (0, 2)))
+        if self.turn is not None:
+            ways, place = _on_arcs(ways, numbers[:, 3])
+        own = composed(np.column_stack((touch, heading))[:, None], place)
         time = np.cumsum(
             np.column_stack((np.zeros(len(ways)), np.abs(np.diff(ways, axis=1)) / self.speed)),
             axis=1,
@@ -233,14 +243,20 @@ class FreePushes:
         return PushMotions(before, np.dstack((time, composed(before[:, None], own))), None)
 
     def pushes(self, scene: Scene, numbers: FloatArray) -> tuple[PlanPush | RigPush, ...]:
-        """Pushes of a plan (k, 3)."""
-        return tuple(PlanPush(c % 1.0, a, x) for c, a, x in numbers.tolist())
+        """Pushes of a plan (k, d)."""
+        return tuple(PlanPush(c % 1.0, *own) for c, *own in numbers.tolist())
 
     def numbers(self, pushes: Sequence[PlanPush | RigPush]) -> FloatArray:
-        """Numbers (k, 3) of the pushes of a plan."""
+        """Numbers (k, d) of the pushes of a plan."""
+        rows = []
         for push in pushes:
             instance(push, PlanPush, "first", "pushes of a free tool")
-        return np.array([astuple(push) for push in pushes])
+            *own, turn = astuple(push)
+            if self.turn is None and turn:
+                expected = "pushes that do not turn, as choose.turn is not given"
+                raise InvalidInput("first", found=str(push), expected=expected)
+            rows.append(own if self.turn is None else [*own, turn])
+        return np.array(rows)
 
     def _tool(self, scene: Scene) -> Shape:
         if self.tool is not None:
@@ -420,6 +436,22 @@ def _touching(
         inside = overlaps(part, poses, tool, np.zeros(3)).depth > 0.0
         low, high = np.where(inside, middle, low), np.where(inside, high, middle)
     return np.asarray(point - high[:, None] * along)
+
+
+def _on_arcs(ways: FloatArray, turn: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the ways (n, m) of tools that turn by angles (n,), and their poses (n, m, 3).
+
+    `ways` (n, 3) go from the place where the tool is put down past the one where it touches, whose
+    frame the poses are in, to the end, and back.
+    """
+    share = np.arange(ARC + 1) / ARC
+    on, angle = ways[:, 1:2] * share, turn[:, None] * share
+    chord = on * np.sinc(0.5 * angle / math.pi)
+    arc = np.dstack((chord * np.cos(0.5 * angle), chord * np.sin(0.5 * angle), angle))
+    straight = np.pad(ways[:, :, None], ((0, 0), (0, 0), (0, 2)))
+    lifted = composed(arc[:, -1:], straight[:, 2:] - straight[:, 1:2])
+    poses = np.concatenate((straight[:, :1], arc, lifted), axis=1)
+    return np.column_stack((ways[:, 0], on, ways[:, 2])), poses
 
 
 def scene_of_push(scene: Scene, start: FloatArray, path: FloatArray) -> Scene:
