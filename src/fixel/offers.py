@@ -160,6 +160,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "fixel.uncertainty.outcomes": "PoseSpread Sensitivity",
         "fixel.uncertainty.posterior": "Mode Posterior",
         "fixel.uncertainty.prediction": "Prediction",
+        "fixel.uncertainty.predictive": "EndError",
         "fixel.uncertainty.run_to_run": "RunToRun",
         "fixel.uncertainty.starts": "StartError",
         "fixel.workflows.calibration.calibration": "Calibration Calibrations",

@@ -67,6 +67,7 @@ def test_a_plan_is_checked_run_and_written_for_other_robots(capsys, plan, tmp_pa
     answer = json.loads(text)
     assert code == 0
     assert answer["trials"] == 5
+    assert answer["least"] <= answer["stated"]
     assert not answer["refuted"]
     way = tmp_path / "way.csv"
     code, text, _ = fixel(capsys, "plan", "check", plan, "--waypoints", way, "--json")

@@ -3,6 +3,7 @@
 import functools
 import json
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import fixel
 from fixel.errors import InvalidInput
 from fixel.io import save
 from fixel.planning.trials import PlanTrial
+from fixel.uncertainty.predictive import EndError
 from fixel.workflows.planning.request import (
     FoundPlan,
     PlanRequest,
@@ -29,6 +31,14 @@ from .plans import rig_plan, square_plan
 @functools.cache
 def found_plan() -> FoundPlan:
     return FoundPlan(plan=square_plan(), request=PlanRequest(goal={"fixel": 1}), calibration=7)
+
+
+def test_a_plan_with_an_error_of_the_model_is_saved(tmp_path: Path):
+    plan = square_plan()
+    error = EndError(1e-3, 0.05)
+    runs = plan.runs._replace(scenarios=plan.runs.scenarios._replace(end_error=error))
+    again = fixel.load(replace(plan, runs=runs).save(tmp_path / "a.plan"))
+    assert again.runs.scenarios.end_error == error
 
 
 def trial(k: int, met: bool = True) -> PlanTrial:
