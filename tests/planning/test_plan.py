@@ -1,7 +1,11 @@
 """Plans through the public function, on small problems."""
 
+import math
+from typing import ClassVar
+
 import numpy as np
 import pytest
+from tests.workflows.planning.plans import plan_of
 
 import fixel
 from fixel import Belief, FreePushes, InvalidInput, PoseRegion, RigError, RigPushes, StartError
@@ -9,6 +13,7 @@ from fixel.model import Seated
 from fixel.planning.belief import check_centres
 from fixel.planning.pushes import PlanPush
 from fixel.testing.scenes import grasp, pushed_square
+from fixel.uncertainty.predictive import EndError
 from fixel.units import deg, mm
 from fixel.workflows.planning.execute import run_on_testbed
 
@@ -240,3 +245,32 @@ def test_a_plan_that_depends_on_a_parameter_says_which_to_measure():
     known = plan.success_under(Belief(parameters={"friction_centre_y": 1 * mm}))
     assert known.worst is None
     assert "parameters" not in known.sentence
+
+
+class _ModelWithError:
+    """Calibrated model whose ends are off by 2 mm in each direction, after a motion of 30 mm."""
+
+    motion = fixel.QuasiStatic()
+    estimates: ClassVar = {}
+    error = EndError(2 * mm, 30 * mm)
+
+    @property
+    def predictive(self):
+        return self
+
+    def values_for(self, **conditions):
+        return {"mu_pusher": 0.3}
+
+    def samples(self, n, seed, conditions=None, **others):
+        return {"mu_pusher": np.linspace(0.29, 0.31, n)}
+
+
+def test_an_error_of_the_model_is_the_same_in_all_trials_of_a_world():
+    """Any end within 3 mm is a success: a Rayleigh distribution over worlds of 0 or 1."""
+    goal = PoseRegion((0.03, 0.0, 0.0), position=3 * mm, angle=90 * deg)
+    belief = Belief(parameters=_ModelWithError())
+    plan = plan_of(pushed_square(), goal, FreePushes(), [(0.875, 0.0, 0.03)], belief)
+    found = plan.success_under(belief)
+    assert found.low < 1.0 - math.exp(-0.5 * 1.5**2) < found.high
+    assert set(found.rates) == {0.0, 1.0}
+    assert (found.worst, found.best) == (0.0, 1.0)

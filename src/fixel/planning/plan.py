@@ -281,11 +281,11 @@ class PushPlan(Result):
         """Sentence on the parameter whose measurement decides most; empty for a narrow range."""
         if not self.success.calibrate_first:
             return ""
-        text = "Success depends on parameters that are not known well"
+        text = "Success differs much between possible worlds"
         own = [one for one in self.explain().effects if one.name in self.runs.scenarios.values]
         most = max(own, key=lambda one: (one.worth, one.share), default=None)
         if most is None or not most.worth + most.share:
-            return f"{text}: calibrate first"
+            return f"{text}: calibrate with pushes like these first"
         gain = f", which would raise success to {self.success.mean + most.worth:.2f}"
         return f"{text}: measure {most.name} first{gain if most.worth else ''}"
 

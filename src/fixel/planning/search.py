@@ -407,8 +407,8 @@ def fresh_stages(belief: Belief, scene: Scene, rollouts: int = ROLLOUTS) -> tupl
     """Return the stages from which the success of a plan is computed.
 
     The first has 2,400 draws of the parameters with one run each, for the mean. If parameters are
-    unknown, the second has 256 draws with 16 runs each, for the range of their success rates. A
-    search with fewer rollouts has fewer draws.
+    unknown, the second has 256 draws with 16 runs each, for the range of their success rates: what
+    stays the same in all trials. A search with fewer rollouts has fewer draws.
     """
     stages = [SearchStage(DRAWS, min(2400, max(512, rollouts // 16)), 1)]
     scatter = belief.run_to_run and replace(belief.run_to_run, centre=0.0, friction=0.0)
@@ -420,16 +420,20 @@ def fresh_stages(belief: Belief, scene: Scene, rollouts: int = ROLLOUTS) -> tupl
 
 
 def stage_scenarios(belief: Belief, scene: Scene, stage: SearchStage, seed: int) -> Scenarios:
-    """Draw the scenarios of a stage; those of the mean are independent of each other.
+    """Draw the scenarios of a stage.
 
-    Beliefs draw evenly, so that the mean of many draws scatters less than the interval of
-    independent ones says, by an unknown amount. A few rows of many even ones are independent.
+    Those of the mean are independent: beliefs draw evenly, so that the mean of many draws scatters
+    less than the interval of independent ones says, but a few of many even ones are independent.
+    Those of the range have one error of the model for all runs of a draw, as a laboratory has.
     """
-    if stage.stream != DRAWS:
-        return belief.scenarios(scene, worlds=stage.worlds, runs=stage.runs, seed=seed)
-    n = POOL * stage.worlds
-    rows = np.random.default_rng(seed).permutation(n)[: stage.worlds]
-    return belief.scenarios(scene, worlds=n, runs=1, seed=seed).rows(rows)
+    n = (POOL if stage.stream == DRAWS else 1) * stage.worlds
+    drawn = belief.scenarios(scene, worlds=n, runs=stage.runs, seed=seed)
+    if stage.stream == DRAWS:
+        return drawn.rows(np.random.default_rng(seed).permutation(n)[: stage.worlds])
+    if stage.stream == RANGE:
+        first = drawn.world * stage.runs
+        drawn = drawn._replace(misfit=drawn.misfit[first], drift=drawn.drift[first])
+    return drawn
 
 
 def conduct(search: PlanSearch, rounds: Rounds[T], answers: Answers) -> T:

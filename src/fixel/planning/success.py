@@ -136,7 +136,7 @@ class SuccessProbability(Result):
     >>> margins[:8, :32] = -0.2  # 8 of 64 parameter draws succeed in half of their runs
     >>> found = SuccessProbability.of(margins)
     >>> print(found.sentence)
-    success probability 0.94 (0.88 to 0.97); for 90 % of the possible parameters it is 0.50 to 0.999
+    success probability 0.94 (0.88 to 0.97); in 90 % of the possible worlds it is 0.50 to 0.999
     """
 
     mean: float  # share of successful scenarios: the probability that the next trial succeeds
@@ -270,10 +270,10 @@ class SuccessProbability(Result):
         if self.worst is None or self.best is None:
             return text
         ends = dict.fromkeys(f"{x:.{3 if x >= 0.99 else 2}f}" for x in (self.worst, self.best))
-        return f"{text}; for 90 % of the possible parameters it is {' to '.join(ends)}"
+        return f"{text}; in 90 % of the possible worlds it is {' to '.join(ends)}"
 
     def _notes(self) -> list[str]:
-        advice = "Calibrate first: success depends on unknown parameters."
+        advice = "Calibrate first: success differs much between possible worlds."
         notes = [advice] if self.calibrate_first else []
         if self.worst is not None and len(self.rates) < 59:
             few = f"{len(self.rates)} parameter draws determine the range only roughly"
