@@ -146,6 +146,8 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "fixel.planning.causes": "Explanation FailureRegion UnknownEffect",
         "fixel.planning.held_out": "HeldSuccess",
         "fixel.planning.orienting": "OrientingPlan PushFunction",
+        "fixel.planning.corrections": "CorrectionTable",
+        "fixel.planning.looks": "Looks Walk",
         "fixel.planning.plan": "PlanRuns PushPlan",
         "fixel.planning.pushes": "FreePushes PlanPush RigPush RigPushes",
         "fixel.planning.success": "SuccessProbability",

@@ -122,6 +122,10 @@ class BeliefRecord(FileRecord):
     )
     start: StartRecord | None = Field(None, description="error of the start pose")
     rig: RigErrorRecord | None = Field(None, description="errors of the rig")
+    camera: StartRecord | None = Field(None, description="error of a pose seen between pushes")
+    lost_views: Annotated[Number, Field(ge=0.0, lt=1.0)] = Field(
+        0.0, description="share of the looks that see nothing"
+    )
     run_to_run: Literal["learned", "none"] = Field(
         "none",
         description="learned: scatter between runs from experiments that repeat pushes, instead of"
@@ -159,6 +163,9 @@ class GoalFile:
     calibration: int | None = None  # id of the stored calibration whose parameters the belief takes
     # Whether the scatter between runs is learned from the experiments of the calibration.
     run_to_run: bool = False
+    # Error of a pose that is seen between pushes, and share of the looks that see nothing.
+    camera: StartError | None = None
+    lost_views: float = 0.0
     scene: Path | None = None  # scene file
     # Wanted success probability, and confidence level of its bound.
     success: float = 0.95
@@ -201,6 +208,10 @@ def goal_file_from_dict(raw: Any, folder: Path | None = None) -> GoalFile:
         belief=Belief() if known is None else _belief(known, "belief"),
         calibration=None if known is None else known.calibration,
         run_to_run=known is not None and known.run_to_run == "learned",
+        camera=None
+        if known is None or known.camera is None
+        else made(known.camera, "belief.camera"),
+        lost_views=0.0 if known is None else known.lost_views,
         scene=None if record.scene is None else (folder or Path()) / record.scene,
         success=record.want.success,
         confidence=record.want.confidence,

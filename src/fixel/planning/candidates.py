@@ -132,8 +132,8 @@ def sequences(
     for k in range(chain.shape[1]):
         pose = composed(pose, table.moved[chain[:, k]])
     arm = np.sqrt(simulator.scene.bodies[0].shape.unit_inertia)
-    tree = cKDTree(_embedded(pose, arm))
-    distance, nearest = tree.query(_embedded(before, arm), k=min(8, len(pose)))
+    tree = cKDTree(embedded(pose, arm))
+    distance, nearest = tree.query(embedded(before, arm), k=min(8, len(pose)))
     distance, nearest = distance.reshape(len(before), -1), nearest.reshape(len(before), -1)
     order = np.argsort(distance, axis=None, kind="stable")[:JOINED]
     rows, columns = np.unravel_index(order, distance.shape)
@@ -186,7 +186,7 @@ def last_pushes(simulator: PlanSimulator, table: PushTable, seed: int) -> LastPu
     return LastPushes(poses[rows[best]], pushes[rows[best]])
 
 
-def _embedded(pose: FloatArray, arm: float) -> FloatArray:
+def embedded(pose: FloatArray, arm: float) -> FloatArray:
     """Return points (n, 4) whose distances are those of poses, rotations counted at `arm`."""
     turn = arm * np.column_stack((np.cos(pose[:, 2]), np.sin(pose[:, 2])))
     return np.column_stack((pose[:, :2], turn))

@@ -8,14 +8,17 @@ from functools import partial
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
 from fixel.model import Scene
-from fixel.model.fields import instance
+from fixel.model.bodies import POSE
+from fixel.model.fields import instance, vector
 from fixel.model.goal_checks import check_goal
 from fixel.model.goals import Goal
 from fixel.planning.belief import UNKNOWN_UNITS, Belief, Scenarios, check_centres
 from fixel.planning.causes import MIN_SCENARIOS, Explanation
+from fixel.planning.looks import Looks, Policy, check_looks, looks_of, policy_of
 from fixel.planning.pushes import (
     FreePushes,
     PlanPush,
@@ -39,11 +42,20 @@ from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
 from fixel.table import Column, Table
 from fixel.typing import FloatArray, IntArray
+from fixel.uncertainty.starts import RPI_CAMERA, StartError
 
 SAMPLES: Final = 12  # poses of each push that goals about the whole motion regard
 MIN_ROLLOUTS: Final = 1000
 FRESH: Final = 1_000_003  # added to the seed of a plan, so that a check draws other scenarios
 MISSED: Final = "misses the goal"
+
+
+class PlanCorrection(NamedTuple):
+    """What to do after a look at the part."""
+
+    push: PlanPush | None  # none where no push promises more
+    scene: Scene | None  # of that push, with the part at its seen pose and the path of the tool
+    probability: float  # that the goal is met then, without further looks
 
 
 class PlanRuns(NamedTuple):
@@ -95,6 +107,9 @@ class PushPlan(Result):
         What no experiment of the calibration has about a push of the plan.
     motion : AbstractMotionModel
     stepper : AbstractStepper or None
+    looks : Looks or None
+        Looks at the part after these pushes, each with a correction; None for an open-loop plan.
+        `success` is then that of the whole.
     rollouts : int
         Number of pushes simulated in the search.
     seed : int
@@ -127,6 +142,7 @@ class PushPlan(Result):
     unseen: tuple[str, ...]
     motion: AbstractMotionModel
     stepper: AbstractStepper | None
+    looks: Looks | None
     rollouts: int
     seed: int
 
@@ -233,13 +249,98 @@ class PushPlan(Result):
     def success_under(self, belief: Belief) -> SuccessProbability:
         """Compute the success probability from fresh scenarios of a belief, such as a later one."""
         simulator, planned = replace(self, belief=belief)._simulator(None), self.planned()
-        margins = []
-        for own in fresh_stages(belief, self.scene):
+        stages, margins = fresh_stages(belief, self.scene), []
+        if self.looks is not None:
+            policy = replace(self.policy(), belief=belief, simulator=simulator)
+            return looks_of(policy, stages, self.seed + FRESH)[0].worth[-1]
+        for own in stages:
             seed = self.seed + FRESH + own.stream
             scenarios = stage_scenarios(belief, self.scene, own, seed)
             runs = simulator.run(planned, np.zeros(scenarios.n, np.int64), scenarios)
             margins.append(simulator.margins(runs).reshape(own.worlds, own.runs))
         return SuccessProbability.of(margins[-1], independent=margins[0][:, 0])
+
+    def policy(self, threads: int | None = None) -> Policy:
+        """Return the policy of a plan with looks, to choose corrections of seen poses.
+
+        Raises
+        ------
+        InvalidInput
+            The plan has no looks.
+        """
+        own = self.looks
+        if own is None:
+            hint = "plan with looks=1 or more"
+            raise InvalidInput("plan", found="no looks", expected="a plan with looks", hint=hint)
+        return Policy(
+            simulator=self._simulator(threads), belief=self.belief, planned=self.planned(),
+            table=own.table, camera=own.camera, lost_views=own.lost_views, looks=own.most,
+        )  # fmt: skip
+
+    def correction(self, *seen: ArrayLike) -> PlanCorrection:
+        """Choose what to do after the part was seen.
+
+        Parameters
+        ----------
+        *seen : (3,) array_like
+            Poses of the part that were seen so far: after the planned pushes, and after each
+            correction [m, m, rad].
+
+        Returns
+        -------
+        PlanCorrection
+            Push with its scene, or none where no push promises more, and the probability that the
+            goal is met then, without further looks.
+        """
+        poses = np.array([vector(pose, "seen", POSE) for pose in seen])
+        if not len(poses):
+            raise InvalidInput("seen", found="no pose", expected="one or more poses")
+        policy = self.policy()
+        found = policy.next(poses)
+        row, probability = int(found.row[0]), float(found.probability[0])
+        if row < 0 or len(poses) > policy.looks:
+            return PlanCorrection(None, None, probability)
+        numbers = policy.table.numbers[row][None]
+        choose: Any = self.choose
+        path = choose.motions(self.scene, numbers, poses[-1:]).path[0]
+        return PlanCorrection(
+            choose.pushes(self.scene, numbers)[0],
+            scene_of_push(self.scene, poses[-1], path),
+            probability,
+        )
+
+    def perform(
+        self, push: Callable[[Scene], object], look: Callable[[], ArrayLike | None]
+    ) -> tuple[PlanCorrection, ...]:
+        """Carry out the plan with one's own robot and camera.
+
+        Parameters
+        ----------
+        push : callable
+            Carries out the push of a scene: its tool moves along the path of its drive.
+        look : callable
+            Returns the pose of the part (3,) [m, m, rad], or None where it was not seen.
+
+        Returns
+        -------
+        tuple of PlanCorrection
+            What was chosen after each look. It ends early where no push promises more, or the part
+            is not seen.
+        """
+        for scene in self.scenes:
+            push(scene)
+        seen: list[ArrayLike] = []
+        chosen: list[PlanCorrection] = []
+        for _ in range(0 if self.looks is None else self.looks.most):
+            pose = look()
+            if pose is None:
+                break
+            seen.append(pose)
+            chosen.append(self.correction(*seen))
+            if (after := chosen[-1].scene) is None:
+                break
+            push(after)
+        return tuple(chosen)
 
     def explain(self) -> Explanation:
         """Return the reasons why the plan fails, and what measuring each unknown is worth.
@@ -314,6 +415,8 @@ class PushPlan(Result):
             ("push", "what"), [(k + 1, str(push)) for k, push in enumerate(self.pushes)]
         )
         notes = [
+            *(self.looks.sentences if self.looks else ()),
+            *filter(None, [self.belief.error_text]),
             self.belief.start_text,
             *(f"fails: {100.0 * share:.1f} % {why}" for why, share in self.failures.items()),
         ]
@@ -372,6 +475,9 @@ def search_of(
     motion: AbstractMotionModel | None = None,
     stepper: AbstractStepper | None = None,
     first: Sequence[Sequence[PlanPush | RigPush]] = (),
+    looks: int = 0,
+    camera: StartError | None = None,
+    lost_views: float = 0.0,
     report: Callable[[Progress], None] | None = None,
 ) -> PlanSearch:
     """Return the search for a plan, after checks; parameters as for `fixel.plan`."""
@@ -384,11 +490,15 @@ def search_of(
     check_goal(goal, scene)
     check_centres(belief, scene)
     prepared = choose.prepared(scene)
-    return PlanSearch(
+    instance(camera, StartError | None, "camera", "a StartError")
+    search = PlanSearch(
         simulator=simulator_of(prepared, goal, choose, belief, motion, stepper, threads),
         belief=belief, rollouts=rollouts, seed=seed, report=report,
         first=[choose.numbers(own) for own in first],
+        looks=looks, camera=camera or RPI_CAMERA, lost_views=lost_views,
     )  # fmt: skip
+    check_looks(search)
+    return search
 
 
 def plan_rounds(search: PlanSearch, *, untrusted: bool = False) -> Rounds[PushPlan]:
@@ -396,7 +506,15 @@ def plan_rounds(search: PlanSearch, *, untrusted: bool = False) -> Rounds[PushPl
     simulator, belief = search.simulator, search.belief
     checked = belief.has_known_pushes and not untrusted
     found = yield from search.rounds(partial(_unseen, simulator, belief) if checked else None)
-    plan, margins = found.plans[0], found.margins[0][:, 0]
+    plan, margins, looks = found.plans[0], found.margins[0][:, 0], None
+    success = SuccessProbability.of(found.margins[-1], independent=margins)
+    if search.looks:
+        trusted = partial(_trusted, simulator, belief) if checked else None
+        plan, policy = policy_of(search, found.plans, trusted)
+        looks, scenarios = looks_of(policy, search.fresh_stages, 1000 * search.seed)
+        success, margin = looks.worth[-1], looks.walk.margin[-1]
+        why = _why(margin, looks.walk.failure)
+        runs = PlanRuns(scenarios, margin, looks.walk.pose, why)
     planned = simulator.planned(plan[None])
     choose: Any = simulator.choice
     return PushPlan(
@@ -404,23 +522,31 @@ def plan_rounds(search: PlanSearch, *, untrusted: bool = False) -> Rounds[PushPl
         pushes=choose.pushes(simulator.scene, plan),
         start=planned.start[0], path=planned.path[0], end=planned.nominal.pose[0, -1],
         fixels=None if planned.fixels is None else planned.fixels[0],
-        success=SuccessProbability.of(found.margins[-1], independent=margins),
-        nominal_success=SuccessProbability.of(found.nominal_margins),
-        runs=_runs(search, planned, margins),
+        success=success, nominal_success=SuccessProbability.of(found.nominal_margins),
+        runs=runs if looks else _runs(search, planned, margins),
         alternatives=found.compared, compared=search.scenarios(search.final_stage),
         unseen=_unseen(simulator, belief, plan), motion=simulator.motion,
-        stepper=simulator.stepper, rollouts=search.done, seed=search.seed,
+        stepper=simulator.stepper, looks=looks, rollouts=search.done, seed=search.seed,
     )  # fmt: skip
 
 
 def _runs(search: PlanSearch, planned: PlannedMotions, margin: FloatArray) -> PlanRuns:
     scenarios = search.scenarios(search.fresh_stages[0])
     runs = search.simulator.run(planned, np.zeros(scenarios.n, np.int64), scenarios)
-    why = [
+    return PlanRuns(scenarios, margin, runs.pose[:, -1], _why(margin, runs.failure))
+
+
+def _why(margin: FloatArray, failure: IntArray) -> tuple[str, ...]:
+    """Return why runs failed (n,); empty for a success."""
+    return tuple(
         "" if ok >= 0.0 else (FAILURES[code] if code else MISSED)
-        for ok, code in zip(margin, runs.failure, strict=True)
-    ]
-    return PlanRuns(scenarios, margin, runs.pose[:, -1], tuple(why))
+        for ok, code in zip(margin, failure, strict=True)
+    )
+
+
+def _trusted(simulator: PlanSimulator, belief: Belief, numbers: FloatArray) -> bool:
+    """Return whether experiments resemble a push (d,) of the part at its start."""
+    return not _unseen(simulator, belief, numbers[None])
 
 
 def _unseen(simulator: PlanSimulator, belief: Belief, plan: FloatArray) -> tuple[str, ...]:

@@ -33,6 +33,7 @@ from fixel.planning.simplified import simplified
 from fixel.planning.success import SuccessProbability
 from fixel.progress import Progress
 from fixel.typing import FloatArray, IntArray
+from fixel.uncertainty.starts import RPI_CAMERA, StartError
 
 WORLDS: Final = 64  # parameter draws of the race and of the choice
 ROLLOUTS: Final = 160_000
@@ -114,6 +115,9 @@ class PlanSearch:
     rollouts: int = ROLLOUTS  # number of simulated pushes that the search should not exceed by much
     seed: int = 0
     first: Sequence[FloatArray] = ()  # plans that are candidates in any case
+    looks: int = 0  # number of times that the part is seen and corrected after the planned pushes
+    camera: StartError = RPI_CAMERA  # error of a seen pose
+    lost_views: float = 0.0  # share of the looks that see nothing
     report: Callable[[Progress], None] | None = None
     best: float = 0.0
     done: int = 0

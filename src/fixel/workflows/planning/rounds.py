@@ -75,8 +75,9 @@ def _search(
         project, *goal_content(request.goal), scene, request.experiment, request.calibration
     )
     search = search_of(
-        *own.parts, rollouts=request.rollouts, seed=request.seed, threads=threads(), report=report
-    )
+        *own.parts, rollouts=request.rollouts, seed=request.seed, threads=threads(),
+        looks=request.looks, camera=own.file.camera, lost_views=own.file.lost_views, report=report,
+    )  # fmt: skip
     return request, own, search
 
 

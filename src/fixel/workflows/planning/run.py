@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from fixel.simulation.motion import AbstractMotionModel
     from fixel.simulation.simulate import SceneWithMethod
     from fixel.simulation.stepper import AbstractStepper
+    from fixel.uncertainty.starts import StartError
     from fixel.workflows.planning.request import PlanAnswer
 
 ENDING: Final = ".plan"  # of plan files
@@ -34,6 +35,9 @@ def plan(
     belief: Belief | None = None,
     *,
     rollouts: Annotated[int, Door(also=("--budget",), least=1000)] = 160_000,
+    looks: Annotated[int, Door(least=0)] = 0,
+    camera: StartError | None = None,
+    lost_views: float = 0.0,
     seed: Seed = 0,
     motion: AbstractMotionModel | str | None = None,
     stepper: AbstractStepper | None = None,
@@ -45,7 +49,7 @@ def plan(
     ] = None,
     progress: ProgressOption = None,
 ) -> PushPlan:
-    """Plan open-loop pushes that reach a goal despite what is unknown.
+    """Plan pushes that reach a goal despite what is unknown.
 
     Candidates are raced under common samples of what is unknown, the best are refined, and the
     success probability of the chosen plan is computed from samples that the search has not seen.
@@ -63,6 +67,13 @@ def plan(
     rollouts : int
         Number of simulated pushes that the search may use. The same number, seed and version give
         the same plan to the last bit, for any number of threads.
+    looks : int
+        Number of times that the part is seen and corrected by a push after the planned ones. The
+        success probability is that of the whole policy.
+    camera : StartError, optional
+        Error of a seen pose; by default that of the stickers' camera.
+    lost_views : float
+        Share of the looks that see nothing; the part then stays where it is.
     seed : int
         Seed of the random numbers.
     motion, stepper : optional
@@ -126,7 +137,7 @@ def plan(
                 own, goal, choose or FreePushes(), belief or Belief(),
                 rollouts=rollouts, seed=seed, threads=threads,
                 motion=None if motion is None else motion_model(motion), stepper=stepper,
-                first=first, report=report.show,
+                first=first, looks=looks, camera=camera, lost_views=lost_views, report=report.show,
             )  # fmt: skip
             return conduct(search, plan_rounds(search, untrusted=untrusted), answers)
         except KeyboardInterrupt:
@@ -186,7 +197,10 @@ def plan_goal(
     if out is not None:
         refuse_unwritable(out)
     own = request.inputs_of(project, content, folder, scene, experiment, calibration)
-    made = plan(*own.parts, **options, progress=progress)
+    made = plan(
+        *own.parts, camera=own.file.camera, lost_views=own.file.lost_views,
+        **options, progress=progress,
+    )  # fmt: skip
     found = request.found_plan(own, made, options)
     if out is not None:
         request.save_plan(found, out)
@@ -212,7 +226,17 @@ PLAN: Final = Capability(
     verb="find",
     function=plan_goal,
     of=plan,
-    leave_out=("scene", "goal", "choose", "belief", "motion", "stepper", "first"),
+    leave_out=(
+        "scene",
+        "goal",
+        "choose",
+        "belief",
+        "camera",
+        "lost_views",
+        "motion",
+        "stepper",
+        "first",
+    ),
     rounds=_rounds,
     settled=_settled,
 )

@@ -1,0 +1,267 @@
+"""Pushes that correct the pose of a part after it was seen: what each does in possible worlds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final, NamedTuple, final
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from fixel.model.goals import BodyTrack
+from fixel.model.trajectory import wrapped
+from fixel.planning.belief import Belief, Scenarios
+from fixel.planning.candidates import embedded, goal_poses, spread_pushes
+from fixel.planning.rollout import CARRIED_OUT, WORST_MARGIN, PlanSimulator
+from fixel.simulation.vary import composed, inverted
+from fixel.typing import FloatArray, IntArray
+from fixel.uncertainty.predictive import motion_of
+from fixel.uncertainty.starts import StartError
+
+WORLDS: Final = 32  # draws of what is unknown in a table
+WAYS: Final = (128, 2048)  # least and largest number of contacts and directions in it
+LENGTHS: Final = 16  # lengths of each
+SHARE: Final = 0.25  # of the rollouts of a search that its table may use
+NEAREST: Final = 24  # pushes that are compared for a seen pose
+TRIED: Final = 6  # of these, simulated among the fixels
+TRIED_WORLDS: Final = 8
+FAR: Final = 1e-3  # weight of the distance from the goal beside the probability of meeting it
+SHORTER: Final = (
+    0.2  # least length of a correction, relative to that of a push, where none is given
+)
+CHUNK: Final = 256  # seen poses that are compared at a time, which bounds the memory
+# Share of the spread of predicted poses by which the error of a seen pose is made wider, until
+# enough predictions count.
+WIDER: Final = (0.0, 0.05, 0.1, 0.2, 0.4, 0.8)
+
+
+class Correction(NamedTuple):
+    """Pushes that are chosen for n seen poses."""
+
+    row: IntArray  # (n,) of the table; -1 where no push is better
+    probability: FloatArray  # (n,) that the goal is met after it
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class CorrectionTable:
+    """Pushes of a part away from fixels, simulated in samples of what is unknown.
+
+    Attributes
+    ----------
+    numbers : (m, d) float64
+        Numbers of each push.
+    moved : (m, w, 3) float32
+        Pose after it in the frame of the part before it, in w worlds; NaN where it failed.
+    worlds : Scenarios
+        These worlds (w,), without any error of the start or of the model.
+    seed : int
+    """
+
+    numbers: FloatArray
+    moved: np.ndarray
+    worlds: Scenarios
+    arm: float  # radius of gyration of the part, at which rotations count [m]
+    seed: int
+
+    @classmethod
+    def of(
+        cls,
+        simulator: PlanSimulator,
+        belief: Belief,
+        rollouts: int,
+        seed: int,
+        trusted: Callable[[FloatArray], bool] | None = None,
+    ) -> CorrectionTable:
+        """Simulate pushes of the part alone; poses on the way are the ends of shorter pushes.
+
+        Pushes (d,) for which `trusted` is false are left out.
+        """
+        scene, none = simulator.scene, np.zeros((WORLDS, 3))
+        body = replace(scene.bodies[0], pose=np.zeros(3))
+        alone = replace(
+            simulator, rollouts=0, samples=LENGTHS, scene=replace(scene, bodies=(body,), fixels=())
+        )
+        low, high = alone.choice.bounds(alone.scene)
+        if getattr(alone.choice, "length", None) is None:
+            low[2] *= SHORTER
+        n = 2 ** int(math.log2(np.clip(SHARE * rollouts / WORLDS, *WAYS)))
+        ways = spread_pushes(alone.scene, alone.choice, n, seed)
+        ways[:, :, 2] = high[2]
+        if trusted is not None:
+            ways = ways[[trusted(own[0]) for own in ways]]
+        planned = alone.planned(ways)
+        good = np.flatnonzero(planned.nominal.failure == CARRIED_OUT)
+        planned, ways = planned.rows(good), ways[good]
+        worlds = belief.scenarios(alone.scene, worlds=WORLDS, runs=1, seed=seed)
+        worlds = worlds._replace(start=none, rest=none, drift=none, misfit=none)
+        which = np.repeat(np.arange(len(ways)), WORLDS)
+        runs = alone.run(planned, which, worlds.rows(np.tile(np.arange(WORLDS), len(ways))))
+        simulator.rollouts += alone.rollouts
+        moved = np.where((runs.failure == CARRIED_OUT)[:, None, None], runs.pose, np.nan)
+        moved = moved.reshape(-1, WORLDS, LENGTHS, 3).swapaxes(1, 2).astype(np.float32)
+        length = _lengths(planned.path[:, 0], ways[:, 0, 2])
+        numbers = np.repeat(ways, LENGTHS, axis=1)
+        numbers[:, :, 2] = length
+        inside = (length >= low[2]) & (length <= high[2]) & np.isfinite(moved).any(axis=(2, 3))
+        arm = math.sqrt(body.shape.unit_inertia)
+        return cls(numbers[inside], moved[inside], worlds, arm, seed)
+
+    @cached_property
+    def tree(self) -> cKDTree:
+        """Mean displacements, to find the pushes nearest to a wanted one."""
+        return cKDTree(embedded(np.nanmean(self.moved.astype(np.float64), axis=1), self.arm))
+
+    @cached_property
+    def draws(self) -> FloatArray:
+        """Standard normal draws (2, w, 3): of errors of seen poses, and of the model."""
+        return np.random.default_rng([self.seed, 9]).standard_normal((2, WORLDS, 3))
+
+    def after(self, row: IntArray, start: FloatArray) -> FloatArray:
+        """Return poses (n, w, 3) after pushes `row` (n,) from poses (n, w, 3)."""
+        ends = composed(start, self.moved[row].astype(np.float64))
+        return np.asarray(ends + self.deviation(start, ends) * self.draws[1])
+
+    def deviation(self, start: FloatArray, end: FloatArray) -> FloatArray:
+        """Return standard deviations (n, w, 3) of the model's error of ends [m, m, rad]."""
+        if self.worlds.end_error is None:
+            return np.zeros_like(end)
+        moved = motion_of(start.reshape(-1, 3), end.reshape(-1, 3), self.arm)
+        size = self.worlds.end_error.deviation(np.nan_to_num(moved)).reshape(end.shape[:-1])
+        return np.asarray(size[..., None] / np.array([1.0, 1.0, self.arm]))
+
+    def chosen(
+        self,
+        simulator: PlanSimulator,
+        seen: FloatArray,
+        weight: FloatArray,
+        camera: StartError,
+        towards: FloatArray,
+    ) -> Correction:
+        """Choose a push for each seen pose (n, 3), or none, with weights (n, w) of the worlds.
+
+        Parameters
+        ----------
+        towards : (t, 3) float64
+            Poses in the goal to which the nearest pushes are compared.
+        """
+        if len(seen) > CHUNK:
+            parts = [
+                self.chosen(simulator, own, mine, camera, towards)
+                for own, mine in zip(
+                    *(np.array_split(x, -(-len(seen) // CHUNK)) for x in (seen, weight)),
+                    strict=True,
+                )
+            ]
+            return Correction(*(np.concatenate(own) for own in zip(*parts, strict=True)))
+        start = seen[:, None] + camera.deviation * self.draws[0]
+        score, meets = self._scores(simulator, start[:, None], weight[:, None])
+        rows = np.full((len(seen), 1), -1)
+        near = np.hstack([
+            self.tree.query(embedded(composed(inverted(seen), pose), self.arm), k=NEAREST)[1]
+            for pose in towards
+        ])  # fmt: skip
+        many = near.shape[1]
+        ends = self.after(near.reshape(-1), np.repeat(start, many, axis=0))
+        ends = ends.reshape(len(seen), many, WORLDS, 3)
+        others = self._scores(simulator, ends, weight[:, None])
+        if simulator.scene.fixels:
+            near, others = self._tried(simulator, seen, weight, near, others, start)
+        rows, score = np.hstack((rows, near)), np.hstack((score, others[0]))
+        best = np.argmax(score, axis=1)[:, None]
+        found = np.take_along_axis(np.hstack((meets, others[1])), best, axis=1)
+        return Correction(np.take_along_axis(rows, best, axis=1)[:, 0], found[:, 0])
+
+    def _scores(
+        self, simulator: PlanSimulator, ends: FloatArray, weight: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return scores and probabilities (n, m) of meeting the goal, of ends (n, m, w, 3)."""
+        good = np.asarray(np.isfinite(ends).all(axis=-1))
+        track = BodyTrack.of_ends(np.where(good[..., None], ends, 0.0))
+        margin = np.asarray(simulator.goal.margin(simulator.scene, track)).reshape(good.shape)
+        margin = np.where(good, np.clip(margin, WORST_MARGIN, None), WORST_MARGIN)
+        share = weight / weight.sum(axis=-1, keepdims=True)
+        meets = np.sum(share * (margin >= 0.0), axis=-1)
+        far = np.sum(share * np.log1p(np.maximum(-margin, 0.0)), axis=-1)
+        return meets - FAR * far, meets
+
+    def _tried(
+        self,
+        simulator: PlanSimulator,
+        seen: FloatArray,
+        weight: FloatArray,
+        near: IntArray,
+        scores: tuple[FloatArray, FloatArray],
+        start: FloatArray,
+    ) -> tuple[IntArray, tuple[FloatArray, FloatArray]]:
+        """Simulate the best of some pushes among the fixels, in the likeliest worlds."""
+        n = len(seen)
+        best = np.argsort(-scores[0], axis=1)[:, :TRIED]
+        rows = np.take_along_axis(near, best, axis=1)
+        likely = np.argsort(-weight, axis=1)[:, :TRIED_WORLDS]
+        planned = simulator.planned(
+            self.numbers[rows.reshape(-1)][:, None], np.repeat(seen, TRIED, axis=0)
+        )
+        which = np.repeat(np.arange(n * TRIED), TRIED_WORLDS)
+        world = np.repeat(likely, TRIED, axis=0).reshape(-1)
+        error = np.take_along_axis(start - seen[:, None], likely[..., None], axis=1)
+        scenarios = self.worlds.rows(world)._replace(
+            start=np.repeat(error, TRIED, axis=0).reshape(-1, 3), misfit=self.draws[1][world]
+        )
+        margin = simulator.margins(simulator.run(planned, which, scenarios))
+        margin = np.where(planned.collides[which], WORST_MARGIN, margin)
+        margin = margin.reshape(n, TRIED, TRIED_WORLDS)
+        share = np.take_along_axis(weight, likely, axis=1)[:, None]
+        share = share / share.sum(axis=-1, keepdims=True)
+        meets = np.sum(share * (margin >= 0.0), axis=-1)
+        far = np.sum(share * np.log1p(np.maximum(-margin, 0.0)), axis=-1)
+        return rows, (meets - FAR * far, meets)
+
+
+def likelihoods(
+    seen: FloatArray, predicted: FloatArray, deviation: FloatArray, least: float
+) -> FloatArray:
+    """Return the weights (n, k) of predictions (n, k, 3) or (1, k, 3) of seen poses (n, 3).
+
+    They are normal densities with the given deviation, made wider until predictions of the
+    effective number `least` count. Predictions that are not finite do not count.
+    """
+    good = np.asarray(np.isfinite(predicted).all(axis=-1))
+    spread = np.nan_to_num(np.nanstd(predicted, axis=1, keepdims=True))
+    off = [predicted[..., c] - seen[:, None, c] for c in range(3)]
+    off[2] = wrapped(off[2])
+    found, rows = np.zeros(off[0].shape), np.arange(len(seen))
+    for wider in WIDER:
+        width = np.maximum(np.hypot(deviation, wider * spread), 1e-9)
+        square = sum(
+            (own[rows] / (x[rows] if len(x) > 1 else x)) ** 2
+            for own, x in zip(off, np.moveaxis(width, -1, 0), strict=True)
+        )
+        square = np.where(good[rows] if len(good) > 1 else good, square, np.inf)
+        weight = np.exp(-0.5 * (square - square.min(axis=1, keepdims=True)))
+        found[rows] = weight
+        rows = rows[weight.sum(axis=1) ** 2 < least * np.sum(weight**2, axis=1)]
+        if not len(rows):
+            break
+    return found
+
+
+def towards(simulator: PlanSimulator, end: FloatArray) -> FloatArray:
+    """Return the poses (t, 3) that corrections aim at: of the goal, else the planned end."""
+    poses = goal_poses(simulator.scene, simulator.goal)
+    return poses if len(poses) else end[None]
+
+
+def _lengths(path: FloatArray, longest: FloatArray) -> FloatArray:
+    """Return the way after contact (m, LENGTHS) at the sampled times of paths (m, 3, 4)."""
+    time = path[:, -1, 0, None] * (np.arange(1, LENGTHS + 1) / LENGTHS)
+    whole = np.hypot(*(path[:, 1, 1:3] - path[:, 0, 1:3]).T)
+    speed = whole / path[:, 1, 0]
+    way = speed[:, None] * time - (whole - longest)[:, None]
+    # Samples after the longest way show the end of the whole push once.
+    past = way > longest[:, None]
+    once = past & (np.cumsum(past, axis=1) == 1)
+    return np.where(once, longest[:, None], np.where(past, np.inf, way))

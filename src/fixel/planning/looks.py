@@ -1,0 +1,260 @@
+"""Plans that look at the part between pushes: policies, and how likely they reach the goal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Final, NamedTuple, final
+
+import numpy as np
+
+from fixel.errors import InvalidInput
+from fixel.model.goals import Beyond, Inside, PoseRegion
+from fixel.planning.belief import Belief, Scenarios
+from fixel.planning.candidates import Numbers
+from fixel.planning.corrections import (
+    WORLDS,
+    Correction,
+    CorrectionTable,
+    likelihoods,
+    towards,
+)
+from fixel.planning.pushes import FreePushes
+from fixel.planning.rollout import CARRIED_OUT, WORST_MARGIN, PlannedMotions, PlanSimulator
+from fixel.planning.search import PlanSearch, SearchStage, stage_scenarios
+from fixel.planning.success import SuccessProbability
+from fixel.simulation.vary import composed
+from fixel.typing import FloatArray, IntArray
+from fixel.uncertainty.starts import StartError
+
+MOST: Final = 5  # looks
+TABLE, CHOICE, LATER = 11, 12, 13  # streams of random values
+LEAST: Final = 1e-9  # weight of a world that a seen pose speaks against
+RUNS: Final = 24  # of each world, to tell from a seen pose which worlds are likely
+COUNTING: Final = 24.0  # effective number of runs that must agree with a seen pose
+COUNTING_WORLDS: Final = 6.0
+COMPARED: Final = 4  # plans of the search whose policies are compared
+COMPARED_RUNS: Final = 400
+
+
+# Weights (n, w) of worlds before a push, its ends (n, w, 3) in them, and their deviations.
+Before = tuple[FloatArray, FloatArray, FloatArray]
+
+
+class Walk(NamedTuple):
+    """Runs of a policy in n scenarios."""
+
+    margin: FloatArray  # (looks + 1, n) of the goal before the first look, and after each
+    pushes: IntArray  # (n,) number of pushes
+    pose: FloatArray  # (n, 3) of the part at the end [m, m, rad]
+    failure: IntArray  # (n,) index into FAILURES
+    seen: FloatArray  # (n, 3) pose at the first look [m, m, rad]
+    row: IntArray  # (n,) push of the table that was chosen then; -1 for none
+    probability: FloatArray  # (n,) stated then for that push
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Looks:
+    """What a plan does after its planned pushes: look, and correct, up to some number of times.
+
+    Attributes
+    ----------
+    most : int
+        Number of looks.
+    camera : StartError
+        Error of a seen pose.
+    lost_views : float
+        Share of the looks that see nothing; the part then stays where it is.
+    table : CorrectionTable
+        Pushes that it chooses among.
+    worth : tuple of SuccessProbability
+        Success probability with 0, 1, ... looks.
+    pushes : float
+        Expected number of pushes.
+    stops : float
+        Share of the runs in which no push after the first look promises more than none.
+    walk : Walk
+        Runs in which the success probability was computed.
+    """
+
+    most: int
+    camera: StartError
+    lost_views: float
+    table: CorrectionTable
+    worth: tuple[SuccessProbability, ...]
+    pushes: float
+    stops: float
+    walk: Walk
+
+    @property
+    def sentences(self) -> list[str]:
+        """What each look is worth, and the expected number of pushes, in sentences."""
+        values = [own.mean for own in self.worth]
+        lines = [
+            f"Look {k} raises the success probability from {before:.2f} to {after:.2f}."
+            for k, (before, after) in enumerate(pairwise(values), 1)
+        ]
+        camera = str(self.camera).removeprefix("start: ")
+        return [
+            *lines,
+            f"On average it needs {self.pushes:.1f} pushes; after the first look,"
+            f" {100.0 * self.stops:.0f} % of the runs need no further push, or none would help.",
+            f"Error of a seen pose: {camera}.",
+        ]
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Policy:
+    """Planned pushes, and corrections from a table, in one simulator."""
+
+    simulator: PlanSimulator
+    belief: Belief
+    planned: PlannedMotions  # of the first pushes
+    table: CorrectionTable
+    camera: StartError
+    lost_views: float
+    looks: int
+
+    def walk(self, scenarios: Scenarios, seed: int) -> Walk:
+        """Carry out the policy once in each scenario, each with its own errors of the camera."""
+        rng, n = np.random.default_rng([seed, 5]), scenarios.n
+        runs = self.simulator.run(self.planned, np.zeros(n, np.int64), scenarios)
+        pose, failure = runs.pose[:, -1].copy(), runs.failure.copy()
+        margin = self.simulator.margins(runs)
+        margins, pushes = [margin], np.full(n, self.planned.start.shape[1])
+        before: Before | None = None
+        first: tuple[FloatArray, Correction] | None = None
+        for _ in range(self.looks):
+            seen = pose + self.camera.samples(n, int(rng.integers(2**31)))[rng.permutation(n)]
+            weight = self._likely(seen, before)
+            found = self.table.chosen(self.simulator, seen, weight, self.camera, self._aims)
+            before = weight, *self._expected(seen, found.row)
+            first = first or (seen, found)
+            lost = rng.random(n) < self.lost_views
+            own = np.flatnonzero((found.row >= 0) & (failure == CARRIED_OUT) & ~lost)
+            if len(own):
+                drawn = scenarios.rows(rng.permutation(n)[: len(own)])  # of the model's errors
+                mine = scenarios.rows(own)._replace(
+                    start=pose[own] - seen[own],
+                    rest=drawn.rest, drift=drawn.drift, misfit=drawn.misfit,
+                )  # fmt: skip
+                numbers = self.table.numbers[found.row[own]][:, None]
+                planned = self.simulator.planned(numbers, seen[own])
+                runs = self.simulator.run(planned, np.arange(len(own)), mine)
+                pose[own], failure[own] = runs.pose[:, -1], runs.failure
+                after = np.where(planned.collides, WORST_MARGIN, self.simulator.margins(runs))
+                margin = margin.copy()
+                margin[own] = after
+                pushes[own] += 1
+            margins.append(margin)
+        assert first is not None
+        return Walk(
+            np.array(margins), pushes, pose, failure,
+            first[0], first[1].row, first[1].probability,
+        )  # fmt: skip
+
+    def next(self, seen: FloatArray) -> Correction:
+        """Choose the push after the last of some seen poses (k, 3), one after each push."""
+        before: Before | None = None
+        for pose in np.asarray(seen, np.float64).reshape(-1, 1, 3):
+            weight = self._likely(pose, before)
+            found = self.table.chosen(self.simulator, pose, weight, self.camera, self._aims)
+            before = weight, *self._expected(pose, found.row)
+        return found
+
+    @cached_property
+    def _aims(self) -> FloatArray:
+        return towards(self.simulator, self.planned.nominal.pose[0, -1])
+
+    @cached_property
+    def _ends(self) -> FloatArray:
+        """Ends (WORLDS RUNS, 3) of the first pushes in the table's worlds; NaN for failures."""
+        scenarios = self.belief.scenarios(
+            self.simulator.scene, worlds=WORLDS, runs=RUNS, seed=self.table.seed
+        )
+        runs = self.simulator.run(self.planned, np.zeros(scenarios.n, np.int64), scenarios)
+        return np.where((runs.failure == CARRIED_OUT)[:, None], runs.pose[:, -1], np.nan)
+
+    def _likely(self, seen: FloatArray, before: Before | None) -> FloatArray:
+        """Return the weights (n, w) of worlds for seen poses, from those before the last push."""
+        if before is None:
+            found = likelihoods(seen, self._ends[None], self.camera.deviation, COUNTING)
+            return np.asarray(found.reshape(len(seen), WORLDS, RUNS).sum(axis=-1) + LEAST)
+        weight, ends, deviation = before
+        return np.asarray(weight * likelihoods(seen, ends, deviation, COUNTING_WORLDS) + LEAST)
+
+    def _expected(self, seen: FloatArray, row: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return the ends (n, w, 3) of chosen pushes in each world, and their deviations."""
+        start = seen[:, None] + self.camera.deviation * self.table.draws[0]
+        ends = composed(start, self.table.moved[row].astype(np.float64))
+        ends = np.where((row >= 0)[:, None, None], ends, start)
+        return ends, np.hypot(self.camera.deviation, self.table.deviation(start, ends))
+
+
+def policy_of(
+    search: PlanSearch, plans: Numbers, trusted: Callable[[FloatArray], bool] | None
+) -> tuple[FloatArray, Policy]:
+    """Return the first pushes (k, d) and the policy that most often reach the goal.
+
+    Compared are the best plans of a search, each with the first look after any of its pushes.
+    Corrections are pushes (d,) for which `trusted` is true.
+    """
+    simulator, belief, seed = search.simulator, search.belief, 1000 * search.seed
+    table = CorrectionTable.of(simulator, belief, search.rollouts, seed + TABLE, trusted)
+    scenarios = belief.scenarios(simulator.scene, worlds=COMPARED_RUNS, runs=1, seed=seed + CHOICE)
+    found = []
+    for plan in plans[:COMPARED]:
+        for after in range(min(1, len(plan)), len(plan) + 1):
+            policy = Policy(
+                simulator=simulator, belief=belief, planned=simulator.planned(plan[None, :after]),
+                table=table, camera=search.camera, lost_views=search.lost_views, looks=search.looks,
+            )  # fmt: skip
+            done = policy.walk(scenarios, seed + CHOICE)
+            rank = (int((done.margin[-1] >= 0.0).sum()), -int(done.pushes.sum()))
+            found.append((rank, plan[:after], policy))
+    _, numbers, policy = max(found, key=lambda own: own[0])
+    return numbers, policy
+
+
+def looks_of(policy: Policy, stages: Sequence[SearchStage], seed: int) -> tuple[Looks, Scenarios]:
+    """State what a policy is worth, from scenarios of some stages that no search has seen."""
+    scene = policy.simulator.scene
+    drawn = [stage_scenarios(policy.belief, scene, own, seed + own.stream) for own in stages]
+    walks = [policy.walk(own, seed + LATER) for own in drawn]
+    last = stages[-1]
+    worth = [
+        SuccessProbability.of(own[-1].reshape(last.worlds, last.runs), independent=own[0])
+        for own in zip(*(walk.margin for walk in walks), strict=True)
+    ]
+    walk = walks[0]
+    looks = Looks(
+        most=policy.looks, camera=policy.camera, lost_views=policy.lost_views, table=policy.table,
+        worth=tuple(worth), pushes=float(walk.pushes.mean()), stops=float(np.mean(walk.row < 0)),
+        walk=walk,
+    )  # fmt: skip
+    return looks, drawn[0]
+
+
+def check_looks(search: PlanSearch) -> None:
+    """Raise `InvalidInput` where a search cannot use the looks that it is asked for."""
+    simulator, looks = search.simulator, search.looks
+    if isinstance(looks, bool) or not 0 <= looks <= MOST:
+        raise InvalidInput("looks", found=looks, expected=f"a whole number from 0 to {MOST}")
+    if not 0.0 <= search.lost_views < 1.0:
+        raise InvalidInput("lost_views", found=search.lost_views, expected="at least 0, below 1")
+    if looks and not isinstance(simulator.choice, FreePushes):
+        raise InvalidInput(
+            "looks", found="pushes of a rig", expected="FreePushes, which can push from any pose"
+        )
+    pose_alone = (PoseRegion, Inside, Beyond)
+    for own in simulator.goal.clauses if looks else ():
+        if not isinstance(own, pose_alone):
+            raise InvalidInput(
+                "looks",
+                found=f"the goal: {own}",
+                expected="a goal that a seen pose can meet: PoseRegion, Inside or Beyond",
+            )
