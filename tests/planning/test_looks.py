@@ -1,0 +1,180 @@
+"""Plans that look at the part between pushes, against pushes that are simulated one by one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fixel
+from fixel import Belief, FreePushes, InvalidInput, PoseRegion, Seated, StartError
+from fixel.planning.corrections import CorrectionTable, likelihoods
+from fixel.planning.plan import search_of
+from fixel.testing.scenes import grasp, pushed_square
+from fixel.units import deg, mm
+
+CAMERA = StartError(x=0.1 * mm, y=0.1 * mm, theta=0.2 * deg, kind="normal")
+GOAL = PoseRegion((30 * mm, 10 * mm, 0.2), position=3 * mm, angle=4 * deg)
+UNKNOWN = Belief(
+    parameters={"mu_pusher": (0.1, 0.5), "friction_centre_y": (-3 * mm, 3 * mm)},
+    start=StartError(x=1 * mm, y=1 * mm, theta=1.5 * deg, kind="normal"),
+)
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return fixel.plan(
+        pushed_square(), GOAL, FreePushes(length=(2 * mm, 60 * mm)), UNKNOWN,
+        looks=2, camera=CAMERA, rollouts=8_000, progress=False,
+    )  # fmt: skip
+
+
+def met(plan, pose):
+    """Whether a pose meets the goal, by its definition."""
+    goal = plan.goal
+    off = pose - goal.pose
+    turn = (off[2] + np.pi) % (2.0 * np.pi) - np.pi
+    return np.hypot(*off[:2]) <= goal.position and abs(turn) <= goal.angle
+
+
+def in_one_world(plan, rng):
+    """Carry out a plan in one world drawn here, by single simulations."""
+    world = {
+        "mu_pusher": rng.uniform(0.1, 0.5),
+        "friction_centre_y": rng.uniform(-3 * mm, 3 * mm),
+    }
+    size = UNKNOWN.start.size
+    state = {"pose": plan.first_pose + size * rng.standard_normal(3)}
+
+    def push(scene):
+        begun = replace(scene, bodies=(replace(scene.bodies[0], pose=state["pose"]),))
+        state["pose"] = fixel.simulate(begun, world, motion="quasistatic")["part"].pose[-1]
+
+    def look():
+        return state["pose"] + CAMERA.size * rng.standard_normal(3)
+
+    blind = []
+
+    def first_look():
+        blind.append(met(plan, state["pose"]))
+        return look()
+
+    chosen = plan.perform(push, first_look)
+    return blind[0], met(plan, state["pose"]), chosen
+
+
+@pytest.mark.system
+def test_stated_success_holds_where_the_plan_is_carried_out_push_by_push(plan):
+    rng = np.random.default_rng(4)
+    runs = [in_one_world(plan, rng) for _ in range(60)]
+    for k, stated in ((0, plan.looks.worth[0].mean), (1, plan.success.mean)):
+        held = np.mean([own[k] for own in runs])
+        error = np.sqrt(max(stated * (1 - stated), 0.02) / len(runs))
+        assert abs(held - stated) < 3.5 * error
+    assert plan.success.mean > plan.looks.worth[0].mean + 0.1
+
+
+@pytest.mark.system
+def test_each_look_is_worth_something_and_the_sentences_say_it(plan):
+    means = [own.mean for own in plan.looks.worth]
+    assert len(means) == 3
+    assert means[0] < means[1] <= means[2] + 0.01
+    assert f"from {means[0]:.2f} to {means[1]:.2f}" in str(plan)
+
+
+def test_entries_of_the_table_are_pushes_of_their_length():
+    """Poses on the way of one long push; here each is the end of a push of its own."""
+    scene = pushed_square()
+    search = search_of(scene, GOAL, FreePushes(), UNKNOWN, rollouts=4_000, seed=0)
+    table = CorrectionTable.of(search.simulator, UNKNOWN, 4_000, 3)
+    rng = np.random.default_rng(1)
+    for row in rng.choice(len(table.numbers), 6, replace=False):
+        world = int(rng.integers(table.moved.shape[1]))
+        values = {name: float(x[world]) for name, x in table.worlds.values.items()}
+        simulator = search.simulator
+        planned = simulator.planned(table.numbers[row][None, None], np.zeros((1, 3)))
+        single = fixel.planning.pushes.scene_of_push(
+            simulator.scene, np.zeros(3), planned.path[0, 0]
+        )
+        end = fixel.simulate(single, values, motion="quasistatic")["part"].pose[-1]
+        # Within the tolerances of the stepper.
+        off = np.abs(table.moved[row, world] - end)
+        assert (off < (3e-5, 3e-5, 5e-4)).all()
+
+
+def test_weights_of_predictions_are_those_of_a_linear_filter():
+    """A scalar linear case: the weighted mean is that of the product of two normal densities."""
+    rng = np.random.default_rng(0)
+    spread, error, seen = 2.0 * mm, 1.0 * mm, 1.5 * mm
+    predicted = np.zeros((1, 40_000, 3))
+    predicted[0, :, 0] = spread * rng.standard_normal(40_000)
+    weight = likelihoods(np.array([[seen, 0.0, 0.0]]), predicted, np.full(3, error), 32.0)[0]
+    mean = weight @ predicted[0, :, 0] / weight.sum()
+    assert mean == pytest.approx(seen * spread**2 / (spread**2 + error**2), abs=0.03 * mm)
+
+
+def test_a_pose_unlike_all_predictions_counts_them_by_their_spread():
+    predicted = np.zeros((1, 64, 3))
+    predicted[0, :, 0] = np.linspace(-1.0, 1.0, 64) * mm
+    weight = likelihoods(np.array([[50 * mm, 0.0, 0.0]]), predicted, np.full(3, 0.01 * mm), 16.0)
+    assert np.isfinite(weight).all()
+    assert weight.argmax() == 63
+
+
+@pytest.mark.system
+def test_a_part_in_the_middle_of_the_goal_is_left_alone(plan):
+    found = plan.correction(GOAL.pose)
+    assert found.push is None
+    assert found.probability > 0.99
+
+
+@pytest.mark.system
+def test_a_lost_view_ends_the_plan(plan):
+    pushes = []
+    assert plan.perform(pushes.append, lambda: None) == ()
+    assert len(pushes) == len(plan.pushes)
+
+
+@pytest.mark.system
+def test_lost_views_lower_the_stated_success():
+    options = dict(looks=1, camera=CAMERA, rollouts=4_000, progress=False)
+    scene, choose = pushed_square(), FreePushes(length=(2 * mm, 60 * mm))
+    seen, half = (
+        fixel.plan(scene, GOAL, choose, UNKNOWN, lost_views=lost, **options) for lost in (0.0, 0.5)
+    )
+    low, high = half.looks.worth[0].mean, seen.success.mean
+    assert half.success.mean == pytest.approx(0.5 * (low + high), abs=0.05)
+
+
+@pytest.mark.system
+def test_a_saved_plan_chooses_the_same_corrections(plan, tmp_path):
+    again = fixel.load(plan.save(tmp_path / "looks.plan"))
+    seen = (28 * mm, 12 * mm, 0.1)
+    assert again.correction(seen).push == plan.correction(seen).push
+    assert again.success.mean == plan.success.mean
+
+
+@pytest.mark.parametrize(
+    ("options", "found"),
+    [
+        ({"looks": -1}, "looks"),
+        ({"looks": 9}, "looks"),
+        ({"looks": 1, "lost_views": 1.0}, "lost_views"),
+        ({"looks": 1, "camera": (1, 1, 1)}, "camera"),
+    ],
+)
+def test_wrong_looks_are_refused_before_any_search(options, found):
+    with pytest.raises(InvalidInput, match=found):
+        fixel.plan(pushed_square(), GOAL, belief=UNKNOWN, **options)
+
+
+def test_goals_that_a_seen_pose_cannot_meet_are_refused():
+    scene = grasp()
+    goal = Seated(*[own.name for own in scene.fixels])
+    with pytest.raises(InvalidInput, match="seen pose"):
+        fixel.plan(scene, goal, FreePushes(), looks=1, progress=False)
+
+
+def test_a_plan_without_looks_has_no_corrections():
+    plan = fixel.plan(pushed_square(), GOAL, rollouts=1_000, progress=False)
+    with pytest.raises(InvalidInput, match="looks=1"):
+        plan.correction((0.0, 0.0, 0.0))
