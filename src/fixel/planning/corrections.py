@@ -209,7 +209,8 @@ class CorrectionTable:
         world = np.repeat(likely, TRIED, axis=0).reshape(-1)
         error = np.take_along_axis(start - seen[:, None], likely[..., None], axis=1)
         scenarios = self.worlds.rows(world)._replace(
-            start=np.repeat(error, TRIED, axis=0).reshape(-1, 3), misfit=self.draws[1][world]
+            start=np.repeat(error, TRIED, axis=0).reshape(-1, 3),
+            misfit=self.draws[1][world] / np.array([1.0, 1.0, self.arm]),
         )
         margin = simulator.margins(simulator.run(planned, which, scenarios))
         margin = np.where(planned.collides[which], WORST_MARGIN, margin)

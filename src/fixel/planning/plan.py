@@ -142,7 +142,7 @@ class PushPlan(Result):
     unseen: tuple[str, ...]
     motion: AbstractMotionModel
     stepper: AbstractStepper | None
-    looks: Looks | None
+    looks: Looks | None = None
     rollouts: int
     seed: int
 
