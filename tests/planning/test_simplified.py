@@ -87,3 +87,22 @@ def test_success_is_stated_with_the_traced_outline():
     )
     assert (traced_off < (1e-6, 1e-6, 3e-5)).all()
     assert (fewer_off > 10.0 * traced_off).all()
+
+
+def test_a_flat_tool_is_put_against_the_traced_outline():
+    """A micrometre before it touches, it is clear of the outline; a micrometre on, it is not."""
+    scene = traced(300)
+    tool = fixel.Polygon([(-10 * mm, -9 * mm), (0, -9 * mm), (0, 9 * mm), (-10 * mm, 9 * mm)])
+    choose = fixel.FreePushes(tool=tool, clearance=7 * mm)
+    rng = np.random.default_rng(3)
+    numbers = np.column_stack((rng.random(50), rng.uniform(-0.4, 0.4, 50), np.full(50, 20 * mm)))
+    begin = choose.motions(choose.prepared(scene), numbers, np.zeros((50, 3))).path[:, 0, 1:]
+    part = shapely.Polygon(scene.bodies[0].shape.outline)
+    for x, y, angle in begin:
+        c, s = np.cos(angle), np.sin(angle)
+        corners = tool.outline @ np.array([[c, s], [-s, c]]) + (x, y)
+        on = [
+            part.intersects(shapely.Polygon(corners + way * np.array([c, s])))
+            for way in (7 * mm - 1e-6, 7 * mm + 1e-6)
+        ]
+        assert on == [False, True]

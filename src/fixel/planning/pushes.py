@@ -14,7 +14,8 @@ import shapely
 from fixel.errors import InvalidInput, unknown_name
 from fixel.model import Body, Disk, LineDrive, PathDrive, Polygon, Pusher, Scene, Shape
 from fixel.model.fields import Value, check_fields, instance, non_negative, positive, settle
-from fixel.model.overlap import overlaps
+from fixel.model.overlap import overlaps, turned
+from fixel.planning.simplified import MANY
 from fixel.simulation.vary import composed
 from fixel.typing import BoolArray, FloatArray
 from fixel.units import deg, mm
@@ -430,10 +431,17 @@ def _touching(
     back, _, front, _ = axis.intersection(shapely.Polygon(tool.outline)).bounds
     low = np.full(len(point), 0.5 * (back + front))
     high = np.full(len(point), front + 2.0 * part.radius)
+    solid, tools = shapely.Polygon(part.outline), turned(tool.outline[None], c, s)
+    many = isinstance(part, Polygon) and len(part.outline) > MANY
+    shapely.prepare(solid)
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        poses = far + np.column_stack((middle, np.zeros((len(far), 2))))
-        inside = overlaps(part, poses, tool, np.zeros(3)).depth > 0.0
+        if many:  # a hundred times as fast as all pairs of convex pieces
+            place = point - middle[:, None] * along
+            inside = shapely.intersects(solid, shapely.polygons(tools + place[:, None]))
+        else:
+            poses = far + np.column_stack((middle, np.zeros((len(far), 2))))
+            inside = overlaps(part, poses, tool, np.zeros(3)).depth > 0.0
         low, high = np.where(inside, middle, low), np.where(inside, high, middle)
     return np.asarray(point - high[:, None] * along)
 
