@@ -45,7 +45,7 @@ def test_an_outline_of_few_corners_is_the_simulated_one(shape):
 def test_a_traced_outline_loses_most_corners_and_little_else(noise):
     scene = traced(500, noise)
     fewer = simplified(scene, GOAL)
-    assert len(fewer.bodies[0].shape.outline) <= 64
+    assert len(fewer.bodies[0].shape.outline) <= 40
     assert apart(scene, fewer) < 0.016 * scene.bodies[0].shape.radius
     assert fewer.bodies[0].shape.area == pytest.approx(scene.bodies[0].shape.area, rel=0.01)
 

@@ -13,13 +13,14 @@ from fixel.model import Disk, Polygon, Scene
 from fixel.model.goals import Beyond, Goal, Inside, PoseRegion, Seated
 
 MANY: Final = 64  # corners up to which an outline is simulated as it is
+FEW: Final = 40  # corners that are wanted of others
 # Largest distances between the outlines, relative to the part's radius.
-SHARES: Final = (0.001, 0.002, 0.004, 0.008, 0.016)
+SHARES: Final = (0.001, 0.002, 0.004, 0.006, 0.008, 0.012, 0.016)
 OF_GOAL: Final = 0.25  # the same, relative to the smallest tolerance of a length of the goal
 
 
 def simplified(scene: Scene, goal: Goal) -> Scene:
-    """Return the scene whose part has at most about `MANY` corners, the same scene if it has.
+    """Return the scene with a part of about `FEW` corners; the same scene up to `MANY` of them.
 
     The tool takes a step at each corner that it passes, so that an outline traced in a picture
     takes some 40 times as long as a square. Its corners are left out as far as the outline stays
@@ -35,7 +36,7 @@ def simplified(scene: Scene, goal: Goal) -> Scene:
     most = OF_GOAL * _tolerance(goal)
     outline, found = shapely.Polygon(body.shape.outline), body.shape
     for share in SHARES:
-        if share * body.shape.radius > most or len(found.outline) <= MANY:
+        if share * body.shape.radius > most or len(found.outline) <= FEW:
             break
         fewer = outline.simplify(share * body.shape.radius)
         found = Polygon(shapely.get_coordinates(fewer)[:-1])
