@@ -2,8 +2,10 @@
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from tests.cli.shell import fixel
 
@@ -91,13 +93,70 @@ def test_a_plan_is_made_again_from_a_seen_pose(capsys, plan, tmp_path):
     assert out.is_file()
 
 
+def test_a_seen_pose_in_the_goal_needs_no_push(capsys, plan):
+    words = ["plan", "next", plan, "--seen", "31,0,90"]  # a square: a quarter turn is the same
+    assert fixel(capsys, *words)[:2] == (0, "The goal is met: no push is needed.\n")
+    code, text, _ = fixel(capsys, *words, "--json")
+    assert (code, json.loads(text)) == (0, {"met": True, "push": None})
+    assert not plan.with_name("made-next.plan").exists()
+
+
+@pytest.fixture(scope="module")
+def with_looks(folder: Path):
+    """A plan that sees the part twice, with wide errors of its start."""
+    from fixel.workflows.planning.run import plan_goal
+
+    goal = folder / "looks.yaml"
+    text = GOAL.replace("length_mm: [25, 40]", "length_mm: [2, 40]").replace("0.5", "2")
+    goal.write_text(text.replace("free: {angle_deg: 0, ", "free: {"))
+    made = folder / "looks.plan"
+    plan_goal(None, str(goal), out=made, rollouts=2000, looks=2, progress=False)
+    return made
+
+
+def test_a_plan_with_looks_chooses_the_next_push_at_once(capsys, with_looks):
+    import fixel as package
+
+    words = ["plan", "next", with_looks, "--seen", "21,4,10", "--json"]
+    code, text, _ = fixel(capsys, *words)
+    answer = json.loads(text)
+    assert code == 0
+    assert not answer["met"]
+    assert 0.0 < answer["probability"] <= 1.0
+    # The push is simulated here from the seen pose, by its waypoints alone.
+    way = np.array(answer["waypoints_s_m_rad"])
+    scene = pushed_square()
+    drive = package.PathDrive(way)
+    tool = replace(scene.pushers[0], pose=way[0, 1:], drive=drive)
+    part = replace(scene.bodies[0], pose=np.array([0.021, 0.004, np.radians(10.0)]))
+    pushed = replace(scene, bodies=(part,), pushers=(tool,), duration=float(way[-1, 0]))
+    end = package.simulate(pushed, motion="quasistatic")["part"].pose[-1]
+    assert np.hypot(*(end[:2] - (0.031, 0.0))) < np.hypot(*(part.pose[:2] - (0.031, 0.0)))
+    code, text, _ = fixel(capsys, *words[:-1])
+    assert text.startswith(f"Push: {answer['push']}. It reaches the goal with probability")
+    code, text, _ = fixel(capsys, *words[:-1], "--seen", "31,0,0")
+    assert (code, text) == (0, "The goal is met: no push is needed.\n")
+
+
+def test_what_a_plan_with_looks_does_not_take_is_refused(capsys, with_looks):
+    pose = ("--seen", "21,4,10")
+    for words, message in (
+        (("next", with_looks, *pose, *pose, *pose), "--seen"),
+        (("next", with_looks, *pose, "--done", "1"), "--done"),
+        (("run", with_looks, "--driver", "simulated"), "after each look: fixel plan next"),
+    ):
+        code, _, err = fixel(capsys, "plan", *words)
+        assert code == 2
+        assert message in err
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (("plan", "check", "goal.yaml"), "a result saved by fixel"),
         (("plan", "next", "made.plan", "--seen", "1,2"), "x,y,angle"),
         (("plan", "next", "made.plan", "--seen", "0,0,0", "--done", "1"), "--done"),
-        (("plan", "next", "made.plan", "--seen", "31,0,90"), "no push is needed"),
+        (("plan", "next", "made.plan", "--seen", "0,0,0", "--seen", "1,0,0"), "--seen"),
         (("plan", "run", "made.plan", "--driver", "simulated"), "one stroke along the axis"),
         (("plan", "run", "made.plan", "--driver", "robot"), "--driver"),
         (("plan", "bad.yaml"), "goal.pose.symmetry"),

@@ -121,8 +121,12 @@ def next_(
     *,
     plan: PlanPath,
     seen: Annotated[
-        str,
-        typer.Option(help="Seen pose of the part: x,y,angle [mm, mm, deg].", metavar="X,Y,ANGLE"),
+        list[str],
+        typer.Option(
+            help="Seen pose of the part: x,y,angle [mm, mm, deg]; in a plan with looks one for"
+            " each look so far.",
+            metavar="X,Y,ANGLE",
+        ),
     ],
     done: int = option(0, "Number of pushes that were carried out.", min=0),
     out: Path | None = option(
@@ -132,14 +136,21 @@ def next_(
     folder: ProjectFolder = Path(),
     as_json: AsJson = False,
 ) -> None:
-    """Plan again from a seen pose, with the pushes that are left."""
-    from fixel.workflows.planning.execute import next_plan, seen_pose
+    """Choose the next push from a seen pose.
+
+    A plan with looks chooses at once. Others are planned again, with the pushes that are left.
+    """
+    from fixel.workflows.planning.execute import next_plan, next_step, seen_pose
     from fixel.workflows.planning.report import analysis_of
     from fixel.workflows.planning.request import save_plan
 
-    pose = seen_pose(seen)
+    poses = [seen_pose(text) for text in seen]
     try:
-        found = next_plan(_project(folder), plan, pose, done=done, rollouts=rollouts)
+        step = next_step(plan, poses, done)
+        if step is not None:
+            print_answer(as_json, lambda: step.numbers, lambda: [step.sentence])
+            return
+        found = next_plan(_project(folder), plan, poses[0], done=done, rollouts=rollouts)
     except InvalidInput as error:
         raise named(error, {name: f"--{name}" for name in ("done", "seen")}) from None
     target = out or plan.with_name(f"{plan.stem}-next{ENDING}")
@@ -147,7 +158,12 @@ def next_(
     analysis = analysis_of(found)
     print_answer(
         as_json,
-        lambda: analysis.numbers | {"warnings": [*found.warnings], "files": [str(target)]},
+        lambda: {
+            "met": False,
+            **analysis.numbers,
+            "warnings": [*found.warnings],
+            "files": [str(target)],
+        },
         lambda: paragraphs(
             analysis.lines(),
             wrote([target]),

@@ -58,7 +58,7 @@ class Walk(NamedTuple):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Looks:
-    """What a plan does after its planned pushes: look, and correct, up to some number of times.
+    """Looks at the part after the planned pushes, each with a correction, and their worth.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class Looks:
 
     @property
     def sentences(self) -> list[str]:
-        """What each look is worth, and the expected number of pushes, in sentences."""
+        """Worth of each look, and the expected number of pushes, in sentences."""
         values = [own.mean for own in self.worth]
         lines = [
             f"Look {k} raises the success probability from {before:.2f} to {after:.2f}."

@@ -51,7 +51,7 @@ MISSED: Final = "misses the goal"
 
 
 class PlanCorrection(NamedTuple):
-    """What to do after a look at the part."""
+    """Push that is chosen after a look at the part."""
 
     push: PlanPush | None  # none where no push promises more
     scene: Scene | None  # of that push, with the part at its seen pose and the path of the tool

@@ -427,7 +427,7 @@ def stage_scenarios(belief: Belief, scene: Scene, stage: SearchStage, seed: int)
     """Draw the scenarios of a stage.
 
     Those of the mean are independent: beliefs draw evenly, so that the mean of many draws scatters
-    less than the interval of independent ones says, but a few of many even ones are independent.
+    less than the interval of independent ones, but a few of many even ones are independent.
     Those of the range have one error of the model for all runs of a draw, as a laboratory has.
     """
     n = (POOL if stage.stream == DRAWS else 1) * stage.worlds

@@ -127,13 +127,8 @@ def plan_again(
     Raises
     ------
     InvalidInput
-        The seen pose meets the goal, or no push is left.
+        No push is left.
     """
-    if _is_met(plan, seen):
-        hint = "no push is needed"
-        raise InvalidInput(
-            "seen", found="a pose that meets the goal", expected="another", hint=hint
-        )
     left = len(plan.pushes) - done
     if left < 1:
         expected = f"less than {len(plan.pushes)}, the plan's pushes"
@@ -155,7 +150,7 @@ def plan_again(
     return conduct(search, plan_rounds(search, untrusted=untrusted), {}), told.note
 
 
-def _is_met(plan: PushPlan, seen: FloatArray) -> bool:
+def is_met(plan: PushPlan, seen: FloatArray) -> bool:
     """Return whether a seen pose already meets the goal, judged by the pose alone."""
     try:
         return bool(plan.goal.met(plan.scene, BodyTrack.of_ends(seen))[0])

@@ -17,6 +17,8 @@ from fixel.testbed.motion import SimulatedActuator
 from fixel.testbed.motion_grbl import GrblActuator
 from fixel.testbed.repeated_pushes import repeat_pushes
 from fixel.testbed.simulated import SimulatedTestbed
+from fixel.testing.scenes import pushed_square
+from fixel.units import deg, mm
 from fixel.workflows.acquisition.film import FilmSettings, film
 from fixel.workflows.acquisition.record import RecordPlan
 from fixel.workflows.planning.execute import check_plan, run_on_drive, run_on_testbed, seen_pose
@@ -68,6 +70,37 @@ def test_trials_on_the_testbed_are_those_of_its_own_runs(tmp_path: Path):
         off = np.hypot(*(pose[-1, :2] - (0.03, 0.0))) / 5e-3
         turn = abs(pose[-1, 2]) / math.radians(5.0)
         assert trial.met == (max(off, turn) <= 1.0)
+
+
+def test_trials_with_looks_see_and_push_until_nothing_is_better(tmp_path: Path):
+    """Pushes of one trial are repeated here in one go: the run has the same friction in all."""
+    goal = fixel.PoseRegion((0.03, 0.01, 0.2), position=2 * mm, angle=3 * deg)
+    start = fixel.StartError(x=2 * mm, y=2 * mm, theta=2 * deg, kind="uniform")
+    choose, belief = fixel.FreePushes(length=(2 * mm, 60 * mm)), fixel.Belief(start=start)
+    plan = fixel.plan(
+        pushed_square(), goal, choose, belief, looks=2,
+        camera=fixel.StartError(x=1e-9, kind="normal"), rollouts=4000, progress=False,
+    )  # fmt: skip
+    path = stored(plan, tmp_path / "a.plan")
+    found = run_on_testbed(path, trials=4, seed=4)
+    name = load_plan(path).id
+    for k, trial in enumerate(found.trials):
+        start = np.array([trial.start])
+        bench, scenes, seen = SimulatedTestbed(seed=4), list(plan.scenes), []
+        while True:
+            own = repeat_pushes(bench, scenes, start, name=f"{name}-{k}", threads=1)
+            seen.append(own.pose[0, -1])
+            push = plan.correction(*seen).scene if len(seen) <= 2 else None
+            if push is None:
+                break
+            scenes.append(push)
+        np.testing.assert_allclose(trial.end, seen[-1], atol=1e-7)
+        off = np.hypot(*(seen[-1][:2] - goal.pose[:2])) / goal.position
+        assert trial.met == (max(off, abs(seen[-1][2] - 0.2) / goal.angle) <= 1.0)
+    blind = repeat_pushes(
+        SimulatedTestbed(seed=4), plan.scenes, np.array([t.start for t in found.trials]), threads=1
+    )
+    assert any(np.abs(blind.pose[:, -1] - [t.end for t in found.trials]).max(axis=1) > 1e-4)
 
 
 def test_a_drive_carries_out_a_stroke_and_the_trial_is_stored(tmp_path: Path):

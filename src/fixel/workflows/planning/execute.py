@@ -20,9 +20,10 @@ from fixel.model.goals import BodyTrack
 from fixel.model.trajectory import wrapped
 from fixel.planning.belief import Belief
 from fixel.planning.held_out import HeldSuccess, held_success
-from fixel.planning.plan import PushPlan
+from fixel.planning.looks import Looks
+from fixel.planning.plan import PlanCorrection, PushPlan
 from fixel.planning.pushes import RigPush
-from fixel.planning.seen import plan_again
+from fixel.planning.seen import is_met, plan_again
 from fixel.planning.success import SuccessProbability
 from fixel.planning.trials import PlanTrial, Trials
 from fixel.progress import show_progress
@@ -77,24 +78,65 @@ def run_on_testbed(path: str | Path, *, trials: int = 1, seed: int = 1) -> Trial
     rng = np.random.default_rng([seed, 18])
     error = plan.belief.start
     drawn = np.zeros((trials, 3)) if error is None else error.samples(trials, seed)
-    starts = plan.start[0] + drawn[rng.permutation(trials)]
-    done = repeat_pushes(SimulatedTestbed(seed=seed), plan.scenes, starts, name=file.id)
-    fixels = None if plan.fixels is None else np.repeat(plan.fixels[None], trials, axis=0)
-    track = BodyTrack(done.pose[:, 1:], done.stalled, np.abs(done.force), fixels)
-    met = plan.goal.met(plan.scene, track) & np.equal(done.failure, "")
+    starts = plan.first_pose + drawn[rng.permutation(trials)]
+    testbed = SimulatedTestbed(seed=seed)
+    if plan.looks is None:
+        done = repeat_pushes(testbed, plan.scenes, starts, name=file.id)
+        fixels = None if plan.fixels is None else np.repeat(plan.fixels[None], trials, axis=0)
+        track = BodyTrack(done.pose[:, 1:], done.stalled, np.abs(done.force), fixels)
+        ends, failure = done.pose[:, -1], done.failure
+    else:
+        each = [
+            _with_looks(plan, plan.looks, testbed, start, f"{file.id}-{k}", rng)
+            for k, start in enumerate(starts)
+        ]
+        ends, failure = np.array([end for end, _ in each]), tuple(why for _, why in each)
+        track = BodyTrack.of_ends(ends)
+    met = plan.goal.met(plan.scene, track) & np.equal(failure, "")
     now = datetime.now(UTC).isoformat(timespec="seconds")
     rows = [
         PlanTrial(
             time=now,
             met=bool(ok),
             failure="" if ok else (why or "missed the goal"),
-            start=tuple(pose[0].tolist()),
-            end=tuple(pose[-1].tolist()),
+            start=tuple(start.tolist()),
+            end=tuple(end.tolist()),
             by=f"simulated testbed, seed {seed}",
         )
-        for ok, why, pose in zip(met, done.failure, done.pose, strict=True)
+        for ok, why, start, end in zip(met, failure, starts, ends, strict=True)
     ]
     return add_trials(path, file, *rows)
+
+
+def _with_looks(
+    plan: PushPlan,
+    looks: Looks,
+    testbed: SimulatedTestbed,
+    pose: FloatArray,
+    name: str,
+    rng: np.random.Generator,
+) -> tuple[FloatArray, str]:
+    """Carry out a plan with looks once; return the end pose (3,) and the reason of a failure."""
+    seen: list[FloatArray] = []
+    scenes, left = list(plan.scenes), looks.most
+    while True:
+        for scene in scenes:
+            # The conditions of a run depend on its name: they are the same for all its pushes.
+            done = repeat_pushes(testbed, [scene], pose[None], name=name)
+            pose = done.pose[0, -1]
+            if done.failure[0]:
+                return pose, done.failure[0]
+        scenes = []
+        if left == 0:
+            return pose, ""
+        left -= 1
+        if rng.random() < looks.lost_views:
+            continue
+        seen.append(pose + looks.camera.samples(1, int(rng.integers(2**31)))[0])
+        push = plan.correction(*seen).scene
+        if push is None:
+            return pose, ""
+        scenes = [push]
 
 
 def run_on_drive(
@@ -230,22 +272,25 @@ def check_start(plan: PushPlan, seen: FloatArray) -> None:
 
 
 def _check_pushes(plan: PushPlan) -> None:
-    if not plan.pushes:
+    if not plan.pushes and plan.looks is None:
         hint = "the part already meets the goal, and is best left alone"
         raise InvalidInput("plan", found="no pushes", expected="a push to carry out", hint=hint)
 
 
 def _straight(plan: PushPlan) -> RigPush:
     _check_pushes(plan)
-    push = plan.pushes[0]
-    if not isinstance(push, RigPush) or len(plan.pushes) != 1:
-        raise InvalidInput(
-            "plan",
-            found="pushes of a free tool",
-            expected="one stroke along the axis of the rig",
-            hint="give its waypoints to a robot: fixel plan check PLAN --waypoints way.csv",
-        )
-    return push
+    push = plan.pushes[0] if len(plan.pushes) == 1 else None
+    if isinstance(push, RigPush):
+        return push
+    hint = "give its waypoints to a robot: fixel plan check PLAN --waypoints way.csv"
+    if plan.looks is not None:
+        hint += ", and after each look: fixel plan next PLAN --seen X,Y,ANGLE --json"
+    raise InvalidInput(
+        "plan",
+        found="pushes of a free tool",
+        expected="one stroke along the axis of the rig",
+        hint=hint,
+    )
 
 
 def _planned_fixels(plan: PushPlan) -> FloatArray | None:
@@ -392,6 +437,75 @@ def seen_pose(text: str, where: str = "--seen") -> FloatArray:
             where, found=repr(text), expected="x,y,angle in mm, mm and degrees: 120.5,3,-10"
         ) from None
     return np.array([x / 1e3, y / 1e3, math.radians(angle)])
+
+
+class NextStep(NamedTuple):
+    """Answer to a seen pose that needs no new plan."""
+
+    met: bool  # whether the seen pose meets the goal
+    chosen: PlanCorrection | None = None  # by a plan with looks
+
+    @property
+    def sentence(self) -> str:
+        """The answer in one sentence."""
+        own = self.chosen
+        if own is not None and own.push is not None:
+            return f"Push: {own.push}. It reaches the goal with probability {own.probability:.2f}."
+        if self.met:
+            return "The goal is met: no push is needed."
+        return "No push is better than leaving the part where it is."
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """The same as plain values in SI units, for `--json`."""
+        if self.chosen is None:
+            return {"met": self.met, "push": None}
+        push, scene, probability = self.chosen
+        way: Any = None if scene is None else scene.pushers[0].drive
+        return {
+            "met": self.met,
+            "push": None if push is None else str(push),
+            "probability": probability,
+            "waypoints_s_m_rad": [] if way is None else way.waypoints.tolist(),
+        }
+
+
+def next_step(path: Path, seen: Sequence[FloatArray], done: int = 0) -> NextStep | None:
+    """Choose the next push of a plan with looks, or report that a seen pose meets the goal.
+
+    Parameters
+    ----------
+    path : Path
+        Plan file.
+    seen : sequence of (3,) float64
+        Poses of the part that were seen [m, m, rad]: in a plan with looks those after the planned
+        pushes and after each correction, else one.
+    done : int
+        Number of pushes of an open-loop plan that were carried out.
+
+    Returns
+    -------
+    NextStep or None
+        None where an open-loop plan must be made again, see `next_plan`.
+
+    Raises
+    ------
+    InvalidInput
+        The plan has fewer looks than poses were seen, or does not begin with its first look.
+    """
+    plan = load_plan(path).found.plan
+    most = 1 if plan.looks is None else plan.looks.most
+    if not 1 <= len(seen) <= most:
+        raise InvalidInput(
+            "seen", found=f"{len(seen)} poses", expected=f"1 to {most}, one for each look"
+        )
+    met = is_met(plan, seen[-1])
+    if plan.looks is None:
+        return NextStep(True) if met else None
+    if done:
+        expected = "none for a plan with looks, which is seen after its planned pushes"
+        raise InvalidInput("done", found=done, expected=expected)
+    return NextStep(met, plan.correction(*seen))
 
 
 def next_plan(
