@@ -523,16 +523,20 @@ def plan_rounds(search: PlanSearch, *, untrusted: bool = False) -> Rounds[PushPl
         start=planned.start[0], path=planned.path[0], end=planned.nominal.pose[0, -1],
         fixels=None if planned.fixels is None else planned.fixels[0],
         success=success, nominal_success=SuccessProbability.of(found.nominal_margins),
-        runs=runs if looks else _runs(search, planned, margins),
+        runs=runs if looks else _runs(search, plan, planned, margins),
         alternatives=found.compared, compared=search.scenarios(search.final_stage),
         unseen=_unseen(simulator, belief, plan), motion=simulator.motion,
         stepper=simulator.stepper, looks=looks, rollouts=search.done, seed=search.seed,
     )  # fmt: skip
 
 
-def _runs(search: PlanSearch, planned: PlannedMotions, margin: FloatArray) -> PlanRuns:
+def _runs(
+    search: PlanSearch, plan: FloatArray, planned: PlannedMotions, margin: FloatArray
+) -> PlanRuns:
     scenarios = search.scenarios(search.fresh_stages[0])
-    runs = search.simulator.run(planned, np.zeros(scenarios.n, np.int64), scenarios)
+    runs = search.stated.get(plan.tobytes())
+    if runs is None:
+        runs = search.simulator.run(planned, np.zeros(scenarios.n, np.int64), scenarios)
     return PlanRuns(scenarios, margin, runs.pose[:, -1], _why(margin, runs.failure))
 
 

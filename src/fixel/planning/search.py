@@ -28,7 +28,13 @@ from fixel.planning.candidates import (
 )
 from fixel.planning.pushes import FreePushes
 from fixel.planning.race import RaceResult, RaceRound, race_rounds
-from fixel.planning.rollout import CARRIED_OUT, WORST_MARGIN, PlannedMotions, PlanSimulator
+from fixel.planning.rollout import (
+    CARRIED_OUT,
+    WORST_MARGIN,
+    PlannedMotions,
+    PlanSimulator,
+    Runs,
+)
 from fixel.planning.simplified import simplified
 from fixel.planning.success import SuccessProbability
 from fixel.progress import Progress
@@ -152,6 +158,8 @@ class PlanSearch:
         return self._drawn[stage]
 
     _drawn: dict[SearchStage, Scenarios] = field(default_factory=dict)
+    # Runs of the first fresh stage by the numbers of their plan, unless simulated elsewhere.
+    stated: dict[bytes, Runs] = field(default_factory=dict)
 
     def margins(self, request: MarginRequest) -> FloatArray:
         """Simulate the margins (m, n) of a request."""
@@ -165,6 +173,9 @@ class PlanSearch:
             runs = simulator.run(planned, which, scenarios.rows(np.tile(np.arange(n), len(own))))
             margin = simulator.margins(runs).reshape(len(own), n)
             found[own] = np.where(planned.collides[:, None], WORST_MARGIN, margin)
+            if request.stage.stream == DRAWS and n == request.stage.worlds * request.stage.runs:
+                for k, rows in zip(own, np.split(np.arange(len(which)), len(own)), strict=True):
+                    self.stated[request.plans[int(k)].tobytes()] = runs.rows(rows)
         return found
 
     def _ask(
