@@ -387,8 +387,9 @@ class PushPlan(Result):
         most = max(own, key=lambda one: (one.worth, one.share), default=None)
         if most is None or not most.worth + most.share:
             return f"{text}: calibrate with pushes like these first"
-        gain = f", which would raise success to {self.success.mean + most.worth:.2f}"
-        return f"{text}: measure {most.name} first{gain if most.worth else ''}"
+        gain = f"raise success to {self.success.mean + most.worth:.2f} by another choice"
+        shown = gain if most.worth else "show whether the plan works"
+        return f"{text}: measuring {most.name} would {shown}"
 
     def _simulator(self, threads: int | None) -> PlanSimulator:
         return simulator_of(

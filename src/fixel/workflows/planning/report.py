@@ -87,8 +87,6 @@ def _headline(found: FoundPlan) -> list[str]:
     """Return the main results of a plan in sentences."""
     plan = found.plan
     lines = [f"{plan.count.capitalize()}: {plan.success.sentence}."]
-    if plan.advice:
-        lines.append(f"{plan.advice}.")
     lines.append(f"The plan that is best without any error: {plan.nominal_success.sentence}.")
     lines.append(f"{plan.belief.start_text.capitalize()}.")
     if plan.failures:
