@@ -11,6 +11,8 @@ import fixel
 from fixel import FreePushes, InvalidInput, PoseRegion
 from fixel.formats.goal_file import goal_file_from_dict
 from fixel.model import Body, Ellipsoid, Polygon, Scene
+from fixel.planning.corrections import CorrectionTable
+from fixel.planning.plan import simulator_of
 from fixel.planning.pushes import PlanPush
 from fixel.units import deg, mm
 
@@ -120,3 +122,34 @@ def test_turns_that_are_none():
         FreePushes(turn=(0.2, -0.2))
     with pytest.raises(InvalidInput, match=r"first: .*do not turn"):
         FreePushes().numbers([PlanPush(0.5, 0.0, 0.02, 0.1)])
+
+
+@pytest.mark.parametrize("turn", [None, (-0.5, 0.5)])
+def test_shorter_corrections_turn_less(turn):
+    """Poses on the way of the longest push are the ends of the shorter ones, simulated whole."""
+    choose = FreePushes(
+        tool=TOOL, friction=FRICTION, length=(5 * mm, 40 * mm), angle=0.2, turn=turn
+    )
+    goal = PoseRegion((20 * mm, 0.0, 0.0), position=3 * mm)
+    simulator = simulator_of(
+        choose.prepared(scene()), goal, choose, fixel.Belief(), None, None, None
+    )
+    table = CorrectionTable.of(simulator, fixel.Belief(), 8_000, seed=3)
+    rows = np.random.default_rng(0).choice(len(table.numbers), 60, replace=False)
+    ends = simulator.planned(table.numbers[rows][:, None]).nominal.pose[:, -1]
+    off = np.abs(ends - table.moved[rows, 0])
+    assert np.median(off[:, :2]) < 0.01 * mm
+    assert np.quantile(off, 0.9, axis=0) == pytest.approx(0.0, abs=2e-3)
+
+
+def test_corrections_are_of_a_part_away_from_obstacles():
+    """The table has the part at the origin, wherever the obstacles of the scene are."""
+    near = [(55 * mm, -60 * mm), (60 * mm, -60 * mm), (60 * mm, 60 * mm), (55 * mm, 60 * mm)]
+    goal = PoseRegion((20 * mm, 0.0, 0.0), position=3 * mm)
+    tables = []
+    for obstacles in ((), (near,)):
+        choose = FreePushes(length=(5 * mm, 40 * mm), obstacles=obstacles)
+        own = choose.prepared(scene())
+        simulator = simulator_of(own, goal, choose, fixel.Belief(), None, None, None)
+        tables.append(CorrectionTable.of(simulator, fixel.Belief(), 8_000, seed=3))
+    assert np.array_equal(tables[0].moved, tables[1].moved)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final, NamedTuple, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -82,9 +82,11 @@ class CorrectionTable:
         """
         scene, none = simulator.scene, np.zeros((WORLDS, 3))
         body = replace(scene.bodies[0], pose=np.zeros(3))
+        own: Any = simulator.choice
         alone = replace(
-            simulator, rollouts=0, samples=LENGTHS, scene=replace(scene, bodies=(body,), fixels=())
-        )
+            simulator, rollouts=0, samples=LENGTHS, choice=replace(own, obstacles=()),
+            scene=replace(scene, bodies=(body,), fixels=()),
+        )  # fmt: skip
         low, high = alone.choice.bounds(alone.scene)
         if getattr(alone.choice, "length", None) is None:
             low[2] *= SHORTER
@@ -106,6 +108,8 @@ class CorrectionTable:
         length = _lengths(planned.path[:, 0], ways[:, 0, 2])
         numbers = np.repeat(ways, LENGTHS, axis=1)
         numbers[:, :, 2] = length
+        # On a shorter way along the same arc the tool turns less.
+        numbers[:, :, 3:] *= np.minimum(length / high[2], 1.0)[..., None]
         inside = (length >= low[2]) & (length <= high[2]) & np.isfinite(moved).any(axis=(2, 3))
         arm = math.sqrt(body.shape.unit_inertia)
         return cls(numbers[inside], moved[inside], worlds, arm, seed)
@@ -168,7 +172,7 @@ class CorrectionTable:
         ends = self.after(near.reshape(-1), np.repeat(start, many, axis=0))
         ends = ends.reshape(len(seen), many, WORLDS, 3)
         others = self._scores(simulator, ends, weight[:, None])
-        if simulator.scene.fixels:
+        if simulator.scene.fixels or simulator.choice.obstacles:
             near, others = self._tried(simulator, seen, weight, near, others, start)
         rows, score = np.hstack((rows, near)), np.hstack((score, others[0]))
         best = np.argmax(score, axis=1)[:, None]
@@ -257,10 +261,10 @@ def towards(simulator: PlanSimulator, end: FloatArray) -> FloatArray:
 
 
 def _lengths(path: FloatArray, longest: FloatArray) -> FloatArray:
-    """Return the way after contact (m, LENGTHS) at the sampled times of paths (m, 3, 4)."""
+    """Return the way after contact (m, LENGTHS) at the sampled times of paths (m, n, 4)."""
     time = path[:, -1, 0, None] * (np.arange(1, LENGTHS + 1) / LENGTHS)
-    whole = np.hypot(*(path[:, 1, 1:3] - path[:, 0, 1:3]).T)
-    speed = whole / path[:, 1, 0]
+    first = np.hypot(*(path[:, 1, 1:3] - path[:, 0, 1:3]).T)
+    speed, whole = first / path[:, 1, 0], first * (path[:, -2, 0] / path[:, 1, 0])
     way = speed[:, None] * time - (whole - longest)[:, None]
     # Samples after the longest way show the end of the whole push once.
     past = way > longest[:, None]
