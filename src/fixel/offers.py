@@ -46,6 +46,7 @@ PLOTS: Final[Mapping[str, Mapping[str, str]]] = {
     "PushPlan": {
         "paths": "fixel.drawing.planning:draw_paths",
         "capture": "fixel.drawing.planning:draw_capture_regions",
+        "looks": "fixel.drawing.planning:draw_looks",
     },
     "Sensitivity": {
         "ends": "fixel.drawing.sensitivity:draw_sensitivity",

@@ -138,6 +138,21 @@ def test_a_plan_with_looks_chooses_the_next_push_at_once(capsys, with_looks):
     assert (code, text) == (0, "The goal is met: no push is needed.\n")
 
 
+def test_a_plan_with_looks_states_what_they_are_worth(capsys, with_looks, tmp_path):
+    goal, out = with_looks.with_suffix(".yaml"), with_looks.with_name("other.plan")
+    words = ["plan", goal, "--rollouts", 1000, "--looks", 1, "--out", out, "--plot", tmp_path]
+    code, text, _ = fixel(capsys, *words)
+    assert code == 0
+    assert "1 push and up to 1 look: success probability" in text
+    assert "Look 1 raises the success probability from" in text
+    assert {file.stem for file in tmp_path.iterdir()} == {"paths", "looks", "capture", "causes"}
+    looks = json.loads(fixel(capsys, *words[:-2], "--json")[1])["looks"]
+    assert (looks["most"], len(looks["success"]), looks["lost_views"]) == (1, 2, 0.0)
+    before, after = looks["success"]
+    assert f"from {before:.2f} to {after:.2f}." in text
+    assert looks["pushes"] <= 2.0
+
+
 def test_what_a_plan_with_looks_does_not_take_is_refused(capsys, with_looks):
     pose = ("--seen", "21,4,10")
     for words, message in (

@@ -7,6 +7,7 @@ import pytest
 
 import fixel
 from fixel import Belief, FreePushes, InvalidInput, PoseRegion, Seated, StartError
+from fixel.drawing.planning import looks_chart
 from fixel.planning.corrections import CorrectionTable, likelihoods
 from fixel.planning.plan import search_of
 from fixel.testing.scenes import grasp, pushed_square
@@ -125,6 +126,34 @@ def test_a_part_in_the_middle_of_the_goal_is_left_alone(plan):
     found = plan.correction(GOAL.pose)
     assert found.push is None
     assert found.probability > 0.99
+
+
+@pytest.mark.system
+def test_the_chart_of_looks_names_the_direction_in_which_each_push_moves_the_part(plan):
+    axes = plan.plot("looks")
+    labels = axes[0].get_legend_handles_labels()[1]
+    assert any(label.startswith("no push: ") for label in labels)
+    rows = looks_chart(plan).data.records()
+    assert len(rows) == len(plan.runs.margin)
+    towards = {"towards +x": (1, 0), "towards -x": (-1, 0), "towards +y": (0, 1)}
+    towards["towards -y"] = (0, -1)
+    chosen = [row for row in rows if row["next"] != "no push"]
+    assert len(chosen) > 5
+    for row in chosen[:5]:
+        seen = np.array([row["seen_x_m"], row["seen_y_m"], row["seen_angle_rad"]])
+        found = plan.correction(seen)
+        assert found.probability == pytest.approx(row["probability"])
+        world = {"mu_pusher": 0.3, "friction_centre_y": 0.0}
+        end = fixel.simulate(found.scene, world, motion="quasistatic")["part"].pose[-1]
+        way = (end - seen)[:2]
+        along = way @ towards[row["next"]] / np.hypot(*way)
+        assert along > np.cos(np.radians(60.0))  # a sector of 90 degrees, and another world
+
+
+def test_a_plan_without_looks_has_no_chart_of_them():
+    plan = fixel.plan(pushed_square(), GOAL, rollouts=1_000, progress=False)
+    with pytest.raises(InvalidInput, match="no looks"):
+        plan.plot("looks")
 
 
 @pytest.mark.system

@@ -1,4 +1,4 @@
-"""Charts of plans: motions, capture regions, causes of failures, trials, possible angles."""
+"""Charts of plans: motions, looks, capture regions, causes of failures, trials, possible angles."""
 
 from __future__ import annotations
 
@@ -15,13 +15,15 @@ from fixel.drawing.view import unit_for
 from fixel.errors import InvalidInput, unknown_name
 from fixel.model import Body, placed
 from fixel.model.goals import Beyond, Exit, Inside, PoseRegion, Seated, centroids
+from fixel.model.trajectory import wrapped
 from fixel.planning.causes import Explanation, UnknownEffect
+from fixel.planning.looks import Walk
 from fixel.planning.orienting import OrientingPlan
 from fixel.planning.plan import PushPlan
 from fixel.planning.success import SuccessProbability
 from fixel.planning.trials import ALPHA, Trials
 from fixel.table import Table
-from fixel.typing import FloatArray
+from fixel.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,6 +32,11 @@ if TYPE_CHECKING:
 MOTIONS: Final = 200
 FAILURE_COLOURS: Final = (palette.FORCE, palette.CONE, palette.INK, palette.FIXEL)
 FAILED_OUTLINES: Final = 12
+# What follows a look: no push, or one that moves the part in one of four directions.
+NEXT: Final = ("no push", "towards +x", "towards +y", "towards -x", "towards -y")
+NEXT_COLOURS: Final = (
+    palette.FIXEL, palette.BODY, palette.PUSHER, palette.TRAIL, palette.CONE,
+)  # fmt: skip
 GRID: Final = 15  # offsets along each axis of a capture region
 CAPTURE_RUNS: Final = 8  # scenarios for each of them
 SPAN: Final = 4.0  # half-width of a capture region, in standard deviations of the belief
@@ -53,6 +60,8 @@ def paths_chart(plan: PushPlan, n: int = MOTIONS) -> Chart:
     total = len(plan.runs.margin)
     rows = np.linspace(0, total - 1, min(n, total)).astype(np.int64)
     track = _tracks(plan, rows)
+    if plan.looks is not None:  # their pushes begin anywhere: only the end is drawn
+        track = np.concatenate((track, plan.runs.end[rows, None]), axis=1)
     outcome = [plan.runs.outcome[k] for k in rows]
     return Chart(
         title=f"Plan with a success probability of {plan.success.stated:.3f}",
@@ -154,6 +163,69 @@ def _goal(axes: Axes, plan: PushPlan, unit: Any) -> None:
         elif isinstance(own, Exit):
             outline = closed_line(own.region.vertices, unit)
             axes.plot(*outline, color=palette.FIXEL, linewidth=0.7, label="region not to leave")
+
+
+def looks_chart(plan: PushPlan) -> Chart:
+    """Draw simulated poses at the first look of a plan, by the direction of the next push.
+
+    Raises
+    ------
+    InvalidInput
+        The plan has no looks.
+    """
+    if plan.looks is None:
+        raise InvalidInput("plan", found="no looks", expected="a plan with looks")
+    walk = plan.looks.walk
+    moved = np.nanmean(plan.looks.table.moved[walk.row].astype(np.float64), axis=1)
+    direction = np.arctan2(moved[:, 1], moved[:, 0]) + walk.seen[:, 2]
+    sector = 1 + np.round(direction / (0.5 * math.pi)).astype(np.int64) % 4
+    group = np.where(walk.row < 0, 0, sector)
+    return Chart(
+        title="Pushes that follow the first look",
+        size=(chart.WIDE, 3.0),
+        fill=lambda figure: _draw_looks(figure, plan, walk, group),
+        data=Table.from_columns(
+            {
+                "seen_x_m": walk.seen[:, 0],
+                "seen_y_m": walk.seen[:, 1],
+                "seen_angle_rad": walk.seen[:, 2],
+                "next": [NEXT[k] for k in group],
+                "probability": walk.probability,
+            }
+        ),
+    )
+
+
+def _draw_looks(figure: Figure, plan: PushPlan, walk: Walk, group: IntArray) -> None:
+    plane, angles = figure.subplots(1, 2)
+    body = plan.scene.bodies[0]
+    goals = [own for own in plan.goal.clauses if isinstance(own, PoseRegion)]
+    place = centroids(body, np.vstack((walk.seen, plan.end, *(own.pose for own in goals))))
+    unit = unit_for(4.0 * float(np.ptp(place, axis=0).max()))
+    turn = np.degrees(wrapped(walk.seen[:, 2] - plan.end[2]))
+    for k in np.unique(group):
+        own = group == k
+        label = f"{NEXT[k]}: {own.mean():.0%}, success {walk.probability[own].mean():.2f}"
+        style: dict[str, Any] = {"color": NEXT_COLOURS[k], "markersize": 3.0, "alpha": 0.7}
+        plane.plot(*(unit.factor * place[: len(own)][own].T), ".", label=label, **style)
+        angles.plot(turn[own], walk.probability[own], ".", **style)
+    _goal(plane, plan, unit)
+    x, y = unit.factor * place[len(walk.seen)]
+    plane.plot(x, y, "+", color=palette.INK, markersize=8.0, label="planned end")
+    plain_view(plane, unit, " of the centroid")
+    # A square about the dots and the goal's position, since outlines would make both small.
+    around = [place, *(placed(body.shape.centroid, own.pose) + r * own.position
+                       for own in goals if own.position for r in (-1.0, 1.0))]  # fmt: skip
+    box = np.vstack(around)
+    middle = 0.5 * (box.min(axis=0) + box.max(axis=0))
+    half = 1.1 * unit.factor * float(np.abs(box - middle).max())
+    x, y = unit.factor * middle
+    plane.set_aspect("equal", adjustable="box")
+    plane.set(xlim=(x - half, x + half), ylim=(y - half, y + half))
+    angles.set(xlabel="angle from the planned end [deg]", ylabel="success without another look")
+    angles.set(ylim=(-0.03, 1.03))
+    chart.clean(angles)
+    chart.legend_below(figure, [plane], most=3)
 
 
 class CaptureRegion(NamedTuple):
@@ -419,6 +491,7 @@ def orienting_figure(plan: OrientingPlan) -> Figure:
 
 draw_orienting = chart.plot_of(orienting_figure)
 draw_paths = chart.plot_of(paths_chart)
+draw_looks = chart.plot_of(looks_chart)
 draw_capture_regions = chart.plot_of(capture_chart)
 draw_causes = chart.plot_of(causes_chart)
 draw_success_against = chart.plot_of(success_curves_chart)

@@ -153,11 +153,12 @@ class PushPlan(Result):
 
     @property
     def count(self) -> str:
-        """Number of pushes as text."""
-        n = len(self.pushes)
-        if n == 0:
+        """Numbers of pushes and looks as text."""
+        n, looks = len(self.pushes), 0 if self.looks is None else self.looks.most
+        if n == looks == 0:
             return "no push, for the part already meets the goal"
-        return f"{n} push{'es' * (n > 1)}"
+        pushes = f"{n or 'no'} push{'es' * (n > 1)}"
+        return f"{pushes} and up to {looks} look{'s' * (looks > 1)}" if looks else pushes
 
     @property
     def scenes(self) -> tuple[Scene, ...]:

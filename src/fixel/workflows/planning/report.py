@@ -7,9 +7,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from fixel.drawing.planning import capture_chart, causes_chart, paths_chart
+from fixel.drawing.planning import capture_chart, causes_chart, looks_chart, paths_chart
 from fixel.io.atomic import written_whole
 from fixel.io.document import yaml_text
+from fixel.planning.looks import Looks
 from fixel.planning.plan import PushPlan
 from fixel.table import Table
 from fixel.workflows.analysis import Analysis, AnalysisReport
@@ -54,14 +55,23 @@ def analysis_of(found: FoundPlan) -> Analysis:
 
 
 def pictures_of(plan: PushPlan) -> Iterator[Picture]:
-    """Yield motions, capture regions and causes of failures of a plan."""
+    """Yield motions, looks, capture regions and causes of failures of a plan."""
     caption = "Simulated motions of the part in samples of what is unknown; failures in colour."
+    if plan.looks:
+        caption += " Corrections after looks are drawn as straight lines to the end."
     yield Picture("paths", paths_chart(plan), "", caption)
+    if plan.looks:
+        caption = (
+            "Simulated poses at the first look, by the correction that follows, and its success"
+            " probability without another look."
+        )
+        yield Picture("looks", looks_chart(plan), "", caption)
     if plan.pushes:
         caption = (
             "Success of the rest of the plan from poses before each push, with the poses in"
             " samples of what is unknown before and after it."
         )
+        caption += " Looks are left out." if plan.looks else ""
         yield Picture("capture", capture_chart(plan), "", caption)
     caption = (
         "Share of the failures that each unknown explains alone, and the success gained by"
@@ -80,14 +90,21 @@ def add_files(answer: PlanAnswer, folder: Path) -> None:
 def next_words(done: StoredAnswer) -> list[object]:
     """Return the words of the command that carries out the plan, if it has pushes."""
     file = done.result.file or (done.folder and done.folder / FILE)
-    return ["plan", "run", file] if file and done.result.found.plan.pushes else []
+    return ["plan", "run", file] if file and _has_pushes(done.result.found.plan) else []
+
+
+def _has_pushes(plan: PushPlan) -> bool:
+    return bool(plan.pushes) or plan.looks is not None
 
 
 def _headline(found: FoundPlan) -> list[str]:
     """Return the main results of a plan in sentences."""
     plan = found.plan
     lines = [f"{plan.count.capitalize()}: {plan.success.sentence}."]
+    lines += plan.looks.sentences if plan.looks else []
     lines.append(f"The plan that is best without any error: {plan.nominal_success.sentence}.")
+    if plan.belief.error_text:
+        lines.append(f"{plan.belief.error_text.capitalize()}.")
     lines.append(f"{plan.belief.start_text.capitalize()}.")
     if plan.failures:
         kinds = (f"{100.0 * share:.1f} % {why}" for why, share in plan.failures.items())
@@ -105,10 +122,16 @@ def _methods(plan: PushPlan) -> str:
     """Return a sentence for the methods section of a paper."""
     own = plan.success
     draws = f", and its range from {len(own.rates)} further samples with {own.n_runs} runs each"
-    return (
+    text = (
         f"Open-loop pushes were planned with {plan.rollouts} simulated pushes (seed {plan.seed});"
         f" the success probability was computed from {own.n} scenarios that the search had not"
         f" used, each with its own sample of the parameters{'' if own.worst is None else draws}."
+    )
+    if plan.looks is None:
+        return text
+    return (
+        f"{text} It is that of these pushes with up to {plan.looks.most} looks at the part, each"
+        f" with a correction from a table of {len(plan.looks.table.numbers)} pushes."
     )
 
 
@@ -132,6 +155,8 @@ def numbers_of(found: FoundPlan) -> dict[str, Any]:
         "nominal_success": {"stated": plan.nominal_success.stated},
         "failures": dict(plan.failures),
         "start_error": plan.belief.start_text,
+        "model_error": plan.belief.error_text,
+        "looks": None if plan.looks is None else _numbers_of_looks(plan.looks),
         "why": list(plan.explain().sentences),
         "unseen": list(plan.unseen),
         "start_m_rad": plan.start.tolist(),
@@ -141,6 +166,17 @@ def numbers_of(found: FoundPlan) -> dict[str, Any]:
         "outline_m": body.shape.outline.tolist(),
         "calibration": found.calibration,
         "rollouts": plan.rollouts,
+    }
+
+
+def _numbers_of_looks(looks: Looks) -> dict[str, Any]:
+    return {
+        "most": looks.most,
+        "success": [own.mean for own in looks.worth],
+        "pushes": looks.pushes,
+        "no_push_after_first": looks.stops,
+        "camera_m_rad": looks.camera.deviation.tolist(),
+        "lost_views": looks.lost_views,
     }
 
 
