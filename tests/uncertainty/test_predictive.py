@@ -22,11 +22,11 @@ def fit(recorded):
     return fixel.calibrate(recorded, space, motion="quasistatic", progress=False)
 
 
-def test_the_error_of_ends_is_a_share_of_the_residuals_of_the_best_fit(fit, recorded):
+def test_the_error_of_ends_is_that_of_the_residuals_of_the_best_fit(fit, recorded):
     """The residuals come from `Calibration.residuals`, which simulates whole tracks."""
     arm = np.sqrt(recorded[0].scene.bodies[0].shape.unit_inertia)
     ends = np.array([fit.residuals(own)[-1] for own in recorded]) * (1.0, 1.0, arm)
-    expected = 0.6 * np.sqrt((ends**2).sum() / (3 * len(recorded) - 2))
+    expected = np.sqrt((ends**2).sum() / (3 * len(recorded) - 2))
     assert fit.predictive.error.size == pytest.approx(expected, rel=1e-3)
 
 
