@@ -102,6 +102,12 @@ def test_entries_of_the_table_are_pushes_of_their_length():
         assert (off < (3e-5, 3e-5, 5e-4)).all()
 
 
+def test_a_table_of_no_trusted_pushes_is_refused():
+    search = search_of(pushed_square(), GOAL, FreePushes(), UNKNOWN, rollouts=4_000, seed=0)
+    with pytest.raises(InvalidInput, match="untrusted=True"):
+        CorrectionTable.of(search.simulator, UNKNOWN, 4_000, 3, lambda numbers: False)
+
+
 def test_weights_of_predictions_are_those_of_a_linear_filter():
     """A scalar linear case: the weighted mean is that of the product of two normal densities."""
     rng = np.random.default_rng(0)

@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 from scipy.spatial import cKDTree
 
+from fixel.errors import InvalidInput
 from fixel.model.goals import BodyTrack
 from fixel.model.trajectory import wrapped
 from fixel.planning.belief import Belief, Scenarios
@@ -95,6 +96,13 @@ class CorrectionTable:
         ways[:, :, 2] = high[2]
         if trusted is not None:
             ways = ways[[trusted(own[0]) for own in ways]]
+        if not len(ways):
+            raise InvalidInput(
+                "looks",
+                found="no correction that resembles an experiment",
+                expected="some",
+                hint="record pushes of all sides, or plan with untrusted=True",
+            )
         planned = alone.planned(ways)
         good = np.flatnonzero(planned.nominal.failure == CARRIED_OUT)
         planned, ways = planned.rows(good), ways[good]

@@ -511,7 +511,7 @@ def plan_rounds(search: PlanSearch, *, untrusted: bool = False) -> Rounds[PushPl
     plan, margins, looks = found.plans[0], found.margins[0][:, 0], None
     success = SuccessProbability.of(found.margins[-1], independent=margins)
     if search.looks:
-        trusted = partial(_trusted, simulator, belief) if checked else None
+        trusted = partial(_trusted, simulator, belief, plan) if checked else None
         plan, policy = policy_of(search, found.plans, trusted)
         looks, scenarios = looks_of(policy, search.fresh_stages, 1000 * search.seed)
         success, margin = looks.worth[-1], looks.walk.margin[-1]
@@ -550,9 +550,16 @@ def _why(margin: FloatArray, failure: IntArray) -> tuple[str, ...]:
     )
 
 
-def _trusted(simulator: PlanSimulator, belief: Belief, numbers: FloatArray) -> bool:
-    """Return whether experiments resemble a push (d,) of the part at its start."""
-    return not _unseen(simulator, belief, numbers[None])
+def _trusted(
+    simulator: PlanSimulator, belief: Belief, plan: FloatArray, numbers: FloatArray
+) -> bool:
+    """Return whether experiments resemble a push (d,), taken as long as the first of a plan.
+
+    Corrections are shorter than what was recorded, and so part of it.
+    """
+    own = numbers.copy()
+    own[2:3] = plan[:1, 2] if len(plan) else own[2]
+    return not _unseen(simulator, belief, own[None])
 
 
 def _unseen(simulator: PlanSimulator, belief: Belief, plan: FloatArray) -> tuple[str, ...]:
