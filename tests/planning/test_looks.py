@@ -163,7 +163,7 @@ def test_a_plan_without_looks_has_no_chart_of_them():
 
 
 @pytest.mark.system
-def test_a_lost_view_ends_the_plan(plan):
+def test_looks_that_see_nothing_push_nothing(plan):
     pushes = []
     assert plan.perform(pushes.append, lambda: None) == ()
     assert len(pushes) == len(plan.pushes)

@@ -325,22 +325,19 @@ class PushPlan(Result):
         Returns
         -------
         tuple of PlanCorrection
-            What was chosen after each look. It ends early where no push promises more, or the part
-            is not seen.
+            What was chosen after each look that saw the part.
         """
         for scene in self.scenes:
             push(scene)
         seen: list[ArrayLike] = []
         chosen: list[PlanCorrection] = []
         for _ in range(0 if self.looks is None else self.looks.most):
-            pose = look()
-            if pose is None:
-                break
+            if (pose := look()) is None:
+                continue
             seen.append(pose)
             chosen.append(self.correction(*seen))
-            if (after := chosen[-1].scene) is None:
-                break
-            push(after)
+            if (after := chosen[-1].scene) is not None:
+                push(after)
         return tuple(chosen)
 
     def explain(self) -> Explanation:
