@@ -172,8 +172,9 @@ class CorrectionTable:
         start = seen[:, None] + camera.deviation * self.draws[0]
         score, meets = self._scores(simulator, start[:, None], weight[:, None])
         rows = np.full((len(seen), 1), -1)
+        ranks = np.arange(1, min(NEAREST, len(self.numbers)) + 1)
         near = np.hstack([
-            self.tree.query(embedded(composed(inverted(seen), pose), self.arm), k=NEAREST)[1]
+            self.tree.query(embedded(composed(inverted(seen), pose), self.arm), k=ranks)[1]
             for pose in towards
         ])  # fmt: skip
         many = near.shape[1]
@@ -194,11 +195,7 @@ class CorrectionTable:
         good = np.asarray(np.isfinite(ends).all(axis=-1))
         track = BodyTrack.of_ends(np.where(good[..., None], ends, 0.0))
         margin = np.asarray(simulator.goal.margin(simulator.scene, track)).reshape(good.shape)
-        margin = np.where(good, np.clip(margin, WORST_MARGIN, None), WORST_MARGIN)
-        share = weight / weight.sum(axis=-1, keepdims=True)
-        meets = np.sum(share * (margin >= 0.0), axis=-1)
-        far = np.sum(share * np.log1p(np.maximum(-margin, 0.0)), axis=-1)
-        return meets - FAR * far, meets
+        return _scored(np.where(good, np.maximum(margin, WORST_MARGIN), WORST_MARGIN), weight)
 
     def _tried(
         self,
@@ -210,28 +207,32 @@ class CorrectionTable:
         start: FloatArray,
     ) -> tuple[IntArray, tuple[FloatArray, FloatArray]]:
         """Simulate the best of some pushes among the fixels, in the likeliest worlds."""
-        n = len(seen)
-        best = np.argsort(-scores[0], axis=1)[:, :TRIED]
+        n, tried = len(seen), min(TRIED, near.shape[1])
+        best = np.argsort(-scores[0], axis=1)[:, :tried]
         rows = np.take_along_axis(near, best, axis=1)
         likely = np.argsort(-weight, axis=1)[:, :TRIED_WORLDS]
         planned = simulator.planned(
-            self.numbers[rows.reshape(-1)][:, None], np.repeat(seen, TRIED, axis=0)
+            self.numbers[rows.reshape(-1)][:, None], np.repeat(seen, tried, axis=0)
         )
-        which = np.repeat(np.arange(n * TRIED), TRIED_WORLDS)
-        world = np.repeat(likely, TRIED, axis=0).reshape(-1)
+        which = np.repeat(np.arange(n * tried), TRIED_WORLDS)
+        world = np.repeat(likely, tried, axis=0).reshape(-1)
         error = np.take_along_axis(start - seen[:, None], likely[..., None], axis=1)
         scenarios = self.worlds.rows(world)._replace(
-            start=np.repeat(error, TRIED, axis=0).reshape(-1, 3),
+            start=np.repeat(error, tried, axis=0).reshape(-1, 3),
             misfit=self.draws[1][world] / np.array([1.0, 1.0, self.arm]),
         )
         margin = simulator.margins(simulator.run(planned, which, scenarios))
         margin = np.where(planned.collides[which], WORST_MARGIN, margin)
-        margin = margin.reshape(n, TRIED, TRIED_WORLDS)
-        share = np.take_along_axis(weight, likely, axis=1)[:, None]
-        share = share / share.sum(axis=-1, keepdims=True)
-        meets = np.sum(share * (margin >= 0.0), axis=-1)
-        far = np.sum(share * np.log1p(np.maximum(-margin, 0.0)), axis=-1)
-        return rows, (meets - FAR * far, meets)
+        own = np.take_along_axis(weight, likely, axis=1)[:, None]
+        return rows, _scored(margin.reshape(n, tried, TRIED_WORLDS), own)
+
+
+def _scored(margin: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return scores and probabilities (n, m) of margins (n, m, w) with weights (n, 1, w)."""
+    share = weight / weight.sum(axis=-1, keepdims=True)
+    meets = np.sum(share * (margin >= 0.0), axis=-1)
+    far = np.sum(share * np.log1p(np.maximum(-margin, 0.0)), axis=-1)
+    return meets - FAR * far, meets
 
 
 def likelihoods(
@@ -254,7 +255,8 @@ def likelihoods(
             for own, x in zip(off, np.moveaxis(width, -1, 0), strict=True)
         )
         square = np.where(good[rows] if len(good) > 1 else good, square, np.inf)
-        weight = np.exp(-0.5 * (square - square.min(axis=1, keepdims=True)))
+        nearest = square.min(axis=1, keepdims=True)
+        weight = np.exp(-0.5 * (square - np.where(np.isfinite(nearest), nearest, 0.0)))
         found[rows] = weight
         rows = rows[weight.sum(axis=1) ** 2 < least * np.sum(weight**2, axis=1)]
         if not len(rows):

@@ -75,7 +75,8 @@ class Looks:
     pushes : float
         Expected number of pushes.
     stops : float
-        Share of the runs in which no push after the first look promises more than none.
+        Share of the runs without a push after the first look: none promises more, or the view
+        is lost.
     walk : Walk
         Runs in which the success probability was computed.
     """
@@ -101,7 +102,7 @@ class Looks:
         return [
             *lines,
             f"On average it needs {self.pushes:.1f} pushes; after the first look,"
-            f" {100.0 * self.stops:.0f} % of the runs need no further push, or none would help.",
+            f" {100.0 * self.stops:.0f} % of the runs need no push, or none would help.",
             f"Error of a seen pose: {camera}.",
         ]
 
@@ -130,12 +131,14 @@ class Policy:
         first: tuple[FloatArray, Correction] | None = None
         for _ in range(self.looks):
             seen = pose + self.camera.samples(n, int(rng.integers(2**31)))[rng.permutation(n)]
+            lost = rng.random(n) < self.lost_views
             weight = self._likely(seen, before)
+            weight[lost] = 1.0 if before is None else before[0][lost]
             found = self.table.chosen(self.simulator, seen, weight, self.camera, self._aims)
+            found = found._replace(row=np.where(lost, -1, found.row))
             before = weight, *self._expected(seen, found.row)
             first = first or (seen, found)
-            lost = rng.random(n) < self.lost_views
-            own = np.flatnonzero((found.row >= 0) & (failure == CARRIED_OUT) & ~lost)
+            own = np.flatnonzero((found.row >= 0) & (failure == CARRIED_OUT))
             if len(own):
                 drawn = scenarios.rows(rng.permutation(n)[: len(own)])  # of the model's errors
                 mine = scenarios.rows(own)._replace(
