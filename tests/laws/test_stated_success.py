@@ -1,4 +1,4 @@
-"""What plans state holds as often as it says, for success rates with a known distribution."""
+"""Stated intervals and ranges of success hold as often as they say, for known distributions."""
 
 import numpy as np
 import pytest

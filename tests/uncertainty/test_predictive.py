@@ -1,4 +1,4 @@
-"""What a calibration predicts of fresh pushes."""
+"""Parameter sets and errors of ends with which a calibration predicts fresh pushes."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,7 @@ def test_parameter_sets_are_nearer_to_the_values_than_samples_are(fit):
 
 
 def test_sets_that_reproduce_the_recorded_ends_come_more_often(fit):
-    """Of sets all over the space, those near the values of the twin come more often."""
+    """Parameter sets near the values of the twin come more often than others of the space."""
     space, best = fit.space, fit.found.point
     points = np.random.default_rng(0).uniform(space.low, space.high, (512, 2))
     found = predictive_of(fit.targets, space, fit.motion, best, best, points)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final, NamedTuple, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -15,11 +15,12 @@ from fixel.errors import InvalidInput
 from fixel.model.goals import BodyTrack
 from fixel.model.trajectory import wrapped
 from fixel.planning.belief import Belief, Scenarios
-from fixel.planning.candidates import embedded, goal_poses, spread_pushes
+from fixel.planning.candidates import embedded, goal_poses, simulator_alone, spread_pushes
 from fixel.planning.rollout import CARRIED_OUT, WORST_MARGIN, PlanSimulator
 from fixel.simulation.vary import composed, inverted
 from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.predictive import motion_of
+from fixel.uncertainty.run_to_run import arm_of
 from fixel.uncertainty.starts import StartError
 
 WORLDS: Final = 32  # draws of what is unknown in a table
@@ -81,13 +82,8 @@ class CorrectionTable:
 
         Pushes (d,) for which `trusted` is false are left out.
         """
-        scene, none = simulator.scene, np.zeros((WORLDS, 3))
-        body = replace(scene.bodies[0], pose=np.zeros(3))
-        own: Any = simulator.choice
-        alone = replace(
-            simulator, rollouts=0, samples=LENGTHS, choice=replace(own, obstacles=()),
-            scene=replace(scene, bodies=(body,), fixels=()),
-        )  # fmt: skip
+        none = np.zeros((WORLDS, 3))
+        alone = replace(simulator_alone(simulator), samples=LENGTHS)
         low, high = alone.choice.bounds(alone.scene)
         if getattr(alone.choice, "length", None) is None:
             low[2] *= SHORTER
@@ -119,8 +115,7 @@ class CorrectionTable:
         # On a shorter way along the same arc the tool turns less.
         numbers[:, :, 3:] *= np.minimum(length / high[2], 1.0)[..., None]
         inside = (length >= low[2]) & (length <= high[2]) & np.isfinite(moved).any(axis=(2, 3))
-        arm = math.sqrt(body.shape.unit_inertia)
-        return cls(numbers[inside], moved[inside], worlds, arm, seed)
+        return cls(numbers[inside], moved[inside], worlds, arm_of(alone.scene), seed)
 
     @cached_property
     def tree(self) -> cKDTree:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
@@ -252,7 +252,7 @@ class PushPlan(Result):
         simulator, planned = replace(self, belief=belief)._simulator(None), self.planned()
         stages, margins = fresh_stages(belief, self.scene), []
         if self.looks is not None:
-            policy = replace(self.policy(), belief=belief, simulator=simulator)
+            policy = replace(self.policy, belief=belief, simulator=simulator)
             return looks_of(policy, stages, self.seed + FRESH)[0].worth[-1]
         for own in stages:
             seed = self.seed + FRESH + own.stream
@@ -261,8 +261,9 @@ class PushPlan(Result):
             margins.append(simulator.margins(runs).reshape(own.worlds, own.runs))
         return SuccessProbability.of(margins[-1], independent=margins[0][:, 0])
 
-    def policy(self, threads: int | None = None) -> Policy:
-        """Return the policy of a plan with looks, to choose corrections of seen poses.
+    @cached_property
+    def policy(self) -> Policy:
+        """Policy of a plan with looks, which chooses corrections of seen poses.
 
         Raises
         ------
@@ -274,7 +275,7 @@ class PushPlan(Result):
             hint = "plan with looks=1 or more"
             raise InvalidInput("plan", found="no looks", expected="a plan with looks", hint=hint)
         return Policy(
-            simulator=self._simulator(threads), belief=self.belief, planned=self.planned(),
+            simulator=self._simulator(None), belief=self.belief, planned=self.planned(),
             table=own.table, camera=own.camera, lost_views=own.lost_views, looks=own.most,
         )  # fmt: skip
 
@@ -296,7 +297,7 @@ class PushPlan(Result):
         poses = np.array([vector(pose, "seen", POSE) for pose in seen])
         if not len(poses):
             raise InvalidInput("seen", found="no pose", expected="one or more poses")
-        policy = self.policy()
+        policy = self.policy
         found = policy.next(poses)
         row, probability = int(found.row[0]), float(found.probability[0])
         if row < 0 or len(poses) > policy.looks:

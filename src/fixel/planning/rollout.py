@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, NamedTuple, final
@@ -22,7 +21,7 @@ from fixel.simulation.stepper import AbstractStepper
 from fixel.simulation.vary import composed, varied_start
 from fixel.typing import BoolArray, FloatArray, IntArray
 from fixel.uncertainty.predictive import motion_of
-from fixel.uncertainty.run_to_run import rest_at
+from fixel.uncertainty.run_to_run import arm_of, rest_at
 
 # What became of a run; all but the first count as failures of the plan.
 CARRIED_OUT, NOT_SIMULATED, TOOL_ON_PART, START_OVERLAPS, OBSTACLE = range(5)
@@ -258,8 +257,8 @@ class PlanSimulator:
         """Return the errors (n, 3) of the model for ends that touch nothing."""
         error = rest_at(scenarios.rest, end[:, 2] - start[:, 2]) + scenarios.drift
         if scenarios.end_error is not None:
-            arm = math.sqrt(self.scene.bodies[0].shape.unit_inertia)
-            size = scenarios.end_error.deviation(motion_of(start, end, arm))
+            moved = motion_of(start, end, arm_of(self.scene))
+            size = scenarios.end_error.deviation(moved)
             error = error + size[:, None] * scenarios.misfit
         return error
 
