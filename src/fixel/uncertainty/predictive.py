@@ -28,7 +28,6 @@ from fixel.model.trajectory import wrapped
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.typing import FloatArray
 from fixel.uncertainty.push import CalibratedModel
-from fixel.uncertainty.run_to_run import arm_of
 
 SHRINK: Final = 0.7  # distance of samples from the calibrated values, relative to the intervals
 POWER: Final = 0.1  # of the likelihood of a recorded push, by the sum of squares of all ends
@@ -130,7 +129,8 @@ def end_residuals(
         which, np.tile(points, (len(ends), 1))
     )
     off = np.where(good[:, None], found[:, 0], FAILED).reshape(len(ends), -1, 3)
-    off[:, :, 2] *= np.array([arm_of(own.case.scene) for own in ends])[:, None]
+    arms = [math.sqrt(own.case.scene.bodies[0].shape.unit_inertia) for own in ends]
+    off[:, :, 2] *= np.array(arms)[:, None]
     return np.asarray(off)
 
 
@@ -141,6 +141,6 @@ def motion_of(start: FloatArray, end: FloatArray, arm: float) -> FloatArray:
 
 
 def _recorded_motion(own: Target) -> float:
-    scene = own.case.scene
-    start = np.asarray(scene.bodies[0].pose, np.float64)[None]
-    return float(motion_of(start, own.pose[-1:], arm_of(scene))[0])
+    body = own.case.scene.bodies[0]
+    start = np.asarray(body.pose, np.float64)[None]
+    return float(motion_of(start, own.pose[-1:], math.sqrt(body.shape.unit_inertia))[0])
