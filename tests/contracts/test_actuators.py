@@ -2,8 +2,10 @@
 
 import time
 
+import numpy as np
 import pytest
 
+from fixel.errors import DeviceFailed, InvalidInput
 from fixel.testbed.emulators.grbl import EmulatedGrbl
 from fixel.testbed.motion import AbstractActuator, ManualActuator, SimulatedActuator
 from fixel.testbed.motion_grbl import GrblActuator
@@ -40,6 +42,22 @@ class TestSimulated(ActuatorContract):
     @pytest.fixture(params=[0.0, 0.2], ids=["even", "with ripple"])
     def actuator(self, request) -> AbstractActuator:
         return SimulatedActuator(ripple=request.param, speed_ratio=1.1, phase=0.3)
+
+
+class TestSimulatedPlane(ActuatorContract):
+    @pytest.fixture(params=[2, 3])
+    def actuator(self, request) -> AbstractActuator:
+        return SimulatedActuator(n_axes=request.param, ripple=0.2, start=0.004)
+
+    def test_a_move_begins_on_its_line(self, actuator) -> None:
+        with actuator:
+            actuator.aim([0.03] * actuator.n_axes, np.eye(actuator.n_axes)[1])
+            with pytest.raises(DeviceFailed, match="mm off the line"):
+                actuator.move(to=0.01)
+
+    def test_a_line_outside_the_travels_is_refused(self, actuator) -> None:
+        with pytest.raises(InvalidInput, match="inside the travels"):
+            actuator.aim(np.full(actuator.n_axes, -0.01), np.eye(actuator.n_axes)[0])
 
 
 class TestManual(ActuatorContract):

@@ -4,33 +4,77 @@ program simulates."""
 from __future__ import annotations
 
 import abc
-import math
 import threading
 import time
-from collections.abc import Callable
-from typing import ClassVar, Final, Self, final
+from collections.abc import Callable, Sequence
+from typing import ClassVar, Final, NamedTuple, Self, final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fixel.errors import DeviceFailed, InvalidInput
-from fixel.model.fields import finite, fraction, non_negative, positive
+from fixel.model.fields import finite, fraction, non_negative, positive, vector
 from fixel.testbed.imperfections import uneven_time
+from fixel.typing import FloatArray
 
 DRIVE_REACH: Final = (0.0, 0.150)  # [m] of the thesis's actuator
 SPEED: Final = 0.0135  # [m/s] in all its experiments
 NEAR: Final = 2e-5  # [m] largest distance at which the drive has arrived
+ON_LINE: Final = 1e-4  # [m] largest distance from its line at which a move may begin
+Reach = tuple[float, float] | Sequence[tuple[float, float]]  # of all axes, or of each [m]
+
+
+class Line(NamedTuple):
+    """Straight line in the coordinates of a drive."""
+
+    origin: FloatArray  # place of position 0 (n_axes,) [m]
+    direction: FloatArray  # unit vector towards growing positions (n_axes,) [-]
+
+    def at(self, position: float) -> FloatArray:
+        """Return the place (n_axes,) [m] of a position [m]."""
+        return self.origin + position * self.direction
+
+    def along(self, place: FloatArray) -> float:
+        """Return the position [m] of a place (n_axes,) [m], projected onto the line."""
+        return float(self.direction @ (place - self.origin))
+
+    def inside(self, travels: FloatArray) -> tuple[float, float]:
+        """Return the range of positions inside travels (n_axes, 2) [m]; descending if empty."""
+        low, high = -np.inf, np.inf
+        for start, way, ends in zip(self.origin, self.direction, travels, strict=True):
+            if way != 0.0:
+                near, far = sorted(((ends - start) / way).tolist())
+                low, high = max(low, near), min(high, far)
+            elif not ends[0] - NEAR <= start <= ends[1] + NEAR:
+                return 0.0, -1.0
+        return low, high
 
 
 class AbstractActuator(abc.ABC):
     """Abstract drive on a straight line.
 
-    Positions are distances along its stroke [m]: 0 where it is fully withdrawn, growing as it
-    extends. Use it as a context manager; leaving the block stops a drive that still moves.
+    Positions are distances along its line [m]. Until it is aimed, the line of a drive with one axis
+    is its stroke: 0 where it is fully withdrawn, growing as it extends. A drive with more axes
+    moves parallel to its first axis until it is aimed. Use it as a context manager; leaving the
+    block stops a drive that still moves.
     """
 
     name: ClassVar[str]  # name on the command line
     # Smallest and largest position that it may be sent to [m].
     reach: tuple[float, float]
+    # Smallest and largest coordinate of each axis (n_axes, 2) [m]; None if it cannot be aimed.
+    travels: FloatArray | None = None
+    _aimed: Line | None = None
+
+    @property
+    def n_axes(self) -> int:
+        """Number of axes."""
+        return 1 if self.travels is None else len(self.travels)
+
+    @property
+    def line(self) -> Line:
+        """Line of the moves."""
+        return self._aimed or Line(np.zeros(self.n_axes), np.eye(self.n_axes)[0])
 
     @abc.abstractmethod
     def connect(self) -> Self:
@@ -52,6 +96,10 @@ class AbstractActuator(abc.ABC):
     @abc.abstractmethod
     def position(self) -> float:
         """Return the current position [m]."""
+
+    def place(self) -> FloatArray:
+        """Return the coordinates of the drive (n_axes,) [m]."""
+        return np.array([self.position()])
 
     @property
     @abc.abstractmethod
@@ -76,6 +124,113 @@ class AbstractActuator(abc.ABC):
     @abc.abstractmethod
     def _begin(self, target: float, speed: float) -> None:
         """Start towards a position within reach [m] at a speed [m/s]; returns at once."""
+
+    def aim(self, origin: ArrayLike, direction: ArrayLike) -> None:
+        """Set the line of the next moves; nothing moves.
+
+        `reach` becomes the part of the line that is inside the travels of all axes. A move begins
+        on the line: the method `go` moves the drive there.
+
+        Parameters
+        ----------
+        origin : array_like, shape (n_axes,)
+            Place of position 0, in coordinates of the drive [m].
+        direction : array_like, shape (n_axes,)
+            Unit vector towards growing positions; 1 or -1 with one axis.
+
+        Raises
+        ------
+        InvalidInput
+            The direction is no unit vector, or no part of the line is inside the travels.
+        DeviceFailed
+            The drive moves.
+
+        Examples
+        --------
+        >>> drive = SimulatedActuator(n_axes=2).connect()
+        >>> drive.aim([0.03, 0.0], [0.6, 0.8])
+        >>> [round(end, 6) for end in drive.reach]
+        [0.0, 0.1875]
+        >>> drive.go([0.03, 0.0], speed=10.0)
+        >>> drive.move(to=0.05, speed=10.0)
+        >>> drive.place().round(6).tolist()
+        [0.06, 0.04]
+        """
+        if self.travels is None:
+            raise InvalidInput(
+                "aim", found="a driver with a fixed line", expected="one that states its travels"
+            )
+        start = vector(origin, "origin", self._labels)
+        way = vector(direction, "direction", self._labels)
+        length = float(np.linalg.norm(way))
+        if abs(length - 1.0) > 1e-6:
+            unit = "a unit vector" if self.n_axes > 1 else "1 or -1"
+            raise InvalidInput("direction", found=way.tolist(), expected=unit)
+        self._refuse_second_move()
+        # The rounding error of a cosine must not move an axis.
+        self._set_line(Line(start, np.where(np.abs(way) < 1e-12, 0.0, way / length)))
+
+    def go(self, place: ArrayLike, *, speed: float = SPEED, wait: bool = True) -> None:
+        """Move straight to a place (n_axes,) [m], which need not be on the line of the moves.
+
+        Parameters and errors are those of the method `move`.
+        """
+        here, end = self.place(), vector(place, "place", self._labels)
+        if self.travels is None:
+            return self.move(to=float(end[0]), speed=speed, wait=wait)
+        # A place on the border may be outside by a rounding error.
+        near = np.clip([here, end], *self.travels.T)
+        here, end = np.where(np.abs(near - [here, end]) <= NEAR, near, [here, end])
+        distance, before = float(np.linalg.norm(end - here)), self._aimed
+        self.aim(here, (end - here) / distance if distance > 0.0 else np.eye(len(here))[0])
+        try:
+            self.move(to=distance, speed=speed, wait=wait)
+        finally:
+            self._set_line(before)
+
+    @property
+    def _labels(self) -> str:
+        return ", ".join(f"axis {k + 1}" for k in range(self.n_axes))
+
+    def _set_line(self, line: Line | None) -> None:
+        """Set the line and the reach along it; None for the line of a drive that is not aimed."""
+        assert self.travels is not None
+        low, high = self.travels[0].tolist() if line is None else line.inside(self.travels)
+        if line is not None and low >= high:
+            words = [f"{1e3 * near:.4g} to {1e3 * far:.4g} mm" for near, far in self.travels]
+            raise InvalidInput(
+                "origin",
+                found=f"{(1e3 * line.origin).round(3).tolist()} mm with direction"
+                f" {line.direction.round(4).tolist()}",
+                expected=f"a line inside the travels, {' and '.join(words)}",
+            )
+        self._aimed, self.reach = line, (low, high)
+
+    def _end_of(self, target: float) -> FloatArray:
+        """Return the place (n_axes,) [m] of a target [m]; raise if the drive is off its line."""
+        if self.n_axes == 1:
+            return self.line.at(target)
+        line, here = self.line, self.place()
+        nearest = line.at(line.along(here))
+        if self._aimed is None:
+            return line.at(target) + (here - nearest)
+        off = float(np.linalg.norm(here - nearest))
+        if off > ON_LINE:
+            raise DeviceFailed(
+                f"the drive is {1e3 * off:.2f} mm off the line of the move",
+                hint=f"go to a place on it first, such as {(1e3 * nearest).round(2).tolist()} mm",
+            )
+        return line.at(target)
+
+    def check(
+        self, *, to: float | None = None, by: float | None = None, speed: float = SPEED
+    ) -> None:
+        """Raise what `move` would raise for the same parameters before it begins; nothing moves.
+
+        The drive need not be on its line yet.
+        """
+        self._checked_speed(speed)
+        self._place_meant(to, by)
 
     def move(
         self,
@@ -106,13 +261,7 @@ class AbstractActuator(abc.ABC):
         DeviceFailed
             The drive is not ready, or ended the move early.
         """
-        speed = positive(speed, "speed", "m/s")
-        if not self.connected:
-            raise DeviceFailed("the actuator is not connected", hint="call connect first")
-        if self.moving:
-            raise DeviceFailed(
-                "the actuator is already moving", hint="wait until it stands, or stop it"
-            )
+        speed = self._checked_speed(speed)
         target = self._place_meant(to, by)
         try:
             self._begin(target, speed)
@@ -121,6 +270,19 @@ class AbstractActuator(abc.ABC):
         except BaseException:
             self.stop()
             raise
+
+    def _checked_speed(self, speed: float) -> float:
+        speed = positive(speed, "speed", "m/s")
+        if not self.connected:
+            raise DeviceFailed("the actuator is not connected", hint="call connect first")
+        self._refuse_second_move()
+        return speed
+
+    def _refuse_second_move(self) -> None:
+        if self.moving:
+            raise DeviceFailed(
+                "the actuator is already moving", hint="wait until it stands, or stop it"
+            )
 
     def _place_meant(self, to: float | None, by: float | None) -> float:
         if (to is None) == (by is None):
@@ -151,6 +313,17 @@ def checked_reach(reach: tuple[float, float]) -> tuple[float, float]:
     return low, high
 
 
+def checked_travels(reach: Reach, n_axes: int) -> FloatArray:
+    """Return the ends of each axis (n_axes, 2) [m], from those of each or of all."""
+    one = np.ndim(np.asarray(reach, dtype=object)) == 1
+    pairs = [reach] * n_axes if one else list(reach)
+    if len(pairs) != n_axes:
+        raise InvalidInput(
+            "reach", found=reach, expected=f"two positions for each of {n_axes} axes"
+        )
+    return np.array([checked_reach(pair) for pair in pairs])  # type: ignore[arg-type]
+
+
 @final
 class ManualActuator(AbstractActuator):
     """Actuator that prompts a person to set and start the drive, and relies on the answers.
@@ -168,6 +341,7 @@ class ManualActuator(AbstractActuator):
     """
 
     name: ClassVar[str] = "manual"
+    travels: FloatArray
 
     def __init__(
         self,
@@ -176,10 +350,11 @@ class ManualActuator(AbstractActuator):
         ask: Callable[[str], str] = input,
         notify: Callable[[str], None] = print,
     ) -> None:
-        self.reach = checked_reach(reach)
+        self.travels = checked_travels(reach, 1)
+        self._set_line(None)
         self._ask, self._say = ask, notify
         self._connected = False
-        self._at: float | None = None
+        self._at: float | None = None  # [m] coordinate of the drive
         self._heading: float | None = None  # [m] target of the move under way
         self._stopped = ""
 
@@ -200,12 +375,15 @@ class ManualActuator(AbstractActuator):
 
     def home(self) -> None:
         self._answered("Move the drive to its origin. When it stands there, press Enter: ")
-        self._at = self.reach[0]
+        self._at = float(self.travels[0, 0])
 
     def position(self) -> float:
+        return self.line.along(self.place())
+
+    def place(self) -> FloatArray:
         if self._at is None:
             self._at = self._asked_for_position()
-        return self._at
+        return np.array([self._at])
 
     @property
     def moving(self) -> bool:
@@ -227,13 +405,13 @@ class ManualActuator(AbstractActuator):
         self._stopped = "the operator was instructed to stop the drive"
 
     def _begin(self, target: float, speed: float) -> None:
-        here = self.position()
+        here, end = float(self.place()[0]), float(self._end_of(target)[0])
         self._stopped = ""
         self._say(
-            f"Set in the drive's program: from {1e3 * here:.2f} mm to {1e3 * target:.2f} mm"
-            f" (by {1e3 * (target - here):+.2f} mm), speed {1e3 * speed:.2f} mm/s."
+            f"Set in the drive's program: from {1e3 * here:.2f} mm to {1e3 * end:.2f} mm"
+            f" (by {1e3 * (end - here):+.2f} mm), speed {1e3 * speed:.2f} mm/s."
         )
-        self._heading = target  # an interrupted person may have clicked already
+        self._heading = end  # an interrupted person may have clicked already
         self._answered("Click its start button and press Enter at the same moment: ")
 
     def _asked_for_position(self) -> float:
@@ -260,10 +438,12 @@ class SimulatedActuator(AbstractActuator):
 
     Parameters
     ----------
-    reach : (float, float)
-        Smallest and largest position [m].
-    start : float
-        Initial position [m].
+    n_axes : int
+        Number of axes.
+    reach : (float, float), or one pair for each axis
+        Smallest and largest coordinate of each axis [m].
+    start : float or array_like, shape (n_axes,)
+        Initial coordinates [m].
     speed_ratio : float
         True speed over the requested speed [-].
     ripple : float
@@ -277,19 +457,22 @@ class SimulatedActuator(AbstractActuator):
     """
 
     name: ClassVar[str] = "simulated"
+    travels: FloatArray
 
     def __init__(
         self,
         *,
-        reach: tuple[float, float] = DRIVE_REACH,
-        start: float = 0.0,
+        n_axes: int = 1,
+        reach: Reach = DRIVE_REACH,
+        start: float | Sequence[float] = 0.0,
         speed_ratio: float = 1.0,
         ripple: float = 0.0,
         frequency: float = 2.7,
         phase: float = 0.0,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.reach = checked_reach(reach)
+        self.travels = checked_travels(reach, n_axes)
+        self._set_line(None)
         self._speed_ratio = positive(speed_ratio, "speed_ratio")
         # Above 1 it would move backwards at times; no stepper motor does.
         self._ripple = min(fraction(ripple, "ripple"), 1.0 - 1e-9)
@@ -298,7 +481,8 @@ class SimulatedActuator(AbstractActuator):
         self._clock = clock
         self._connected = False
         self._lock = threading.RLock()
-        self._from = self._to = non_negative(start, "start", "m")
+        given = [start] * n_axes if np.ndim(start) == 0 else list(start)  # type: ignore[arg-type]
+        self._from = self._to = np.array([non_negative(each, "start", "m") for each in given])
         self._speed, self._began = 0.0, 0.0
         self._stopped = ""
 
@@ -316,17 +500,20 @@ class SimulatedActuator(AbstractActuator):
 
     def home(self) -> None:
         with self._lock:
-            self._from = self._to = self.reach[0]
+            self._from = self._to = self.travels[:, 0].copy()
             self._speed = 0.0
 
     def position(self) -> float:
+        return self.line.along(self.place())
+
+    def place(self) -> FloatArray:
         with self._lock:
-            return self._place(self._clock())
+            return self._place(self._clock()).copy()
 
     @property
     def moving(self) -> bool:
         with self._lock:
-            return self._speed > 0.0 and self._place(self._clock()) != self._to
+            return self._speed > 0.0 and self._place(self._clock()) is not self._to
 
     def wait(self) -> None:
         while self.moving:
@@ -345,17 +532,19 @@ class SimulatedActuator(AbstractActuator):
             self._speed = 0.0
 
     def _begin(self, target: float, speed: float) -> None:
+        end = self._end_of(target)
         with self._lock:
             now = self._clock()
-            self._from, self._to = self._place(now), target
+            self._from, self._to = self._place(now), end
             self._speed, self._began = speed * self._speed_ratio, now
             self._stopped = ""
 
-    def _place(self, now: float) -> float:
+    def _place(self, now: float) -> FloatArray:
         if self._speed == 0.0:
             return self._to
         elapsed = np.array(now - self._began)
         even = float(uneven_time(elapsed, self._ripple, self._frequency, self._phase))
         covered = max(0.0, self._speed * even)
-        whole = self._to - self._from
-        return self._to if covered >= abs(whole) else self._from + math.copysign(covered, whole)
+        way = self._to - self._from
+        whole = float(np.linalg.norm(way))
+        return self._to if covered >= whole else self._from + covered * (way / whole)

@@ -17,6 +17,7 @@ import threading
 import time
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 
 from fixel.errors import DeviceFailed, InvalidInput
@@ -24,6 +25,16 @@ from fixel.testbed.motion import AbstractActuator
 
 SPEED = 0.05  # [m/s]
 EXACT = 5e-5  # [m]
+
+
+def aimed(drive: AbstractActuator, angle: float) -> None:
+    """Go 20 mm along every axis, and aim from there in a direction that depends on an angle."""
+    if drive.travels is None:
+        pytest.skip("its line is fixed")
+    origin = drive.travels[:, 0] + 0.02
+    way = np.resize([np.cos(angle), np.sin(angle)], drive.n_axes)
+    drive.go(origin, speed=SPEED)
+    drive.aim(origin, way / np.linalg.norm(way))
 
 
 class ActuatorContract:
@@ -141,3 +152,52 @@ class ActuatorContract:
         ready.disconnect()
         assert not ready.moving
         assert not ready.connected
+
+    @pytest.mark.parametrize("angle", [0.6, 2.2, 3.3])
+    def test_moves_along_a_line_in_any_direction(
+        self, ready: AbstractActuator, angle: float
+    ) -> None:
+        aimed(ready, angle)
+        line = ready.line
+        for position in (0.005, -0.003):
+            ready.move(to=position, speed=SPEED)
+            assert ready.place() == pytest.approx(line.at(position), abs=EXACT)
+            assert ready.position() == pytest.approx(position, abs=EXACT)
+        assert ready.travels is not None
+        for end in ready.reach:
+            low, high = ready.travels.T
+            outside = np.maximum(low - line.at(end), line.at(end) - high)
+            assert outside.max() == pytest.approx(0.0, abs=1e-9)
+            with pytest.raises(InvalidInput):
+                ready.move(to=end + np.copysign(0.001, end), speed=SPEED)
+
+    def test_stops_on_a_line_without_leaving_it(self, ready: AbstractActuator) -> None:
+        aimed(ready, 0.6)
+        ready.move(to=0.05, speed=SPEED, wait=False)
+        time.sleep(0.05)
+        ready.stop()
+        there = ready.position()
+        assert ready.place() == pytest.approx(ready.line.at(there), abs=EXACT)
+        ready.move(by=0.002, speed=SPEED)
+        assert ready.place() == pytest.approx(ready.line.at(there + 0.002), abs=EXACT)
+
+    def test_checks_a_move_without_moving(self, ready: AbstractActuator) -> None:
+        before = ready.place()
+        ready.check(to=0.1, speed=SPEED)
+        for refused in ({"to": 1.0}, {"to": 0.1, "speed": -1.0}, {}):
+            with pytest.raises(InvalidInput):
+                ready.check(**refused)
+        assert not ready.moving
+        assert ready.place() == pytest.approx(before, abs=EXACT)
+
+    def test_refuses_what_is_no_line(self, ready: AbstractActuator) -> None:
+        before, n = ready.reach, ready.n_axes
+        for origin, way in (
+            (np.zeros(n), np.full(n, 0.3)),
+            (np.zeros(n), np.zeros(n)),
+            (np.zeros(n), np.ones(n + 1)),
+            (np.full(n, np.nan), np.eye(n)[0]),
+        ):
+            with pytest.raises(InvalidInput):
+                ready.aim(origin, way)
+        assert ready.reach == before
