@@ -12,6 +12,7 @@ from fixel.sampling.offsets import (
 from fixel.sampling.plan import Plan, PlanProblem, rehearse
 from fixel.sampling.published import eight_push_plan, thesis_plan
 from fixel.sampling.rig import FixelLayout, PlannedShape, RegularPolygon, SamplingRig
+from fixel.sampling.rows import about_part
 from fixel.sampling.table import table_plan
 
 __all__ = [
@@ -28,6 +29,7 @@ __all__ = [
     "PlannedShape",
     "RegularPolygon",
     "SamplingRig",
+    "about_part",
     "eight_push_plan",
     "rehearse",
     "table_plan",

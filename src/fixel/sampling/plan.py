@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from math import hypot
-from typing import Any, Final, NamedTuple, final
+from math import atan2, hypot
+from typing import Final, NamedTuple, final
 
 import numpy as np
 import shapely
@@ -27,6 +27,7 @@ from fixel.model import (
 from fixel.model.fields import settle
 from fixel.sampling.offsets import Offset, OffsetScheme, Triple
 from fixel.sampling.rig import FixelLayout, PlannedShape, SamplingRig, plain_name, shape_of
+from fixel.sampling.rows import moved
 from fixel.simulation import QuasiStatic, simulate_batch
 from fixel.typing import FloatArray
 
@@ -171,7 +172,7 @@ class Plan:
         for entry in self.entries():
             try:
                 scene = self.scene(entry.shape, entry.layout, entry.offset)
-                scene = scene if entry.place == HERE else _moved(scene, entry.place)
+                scene = scene if entry.place == HERE else moved(scene, entry.place)
             except InvalidInput as problem:
                 refused.append(PlanProblem(entry.name, str(problem)))
                 continue
@@ -180,20 +181,6 @@ class Plan:
                 conditions |= dict(zip(_PLACE, entry.place, strict=True))
             built.append(PlannedExperiment(name=entry.name, scene=scene, conditions=conditions))
         return tuple(built), tuple(refused)
-
-
-def _moved(scene: Scene, place: Triple) -> Scene:
-    """Move a scene from the frame of the rig to the world, where the frame has a pose."""
-
-    def at(own: Any) -> Any:
-        pose = np.array([*placed(own.pose[:2], place), own.pose[2] + place[2]])
-        return replace(own, pose=pose)
-
-    head = at(scene.pushers[0])
-    along = placed(head.drive.direction, (0.0, 0.0, place[2]))
-    head = replace(head, drive=replace(head.drive, direction=along))
-    bodies, fixels = (tuple(map(at, own)) for own in (scene.bodies, scene.fixels))
-    return replace(scene, bodies=bodies, pushers=(head,), fixels=fixels)
 
 
 def object_pose(rig: SamplingRig, shape: PlannedShape, offset: Offset) -> FloatArray:
@@ -328,18 +315,19 @@ class PlanProblem(NamedTuple):
 
 
 def scene_problems(scene: Scene) -> Iterator[str]:
-    """Yield the problems of a scene with one head, which moves along +x.
+    """Yield the problems of a scene with one head on a line.
 
     The head must meet the object, must not run into a fixel, and must be able to push the object
     to one. For the last check, the object is replaced by the smallest circle about its centroid
     that contains it. The circle moves straight ahead for the rest of the travel after the head has
     met it: the object may rotate, but does not slide sideways.
     """
-    x, y, angle = scene.pushers[0].pose.tolist()
-    if (x, y, angle) != HERE:  # back in the frame of the rig
-        scene = _moved(_moved(scene, (-x, -y, 0.0)), (0.0, 0.0, -angle))
+    x, y, _ = scene.pushers[0].pose.tolist()
     drive = scene.pushers[0].drive
     assert isinstance(drive, LineDrive)
+    angle = atan2(drive.direction[1], drive.direction[0])
+    if (x, y, angle) != HERE:  # back in the frame of the rig, along +x
+        scene = moved(moved(scene, (-x, -y, 0.0)), (0.0, 0.0, -angle))
     way = _clearance(scene)
     if way is None:
         yield "the head passes the object without contact"

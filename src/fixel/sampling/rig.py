@@ -32,11 +32,12 @@ MOST_NUMBER: Final = 9999
 Peg = tuple[float, float]
 
 
-def plain_name(value: object, where: str) -> str:
+def plain_name(value: object, where: str, longest: int = 60) -> str:
     """Return a name that is valid in file names everywhere: letters, digits, `_` and `-`."""
     name = name_of(value, where)
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}", name):
-        raise InvalidInput(where, found=repr(name), expected="at most 60 of A-Z, a-z, 0-9, _ and -")
+    if len(name) > longest or not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
+        expected = f"at most {longest} of A-Z, a-z, 0-9, _ and -"
+        raise InvalidInput(where, found=repr(name), expected=expected)
     return name
 
 

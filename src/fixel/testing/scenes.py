@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import pi
 from typing import Final, Literal
 
@@ -25,6 +24,7 @@ from fixel.model import (
     Tripod,
     UniformPressure,
 )
+from fixel.sampling import rows
 from fixel.sampling.published import (
     PART_LENGTH,
     PART_MASS,
@@ -254,29 +254,8 @@ def heap(n: int = 9, speed: float = 0.05, duration: float = 2.0) -> Scene:
 
 
 def moved(scene: Scene, shift: tuple[float, float], turn: float) -> Scene:
-    """Turn a scene about the origin [rad], then shift it [m]; only for drives along lines."""
-    c, s = np.cos(turn), np.sin(turn)
-    spin = np.array([[c, -s], [s, c]])
-
-    def pose(old: FloatArray) -> FloatArray:
-        return np.append(spin @ old[:2] + shift, old[2] + turn)
-
-    bodies = tuple(
-        replace(
-            b,
-            pose=pose(b.pose),
-            velocity=np.append(spin @ b.velocity[:2], b.velocity[2]),
-            force=np.append(spin @ b.force[:2], b.force[2]),
-        )
-        for b in scene.bodies
-    )
-    pushers = tuple(
-        replace(p, pose=pose(p.pose), drive=replace(p.drive, direction=spin @ p.drive.direction))
-        for p in scene.pushers
-        if isinstance(p.drive, LineDrive)
-    )
-    fixels = tuple(replace(f, pose=pose(f.pose)) for f in scene.fixels)
-    return replace(scene, bodies=bodies, pushers=pushers, fixels=fixels)
+    """Turn a scene about the origin [rad], then shift it [m]."""
+    return rows.moved(scene, (*shift, turn))
 
 
 def free_push(

@@ -1,4 +1,4 @@
-"""Load or create a sampling plan, check, save and draw it."""
+"""Load or create a sampling plan, check, save and draw it; read the rows of any plan."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from fixel.capability.options import Door
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
+    from fixel.database.project import Project
+    from fixel.model import PlannedExperiment, Scene
     from fixel.sampling import Plan, PlanProblem
     from fixel.table import Table
     from fixel.workflows.analysis import AnalysisReport, StoredAnswer
@@ -26,12 +28,58 @@ class SampleAnswer(NamedTuple):
     rehearsed: bool  # whether problems were also searched for by simulation
 
 
+def planned_rows(
+    path: Path, project: Project | None = None, *, scene: Path | None = None
+) -> tuple[PlannedExperiment, ...]:
+    """Read the experiments of a plan in order, each with its scene.
+
+    Parameters
+    ----------
+    path : Path
+        Plan file, or a table with one row per experiment, as `fixel sample --scenes` writes it.
+    project : Project, optional
+        Project of the stored experiments that a table names.
+    scene : Path, optional
+        Scene file from which the rows of a table differ; by default `scene.yaml` in its folder.
+
+    Raises
+    ------
+    InvalidInput
+        The first error of the file, with its key, or its row and column.
+    """
+    from fixel.datasets.plan_table import read_rows
+    from fixel.datasets.table import ENDINGS
+    from fixel.errors import NotStored
+    from fixel.formats.plan_file import load_plan
+
+    if not path.name.lower().endswith(ENDINGS):
+        if scene is not None:
+            expected = "a table of experiments, .csv: a plan file describes its scenes itself"
+            raise InvalidInput("scene", found=f"the plan file {path}", expected=expected)
+        return load_plan(path).experiments
+
+    def stored(name: str) -> Scene:
+        if project is None:
+            raise InvalidInput(name, found="no project", expected="a project with this experiment")
+        try:
+            with project.store() as store:
+                experiment = store.experiment(store.find(name))
+        except NotStored as missing:
+            raise InvalidInput(name, found=str(missing), expected="a stored experiment") from None
+        if experiment.scene is None:
+            raise InvalidInput(name, found="no scene", expected="an experiment with a scene")
+        return experiment.scene
+
+    return read_rows(path, scene, stored)
+
+
 def sample(
     plan: Annotated[
         Path | None, Door(metavar="PLAN", usual="the 420 experiments of the thesis")
     ] = None,
     *,
     out: Annotated[Path | None, Door(also=("--output",), writes=True, effort=True)] = None,
+    scenes: Annotated[Path | None, Door(metavar="FOLDER", writes=True, effort=True)] = None,
     eight_push: bool = False,
     table: bool = False,
     simulate: bool = False,
@@ -45,6 +93,8 @@ def sample(
         Plan file, YAML or JSON.
     out : Path, optional
         Plan file to write, .yaml.
+    scenes : Path, optional
+        New folder for the scene of each experiment and a table of them, plan.csv.
     eight_push : bool
         Whether to use the eight pushes of the ASME paper, which identify three support points,
         instead of the scheme of the thesis.
@@ -61,7 +111,9 @@ def sample(
     InvalidInput
         A file that cannot be read or written, or an invalid plan.
     """
+    from fixel.datasets.plan_table import write_rows
     from fixel.drawing.chart import refuse_ending
+    from fixel.formats.frames_file import refuse_folder
     from fixel.formats.plan_file import load_plan, plan_text
     from fixel.io.atomic import refuse_unwritable, written_whole
     from fixel.sampling import eight_push_plan, rehearse, table_plan, thesis_plan
@@ -77,6 +129,8 @@ def sample(
         if plan is not None and out.resolve() == plan.resolve():
             expected = "another file to write"
             raise InvalidInput(str(out), found="the plan file itself", expected=expected)
+    if scenes is not None:
+        refuse_folder(scenes)
     if plan is not None:
         own = load_plan(plan)
     else:
@@ -88,6 +142,8 @@ def sample(
     if out is not None:
         with written_whole(out) as unfinished:
             unfinished.write_text(plan_text(own), encoding="utf-8")
+    if scenes is not None:
+        write_rows(scenes, own.experiments)
     return SampleAnswer(own, problems, simulate)
 
 

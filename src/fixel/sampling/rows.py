@@ -1,0 +1,184 @@
+"""Scenes of the rows of a plan: values that differ from a template, and rigid motions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from math import atan2, cos, inf, sin
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fixel.errors import InvalidInput
+from fixel.model import LineDrive, PathDrive, PlannedExperiment, Pusher, Scene, placed
+from fixel.typing import FloatArray
+
+KEYS: Final = ("x_m", "y_m", "angle_rad", "offset_x_m", "offset_y_m", "offset_angle_rad")
+DRIVE: Final = ("direction_rad", "travel_m", "speed_m_s")
+CURVED: Final = 0.02  # of the travel: largest distance of a measured path from a straight line
+ENDS: Final = 0.05  # of the travel: rest and jerks at both ends do not count for its speed
+
+
+def row_keys(scene: Scene) -> tuple[str, ...]:
+    """Return the names of the values that a row can state for a scene; see `row_scene`."""
+    return *DRIVE, *(f"{own}{key}" for own in _things(scene) for key in KEYS)
+
+
+def row_scene(template: Scene, values: Mapping[str, float]) -> Scene:
+    """Return the scene of one row of a plan: a template with other values.
+
+    Parameters
+    ----------
+    template : Scene
+        Scene of one free body and one pusher. A measured path of the pusher becomes a straight
+        drive.
+    values : mapping of str to float
+        Values in SI units by the names of `row_keys`: those of the part have no prefix, `head_` is
+        the pusher, `fixel-1_` the fixel of this name. Offsets are added to the pose: x along the
+        motion of the head, y to its left, the angle about the centroid. With a travel or a speed,
+        the scene ends when the head has moved its travel.
+
+    Raises
+    ------
+    InvalidInput
+        Bodies overlap, or the head has no straight drive.
+    """
+    if len(template.bodies) != 1 or len(template.pushers) != 1:
+        found = f"{len(template.bodies)} free bodies and {len(template.pushers)} pushers"
+        raise InvalidInput("scene", found=found, expected="one free body and one pusher")
+    drive = _line(template, values)
+    ahead = atan2(drive.direction[1], drive.direction[0])
+    part, head, *fixels = (_at(*own, values, ahead) for own in _things(template).items())
+    same = drive == template.pushers[0].drive or not drive.speed
+    return replace(
+        template,
+        bodies=(part,),
+        pushers=(replace(head, drive=drive),),
+        fixels=tuple(fixels),
+        duration=template.duration if same else drive.travel / drive.speed,
+    )
+
+
+def moved(scene: Scene, place: ArrayLike) -> Scene:
+    """Move a scene rigidly from an inner frame to the outer one, in which the inner has a pose."""
+    place = np.asarray(place, dtype=np.float64)
+    turn = (0.0, 0.0, float(place[2]))
+
+    def turned(vector: FloatArray) -> FloatArray:
+        return np.array([*placed(vector[:2], turn), vector[2]]) if vector.any() else vector
+
+    def at(own: Any, **more: Any) -> Any:
+        pose = np.array([*placed(own.pose[:2], place), own.pose[2] + place[2]])
+        return replace(own, pose=pose, **more)
+
+    def driven(head: Pusher) -> Any:
+        drive = head.drive
+        if isinstance(drive, LineDrive):
+            drive = replace(drive, direction=placed(drive.direction, turn))
+        elif isinstance(drive, PathDrive):
+            t, *_, angle = drive.waypoints.T
+            along = placed(drive.waypoints[:, 1:3], place)
+            drive = replace(drive, waypoints=np.column_stack((t, along, angle + place[2])))
+        return at(head, drive=drive)
+
+    return replace(
+        scene,
+        bodies=tuple(
+            at(own, velocity=turned(own.velocity), force=turned(own.force)) for own in scene.bodies
+        ),
+        pushers=tuple(map(driven, scene.pushers)),
+        fixels=tuple(map(at, scene.fixels)),
+    )
+
+
+def moved_onto(scene: Scene, before: ArrayLike, after: ArrayLike) -> Scene:
+    """Move a scene rigidly, so that what had the pose `before` (3,) has the pose `after`."""
+    before, after = np.asarray(before, dtype=np.float64), np.asarray(after, dtype=np.float64)
+    turn = after[2] - before[2]
+    return moved(scene, [*(after[:2] - placed(before[:2], (0.0, 0.0, turn))), turn])
+
+
+def about_part(
+    rows: Iterable[PlannedExperiment], pose: ArrayLike | None = None
+) -> tuple[PlannedExperiment, ...]:
+    """Return the same pushes with the part always at the same pose.
+
+    Each scene is moved rigidly, with head, direction and fixels: a drive with two axes pushes the
+    part where it lies, instead of a person who places it for every push. Conditions that state a
+    place on the table are left out.
+
+    Parameters
+    ----------
+    rows : iterable of PlannedExperiment
+    pose : (3,) array_like, optional
+        Pose of the part [m, m, rad]; by default that of the first row.
+
+    Examples
+    --------
+    >>> from fixel.sampling import eight_push_plan
+    >>> rows = about_part(eight_push_plan().experiments)
+    >>> len({tuple(row.scene.bodies[0].pose) for row in rows})
+    1
+    """
+    found = []
+    for row in rows:
+        part = row.scene.bodies[0]
+        pose = part.pose if pose is None else np.asarray(pose, dtype=np.float64)
+        scene = moved_onto(row.scene, part.pose, pose)
+        bodies = (replace(scene.bodies[0], pose=pose), *scene.bodies[1:])  # without rounding
+        conditions = {k: v for k, v in row.conditions.items() if not k.startswith("place_")}
+        found.append(replace(row, scene=replace(scene, bodies=bodies), conditions=conditions))
+    return tuple(found)
+
+
+def _things(scene: Scene) -> dict[str, Any]:
+    """Return part, head and fixels by the prefix of their values."""
+    fixels = {f"{own.name}_": own for own in scene.fixels}
+    return {"": scene.bodies[0], "head_": scene.pushers[0]} | fixels
+
+
+def _at(own: str, thing: Any, values: Mapping[str, float], ahead: float) -> Any:
+    """Return a part, head or fixel with the pose that its values state."""
+    given = {key: values[name] for key in KEYS if (name := f"{own}{key}") in values}
+    if not given:
+        return thing
+    pose = np.array([given.get(key, old) for key, old in zip(KEYS, thing.pose, strict=False)])
+    offset = [given.get(key, 0.0) for key in KEYS[3:]]
+    turned = np.array([*pose[:2], pose[2] + offset[2]])
+    centre = thing.shape.centroid
+    turned[:2] += placed(centre, pose) - placed(centre, turned)
+    turned[:2] += placed(offset[:2], (0.0, 0.0, ahead))
+    return replace(thing, pose=turned)
+
+
+def _line(scene: Scene, values: Mapping[str, float]) -> LineDrive:
+    """Return the straight drive of the head with the values of a row."""
+    head = scene.pushers[0]
+    if head.is_template:
+        raise InvalidInput("drive", found="a head without drive", expected="a straight drive")
+    old = _straight(head.drive) if isinstance(head.drive, PathDrive) else head.drive
+    speed = values.get("speed_m_s", old.speed)
+    travel = values.get("travel_m", old.travel)
+    if travel == inf and scene.duration:  # until the scene ends
+        travel = speed * scene.duration
+    angle = values.get("direction_rad")
+    way = old.direction if angle is None else (cos(angle), sin(angle))
+    return replace(old, direction=way, speed=speed, travel=travel)
+
+
+def _straight(path: PathDrive) -> LineDrive:
+    """Return the straight drive of a measured path; raise `InvalidInput` for a curved one."""
+    time, place = path.waypoints[:, 0], path.waypoints[:, 1:3]
+    way = place[-1] - place[0]
+    travel = float(np.hypot(*way))
+    if not travel:
+        raise InvalidInput("drive", found="a head that ends where it began", expected="a push")
+    along = (place - place[0]) @ way / travel
+    aside = float(np.abs((place - place[0]) @ [-way[1], way[0]]).max() / travel)
+    if aside > CURVED * travel:
+        found = f"a path of the head that leaves its straight line by {1e3 * aside:.2g} mm"
+        raise InvalidInput("drive", found=found, expected="a straight push")
+    first, last = (float(time[np.argmax(along >= s * travel)]) for s in (ENDS, 1.0 - ENDS))
+    speed = (1.0 - 2.0 * ENDS) * travel / (last - first)
+    return LineDrive(way, speed=speed, travel=travel, force_limit=path.force_limit)
