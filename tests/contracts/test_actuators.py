@@ -88,3 +88,13 @@ class TestGrbl(ActuatorContract):
             yield driver
             driver.disconnect()
             assert controller.lost == 0
+
+
+class TestGrblPlane(ActuatorContract):
+    @pytest.fixture
+    def actuator(self):
+        with EmulatedGrbl(homing=True, acceleration=2000.0, start=3.0, axes=2) as controller:
+            driver = GrblActuator(controller.port, axes="XY", guard=False)
+            yield driver
+            driver.disconnect()
+            assert controller.lost == 0

@@ -1,3 +1,4 @@
+import math
 import time
 
 import pytest
@@ -326,6 +327,167 @@ def test_a_report_that_lacks_an_axis_is_passed_over(controller, drive):
     drive.wait()
 
     assert controller.place == pytest.approx(60.0, abs=0.01)
+
+
+# --- several axes ---------------------------------------------------------------------------------
+
+
+def distance_to_line(place, begin, end) -> float:
+    """Distance of a place from the straight line through two others, in a plane [mm]."""
+    (x, y), (x0, y0), (x1, y1) = place, begin, end
+    area = (x1 - x0) * (y - y0) - (y1 - y0) * (x - x0)
+    return abs(area) / math.hypot(x1 - x0, y1 - y0)
+
+
+@pytest.mark.parametrize("degrees", [1.0, 38.0, 90.0, 205.0, 301.0])
+def test_a_line_over_two_axes_is_straight_and_keeps_its_speed(degrees):
+    way = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    with (
+        EmulatedGrbl(axes=2, start=(50.0, 60.0), **FAST) as controller,
+        GrblActuator(controller.port, axes="XY", reach=(-0.05, 0.05), guard=False) as drive,
+    ):
+        drive.aim([0.0, 0.0], way)
+        drive.move(to=0.02, speed=0.03)
+
+        end = 50.0 + 20.0 * way[0], 60.0 + 20.0 * way[1]
+        places = [places for places, _ in controller.trace]
+        # Coordinates of a line have three decimals.
+        assert max(distance_to_line(each, (50.0, 60.0), end) for each in places) < 1e-3
+        assert controller.places == pytest.approx(end, abs=1e-3)
+        assert len([line for line in controller.lines if line.startswith("G")]) > 5
+        inner = [
+            speed for each, speed in controller.trace if 1.0 < math.dist(each, (50.0, 60.0)) < 19.0
+        ]
+        assert min(inner) == pytest.approx(30.0, rel=1e-3)
+        assert 1e3 * drive.place() == pytest.approx([20.0 * part for part in way], abs=2e-3)
+
+
+def test_a_stop_in_a_line_over_two_axes_keeps_the_place():
+    with (
+        EmulatedGrbl(axes=2, homing=True, start=5.0) as controller,
+        GrblActuator(controller.port, axes="XY", guard=False) as drive,
+    ):
+        drive.home()
+        drive.go([0.02, 0.03], speed=0.04)
+        drive.aim([0.02, 0.03], [0.6, 0.8])
+        drive.move(to=0.08, speed=0.04, wait=False)
+        time.sleep(0.4)
+        assert controller.speed == pytest.approx(40.0)
+        drive.stop()
+
+        assert drive.state == "Idle"
+        assert not [event for event in controller.events if event.what.startswith("alarm")]
+        stopped = controller.places
+        assert distance_to_line(stopped, (20.0, 30.0), (26.0, 38.0)) < 2e-3
+        assert 1e3 * drive.place() == pytest.approx(stopped, abs=2e-3)
+        assert 1e3 * drive.position() == pytest.approx(math.dist(stopped, (20.0, 30.0)), abs=2e-3)
+        drive.move(by=0.01, speed=0.04)
+        further = stopped[0] + 6.0, stopped[1] + 8.0
+        assert controller.places == pytest.approx(further, abs=3e-3)
+
+
+@pytest.mark.parametrize(
+    ("firmware", "axes", "used"),
+    [
+        ("GRBL", 2, "XY"),
+        ("grblHAL", 4, "XYZ"),
+        ("FluidNC", 3, "YX"),
+        *(
+            pytest.param(*rest, marks=pytest.mark.system)
+            for rest in (("GRBL", 4, "XZ"), ("FluidNC", 4, "XYZA"))
+        ),
+    ],
+)
+def test_every_axis_has_its_own_travel_speed_and_acceleration(firmware, axes, used):
+    travel, fastest = (80.0, 60.0, 40.0, 30.0)[:axes], (50.0, 20.0, 10.0, 15.0)[:axes]
+    with (
+        EmulatedGrbl(
+            homing=True, travel=travel, fastest=fastest, start=5.0, firmware=firmware, axes=axes,
+            acceleration=(2000.0, 100.0, 3000.0, 4000.0)[:axes],
+        ) as controller,
+        GrblActuator(controller.port, axes=used, guard=False) as drive,
+    ):  # fmt: skip
+        numbers = ["XYZA".index(axis) for axis in used]
+        assert drive.travels.tolist() == [[0.0, pytest.approx(1e-3 * travel[k])] for k in numbers]
+        drive.home()
+        # FluidNC has the coordinate of the place where homing ends in its configuration.
+        home = 0.0 if firmware == "FluidNC" else 1.0
+        assert drive.place() == pytest.approx([1e-3 * home] * len(used))
+
+        share = 1.0 / math.sqrt(len(used))
+        drive.aim([1e-3 * home] * len(used), [share] * len(used))
+        limit, shortest = min(fastest[k] for k in numbers) / share, min(travel[k] for k in numbers)
+        assert drive.reach[1] == pytest.approx(1e-3 * (shortest - home) / share)
+        with pytest.raises(InvalidInput, match=f"at most {limit:.4g} mm/s"):
+            drive.move(by=0.001, speed=1.02e-3 * limit)
+        drive.move(by=0.003, speed=0.99e-3 * limit)
+
+        there = {k: 1.0 + 3.0 * share for k in numbers}
+        assert controller.places == pytest.approx(
+            [there.get(k, 1.0) for k in range(axes)], abs=0.01
+        )
+
+
+def test_the_axis_that_is_too_slow_is_named():
+    with (
+        EmulatedGrbl(axes=2, acceleration=(500.0, 5.0)) as controller,
+        GrblActuator(controller.port, axes="XY", guard=False) as drive,
+    ):
+        drive.check(to=0.1, speed=0.04)
+        drive.aim([0.0, 0.0], [0.6, 0.8])
+        with pytest.raises(InvalidInput, match=r"acceleration of 6\.25 mm/s\^2 \(\$121\)"):
+            drive.check(to=0.1, speed=0.04)
+        assert controller.lines[-1].startswith("$")
+
+
+def test_a_check_finds_what_a_move_would_find_and_moves_nothing():
+    with (
+        EmulatedGrbl(axes=2, homing=True, start=5.0, travel=(80.0, 60.0)) as controller,
+        GrblActuator(controller.port, axes="XY", guard=False) as drive,
+    ):
+        drive.aim([0.02, 0.01], [0.0, 1.0])
+        with pytest.raises(DeviceFailed, match="fixel actuator home"):
+            drive.check(to=0.01)
+        drive.home()
+        before = controller.places
+
+        drive.check(to=0.05)
+        with pytest.raises(InvalidInput, match="from -10 to 50 mm"):
+            drive.check(to=0.051)
+        with pytest.raises(DeviceFailed, match=r"19\.00 mm off the line"):
+            drive.move(to=0.05)
+
+        assert controller.places == before
+        assert not [line for line in controller.lines if line.startswith("G")]
+
+
+def test_inches_are_reported_by_all_axes():
+    with (
+        EmulatedGrbl(axes=2, inches=True, **FAST) as controller,
+        GrblActuator(controller.port, axes="XY", guard=False) as drive,
+    ):
+        drive.go([0.003, 0.004], speed=0.05)
+
+        assert controller.places == pytest.approx((43.0, 44.0), abs=0.01)
+        assert drive.place() == pytest.approx([0.003, 0.004], abs=1e-5)
+
+
+def test_a_rotary_axis_is_refused():
+    with pytest.raises(InvalidInput, match="'A' in degrees"):
+        grbl.settings_of(["$113=600", "$123=10", "$133=150", "$376=1"], "A")
+
+
+def test_homing_of_an_axis_follows_the_masks_of_its_passes():
+    """In grblHAL an axis that is in no pass is not homed, although homing is enabled."""
+    lines = [*GRBL_HAL.splitlines(), "$44=4", "$45=1"]
+    assert not grbl.settings_of(lines, "Y").homing
+    assert grbl.settings_of([*lines, "$46=2"], "Y").homing
+
+
+@pytest.mark.parametrize("axes", ["", "XX", "XQ", "xy", "X Y"])
+def test_axes_that_no_controller_has_are_refused(axes):
+    with pytest.raises(InvalidInput, match="axes"):
+        GrblActuator("/dev/null", axes=axes)
 
 
 # --- the wrong port -------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Final, NamedTuple
 
 from fixel.errors import InvalidInput
@@ -14,7 +14,7 @@ BAUD: Final = 115200
 BUFFER: Final = 127  # bytes that may be under way; the controller's buffer has 128
 STATUS, HOLD, RESUME, RESET = b"?", b"!", b"~", b"\x18"
 GREETINGS: Final = ("Grbl ", "GrblHAL ")  # after a reset; FluidNC begins like GRBL
-AXES: Final = "XYZ"
+AXES: Final = "XYZA"
 INCH: Final = 25.4  # [mm]
 SWITCHES: Final = {"true": "1", "false": "0"}  # of FluidNC
 EXPECTED: Final = "a number; GRBL 0.9 or later, grblHAL or FluidNC"
@@ -145,7 +145,12 @@ def settings_of(lines: list[str], axis: str) -> AxisSettings:
     travel = abs(number(f"${130 + k}", "max_travel_mm"))
     # A mask in grblHAL, whose first bit is homing as such.
     homing = int(number("$22", default=0.0)) & 1 == 1 or number("cycle", default=0.0) > 0.0
+    passes = [int(number(f"${setting}")) for setting in range(44, 50) if f"${setting}" in values]
+    homing = homing and (not passes or any(mask >> k & 1 for mask in passes))  # of grblHAL
     at_low_end = int(number("$23", default=0.0)) >> k & 1 == 1
+    inches = number("$13", default=0.0) != 0.0
+    if axis == "A" and (inches or int(number("$376", default=0.0)) & 1):
+        raise InvalidInput("axis", found="'A' in degrees", expected="an axis in mm ($376=0, $13=0)")
     options = next((line for line in lines if line.startswith("[OPT:")), "")
     counts_from_switch = "Z" in options.split(",")[0]
     zero = -travel if homing and at_low_end and not counts_from_switch else 0.0
@@ -157,7 +162,7 @@ def settings_of(lines: list[str], axis: str) -> AxisSettings:
         travel=travel,
         homing=homing,
         soft_limits=number("$20", "soft_limits", default=0.0) != 0.0,
-        inches=number("$13", default=0.0) != 0.0,
+        inches=inches,
         zero=zero,
         direction=-1 if homing and not at_low_end else 1,
     )
@@ -171,6 +176,7 @@ def _texts_of(lines: list[str]) -> dict[str, str]:
     return {name: SWITCHES.get(text, text) for name, text in reversed(pairs)}
 
 
-def move_line(axis: str, coordinate: float, speed: float) -> str:
-    """Return the line for a move to a machine coordinate [mm] at a speed [mm/s], in any mode."""
-    return f"G21G90G94G53G1{axis}{coordinate:.3f}F{60.0 * speed:.2f}"
+def move_line(axes: str, coordinates: Iterable[float], speed: float) -> str:
+    """Return the line for a move to machine coordinates [mm] at a speed [mm/s], in any mode."""
+    words = (f"{axis}{value:.3f}" for axis, value in zip(axes, coordinates, strict=True))
+    return f"G21G90G94G53G1{''.join(words)}F{60.0 * speed:.2f}"

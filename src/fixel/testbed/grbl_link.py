@@ -53,7 +53,7 @@ class GrblLink:
         self.trouble = ""
         self.lost = False  # whether the controller is no longer there
         self.resets = 0
-        self.offset: tuple[float, ...] = (0.0, 0.0, 0.0)  # of work coordinates
+        self.offset: tuple[float, ...] = (0.0,) * len(grbl.AXES)  # of work coordinates
         self._port = port
         self._next_line = next_line
         self._partial = b""
@@ -226,7 +226,7 @@ class GrblLink:
         while not self.trouble and self._answers is None:
             room = grbl.BUFFER - sum(self._unanswered)
             # All our lines are shorter; `next_line` must not make one that cannot be sent.
-            line = self._next_line() if room > 60 else None
+            line = self._next_line() if room > 72 else None
             if line is None:
                 return
             self._send(line)

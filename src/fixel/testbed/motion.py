@@ -315,13 +315,10 @@ def checked_reach(reach: tuple[float, float]) -> tuple[float, float]:
 
 def checked_travels(reach: Reach, n_axes: int) -> FloatArray:
     """Return the ends of each axis (n_axes, 2) [m], from those of each or of all."""
-    one = np.ndim(np.asarray(reach, dtype=object)) == 1
-    pairs = [reach] * n_axes if one else list(reach)
-    if len(pairs) != n_axes:
-        raise InvalidInput(
-            "reach", found=reach, expected=f"two positions for each of {n_axes} axes"
-        )
-    return np.array([checked_reach(pair) for pair in pairs])  # type: ignore[arg-type]
+    pairs = np.atleast_2d(reach).tolist()
+    if len(pairs) not in (1, n_axes):
+        raise InvalidInput("reach", found=reach, expected=f"positions for each of {n_axes} axes")
+    return np.array([checked_reach(pair) for pair in pairs] * (n_axes // len(pairs)))
 
 
 @final
@@ -481,7 +478,7 @@ class SimulatedActuator(AbstractActuator):
         self._clock = clock
         self._connected = False
         self._lock = threading.RLock()
-        given = [start] * n_axes if np.ndim(start) == 0 else list(start)  # type: ignore[arg-type]
+        given = np.broadcast_to(np.asarray(start), n_axes).tolist()
         self._from = self._to = np.array([non_negative(each, "start", "m") for each in given])
         self._speed, self._began = 0.0, 0.0
         self._stopped = ""

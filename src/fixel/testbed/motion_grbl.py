@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import sys
 import time
 from typing import ClassVar, Final, Self, final
+
+import numpy as np
 
 from fixel.errors import DeviceFailed, InvalidInput
 from fixel.model.fields import optional_positive
@@ -14,8 +15,17 @@ from fixel.testbed import grbl_lines as grbl
 from fixel.testbed.emergency import StopGuard
 from fixel.testbed.grbl_lines import AxisSettings
 from fixel.testbed.grbl_link import ASKING, GrblLink, greet
-from fixel.testbed.motion import DRIVE_REACH, NEAR, AbstractActuator, checked_reach
+from fixel.testbed.motion import (
+    DRIVE_REACH,
+    NEAR,
+    SPEED,
+    AbstractActuator,
+    Line,
+    Reach,
+    checked_travels,
+)
 from fixel.testbed.serial_port import chosen_port, closed_on_failure, open_port
+from fixel.typing import FloatArray
 
 DEAD_MAN: Final = 0.5  # [s]
 MAX_DEAD_MAN: Final = 3.0  # [s]
@@ -27,7 +37,10 @@ SHORT: Final = 0.5  # [s] at rest before the target after which the move has fai
 
 @final
 class GrblActuator(AbstractActuator):
-    """One axis of a GRBL controller, version 0.9 or 1.1, or of grblHAL or FluidNC.
+    """Axes of a GRBL controller, version 0.9 or 1.1, or of grblHAL or FluidNC.
+
+    Coordinates count from the end of each axis at which it homes, or without homing from its place
+    when the controller was switched on. They may be mirrored: calibrate their place and direction.
 
     A move is sent in pieces, at most as many as the drive needs for `dead_man` seconds: if this
     program dies or hangs, the drive runs out of pieces and comes to rest. A guard
@@ -39,9 +52,12 @@ class GrblActuator(AbstractActuator):
     port : str, optional
         Serial port: `/dev/ttyUSB0`, `COM5`. None raises, with a list of the ports found.
     axis : str
-        Axis of the controller: `"X"`, `"Y"` or `"Z"`.
-    reach : (float, float)
-        Smallest and largest position [m]; limited to the controller's travel where it is known.
+        Axis of the controller: `"X"`, `"Y"`, `"Z"` or `"A"`.
+    axes : str, optional
+        Several axes instead, such as `"XY"`.
+    reach : (float, float), or one pair for each axis
+        Smallest and largest coordinate of each axis [m]; limited to the controller's travel where
+        it is known.
     dead_man : float, optional
         Longest motion without this program [s]. Default: 0.5 s, or longer if a low acceleration
         would otherwise slow the drive down between pieces.
@@ -52,29 +68,35 @@ class GrblActuator(AbstractActuator):
     """
 
     name: ClassVar[str] = "grbl"
+    travels: FloatArray
 
     def __init__(
         self,
         port: str | None = None,
         *,
         axis: str = "X",
-        reach: tuple[float, float] = DRIVE_REACH,
+        axes: str | None = None,
+        reach: Reach = DRIVE_REACH,
         dead_man: float | None = None,
         keys: bool = False,
         guard: bool = True,
     ) -> None:
         self.port = chosen_port(port, "the actuator's controller")
-        self.reach = self._wanted_reach = checked_reach(reach)
-        if axis not in tuple(grbl.AXES):
-            raise InvalidInput("axis", found=repr(axis), expected="X, Y or Z")
-        self.axis = axis
+        self.axes = axis if axes is None else axes
+        if not self.axes or any(self.axes.count(one) != (one in grbl.AXES) for one in self.axes):
+            where, expected = ("axis", "X, Y, Z or A") if axes is None else ("axes", "such as XY")
+            raise InvalidInput(where, found=repr(self.axes), expected=expected)
+        self.axis = self.axes[0]
+        self.travels = self._wanted_travels = checked_travels(reach, len(self.axes))
+        self._set_line(None)
         self.dead_man = optional_positive(dead_man, "dead_man", "s")
         self._keys, self._wants_guard = keys, guard
         self._link: GrblLink | None = None
         self._guard: StopGuard | None = None
-        self._settings: AxisSettings | None = None
-        self._target: float | None = None  # machine coordinate of the move under way [mm]
-        self._sent_to = 0.0  # [mm]
+        self._settings: tuple[AxisSettings, ...] = ()
+        self._way = self.line  # of the move under way, in machine coordinates [mm]
+        self._target: float | None = None  # end of the way, from where it began [mm]
+        self._sent_to = 0.0  # [mm] of the way
         self._speed = 0.0  # [mm/s]
         self._queue = DEAD_MAN  # [s] of this move
         self._failure = ""
@@ -126,23 +148,27 @@ class GrblActuator(AbstractActuator):
     def _read_settings(self) -> None:
         link = self._open
         status = link.fresh_status()
-        if 0 < status.n_axis <= grbl.AXES.index(self.axis):
-            axes = grbl.AXES[: status.n_axis]
-            raise InvalidInput(
-                "axis", found=repr(self.axis), expected=f"an axis of the controller: {axes}"
-            )
+        present = grbl.AXES[: status.n_axis or None]
+        for axis in self.axes:
+            if axis not in present:
+                expected = f"an axis of the controller: {present}"
+                raise InvalidInput("axis", found=repr(axis), expected=expected)
         if status.state not in ("Idle", "Alarm"):
             # The program that started the move is gone: the port was free.
             self.stop()
         lines = link.command("$I")
-        if grbl.has_named_settings(lines):
-            lines += link.command(f"$/axes/{self.axis.lower()}")
-        lines += link.command("$$")
-        self._settings = settings = grbl.settings_of(lines, self.axis)
-        low, high = self._wanted_reach
-        if settings.homing or settings.soft_limits:
-            low, high = max(low, 0.0), min(high, 1e-3 * settings.travel)
-        self.reach = checked_reach((low, high))
+        numbered = link.command("$$")
+        settings = []
+        for axis in self.axes:
+            named = link.command(f"$/axes/{axis.lower()}") if grbl.has_named_settings(lines) else []
+            settings.append(grbl.settings_of([*lines, *named, *numbered], axis))
+        self._settings = tuple(settings)
+        self.travels = self._wanted_travels.copy()
+        for ends, of_axis in zip(self.travels, settings, strict=True):
+            if of_axis.homing or of_axis.soft_limits:
+                ends[:] = max(ends[0], 0.0), min(ends[1], 1e-3 * of_axis.travel)
+        self.travels = checked_travels(self.travels.tolist(), len(self.axes))
+        self._set_line(self._aimed)
 
     # --- state --------------------------------------------------------------------------------
 
@@ -153,14 +179,17 @@ class GrblActuator(AbstractActuator):
 
     @property
     def settings(self) -> AxisSettings:
-        """Settings of the axis, as read from the controller."""
-        if self._settings is None:
+        """Settings of the first axis, as read from the controller."""
+        if not self._settings:
             raise DeviceFailed("the actuator is not connected", hint="call connect first")
-        return self._settings
+        return self._settings[0]
 
     def position(self) -> float:
-        status = self._open.fresh_status()
-        return self.settings.position(self._coordinate(status))
+        return self.line.along(self.place())
+
+    def place(self) -> FloatArray:
+        found = zip(self._settings, self._coordinates(self._open.fresh_status()), strict=True)
+        return np.array([of_axis.position(at) for of_axis, at in found]) + 0.0  # no minus zero
 
     @property
     def moving(self) -> bool:
@@ -189,15 +218,15 @@ class GrblActuator(AbstractActuator):
         """End an alarm without homing. Look at the position of the drive before."""
         self._open.command("$X")
 
-    def _coordinate(self, status: grbl.GrblStatus) -> float:
-        number = grbl.AXES.index(self.axis)
-        if status.machine is not None:
-            place = status.machine[number]
-        elif status.work is not None:
-            place = status.work[number] + self._open.offset[number]
-        else:
+    def _coordinates(self, status: grbl.GrblStatus) -> FloatArray:
+        """Return the machine coordinates of the axes (n_axes,) [mm]."""
+        places = status.machine
+        if places is None and status.work is not None:
+            places = tuple(map(sum, zip(status.work, self._open.offset, strict=False)))
+        if places is None:
             raise DeviceFailed("the controller reports no position", hint="set $10=1")
-        return place * (grbl.INCH if self._settings and self._settings.inches else 1.0)
+        unit = grbl.INCH if self._settings and self._settings[0].inches else 1.0
+        return unit * np.array([places[grbl.AXES.index(axis)] for axis in self.axes])
 
     @property
     def _open(self) -> GrblLink:
@@ -207,42 +236,61 @@ class GrblActuator(AbstractActuator):
 
     # --- moves --------------------------------------------------------------------------------
 
-    def _begin(self, target: float, speed: float) -> None:
-        link, settings = self._open, self.settings
-        status = link.fresh_status()
-        if status.state == "Alarm":
-            hint = "home it: fixel actuator home" if settings.homing else UNLOCK
+    def check(
+        self, *, to: float | None = None, by: float | None = None, speed: float = SPEED
+    ) -> None:
+        super().check(to=to, by=by, speed=speed)
+        self._refuse_state(self._open.fresh_status().state)
+        self._queue_for(1e3 * speed)
+
+    def _refuse_state(self, state: str) -> None:
+        if state == "Alarm":
+            hint = "home it: fixel actuator home" if self.settings.homing else UNLOCK
             raise DeviceFailed("the controller is locked by an alarm", hint=hint)
-        if status.state != "Idle":
-            raise DeviceFailed(f"the controller is in the state {status.state}", hint="stop it")
+        if state != "Idle":
+            raise DeviceFailed(f"the controller is in the state {state}", hint="stop it")
+
+    def _begin(self, target: float, speed: float) -> None:
+        link = self._open
+        status = link.fresh_status()
+        self._refuse_state(status.state)
         self._queue = self._queue_for(1e3 * speed)
+        goal = zip(self._settings, self._end_of(target), strict=True)
+        end = np.array([of_axis.coordinate(place) for of_axis, place in goal]).round(3)
         with link.changed:
             link.trouble = self._failure = ""
             self._at_rest_since = None
             self._speed = 1e3 * speed
-            self._sent_to = self._coordinate(status)
-            self._target = round(settings.coordinate(target), 3)
+            begin = self._coordinates(status)
+            length = float(np.linalg.norm(end - begin))
+            self._way = Line(begin, (end - begin) / (length or 1.0))
+            self._sent_to, self._target = 0.0, length
 
     def _queue_for(self, speed: float) -> float:
         """Return the motion to queue [s]: enough that the planner, which decelerates towards the
         end of its queue, does not slow down."""
-        settings = self.settings
-        if speed > settings.fastest * (1.0 + 1e-6):
+        shares = [abs(share) for share in self.line.direction.tolist()]
+        moved = [(s, share) for s, share in zip(self._settings, shares, strict=True) if share > 0.0]
+        fastest = min(of_axis.fastest / share for of_axis, share in moved)
+        slowest = min(moved, key=lambda one: one[0].acceleration / one[1])
+        acceleration = slowest[0].acceleration / slowest[1]
+        if speed > fastest * (1.0 + 1e-6):
             raise InvalidInput(
                 "speed",
                 found=f"{speed:.4g} mm/s",
-                expected=f"at most {settings.fastest:.4g} mm/s, the controller's limit",
+                expected=f"at most {fastest:.4g} mm/s, the controller's limit",
             )
         piece = 1.0 / CHUNKS
-        needed = (0.5 * speed / settings.acceleration + 2.0 * ASKING) / (1.0 - 1.5 * piece)
+        needed = (0.5 * speed / acceleration + 2.0 * ASKING) / (1.0 - 1.5 * piece)
         queue = max(DEAD_MAN, needed) if self.dead_man is None else self.dead_man
         if queue < needed or queue > MAX_DEAD_MAN:
-            number = 120 + grbl.AXES.index(self.axis)
+            axis = self.axes[self._settings.index(slowest[0])]
+            number = 120 + grbl.AXES.index(axis)
             raise InvalidInput(
                 "dead_man" if queue < needed else "speed",
                 found=f"{queue:.3g} s" if queue < needed else f"{speed:.4g} mm/s",
                 expected=f"a queue of at least {needed:.2g} s and at most {MAX_DEAD_MAN:.3g} s",
-                hint=f"with an acceleration of {settings.acceleration:.4g} mm/s^2 (${number}) the "
+                hint=f"with an acceleration of {acceleration:.4g} mm/s^2 (${number}) the "
                 "drive would slow down between pieces; increase the acceleration",
             )
         return queue
@@ -254,16 +302,15 @@ class GrblActuator(AbstractActuator):
             return None
         if self._target is None or self._sent_to == self._target:
             return None
-        left = self._target - self._sent_to
         step = self._speed * self._queue / CHUNKS
-        last = abs(left) <= 1.5 * step
-        end = self._target if last else self._sent_to + math.copysign(step, left)
+        last = self._target - self._sent_to <= 1.5 * step
+        end = self._target if last else self._sent_to + step
         # The last reported position lags, so that the queued motion is overestimated.
-        if abs(end - self._coordinate(link.status)) > self._speed * self._queue:
+        if end - self._way.along(self._coordinates(link.status)) > self._speed * self._queue:
             return None
         self._sent_to = end
         self._at_rest_since = None
-        return grbl.move_line(self.axis, self._sent_to, self._speed)
+        return grbl.move_line(self.axes, self._way.at(end), self._speed)
 
     def wait(self) -> None:
         link = self._open
@@ -285,7 +332,8 @@ class GrblActuator(AbstractActuator):
         elif status is not None and status.state in ("Hold", "Door", "Alarm", "Sleep"):
             self._give_up(f"the controller is in the state {status.state}")
         elif status is not None and self._target is not None and link.idle():
-            off = abs(self._coordinate(status) - self._target)
+            goal = self._way.at(self._target)
+            off = float(np.linalg.norm(self._coordinates(status) - goal))
             now = time.monotonic()
             self._at_rest_since = self._at_rest_since or now
             if self._sent_to == self._target and off <= 2e3 * NEAR:
@@ -325,4 +373,4 @@ class GrblActuator(AbstractActuator):
                     return
 
     def _slowing(self) -> float:
-        return 10.0 if self._settings is None else self._settings.acceleration
+        return min((of_axis.acceleration for of_axis in self._settings), default=10.0)

@@ -1,16 +1,18 @@
-"""Emulated GRBL controller: one axis that moves in real time, on a pseudo-terminal.
+"""Emulated GRBL controller: one to four axes that move in real time, on a pseudo-terminal.
 
     python -m fixel.testbed.emulators.grbl --link /tmp/grbl
 
-It is for tests, and for trying `fixel actuator` without hardware. It emulates what one drive needs:
-realtime characters, the receive buffer, the planner's look-ahead, holds with deceleration, alarms,
-limit switches, soft limits, homing. It has no arcs, spindles, overrides or probing.
+It is for tests, and for trying `fixel actuator` without hardware. It emulates what a drive needs:
+realtime characters, the receive buffer, the planner's look-ahead with slower corners, holds with
+deceleration, alarms, limit switches, soft limits, homing. It has no arcs, spindles, overrides or
+probing.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import math
 import os
 import re
 import select
@@ -18,7 +20,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple, Self, final
 
@@ -30,6 +32,7 @@ TURN: Final = 0.001  # [s], wait for input in one turn of the loop
 SUBSTEP: Final = 0.001  # [s]
 PULL_OFF: Final = 1.0  # [mm], distance from the switch after homing
 HOMING_SPEED: Final = 25.0  # [mm/s]
+JUNCTION: Final = 0.01  # [mm], deviation from a corner that determines the speed in it, `$11`
 NO_SPACE: Final = b" \t"
 WORDS: Final = re.compile(r"([A-Z])([-+]?\d*\.?\d*)")
 
@@ -67,19 +70,44 @@ class GrblEvent(NamedTuple):
     speed: float  # speed of the drive at that time [mm/s]
 
 
+class Block(NamedTuple):
+    """Straight move in the planner."""
+
+    begin: tuple[float, ...]  # place of each axis, from its withdrawn end [mm]
+    end: tuple[float, ...]
+    way: tuple[float, ...]  # unit vector
+    length: float  # [mm]
+    speed: float  # [mm/s]
+    acceleration: float  # [mm/s^2]
+
+    def at(self, gone: float) -> tuple[float, ...]:
+        """Return the place after a part of the move [mm]."""
+        return tuple(b + gone * w for b, w in zip(self.begin, self.way, strict=True))
+
+    def corner(self, following: Block) -> float:
+        """Return the square of the largest speed between two moves [mm^2/s^2], as in GRBL."""
+        along = sum(a * b for a, b in zip(self.way, following.way, strict=True))
+        full = min(self.speed, following.speed) ** 2
+        if along > 0.999999:
+            return full
+        half = math.sqrt(max(0.0, 0.5 * (1.0 + along)))
+        slower = min(self.acceleration, following.acceleration)
+        return min(full, slower * JUNCTION * half / (1.0 - half))
+
+
 @final
 class EmulatedGrbl:
-    """Emulated controller whose axis X has a drive.
+    """Emulated controller of a drive.
 
     Parameters
     ----------
-    travel : float
-        Distance between the limit switches [mm].
-    start : float
-        Initial position of the drive, from the withdrawn end [mm].
-    acceleration : float
+    travel : float or sequence of float
+        Distance between the limit switches, of all axes or of each [mm].
+    start : float or sequence of float
+        Initial positions, from the withdrawn ends [mm].
+    acceleration : float or sequence of float
         Acceleration [mm/s^2].
-    fastest : float
+    fastest : float or sequence of float
         Maximum speed [mm/s].
     homing : bool
         Whether it has switches, and requires homing first.
@@ -90,16 +118,16 @@ class EmulatedGrbl:
     firmware : str
         Name in `FIRMWARE`.
     axes : int
-        Number of axes that it reports.
+        Number of axes, 1 to 4.
     """
 
     def __init__(
         self,
         *,
-        travel: float = 150.0,
-        start: float = 40.0,
-        acceleration: float = 500.0,
-        fastest: float = 50.0,
+        travel: float | Sequence[float] = 150.0,
+        start: float | Sequence[float] = 40.0,
+        acceleration: float | Sequence[float] = 500.0,
+        fastest: float | Sequence[float] = 50.0,
         homing: bool = False,
         inches: bool = False,
         rate: float = 1.0,
@@ -125,21 +153,27 @@ class EmulatedGrbl:
         self.garble = 0  # fault: number of following bytes to damage
         self.refuse = 0  # fault: number of following lines to reject
         self._rate = rate
-        self._firmware, self._axes = FIRMWARE[firmware], axes
-        self._travel, self._end = travel, start  # the withdrawn end is at 0, where the switch is
+        self._firmware, self._axes = FIRMWARE[firmware], axes  # axes in its reports
+        self._letters = "XYZA"[:axes]
+        self._travel = _of_axes(travel, axes)
+        self._places = _of_axes(start, axes)  # the withdrawn ends are at 0, where the switches are
         self._homing = homing
         self._settings = {
             10: 1.0, 13: float(inches), 20: float(homing), 21: float(homing), 22: float(homing),
-            23: 0.0, 110: 60.0 * fastest, 120: acceleration, 130: travel,
+            23: 0.0,
         }  # fmt: skip
+        for first, values, unit in (110, fastest, 60.0), (120, acceleration, 1.0), (130, travel, 1):
+            of_axes = enumerate(_of_axes(values, axes))
+            self._settings |= {first + k: unit * value for k, value in of_axes}
         # Machine coordinates decrease as the drive extends, as in GRBL after homing to the switch.
-        self._shift = -start if not homing else 0.0
+        self._shift = _of_axes(0.0, axes) if homing else tuple(-at for at in self._places)
         self._sign = -1.0 if homing else 1.0
         self.state = "Alarm" if homing else "Idle"
         self._critical = False
         self._speed = 0.0
-        self._blocks: deque[tuple[float, float]] = deque()  # end of stroke [mm], speed [mm/s]
-        self._planned = start
+        self._blocks: deque[Block] = deque()
+        self._gone = 0.0  # [mm] of the first block
+        self._planned = self._places
         self._partial = bytearray()
         self._waiting: deque[bytes] = deque()
         self._feed = 0.0
@@ -147,8 +181,8 @@ class EmulatedGrbl:
         self._units = 1.0
         self._ended = False
         self._errands: deque[Callable[[], object]] = deque()
-        # Position from the withdrawn end [mm] and speed [mm/s], while it moved.
-        self.trace: list[tuple[float, float]] = []
+        # Place of each axis from its withdrawn end [mm] and speed [mm/s], while it moved.
+        self.trace: list[tuple[tuple[float, ...], float]] = []
         self._say("", self._firmware.greeting, *self._lock_words())
         self._thread = threading.Thread(target=self._run, name="emulated-grbl", daemon=True)
         self._thread.start()
@@ -157,13 +191,18 @@ class EmulatedGrbl:
 
     @property
     def place(self) -> float:
-        """True position of the drive, from the withdrawn end [mm]."""
-        return self._end
+        """True position of axis X, from its withdrawn end [mm]."""
+        return self._places[0]
+
+    @property
+    def places(self) -> tuple[float, ...]:
+        """True position of each axis, from its withdrawn end [mm]."""
+        return self._places
 
     def slowest(self, begin: float, end: float) -> float:
-        """Smallest speed [mm/s] so far between two positions [mm]."""
+        """Smallest speed [mm/s] so far between two positions of axis X [mm]."""
         low, high = sorted((begin, end))
-        return min(speed for place, speed in self.trace if low < place < high)
+        return min(speed for places, speed in self.trace if low < places[0] < high)
 
     @property
     def speed(self) -> float:
@@ -182,10 +221,9 @@ class EmulatedGrbl:
     @property
     def queued(self) -> float:
         """Duration of the queued moves at their commanded speeds [s]."""
-        total, here = 0.0, self._end
-        for end, speed in list(self._blocks):
-            total, here = total + abs(end - here) / speed, end
-        return total
+        blocks = list(self._blocks)
+        gone = self._gone / blocks[0].speed if blocks else 0.0
+        return sum(block.length / block.speed for block in blocks) - gone
 
     def wait_for(self, what: str, patience: float = 5.0) -> GrblEvent:
         """Wait for an event of a given name; return the first one."""
@@ -310,11 +348,11 @@ class EmulatedGrbl:
         if line == "$H":
             if not self._homing:
                 return "error:5"
-            self.state, self._planned = "Home", 0.0
+            self.state = "Home"
             return ""
         if line == "$X":
             if self.state == "Alarm":
-                self.state, self._planned = "Idle", self._end
+                self.state, self._planned = "Idle", self._places
                 self._say("[MSG:Caution: Unlocked]")
             return "ok"
         if self.state not in ("Idle", "Alarm"):
@@ -323,22 +361,23 @@ class EmulatedGrbl:
             self._say(*self._numbered_settings(), *self._firmware.more)
         elif line == "$I":
             self._say(*self._firmware.version)
-        elif line == "$/AXES/X" and self._firmware.named:
-            self._say(*self._named_settings())
+        elif line.startswith("$/AXES/") and line[7:] in self._letters and self._firmware.named:
+            self._say(*self._named_settings(line[7:]))
         else:
             return "error:3"
         return "ok"
 
     def _numbered_settings(self) -> list[str]:
-        few = (10, 13) if self._firmware.named else self._settings
+        few = (10, 13) if self._firmware.named else sorted(self._settings)
         return [f"${number}={self._settings[number]:g}" for number in few]
 
-    def _named_settings(self) -> list[str]:
-        """Return the part of FluidNC's configuration that describes the axis."""
-        of = self._settings
+    def _named_settings(self, letter: str) -> list[str]:
+        """Return the part of FluidNC's configuration that describes an axis."""
+        of, k = self._settings, self._letters.index(letter)
         return [
-            "/axes/x:", "  steps_per_mm: 80.000000", f"  max_rate_mm_per_min: {of[110]:f}",
-            f"  acceleration_mm_per_sec2: {of[120]:f}", f"  max_travel_mm: {of[130]:f}",
+            f"/axes/{letter.lower()}:", "  steps_per_mm: 80.000000",
+            f"  max_rate_mm_per_min: {of[110 + k]:f}",
+            f"  acceleration_mm_per_sec2: {of[120 + k]:f}", f"  max_travel_mm: {of[130 + k]:f}",
             f"  soft_limits: {'true' if of[20] else 'false'}", "  homing:",
             f"    cycle: {of[22]:.0f}", "    positive_direction: true",
             f"    mpos_mm: {-PULL_OFF:f}", "", "  motor0:", "    limit_neg_pin: NO_PIN",
@@ -356,7 +395,8 @@ class EmulatedGrbl:
             return "error:1"
         if any(number in ("", "-", "+", ".") for _, number in words):
             return "error:2"
-        target, machine, moves = None, False, False
+        targets: dict[int, float] = {}
+        machine, moves = False, False
         for letter, number in words:
             value = float(number)
             if letter == "G" and value in (0, 1):
@@ -369,35 +409,38 @@ class EmulatedGrbl:
                 machine = machine or value == 53
             elif letter == "F":
                 self._feed = value * self._units / 60.0
-            elif letter == "X":
-                target = value * self._units
+            elif letter in self._letters:
+                targets[self._letters.index(letter)] = value * self._units
             elif letter not in "NS":
                 return "error:20"
-        if target is None:
+        if not targets:
             return "ok"
         if self._feed <= 0.0 or not moves:
             return "error:22"
-        return self._plan(target, relative=self._relative and not machine)
+        return self._plan(targets, relative=self._relative and not machine)
 
-    def _plan(self, target: float, *, relative: bool) -> str:
-        end = self._planned + self._sign * target if relative else self._stroke(target)
-        if self._settings[20] and not 0.0 <= end <= self._travel:
+    def _plan(self, targets: dict[int, float], *, relative: bool) -> str:
+        ends = list(self._planned)
+        for k, target in targets.items():
+            # From the withdrawn end, of a machine coordinate.
+            ends[k] = self._sign * target + (ends[k] if relative else -self._shift[k])
+        inside = all(0.0 <= end <= most for end, most in zip(ends, self._travel, strict=True))
+        if self._settings[20] and not inside:
             self._alarm(2)
             self._critical = True
             return ""
-        if end != self._planned:
-            self._blocks.append((end, min(self._feed, self._settings[110] / 60.0)))
-            self._planned = end
+        length = math.dist(ends, self._planned)
+        if length > 0.0:
+            way = tuple((e - b) / length for e, b in zip(ends, self._planned, strict=True))
+            moved = [(k, abs(part)) for k, part in enumerate(way) if part]
+            speed = min(self._settings[110 + k] / 60.0 / part for k, part in moved)
+            slowing = min(self._settings[120 + k] / part for k, part in moved)
+            begin, self._planned = self._planned, tuple(ends)
+            speed = min(self._feed, speed)
+            self._blocks.append(Block(begin, self._planned, way, length, speed, slowing))
             if self.state == "Idle":
                 self.state = "Run"
         return "ok"
-
-    def _stroke(self, coordinate: float) -> float:
-        """Position from the withdrawn end [mm] of a machine coordinate [mm]."""
-        return self._sign * coordinate - self._shift
-
-    def _coordinate(self) -> float:
-        return self._sign * (self._end + self._shift)
 
     # --- motion -------------------------------------------------------------------------------
 
@@ -408,50 +451,52 @@ class EmulatedGrbl:
             self._move_on(step)
 
     def _move_home(self, step: float) -> None:
-        self._end = max(0.0, self._end - HOMING_SPEED * step)
-        if self._end == 0.0:
-            self._end, self._shift, self._planned = PULL_OFF, 0.0, PULL_OFF
-            self.state = "Idle"
+        self._places = tuple(max(0.0, at - HOMING_SPEED * step) for at in self._places)
+        if not any(self._places):
+            axes = len(self._places)
+            self._shift, self._places = _of_axes(0.0, axes), _of_axes(PULL_OFF, axes)
+            self._planned, self.state = self._places, "Idle"
             self._event("homed")
             self._say("ok")
 
     def _move_on(self, step: float) -> None:
-        slowing = self._settings[120] * step
         if not self._blocks:
             self._come_to_rest()
             return
-        end, full = self._blocks[0]
-        way = 1.0 if end > self._end else -1.0
-        wanted = 0.0 if self.state == "Hold" else min(full, self._speed_for(self._ahead(way)))
+        block = self._blocks[0]
+        slowing = block.acceleration * step
+        wanted = 0.0 if self.state == "Hold" else self._allowed_speed()
         before = self._speed
         self._speed = min(max(wanted, self._speed - slowing), self._speed + slowing)
         if self._speed == 0.0 and self.state == "Hold":
             if before:
                 self._event("rest", before)
             return
-        self.trace.append((self._end, self._speed))
-        self._end += way * max(self._speed, 1e-3) * step
-        while self._blocks and way * (self._end - self._blocks[0][0]) >= -1e-9:
-            past = self._blocks.popleft()[0]
-            turns = not self._blocks or way * (self._blocks[0][0] - past) <= 0.0
-            if turns:
-                self._end = past
+        self.trace.append((self._places, self._speed))
+        self._gone += max(self._speed, 1e-3) * step
+        while self._gone >= block.length - 1e-9:
+            self._blocks.popleft()
+            if not self._blocks:
+                self._gone = 0.0
+                self._places = block.end
+                break
+            self._gone, block = max(0.0, self._gone - block.length), self._blocks[0]
+        else:
+            self._places = block.at(self._gone)
         self._look_for_trouble()
         if not self._blocks:
             self._come_to_rest()
 
-    def _ahead(self, way: float) -> float:
-        """Distance that the queued moves continue in this direction [mm]."""
-        here = self._end
-        for end, _ in list(self._blocks):
-            if way * (end - here) < 0.0:
-                break
-            here = end
-        return abs(here - self._end)
-
-    def _speed_for(self, distance: float) -> float:
-        """Largest speed from which it can come to rest within a distance [mm/s]."""
-        return float((2.0 * self._settings[120] * distance) ** 0.5)
+    def _allowed_speed(self) -> float:
+        """Largest speed from which it can slow down to that of every corner ahead [mm/s]."""
+        blocks = list(self._blocks)
+        allowed, ahead = blocks[0].speed, -self._gone
+        for k, block in enumerate(blocks):
+            ahead += block.length
+            corner = block.corner(blocks[k + 1]) if k + 1 < len(blocks) else 0.0
+            room = 2.0 * block.acceleration * max(0.0, ahead)
+            allowed = min(allowed, math.sqrt(corner + room))
+        return allowed
 
     def _come_to_rest(self) -> None:
         if self._speed:
@@ -461,15 +506,15 @@ class EmulatedGrbl:
             self.state = "Idle"
 
     def _look_for_trouble(self) -> None:
-        if self._homing and not 0.0 <= self._end <= self._travel:
+        inside = all(0.0 <= at <= most for at, most in zip(self._places, self._travel, strict=True))
+        if self._homing and not inside:
             self._alarm(1)
             self._critical = True
 
     def _alarm(self, number: int) -> None:
         self._event(f"alarm {number}")
-        self._blocks.clear()
+        self._forget_moves()
         self._speed = 0.0
-        self._planned = self._end
         self.state = "Alarm"
         self._say(f"ALARM:{number}")
 
@@ -477,17 +522,21 @@ class EmulatedGrbl:
         self._event("reset")
         if cold:  # it has no memory of a move, and sends no alarm
             self.state = "Alarm" if self._homing else "Idle"
-            self._speed, self._shift = 0.0, -self._end
+            self._speed, self._shift = 0.0, tuple(-at for at in self._places)
         elif self._speed > 0.0 or self.state == "Home":
             self._alarm(6 if self.state == "Home" else 3)
         elif self.state != "Alarm":
             self.state = "Idle"
-        self._blocks.clear()
+        self._forget_moves()
         self._waiting.clear()
         self._partial.clear()
-        self._planned, self._critical = self._end, False
+        self._critical = False
         self._feed, self._relative, self._units = 0.0, False, 1.0
         self._say("", self._firmware.greeting, *self._lock_words())
+
+    def _forget_moves(self) -> None:
+        self._blocks.clear()
+        self._gone, self._planned = 0.0, self._places
 
     # --- output -------------------------------------------------------------------------------
 
@@ -498,9 +547,9 @@ class EmulatedGrbl:
         state = self.state
         if state == "Hold":
             state += ":0" if self._speed == 0.0 else ":1"
-        unit = 25.4 if self._settings[13] else 1.0
-        place = f"{self._coordinate() / unit:.{4 if unit > 1.0 else 3}f}"
-        place += (self._axes - 1) * ",0.000"
+        unit, digits = (25.4, 4) if self._settings[13] else (1.0, 3)
+        reported = list(zip(self._places, self._shift, strict=True))[: self._axes]
+        place = ",".join(f"{self._sign * (at + by) / unit:.{digits}f}" for at, by in reported)
         room = PLANNER - len(self._blocks)
         speed = round(60.0 * self._speed)
         self._say(f"<{state}|MPos:{place}|Bf:{room},{BUFFER}|FS:{speed},0>")
@@ -520,10 +569,16 @@ class EmulatedGrbl:
         self.events.append(GrblEvent(what, time.monotonic(), moved))
 
 
+def _of_axes(value: float | Sequence[float], axes: int) -> tuple[float, ...]:
+    """Return one value for each axis."""
+    return (float(value),) * axes if isinstance(value, float | int) else tuple(value)
+
+
 def main() -> None:
     """Run an emulated controller until Ctrl-C."""
     parser = argparse.ArgumentParser(description="An emulated GRBL controller.")
     parser.add_argument("--link", type=Path, required=True, help="name of a link to the port")
+    parser.add_argument("--axes", type=int, default=3, choices=range(1, 5), help="number of axes")
     parser.add_argument("--homing", action="store_true", help="require homing first")
     parser.add_argument(
         "--rate", type=float, default=1.0, help="ratio of its clock to the computer's"
@@ -531,7 +586,7 @@ def main() -> None:
     chosen = parser.parse_args()
     if chosen.link.exists() and not chosen.link.is_symlink():
         parser.error(f"--link: {chosen.link} already exists and is not a link")
-    with EmulatedGrbl(homing=chosen.homing, rate=chosen.rate) as controller:
+    with EmulatedGrbl(homing=chosen.homing, rate=chosen.rate, axes=chosen.axes) as controller:
         chosen.link.unlink(missing_ok=True)
         chosen.link.symlink_to(controller.port)
         print(f"{chosen.link}: a GRBL controller; stop it with Ctrl-C", flush=True)
