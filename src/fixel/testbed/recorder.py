@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Final, NamedTuple, Protocol, final
+from typing import Final, NamedTuple, Protocol, final, runtime_checkable
 
 import numpy as np
 
@@ -41,6 +41,13 @@ class TouchReader(Protocol):
     @property
     def trouble(self) -> str: ...
     def read(self) -> TactileReading: ...
+
+
+@runtime_checkable
+class ClockedReader(Protocol):
+    """Reader of emulated fixels, on the clock of the pictures."""
+
+    def at(self, time: float) -> TactileReading: ...
 
 
 class RecordingStatus(NamedTuple):
@@ -250,7 +257,10 @@ class Recorder:
         when = None
         self._bits = None
         if self.tactile is not None:
-            reading = self.tactile.read()
+            if isinstance(self.tactile, ClockedReader) and not self.stream.live:
+                reading = self.tactile.at(arrived.taken)
+            else:
+                reading = self.tactile.read()
             self._bits = reading.bits
             # A source that waits for its reader has its own clock.
             when = max(reading.time - zero, 0.0) if self.stream.live else at

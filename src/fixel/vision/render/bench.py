@@ -46,9 +46,18 @@ class RenderedBench:
     looks : CameraEffects
     seed : int
         Seed of the textures.
+    like : RenderedBench, optional
+        Renderer with the same rig, looks and seed, whose plate is used again.
     """
 
-    def __init__(self, scene: Scene, rig: Rig, looks: CameraEffects, seed: int) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        rig: Rig,
+        looks: CameraEffects,
+        seed: int,
+        like: RenderedBench | None = None,
+    ) -> None:
         self._rig, self._looks = rig, looks
         self._eye = Projection(rig.camera)
         self._size = self._eye.size
@@ -66,7 +75,7 @@ class RenderedBench:
             resting.append((housing_solid(pusher, pixel), pusher.pose))
         self._hand = hand_solid(4.0 * pixel)
         self._resting = [place(solid, pose, self._eye) for solid, pose in resting]
-        self._plate = backdrop(rig, self._eye, seed)
+        self._plate: FloatPicture = backdrop(rig, self._eye, seed) if like is None else like._plate
         self._falloff = falloff(self._eye, looks.vignetting)
         self._still = self._developed(PictureWindow(0, 0, *self._size), self._painted([]))
 

@@ -154,7 +154,7 @@ def film_scene(
     for number, time in enumerate(times.tolist()):
         instants = [
             poses_at(tracks, instant, occlusion, scene)
-            for instant in _instants(tracks, time, looks.exposure, pixel)
+            for instant in exposure_times(tracks, time, looks.exposure, pixel)
         ]
         yield Frame(time, sensor.exposed(view.light(instants), factors[number], number))
 
@@ -191,7 +191,7 @@ def poses_at(
     return poses if hand is None else {**poses, HAND: hand}
 
 
-def _instants(
+def exposure_times(
     tracks: Mapping[str, Trajectory], time: float, exposure: float, pixel: float
 ) -> list[float]:
     """Times [s] to render for one exposure: more for faster motion."""

@@ -1,0 +1,332 @@
+"""The emulated laboratory: what its camera and fixels report is the hidden truth, with faults."""
+
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fixel.errors import InvalidInput
+from fixel.formats.rig_file import rig_of, save_rig
+from fixel.formats.scene_file import SceneFile, save_scene
+from fixel.model import LineDrive, pose_error
+from fixel.sampling import thesis_plan
+from fixel.simulation import simulate
+from fixel.testbed.emulators.laboratory import EmulatedLaboratory, Faults, smaller
+from fixel.testbed.recorder import Recorder
+from fixel.testbed.simulated import SimulatedTestbed
+from fixel.workflows.acquisition.track import track_film
+
+ROW = thesis_plan().experiments[0]
+TRUTH = SimulatedTestbed(seed=3)
+RIG = smaller(rig_of("thesis-tags"), 0.5)
+SMALL = smaller(RIG, 0.5)  # too small to track
+SPEED, TRAVEL = 0.05, 0.1  # of the push
+START, AHEAD = [0.0, 0.0], [1.0, 0.0]
+NO_FAULTS = Faults(jitter=0.0, dropped=0.0)
+
+
+def laboratory(faults=NO_FAULTS, seed=3, rig=SMALL, **options):
+    made = EmulatedLaboratory(rig, truth=TRUTH, seed=seed, faults=faults, **options)
+    made.prepare(ROW)
+    return made
+
+
+def pushed(lab, travel=TRAVEL, rest=5):
+    """Pictures before, during and after a push, read in this thread."""
+    source = lab.source
+    source.open()
+    frames = source.frames()
+    pictures = [next(frames) for _ in range(rest)]
+    with lab.drive as drive:
+        drive.aim(START, AHEAD)
+        drive.move(to=travel, speed=SPEED, wait=False)
+        while drive.moving:
+            pictures.append(next(frames))
+        pictures += [next(frames) for _ in range(rest)]
+    source.close()
+    return pictures
+
+
+def part_error(lab):
+    return pose_error(lab.moments[-1].part, ROW.scene.bodies[0].pose)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A push in a folder, recorded in one thread while another one moves the drive."""
+    folder = tmp_path_factory.mktemp("laboratory") / "push"
+    lab = laboratory(Faults(jitter=1e-3, dropped=0.03), rig=RIG)
+    lab.nudge()
+    over = threading.Event()
+
+    def push():
+        with lab.drive as drive:
+            drive.aim(START, AHEAD)
+            sleep(lab, 0.5)
+            drive.move(to=TRAVEL, speed=SPEED)
+            sleep(lab, 0.5)
+        over.set()
+
+    def prepare(path):
+        save_rig(RIG, path / "rig.yaml")
+        save_scene(SceneFile(scene=ROW.scene), path / "scene.yaml")
+        threading.Thread(target=push, daemon=True).start()
+
+    source = lab.source
+    recorder = Recorder(
+        source=source,
+        stream=source.open(),
+        folder=folder,
+        codec="near",
+        tactile=lab.tactile,
+        stop=lambda: "done" * over.is_set(),
+        prepare=prepare,
+    )
+    return lab, recorder.run(), track_film(folder)
+
+
+def sleep(lab, seconds):
+    until = lab.clock() + seconds
+    while lab.clock() < until:
+        time.sleep(1e-3)
+
+
+def test_tracked_poses_are_the_hidden_ones(recorded):
+    lab, summary, answer = recorded
+    assert summary.lost == 0
+    experiment = answer.experiment
+    assert experiment.simulated_by.startswith("fixel emulated laboratory")
+    kept = [moment for moment in lab.moments if not moment.lost][: summary.frames]
+    stamps = np.array([moment.stamp for moment in kept])
+    track = experiment.trajectory
+    frame = np.abs(track.time[:, None] - (stamps - stamps[0])).argmin(axis=1)
+    assert len(track.time) > 0.95 * summary.frames
+    assert np.abs(track.time - (stamps - stamps[0])[frame]).max() < 1e-5
+    hidden = np.array([kept[k].part for k in frame])
+    far, turned = pose_error(track.pose, hidden)
+    assert np.hypot(*(hidden[-1] - hidden[0])[:2]) > 0.03
+    assert np.median(far) < 1e-4
+    assert far.max() < 5e-4
+    assert np.abs(turned).max() < 8e-3
+    at_head = np.array([moment.head for moment in kept])
+    head = experiment.pusher
+    frame = np.abs(head.time[:, None] - (stamps - stamps[0])).argmin(axis=1)
+    assert pose_error(head.pose, at_head[frame])[0].max() < 5e-4
+
+
+def test_readings_are_those_of_their_own_frames(recorded):
+    lab, summary, answer = recorded
+    kept = [moment for moment in lab.moments if not moment.lost][: summary.frames]
+    read = answer.film.readings.value
+    assert read.tolist() == [moment.bits for moment in kept]
+
+
+def test_the_part_moves_as_in_one_simulation_of_the_true_scene():
+    """Moved frame by frame by an even drive, it ends where an undivided simulation takes it."""
+    even = replace(TRUTH, ripple=0.0)
+    lab = EmulatedLaboratory(SMALL, truth=even, seed=3, faults=NO_FAULTS)
+    lab.prepare(ROW)
+    lab.nudge()
+    pushed(lab)
+    begun = lab.moments[0].part
+    scene = even.true_scene(ROW)
+    head, body = scene.pushers[0], scene.bodies[0]
+    drive = LineDrive(
+        direction=AHEAD, speed=SPEED, travel=TRAVEL, force_limit=head.drive.force_limit
+    )
+    whole = replace(
+        scene,
+        bodies=(replace(body, pose=begun),),
+        pushers=(replace(head, pose=np.zeros(3), drive=drive),),
+        duration=TRAVEL / SPEED + 0.5,
+    )
+    far, turned = pose_error(lab.moments[-1].part, simulate(whole).pose[body.name][-1])
+    assert far < 5e-5
+    assert abs(turned) < 1e-3
+    assert far < 1e-2 * pose_error(begun, lab.moments[-1].part)[0]
+
+
+def test_a_picture_at_rest_shows_where_the_part_came_to_rest():
+    """The light of a resting scene is rendered once: that after the motion, not that within it."""
+    lab = laboratory()
+    pictures = pushed(lab)
+    assert (lab.moments[-3].part == lab.moments[-1].part).all()
+    anew = laboratory()
+    anew._part, anew._head = lab._part, lab._head
+    anew.drive = lab.drive
+    (fresh,) = (next(frames) for frames in [anew.source.frames()])
+    assert np.abs(pictures[-1].pixels.astype(int) - fresh.pixels).mean() < 3.0
+    assert (np.abs(pictures[-1].pixels.astype(int) - fresh.pixels) > 25).sum() == 0
+
+
+def test_same_seed_same_pictures():
+    one, two, other = (pushed(laboratory(Faults(), seed=seed), 0.005) for seed in (3, 3, 4))
+    assert len(one) == len(two)
+    for a, b in zip(one, two, strict=True):
+        assert (a.pixels == b.pixels).all()
+    assert any((a.pixels != b.pixels).any() for a, b in zip(one, other, strict=False))
+
+
+def test_a_part_is_placed_roughly_and_then_corrected():
+    lab = EmulatedLaboratory(SMALL, truth=TRUTH, faults=NO_FAULTS)
+    rough, better = [], []
+    frames = lab.source.frames()
+    for _ in range(12):
+        lab.prepare(ROW)
+        next(frames)
+        rough.append(part_error(lab))
+        lab.nudge()
+        next(frames)
+        better.append(part_error(lab))
+    (far, turned), (near, straight) = np.array(rough).T, np.array(better).T
+    assert far.max() < 3e-3 < 2.0 * far.max()
+    assert np.abs(turned).max() < np.radians(3.0) < 2.0 * np.abs(turned).max()
+    assert near.max() < 2.1e-4
+    assert np.abs(straight).max() < np.radians(0.3)
+    assert len(set(far)) == 12
+
+
+def test_a_withdrawn_head_leaves_the_part_where_it_is():
+    lab = laboratory()
+    pushed(lab)
+    there = lab.moments[-1].part
+    frames = lab.source.frames()
+    with lab.drive as drive:
+        drive.move(to=-0.02, speed=SPEED, wait=False)
+        while drive.moving:
+            next(frames)
+        next(frames)
+    assert pose_error(lab.moments[-1].part, there)[0] < 1e-6
+    assert lab.moments[-1].head == pytest.approx([-0.02, 0.0, 0.0], abs=1e-9)
+
+
+def test_time_stamps_scatter_and_frames_are_lost():
+    lab = laboratory(Faults(jitter=2e-3, dropped=0.1))
+    frames = lab.source.frames()
+    taken = [next(frames) for _ in range(300)]
+    error = np.array([moment.stamp - moment.time for moment in lab.moments])
+    assert np.std(error) == pytest.approx(2e-3, rel=0.2)
+    lost = np.array([moment.lost for moment in lab.moments])
+    assert 0.05 < lost.mean() < 0.16
+    assert len(lab.moments) - lost.sum() == len(taken)
+    steps = np.diff([picture.captured for picture in taken])
+    assert steps.min() > 0.0
+    assert (np.rint(steps * 30.0) - 1.0).sum() == lost.sum()
+
+
+def test_a_hand_hides_the_part_in_the_first_push_of_a_row_only():
+    lab = laboratory(replace(NO_FAULTS, hidden=(ROW.name,), hand=0.5))
+    pictures = pushed(lab)
+    hidden = np.array([moment.hidden for moment in lab.moments])
+    assert 0.5 <= hidden.sum() / 30.0 < 1.5
+    bare = pushed(laboratory())
+    changed = np.array(
+        [
+            (np.abs(a.pixels.astype(int) - b.pixels) > 40).mean()
+            for a, b in zip(pictures, bare, strict=True)
+        ]
+    )
+    assert (changed[~hidden] < 1e-3).all()
+    assert changed[hidden].max() > 0.03
+    begin(lab)
+    pushed(lab)
+    assert not any(moment.hidden for moment in list(lab.moments)[len(hidden) :])
+
+
+def test_an_overload_stops_the_head_in_the_first_push_of_a_row_only():
+    lab = laboratory(replace(NO_FAULTS, overload=(ROW.name,)))
+    pushed(lab)
+    assert lab.drive.place() == pytest.approx([TRAVEL, 0.0])
+    assert lab.moments[-1].head[0] == pytest.approx(0.4 * 0.15, abs=2e-3)
+    begin(lab)
+    pushed(lab)
+    assert lab.moments[-1].head[0] == pytest.approx(TRAVEL, abs=1e-6)
+
+
+def begin(lab):
+    """The head goes back, and the row is prepared again."""
+    frames = lab.source.frames()
+    with lab.drive as drive:
+        drive.move(to=0.0, speed=0.2, wait=False)
+        while drive.moving:
+            next(frames)
+        next(frames)
+    lab.prepare(ROW)
+
+
+def test_a_repetition_has_its_own_scatter():
+    lab = laboratory()
+    first = lab.true_parameters
+    assert first["mu_pusher"] == TRUTH.true_scene(ROW).pushers[0].friction
+    lab.prepare(ROW)  # before a push it is the same attempt
+    assert lab.true_parameters == first
+    pushed(lab, 0.01)
+    begin(lab)
+    second = lab.true_parameters
+    assert second.keys() == {"mu_pusher", "mu_fixel", "mu_support"}
+    for name in second:
+        assert second[name] != first[name]
+        assert second[name] == pytest.approx(first[name], rel=0.3)
+
+
+def test_a_stopped_drive_stops_the_head():
+    lab = laboratory()
+    frames = lab.source.frames()
+    with lab.drive as drive:
+        drive.aim(START, AHEAD)
+        drive.move(to=TRAVEL, speed=SPEED, wait=False)
+        for _ in range(15):
+            next(frames)
+        drive.stop()
+        for _ in range(3):
+            next(frames)
+    assert lab.moments[-1].head[0] == pytest.approx(15 / 30.0 * SPEED, rel=0.1)
+    assert (lab.moments[-1].head == lab.moments[-2].head).all()
+
+
+def test_in_real_time_frames_come_at_their_rate():
+    lab = laboratory(pace=1.0)
+    source = lab.source
+    assert source.open().live
+    frames = source.frames()
+    began = time.monotonic()
+    times = [next(frames).captured for _ in range(20)]
+    assert time.monotonic() - began == pytest.approx(20 / 30.0, abs=0.3)
+    assert abs(time.monotonic() - times[-1]) < 0.3
+    assert lab.clock() == pytest.approx(time.monotonic(), abs=0.1)
+    source.close()
+    assert list(frames) == []
+    assert source.ended
+
+
+def test_a_smaller_rig_sees_the_same_places():
+    whole = rig_of("thesis-tags")
+    part = smaller(whole, 0.5)
+    assert part.camera.lens.image_size == (640, 360)
+    place = np.array([[0.1, 0.03], [0.2, -0.05]])
+    big, small = (rig.camera.project_at(place, 0.02) for rig in (whole, part))
+    assert 0.5 * (big + 0.5) - 0.5 == pytest.approx(small, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"pace": 2.0}, "pace"),
+        ({"faults": Faults(dropped=1.5)}, "dropped"),
+        ({"faults": Faults(jitter=-1.0)}, "jitter"),
+        ({"faults": Faults(placement=(-1.0, 0.0))}, "placement"),
+        ({"rate": 0.0}, "rate"),
+    ],
+)
+def test_bad_options_are_refused(options, words):
+    with pytest.raises(InvalidInput, match=words):
+        EmulatedLaboratory(SMALL, truth=TRUTH, **options)
+
+
+def test_no_pictures_before_a_row_is_prepared():
+    lab = EmulatedLaboratory(SMALL, truth=TRUTH)
+    with pytest.raises(InvalidInput, match="prepared row"):
+        next(lab.source.frames())
+    assert lab.tactile.read().bits is None
