@@ -110,6 +110,18 @@ def test_tolerances_are_those_asked_for(bench, capsys):
     assert answer["files"] == {"picture": str(bench / "off.mp4.png")}
 
 
+def test_poses_from_the_object_as_it_is_seen(bench, capsys):
+    """Anchored at the object, which is 6 mm off, the actuator is off by as much."""
+    code, out, _ = fixel(capsys, *once(bench, "off.mp4", "--anchor", "object", "--json"))
+    part, actuator = json.loads(out)["parts"]
+    assert code == 4
+    assert part["within"]
+    assert actuator["dx_mm"] == pytest.approx(-6.0, abs=0.1)
+    code, _, err = fixel(capsys, *once(bench, "off.mp4", "--anchor", "head"))
+    assert code == 2
+    assert "anchor: found 'head', expected one of object, actuator" in err
+
+
 def test_the_page_until_the_film_ends(bench, capsys):
     code, out, err = fixel(capsys, *asked(bench, bench / "off.mp4"))
     assert code == 0

@@ -7,6 +7,7 @@ from tests.cli.shell import fixel
 
 from fixel.formats.plan_file import load_plan, plan_text
 from fixel.sampling import eight_push_plan, thesis_plan
+from fixel.workflows.sampling import planned_rows
 
 
 def test_without_a_file_it_is_the_plan_of_the_thesis(capsys):
@@ -21,6 +22,7 @@ def test_without_a_file_it_is_the_plan_of_the_thesis(capsys):
         "pentagon       10              21            1          210",
         "2 in all                                                420",
     ]
+    assert "tripod radii, frictions, mass of the pentagon, pegs  ours\n" in out
     assert "No problems, checked by geometry." in out
     assert "4 collinear-minus45" in out
     assert out.splitlines()[-1].startswith("Next: fixel sample --out ")
@@ -56,6 +58,19 @@ def test_what_it_writes_it_reads(words, plan, tmp_path, capsys):
     assert fixel(capsys, "sample", file, "--eight-push")[0] == 2
 
 
+def test_the_scenes_of_a_plan_are_read_back(tmp_path, capsys):
+    folder = tmp_path / "eight"
+    code, out, _ = fixel(capsys, "sample", "--eight-push", "--scenes", folder)
+
+    assert (code, f"wrote {folder}" in out) == (0, True)
+    assert "speed, numbers of tests 2 to 8" in out
+    place = folder / f"{eight_push_plan().experiments[0].name}.yaml"
+    assert out.splitlines()[-1] == f"Next: fixel overlay {place} --rig thesis-tags"
+    assert planned_rows(folder / "plan.csv") == eight_push_plan().experiments
+    code, _, err = fixel(capsys, "sample", "--scenes", folder)
+    assert (code, "a new or empty folder" in err) == (2, True)
+
+
 def test_problems_are_told(tmp_path, capsys):
     path = tmp_path / "plan.yaml"
     path.write_text(plan_text(thesis_plan()).replace("travel: 0.15", "travel: 0.03"))
@@ -66,6 +81,7 @@ def test_problems_are_told(tmp_path, capsys):
     assert "420 problems, checked by geometry" in out
     assert "001-square-collinear-tight-nominal: the head stops" in out
     assert "... and 400 more" in out
+    assert "source" not in out
 
 
 @pytest.mark.slow

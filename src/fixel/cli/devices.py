@@ -326,6 +326,12 @@ def overlay(
         None, "Stored experiment, instead of a scene file.", metavar="KEY"
     ),
     project: ProjectFolder = Path(),
+    anchor: str = option(
+        "",
+        "Part with which all poses move to where the camera sees it, such as actuator.",
+        metavar="NAME",
+        show_default=False,
+    ),
     tolerance_mm: float | None = option(
         None, "Largest allowed position error of a part [mm].", show_default="the rig's"
     ),
@@ -353,7 +359,8 @@ def overlay(
     picture = output if once else None
     bench = _bench(rig, picture)
     placed = scene_of(scene, experiment, project)
-    looks = Overlay(bench, placed, _tolerance(bench, tolerance_mm, tolerance_deg))
+    tolerance = _tolerance(bench, tolerance_mm, tolerance_deg)
+    looks = Overlay(bench, placed, tolerance, anchor=anchor)
     heading = f"{experiment or (scene.name if scene else '')} on {bench.name}"
     look = _look(looks, camera, picture, heading, port, show=not as_json)
     setting = ["--camera", camera, "--rig", rig] + (["--scene", str(scene)] if scene else [])

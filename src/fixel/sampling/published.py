@@ -169,3 +169,25 @@ def eight_push_plan() -> Plan:
         schemes=(OffsetList(rows),),
         repetitions=3,
     )
+
+
+# --- what the publications print, for people who rely on it ---------------------------------------
+
+_THESIS: Final = (
+    ("drive, fixel zones, nominal angle, steps in x and y", "printed in the thesis"),
+    ("side of the pentagon, gap, step of theta", "printed, but ambiguous or lost; our reading"),
+    ("square (mass, side), head, radius of the fixels", "public files of the laboratory"),
+    ("tripod radii, frictions, mass of the pentagon, pegs", "ours"),
+)
+_EIGHT_PUSH: Final = (
+    ("size, material and thickness of the part, probe, places, travel", "printed in the paper"),
+    ("support points, frictions", "first estimate of the paper, decimal points restored"),
+    ("speed, numbers of tests 2 to 8", "ours"),
+)
+
+
+def sources_of(plan: Plan) -> tuple[tuple[str, str], ...]:
+    """Return groups of values of a published plan with their sources; none for another plan."""
+    if plan == thesis_plan():
+        return _THESIS
+    return _EIGHT_PUSH if plan == eight_push_plan() else ()

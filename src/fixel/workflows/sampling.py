@@ -152,9 +152,12 @@ def sample(
 
 def report_of(answer: SampleAnswer) -> AnalysisReport:
     """Return counts, problems and every experiment of a plan."""
+    from fixel.sampling.published import sources_of
+    from fixel.table import Table
     from fixel.workflows.analysis import Analysis, AnalysisReport
 
     plan = answer.plan
+    said = sources_of(plan)
     numbered = {own.name: own.number for own in plan.layouts if own.number is not None}
     titles = [own.title for own in plan.layouts if own.number is not None]
     hours = plan.total * plan.rig.duration / 3600.0
@@ -177,7 +180,7 @@ def report_of(answer: SampleAnswer) -> AnalysisReport:
             title=f"Plan {plan.name}",
             question={},
             headline=(f"plan {plan.name}",),
-            tables=(_table(plan),),
+            tables=(_table(plan), *([Table(("value", "source"), said, left=2)] if said else [])),
             notes=(
                 *([f"layouts: {', '.join(titles)}"] if titles else []),
                 *([f"{n} places of the rig on the table"] if (n := len(plan.places)) > 1 else []),
@@ -201,10 +204,12 @@ def draw(answer: SampleAnswer, path: Path) -> None:
 def next_words(done: StoredAnswer) -> list[object]:
     """Return the words of the command that most users need next."""
     request: Any = done.request
-    plan = request.out or request.plan
+    plan, found = request.out or request.plan, done.result.plan
+    if request.scenes and found.experiments:
+        scene = request.scenes / f"{found.experiments[0].name}.yaml"
+        return ["overlay", scene, "--rig", "thesis-tags"]
     if plan is None:
         return [*done.again, "--out", "plan.yaml"]
-    found = done.result.plan
     # The testbed is for grasps and tables.
     if len(found.places) == 1 and not any(layout.pegs for layout in found.layouts):
         return ["sample", plan, "--simulate"]

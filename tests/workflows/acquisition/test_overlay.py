@@ -251,3 +251,67 @@ def test_a_picture_is_written_as_it_is(tmp_path):
     picture = np.random.default_rng(0).integers(0, 255, (12, 20, 3), dtype=np.uint8)
     write_picture(tmp_path / "a.png", picture)
     np.testing.assert_array_equal(cv2.imread(str(tmp_path / "a.png")), picture)
+
+
+def about(pose, inner):
+    """Pose in the world of an inner pose of a frame with a pose."""
+    x, y, angle = pose
+    c, s = math.cos(angle), math.sin(angle)
+    return (x + c * inner[0] - s * inner[1], y + s * inner[0] + c * inner[1], angle + inner[2])
+
+
+SHIFTED = (0.012, 0.008, math.radians(6.0))
+PEG = (0.24, 0.07, 0.0)
+
+
+def anchored_looks(poses, n=6, anchor="actuator"):
+    """Looks at equal pictures of parts, and a fixel, whose poses are those of an inner frame."""
+    there = {name: about(SHIFTED, pose) for name, pose in poses.items()}
+    tops = [(about(SHIFTED, PEG)[:2], 0.00476)]
+    overlay = Overlay(RIG, SCENE, TOLERANCE, anchor=anchor)
+    picture = plate_picture(RIG, there, tops)
+    return overlay, [overlay.look(frame(picture, 0.1 * k)) for k in range(n)]
+
+
+def test_the_scene_is_anchored_where_the_actuator_is_seen():
+    """Rotated and shifted together, the part and the fixel are in place for the actuator."""
+    overlay, looks = anchored_looks(AT_HOME)
+
+    assert looks[0].placed
+    assert looks[-1].placed
+    np.testing.assert_allclose(overlay.scene.bodies[0].pose, about(SHIFTED, WANTED), atol=5e-4)
+    fixel = looks[-1].parts[2]
+    assert fixel.measured is not None
+    assert fixel.within
+    (remark,) = looks[0].remarks
+    assert "14.4 mm and 6." in remark or "14.5 mm and 6." in remark
+    assert not anchored_looks(AT_HOME, 1, anchor="")[1][0].placed
+
+
+def test_errors_of_an_anchored_scene_are_those_from_the_actuator():
+    _, looks = anchored_looks(AT_HOME | {"object": (0.116, -0.01, 0.35)})
+    part = looks[-1].summary()["parts"][0]
+
+    assert part["dx_mm"] == pytest.approx(6.0 * math.cos(SHIFTED[2]), abs=0.3)
+    assert part["dy_mm"] == pytest.approx(6.0 * math.sin(SHIFTED[2]), abs=0.3)
+
+
+def test_the_anchor_stays_where_it_was_seen_last():
+    overlay, looks = anchored_looks({"object": WANTED}, 1)
+    assert "has not been seen yet" in looks[0].remarks[0]
+    assert overlay.scene == SCENE
+
+    overlay, _ = anchored_looks(AT_HOME, 1)
+    before = overlay.scene
+    hidden = overlay.look(frame(plate_picture(RIG, {"object": about(SHIFTED, WANTED)}), 0.1))
+    assert not hidden.placed
+    assert overlay.scene == before
+    assert hidden.parts[0].within
+    back = overlay.look(frame(plate_picture(RIG, AT_HOME), 0.6))
+    assert back.placed
+
+
+def test_an_anchor_must_be_measurable():
+    for name in ("fixel-1", "actuater"):
+        with pytest.raises(InvalidInput, match=r"anchor: .* expected one of object, actuator"):
+            Overlay(RIG, SCENE, TOLERANCE, anchor=name)

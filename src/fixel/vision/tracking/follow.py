@@ -376,12 +376,20 @@ class Locator:
                 hint="use the names of the scene for the parts of the rig",
             )
         self.rig = rig
-        self._scene = scene
+        self._near = scene.fixels
         self.names, self._followers = followers_of(replace(rig, parts=own), things, AUTO)
         self._looks = 0
         self._standing = FramePoses()
         self._finder = FixelFinder(rig, scene.fixels)
         self._finds = 0
+
+    def expect(self, fixels: Sequence[Fixel]) -> None:
+        """Search for the same fixels near other places, if these are out of reach of the old."""
+        reach = FIXEL_REACH * self.rig.camera.metres_per_pixel(self.rig.fixel_height)
+        apart = [new.pose[:2] - old.pose[:2] for new, old in zip(fixels, self._near, strict=True)]
+        if apart and np.hypot(*np.transpose(apart)).max() > reach:
+            self._near, self._finds = tuple(fixels), 0
+            self._finder = FixelFinder(self.rig, self._near)
 
     def see(self, frame: Frame) -> FramePoses:
         """Locate parts and fixels in a frame."""
@@ -421,7 +429,7 @@ class Locator:
         if self._finds % MIN_FRAMES:
             return self._standing.fixels
         found = {fixel.name: fixel.place for fixel in self._finder.found()}
-        self._finder = FixelFinder(self.rig, self._scene.fixels)
+        self._finder = FixelFinder(self.rig, self._near)
         return found
 
 

@@ -15,12 +15,13 @@ import numpy as np
 
 from fixel.database.project import Project
 from fixel.drawing.palette import PUSHER, TRAIL
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, unknown_name
 from fixel.formats.scene_file import load_scene
 from fixel.io.atomic import written_whole
 from fixel.model import Body, Disk, Fixel, Polygon, Pusher, Scene, placed
 from fixel.model.fields import positive
 from fixel.model.trajectory import wrapped
+from fixel.sampling.rows import moved_onto
 from fixel.testbed.frame_source import STALLED, CameraPicture, FrameQueue, FrameSource
 from fixel.typing import FloatArray
 from fixel.vision.frame import Frame, Picture
@@ -34,7 +35,7 @@ from fixel.vision.outlines import (
     outline_pixels,
     place_pixels,
 )
-from fixel.vision.tracking.follow import MIN_FRAMES, FramePoses, Locator
+from fixel.vision.tracking.follow import MIN_FRAMES, FramePoses, Locator, things_of
 
 ACTUATOR_HEIGHT: Final = 0.03  # [m] of an actuator that the rig does not list
 TRIES: Final = 10  # largest number of pictures for one look
@@ -57,35 +58,64 @@ class Overlay:
         Scene with the wanted poses.
     tolerance : Tolerance, optional
         Defaults to the tolerances of the rig.
+    anchor : str
+        Part, usually the actuator, with which all wanted poses are moved rigidly to where the
+        camera sees it; empty for the poses of the scene.
 
     Raises
     ------
     InvalidInput
-        The rig has no part of the scene.
+        The rig has no part of the scene, or cannot measure the anchor.
     """
 
-    def __init__(self, rig: Rig, scene: Scene, tolerance: Tolerance | None = None) -> None:
+    def __init__(
+        self, rig: Rig, scene: Scene, tolerance: Tolerance | None = None, *, anchor: str = ""
+    ) -> None:
         self.rig = rig
         self.tolerance = tolerance or Tolerance(
             distance=rig.position_tolerance, angle=rig.angle_tolerance
         )
         self._locator = Locator(rig, scene)
-        self._things: tuple[Body | Pusher | Fixel, ...] = (
-            *scene.bodies,
-            *scene.pushers,
-            *scene.fixels,
-        )
+        if anchor and anchor not in self._locator.names:
+            raise unknown_name("anchor", anchor, self._locator.names)
+        self.anchor, self._planned, self.scene = anchor, scene, scene
+        self._n_seen = 0
 
     def look(self, frame: Frame) -> Look:
         """Locate all parts in a frame and compute their errors."""
         located = self._locator.see(frame)
+        sight = located.parts.get(self.anchor)
+        if sight is not None and sight.pose is not None:
+            self._follow(sight.pose)
+        things: list[Body | Pusher | Fixel] = [*self.scene.bodies, *self.scene.pushers]
         return Look(
             rig=self.rig,
             tolerance=self.tolerance,
-            parts=tuple(self._part(thing, located) for thing in self._things),
+            parts=tuple(self._part(thing, located) for thing in (*things, *self.scene.fixels)),
             problems=located.problems,
-            remarks=located.remarks,
+            remarks=(*located.remarks, *self._about_anchor()),
         )
+
+    def _follow(self, pose: FloatArray) -> None:
+        """Move the wanted poses to the mean pose of the anchor since it was last displaced."""
+        wanted, now = (things_of(own)[self.anchor].pose for own in (self._planned, self.scene))
+        off = np.array([*(pose - now)[:2], float(wrapped(pose[2] - now[2]))])
+        far = np.hypot(*off[:2]) > self.tolerance.distance or abs(off[2]) > self.tolerance.angle
+        self._n_seen = 1 if far else self._n_seen + 1
+        self.scene = moved_onto(self._planned, wanted, now + off / self._n_seen)
+        self._locator.expect(self.scene.fixels)
+
+    def _about_anchor(self) -> list[str]:
+        if not self.anchor:
+            return []
+        if not self._n_seen:
+            return [f"{self.anchor} has not been seen yet: the poses are those of the scene"]
+        wanted, now = (things_of(own)[self.anchor].pose for own in (self._planned, self.scene))
+        off, turn = 1e3 * np.hypot(*(now - wanted)[:2]), math.degrees(now[2] - wanted[2])
+        return [
+            f"all poses are moved with {self.anchor}, which is {off:.1f} mm and {turn:.1f} deg "
+            "from its place in the scene"
+        ]
 
     def drawn(self, picture: Picture, look: Look, *, words: bool = False) -> Picture:
         """Return a copy of the picture with outlines; `words` writes the errors on it too."""
