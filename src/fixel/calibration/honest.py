@@ -157,8 +157,8 @@ def mixed_study(
     space = shifted.searched
     names = [name for name in SHIFTS if any(name in shifted.columns[m] for m in members)]
     unit = np.array([SHIFTS[name][1] for name in names])
-    n, p, q = len(members), len(space.free), len(names)
-    cluster = numbered([_condition(shifted.targets[m]) for m in members])
+    n, q = len(members), len(names)
+    cluster = numbered([condition_of(shifted.targets[m]) for m in members])
     weight = 1.0 / np.bincount(cluster)[cluster]
     precision, anchor = _prior(space, point, NEAR)
     theta, own, evaluations = np.array(point, np.float64), np.zeros((n, q)), 0
@@ -171,24 +171,10 @@ def mixed_study(
         ]
         parts = yield from probe_rollouts(probes)
         evaluations += sum(map(len, parts))
-        y = np.zeros((n, 3, INSTANTS))
-        common, single = np.zeros((n, 3, INSTANTS, p)), np.zeros((n, 3, INSTANTS, q))
-        share = np.zeros((n, INSTANTS))
-        for k, (one, part) in enumerate(zip(probes, parts, strict=True)):
-            if not np.isfinite(part[0]).all():
-                continue
-            common[k], single[k] = one.slopes(part, space.scale, unit)
-            y[k] = single[k] @ own[k] - part[0]
-            share[k] = _share(shifted, members[k])
-        data = Linear(
-            y,
-            common,
-            single,
-            share,
-            MM * noise.standard_deviations,
-            weight,
-            precision * np.outer(space.scale, space.scale),
-            (anchor - theta) / space.scale,
+        data = linear_data(shifted, probes, parts, own, unit, noise)._replace(
+            weight=weight,
+            precision=precision * np.outer(space.scale, space.scale),
+            mean=(anchor - theta) / space.scale,
         )
         fit = fit_mixed(data, log_sd, bounds)
         log_sd = fit.log_sd
@@ -287,6 +273,45 @@ def probe_rollouts(probes: Sequence[Probes]) -> Generator[FloatArray, FloatArray
     return np.split(told.reshape(-1, 3, INSTANTS), np.cumsum(count)[:-1])
 
 
+def linear_data(
+    shifted: ShiftModel,
+    probes: Sequence[Probes],
+    parts: Sequence[FloatArray],
+    own: FloatArray,
+    unit: FloatArray,
+    noise: Noise,
+) -> Linear:
+    """Return experiments that are linearised about points; each counts once, without a prior.
+
+    Parameters
+    ----------
+    shifted : ShiftModel
+    probes : sequence of Probes
+        Points of each experiment.
+    parts : sequence of (k, 3, INSTANTS) arrays
+        Answers of `probe_rollouts`; an experiment that failed at its point has no information.
+    own : (n, q) array
+        Shifts about which the points lie [units].
+    unit : (q,) array
+        Unit of each shift.
+    noise : Noise
+        Noise of the camera.
+    """
+    space = shifted.searched
+    n, p, q = len(probes), len(space.free), own.shape[1]
+    y = np.zeros((n, 3, INSTANTS))
+    common, single = np.zeros((n, 3, INSTANTS, p)), np.zeros((n, 3, INSTANTS, q))
+    share = np.zeros((n, INSTANTS))
+    for k, (one, part) in enumerate(zip(probes, parts, strict=True)):
+        if not np.isfinite(part[0]).all():
+            continue
+        common[k], single[k] = one.slopes(part, space.scale, unit)
+        y[k] = single[k] @ own[k] - part[0]
+        share[k] = _share(shifted, one.member)
+    white = MM * noise.standard_deviations
+    return Linear(y, common, single, share, white, np.ones(n), np.zeros((p, p)), np.zeros(p))
+
+
 def _with_shifts(space: ParameterSpace) -> ParameterSpace:
     """The space with all unknowns free, and one for each shift that it has not got."""
     unknowns = [replace(u, frozen=False) for u in space.unknowns]
@@ -325,7 +350,7 @@ def _share(shifted: ShiftModel, member: int) -> FloatArray:
     return out
 
 
-def _condition(target: Target) -> object:
+def condition_of(target: Target) -> object:
     """Return a label that experiments under the same conditions share."""
     same = same_configuration(target)
     return target.case.scene if same == target.key else same

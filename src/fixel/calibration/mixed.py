@@ -81,6 +81,11 @@ def fit_mixed(data: Linear, start: FloatArray, bounds: NoiseBounds) -> MixedFit:
     return _criterion(rotated, found.x)[2]
 
 
+def mixed_at(data: Linear, log_sd: FloatArray) -> MixedFit:
+    """Return the fit with given logarithms of standard deviations (q + 3,)."""
+    return _criterion(_rotated(data), log_sd)[2]
+
+
 class _RotatedData(NamedTuple):
     """The data along the axes of the walks, where all noise is independent."""
 

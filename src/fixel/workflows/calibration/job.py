@@ -443,7 +443,7 @@ class CalibrationSearch:
                     return dataclasses.replace(one, note=f"no verdicts: {OUT_OF_BUDGET}; {more}")
                 ask = running.send(told)
         except StopIteration as end:
-            return _with_assessment(self.comparer, one, end.value)
+            return with_assessment(self.comparer, one, end.value)
         except InvalidInput as problem:  # the values that were found stay worth having
             return dataclasses.replace(one, note=f"no verdicts: {problem}")
 
@@ -601,11 +601,12 @@ def _with_estimates(
         own = next(assessed) if np.isfinite(one.errors).all() else None
         if isinstance(own, InvalidInput):
             one = dataclasses.replace(one, note=f"no verdicts: {own}")
-        found.append(_with_assessment(comparer, one, own) if isinstance(own, Assessment) else one)
+        found.append(with_assessment(comparer, one, own) if isinstance(own, Assessment) else one)
     return found
 
 
-def _with_assessment(comparer: Comparer, one: ParameterSet, found: Assessment) -> ParameterSet:
+def with_assessment(comparer: Comparer, one: ParameterSet, found: Assessment) -> ParameterSet:
+    """Return a parameter set with its estimates, profiles and misfit."""
     return dataclasses.replace(
         one,
         estimates=(*found.quoted, *_frozen(comparer)),

@@ -1,0 +1,464 @@
+"""Live estimates: parameters so far, the experiment to perform next, and when to stop."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Final, NamedTuple, Self, final
+
+import numpy as np
+from scipy.special import ndtri, stdtrit
+
+from fixel.calibration import assess
+from fixel.calibration.honest import (
+    INSTANTS,
+    MAX_SCALES,
+    MIN_FREEDOM,
+    SHIFTS,
+    SPAN,
+    Probes,
+    ShiftModel,
+    condition_of,
+    linear_data,
+    probe_rollouts,
+)
+from fixel.calibration.mixed import Linear, NoiseBounds, fit_mixed, mixed_at, numbered
+from fixel.calibration.objective import Comparer
+from fixel.calibration.optimiser import Best
+from fixel.calibration.profile import Profile, Profiles
+from fixel.calibration.profile_branch import Slice
+from fixel.calibration.study import run_study
+from fixel.calibration.target import Target
+from fixel.calibration.usual_parameters import Space
+from fixel.calibration.verdict import judge
+from fixel.errors import InvalidInput, unknown_name
+from fixel.model import Experiment, PlannedExperiment
+from fixel.model.parameters import info_of
+from fixel.model.space import ParameterSpace, split_label
+from fixel.simulation.motion import AbstractMotionModel
+from fixel.simulation.rollouts import RolloutCase
+from fixel.typing import FloatArray
+from fixel.units import deg, displayed, mm, mrad, um
+from fixel.workflows.calibration.calibration import Calibration
+from fixel.workflows.calibration.job import comparer_of, with_assessment
+from fixel.workflows.calibration.run import calibrate
+
+MOST: Final = 48  # candidates of one choice; of more, others are compared each time
+LITTLE: Final = 0.05  # share by which all candidates together must narrow an interval
+USUAL: Final = 0.05  # half-width that is wanted if none is stated [ranges]
+UNITS: Final = {
+    "m": {"m": 1.0, "mm": mm, "um": um},
+    "rad": {"rad": 1.0, "deg": deg, "mrad": mrad},
+}
+
+
+class _Scatter(NamedTuple):
+    """Scatter of experiments about the model."""
+
+    fit: assess.BestFit
+    names: tuple[str, ...]  # shifts that each experiment has of its own
+    log_sd: FloatArray | None = None  # of `fit_mixed`; None if the model fits within the noise
+
+    def linear(self, shifted: ShiftModel, members: Sequence[int]) -> Linear:
+        """Return experiments that are linearised about the best point."""
+        unit, own = self._unit, np.zeros((len(members), len(self.names)))
+        probes = [Probes(shifted, m, self.names, self.fit.point, own[0]) for m in members]
+        parts = run_study(probe_rollouts(probes), shifted.differences)
+        return linear_data(shifted, probes, parts, own, unit, self.fit.noise)
+
+    @property
+    def _unit(self) -> FloatArray:
+        return np.array([SHIFTS[name][1] for name in self.names])
+
+    def information(self, data: Linear, frames: FloatArray) -> FloatArray:
+        """Return the information (n, p, p) of experiments with (n,) frames."""
+        if self.log_sd is not None:
+            certain = np.eye(data.common.shape[3])  # invertible, whatever the experiments inform
+            return mixed_at(data._replace(precision=certain), self.log_sd).information
+        return (frames / INSTANTS / self.fit.dispersion.value)[:, None, None] * _squares(data)
+
+    def reach(self, information: FloatArray, weak: FloatArray, level: float) -> FloatArray:
+        """Return half-widths (p,) of intervals, per scale, up to a factor common to all."""
+        covariance = np.linalg.inv(information.sum(axis=0) + weak)
+        tail, sd = 0.5 * (1.0 + level), np.sqrt(np.diag(covariance))
+        if self.log_sd is None:
+            return np.asarray(ndtri(tail) * sd)
+        own = np.einsum("ij,njk,ki->ni", covariance, information, covariance)
+        effective = own.sum(axis=0) ** 2 / np.maximum((own**2).sum(axis=0), 1e-300)
+        return np.asarray(stdtrit(np.maximum(effective - 1.0, MIN_FREEDOM), tail) * sd)
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LiveEstimates:
+    """Parameters after the experiments so far.
+
+    Attributes
+    ----------
+    calibration : Calibration
+        Calibration with estimates and verdicts. Its intervals allow for misfit; if the model fits
+        within the noise, they are those of a parabola instead of profiles.
+    half_widths : mapping from label to float
+        Half-widths of the intervals of free parameters, without their bounds; inf where no
+        experiment informs a parameter.
+    held_out : mapping from key to float
+        Error of each experiment as predicted from the others [m], angles at 35 mm/rad. The fit to
+        the others is approximated by linearisation.
+    level : float
+        Confidence level of the intervals.
+    information : (n, p, p) float64
+        Information of each experiment, per scale of the parameters.
+    scatter
+        Scatter about the model, which further experiments will have, too.
+    """
+
+    calibration: Calibration
+    half_widths: Mapping[str, float]
+    held_out: Mapping[str, float]
+    level: float
+    information: FloatArray
+    scatter: _Scatter
+
+    @property
+    def held_out_error(self) -> float:
+        """Root mean square of the held-out errors [m]."""
+        return math.sqrt(float(np.mean(np.square(list(self.held_out.values())))))
+
+    def ahead(self, candidates: Sequence[PlannedExperiment], n: int = 1) -> dict[str, float]:
+        """Return the half-widths that are expected after the first n candidates, by label."""
+        return self.expected(self.informed_by(candidates[:n]))
+
+    def expected(self, more: FloatArray) -> dict[str, float]:
+        """Return the half-widths that are expected with more information (m, p, p), by label."""
+        weak, now = _weak(self.calibration.space), self.information
+        ratio = self.scatter.reach(np.concatenate((now, more)), weak, self.level)
+        ratio /= self.scatter.reach(now, weak, self.level)
+        pairs = zip(self.half_widths.items(), ratio.tolist(), strict=True)
+        return {label: half * own for (label, half), own in pairs}
+
+    def informed_by(self, candidates: Sequence[PlannedExperiment]) -> FloatArray:
+        """Return the information (m, p, p) that candidates are expected to have.
+
+        It is zero if a simulation fails. If the model misfits, a repetition has none either: it
+        repeats the error of the model.
+        """
+        space, done = self.calibration.space, self.calibration.targets
+        if not candidates:
+            return np.zeros((0, len(space.free), len(space.free)))
+        targets = [_target_of(own) for own in candidates]
+        which = np.arange(len(done), len(done) + len(targets))
+        comparer = Comparer([*done, *targets], space, motion=self.calibration.motion)
+        point = np.repeat(self.scatter.fit.point[None], len(which), axis=0)
+        moved, _, _ = comparer.differences(which, point)
+        # Compared with the expected motion, no angle is near half a turn.
+        there = [t._replace(pose=t.pose + way[:INSTANTS])
+                 for t, way in zip(targets, moved, strict=True)]  # fmt: skip
+        comparer = Comparer([*done, *there], space, motion=self.calibration.motion)
+        data = self.scatter.linear(ShiftModel(comparer), which.tolist())
+        frames = np.full(len(targets), np.mean([len(own.pose) for own in done]))
+        found = self.scatter.information(data, frames)
+        if self.scatter.log_sd is not None:
+            seen = [condition_of(own) for own in (*done, *targets)]
+            found[[seen[k] in seen[:k] for k in which.tolist()]] = 0.0
+        return found
+
+
+def estimate(
+    experiments: Iterable[Experiment | Target],
+    space: Space = None,
+    *,
+    motion: str | AbstractMotionModel = "dynamic",
+    level: float = 0.95,
+    previous: LiveEstimates | None = None,
+    seed: int = 0,
+    threads: int | None = None,
+) -> LiveEstimates:
+    """Estimate parameters from the experiments so far.
+
+    Parameters
+    ----------
+    experiments : sequence of Experiment
+    space : mapping, sequence of str, or None
+        Parameters as for `fixel.calibrate`.
+    motion : str or motion model
+    level : float
+        Confidence level of the intervals.
+    previous : LiveEstimates, optional
+        Estimates before the last experiments, from which the search starts.
+    seed : int
+        Seed of the random number generator.
+    threads : int, optional
+        Number of threads; all cores by default.
+
+    Raises
+    ------
+    InvalidInput
+        As for `fixel.calibrate`, or an experiment cannot be simulated.
+
+    Examples
+    --------
+    >>> from fixel.testing.pushes import example_pushes
+    >>> found = estimate(example_pushes(3), {"mu_pusher": (0, 1), "tripod_radius": 0.038})
+    >>> print(f"{found.calibration['mu_pusher']:.2f}")
+    0.25
+    >>> found.half_widths["mu_pusher"] < 0.02
+    True
+    """
+    fit = calibrate(
+        experiments,
+        space,
+        optimiser="least-squares",
+        start=None if previous is None else previous.calibration,
+        motion=motion,
+        level=level,
+        verdicts=False,
+        seed=seed,
+        threads=threads,
+        progress=False,
+    )
+    if fit.status == "failed":
+        raise InvalidInput("experiments", found=fit.message, expected="experiments that simulate")
+    comparer, members = comparer_of(fit.request, fit.targets, threads), fit.found.members
+    best = assess.run_assessment(
+        comparer, members, assess.fit_steps(comparer, members, fit.found.point)
+    )
+    return _assessed(fit, comparer, best, level)
+
+
+def _assessed(
+    fit: Calibration, comparer: Comparer, best: assess.BestFit, level: float
+) -> LiveEstimates:
+    """Return the estimates of a calibration whose best fit is known."""
+    shifted, space, honest = ShiftModel(comparer), comparer.space, best.honest
+    own = assess.distinct(comparer, fit.found.members)
+    names = tuple(s for s in SHIFTS if any(s in shifted.columns[m] for m in own.tolist()))
+    scatter = _Scatter(best, names)
+    data = scatter.linear(shifted, own.tolist())._replace(precision=_weak(space))
+    if honest is not None:
+        same = numbered([condition_of(shifted.targets[m]) for m in own.tolist()])
+        data = data._replace(weight=1.0 / np.bincount(same)[same])
+        usual = np.zeros(len(names) + 3)
+        bounds = NoiseBounds(usual - SPAN, usual + SPAN)
+        scatter = scatter._replace(log_sd=fit_mixed(data, usual, bounds).log_sd)
+    frames = np.array(assess.Frames(comparer, own).frames, np.float64)
+    curved = np.einsum("n,npq->pq", frames / INSTANTS, _squares(data))
+    profiles, half = _parabolas(space, best, curved, level)
+    half = half if honest is None else 0.5 * (honest.ends(level)[1] - honest.ends(level)[0])
+    excited = assess.excitation(comparer, own, best.point)
+    judged = judge(space, profiles, level=level, excited=excited,
+                   dispersion=best.dispersion, honest=honest)  # fmt: skip
+    assessed = assess.Assessment(judged, profiles, best.noise, best.dispersion, best.misfit)
+    found = replace(with_assessment(comparer, fit.found, assessed), profiles=())
+    run = replace(fit.run, outcome=replace(fit.run.outcome, found=(found,)))
+    known = [x if excited(label) else math.inf for label, x in zip(space.labels, half, strict=True)]
+    return LiveEstimates(
+        calibration=run[0],
+        half_widths=MappingProxyType(dict(zip(space.labels, map(float, known), strict=True))),
+        held_out=_held_out(shifted, own.tolist(), data),
+        level=level,
+        information=scatter.information(data, frames),
+        scatter=scatter,
+    )
+
+
+def _parabolas(
+    space: ParameterSpace, best: assess.BestFit, curved: FloatArray, level: float
+) -> tuple[Profiles, FloatArray]:
+    """Return profiles and half-widths (p,) of a deviance with half the second derivatives
+    `curved` (p, p), per scale of the parameters."""
+    threshold, unit = best.dispersion.threshold(level), space.scale
+    curved = (curved + best.dispersion.value * _weak(space)) / np.outer(unit, unit)
+    inverse = np.linalg.inv(curved)
+    half, alone = np.sqrt(threshold * np.diag(inverse)), np.sqrt(threshold / np.diag(curved))
+    profiles = []
+    for k, centre in enumerate(best.point.tolist()):
+        ends = [centre + own for own in (-half[k], half[k], -alone[k], alone[k])]
+        low, high, left, right = (x if space.low[k] < x < space.high[k] else None for x in ends)
+        values = np.clip(centre + half[k] * np.linspace(-2.0, 2.0, 9), space.low[k], space.high[k])
+        rise = (values - centre) ** 2 / inverse[k, k]
+        moved = np.abs(inverse[k]) / inverse[k, k] * half[k]
+        moved[k] = 0.0
+        put_back = np.diag(curved) * moved**2 / threshold
+        points = np.repeat(best.point[None], len(values), axis=0)
+        one = Slice(values, rise, left, right)
+        profiles.append(Profile(k, values, rise, points, low, high, one, moved / unit, put_back))
+    least = Best(best.point, 0.0)
+    return Profiles(least, None, threshold, 0.0, curved, tuple(profiles), 0), half
+
+
+def _held_out(shifted: ShiftModel, members: Sequence[int], data: Linear) -> Mapping[str, float]:
+    """Return the error of each experiment at the best fit to the others [m]."""
+    own, score = _squares(data), np.einsum("ncmp,c,ncm->np", data.common, data.white**-2.0, data.y)
+    others = own.sum(axis=0) - own + data.precision
+    step = np.linalg.solve(others, (score.sum(axis=0) - score)[:, :, None])[:, :, 0]
+    left = data.y - np.einsum("ncmp,np->ncm", data.common, np.clip(step, -MAX_SCALES, MAX_SCALES))
+    squares = np.sum(left**2, axis=(1, 2)).tolist()
+    return MappingProxyType(
+        {
+            shifted.targets[m].key: 1e-3 * math.sqrt(one / len(shifted.instants[m]))
+            for m, one in zip(members, squares, strict=True)
+        }
+    )
+
+
+def _squares(data: Linear) -> FloatArray:
+    """Return the information (n, p, p) of experiments with white noise only."""
+    return np.asarray(np.einsum("ncmp,c,ncmq->npq", data.common, data.white**-2.0, data.common))
+
+
+def _weak(space: ParameterSpace) -> FloatArray:
+    """Return the precision (p, p) of the bounds and of given priors, per scale."""
+    given = np.array([0.0 if u.prior is None else u.prior**-2 for u in space.free])
+    return np.diag(((space.high - space.low) ** -2.0 + given) * space.scale**2)
+
+
+def _target_of(planned: PlannedExperiment) -> Target:
+    """Return a planned experiment as a target whose part stays at its start."""
+    scene = planned.scene
+    times = scene.duration * np.arange(1, INSTANTS + 1) / INSTANTS
+    pose = np.repeat(np.asarray(scene.bodies[0].pose)[None], INSTANTS, axis=0)
+    conditions = {**planned.conditions, "experiment": planned.name}
+    return Target(planned.name, conditions, RolloutCase(scene, times), pose)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """Experiment to perform next.
+
+    Attributes
+    ----------
+    index : int or None
+        Index of the candidate; None if more experiments do not help.
+    half_widths : mapping from label to float
+        Expected half-widths of the intervals after it; those of now without one.
+    reason : str
+        Reason of the choice, as a sentence.
+    """
+
+    index: int | None
+    half_widths: Mapping[str, float]
+    reason: str
+
+
+def choose(
+    estimates: LiveEstimates,
+    candidates: Sequence[PlannedExperiment],
+    wanted: Mapping[str, float] = MappingProxyType({}),
+) -> Choice:
+    """Choose the candidate that is expected to narrow the widest interval most.
+
+    Parameters
+    ----------
+    estimates : LiveEstimates
+    candidates : sequence of PlannedExperiment
+        Experiments that can be performed.
+    wanted : mapping from name to float
+        Half-widths of intervals, in SI units. The widest interval is that with the largest ratio
+        to its own. By default, every free parameter has 5 % of its range.
+
+    Raises
+    ------
+    InvalidInput
+        A wanted parameter is not calibrated.
+
+    Examples
+    --------
+    >>> from fixel.model import PlannedExperiment
+    >>> from fixel.testing.pushes import example_pushes
+    >>> pushes, space = example_pushes(4), {"mu_pusher": (0, 1), "tripod_radius": 0.038}
+    >>> rows = [PlannedExperiment(name=own.name, scene=own.scene) for own in pushes[2:]]
+    >>> choose(estimate(pushes[:2], space), rows, {"mu_pusher": 0.5}).reason
+    'all intervals are as narrow as wanted'
+    """
+    now, aims = estimates.half_widths, _aims(estimates.calibration.space, wanted)
+    wide = sorted((own for own in aims if now[own] > aims[own]), key=lambda k: -now[k] / aims[k])
+    if not wide:
+        return Choice(index=None, half_widths=now, reason="all intervals are as narrow as wanted")
+    stride = max(1, math.ceil(len(candidates) / MOST))
+    which = range(len(estimates.calibration.targets) % stride, len(candidates), stride)
+    more = estimates.informed_by([candidates[k] for k in which])
+    every, each = estimates.expected(more), [estimates.expected(own[None]) for own in more]
+    for label in wide:
+        if every[label] < (1.0 - LITTLE) * now[label]:
+            k = min(range(len(each)), key=lambda k: each[k][label])
+            reason = f"narrows {label} from {_text(label, now)} to about {_text(label, each[k])}"
+            return Choice(index=which[k], half_widths=MappingProxyType(each[k]), reason=reason)
+    why = (
+        "the experiments that are left hardly narrow" if candidates else "no experiment is left for"
+    )
+    shown = ", ".join(f"{label} ({_text(label, now)})" for label in wide)
+    return Choice(index=None, half_widths=now, reason=f"{why} {shown}")
+
+
+@final
+@dataclass(frozen=True)
+class Until:
+    """Half-widths of intervals at which a campaign ends.
+
+    Parameters
+    ----------
+    wanted : mapping from name to float
+        Half-widths, in SI units.
+
+    Examples
+    --------
+    >>> Until.parse("mu_pusher=0.02, tripod_radius=1mm").wanted["tripod_radius"]
+    0.001
+    """
+
+    wanted: Mapping[str, float]
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Return the half-widths of a text: `NAME=VALUE`, several with commas between them.
+
+        Values are in SI units, or have one of m, mm, um, rad, deg and mrad behind the number.
+
+        Raises
+        ------
+        InvalidInput
+            A parameter is unknown, or a value is not a positive number with a unit of its kind.
+        """
+        wanted = {}
+        for part in text.split(","):
+            name, _, value = (own.strip() for own in part.rpartition("="))
+            units = UNITS.get(info_of(split_label(name)[0]).unit, {})
+            found = re.fullmatch(r"((?:\d+\.?\d*|\.\d+)(?:e-?\d+)?)\s*([a-z]*)", value)
+            factor = {"": 1.0, **units}.get(found[2]) if found else None
+            if found is None or factor is None or not 0.0 < float(found[1]) < math.inf:
+                expected = f"{name}=1{[*units][1]}" if units else f"{name}=0.02"
+                raise InvalidInput("until", found=repr(part.strip()), expected=expected)
+            wanted[name] = float(found[1]) * factor
+        return cls(MappingProxyType(wanted))
+
+    def met(self, estimates: LiveEstimates) -> bool:
+        """Return whether every interval is as narrow as wanted."""
+        aims = _aims(estimates.calibration.space, self.wanted)
+        return all(estimates.half_widths[label] <= aim for label, aim in aims.items())
+
+    def words(self, estimates: LiveEstimates) -> str:
+        """Return the half-width of each interval, and the wanted one."""
+        now, aims = estimates.half_widths, _aims(estimates.calibration.space, self.wanted)
+        return ", ".join(f"{own} {_text(own, now)} of {_text(own, aims)} wanted" for own in aims)
+
+
+def _aims(space: ParameterSpace, wanted: Mapping[str, float]) -> dict[str, float]:
+    """Return the wanted half-width of each free parameter that has one, by label."""
+    if not wanted:
+        return {u.label: USUAL * (u.high - u.low) for u in space.free}
+    names = dict.fromkeys(name for u in space.free for name in (u.label, u.name))
+    for name in wanted:
+        if name not in names:
+            raise unknown_name("until", name, names)
+    known = {u.label: wanted.get(u.label, wanted.get(u.name)) for u in space.free}
+    return {label: own for label, own in known.items() if own is not None}
+
+
+def _text(label: str, half_widths: Mapping[str, float]) -> str:
+    """Return the half-width of a parameter with its unit."""
+    unit, factor = displayed(info_of(split_label(label)[0]).unit)
+    return f"±{factor * half_widths[label]:.2g} {unit}".rstrip()
