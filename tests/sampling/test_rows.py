@@ -139,6 +139,10 @@ def test_a_measured_path_becomes_a_straight_drive():
     assert drive.travel == pytest.approx(0.04, abs=2e-4)
     assert drive.speed == pytest.approx(0.02, rel=0.03)
     assert drive.force_limit == 9.0
+    short = PathDrive([(0.0, 0.0, 0.0, 0.0), (2.0, 0.0, 0.05, 0.0)])
+    drive = row_scene(replace(PUSH, pushers=(replace(PUSH.pushers[0], drive=short),)), {})
+    assert drive.pushers[0].drive.speed == pytest.approx(0.025)
+    assert drive.duration == pytest.approx(2.0)
     curved = PathDrive(np.column_stack((time, x, 40.0 * x * x, 0.0 * time)))
     with pytest.raises(InvalidInput, match="straight"):
         row_scene(replace(PUSH, pushers=(replace(PUSH.pushers[0], drive=curved),)), {})
@@ -159,6 +163,11 @@ def test_other_scenes_are_refused():
     )
     with pytest.raises(InvalidInput, match="one free body and one pusher"):
         row_scene(two, {})
+    with pytest.raises(InvalidInput, match=r"fixel-9_x_m: .* expected one of"):
+        row_scene(PUSH, {"fixel-9_x_m": 0.1})
+    endless = replace(PUSH.pushers[0], drive=LineDrive(speed=0.02))
+    with pytest.raises(InvalidInput, match=r"drive: found inf mm at 20 mm/s"):
+        row_scene(replace(PUSH, pushers=(endless,), duration=None), {})
     with pytest.raises(InvalidInput, match="overlap"):
         row_scene(PUSH, {"x_m": 0.05})
     assert PlannedExperiment(name="a", scene=row_scene(micro_push(), {})).scene

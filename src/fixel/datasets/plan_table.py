@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -18,14 +18,19 @@ from fixel.formats.frames_file import folder_whole
 from fixel.formats.scene_file import SceneFile, load_scene, save_scene
 from fixel.model import PlannedExperiment, Scene
 from fixel.sampling.rig import plain_name
-from fixel.sampling.rows import row_keys, row_scene
+from fixel.sampling.rows import DRIVE, KEYS, row_scene
 from fixel.table import Table
+from fixel.typing import FloatArray
 
-TEMPLATE: Final = "scene.yaml"
 PLAN: Final = "plan.csv"
 CONDITION: Final = "condition."
+SOURCES: Final = ("scene", "experiment")
+POSE: Final = ("x_mm", "y_mm", "angle_deg", "offset_x_mm", "offset_y_mm", "offset_angle_deg")
+KNOWN: Final = (
+    "name", *SOURCES, f"{CONDITION}NAME", *POSE, *(f"head_{own}" for own in POSE), "fixel-1_x_mm",
+    "direction_deg", "travel_mm", "speed_mm_s",
+)  # fmt: skip
 NUMBER: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
-PLAIN: Final = ("name", "scene", "experiment")
 TEXTS: Final = ("shape", "layout", "axis")  # conditions of plans that are text, even "12"
 LONGEST: Final = 200  # characters of a name
 
@@ -53,22 +58,24 @@ def read_rows(
     table = read_table(path)
     table = replace(table, columns={k.strip("\ufeff "): v for k, v in table.columns.items()})
     table.require(["name"])
-    names = table.columns["name"]
+    names, columns = table.columns["name"], _columns(table)
+    loaders = cache(lambda name: load_scene(path.parent / name).scene), cache(stored)
+    usual = (template or path.with_name("scene.yaml")).absolute()
+    rows = []
     for row, name in enumerate(names):
         plain_name(name, where := table.place("name", row), LONGEST)
         if name in names[:row]:
             raise InvalidInput(where, found=f"{name!r} twice", expected="different names")
-    scenes = [*_templates(table, path, template or path.with_name(TEMPLATE), stored)]
-    rows = []
-    for row, values in enumerate([*_values(table, [row_keys(scene) for scene in scenes])]):
+        scene = _template(table, row, loaders, usual)
+        values = {key: float(own[row]) for key, own in columns.items() if not np.isnan(own[row])}
         try:
-            scene = row_scene(scenes[row], values)
+            scene = row_scene(scene, values)
         except InvalidInput as problem:
-            raise problem.within(f"{table.source}, row {row + 1}, {names[row]}") from None
+            raise problem.within(f"{table.source}, row {row + 1}, {name}") from None
         # The names of the conditions of other plans, such as axes of a domain.
-        own = {key.replace("offset_angle", "offset_theta"): value for key, value in values.items()}
-        conditions = own | dict(_conditions(table, row))
-        rows.append(PlannedExperiment(name=names[row], scene=scene, conditions=conditions))
+        given = {key.replace("offset_angle", "offset_theta"): own for key, own in values.items()}
+        stated = _conditions({title: cells[row] for title, cells in table.columns.items()})
+        rows.append(PlannedExperiment(name=name, scene=scene, conditions=given | stated))
     return tuple(rows)
 
 
@@ -83,59 +90,40 @@ def write_rows(folder: Path, rows: Sequence[PlannedExperiment]) -> None:
         (unfinished / PLAN).write_text(Table(head, lines).csv(), encoding="utf-8")
 
 
-def _templates(
-    table: CsvRows, path: Path, usual: Path, stored: Callable[[str], Scene]
-) -> Iterator[Scene]:
-    """Yield the scene from which each row starts."""
-    load = cache(lambda name: load_scene(path.parent / name).scene)
-    loaders = {"scene": load, "experiment": cache(stored)}
-    for row in range(len(table)):
-        named = {k: cells[row] for k in loaders if (cells := table.columns.get(k)) and cells[row]}
-        where = table.place([*named, "scene"][0], row)
-        if len(named) > 1:
-            raise InvalidInput(where, found="an experiment too", expected="one of them")
-        if not named and not usual.is_file():
-            expected = f"a scene file or an experiment, or the template {usual}"
-            raise InvalidInput(where, found="none", expected=expected)
-        kind, name = next(iter(named.items()), ("scene", str(usual.absolute())))
-        try:
-            yield loaders[kind](name)
-        except InvalidInput as problem:
-            raise problem.within(where) from None
-
-
-def _values(table: CsvRows, keys: Sequence[Sequence[str]]) -> Iterator[dict[str, float]]:
-    """Yield the values of each row in SI units, out of its keys; empty cells have none."""
-    every = dict.fromkeys(key for own in keys for key in own)
+def _columns(table: CsvRows) -> dict[str, FloatArray]:
+    """Return the columns of values in SI units, by their names there; NaN for empty cells."""
     columns = {}
     for title in table.columns:
-        if title in PLAIN or title.startswith(CONDITION):
+        if title in ("name", *SOURCES) or title.startswith(CONDITION):
             continue
-        ending = next((u for u in sorted(UNITS, key=len)[::-1] if title.endswith(f"_{u}")), None)
-        key = f"{title.removesuffix(ending)}{UNITS[ending].si}" if ending else ""
-        if ending is None or key not in every:
-            shown = [re.sub("_m(?=$|_s)", "_mm", re.sub("_rad$", "_deg", one)) for one in every]
-            known = (*PLAIN, f"{CONDITION}NAME", *shown)
-            raise unknown_name(f"{table.source}, header", title, known)
-        columns[title] = key, UNITS[ending].scale * table.numbers(title, blank=True)
-    for row, own in enumerate(keys):
-        values = {}
-        for title, (key, cells) in columns.items():
-            if np.isnan(value := float(cells[row])):
-                continue
-            wrong = key in ("travel_m", "speed_m_s") and value <= 0.0
-            if wrong or key not in own:
-                expected = "a number greater than 0" if wrong else "no value: no such fixel here"
-                found = table.columns[title][row]
-                raise InvalidInput(table.place(title, row), found=found, expected=expected)
-            values[key] = value
-        yield values
+        ending = next((u for u in sorted(UNITS, key=len)[::-1] if title.endswith(f"_{u}")), "s")
+        key = f"{title.removesuffix(ending)}{UNITS[ending].si}"
+        if key not in DRIVE and not key.endswith(KEYS):
+            raise unknown_name(f"{table.source}, header", title, KNOWN)
+        columns[key] = UNITS[ending].scale * table.numbers(title, blank=True)
+    return columns
 
 
-def _conditions(table: CsvRows, row: int) -> Iterator[tuple[str, str | float]]:
-    """Yield the stated conditions of a row, as numbers where they are."""
-    for title, cells in table.columns.items():
-        if title.startswith(CONDITION) and (cell := cells[row]):
-            name = title.removeprefix(CONDITION)
-            number = name not in TEXTS and NUMBER.fullmatch(cell)
-            yield name, float(cell) if number else cell
+def _template(
+    table: CsvRows, row: int, loaders: Sequence[Callable[[str], Scene]], usual: Path
+) -> Scene:
+    """Return the scene from which a row starts."""
+    named = [k for k in SOURCES if k in table.columns and table.columns[k][row]]
+    where = table.place([*named, "scene"][0], row)
+    if len(named) > 1:
+        raise InvalidInput(where, found="an experiment too", expected="one of them")
+    if not named and not usual.is_file():
+        expected = f"a scene file or an experiment, or the template {usual}"
+        raise InvalidInput(where, found="none", expected=expected)
+    name = table.columns[named[0]][row] if named else str(usual)
+    try:
+        return loaders[named == ["experiment"]](name)
+    except InvalidInput as problem:
+        raise problem.within(where) from None
+
+
+def _conditions(cells: dict[str, str]) -> dict[str, str | float]:
+    """Return the stated conditions of a row, as numbers where they are."""
+    own = {k.removeprefix(CONDITION): v for k, v in cells.items() if k.startswith(CONDITION) and v}
+    number = [name for name, cell in own.items() if name not in TEXTS and NUMBER.fullmatch(cell)]
+    return own | {name: float(own[name]) for name in number}

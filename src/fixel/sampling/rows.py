@@ -10,19 +10,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fixel.errors import InvalidInput
-from fixel.model import LineDrive, PathDrive, PlannedExperiment, Pusher, Scene, placed
-from fixel.typing import FloatArray
+from fixel.errors import InvalidInput, unknown_name
+from fixel.model import LineDrive, PathDrive, PlannedExperiment, Scene, placed
 
 KEYS: Final = ("x_m", "y_m", "angle_rad", "offset_x_m", "offset_y_m", "offset_angle_rad")
 DRIVE: Final = ("direction_rad", "travel_m", "speed_m_s")
-CURVED: Final = 0.02  # of the travel: largest distance of a measured path from a straight line
+CURVED: Final = 0.05  # of the travel: largest distance of a measured path from a straight line
 ENDS: Final = 0.05  # of the travel: rest and jerks at both ends do not count for its speed
-
-
-def row_keys(scene: Scene) -> tuple[str, ...]:
-    """Return the names of the values that a row can state for a scene; see `row_scene`."""
-    return *DRIVE, *(f"{own}{key}" for own in _things(scene) for key in KEYS)
 
 
 def row_scene(template: Scene, values: Mapping[str, float]) -> Scene:
@@ -34,28 +28,33 @@ def row_scene(template: Scene, values: Mapping[str, float]) -> Scene:
         Scene of one free body and one pusher. A measured path of the pusher becomes a straight
         drive.
     values : mapping of str to float
-        Values in SI units by the names of `row_keys`: those of the part have no prefix, `head_` is
-        the pusher, `fixel-1_` the fixel of this name. Offsets are added to the pose: x along the
-        motion of the head, y to its left, the angle about the centroid. With a travel or a speed,
-        the scene ends when the head has moved its travel.
+        Values in SI units: `x_m`, `offset_angle_rad`, ... are of the part, `head_x_m` of the
+        pusher, `fixel-1_x_m` of the fixel of this name, `direction_rad`, `travel_m` and `speed_m_s`
+        of the motion. Offsets are added to the pose: x along the motion of the head, y to its left,
+        the angle about the centroid. The scene ends when the head has moved its new travel.
 
     Raises
     ------
     InvalidInput
-        Bodies overlap, or the head has no straight drive.
+        Bodies overlap, a value is of nothing in the scene, or the head does not move.
     """
     if len(template.bodies) != 1 or len(template.pushers) != 1:
         found = f"{len(template.bodies)} free bodies and {len(template.pushers)} pushers"
         raise InvalidInput("scene", found=found, expected="one free body and one pusher")
+    fixels = {f"{own.name}_": own for own in template.fixels}
+    things: dict[str, Any] = {"": template.bodies[0], "head_": template.pushers[0]} | fixels
+    known = (*DRIVE, *(f"{own}{key}" for own in things for key in KEYS))
+    if unknown := [name for name in values if name not in known]:
+        raise unknown_name(unknown[0], unknown[0], known)
     drive = _line(template, values)
     ahead = atan2(drive.direction[1], drive.direction[0])
-    part, head, *fixels = (_at(*own, values, ahead) for own in _things(template).items())
-    same = drive == template.pushers[0].drive or not drive.speed
+    part, head, *others = (_at(*own, values, ahead) for own in things.items())
+    same = drive == head.drive and template.duration
     return replace(
         template,
         bodies=(part,),
         pushers=(replace(head, drive=drive),),
-        fixels=tuple(fixels),
+        fixels=tuple(others),
         duration=template.duration if same else drive.travel / drive.speed,
     )
 
@@ -65,31 +64,25 @@ def moved(scene: Scene, place: ArrayLike) -> Scene:
     place = np.asarray(place, dtype=np.float64)
     turn = (0.0, 0.0, float(place[2]))
 
-    def turned(vector: FloatArray) -> FloatArray:
-        return np.array([*placed(vector[:2], turn), vector[2]]) if vector.any() else vector
-
-    def at(own: Any, **more: Any) -> Any:
-        pose = np.array([*placed(own.pose[:2], place), own.pose[2] + place[2]])
-        return replace(own, pose=pose, **more)
-
-    def driven(head: Pusher) -> Any:
-        drive = head.drive
+    def at(own: Any) -> Any:
+        new: dict[str, Any] = {"pose": [*placed(own.pose[:2], place), own.pose[2] + place[2]]}
+        for name in ("velocity", "force"):
+            if (vector := np.asarray(getattr(own, name, 0.0))).any():
+                new[name] = [*placed(vector[:2], turn), vector[2]]
+        drive = getattr(own, "drive", None)
         if isinstance(drive, LineDrive):
-            drive = replace(drive, direction=placed(drive.direction, turn))
+            new["drive"] = replace(drive, direction=placed(drive.direction, turn))
         elif isinstance(drive, PathDrive):
-            t, *_, angle = drive.waypoints.T
-            along = placed(drive.waypoints[:, 1:3], place)
-            drive = replace(drive, waypoints=np.column_stack((t, along, angle + place[2])))
-        return at(head, drive=drive)
+            time, *_, angle = drive.waypoints.T
+            path = placed(drive.waypoints[:, 1:3], place)
+            path = np.column_stack((time, path, angle + place[2]))
+            new["drive"] = replace(drive, waypoints=path)
+        return replace(own, **new)
 
-    return replace(
-        scene,
-        bodies=tuple(
-            at(own, velocity=turned(own.velocity), force=turned(own.force)) for own in scene.bodies
-        ),
-        pushers=tuple(map(driven, scene.pushers)),
-        fixels=tuple(map(at, scene.fixels)),
+    bodies, pushers, fixels = (
+        tuple(map(at, own)) for own in (scene.bodies, scene.pushers, scene.fixels)
     )
+    return replace(scene, bodies=bodies, pushers=pushers, fixels=fixels)
 
 
 def moved_onto(scene: Scene, before: ArrayLike, after: ArrayLike) -> Scene:
@@ -104,13 +97,11 @@ def about_part(
 ) -> tuple[PlannedExperiment, ...]:
     """Return the same pushes with the part always at the same pose.
 
-    Each scene is moved rigidly, with head, direction and fixels: a drive with two axes pushes the
-    part where it lies, instead of a person who places it for every push. Conditions that state a
-    place on the table are left out.
+    Each scene is moved rigidly: a drive with two axes pushes the part where it lies. Conditions
+    that state a place on the table are left out.
 
     Parameters
     ----------
-    rows : iterable of PlannedExperiment
     pose : (3,) array_like, optional
         Pose of the part [m, m, rad]; by default that of the first row.
 
@@ -130,12 +121,6 @@ def about_part(
         conditions = {k: v for k, v in row.conditions.items() if not k.startswith("place_")}
         found.append(replace(row, scene=replace(scene, bodies=bodies), conditions=conditions))
     return tuple(found)
-
-
-def _things(scene: Scene) -> dict[str, Any]:
-    """Return part, head and fixels by the prefix of their values."""
-    fixels = {f"{own.name}_": own for own in scene.fixels}
-    return {"": scene.bodies[0], "head_": scene.pushers[0]} | fixels
 
 
 def _at(own: str, thing: Any, values: Mapping[str, float], ahead: float) -> Any:
@@ -162,6 +147,9 @@ def _line(scene: Scene, values: Mapping[str, float]) -> LineDrive:
     travel = values.get("travel_m", old.travel)
     if travel == inf and scene.duration:  # until the scene ends
         travel = speed * scene.duration
+    if not (0.0 < travel < inf and speed > 0.0):
+        found = f"{1e3 * travel:g} mm at {1e3 * speed:g} mm/s"
+        raise InvalidInput("drive", found=found, expected="a travel and a speed greater than 0")
     angle = values.get("direction_rad")
     way = old.direction if angle is None else (cos(angle), sin(angle))
     return replace(old, direction=way, speed=speed, travel=travel)
@@ -179,6 +167,7 @@ def _straight(path: PathDrive) -> LineDrive:
     if aside > CURVED * travel:
         found = f"a path of the head that leaves its straight line by {1e3 * aside:.2g} mm"
         raise InvalidInput("drive", found=found, expected="a straight push")
-    first, last = (float(time[np.argmax(along >= s * travel)]) for s in (ENDS, 1.0 - ENDS))
-    speed = (1.0 - 2.0 * ENDS) * travel / (last - first)
+    ends = np.array([ENDS, 1.0 - ENDS]) * travel
+    (took,) = np.diff(np.interp(ends, np.maximum.accumulate(along), time))
+    speed = float(np.diff(ends)[0] / took)
     return LineDrive(way, speed=speed, travel=travel, force_limit=path.force_limit)

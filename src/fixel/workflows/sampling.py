@@ -47,6 +47,7 @@ def planned_rows(
     InvalidInput
         The first error of the file, with its key, or its row and column.
     """
+    from fixel.calibration.target import scene_of
     from fixel.datasets.plan_table import read_rows
     from fixel.datasets.table import ENDINGS
     from fixel.errors import NotStored
@@ -63,12 +64,9 @@ def planned_rows(
             raise InvalidInput(name, found="no project", expected="a project with this experiment")
         try:
             with project.store() as store:
-                experiment = store.experiment(store.find(name))
+                return scene_of(store.experiment(store.find(name)))
         except NotStored as missing:
             raise InvalidInput(name, found=str(missing), expected="a stored experiment") from None
-        if experiment.scene is None:
-            raise InvalidInput(name, found="no scene", expected="an experiment with a scene")
-        return experiment.scene
 
     return read_rows(path, scene, stored)
 

@@ -13,6 +13,7 @@ from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
+from fixel.calibration.target import scene_of as stored_scene
 from fixel.database.project import Project
 from fixel.drawing.palette import PUSHER, TRAIL
 from fixel.errors import InvalidInput, unknown_name
@@ -79,7 +80,7 @@ class Overlay:
         if anchor and anchor not in self._locator.names:
             raise unknown_name("anchor", anchor, self._locator.names)
         self.anchor, self._planned, self.scene = anchor, scene, scene
-        self._n_seen = 0
+        self._home, self._n_seen = things_of(scene)[anchor].pose if anchor else np.zeros(3), 0
 
     def look(self, frame: Frame) -> Look:
         """Locate all parts in a frame and compute their errors."""
@@ -93,29 +94,24 @@ class Overlay:
             tolerance=self.tolerance,
             parts=tuple(self._part(thing, located) for thing in (*things, *self.scene.fixels)),
             problems=located.problems,
-            remarks=(*located.remarks, *self._about_anchor()),
+            remarks=(*located.remarks, *([self._about_anchor()] if self.anchor else [])),
         )
 
     def _follow(self, pose: FloatArray) -> None:
         """Move the wanted poses to the mean pose of the anchor since it was last displaced."""
-        wanted, now = (things_of(own)[self.anchor].pose for own in (self._planned, self.scene))
+        now = things_of(self.scene)[self.anchor].pose
         off = np.array([*(pose - now)[:2], float(wrapped(pose[2] - now[2]))])
         far = np.hypot(*off[:2]) > self.tolerance.distance or abs(off[2]) > self.tolerance.angle
         self._n_seen = 1 if far else self._n_seen + 1
-        self.scene = moved_onto(self._planned, wanted, now + off / self._n_seen)
+        self.scene = moved_onto(self._planned, self._home, now + off / self._n_seen)
         self._locator.expect(self.scene.fixels)
 
-    def _about_anchor(self) -> list[str]:
-        if not self.anchor:
-            return []
+    def _about_anchor(self) -> str:
         if not self._n_seen:
-            return [f"{self.anchor} has not been seen yet: the poses are those of the scene"]
-        wanted, now = (things_of(own)[self.anchor].pose for own in (self._planned, self.scene))
-        off, turn = 1e3 * np.hypot(*(now - wanted)[:2]), math.degrees(now[2] - wanted[2])
-        return [
-            f"all poses are moved with {self.anchor}, which is {off:.1f} mm and {turn:.1f} deg "
-            "from its place in the scene"
-        ]
+            return f"{self.anchor} has not been seen yet: the poses are those of the scene"
+        x, y, turn = things_of(self.scene)[self.anchor].pose - self._home
+        off = f"{1e3 * math.hypot(x, y):.1f} mm and {math.degrees(turn):.1f} deg"
+        return f"all poses are moved with {self.anchor}, which is {off} from its place in the scene"
 
     def drawn(self, picture: Picture, look: Look, *, words: bool = False) -> Picture:
         """Return a copy of the picture with outlines; `words` writes the errors on it too."""
@@ -161,12 +157,7 @@ def scene_of(path: Path | None, key: str | None, project: Path) -> Scene:
     if path is not None:
         return load_scene(path).scene
     with Project(project).store() as store:
-        experiment = store.experiment(store.find(str(key)))
-    if experiment.scene is None:
-        raise InvalidInput(
-            f"experiment {experiment.key}", found="no scene", expected="an experiment with a scene"
-        )
-    return experiment.scene
+        return stored_scene(store.experiment(store.find(str(key))))
 
 
 def frames_of(
