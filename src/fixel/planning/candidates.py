@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from fixel.errors import InvalidInput
 from fixel.model import Disk, Scene
-from fixel.model.goals import Beyond, Goal, Inside, PoseRegion, Seated
+from fixel.model.goals import Beyond, BodyTrack, Goal, Inside, PoseRegion, Seated, tolerance_of
 from fixel.planning.belief import Belief, Scenarios
 from fixel.planning.geometric import fence_pushes, geometric_pushes
 from fixel.planning.pushes import FreePushes, PushChoice
@@ -24,6 +24,9 @@ from fixel.uncertainty.starts import even_points
 LIBRARY: Final = (1024, 2048)  # least and largest number of pushes in the table of displacements
 EACH: Final = 40  # rollouts of a search for each of them
 TRIED: Final = 4  # poses near the goal for each of them, from which last pushes are tried
+WITHIN: Final = 16_384  # poses about a region, of which those inside are taken
+NARROWED: Final = 6  # times that this is repeated where there are few
+ENOUGH: Final = 64
 PERTURBED: Final = 8  # starts from which a last push is judged
 CHAINS: Final = 131_072  # sequences joined from the table
 JOINED: Final = 768  # sequences kept for each number of pushes
@@ -169,6 +172,11 @@ def last_pushes(simulator: PlanSimulator, table: PushTable, seed: int) -> LastPu
         even = even_points(tried, 3, seed)
         before.append(low + (high - low) * even)
         numbers.append(table.numbers[rng.integers(len(table.numbers), size=tried)])
+    within = poses_within(simulator, seed)
+    if len(within):
+        rows, ends = rng.integers((len(table.moved), len(within)), size=(tried, 2)).T
+        before.append(composed(within[ends], inverted(table.moved[rows])))
+        numbers.append(table.numbers[rows])
     poses, pushes = np.vstack(before), np.vstack(numbers)
     planned = simulator.planned(pushes[:, None], poses)
     margin = np.where(planned.collides, -np.inf, simulator.margins(planned.nominal))
@@ -202,6 +210,32 @@ def goal_poses(scene: Scene, goal: Goal) -> FloatArray:
     body = scene.bodies[0]
     found = [own.targets(body) for own in goal.clauses if isinstance(own, PoseRegion)]
     return np.vstack([np.zeros((0, 3)), *found])
+
+
+def poses_within(simulator: PlanSimulator, seed: int) -> FloatArray:
+    """Return poses (n, 3) of the part inside a region of a goal, and outside all fixels.
+
+    Pushes that end there without fixels lead into slots that random ones hardly ever find.
+    """
+    scene = simulator.simulated
+    regions = [own for own in simulator.goal.clauses if isinstance(own, Inside)]
+    if not regions:
+        return np.zeros((0, 3))
+    rng, body = np.random.default_rng([seed, 78]), scene.bodies[0]
+    outline = np.vstack([own.region.outline for own in regions])
+    low, high = np.append(outline.min(axis=0), -math.pi), np.append(outline.max(axis=0), math.pi)
+    poses, size = low + (high - low) * even_points(WITHIN, 3, seed), high - low
+    for _ in range(NARROWED):
+        track = BodyTrack.of_ends(poses)
+        margins = [tolerance_of(own.tolerance, body) * own.margin(scene, track) for own in regions]
+        off = np.maximum(-np.max(margins, axis=0), part_overlap(scene, poses, None))
+        good = poses[off <= 0.0]
+        if len(good) >= ENOUGH:
+            break
+        size = size / 4.0  # again, about those that are nearest
+        poses = np.repeat(poses[np.argsort(off)[: WITHIN // 16]], 16, axis=0)
+        poses = poses + size * rng.uniform(-0.5, 0.5, poses.shape)
+    return np.asarray(good)
 
 
 def needs_fixtures(goal: Goal) -> bool:
