@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fixel.errors import InvalidInput
-from fixel.model import Disk, Fixel, LineDrive, PathDrive, PlannedExperiment, Scene
+from fixel.model import Disk, Fixel, LineDrive, PathDrive, PlannedExperiment, Polygon, Scene
 from fixel.sampling import about_part, eight_push_plan, table_plan, thesis_plan
 from fixel.sampling.plan import scene_problems
 from fixel.sampling.rows import moved, moved_onto, row_scene
@@ -184,3 +184,12 @@ def test_a_push_in_another_direction_is_checked_along_it():
     assert [*scene_problems(passed)] == ["the head passes the object without contact"]
     (short,) = scene_problems(row_scene(open_plate, values | {"travel_m": 0.01}))
     assert short.startswith("the head stops")
+
+
+def test_fixels_of_any_shape_are_checked():
+    """A bar across the way, of 60 mm, is reached; the same bar far aside is not."""
+    bar = Polygon.rectangle(0.01, 0.06)
+    for y, words in ((0.0, []), (0.4, ["the object cannot reach a fixel"])):
+        fixel = Fixel(name="bar", shape=bar, pose=(0.24, y, 0.0), friction=0.2)
+        found = [*scene_problems(row_scene(replace(PUSH, fixels=(fixel,)), {}))]
+        assert [sentence.partition(":")[0] for sentence in found] == words

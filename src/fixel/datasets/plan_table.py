@@ -58,13 +58,13 @@ def read_rows(
     table = read_table(path)
     table = replace(table, columns={k.strip("\ufeff "): v for k, v in table.columns.items()})
     table.require(["name"])
-    names, columns = table.columns["name"], _columns(table)
+    columns = _columns(table)
     loaders = cache(lambda name: load_scene(path.parent / name).scene), cache(stored)
     usual = (template or path.with_name("scene.yaml")).absolute()
-    rows = []
-    for row, name in enumerate(names):
+    rows: dict[str, PlannedExperiment] = {}
+    for row, name in enumerate(table.columns["name"]):
         plain_name(name, where := table.place("name", row), LONGEST)
-        if name in names[:row]:
+        if name in rows:
             raise InvalidInput(where, found=f"{name!r} twice", expected="different names")
         scene = _template(table, row, loaders, usual)
         values = {key: float(own[row]) for key, own in columns.items() if not np.isnan(own[row])}
@@ -75,8 +75,8 @@ def read_rows(
         # The names of the conditions of other plans, such as axes of a domain.
         given = {key.replace("offset_angle", "offset_theta"): own for key, own in values.items()}
         stated = _conditions({title: cells[row] for title, cells in table.columns.items()})
-        rows.append(PlannedExperiment(name=name, scene=scene, conditions=given | stated))
-    return tuple(rows)
+        rows[name] = PlannedExperiment(name=name, scene=scene, conditions=given | stated)
+    return tuple(rows.values())
 
 
 def write_rows(folder: Path, rows: Sequence[PlannedExperiment]) -> None:

@@ -361,7 +361,7 @@ def _out_of_reach(scene: Scene, way: float) -> Iterator[str]:
     distance = {
         fixel.name: float(track.distance(shapely.Point(fixel.pose[:2])))
         - radius
-        - fixel.shape.radius
+        - (fixel.shape.radius if isinstance(fixel.shape, Disk) else _circle(fixel.shape))
         for fixel in scene.fixels
     }
     nearest = min(distance, key=lambda name: distance[name])
