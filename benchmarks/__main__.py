@@ -41,6 +41,7 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
     "calibration": ("calibration", "run", "calibrations of the thesis's campaign on two cores"),
     "coverage": ("calibration", "run_coverage", "intervals of 200 calibrations with known truth"),
     "misfit": ("misfit", "run", "intervals of 100 laboratories that the model misfits"),
+    "next-rows": ("next_rows", "run", "experiments that a bench needs, chosen or in order"),
     "new-parts": ("new_parts", "run", "learning curves of parts never pushed, with their bounds"),
     "domain": ("domain", "run", "maps of the simulated laboratory, judged by new experiments"),
     "planning": ("planning", "run", "plans carried out in another model: stated and held success"),
@@ -72,7 +73,7 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
 }
 ONLY_WHEN_ASKED = {
     *("peers", "varied", "seated", "tracking", "arrival", "coverage", "misfit", "domain", "sbc"),
-    *("new-parts", "camera", "other-camera", "web", "filter-coverage", "filter-wrong"),
+    *("new-parts", "next-rows", "camera", "other-camera", "web", "filter-coverage", "filter-wrong"),
     *("planning", "planning-statistics", "push-t", "push-t-planner"),
 }
 

@@ -104,6 +104,9 @@ class LiveEstimates:
     half_widths : mapping from label to float
         Half-widths of the intervals of free parameters, without their bounds; inf where no
         experiment informs a parameter.
+    settled : mapping from label to float
+        The larger of the half-widths now and in the previous estimates; inf without these. Widths
+        vary by chance, and a campaign that stopped at the first narrow one would trust it too much.
     held_out : mapping from key to float
         Error of each experiment as predicted from the others [m], angles at 35 mm/rad. The fit to
         the others is approximated by linearisation.
@@ -117,6 +120,7 @@ class LiveEstimates:
 
     calibration: Calibration
     half_widths: Mapping[str, float]
+    settled: Mapping[str, float]
     held_out: Mapping[str, float]
     level: float
     information: FloatArray
@@ -187,7 +191,7 @@ def estimate(
     level : float
         Confidence level of the intervals.
     previous : LiveEstimates, optional
-        Estimates before the last experiments, from which the search starts.
+        Estimates before the last experiment, from which the search starts.
     seed : int
         Seed of the random number generator.
     threads : int, optional
@@ -225,11 +229,16 @@ def estimate(
     best = assess.run_assessment(
         comparer, members, assess.fit_steps(comparer, members, fit.found.point)
     )
-    return _assessed(fit, comparer, best, level)
+    before = {} if previous is None else previous.half_widths
+    return _assessed(fit, comparer, best, level, before)
 
 
 def _assessed(
-    fit: Calibration, comparer: Comparer, best: assess.BestFit, level: float
+    fit: Calibration,
+    comparer: Comparer,
+    best: assess.BestFit,
+    level: float,
+    before: Mapping[str, float],
 ) -> LiveEstimates:
     """Return the estimates of a calibration whose best fit is known."""
     shifted, space, honest = ShiftModel(comparer), comparer.space, best.honest
@@ -253,10 +262,13 @@ def _assessed(
     assessed = assess.Assessment(judged, profiles, best.noise, best.dispersion, best.misfit)
     found = replace(with_assessment(comparer, fit.found, assessed), profiles=())
     run = replace(fit.run, outcome=replace(fit.run.outcome, found=(found,)))
-    known = [x if excited(label) else math.inf for label, x in zip(space.labels, half, strict=True)]
+    pairs = zip(space.labels, half.tolist(), strict=True)
+    now = {label: own if excited(label) else math.inf for label, own in pairs}
+    settled = {label: max(own, before.get(label, math.inf)) for label, own in now.items()}
     return LiveEstimates(
         calibration=run[0],
-        half_widths=MappingProxyType(dict(zip(space.labels, map(float, known), strict=True))),
+        half_widths=MappingProxyType(now),
+        settled=MappingProxyType(settled),
         held_out=_held_out(shifted, own.tolist(), data),
         level=level,
         information=scatter.information(data, frames),
@@ -370,12 +382,14 @@ def choose(
     >>> from fixel.model import PlannedExperiment
     >>> from fixel.testing.pushes import example_pushes
     >>> pushes, space = example_pushes(4), {"mu_pusher": (0, 1), "tripod_radius": 0.038}
-    >>> rows = [PlannedExperiment(name=own.name, scene=own.scene) for own in pushes[2:]]
-    >>> choose(estimate(pushes[:2], space), rows, {"mu_pusher": 0.5}).reason
+    >>> rows = [PlannedExperiment(name=own.name, scene=own.scene) for own in pushes[3:]]
+    >>> found = estimate(pushes[:3], space, previous=estimate(pushes[:2], space))
+    >>> choose(found, rows, {"mu_pusher": 0.5}).reason
     'all intervals are as narrow as wanted'
     """
     now, aims = estimates.half_widths, _aims(estimates.calibration.space, wanted)
-    wide = sorted((own for own in aims if now[own] > aims[own]), key=lambda k: -now[k] / aims[k])
+    wide = [own for own in aims if estimates.settled[own] > aims[own]]
+    wide.sort(key=lambda own: -now[own] / aims[own])
     if not wide:
         return Choice(index=None, half_widths=now, reason="all intervals are as narrow as wanted")
     stride = max(1, math.ceil(len(candidates) / MOST))
@@ -436,9 +450,9 @@ class Until:
         return cls(MappingProxyType(wanted))
 
     def met(self, estimates: LiveEstimates) -> bool:
-        """Return whether every interval is as narrow as wanted."""
+        """Return whether all intervals are as narrow as wanted, twice in a row."""
         aims = _aims(estimates.calibration.space, self.wanted)
-        return all(estimates.half_widths[label] <= aim for label, aim in aims.items())
+        return all(estimates.settled[label] <= aim for label, aim in aims.items())
 
     def words(self, estimates: LiveEstimates) -> str:
         """Return the half-width of each interval, and the wanted one."""
