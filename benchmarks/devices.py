@@ -1,6 +1,6 @@
 """The bench's devices, emulated: round trips of the tactile board, and how soon a drive stops.
 
-    python -m benchmarks.devices [--readings 10000] [--stops 10]
+    python -m benchmarks.devices [--readings 10000] [--stops 10] [--axes XY]
 
 The board's firmware runs in an emulated Mega 2560, the drive behind an emulated GRBL controller;
 a real USB adapter adds its own latency, of a millisecond or so.
@@ -27,11 +27,16 @@ from fixel.testbed.tactile import DEADLINE, TactileReader
 PROGRAM = """
 import sys, time
 from fixel.testbed.motion_grbl import GrblActuator
-drive = GrblActuator(sys.argv[1], dead_man=float(sys.argv[2]))
+drive = GrblActuator(sys.argv[1], dead_man=float(sys.argv[2]), axes=sys.argv[3])
 drive.connect()
+if drive.n_axes == 2:
+    drive.aim([0.0, 0.0], [0.6, 0.8])
 drive.move(by=0.1, speed=0.0135, wait=False)
 time.sleep(0.2)
 print(drive._guard.pid, flush=True)
+if sys.argv[4]:  # a server that is told to stop
+    sys.stdin.readline()
+    drive.stop()
 sum(range(10**10))  # minutes during which no other Python code of this process runs
 """
 CLI = [sys.executable, "-c", "from fixel.cli.main import run; run()", "actuator", "stop"]
@@ -42,13 +47,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="The bench's devices, emulated.")
     parser.add_argument("--readings", type=int, default=10_000)
     parser.add_argument("--stops", type=int, default=10)
+    parser.add_argument("--axes", default="X", choices=("X", "XY"))
     chosen = parser.parse_args()
     reason = emulated_mega.why_not()
     if reason:
         print(f"no tactile board: {reason}")
     else:
         measure_readings(chosen.readings)
-    measure_stops(chosen.stops)
+    with tempfile.TemporaryDirectory() as folder:
+        # `fixel actuator stop` must not stop the drives of other programs.
+        os.environ |= {"XDG_RUNTIME_DIR": folder, "TMPDIR": folder}
+        measure_stops(chosen.stops, chosen.axes)
 
 
 def measure_readings(readings: int) -> None:
@@ -77,12 +86,13 @@ def _kill_all(*processes: int) -> None:
         os.kill(process, signal.SIGKILL)
 
 
-def measure_stops(stops: int) -> None:
-    """From the event to the drive at rest, its program deep in a computation."""
-    ways: dict[str, Callable[[int, int, str], object]] = {
+def measure_stops(stops: int, axes: str) -> None:
+    """From the event to the drive at rest, its program computes, or waits to `stop()`."""
+    ways: dict[str, Callable[[int, int, str], object] | None] = {
         "Ctrl-C": lambda program, guard, port: os.killpg(program, signal.SIGINT),
         "SIGINT to the program alone": lambda program, guard, port: os.kill(program, signal.SIGINT),
         "emergency.stop_drive elsewhere": lambda program, guard, port: emergency.stop_drive(port),
+        "stop() of the program": None,
         "fixel actuator stop": lambda program, guard, port: subprocess.run(
             CLI, check=True, stdout=subprocess.DEVNULL
         ),
@@ -92,22 +102,33 @@ def measure_stops(stops: int) -> None:
     for name, way in ways.items():
         # Long enough that the way is measured; the last is about the queue itself, as it comes.
         dead_man = 0.5 if "guard" in name else 3.0
-        took = sorted(_stopped_after(way, dead_man) for _ in range(stops))
+        took = sorted(_stopped_after(way, dead_man, axes) for _ in range(stops))
         print(f"{name}: {1e3 * median(took):.1f} ms median, {1e3 * took[-1]:.1f} ms at most")
 
 
-def _stopped_after(way: Callable[[int, int, str], object], dead_man: float) -> float:
+def _stopped_after(
+    way: Callable[[int, int, str], object] | None, dead_man: float, axes: str
+) -> float:
     with EmulatedGrbl(acceleration=500.0) as controller:
-        command = [sys.executable, "-c", PROGRAM, controller.port, str(dead_man)]
+        command = [sys.executable, "-c", PROGRAM, controller.port, str(dead_man), axes]
         running = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True
+            [*command, "" if way else "stop"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
         )
         assert running.stdout is not None
+        assert running.stdin is not None
         try:
             guard = int(running.stdout.readline())
             time.sleep(0.02)
             since = time.monotonic()
-            way(running.pid, guard, controller.port)
+            if way is None:
+                running.stdin.write(b"stop\n")
+                running.stdin.flush()
+            else:
+                way(running.pid, guard, controller.port)
             while controller.speed > 0.0:
                 time.sleep(0.0002)
             return controller.stopped - since

@@ -36,6 +36,19 @@ def test_a_day_with_a_controller(capsys, controller):
     assert (code, "at 4.000 mm of 0 to 150 mm, Idle" in out) == (0, True)
 
 
+def test_two_axes_move_together(capsys, controller):
+    port = ("--port", controller.port, "--axes", "XY")
+    fixel(capsys, "actuator", "home", *port)
+
+    code, out, _ = fixel(capsys, "actuator", "move", *port, "--to", "6,3", "--speed", 40)
+    assert (code, "at 6.000, 3.000 mm, Idle" in out) == (0, True)
+    assert f"Next: fixel actuator move --by 10,10 --port {controller.port} --axes XY" in out
+    assert controller.places == pytest.approx((6.0, 3.0, 1.0), abs=0.01)
+
+    code, out, _ = fixel(capsys, "actuator", "move", *port, "--by=-2,1", "--speed", 40, "--json")
+    assert (code, json.loads(out)["place_m"]) == (0, pytest.approx([0.004, 0.004]))
+
+
 def test_a_locked_controller_is_unlocked_when_asked(capsys, controller):
     arguments = ("actuator", "move", "--port", controller.port, "--by", -2, "--speed", 40)
 
@@ -87,6 +100,11 @@ def test_questions_to_the_operator_stay_out_of_the_answer(capsys, monkeypatch):
         (("where", "--driver", "robot"), "one of grbl, manual, simulated"),
         (("move", "--driver", "simulated"), "a target position"),
         (("move", "--driver", "simulated", "--to", 500), "from 0 to 150 mm"),
+        (("move", "--driver", "simulated", "--to", "5,5"), "expected a number [mm]"),
+        (("move", "--driver", "simulated", "--to", "far"), "expected a number [mm]"),
+        (("move", "--driver", "simulated", "--axes", "XY", "--by", "5"), "2 numbers with commas"),
+        (("move", "--driver", "simulated", "--axes", "XY", "--to", "5,500"), "the travels"),
+        (("where", "--driver", "manual", "--axes", "XY"), "one axis with --driver manual"),
     ],
 )
 def test_what_cannot_be_is_refused(capsys, arguments, says):

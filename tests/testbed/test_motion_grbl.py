@@ -100,6 +100,24 @@ def test_stopping_keeps_the_place(controller, drive):
     assert 1e3 * drive.position() == pytest.approx(controller.place - 40.0, abs=0.01)
 
 
+def test_a_stop_that_comes_before_the_move_prevents_it(controller, drive, monkeypatch):
+    report = drive._link.fresh_status
+
+    def stopped_meanwhile(*patience: float):
+        drive.stop()
+        return report(*patience)
+
+    monkeypatch.setattr(drive._link, "fresh_status", stopped_meanwhile)
+    with pytest.raises(DeviceFailed, match="a stop was requested"):
+        drive.move(to=0.01, speed=0.03)
+
+    assert not drive.moving
+    assert not [line for line in controller.lines if line.startswith("G")]
+    monkeypatch.undo()
+    drive.move(to=0.002, speed=0.03)
+    assert controller.place == pytest.approx(42.0, abs=0.01)
+
+
 def fall_silent_owing_an_answer(controller: EmulatedGrbl) -> None:
     """The next line is never answered, nor anything after it."""
 

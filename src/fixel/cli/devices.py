@@ -198,6 +198,10 @@ DrivePort = Annotated[
 Driver = Annotated[
     str, typer.Option(help="Kind of drive: grbl, manual or simulated.", metavar="DRIVER")
 ]
+Axes = Annotated[
+    str,
+    typer.Option(help="Axes of the controller: X, Y, Z, A, or several such as XY.", metavar="AXES"),
+]
 
 
 @actuator.command("ports")
@@ -209,11 +213,14 @@ def actuator_ports(as_json: AsJson = False) -> None:
 
 
 @actuator.command("home")
-def home(port: DrivePort = None, driver: Driver = "grbl", as_json: AsJson = False) -> None:
+def home(
+    port: DrivePort = None, driver: Driver = "grbl", axes: Axes = "X", as_json: AsJson = False
+) -> None:
     """Home the drive: move it to its end switch and set its position."""
     from fixel.workflows.acquisition.devices import chosen_actuator, home_actuator
 
-    _print_position(home_actuator(chosen_actuator(driver, port, notify=notify)), as_json, port)
+    drive = chosen_actuator(driver, port, axes=axes, notify=notify)
+    _print_position(home_actuator(drive), as_json, port, axes)
 
 
 @actuator.command("move")
@@ -221,10 +228,16 @@ def home(port: DrivePort = None, driver: Driver = "grbl", as_json: AsJson = Fals
 def move(
     *,
     port: DrivePort = None,
-    to: float | None = option(None, "Target position [mm].", metavar="MM", show_default=False),
-    by: float | None = option(
+    to: str | None = option(
+        None,
+        "Target position; with --axes XY one for each, such as 40,10 [mm].",
+        metavar="MM",
+        show_default=False,
+    ),
+    by: str | None = option(
         None, "Distance to move, instead of --to [mm].", metavar="MM", show_default=False
     ),
+    axes: Axes = "X",
     speed: float = option(13.5, "Speed [mm/s].", metavar="MM/S"),
     driver: Driver = "grbl",
     dead_man: float | None = option(
@@ -242,13 +255,25 @@ def move(
     if sys.stdin.isatty() and driver == "grbl":
         notify("Any key stops the drive.")
     answer = move_actuator(
-        chosen_actuator(driver, port, notify=notify, dead_man=dead_man),
-        to=None if to is None else 1e-3 * to,
-        by=None if by is None else 1e-3 * by,
+        chosen_actuator(driver, port, axes=axes, notify=notify, dead_man=dead_man),
+        to=_metres(to, "--to", len(axes)),
+        by=_metres(by, "--by", len(axes)),
         speed=1e-3 * speed,
         unlock=unlock,
     )
-    _print_position(answer, as_json, port)
+    _print_position(answer, as_json, port, axes)
+
+
+def _metres(text: str | None, where: str, n_axes: int) -> float | tuple[float, ...] | None:
+    """Parse one length in millimetres, or one for each axis."""
+    if text is None:
+        return None
+    with suppress(ValueError):
+        values = tuple(1e-3 * float(part) for part in text.split(","))
+        if len(values) == n_axes:
+            return values if n_axes > 1 else values[0]
+    expected = "a number [mm]" if n_axes == 1 else f"{n_axes} numbers with commas between [mm]"
+    raise InvalidInput(where, found=text, expected=expected)
 
 
 @actuator.command("stop")
@@ -271,24 +296,30 @@ def stop(port: DrivePort = None, as_json: AsJson = False) -> None:
 
 
 @actuator.command("where")
-def where(port: DrivePort = None, driver: Driver = "grbl", as_json: AsJson = False) -> None:
+def where(
+    port: DrivePort = None, driver: Driver = "grbl", axes: Axes = "X", as_json: AsJson = False
+) -> None:
     """Show the position of the drive without moving it."""
     from fixel.workflows.acquisition.devices import chosen_actuator, where_is_actuator
 
-    _print_position(where_is_actuator(chosen_actuator(driver, port, notify=notify)), as_json, port)
+    drive = chosen_actuator(driver, port, axes=axes, notify=notify)
+    _print_position(where_is_actuator(drive), as_json, port, axes)
 
 
-def _print_position(answer: "ActuatorAnswer", as_json: bool, port: str | None) -> None:
+def _print_position(answer: "ActuatorAnswer", as_json: bool, port: str | None, axes: str) -> None:
     low, high = answer.reach_m
     state = f", {answer.state}" if answer.state else ""
     at = f"--port {port}" if port else f"--driver {answer.driver}"
+    at += f" --axes {axes}" if axes != "X" else ""
+    place = ", ".join(f"{1e3 * each:.3f}" for each in answer.place_m)
+    within = f" of {1e3 * low:.4g} to {1e3 * high:.4g} mm" if len(axes) == 1 else ""
+    again = f"move --by {','.join(['10'] * len(axes))}"
     print_answer(
         as_json,
         answer._asdict,
         lambda: [
-            f"{answer.driver}: at {1e3 * answer.position_m:.3f} mm of {1e3 * low:.4g} to"
-            f" {1e3 * high:.4g} mm{state}",
-            f"Next: fixel actuator {'home' if answer.state == 'Alarm' else 'move --by 10'} {at}",
+            f"{answer.driver}: at {place} mm{within}{state}",
+            f"Next: fixel actuator {'home' if answer.state == 'Alarm' else again} {at}",
         ],
     )
 

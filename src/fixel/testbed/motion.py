@@ -175,18 +175,28 @@ class AbstractActuator(abc.ABC):
 
         Parameters and errors are those of the method `move`.
         """
-        here, end = self.place(), vector(place, "place", self._labels)
-        if self.travels is None:
-            return self.move(to=float(end[0]), speed=speed, wait=wait)
-        # A place on the border may be outside by a rounding error.
-        near = np.clip([here, end], *self.travels.T)
-        here, end = np.where(np.abs(near - [here, end]) <= NEAR, near, [here, end])
-        distance, before = float(np.linalg.norm(end - here)), self._aimed
+        here, end, before = self.place(), vector(place, "place", self._labels), self._aimed
+        if self.travels is not None:
+            # A place on the border may be outside by a rounding error.
+            inside = np.clip([here, end], *self.travels.T)
+            here, end = np.where(np.abs(inside - [here, end]) <= NEAR, inside, [here, end])
+            if (end != inside[1]).any():
+                found = f"{(1e3 * end).round(3).tolist()} mm"
+                raise InvalidInput(
+                    "place", found=found, expected=f"one inside {self._travels_text}"
+                )
+        distance = float(np.linalg.norm(end - here))
         self.aim(here, (end - here) / distance if distance > 0.0 else np.eye(len(here))[0])
         try:
             self.move(to=distance, speed=speed, wait=wait)
         finally:
             self._set_line(before)
+
+    @property
+    def _travels_text(self) -> str:
+        assert self.travels is not None
+        words = [f"{1e3 * low:.4g} to {1e3 * high:.4g} mm" for low, high in self.travels]
+        return f"the travels, {' and '.join(words)}"
 
     @property
     def _labels(self) -> str:
@@ -197,20 +207,19 @@ class AbstractActuator(abc.ABC):
         assert self.travels is not None
         low, high = self.travels[0].tolist() if line is None else line.inside(self.travels)
         if line is not None and low >= high:
-            words = [f"{1e3 * near:.4g} to {1e3 * far:.4g} mm" for near, far in self.travels]
             raise InvalidInput(
                 "origin",
                 found=f"{(1e3 * line.origin).round(3).tolist()} mm with direction"
                 f" {line.direction.round(4).tolist()}",
-                expected=f"a line inside the travels, {' and '.join(words)}",
+                expected=f"a line inside {self._travels_text}",
             )
         self._aimed, self.reach = line, (low, high)
 
-    def _end_of(self, target: float) -> FloatArray:
+    def _end_of(self, target: float, here: FloatArray) -> FloatArray:
         """Return the place (n_axes,) [m] of a target [m]; raise if the drive is off its line."""
+        line = self.line
         if self.n_axes == 1:
-            return self.line.at(target)
-        line, here = self.line, self.place()
+            return line.at(target)
         nearest = line.at(line.along(here))
         if self._aimed is None:
             return line.at(target) + (here - nearest)
@@ -402,7 +411,8 @@ class ManualActuator(AbstractActuator):
         self._stopped = "the operator was instructed to stop the drive"
 
     def _begin(self, target: float, speed: float) -> None:
-        here, end = float(self.place()[0]), float(self._end_of(target)[0])
+        place = self.place()
+        here, end = float(place[0]), float(self._end_of(target, place)[0])
         self._stopped = ""
         self._say(
             f"Set in the drive's program: from {1e3 * here:.2f} mm to {1e3 * end:.2f} mm"
@@ -529,7 +539,7 @@ class SimulatedActuator(AbstractActuator):
             self._speed = 0.0
 
     def _begin(self, target: float, speed: float) -> None:
-        end = self._end_of(target)
+        end = self._end_of(target, self.place())
         with self._lock:
             now = self._clock()
             self._from, self._to = self._place(now), end

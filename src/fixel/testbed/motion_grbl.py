@@ -100,6 +100,7 @@ class GrblActuator(AbstractActuator):
         self._speed = 0.0  # [mm/s]
         self._queue = DEAD_MAN  # [s] of this move
         self._failure = ""
+        self._stops = self._stops_before = 0  # number of requests, and that before a move
         self._at_rest_since: float | None = None
 
     # --- connection ---------------------------------------------------------------------------
@@ -184,11 +185,18 @@ class GrblActuator(AbstractActuator):
             raise DeviceFailed("the actuator is not connected", hint="call connect first")
         return self._settings[0]
 
+    @property
+    def _homes(self) -> bool:
+        return any(of_axis.homing for of_axis in self._settings)
+
     def position(self) -> float:
         return self.line.along(self.place())
 
     def place(self) -> FloatArray:
-        found = zip(self._settings, self._coordinates(self._open.fresh_status()), strict=True)
+        return self._place_of(self._coordinates(self._open.fresh_status()))
+
+    def _place_of(self, coordinates: FloatArray) -> FloatArray:
+        found = zip(self._settings, coordinates, strict=True)
         return np.array([of_axis.position(at) for of_axis, at in found]) + 0.0  # no minus zero
 
     @property
@@ -207,7 +215,7 @@ class GrblActuator(AbstractActuator):
             self._open.command("$H", HOMING_TIME)
         except DeviceFailed as failed:
             again = "check the drive, then home it again"
-            hint = again if self.settings.homing else UNLOCK
+            hint = again if self._homes else UNLOCK
             raise DeviceFailed(f"homing failed: {failed.reason}", hint) from None
         except BaseException:
             # Only a reset ends homing.
@@ -243,9 +251,13 @@ class GrblActuator(AbstractActuator):
         self._refuse_state(self._open.fresh_status().state)
         self._queue_for(1e3 * speed)
 
+    def _checked_speed(self, speed: float) -> float:
+        self._stops_before = self._stops  # a stop from now on prevents the move
+        return super()._checked_speed(speed)
+
     def _refuse_state(self, state: str) -> None:
         if state == "Alarm":
-            hint = "home it: fixel actuator home" if self.settings.homing else UNLOCK
+            hint = "home it: fixel actuator home" if self._homes else UNLOCK
             raise DeviceFailed("the controller is locked by an alarm", hint=hint)
         if state != "Idle":
             raise DeviceFailed(f"the controller is in the state {state}", hint="stop it")
@@ -255,13 +267,15 @@ class GrblActuator(AbstractActuator):
         status = link.fresh_status()
         self._refuse_state(status.state)
         self._queue = self._queue_for(1e3 * speed)
-        goal = zip(self._settings, self._end_of(target), strict=True)
+        begin = self._coordinates(status)
+        goal = zip(self._settings, self._end_of(target, self._place_of(begin)), strict=True)
         end = np.array([of_axis.coordinate(place) for of_axis, place in goal]).round(3)
         with link.changed:
+            if self._stops != self._stops_before:
+                raise DeviceFailed("the drive did not move: a stop was requested")
             link.trouble = self._failure = ""
             self._at_rest_since = None
             self._speed = 1e3 * speed
-            begin = self._coordinates(status)
             length = float(np.linalg.norm(end - begin))
             self._way = Line(begin, (end - begin) / (length or 1.0))
             self._sent_to, self._target = 0.0, length
@@ -351,6 +365,7 @@ class GrblActuator(AbstractActuator):
         if link is None:
             return
         with link.changed:
+            self._stops += 1
             was_moving = self._target is not None
             if was_moving:
                 self._give_up(link.trouble or "stop was requested")

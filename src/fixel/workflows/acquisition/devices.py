@@ -6,7 +6,9 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any, Final, NamedTuple
 
-from fixel.errors import unknown_name
+import numpy as np
+
+from fixel.errors import InvalidInput, unknown_name
 from fixel.testbed.motion import SPEED, AbstractActuator, ManualActuator, SimulatedActuator
 from fixel.testbed.motion_grbl import GrblActuator
 from fixel.testbed.tactile import DEADLINE, TactileReader, TactileReading
@@ -18,21 +20,29 @@ class ActuatorAnswer(NamedTuple):
 
     driver: str
     position_m: float  # position of the drive
+    place_m: tuple[float, ...]  # coordinate of each axis
     reach_m: tuple[float, float]  # range of positions
     state: str  # state as the controller names it; empty if it names none
     seconds: float  # duration of the command [s]
 
 
 def chosen_actuator(
-    driver: str, port: str | None, *, notify: Notify = print, dead_man: float | None = None
+    driver: str,
+    port: str | None,
+    *,
+    axes: str = "X",
+    notify: Notify = print,
+    dead_man: float | None = None,
 ) -> AbstractActuator:
-    """Create the driver called `grbl`, `manual` or `simulated`."""
+    """Create the driver called `grbl`, `manual` or `simulated`, for axes such as `XY`."""
     if driver == GrblActuator.name:
-        return GrblActuator(port, keys=True, dead_man=dead_man)
+        return GrblActuator(port, axes=axes, keys=True, dead_man=dead_man)
     if driver == ManualActuator.name:
+        if len(axes) > 1:
+            raise InvalidInput("--axes", found=axes, expected="one axis with --driver manual")
         return ManualActuator(notify=notify, ask=_asking(notify))
     if driver == SimulatedActuator.name:
-        return SimulatedActuator()
+        return SimulatedActuator(n_axes=len(axes))
     drivers = (GrblActuator, ManualActuator, SimulatedActuator)
     raise unknown_name("--driver", driver, (member.name for member in drivers))
 
@@ -58,17 +68,22 @@ def home_actuator(actuator: AbstractActuator) -> ActuatorAnswer:
 def move_actuator(
     actuator: AbstractActuator,
     *,
-    to: float | None,
-    by: float | None,
+    to: float | tuple[float, ...] | None,
+    by: float | tuple[float, ...] | None,
     speed: float = SPEED,
     unlock: bool = False,
 ) -> ActuatorAnswer:
-    """Move the drive and return when it has arrived [m, m/s]."""
+    """Move the drive and return when it has arrived [m, m/s]; several numbers are for its axes."""
     start = time.perf_counter()
     with actuator:
         if unlock and isinstance(actuator, GrblActuator):
             actuator.unlock()
-        actuator.move(to=to, by=by, speed=speed)
+        if isinstance(to, tuple) and by is None:
+            actuator.go(to, speed=speed)
+        elif isinstance(by, tuple) and to is None:
+            actuator.go(np.add(actuator.place(), by), speed=speed)
+        else:
+            actuator.move(to=to, by=by, speed=speed)  # type: ignore[arg-type]
         return _answer(actuator, start)
 
 
@@ -83,6 +98,7 @@ def _answer(actuator: AbstractActuator, start: float) -> ActuatorAnswer:
     return ActuatorAnswer(
         driver=actuator.name,
         position_m=actuator.position(),
+        place_m=tuple(actuator.place().tolist()),
         reach_m=actuator.reach,
         state=actuator.state if isinstance(actuator, GrblActuator) else "",
         seconds=time.perf_counter() - start,
