@@ -160,6 +160,17 @@ def test_the_widest_interval_is_narrowed_first():
         assert f"narrows {label}" in choose(right(), candidates, wanted).reason
 
 
+def test_a_push_that_misses_informs_nothing_and_any_other_is_chosen():
+    tip = rows()[0].scene.pushers[0]
+    aside = replace(rows()[0].scene, pushers=(replace(tip, pose=np.array([1.0, 1.0, 0.0])),))
+    miss = PlannedExperiment(name="miss", scene=aside)
+    found = estimate(SimulatedTestbed(seed=3).run([miss], threads=1), WIDER, threads=1)
+    assert found.calibration.verdicts["mu_pusher"] == "not excited"
+    for label, (low, high) in WIDER.items():
+        assert found.half_widths[label] > 0.9 * (high - low)
+    assert choose(found, [miss, rows()[1], miss], {"mu_pusher": 0.02}).index == 1
+
+
 def test_a_repetition_does_not_remove_an_error_of_the_model():
     again, new = replace(rows()[0], name="again"), rows()[13]
     information = imperfect().informed_by([again, new, replace(new, name="new")])

@@ -102,8 +102,8 @@ class LiveEstimates:
         Calibration with estimates and verdicts. Its intervals allow for misfit; if the model fits
         within the noise, they are those of a parabola instead of profiles.
     half_widths : mapping from label to float
-        Half-widths of the intervals of free parameters, without their bounds; inf where no
-        experiment informs a parameter.
+        Half-widths of the intervals of free parameters, without their bounds. They are as wide as
+        the range, or wider, where no experiment informs a parameter.
     settled : mapping from label to float
         The larger of the half-widths now and in the previous estimates; inf without these. Widths
         vary by chance, and a campaign that stopped at the first narrow one would trust it too much.
@@ -262,8 +262,7 @@ def _assessed(
     assessed = assess.Assessment(judged, profiles, best.noise, best.dispersion, best.misfit)
     found = replace(with_assessment(comparer, fit.found, assessed), profiles=())
     run = replace(fit.run, outcome=replace(fit.run.outcome, found=(found,)))
-    pairs = zip(space.labels, half.tolist(), strict=True)
-    now = {label: own if excited(label) else math.inf for label, own in pairs}
+    now = dict(zip(space.labels, half.tolist(), strict=True))
     settled = {label: max(own, before.get(label, math.inf)) for label, own in now.items()}
     return LiveEstimates(
         calibration=run[0],
