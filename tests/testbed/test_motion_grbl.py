@@ -1,6 +1,7 @@
 import math
 import time
 
+import numpy as np
 import pytest
 
 from fixel.errors import DeviceFailed, InvalidInput
@@ -444,6 +445,23 @@ def test_every_axis_has_its_own_travel_speed_and_acceleration(firmware, axes, us
         assert controller.places == pytest.approx(
             [there.get(k, 1.0) for k in range(axes)], abs=0.01
         )
+
+
+@pytest.mark.parametrize("mask", range(4))
+def test_coordinates_of_two_axes_are_not_mirrored(mask):
+    with EmulatedGrbl(axes=2, homing=True, travel=(80.0, 60.0)) as controller:
+        controller._settings[23] = float(mask)  # which axes home at their low ends
+        with GrblActuator(controller.port, axes="XY", guard=False) as drive:
+            x_low, y_low = (-80.0, -60.0)
+            corner, right, up = (
+                drive._place_of(np.array(place))
+                for place in ((x_low, y_low), (0.0, y_low), (x_low, 0.0))
+            )
+            (a, b), (c, d) = right - corner, up - corner
+            assert a * d - b * c == pytest.approx(0.08 * 0.06)
+            # The travels are from 0 to the length of the axis for each of them.
+            ends = np.sort([corner, right + up - corner], axis=0)
+            assert ends == pytest.approx(np.array([[0.0, 0.0], [0.08, 0.06]]))
 
 
 def test_the_axis_that_is_too_slow_is_named():

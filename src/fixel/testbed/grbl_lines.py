@@ -110,6 +110,11 @@ class AxisSettings(NamedTuple):
         """Convert a machine coordinate [mm] to a position [m]."""
         return self.direction * (coordinate - self.zero) * 1e-3
 
+    def from_other_end(self) -> AxisSettings:
+        """Return the settings with positions that count from the other end of the travel."""
+        end = self.zero + self.direction * self.travel * self.homing
+        return self._replace(zero=end, direction=-self.direction)
+
 
 def has_named_settings(lines: list[str]) -> bool:
     """Whether the answer to `$I` is that of FluidNC, whose axes have names instead of numbers."""

@@ -40,7 +40,8 @@ class GrblActuator(AbstractActuator):
     """Axes of a GRBL controller, version 0.9 or 1.1, or of grblHAL or FluidNC.
 
     Coordinates count from the end of each axis at which it homes, or without homing from its place
-    when the controller was switched on. They may be mirrored: calibrate their place and direction.
+    when the controller was switched on. The second axis counts from its other end where these
+    coordinates would be a mirror image of the controller's.
 
     A move is sent in pieces, at most as many as the drive needs for `dead_man` seconds: if this
     program dies or hangs, the drive runs out of pieces and comes to rest. A guard
@@ -163,6 +164,8 @@ class GrblActuator(AbstractActuator):
         for axis in self.axes:
             named = link.command(f"$/axes/{axis.lower()}") if grbl.has_named_settings(lines) else []
             settings.append(grbl.settings_of([*lines, *named, *numbered], axis))
+        if len(settings) > 1 and settings[0].direction != settings[1].direction:
+            settings[1] = settings[1].from_other_end()
         self._settings = tuple(settings)
         self.travels = self._wanted_travels.copy()
         for ends, of_axis in zip(self.travels, settings, strict=True):
