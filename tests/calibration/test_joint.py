@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import fixel
-from fixel.calibration.joint import draw_joint
+from fixel.calibration.joint import draw_joint, linear_fit
 from fixel.calibration.objective import Comparer
 from fixel.testing.pushes import example_pushes
 
@@ -56,3 +56,19 @@ def test_samples_of_a_frozen_parameter_are_its_value(fit):
     drawn = fit.samples(10)
     assert set(drawn) == {"mu_pusher", "tripod_radius"}
     assert len(drawn["mu_pusher"]) == 10
+
+
+def test_the_fit_moves_as_it_does_when_an_experiment_is_left_out():
+    """The other experiments are calibrated again, by the search of calibrations."""
+    pushes = example_pushes(6)
+    space = {"mu_pusher": (0.0, 1.0), "tripod_radius": (0.02, 0.06)}
+
+    def best(own):
+        return fixel.calibrate(own, space, verdicts=False, progress=False).found.point
+
+    fit = fixel.calibrate(pushes, space, verdicts=False, progress=False)
+    comparer = Comparer(fit.targets, fit.space, None, fit.motion)
+    found = linear_fit(comparer, fit.found.point).left_out()
+    moved = np.array([best(pushes[:k] + pushes[k + 1 :]) for k in range(6)]) - fit.found.point
+    assert (np.abs(found - moved).max(axis=0) < 0.5 * np.abs(moved).max(axis=0)).all()
+    assert np.corrcoef(found.T, moved.T)[[0, 1], [2, 3]] == pytest.approx(1.0, abs=0.1)

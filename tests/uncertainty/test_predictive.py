@@ -1,14 +1,21 @@
 """Parameter sets and errors of ends with which a calibration predicts fresh pushes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from tests.fixtures import project_of
 
 import fixel
+from fixel.model import Disk, Fixel
 from fixel.planning.belief import Belief
 from fixel.testing.pushes import example_pushes
 from fixel.testing.scenes import pushed_square
-from fixel.uncertainty.predictive import EndError, predictive_of
+from fixel.uncertainty.predictive import EndError, check_predictions, predictive_of
 from fixel.units import mm
+from fixel.workflows.calibration.project import stored_calibration
+
+_SPACE = {"mu_pusher": (0.0, 1.0), "tripod_radius": (10 * mm, 60 * mm)}
 
 
 @pytest.fixture(scope="module")
@@ -18,8 +25,7 @@ def recorded():
 
 @pytest.fixture(scope="module")
 def fit(recorded):
-    space = {"mu_pusher": (0.0, 1.0), "tripod_radius": (10 * mm, 60 * mm)}
-    return fixel.calibrate(recorded, space, motion="quasistatic", progress=False)
+    return fixel.calibrate(recorded, _SPACE, motion="quasistatic", progress=False)
 
 
 def test_the_error_of_ends_is_that_of_the_residuals_of_the_best_fit(fit, recorded):
@@ -61,3 +67,74 @@ def test_a_belief_takes_the_error_of_the_calibration_unless_scatter_is_given(fit
     assert own.misfit.std() > 0.0
     scattered = Belief(parameters=fit, run_to_run=fixel.RunToRun())
     assert scattered.scenarios(scene, worlds=8, runs=4).end_error is None
+
+
+def test_ends_are_checked_against_predictions_of_the_other_pushes(fit, recorded):
+    """The others are calibrated again; regions are the nearest 90 % of predicted ends."""
+    inside = 0
+    for k, own in enumerate(recorded):
+        rest = recorded[:k] + recorded[k + 1 :]
+        others = fixel.calibrate(rest, _SPACE, motion="quasistatic", progress=False)
+        inside += _predicts(others, own)
+    assert fit.prediction_check == (inside, len(recorded), 0.9)
+
+
+def test_an_end_far_from_all_predictions_is_not_held(recorded):
+    pose = recorded[2].trajectory.pose.copy()
+    pose[1:] += np.linspace(0.0, 1.0, len(pose))[1:, None] * (0.0, 20 * mm, 0.0)
+    off = replace(recorded[2], trajectory=replace(recorded[2].trajectory, pose=pose))
+    pushes = [*recorded[:2], off, *recorded[3:]]
+    fit = fixel.calibrate(pushes, _SPACE, motion="quasistatic", progress=False)
+    assert fit.prediction_check == (4, 5, 0.9)
+
+
+def test_the_check_is_stored_with_the_calibration(recorded, tmp_path):
+    project = project_of(tmp_path / "lab", recorded)
+    options = {"motion": "quasistatic", "store": project, "progress": False}
+    own = fixel.calibrate(project.experiments(), _SPACE, **options)
+    assert own.prediction_check.of == 5
+    stored = stored_calibration(project, own.run.ids[0])
+    assert stored.prediction_check == own.prediction_check
+    assert repr(stored) == repr(own)
+
+
+def test_few_pushes_are_not_checked(recorded):
+    fit = fixel.calibrate(recorded[:3], _SPACE, motion="quasistatic", progress=False)
+    assert fit.prediction_check == (0, 0, 0.9)
+    assert "predictions not checked: that takes 4 experiments" in str(fit)
+
+
+def test_pushes_among_fixels_are_not_checked(fit):
+    fixel_far_away = Fixel("pin", Disk(5 * mm), pose=(1.0, 1.0, 0.0), friction=0.2)
+    targets = [
+        own._replace(
+            case=own.case._replace(scene=replace(own.case.scene, fixels=(fixel_far_away,)))
+        )
+        for own in fit.targets
+    ]
+    best, moved = fit.found.point, np.zeros((len(targets), 2))
+    assert check_predictions(fit.predictive, targets, fit.motion, best, moved) == (0, 0)
+
+
+def _predicts(fit, experiment):
+    """Whether a recorded end is among the 90 % of drawn ends that are nearest to their mean."""
+    scene, rng = experiment.scene, np.random.default_rng(0)
+    arm = np.sqrt(scene.bodies[0].shape.unit_inertia)
+    drawn = fit.predictive.samples(64, 0, {})
+    ends = []
+    for k in range(64):
+        values = {name: column[k] for name, column in drawn.items()}
+        duration = float(experiment.trajectory.time[-1])
+        run = fixel.simulate(scene, values, motion="quasistatic", duration=duration)
+        end = run.pose["part"][-1] * (1.0, 1.0, arm)
+        motion = np.hypot(*end[:2]) + abs(end[2])  # the part starts at the origin
+        size = fit.predictive.error.deviation(np.array([motion]))
+        ends.append(end + rng.normal(size=(40, 3)) * size)
+    ends = np.concatenate(ends)
+    inverse = np.linalg.inv(np.cov(ends.T))
+
+    def distance(to):
+        return np.einsum("ni,ij,nj->n", to, inverse, to)
+
+    off = experiment.trajectory.pose[-1] * (1.0, 1.0, arm) - ends.mean(axis=0)
+    return np.mean(distance(ends - ends.mean(axis=0)) < distance(off[None])) < 0.9

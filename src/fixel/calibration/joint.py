@@ -7,12 +7,17 @@ the experiments give about all parameters together.
 
 from __future__ import annotations
 
-from typing import Final
+import math
+from collections.abc import Iterable, Sequence
+from statistics import NormalDist
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
 from fixel.calibration.objective import ANGLE_SCALE, Comparer
+from fixel.errors import InvalidInput
+from fixel.model.records import Estimate
 from fixel.typing import BoolArray, FloatArray
 
 STEP: Final = 0.1  # of the differences [scales]
@@ -22,18 +27,78 @@ OBSERVATIONS: Final = 3.0
 MM: Final = np.array([1e3, 1e3, 1e3 * ANGLE_SCALE])
 
 
-def correlation_at(comparer: Comparer, point: FloatArray) -> FloatArray:
-    """Return the correlations (p, p) of the free parameters about the best fit (p,).
+class LinearFit(NamedTuple):
+    """Poses of experiments near the best fit, linear in the parameters, in parts of their ranges.
 
-    Parameters
-    ----------
-    comparer : Comparer
-    point : (p,) float64
-
-    Notes
-    -----
-    Directions without information have the variance of their bounds.
+    Only experiments whose simulations near the fit all converged, n of them.
     """
+
+    slope: FloatArray  # (n, p, i) of poses at some instants [mm]
+    off: FloatArray  # (n, i) simulated less measured poses [mm]
+    good: BoolArray  # (n_target,) which experiments these are
+    span: FloatArray  # (p,) ranges of the parameters
+
+    @property
+    def information(self) -> FloatArray:
+        """What all experiments and the bounds tell about the parameters (p, p)."""
+        slope = self.slope
+        own = np.einsum("npi,nqi->pq", slope, slope) / slope.shape[2] * OBSERVATIONS / self._error
+        return np.asarray(own + 12.0 * np.eye(len(self.span)))
+
+    @property
+    def correlation(self) -> FloatArray:
+        """Correlations (p, p) of the parameters.
+
+        Directions without information have the variance of their bounds.
+        """
+        if not self.good.any():
+            return np.eye(len(self.span))
+        covariance = np.linalg.inv(self.information)
+        sd = np.sqrt(np.diag(covariance))
+        return np.asarray(covariance / np.outer(sd, sd))
+
+    @property
+    def _error(self) -> float:
+        return max(float(np.mean(self.off**2)), 1e-12)
+
+    def left_out(self) -> FloatArray:
+        """Return by how much the fit moves where one experiment is left out (n_target, p)."""
+        found = np.zeros((len(self.good), len(self.span)))
+        if not self.good.any():
+            return found
+        weight = OBSERVATIONS / self._error / self.slope.shape[2]
+        each = np.einsum("npi,nqi->npq", self.slope, self.slope) * weight
+        gradient = np.einsum("npi,ni->np", self.slope, self.off) * weight
+        moved = np.linalg.solve(self.information - each, gradient[..., None])[..., 0]
+        found[self.good] = moved * self.span
+        return found
+
+
+def quoted(
+    estimates: Iterable[Estimate], labels: Sequence[str], level: float | None
+) -> tuple[FloatArray, FloatArray]:
+    """Return values (p,) and standard deviations (p,) of estimates; infinite without an interval.
+
+    An interval with one open end has the width of its other half.
+    """
+    known = {estimate.label: estimate for estimate in estimates}
+    own = [known[label] for label in labels]
+    value = np.array([e.value for e in own])
+    ends = np.array([[np.nan if x is None else x for x in (e.low, e.high)] for e in own])
+    half = np.abs(ends - value[:, None])
+    closed = np.isfinite(half).any(axis=1)
+    sd = np.full(len(own), math.inf)
+    if closed.any():
+        if level is None:
+            found = "intervals stored without it"
+            raise InvalidInput("level", found=found, expected="a level", hint="calibrate again")
+        reach = NormalDist().inv_cdf(0.5 + 0.5 * level)
+        sd[closed] = np.nanmean(half[closed], axis=1) / reach
+    return value, sd
+
+
+def linear_fit(comparer: Comparer, point: FloatArray) -> LinearFit:
+    """Simulate the experiments near the best fit (p,), by central differences."""
     space = comparer.space
     low, high = space.low, space.high
     step = STEP * space.scale
@@ -45,15 +110,9 @@ def correlation_at(comparer: Comparer, point: FloatArray) -> FloatArray:
     rows = np.unique(np.linspace(0, found.shape[1] - 1, INSTANTS).astype(np.int64))
     off = (found[:, rows] * MM).reshape(n, len(probes), -1)
     good: BoolArray = np.all(converged.reshape(n, len(probes)), axis=1)
-    if not good.any():
-        return np.eye(len(point))
     span = high - low
     slope = (off[good, 1::2] - off[good, 2::2]) / ((up - down) / span)[None, :, None]
-    error = max(float(np.mean(off[good, 0] ** 2)), 1e-12)
-    information = np.einsum("npi,nqi->pq", slope, slope) / slope.shape[2] * OBSERVATIONS / error
-    covariance = np.linalg.inv(information + 12.0 * np.eye(len(point)))
-    sd = np.sqrt(np.diag(covariance))
-    return np.asarray(covariance / np.outer(sd, sd))
+    return LinearFit(slope, off[good, 0], good, span)
 
 
 def draw_joint(

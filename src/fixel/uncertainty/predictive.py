@@ -20,13 +20,14 @@ from dataclasses import dataclass
 from typing import Final, Protocol, final, runtime_checkable
 
 import numpy as np
+from scipy.special import chdtri
 
 from fixel.calibration.objective import Comparer
 from fixel.calibration.target import Target
 from fixel.model.space import ParameterSpace
 from fixel.model.trajectory import wrapped
 from fixel.simulation.motion import AbstractMotionModel
-from fixel.typing import FloatArray
+from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.push import CalibratedModel
 
 SHRINK: Final = 0.7  # distance of samples from the calibrated values, relative to the intervals
@@ -36,6 +37,11 @@ RANGE: Final = (0.2, 3.0)  # of motions over the mean one within which the error
 POOL: Final = 512  # parameter sets that are weighted
 MOST: Final = 40  # recorded pushes by which they are weighted
 FAILED: Final = 0.1  # error of a push that could not be simulated [m]
+# Pushes left out in turn, to compare their ends with predictions.
+LEAST: Final = 4  # pushes of a calibration
+DRAWS: Final = 64  # parameter sets
+REGION: Final = 0.9  # probability that a region is stated to have
+TINY: Final = 1e-6  # deviation that no region is below [m]
 
 
 @final
@@ -100,12 +106,9 @@ def predictive_of(
         Samples of the calibration.
     """
     shrunk = value + SHRINK * (points - value)
-    ends = [
-        own._replace(case=own.case._replace(times=own.case.times[-1:]), pose=own.pose[-1:])
-        for own in targets
-    ]
+    ends = [_end_of(own) for own in targets]
     residual = end_residuals(ends, space, motion, best[None])[:, 0]
-    some = np.unique(np.linspace(0, len(ends) - 1, min(MOST, len(ends))).astype(np.int64))
+    some = _spread(len(ends))
     found = end_residuals([ends[k] for k in some], space, motion, shrunk)
     squares = (found**2).sum(axis=(0, 2))
     least = min(float((residual[some] ** 2).sum()), float(squares.min()))
@@ -120,13 +123,61 @@ def predictive_of(
     return Predictive(space, shrunk[rows], EndError(size, max(float(moved.mean()), 1e-9)))
 
 
+def check_predictions(
+    predictive: Predictive,
+    targets: Sequence[Target],
+    motion: AbstractMotionModel,
+    best: FloatArray,
+    moved: FloatArray,
+) -> tuple[int, int]:
+    """Return how many recorded ends are in the regions predicted without them, and of how many.
+
+    Those among fixels are not counted: their ends are not free.
+
+    Parameters
+    ----------
+    predictive : Predictive
+        Of all recorded pushes.
+    targets : sequence of Target
+        Recorded pushes.
+    motion : AbstractMotionModel
+    best : (n_free,) float64
+        Parameters that fit best.
+    moved : (n_target, n_free) float64
+        By how much the fit, and the draws with it, move where one push is left out.
+    """
+    space = predictive.space
+    free = np.flatnonzero([not own.case.scene.fixels for own in targets])
+    if len(targets) < LEAST or not len(free):
+        return 0, 0
+    some, ends = free[_spread(len(free))], [_end_of(own) for own in targets]
+    squares = (end_residuals(ends, space, motion, best[None]) ** 2).sum(axis=(1, 2))
+    motions = np.array([_recorded_motion(own) for own in ends])
+    points = np.clip(predictive.points + moved[some, None], space.low, space.high)
+    found = end_residuals([ends[k] for k in some], space, motion, points)
+    n, held = len(ends) - 1, 0
+    for k, off in zip(some.tolist(), found, strict=True):
+        others = float(squares.sum() - squares[k]) / max(1, 3 * n - len(space.labels))
+        usual = max(float(motions.sum() - motions[k]) / n, 1e-9)
+        own = EndError(SHARE * math.sqrt(others), usual).deviation(_motions(ends[k], off))
+        # An ellipsoid with the mean and covariance of the draws and of the error.
+        covariance = np.cov(off.T) + (np.mean(own**2) + TINY**2) * np.eye(3)
+        middle = off.mean(axis=0)
+        held += bool(middle @ np.linalg.solve(covariance, middle) <= chdtri(3.0, 1.0 - REGION))
+    return held, len(some)
+
+
 def end_residuals(
     ends: Sequence[Target], space: ParameterSpace, motion: AbstractMotionModel, points: FloatArray
 ) -> FloatArray:
-    """Return simulated less measured ends (k, n, 3) at points (n, n_free), turns as arcs [m]."""
-    which = np.repeat(np.arange(len(ends)), len(points))
+    """Return simulated less measured ends (k, n, 3), turns as arcs [m].
+
+    At points (n, n_free), or (k, n, n_free) of their own.
+    """
+    which = np.repeat(np.arange(len(ends)), points.shape[-2])
+    each = np.broadcast_to(points, (len(ends), *points.shape[-2:]))
     found, good, _ = Comparer(ends, space, None, motion).differences(
-        which, np.tile(points, (len(ends), 1))
+        which, each.reshape(len(which), -1)
     )
     off = np.where(good[:, None], found[:, 0], FAILED).reshape(len(ends), -1, 3)
     arms = [math.sqrt(own.case.scene.bodies[0].shape.unit_inertia) for own in ends]
@@ -140,7 +191,23 @@ def motion_of(start: FloatArray, end: FloatArray, arm: float) -> FloatArray:
     return np.asarray(np.hypot(off[:, 0], off[:, 1]) + arm * np.abs(wrapped(off[:, 2])))
 
 
+def _end_of(own: Target) -> Target:
+    """Return a recorded push with its last pose only."""
+    return own._replace(case=own.case._replace(times=own.case.times[-1:]), pose=own.pose[-1:])
+
+
+def _spread(n: int) -> IntArray:
+    """Return the numbers of at most `MOST` of n pushes, spread evenly."""
+    return np.unique(np.linspace(0, n - 1, min(MOST, n)).astype(np.int64))
+
+
 def _recorded_motion(own: Target) -> float:
+    return float(_motions(own, np.zeros((1, 3)))[0])
+
+
+def _motions(own: Target, off: FloatArray) -> FloatArray:
+    """Return the motions (n,) to ends at a distance (n, 3) from the measured one, turns as arcs."""
     body = own.case.scene.bodies[0]
+    arm = math.sqrt(body.shape.unit_inertia)
     start = np.asarray(body.pose, np.float64)[None]
-    return float(motion_of(start, own.pose[-1:], math.sqrt(body.shape.unit_inertia))[0])
+    return motion_of(start, own.pose[-1:] + off / (1.0, 1.0, arm), arm)

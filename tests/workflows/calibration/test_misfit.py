@@ -65,6 +65,18 @@ def test_misfit_is_said_before_anything_else(found):
     assert summary["misfit"] == [*misfit]
 
 
+def test_the_check_of_predictions_is_one_sentence_wherever_one_looks(found):
+    project, done = found
+    text = "predictions not checked: that takes 4 experiments without fixels"  # these are grasps
+    with project.store() as store:
+        page = load_detail(project, store, done.ids[-1]).analysis
+    for lines in (done.analysis.lines(), page.headline, parameters_section(done.joint, []).notes):
+        assert [line.strip() for line in lines].count(text) == 1
+    assert text in " ".join(repr(done.joint).split())
+    summary = json.loads(json.dumps(done.summary()))["found"][-1]
+    assert summary["prediction_check"] == {"held": 0, "of": 0, "probability": 0.9}
+
+
 def test_one_value_inside_its_interval_wherever_one_looks(found):
     project, done = found
     with project.store() as store:

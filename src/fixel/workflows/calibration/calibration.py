@@ -10,13 +10,12 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
-from statistics import NormalDist
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, final, overload
 
 import numpy as np
 
-from fixel.calibration.joint import correlation_at, draw_joint
+from fixel.calibration.joint import draw_joint, linear_fit, quoted
 from fixel.calibration.known_pushes import KnownPushes, push_target
 from fixel.calibration.misfit import WARNED
 from fixel.calibration.noise import Noise
@@ -43,7 +42,7 @@ from fixel.simulation.engine_names import EngineName
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
-from fixel.uncertainty.predictive import POOL, Predictive, predictive_of
+from fixel.uncertainty.predictive import LEAST, POOL, REGION, Predictive, predictive_of
 from fixel.workflows.calibration.parameter_options import call_of, enlarged_command
 from fixel.workflows.calibration.plan import CalibrationPlan
 from fixel.workflows.calibration.request import CalibrationRequest
@@ -74,6 +73,22 @@ class MisfitStatement(NamedTuple):
     model_error: bool  # whether the model is wrong by much more than the noise
     reason: str  # sentences; empty without a misfit
     noise: str  # noise that the intervals assume, and its origin
+
+
+class PredictionCheck(NamedTuple):
+    """Recorded ends of experiments compared with predictions from the other experiments."""
+
+    held: int  # ends inside their regions
+    of: int  # experiments left out; 0 if there are too few, or none outside fixels
+    probability: float = REGION  # stated for each region
+
+    @property
+    def text(self) -> str:
+        """Sentence for people."""
+        if not self.of:
+            return f"predictions not checked: that takes {LEAST} experiments without fixels"
+        regions = f"{100 * self.probability:.0f} % regions of predicted ends"
+        return f"{regions} hold {self.held} of {self.of}, each left out by an approximate refit"
 
 
 @final
@@ -269,6 +284,16 @@ class Calibration(Result, Mapping[str, float]):
         )
 
     @property
+    def prediction_check(self) -> PredictionCheck | None:
+        """Recorded ends inside the regions predicted without them, by draws of `predictive`.
+
+        A step of least squares leaves an experiment out. None for a calibration of one experiment
+        or without verdicts.
+        """
+        own = self.found.prediction_check
+        return None if own is None else PredictionCheck(*own)
+
+    @property
     def solutions(self) -> list[dict[str, float]]:
         """Distinct parameter sets that fit almost equally well, the best first."""
         return [self.space.values(point) for point in self.found.solutions]
@@ -316,7 +341,7 @@ class Calibration(Result, Mapping[str, float]):
         Those that the search changed, in the order of `space.labels`; simulated when first asked.
         """
         comparer = Comparer(self.targets, self.space, None, self.motion)
-        return correlation_at(comparer, self.found.point)
+        return linear_fit(comparer, self.found.point).correlation
 
     def samples(
         self, n: int = 64, seed: int = 0, **conditions: str | float
@@ -347,19 +372,8 @@ class Calibration(Result, Mapping[str, float]):
 
     def _sample_points(self, n: int, seed: int) -> FloatArray:
         """Return samples (n, n_free) of the free parameters."""
-        space, level = self.space, self.level
-        own = [self.estimates[label] for label in space.labels]
-        value = np.array([e.value for e in own])
-        ends = np.array([[np.nan if x is None else x for x in (e.low, e.high)] for e in own])
-        half = np.abs(ends - value[:, None])
-        closed = np.isfinite(half).any(axis=1)
-        sd = np.full(len(own), math.inf)
-        if closed.any():
-            if level is None:
-                found = "intervals stored without it"
-                raise InvalidInput("level", found=found, expected="a level", hint="calibrate again")
-            reach = NormalDist().inv_cdf(0.5 + 0.5 * level)
-            sd[closed] = np.nanmean(half[closed], axis=1) / reach
+        space = self.space
+        value, sd = quoted(self.estimates.values(), space.labels, self.level)
         return draw_joint(value, space.low, space.high, sd, self.correlation, n, seed)
 
     @cached_property
@@ -463,6 +477,7 @@ class Calibration(Result, Mapping[str, float]):
                 self._error_note(),
                 *self._prediction_notes(),
                 *self._no_misfit(),
+                *([self.prediction_check.text] if self.prediction_check else []),
                 *run.sample_note,
             ),
             warnings=(*([self.misfit.reason] if found.misfit else []), *others),
@@ -836,6 +851,8 @@ def _plain(
         "seconds": one.seconds,
         "note": one.note,
         "noise": one.noise,
+        "prediction_check": one.prediction_check
+        and PredictionCheck(*one.prediction_check)._asdict(),
         "solutions": [dict(zip(outcome.labels, s, strict=True)) for s in one.solutions.tolist()],
         "estimates": [estimate.stored() for estimate in one.estimates],
     }

@@ -26,6 +26,7 @@ from fixel.calibration.assess import (
     run_assessments,
 )
 from fixel.calibration.cost import NormalPrior
+from fixel.calibration.joint import draw_joint, linear_fit, quoted
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer, Evaluation, Objective, lengths_of
 from fixel.calibration.optimiser import Best
@@ -57,6 +58,7 @@ from fixel.jobs.work import Answers, Chunk, Failure, Round, Work
 from fixel.kernels import codes
 from fixel.model.records import Estimate
 from fixel.typing import FloatArray
+from fixel.uncertainty.predictive import DRAWS, LEAST, check_predictions, predictive_of
 from fixel.workflows.calibration.request import CalibrationRequest, read_targets
 from fixel.workflows.calibration.result import (
     CalibrationResult,
@@ -195,7 +197,7 @@ class CalibrationSearch:
             self.found = [*found]
             for k, one in enumerate(found):
                 if one.how == FitKind.DIRECT:
-                    found[k] = yield from self._with_verdicts(one)
+                    found[k] = yield from self._with_check((yield from self._with_verdicts(one)))
         return outcome_bytes(
             CalibrationResult(
                 keys=tuple(target.key for target in comparer.targets),
@@ -447,6 +449,21 @@ class CalibrationSearch:
         except InvalidInput as problem:  # the values that were found stay worth having
             return dataclasses.replace(one, note=f"no verdicts: {problem}")
 
+    def _with_check(self, one: ParameterSet) -> Rounds[ParameterSet]:
+        """Compare recorded ends with those predicted from the other experiments."""
+        if not one.estimates or len(one.members) < 2 or self.is_over:
+            return one
+        count = [0, 0]
+        if len(one.members) >= LEAST:
+            value, sd = quoted(one.estimates, self.comparer.space.labels, self.request.level)
+            chunk = Chunk("check", bytes_of(point=one.point, value=value, sd=sd))
+            answers = yield Round("calibration:check_ends", [chunk], "predictions")
+            answer = answers[chunk.name]
+            if isinstance(answer, Failure):
+                return one
+            count = arrays_of(answer)["count"].tolist()
+        return dataclasses.replace(one, prediction_check=(count[0], count[1]))
+
 
 def _timed(begun: float, **arrays: Any) -> bytes:
     """Serialise an answer together with the time that it took to compute."""
@@ -573,6 +590,18 @@ def assess_points(request: CalibrationRequest, comparer: Comparer, payload: byte
     asked = arrays_of(payload)
     kind = str(asked["kind"])
     return _timed(begun, table=answer(comparer, asked["members"], kind, asked["points"]))
+
+
+@_chunk
+def check_ends(request: CalibrationRequest, comparer: Comparer, payload: bytes) -> bytes:
+    """Chunk: how many recorded ends are in the regions predicted from the other experiments."""
+    begun, asked = time.process_time(), arrays_of(payload)
+    best, value, space, motion = asked["point"], asked["value"], comparer.space, request.made_motion
+    near = linear_fit(comparer, best)
+    drawn = draw_joint(value, space.low, space.high, asked["sd"], near.correlation, DRAWS, 0)
+    predictive = predictive_of(comparer.targets, space, motion, best, value, drawn)
+    count = check_predictions(predictive, comparer.targets, motion, best, near.left_out())
+    return _timed(begun, count=np.array(count))
 
 
 def _assessing(

@@ -67,6 +67,9 @@ class ParameterSet:
         Residuals over noise; nan if the noise is unknown.
     solutions : (n_solution, n_free) float64
         Distinct ends of several starts that are nearly as good as the best; the best first.
+    prediction_check : tuple of int, optional
+        Number of recorded ends in the regions predicted without them, and of how many experiments;
+        None if they were not compared.
     seconds : float
         Duration of the computation [s].
     note : str
@@ -84,6 +87,7 @@ class ParameterSet:
     misfit: tuple[str, ...] = ()
     misfit_ratio: float = math.nan
     solutions: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    prediction_check: tuple[int, int] | None = None
     seconds: float = field(default=0.0, compare=False)
     note: str = ""
 
@@ -179,6 +183,7 @@ def found_arrays(found: Sequence[ParameterSet]) -> dict[str, Any]:
                 "noise": one.noise,
                 "misfit": list(one.misfit),
                 "misfit_ratio": None if math.isnan(one.misfit_ratio) else one.misfit_ratio,
+                "prediction_check": one.prediction_check,
                 "seconds": one.seconds,
                 "note": one.note,
                 "ended": None if one.trace is None else one.trace.ended,
@@ -208,6 +213,7 @@ def found_of(arrays: dict[str, Any]) -> list[ParameterSet]:
             misfit=tuple(entry.get("misfit", ())),
             misfit_ratio=math.nan if entry.get("misfit_ratio") is None else entry["misfit_ratio"],
             solutions=arrays[f"solutions_{k}"],
+            prediction_check=entry.get("prediction_check") and tuple(entry["prediction_check"]),
             seconds=entry["seconds"],
             note=entry["note"],
         )

@@ -82,7 +82,7 @@ def parameters_section(fit: Calibration, figures: list[Figure]) -> Section:
         ),
         tables=(replace(table, title="Parameters"),),
         figures=tuple(figure for figure in figures if _of_parameters(figure)),
-        notes=fit.analysis.notes,
+        notes=(*([fit.prediction_check.text] if fit.prediction_check else []), *fit.analysis.notes),
     )
 
 
