@@ -18,11 +18,26 @@ from fixel.testbed.recorder import Recorder
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.acquisition.track import track_film
 
-ROW = thesis_plan().experiments[0]
+SPEED, TRAVEL = 0.05, 0.02  # of the push
+
+
+def row():
+    """The first push of the thesis, with part and fixels closer to the head."""
+    planned = thesis_plan().experiments[0]
+    body, pusher, fixels = planned.scene.bodies[0], planned.scene.pushers[0], planned.scene.fixels
+    scene = replace(
+        planned.scene,
+        bodies=(replace(body, pose=body.pose - [0.050, 0.0, 0.0]),),
+        pushers=(replace(pusher, drive=replace(pusher.drive, travel=TRAVEL, speed=SPEED)),),
+        fixels=tuple(replace(fixel, pose=fixel.pose - [0.0925, 0.0, 0.0]) for fixel in fixels),
+    )
+    return replace(planned, scene=scene)
+
+
+ROW = row()
 TRUTH = SimulatedTestbed(seed=3)
 RIG = smaller(rig_of("thesis-tags"), 0.5)
 SMALL = smaller(RIG, 0.5)  # too small to track
-SPEED, TRAVEL = 0.05, 0.1  # of the push
 START, AHEAD = [0.0, 0.0], [1.0, 0.0]
 NO_FAULTS = Faults(jitter=0.0, dropped=0.0)
 
@@ -106,7 +121,7 @@ def test_tracked_poses_are_the_hidden_ones(recorded):
     assert np.abs(track.time - (stamps - stamps[0])[frame]).max() < 1e-5
     hidden = np.array([kept[k].part for k in frame])
     far, turned = pose_error(track.pose, hidden)
-    assert np.hypot(*(hidden[-1] - hidden[0])[:2]) > 0.03
+    assert np.hypot(*(hidden[-1] - hidden[0])[:2]) > 0.005
     assert np.median(far) < 1e-4
     assert far.max() < 5e-4
     assert np.abs(turned).max() < 8e-3
@@ -121,6 +136,11 @@ def test_readings_are_those_of_their_own_frames(recorded):
     kept = [moment for moment in lab.moments if not moment.lost][: summary.frames]
     read = answer.film.readings.value
     assert read.tolist() == [moment.bits for moment in kept]
+    touches = np.array([moment.touches for moment in kept])
+    assert not touches[:15].any()
+    assert touches.any()
+    felt = np.array([[bits >> bit & 1 for bit in (2, 1, 0)] for bits in read.tolist()])
+    assert (felt == touches).mean() > 0.9
 
 
 def test_the_part_moves_as_in_one_simulation_of_the_true_scene():
@@ -143,9 +163,9 @@ def test_the_part_moves_as_in_one_simulation_of_the_true_scene():
         duration=TRAVEL / SPEED + 0.5,
     )
     far, turned = pose_error(lab.moments[-1].part, simulate(whole).pose[body.name][-1])
-    assert far < 5e-5
+    assert far < 1e-4
     assert abs(turned) < 1e-3
-    assert far < 1e-2 * pose_error(begun, lab.moments[-1].part)[0]
+    assert far < 0.02 * pose_error(begun, lab.moments[-1].part)[0]
 
 
 def test_a_picture_at_rest_shows_where_the_part_came_to_rest():
@@ -162,7 +182,7 @@ def test_a_picture_at_rest_shows_where_the_part_came_to_rest():
 
 
 def test_same_seed_same_pictures():
-    one, two, other = (pushed(laboratory(Faults(), seed=seed), 0.005) for seed in (3, 3, 4))
+    one, two, other = (pushed(laboratory(Faults(), seed=seed), 0.015) for seed in (3, 3, 4))
     assert len(one) == len(two)
     for a, b in zip(one, two, strict=True):
         assert (a.pixels == b.pixels).all()
@@ -173,7 +193,7 @@ def test_a_part_is_placed_roughly_and_then_corrected():
     lab = EmulatedLaboratory(SMALL, truth=TRUTH, faults=NO_FAULTS)
     rough, better = [], []
     frames = lab.source.frames()
-    for _ in range(12):
+    for _ in range(8):
         lab.prepare(ROW)
         next(frames)
         rough.append(part_error(lab))
@@ -185,7 +205,7 @@ def test_a_part_is_placed_roughly_and_then_corrected():
     assert np.abs(turned).max() < np.radians(3.0) < 2.0 * np.abs(turned).max()
     assert near.max() < 2.1e-4
     assert np.abs(straight).max() < np.radians(0.3)
-    assert len(set(far)) == 12
+    assert len(set(far)) == 8
 
 
 def test_a_withdrawn_head_leaves_the_part_where_it_is():
@@ -205,7 +225,7 @@ def test_a_withdrawn_head_leaves_the_part_where_it_is():
 def test_time_stamps_scatter_and_frames_are_lost():
     lab = laboratory(Faults(jitter=2e-3, dropped=0.1))
     frames = lab.source.frames()
-    taken = [next(frames) for _ in range(300)]
+    taken = [next(frames) for _ in range(200)]
     error = np.array([moment.stamp - moment.time for moment in lab.moments])
     assert np.std(error) == pytest.approx(2e-3, rel=0.2)
     lost = np.array([moment.lost for moment in lab.moments])
@@ -217,10 +237,10 @@ def test_time_stamps_scatter_and_frames_are_lost():
 
 
 def test_a_hand_hides_the_part_in_the_first_push_of_a_row_only():
-    lab = laboratory(replace(NO_FAULTS, hidden=(ROW.name,), hand=0.5))
+    lab = laboratory(replace(NO_FAULTS, hidden=(ROW.name,), hand=0.2))
     pictures = pushed(lab)
     hidden = np.array([moment.hidden for moment in lab.moments])
-    assert 0.5 <= hidden.sum() / 30.0 < 1.5
+    assert 0.2 <= hidden.sum() / 30.0 < 0.9
     bare = pushed(laboratory())
     changed = np.array(
         [
@@ -231,18 +251,19 @@ def test_a_hand_hides_the_part_in_the_first_push_of_a_row_only():
     assert (changed[~hidden] < 1e-3).all()
     assert changed[hidden].max() > 0.03
     begin(lab)
+    again = len(lab.moments)
     pushed(lab)
-    assert not any(moment.hidden for moment in list(lab.moments)[len(hidden) :])
+    assert not any(moment.hidden for moment in list(lab.moments)[again:])
 
 
 def test_an_overload_stops_the_head_in_the_first_push_of_a_row_only():
     lab = laboratory(replace(NO_FAULTS, overload=(ROW.name,)))
     pushed(lab)
     assert lab.drive.place() == pytest.approx([TRAVEL, 0.0])
-    assert lab.moments[-1].head[0] == pytest.approx(0.4 * 0.15, abs=2e-3)
+    assert lab.moments[-1].head[0] == pytest.approx(0.4 * TRAVEL, abs=2e-3)
     begin(lab)
     pushed(lab)
-    assert lab.moments[-1].head[0] == pytest.approx(TRAVEL, abs=1e-6)
+    assert lab.moments[-1].head[0] > 0.6 * TRAVEL
 
 
 def begin(lab):
@@ -277,12 +298,12 @@ def test_a_stopped_drive_stops_the_head():
     with lab.drive as drive:
         drive.aim(START, AHEAD)
         drive.move(to=TRAVEL, speed=SPEED, wait=False)
-        for _ in range(15):
+        for _ in range(6):
             next(frames)
         drive.stop()
         for _ in range(3):
             next(frames)
-    assert lab.moments[-1].head[0] == pytest.approx(15 / 30.0 * SPEED, rel=0.1)
+    assert lab.moments[-1].head[0] == pytest.approx(6 / 30.0 * SPEED, rel=0.1)
     assert (lab.moments[-1].head == lab.moments[-2].head).all()
 
 
@@ -310,19 +331,18 @@ def test_a_smaller_rig_sees_the_same_places():
     assert 0.5 * (big + 0.5) - 0.5 == pytest.approx(small, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"pace": 2.0}, "pace"),
-        ({"faults": Faults(dropped=1.5)}, "dropped"),
-        ({"faults": Faults(jitter=-1.0)}, "jitter"),
-        ({"faults": Faults(placement=(-1.0, 0.0))}, "placement"),
-        ({"rate": 0.0}, "rate"),
-    ],
-)
-def test_bad_options_are_refused(options, words):
-    with pytest.raises(InvalidInput, match=words):
+@pytest.mark.parametrize("options", [{"pace": 2.0}, {"rate": 0.0}])
+def test_bad_options_are_refused(options):
+    with pytest.raises(InvalidInput, match=next(iter(options))):
         EmulatedLaboratory(SMALL, truth=TRUTH, **options)
+
+
+@pytest.mark.parametrize(
+    "faults", [{"dropped": 1.5}, {"jitter": -1.0}, {"placement": (-1.0, 0.0)}, {"hand": 0.0}]
+)
+def test_impossible_faults_are_refused(faults):
+    with pytest.raises(InvalidInput, match=next(iter(faults))):
+        Faults(**faults)
 
 
 def test_no_pictures_before_a_row_is_prepared():

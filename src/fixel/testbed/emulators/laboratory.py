@@ -1,15 +1,7 @@
 """Emulated laboratory: a rendered camera, fixels and a drive at a simulated bench.
 
-    laboratory = EmulatedLaboratory(smaller(rig, 0.5), truth=SimulatedTestbed(seed=3), seed=3)
-    laboratory.prepare(planned)  # a person places fixels and part, about where they belong
-    with laboratory.source as source, laboratory.drive as drive:
-        source.open()
-        for picture in source.frames():  # each picture advances the laboratory by one frame
-            ...
-
 In accelerated time the laboratory advances while its pictures are read, and at no other time:
-`drive.move` returns only if another thread reads them. Coordinates of the drive are those of the
-middle of the head in the world.
+`drive.move` returns only if another thread reads them.
 """
 
 from __future__ import annotations
@@ -19,13 +11,14 @@ import threading
 import time
 from collections import deque
 from collections.abc import Collection, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple, final
 
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.model import LineDrive, PathDrive, PlannedExperiment, Scene, Trajectory, placed
+from fixel.model import LineDrive, PathDrive, PlannedExperiment, Shape, Trajectory, placed
 from fixel.model.fields import fraction, non_negative, positive
 from fixel.model.probability import stream
 from fixel.simulation import simulate
@@ -45,28 +38,25 @@ from fixel.vision.render.film import exposure_times, occlusion_of, poses_at
 from fixel.vision.render.looks import light
 from fixel.vision.render.virtual_camera import Sensor
 
-RATE: Final = 30.0  # [frames/s]
 REACH: Final = (-0.3, 0.3)  # [m] of both axes of the drive
 CATCH_UP: Final = 0.05  # [m/s] at which a head that was held up follows its drive
 SAMPLES: Final = 4  # of the true motion in each frame
+TICK: Final = 2.0**-20  # [s]
 REST: Final = 1e-6  # [m/s, rad/s; m, rad] below which a part is at rest
 NEAR: Final = 5e-4  # [m] from the planned line, within which a move of the head is the push
 ASIDE: Final = 5e-3  # [m] by which a person places a part beside what is in its place
-TICK: Final = 2.0**-20  # [s]
-MOMENTS: Final = 20_000  # that are stored, eleven minutes
+ROUNDING: Final = 1e-4  # [m] by which a part that seems to overlap others is moved
 JAM: Final = 0.4  # of the travel, at which the head jams in a row with an overload
+WAITING: Final = 200  # frames that may wait for their reader
+MOMENTS: Final = 20_000  # frames whose truth is stored
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Faults:
-    """Faults of a laboratory.
+    """Faults of a laboratory; those of single rows occur at the first push of the row only."""
 
-    Faults of single rows occur at the first push of that row only, so that its repetition succeeds.
-    """
-
-    # Largest errors of a part that is placed roughly, and once the person has corrected it
-    # [m, rad].
+    # Largest errors of a part that is placed roughly, and that a person corrected [m, rad].
     placement: tuple[float, float] = (3e-3, math.radians(3.0))
     corrected: tuple[float, float] = (2e-4, math.radians(0.3))
     jitter: float = 5e-4  # standard deviation of the error of a time stamp [s]
@@ -74,6 +64,13 @@ class Faults:
     hidden: Collection[str] = ()  # names of rows in which a hand hides the part for a while
     hand: float = 1.0  # duration for which it does [s]
     overload: Collection[str] = ()  # names of rows in which the head jams on its way
+
+    def __post_init__(self) -> None:
+        fraction(self.dropped, "faults.dropped")
+        positive(self.hand, "faults.hand", "s")
+        for name in ("jitter", "placement", "corrected"):
+            for value in np.ravel(getattr(self, name)).tolist():
+                non_negative(value, f"faults.{name}")
 
 
 class Moment(NamedTuple):
@@ -89,17 +86,11 @@ class Moment(NamedTuple):
     lost: bool  # whether the frame was lost
 
 
-class _Push(NamedTuple):
-    """Planned motion of the head in the world."""
-
-    start: FloatArray  # (2,) [m]
-    direction: FloatArray  # (2,) unit vector
-    travel: float  # [m]
-
-
 @final
 class EmulatedLaboratory:
     """Laboratory whose true scene is simulated while its drive moves the head.
+
+    Its clock is `time.monotonic` in real time.
 
     Parameters
     ----------
@@ -114,38 +105,37 @@ class EmulatedLaboratory:
     pace : float
         0 for accelerated time, in which the camera waits for its reader; 1 for real time.
     looks : CameraEffects, optional
-        Light, lens and sensor; those of the thesis by default. Its faults are not used.
+        Light, lens and sensor; those of the thesis by default. Its disturbances are not used.
     rate : float
         Frame rate [Hz].
 
     Attributes
     ----------
     drive : SimulatedActuator
-        Drive with two axes, parallel to those of the world.
-    tactile : LaboratoryFixels
+        Drive with two axes, whose coordinates are those of the head in the world.
+    tactile : EmulatedLaboratory
+        Reader of the fixels.
     moments : deque of Moment
         Hidden truth at the last frames, which only tests may read.
 
     Raises
     ------
     InvalidInput
-        A fault or the pace is out of range.
+        The pace is neither 0 nor 1, or the rate is not positive.
 
     Examples
     --------
     >>> from fixel.formats.rig_file import rig_of
     >>> from fixel.sampling import thesis_plan
-    >>> laboratory = EmulatedLaboratory(
-    ...     smaller(rig_of("thesis-tags"), 0.25), truth=SimulatedTestbed(seed=3), seed=3
-    ... )
+    >>> rig = smaller(rig_of("thesis-tags"), 0.25)
+    >>> laboratory = EmulatedLaboratory(rig, truth=SimulatedTestbed(seed=3), seed=3)
     >>> laboratory.prepare(thesis_plan().experiments[0])
-    >>> with laboratory.source as source, laboratory.drive as drive:
-    ...     source.open().size
-    ...     picture = next(source.frames())
-    (320, 180)
-    >>> picture.pixels.shape
+    >>> with laboratory.source as source:
+    ...     next(source.frames()).pixels.shape
     (180, 320, 3)
     """
+
+    trouble = ""  # why the fixels no longer work
 
     def __init__(
         self,
@@ -156,17 +146,23 @@ class EmulatedLaboratory:
         faults: Faults | None = None,
         pace: float = 0.0,
         looks: CameraEffects | None = None,
-        rate: float = RATE,
+        rate: float = 30.0,
     ) -> None:
         if pace not in (0.0, 1.0):
             raise InvalidInput("pace", found=pace, expected="0 (accelerated) or 1 (real time)")
-        self.rig, self.live, self.rate = rig, pace == 1.0, positive(rate, "rate", "Hz")
-        self._truth, self._seed = truth, seed
-        self._faults = _checked(faults or Faults())
-        chosen = looks or looks_named("thesis")
-        self._looks = replace(chosen, light_change=0.0, colour_change=0.0, occlusion=0.0)
+        self.rig, self.rate = rig, positive(rate, "rate", "Hz")
+        self.stream = Stream(
+            rig.camera.lens.image_size,
+            rate,
+            jpeg=False,
+            live=pace == 1.0,
+            simulated_by=f"fixel emulated laboratory, seed {seed}",
+        )
         # Times since zero are whole ticks: exact, so that the same seed gives the same pictures.
         self._zero, self._now = float(math.floor(time.monotonic())), 0.0
+        self._truth, self._seed, self._faults = truth, seed, faults or Faults()
+        looks = looks or looks_named("thesis")
+        self._looks = replace(looks, light_change=0.0, colour_change=0.0, occlusion=0.0)
         self.drive = SimulatedActuator(
             n_axes=2,
             reach=REACH,
@@ -174,20 +170,18 @@ class EmulatedLaboratory:
             frequency=truth.ripple_frequency,
             clock=self.clock,
         )
-        self.tactile = LaboratoryFixels(self)
-        self.made_by = f"fixel emulated laboratory, seed {seed}"
+        self.tactile = self
         self.moments: deque[Moment] = deque(maxlen=MOMENTS)
         self._lock = threading.RLock()
-        self._sensor = Sensor(self._looks, rig.camera.lens.image_size, seed)
+        self._sensor = Sensor(self._looks, self.stream.size, seed)
         self._pixel = rig.camera.metres_per_pixel()
-        self._frame = 0  # number of the last frame
-        self._placings = 0
+        self._frame = self._placings = 0
         self._pushes: dict[str, int] = {}  # number of pushes by row
         self._view: RenderedBench | None = None
 
     def clock(self) -> float:
-        """Return the time of the laboratory [s], which is `time.monotonic` in real time."""
-        return time.monotonic() if self.live else self._zero + self._now
+        """Return the time of the laboratory [s]."""
+        return time.monotonic() if self.stream.live else self._zero + self._now
 
     @property
     def source(self) -> LaboratoryCamera:
@@ -196,7 +190,7 @@ class EmulatedLaboratory:
 
     @property
     def true_parameters(self) -> dict[str, float]:
-        """Hidden true values in the present row, which only tests may read [SI units]."""
+        """Hidden true values in the present row, which only tests may read [-]."""
         scene = self._scene
         return {
             "mu_pusher": scene.pushers[0].friction,
@@ -207,28 +201,31 @@ class EmulatedLaboratory:
     # --- the person at the bench ------------------------------------------------------------------
 
     def prepare(self, planned: PlannedExperiment) -> None:
-        """Place the fixels and the part of a row, the part only roughly.
-
-        The head stays where its drive is; a part is placed beside it.
+        """Place fixels and part of a row, the part roughly; the head stays where it is.
 
         Raises
         ------
         InvalidInput
-            The row is no push of one part, or has no true scene.
+            The row has no true scene.
         """
         done = self._pushes.get(planned.name, 0)
         # Every repetition has its own scatter.
         run = replace(planned, name=f"{planned.name} {done + 1}") if done else planned
-        scene = self._truth.true_scene(run)
+        scene, head = self._truth.true_scene(run), planned.scene.pushers[0]
         simulate(scene, duration=1e-6)  # compiles here and not while the pictures run
+        drive, along = head.drive, placed(direction_of(head), (0.0, 0.0, head.pose[2]))
         with self._lock:
-            self._planned, self._scene, self._push = planned, scene, _push(planned.scene)
+            self._planned, self._scene, self._along = planned, scene, along
+            self._travel = (
+                min(drive.travel, drive.speed * planned.scene.duration)
+                if isinstance(drive, LineDrive)
+                else float(np.ptp(drive.waypoints[:, 1:3] @ along))
+            )
             self._pushing, self._jam = False, math.inf
             self._commanded = self.drive.place()
-            self._head = np.append(self.drive.place(), planned.scene.pushers[0].pose[2])
+            self._head = np.append(self._commanded, head.pose[2])
             self._hand = occlusion_of(scene, self.rig, self._looks, np.zeros(1), self._seed)
-            view = RenderedBench(scene, self.rig, self._looks, self._seed, like=self._view)
-            self._view = view
+            self._view = RenderedBench(scene, self.rig, self._looks, self._seed, self._view)
             self._place(self._faults.placement)
 
     def nudge(self) -> None:
@@ -243,105 +240,100 @@ class EmulatedLaboratory:
         way, far = random.uniform(0.0, 2.0 * math.pi), error[0] * math.sqrt(random.uniform())
         off = (far * math.cos(way), far * math.sin(way), random.uniform(-error[1], error[1]))
         self._part = self._beside(self._planned.scene.bodies[0].pose + np.array(off), ASIDE)
-        self._twist = np.zeros(3)
-        self._touches = np.zeros(len(self._scene.fixels), np.bool_)
-        self._still: FloatPicture | None = None
+        self._twist, self._touches = np.zeros(3), np.zeros(len(self._scene.fixels), np.bool_)
+        self._still: FloatPicture | None = None  # light of a scene at rest
 
-    def _beside(self, pose: FloatArray, most: float) -> FloatArray:
-        """Return a pose of the part moved out of head and fixels, if there is space nearby."""
+    def _beside(self, pose: FloatArray, most: float, *, head: bool = True) -> FloatArray:
+        """Return a pose of the part moved out of fixels and head, if there is space nearby."""
         scene = self._scene
         there = [Neighbour(own.name, own.shape, own.pose) for own in scene.fixels]
-        there.append(Neighbour("head", scene.pushers[0].shape, self._head))
-        moved, reasons = remove_overlap(scene.bodies[0].shape, pose[None], there, most)
-        return pose if reasons[0] else np.asarray(moved[0])
+        if head:
+            there.append(Neighbour("head", scene.pushers[0].shape, self._head))
+        return _outside(scene.bodies[0].shape, pose, there, most)
 
     # --- motion -----------------------------------------------------------------------------------
 
     def advance(self) -> CameraPicture | None:
-        """Advance to the next frame; return its picture, or None if it is lost.
-
-        Raises
-        ------
-        InvalidInput
-            No row was prepared.
-        """
+        """Advance to the next frame; return its picture, or None if it is lost."""
         with self._lock:
             if self._view is None:
                 raise InvalidInput("laboratory", found="no row", expected="a prepared row")
             self._frame += 1
             before = self._now
-            now = self.clock() - self._zero if self.live else before + 1.0 / self.rate
+            now = self.clock() - self._zero if self.stream.live else before + 1.0 / self.rate
             self._now = round(now / TICK) * TICK
             tracks = self._moved(before, self._now)
             return self._taken(self._view, tracks, self._now - 0.5 * self._looks.exposure)
 
     def _moved(self, before: float, now: float) -> dict[str, Trajectory]:
         """Move the head after its drive from one time to another, and the part with it [s]."""
+        way, body, pusher = self._way(now - before), self._scene.bodies[0], self._scene.pushers[0]
+        if way.any() or self._twist.any():
+            with suppress(InvalidInput):
+                return self._simulated(self._part, self._head, self._head + way, before, now)
+            # A squeezed part may overlap by the tolerance of the simulation.
+            part = self._beside(self._part, ROUNDING, head=False)
+            there = [Neighbour(body.name, body.shape, part)]
+            head = _outside(pusher.shape, self._head, there, ROUNDING)
+            with suppress(InvalidInput):
+                return self._simulated(part, head, self._head + way, before, now)
+        # Nothing moves, or the head stood where the part was placed, and leaves.
+        poses = {body.name: [self._part, self._part], pusher.name: [self._head, self._head + way]}
+        self._head, self._twist = self._head + way, np.zeros(3)
+        return {name: Trajectory(time=[before, now], pose=pose) for name, pose in poses.items()}
+
+    def _simulated(
+        self, part: FloatArray, head: FloatArray, target: FloatArray, before: float, now: float
+    ) -> dict[str, Trajectory]:
+        """Simulate the motion of the head to a target, and that of the part."""
         body, pusher = self._scene.bodies[0], self._scene.pushers[0]
-        instants, start = np.array([before, now]), self._head
-        way = self._way(now - before)
-        if not way.any() and not self._twist.any():
-            poses = {body.name: self._part, pusher.name: start}
-            return {
-                name: Trajectory(time=instants, pose=[pose, pose]) for name, pose in poses.items()
-            }
-        steps = [[0.0, *start], [now - before, *(start + way)]]
-        drive = PathDrive(np.array(steps), force_limit=pusher.drive.force_limit)
-        moving = replace(pusher, pose=start, drive=drive)
-        part = replace(body, pose=self._beside(self._part, 1e-4), velocity=self._twist)
-        try:
-            scene = replace(self._scene, bodies=(part,), pushers=(moving,), duration=now - before)
-        except InvalidInput:  # the head stood where the part was placed, and leaves
-            self._head = start + way
-            return {
-                body.name: Trajectory(time=instants, pose=[self._part, self._part]),
-                pusher.name: Trajectory(time=instants, pose=[start, self._head]),
-            }
+        path = np.array([[0.0, *head], [now - before, *target]])
+        scene = replace(
+            self._scene,
+            bodies=(replace(body, pose=part, velocity=self._twist),),
+            pushers=(replace(pusher, drive=PathDrive(path, force_limit=pusher.drive.force_limit)),),
+            duration=now - before,
+        )
         run = simulate(scene, output_interval=(now - before) / SAMPLES)
         self._part, self._head = run.pose[body.name][-1], run.pose[pusher.name][-1]
-        self._twist, self._touches = run.twist[body.name][-1], touching(run)[-1]
-        if np.abs(self._twist).max() < REST:
-            self._twist = np.zeros(3)
+        twist = run.twist[body.name][-1]
+        self._twist = twist if np.abs(twist).max() > REST else np.zeros(3)
+        self._touches = touching(run)[-1]
         return {
-            name: Trajectory(time=before + run.time, pose=run.pose[name])
-            for name in (body.name, pusher.name)
+            name: Trajectory(time=before + run.time, pose=pose) for name, pose in run.pose.items()
         }
 
     def _way(self, step: float) -> FloatArray:
         """Return the motion (3,) of the head in a time step, were there no force on it [m]."""
         place = self.drive.place()
         driven = float(np.hypot(*(place - self._commanded)))
-        most, self._commanded = driven + CATCH_UP * step, place
-        way = place - self._head[:2]
+        self._commanded, way = place, place - self._head[:2]
         far = float(np.hypot(*way))
         if far < 1e-9:
             return np.zeros(3)
-        way *= min(1.0, most / far)
-        push = self._push
-        after = self._head[:2] + way - push.start
-        along = float(after @ push.direction)
-        if along > self._jam and way @ push.direction > 0.0:
+        way *= min(1.0, (driven + CATCH_UP * step) / far)
+        after = self._head[:2] + way - self._planned.scene.pushers[0].pose[:2]
+        along = float(after @ self._along)
+        if along > self._jam and way @ self._along > 0.0:
             return np.zeros(3)
-        beside = float(np.hypot(*(after - along * push.direction)))
+        beside = float(np.hypot(*(after - along * self._along)))
         if not self._pushing and along > NEAR and beside < NEAR:
-            self._begin_push(self._push.travel * step / max(driven, 1e-9))
+            self._begin_push(self._travel * step / max(driven, 1e-9))
         return np.append(way, 0.0)
 
     def _begin_push(self, seconds: float) -> None:
         """Begin the faults of a row, which only its first push has, of a given duration [s]."""
         name, faults = self._planned.name, self._faults
-        self._pushing, done = True, self._pushes.get(self._planned.name, 0)
+        self._pushing, done = True, self._pushes.get(name, 0)
         self._pushes[name] = done + 1
-        if done:
-            return
-        if name in faults.overload:
-            self._jam = JAM * self._push.travel
-        if name in faults.hidden:
+        if name in faults.overload and not done:
+            self._jam = JAM * self._travel
+        if name in faults.hidden and not done:
             looks = replace(self._looks, occlusion=faults.hand)
             times = self._now + np.array([0.0, seconds])
             self._hand = occlusion_of(self._scene, self.rig, looks, times, self._seed)
 
-    # --- picture ----------------------------------------------------------------------------------
+    # --- picture and fixels -----------------------------------------------------------------------
 
     def _taken(
         self, view: RenderedBench, tracks: dict[str, Trajectory], middle: float
@@ -349,48 +341,50 @@ class EmulatedLaboratory:
         """Take the picture of an exposure about `middle` [s]; None if it is lost."""
         random = stream(self._seed, "stamp", str(self._frame))
         # Limited, so that the order of frames is preserved.
-        late = min(abs(error := self._faults.jitter * random.standard_normal()), 0.3 / self.rate)
-        stamp = self._zero + middle + math.copysign(late, error)
+        most = 0.3 / self.rate
+        error = float(np.clip(self._faults.jitter * random.standard_normal(), -most, most))
+        stamp = self._zero + middle + error
         lost = bool(random.random() < self._faults.dropped)
         instants = exposure_times(tracks, middle, self._looks.exposure, self._pixel)
         poses = [poses_at(tracks, instant, self._hand, self._scene) for instant in instants]
-        body, pusher = self._scene.bodies[0].name, self._scene.pushers[0].name
+        part, head = (track.at(middle) for track in tracks.values())
+        hidden, bits = HAND in poses[0], self._felt(random)
         self.moments.append(
-            Moment(
-                time=self._zero + middle,
-                stamp=stamp,
-                part=tracks[body].at(middle),
-                head=tracks[pusher].at(middle),
-                touches=self._touches,
-                bits=self._felt(random),
-                hidden=HAND in poses[0],
-                lost=lost,
-            )
+            Moment(self._zero + middle, stamp, part, head, self._touches, bits, hidden, lost)
         )
         if lost:
             return None
-        if HAND in poses[0] or any(
-            np.ptp(own.pose, axis=0).max() > REST for own in tracks.values()
-        ):
-            self._still, shown = None, view.light(poses)
-        else:
-            self._still = shown = view.light(poses) if self._still is None else self._still
+        moving = any(np.ptp(track.pose, axis=0).max() > REST for track in tracks.values())
+        shown = self._still
+        if shown is None or moving or hidden:
+            shown = view.light(poses)
+        self._still = None if moving or hidden else shown
         factor = light(self._looks, np.array([middle]), self._seed)[0]
         pixels = self._sensor.exposed(shown, factor, self._frame)
-        arrival = time.monotonic() if self.live else stamp
+        arrival = time.monotonic() if self.stream.live else stamp
         return CameraPicture(arrival, pixels=pixels, captured=stamp)
 
     def _felt(self, random: np.random.Generator) -> int:
         """Return the tactile byte as reported, with false and missed contacts."""
         touches, truth = self._touches, self._truth
-        if not len(touches):
-            return -1
-        wrong = random.random(len(touches)) < np.where(
-            touches, truth.missed_contact, truth.false_contact
-        )
-        names = [fixel.name for fixel in self._scene.fixels]
-        felt = dict(zip(names, touches ^ wrong, strict=True))
-        return sum(bool(felt.get(name)) << bit for bit, name in enumerate(self.rig.tactile))
+        errors = np.where(touches, truth.missed_contact, truth.false_contact)
+        felt = touches ^ (random.random(len(touches)) < errors)
+        on = {fixel.name for fixel, own in zip(self._scene.fixels, felt, strict=True) if own}
+        bits = sum(1 << bit for bit, name in enumerate(self.rig.tactile) if name in on)
+        return bits if len(touches) else -1
+
+    def read(self) -> TactileReading:
+        """Return the reading of the newest frame."""
+        return self.at(math.inf)
+
+    def at(self, time: float) -> TactileReading:
+        """Return the reading of the frame whose stamp is nearest to a time [s]."""
+        recent = list(self.moments)[-WAITING:]
+        if not recent or recent[-1].bits < 0:
+            return TactileReading(None, self.clock(), problem="no reading")
+        time = min(time, recent[-1].stamp)
+        near = min(recent, key=lambda moment: abs(moment.stamp - time))
+        return TactileReading(near.bits, near.time)
 
 
 @final
@@ -405,15 +399,14 @@ class LaboratoryCamera(FrameSource):
 
     def open(self) -> Stream:
         """Return the properties of the camera."""
-        own = self._laboratory
-        return Stream(own.rig.camera.lens.image_size, own.rate, False, own.live, own.made_by)
+        return self._laboratory.stream
 
     def frames(self) -> Iterator[CameraPicture]:
         """Yield pictures until the source is closed; each advances the laboratory by one frame."""
         own = self._laboratory
         due = own.clock()
         while not self._stop.is_set():
-            if own.live:
+            if own.stream.live:
                 # Frames that are due while one is rendered are lost, as those of a slow camera.
                 due = max(due + 1.0 / own.rate, own.clock())
                 self._stop.wait(due - own.clock())
@@ -427,66 +420,23 @@ class LaboratoryCamera(FrameSource):
         self._stop.set()
 
 
-@final
-class LaboratoryFixels:
-    """Reader of the fixels of an emulated laboratory."""
-
-    trouble = ""
-
-    def __init__(self, laboratory: EmulatedLaboratory) -> None:
-        self._laboratory = laboratory
-
-    def read(self) -> TactileReading:
-        """Return the reading of the newest frame."""
-        return self.at(math.inf)
-
-    def at(self, time: float) -> TactileReading:
-        """Return the reading of the frame whose stamp is nearest to a time [s]."""
-        moments = self._laboratory.moments.copy()
-        if not moments:
-            return TactileReading(None, self._laboratory.clock(), problem="no frame yet")
-        near = moments[-1] if time == math.inf else min(moments, key=lambda m: abs(m.stamp - time))
-        if near.bits < 0:
-            return TactileReading(None, near.time, problem="no fixels")
-        return TactileReading(near.bits, near.time)
+def _outside(shape: Shape, pose: FloatArray, there: list[Neighbour], most: float) -> FloatArray:
+    """Return a pose moved out of neighbours by at most `most` [m], or the pose itself."""
+    moved, reasons = remove_overlap(shape, pose[None], there, most)
+    return pose if reasons[0] else np.asarray(moved[0])
 
 
 def smaller(rig: Rig, factor: float) -> Rig:
-    """Return a rig whose camera takes smaller pictures of the same view.
+    """Return a rig whose camera takes pictures of the same view with fewer pixels.
 
     Parameters
     ----------
-    rig : Rig
     factor : float
-        New width over old width of the pictures [-].
-
-    Raises
-    ------
-    InvalidInput
-        The size of the pictures would not be a whole number of pixels.
+        New width over old width, which leaves whole numbers of pixels [-].
     """
-    lens = rig.camera.lens
-    width, height = (round(positive(factor, "factor") * side) for side in lens.image_size)
-    if rig.measured is not None:
-        measured = rig.measured.for_pictures_of((width, height), rescale=True)
+    width, height = (round(positive(factor, "factor") * n) for n in rig.camera.lens.image_size)
+    measured = rig.measured and rig.measured.for_pictures_of((width, height), rescale=True)
+    if measured is not None:
         return replace(rig, camera=measured.placed(), measured=measured)
-    shrunk = lens.for_pictures_of((width, height), rescale=True)
-    return replace(rig, camera=replace(rig.camera, lens=shrunk))
-
-
-def _checked(faults: Faults) -> Faults:
-    fraction(faults.dropped, "faults.dropped")
-    non_negative(faults.jitter, "faults.jitter", "s")
-    positive(faults.hand, "faults.hand", "s")
-    for error in (*faults.placement, *faults.corrected):
-        non_negative(error, "faults.placement")
-    return faults
-
-
-def _push(scene: Scene) -> _Push:
-    pusher = scene.pushers[0]
-    way = placed(direction_of(pusher), (0.0, 0.0, pusher.pose[2]))
-    drive = pusher.drive
-    if isinstance(drive, LineDrive):
-        return _Push(pusher.pose[:2], way, min(drive.travel, drive.speed * scene.duration))
-    return _Push(pusher.pose[:2], way, float(np.ptp(drive.waypoints[:, 1:3] @ way)))
+    lens = rig.camera.lens.for_pictures_of((width, height), rescale=True)
+    return replace(rig, camera=replace(rig.camera, lens=lens))

@@ -24,7 +24,13 @@ from fixel.vision.render.bodies import (
 )
 from fixel.vision.render.canvas import Canvas, FloatPicture, PictureWindow, cover, window_of
 from fixel.vision.render.looks import CameraEffects
-from fixel.vision.render.solids import PlacedSolid, Solid, painting_order, place
+from fixel.vision.render.solids import (
+    PlacedSolid,
+    ShadowHull,
+    Solid,
+    painting_order,
+    place,
+)
 from fixel.vision.render.virtual_camera import Projection
 
 Poses = Mapping[str, FloatArray]
@@ -226,8 +232,7 @@ def shade(
         hull
         for thing in casters
         if depth > 0.0 and thing.solid.high > level + 1e-4
-        for piece in thing.footprint
-        for hull in _swept(piece, thing.solid.low, thing.solid.high, level, eye)
+        for hull in _hulls(thing, level, eye)
     ]
     if not hulls:
         return None
@@ -237,13 +242,13 @@ def shade(
     room = np.zeros((h, w + 2))
     lost: FloatPicture = np.zeros((h, w), np.float32)
     one: FloatPicture = np.empty((h, w), np.float32)
-    met = False
+    met, corner = False, np.array([window.left - left, window.top - top])
     for ray, share in enumerate(SHARES):
         one[:] = 0.0
         for hull in hulls[ray :: len(RAYS)]:
-            pixels = (hull + 0.5 - (window.left - left, window.top - top)) / COARSE - 0.5
-            if (pixels.max(axis=0) > -1.0).all() and (pixels.min(axis=0) < (w, h)).all():
-                cover(one, room, pixels)
+            pixels = (hull.ends + 0.5 - corner) / COARSE - 0.5
+            if (pixels[0] < (w, h)).all() and (pixels[1] > -1.0).all():
+                cover(one, room, (hull.corners + 0.5 - corner) / COARSE - 0.5)
                 met = True
         lost += share * one
     if not met:
@@ -255,12 +260,23 @@ def shade(
     return np.asarray(1.0 - np.float32(depth) * part)
 
 
+def _hulls(thing: PlacedSolid, level: float, eye: Projection) -> list[ShadowHull]:
+    """Shadows of the pieces of a solid on a horizontal face, for every ray; computed once."""
+    if level not in thing.shadows:
+        low, high = thing.solid.low, thing.solid.high
+        thing.shadows[level] = [
+            hull for piece in thing.footprint for hull in _swept(piece, low, high, level, eye)
+        ]
+    return thing.shadows[level]
+
+
 def _swept(
     piece: FloatArray, low: float, high: float, level: float, eye: Projection
-) -> list[FloatArray]:
+) -> list[ShadowHull]:
     """Shadow of a convex piece for every ray, as convex polygons [px]."""
     cv2 = opencv()
     near, far = max(low - level, 0.0), high - level
     ends = np.concatenate((piece + near * RAYS[:, None], piece + far * RAYS[:, None]), axis=1)
     pixels = eye.project_at(ends, level).astype(np.float32)
-    return [np.asarray(cv2.convexHull(ray)[:, 0], dtype=np.float64) for ray in pixels]
+    hulls = [np.asarray(cv2.convexHull(ray)[:, 0], dtype=np.float64) for ray in pixels]
+    return [ShadowHull(hull, np.array([hull.min(axis=0), hull.max(axis=0)])) for hull in hulls]

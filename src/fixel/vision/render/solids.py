@@ -115,6 +115,13 @@ class Solid(NamedTuple):
         return max(slab.high for slab in self.slabs)
 
 
+class ShadowHull(NamedTuple):
+    """Shadow of a convex piece in the light from one point."""
+
+    corners: FloatArray  # (n, 2) of its convex polygon [px]
+    ends: FloatArray  # (2, 2) smallest and largest coordinates [px]
+
+
 class PlacedSolid(NamedTuple):
     """Solid at a pose, as polygons in the picture."""
 
@@ -123,6 +130,8 @@ class PlacedSolid(NamedTuple):
     # Strokes in the order of painting; upper faces with the height at which shadows fall [m].
     strokes: tuple[tuple[FilledPolygons, float | None], ...]
     window: PictureWindow  # window of all strokes
+    # Shadows on horizontal faces by their heights [m], as far as they were computed.
+    shadows: dict[float, list[ShadowHull]]
 
 
 GRAIN_PITCH: Final = 5e-4  # [m] between values of a solid's grain
@@ -141,7 +150,7 @@ def place(solid: Solid, pose: FloatArray, eye: Projection) -> PlacedSolid:
     for stroke, _ in strokes[1:]:
         window = window.joined(stroke.window)
     footprint = tuple(placed(piece, pose) for piece in solid.footprint)
-    return PlacedSolid(solid, footprint, tuple(strokes), window)
+    return PlacedSolid(solid, footprint, tuple(strokes), window, {})
 
 
 def _slab_strokes(
