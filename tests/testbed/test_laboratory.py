@@ -68,12 +68,8 @@ def part_error(lab):
     return pose_error(lab.moments[-1].part, ROW.scene.bodies[0].pose)
 
 
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
+def record(lab, folder):
     """A push in a folder, recorded in one thread while another one moves the drive."""
-    folder = tmp_path_factory.mktemp("laboratory") / "push"
-    lab = laboratory(Faults(jitter=1e-3, dropped=0.03), rig=RIG)
-    lab.nudge()
     over = threading.Event()
 
     def push():
@@ -81,11 +77,11 @@ def recorded(tmp_path_factory):
             drive.aim(START, AHEAD)
             sleep(lab, 0.5)
             drive.move(to=TRAVEL, speed=SPEED)
-            sleep(lab, 0.5)
+            sleep(lab, 0.7)
         over.set()
 
     def prepare(path):
-        save_rig(RIG, path / "rig.yaml")
+        save_rig(lab.rig, path / "rig.yaml")
         save_scene(SceneFile(scene=ROW.scene), path / "scene.yaml")
         threading.Thread(target=push, daemon=True).start()
 
@@ -99,7 +95,15 @@ def recorded(tmp_path_factory):
         stop=lambda: "done" * over.is_set(),
         prepare=prepare,
     )
-    return lab, recorder.run(), track_film(folder)
+    return recorder.run()
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("laboratory") / "push"
+    lab = laboratory(Faults(jitter=1e-3, dropped=0.03), rig=RIG)
+    lab.nudge()
+    return lab, record(lab, folder), track_film(folder)
 
 
 def sleep(lab, seconds):
@@ -166,6 +170,27 @@ def test_the_part_moves_as_in_one_simulation_of_the_true_scene():
     assert far < 1e-4
     assert abs(turned) < 1e-3
     assert far < 0.02 * pose_error(begun, lab.moments[-1].part)[0]
+
+
+@pytest.mark.parametrize("number", [0, 198])
+def test_pushes_of_the_thesis_end_as_the_simulated_testbed_performs_them(monkeypatch, number):
+    """Also where the part is squeezed between head and fixels; only the speeds differ a little."""
+    planned = thesis_plan().experiments[number]
+    (performed,) = TRUTH.run([planned])
+    monkeypatch.setattr(EmulatedLaboratory, "_taken", lambda self, view, tracks, middle: None)
+    exact = replace(NO_FAULTS, placement=(0.0, 0.0))
+    lab = EmulatedLaboratory(SMALL, truth=TRUTH, seed=3, faults=exact)
+    lab.prepare(planned)
+    with lab.drive as drive:
+        drive.aim(START, AHEAD)
+        drive.move(to=0.15, speed=0.0135, wait=False)
+        while drive.moving:
+            lab.advance()
+    end = [performed.conditions[f"truth_final_{name}"] for name in ("x_m", "y_m", "angle_rad")]
+    far, turned = pose_error(lab._part, end)
+    assert far < 1.5e-4
+    assert abs(turned) < 3e-3
+    assert "".join(str(int(touch)) for touch in lab._touches) == performed.contact_mode
 
 
 def test_a_picture_at_rest_shows_where_the_part_came_to_rest():
@@ -254,6 +279,18 @@ def test_a_hand_hides_the_part_in_the_first_push_of_a_row_only():
     again = len(lab.moments)
     pushed(lab)
     assert not any(moment.hidden for moment in list(lab.moments)[again:])
+
+
+def test_a_tracked_push_lacks_what_a_hand_hid_and_what_an_overload_stopped(tmp_path):
+    lab = laboratory(Faults(hidden=(ROW.name,), hand=0.3, overload=(ROW.name,)), rig=RIG)
+    lab.nudge()
+    record(lab, tmp_path / "push")
+    summary = track_film(tmp_path / "push").summary()
+    (gap,) = summary["parts"]["object"]["gaps"]
+    assert 0.2 < gap["to_s"] - gap["from_s"] < 1.3
+    assert summary["parts"]["actuator"]["gaps"] == []
+    assert summary["actuator"]["travel_m"] == pytest.approx(0.4 * TRAVEL, abs=2e-3)
+    assert lab.drive.place()[0] == pytest.approx(TRAVEL)
 
 
 def test_an_overload_stops_the_head_in_the_first_push_of_a_row_only():
