@@ -11,7 +11,7 @@ from fixel.errors import InvalidInput
 from fixel.formats.rig_file import rig_of, save_rig
 from fixel.formats.scene_file import SceneFile, save_scene
 from fixel.model import LineDrive, pose_error
-from fixel.sampling import thesis_plan
+from fixel.sampling import eight_push_plan, thesis_plan
 from fixel.simulation import simulate
 from fixel.testbed.emulators.laboratory import EmulatedLaboratory, Faults, smaller
 from fixel.testbed.recorder import Recorder
@@ -387,3 +387,33 @@ def test_no_pictures_before_a_row_is_prepared():
     with pytest.raises(InvalidInput, match="prepared row"):
         next(lab.source.frames())
     assert lab.tactile.read().bits is None
+
+
+def test_a_push_of_two_axes_under_the_microscope():
+    """The sixth push of the ASME paper, along -y: the part ends where it should."""
+    planned = eight_push_plan().experiments[15]
+    centred = SimulatedTestbed(
+        seed=3, centre_of_pressure=(0.0, 0.0), centre_of_pressure_spread=0.0, stall_force=None
+    )
+    exact = replace(NO_FAULTS, placement=(0.0, 0.0))
+    lab = EmulatedLaboratory(rig_of("microscope"), truth=centred, faults=exact)
+    lab.prepare(planned)
+    needle = planned.scene.pushers[0]
+    way = needle.drive
+    frames = lab.source.frames()
+    with lab.drive as drive:
+        drive.go(needle.pose[:2] - 2e-4 * way.direction, speed=0.01, wait=False)
+        before = next(frames)
+        while drive.moving:
+            next(frames)
+        drive.aim(needle.pose[:2], way.direction)
+        drive.move(to=way.travel, speed=way.speed, wait=False)
+        while drive.moving:
+            after = next(frames)
+    (performed,) = centred.run([planned])
+    end = [performed.conditions[f"truth_final_{name}"] for name in ("x_m", "y_m", "angle_rad")]
+    far, _ = pose_error(lab.moments[-1].part, end)
+    assert far < 2e-5
+    assert pose_error(planned.scene.bodies[0].pose, end)[0] > 3e-4
+    assert (np.abs(after.pixels.astype(int) - before.pixels) > 60).mean() > 0.01
+    assert lab.moments[-1].bits == -1

@@ -30,11 +30,17 @@ from fixel.testbed.tactile import TactileReading
 from fixel.typing import BoolArray, FloatArray
 from fixel.uncertainty.start_ensemble import Neighbour, remove_overlap
 from fixel.vision.marks import Rig
-from fixel.vision.render import CameraEffects, looks_named
+from fixel.vision.render import MICROSCOPE, CameraEffects, looks_named
 from fixel.vision.render.bench import HAND, RenderedBench
 from fixel.vision.render.bodies import direction_of
 from fixel.vision.render.canvas import FloatPicture
-from fixel.vision.render.film import exposure_times, occlusion_of, poses_at
+from fixel.vision.render.film import (
+    BrightField,
+    exposure_times,
+    occlusion_of,
+    poses_at,
+    view_of,
+)
 from fixel.vision.render.looks import light
 from fixel.vision.render.virtual_camera import Sensor
 
@@ -43,7 +49,7 @@ CATCH_UP: Final = 0.05  # [m/s] at which a head that was held up follows its dri
 SAMPLES: Final = 4  # of the true motion in each frame
 TICK: Final = 2.0**-20  # [s]
 REST: Final = 1e-6  # [m/s, rad/s; m, rad] below which a part is at rest
-NEAR: Final = 5e-4  # [m] from the planned line, within which a move of the head is the push
+NEAR: Final = 0.02  # of the travel from the planned line, where a move of the head is the push
 ASIDE: Final = 5e-3  # [m] by which a person places a part beside what is in its place
 ROUNDING: Final = 1e-4  # [m] by which a part that seems to overlap others is moved
 JAM: Final = 0.4  # of the travel, at which the head jams in a row with an overload
@@ -105,7 +111,7 @@ class EmulatedLaboratory:
     pace : float
         0 for accelerated time, in which the camera waits for its reader; 1 for real time.
     looks : CameraEffects, optional
-        Light, lens and sensor; those of the thesis by default. Its disturbances are not used.
+        Light, lens and sensor, without their disturbances; by default those that suit the rig.
     rate : float
         Frame rate [Hz].
 
@@ -161,7 +167,8 @@ class EmulatedLaboratory:
         # Times since zero are whole ticks: exact, so that the same seed gives the same pictures.
         self._zero, self._now = float(math.floor(time.monotonic())), 0.0
         self._truth, self._seed, self._faults = truth, seed, faults or Faults()
-        looks = looks or looks_named("thesis")
+        self._pixel = rig.camera.metres_per_pixel()
+        looks = looks or looks_named("microscope" if self._pixel < MICROSCOPE else "thesis")
         self._looks = replace(looks, light_change=0.0, colour_change=0.0, occlusion=0.0)
         self.drive = SimulatedActuator(
             n_axes=2,
@@ -174,10 +181,9 @@ class EmulatedLaboratory:
         self.moments: deque[Moment] = deque(maxlen=MOMENTS)
         self._lock = threading.RLock()
         self._sensor = Sensor(self._looks, self.stream.size, seed)
-        self._pixel = rig.camera.metres_per_pixel()
         self._frame = self._placings = 0
         self._pushes: dict[str, int] = {}  # number of pushes by row
-        self._view: RenderedBench | None = None
+        self._view: RenderedBench | BrightField | None = None
 
     def clock(self) -> float:
         """Return the time of the laboratory [s]."""
@@ -225,7 +231,7 @@ class EmulatedLaboratory:
             self._commanded = self.drive.place()
             self._head = np.append(self._commanded, head.pose[2])
             self._hand = occlusion_of(scene, self.rig, self._looks, np.zeros(1), self._seed)
-            self._view = RenderedBench(scene, self.rig, self._looks, self._seed, self._view)
+            self._view = view_of(scene, self.rig, self._looks, self._seed, self._view)
             self._place(self._faults.placement)
 
     def nudge(self) -> None:
@@ -317,7 +323,8 @@ class EmulatedLaboratory:
         if along > self._jam and way @ self._along > 0.0:
             return np.zeros(3)
         beside = float(np.hypot(*(after - along * self._along)))
-        if not self._pushing and along > NEAR and beside < NEAR:
+        near = NEAR * self._travel
+        if not self._pushing and along > near and beside < near:
             self._begin_push(self._travel * step / max(driven, 1e-9))
         return np.append(way, 0.0)
 
@@ -336,7 +343,7 @@ class EmulatedLaboratory:
     # --- picture and fixels -----------------------------------------------------------------------
 
     def _taken(
-        self, view: RenderedBench, tracks: dict[str, Trajectory], middle: float
+        self, view: RenderedBench | BrightField, tracks: dict[str, Trajectory], middle: float
     ) -> CameraPicture | None:
         """Take the picture of an exposure about `middle` [s]; None if it is lost."""
         random = stream(self._seed, "stamp", str(self._frame))

@@ -113,11 +113,21 @@ class Occlusion:
         return 0.5 * (low + high)
 
 
-def view_of(scene: Scene, rig: Rig, looks: CameraEffects, seed: int) -> RenderedBench | BrightField:
-    """Create the renderer for the lighting: testbed under a lamp, or bright field."""
+def view_of(
+    scene: Scene,
+    rig: Rig,
+    looks: CameraEffects,
+    seed: int,
+    like: RenderedBench | BrightField | None = None,
+) -> RenderedBench | BrightField:
+    """Create the renderer for the lighting: testbed under a lamp, or bright field.
+
+    It uses the plate of the renderer `like` again, which has the same rig, looks and seed.
+    """
     if looks.lighting == "through":
         return BrightField(scene, rig, looks, seed)
-    return RenderedBench(scene, rig, looks, seed)
+    shared = like if isinstance(like, RenderedBench) else None
+    return RenderedBench(scene, rig, looks, seed, shared)
 
 
 def film_scene(
