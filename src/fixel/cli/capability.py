@@ -46,8 +46,17 @@ def typer_commands(name: str, every: Mapping[str, Capability], said: str = "") -
     return app
 
 
-def typer_command(capability: Capability) -> Callable[..., None]:
-    """Return the function of a capability's command, with a signature for Typer."""
+def typer_command(
+    capability: Capability, perform: Callable[["BaseModel", Path, bool], None] | None = None
+) -> Callable[..., None]:
+    """Return the function of a capability's command, with a signature for Typer.
+
+    Parameters
+    ----------
+    perform : callable, optional
+        Performs a request on the project in a folder and prints the answer, as JSON or text, where
+        that is not one call of the function.
+    """
 
     def command(
         context: typer.Context, as_json: bool, project: Path = Path(), **given: Any
@@ -58,7 +67,9 @@ def typer_command(capability: Capability) -> Callable[..., None]:
         prepare_only = given.pop("prepare_only", False)
         try:
             request = _request(capability, given)
-            if prepare_only:
+            if perform is not None:
+                perform(request, project, as_json)
+            elif prepare_only:
                 _prepare(capability, request, project, as_json)
             else:
                 _run(capability, request, project, plot, as_json)
@@ -69,6 +80,7 @@ def typer_command(capability: Capability) -> Callable[..., None]:
     parameters.append(_keyword("context", typer.Context, Parameter.empty))
     if capability.on_project:
         parameters.append(_keyword("project", ProjectFolder, Path()))
+    if capability.on_project and perform is None:
         parameters.append(_keyword("prepare_only", _PREPARE, False))
     if capability.plot:
         parameters.append(_keyword("plot", Annotated[Path | None, _PLOT[capability.plot]], None))

@@ -24,6 +24,7 @@ from typer.core import TyperGroup
 
 from fixel.capability.capability import Capability
 from fixel.cli import (
+    bench,
     calibration,
     camera,
     db,
@@ -87,6 +88,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, Capability | Callable[..., None] | typ
         "report": show.report,
     },
     "Bench": {
+        "bench": bench.bench,
         "camera": camera.app,
         "overlay": devices.overlay,
         "record": record.app,

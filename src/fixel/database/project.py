@@ -56,6 +56,7 @@ class ProjectSettings(BaseModel):
 
     name: str = Field(min_length=1, max_length=MAX_NAME)
     database: str | None = None  # URL of a server; None for the file in the folder
+    bench: dict[str, Any] = {}  # devices, as options of `fixel bench`
 
 
 class AddSummary(NamedTuple):
@@ -134,7 +135,7 @@ class Project:
             raise InvalidInput(
                 f"{path}: {'.'.join(map(str, first['loc'])) or 'settings'}",
                 found=first["msg"].lower(),
-                expected="the key name and, for a server, database",
+                expected="the keys name, database (for a server) and bench (for its devices)",
             ) from None
         _check_inside(path, self.settings.database)
 

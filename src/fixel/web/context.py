@@ -11,6 +11,7 @@ from fastapi import Depends, Request
 from fixel.database.project import Project
 from fixel.drawing.thumbnail import thumbnail
 from fixel.model.selection import ExperimentQuery
+from fixel.web.bench_session import BenchSession
 from fixel.web.views.calibration_detail import CalibrationDetail, load_detail, plot
 from fixel.web.views.calibration_progress import ProgressReader
 from fixel.web.views.domain_views import load_view
@@ -33,6 +34,7 @@ class ProjectContext:
     ----------
     store : Store
         Records of the project, opened once; any thread may use it.
+    bench : BenchSession
     comparison : LiveComparison
     calibrations : ProgressReader
     domain : callable
@@ -51,6 +53,7 @@ class ProjectContext:
         # So that the first page does not wait for its statements.
         self.store.experiments(ExperimentQuery(include_faulty=True, limit=1), details=True)
         self.newest: dict[str, Any] = {}
+        self.bench = BenchSession()
         self.comparison = LiveComparison(self.store)
         self.calibrations = ProgressReader(project)
         self._details = lru_cache(MAX_KEPT)(partial(load_detail, project, self.store))
@@ -79,7 +82,8 @@ class ProjectContext:
         return thumbnail(self.store.experiment(number))
 
     def close(self) -> None:
-        """Close the store."""
+        """End the campaign of the bench, and close the store."""
+        self.bench.close()
         self.store.close()
 
 

@@ -78,7 +78,11 @@ def plan_page(context: ProjectContext, request: Request) -> dict[str, Any]:
     texts = {name: o.texts(o.default) for name, o in capability.shown.items()}
     if key := request.query_params.get("experiment", ""):
         texts["experiment"] = [key]
-    found = _form(context, capability, texts) | {"scene": None, "size": 0.0, "degrees": degrees(1)}
+    found = filled_form(context, capability, texts) | {
+        "scene": None,
+        "size": 0.0,
+        "degrees": degrees(1),
+    }
     offered = _offered(context)["experiment"]
     if not offered:
         return found
@@ -105,7 +109,7 @@ def form_page(context: ProjectContext, request: Request) -> dict[str, Any]:
         kept = _result(context, source)
         if kept.analysis.kind == capability.name and kept.analysis.request:
             texts = capability.texts(capability.from_json(json.dumps(kept.analysis.request)))
-    return _form(context, capability, texts)
+    return filled_form(context, capability, texts)
 
 
 def start(
@@ -117,7 +121,7 @@ def start(
         texts = {name: texts_of(capability, name, own) for name, own in fields.items()}
         folder = begin(context, capability, capability.from_texts(texts))
     except FixelError as error:
-        return _form(context, capability, texts, error)
+        return filled_form(context, capability, texts, error)
     return f"{PROGRESS.get(capability.name, '/jobs')}/{quote(folder.name)}"
 
 
@@ -157,12 +161,13 @@ def texts_of(capability: Capability, name: str, texts: list[str]) -> list[str]:
     return [line.strip() for line in lines if line.strip()]
 
 
-def _form(
+def filled_form(
     context: ProjectContext,
     capability: Capability,
     texts: Mapping[str, list[str]],
     error: FixelError | None = None,
 ) -> dict[str, Any]:
+    """Return the fields of a form with their texts, and where an error belongs."""
     offered = _offered(context)
     shown = [
         FormField(o, texts.get(name, []), offered=offered.get(name, []))

@@ -1,7 +1,7 @@
 """All pages of a project, and what the simple ones show.
 
 `Page.place` orders the navigation: Experiments 10, Compare 20, Calibrations 30, Domain 40,
-Next pushes 45, Plan 47, Simulate 50, Results 55, Jobs 60, System 70, API 90.
+Next pushes 45, Plan 47, Simulate 50, Bench 52, Results 55, Jobs 60, System 70, API 90.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from fixel.model.selection import ExperimentQuery
 from fixel.web.api.system import system_status
 from fixel.web.app import API, Page
 from fixel.web.context import ProjectContext
-from fixel.web.pages import calibration, experiment, run
+from fixel.web.pages import bench, calibration, experiment, run
 from fixel.web.pages.compare import OFFERED, compare_page
 from fixel.web.pages.listing import experiments_page
 from fixel.web.views import scene_editor
@@ -71,6 +71,9 @@ def project_pages(context: ProjectContext) -> list[Page]:
         ),
         Page(path="/run/next", title="Next pushes", template="run.html", place=45,
              fill=partial(run.form_page, context), post=partial(run.start, context)),
+        Page(path=bench.PATH, title="Bench", template="bench.html", place=52,
+             fill=partial(bench.bench_page, context), post=partial(bench.start, context),
+             router=bench.bench_router(context), views=(context.bench.view,)),
         *(
             Page(path=path, title=title, template=template, listed=False,
                  fill=partial(fill, context), post=partial(take, context))

@@ -61,14 +61,26 @@ setInterval(() => {
     : `No new picture since ${seconds} s. Is the camera still connected?`);
 }, 500);
 
+/** Tell the server something. @param {string} what @param {object} said */
+async function tell(what, said = {}) {
+  const answer = await fetch(`${path}/${what}`, {
+    method: "POST", headers: { "X-Fixel-Word": word(), "Content-Type": "application/json" }, body: JSON.stringify(said),
+  });
+  if (!answer.ok) throw new Error(await answer.text());
+}
+
 document.addEventListener("click", async ({ target }) => {
-  if (!(target instanceof HTMLButtonElement) || target.id !== "stop") return;
-  target.disabled = true;
+  const button = target instanceof Element ? target.closest("button[data-post]") : null;
+  if (!(button instanceof HTMLButtonElement)) return;
+  button.disabled = true;
   try {
-    const answer = await fetch(`${path}/stop`, { method: "POST", headers: { "X-Fixel-Word": word() } });
-    if (!answer.ok) throw new Error(await answer.text());
+    await tell(button.dataset.post ?? "", { do: button.dataset.do ?? "", row: button.dataset.row ?? "" });
   } catch (problem) {
-    target.disabled = false;
     complain(problem);
   }
+  if (button.dataset.do) setTimeout(() => { button.disabled = false; }, 500);
 });
+// While something moves, the server stops it if this page falls silent.
+setInterval(() => {
+  if (document.querySelector("[data-alive]")) tell("alive").catch(() => {});
+}, 500);

@@ -1,0 +1,122 @@
+"""`fixel bench`: perform a plan of experiments, with a page and keys."""
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from select import select
+from typing import TYPE_CHECKING, Final
+
+from fixel.cli.capability import typer_command
+from fixel.cli.screen import command_of, notify, paragraphs, print_answer
+from fixel.workflows.bench.run import BENCH
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+    from fixel.web.bench_session import BenchSession
+
+KEYS: Final = {"\n": "push", "p": "push", "m": "place", "s": "skip", "a": "again", "q": "end"}
+DECISIONS: Final = {"y": "accept", "r": "repeat"}  # for the newest attempt that waits for one
+SAID: Final = (
+    "Enter: push. While it pushes, any key stops the drive. s: skip the row. y, r: accept or repeat"
+    " a doubtful attempt. a: try again after trouble. q: end."
+)
+EVERY: Final = 0.05  # [s]
+EARLY: Final = 1  # exit code of a campaign with rows left
+
+
+def _perform(request: "BaseModel", folder: Path, as_json: bool) -> None:
+    """Serve the page and read keys until the campaign has ended."""
+    from fixel.database.project import Project
+    from fixel.web import require_server
+
+    require_server()
+    from fixel.web.context import ProjectContext
+    from fixel.web.project import project_server
+    from fixel.workflows.bench.run import report_of
+
+    context = ProjectContext(Project(folder))
+    session = context.bench
+    try:
+        loop = session.start(BENCH.function(context.project, **BENCH.arguments(request)))
+        with project_server(context) as server, _pressed_keys() as pressed:
+            notify(f"Open {server.address}bench?token={server.gate.token}")
+            if sys.stdin.isatty():
+                notify(SAID)
+            last = ""
+            while session.running:
+                for key in pressed(EVERY):
+                    _take(session, key)
+                last = _show(session, last)
+        analysis = report_of(loop).analysis
+    finally:  # also stops the drive, on Ctrl-C
+        context.close()
+    again = command_of(*BENCH.words(request), project=folder)
+    after = command_of("calibrate", "--dataset", loop.options.dataset, project=folder)
+    done = not loop.campaign.left
+    print_answer(
+        as_json,
+        lambda: analysis.numbers,
+        lambda: paragraphs(analysis.lines(), [f"Next: {after if done else again}"]),
+    )
+    if session.trouble:
+        raise SystemExit(EARLY)
+
+
+def _take(session: "BenchSession", key: str) -> None:
+    """Do what a key means now."""
+    report = json.loads(session.view.report)
+    if report.get("phase") in ("pushing", "moving"):
+        session.ask("stop", by="key")
+    elif key in KEYS:
+        session.ask(KEYS[key], by="key")
+    elif key in DECISIONS:
+        open_ones = [own["name"] for own in report["attempts"] if own["state"] == "tracked"]
+        if open_ones:
+            session.ask(DECISIONS[key], open_ones[-1], by="key")
+
+
+def _show(session: "BenchSession", last: str) -> str:
+    """Print the status, on a terminal over the last one; return it."""
+    report = json.loads(session.view.report)
+    if not report:
+        return last
+    look = report["look"] or {}
+    words = report["trouble"] or (look.get("sentence", "") if report["phase"] == "placing" else "")
+    line = f"row {report['number']}/{report['rows']} {report['row']}: {report['phase']} {words}"
+    if sys.stderr.isatty() and line != last:
+        print(f"\r{line:<{len(last)}}", end="", file=sys.stderr, flush=True)
+    return line
+
+
+@contextmanager
+def _pressed_keys() -> Iterator[Callable[[float], Iterator[str]]]:
+    """Yield a function that waits for a time [s] and returns the keys pressed meanwhile."""
+    if not sys.stdin.isatty() or sys.platform == "win32":
+        yield _nothing
+        return
+    import termios
+    import tty
+
+    before = termios.tcgetattr(sys.stdin)
+    tty.setcbreak(sys.stdin)
+
+    def pressed(patience: float) -> Iterator[str]:
+        while select([sys.stdin], [], [], patience)[0]:
+            yield sys.stdin.read(1)
+
+    try:
+        yield pressed
+    finally:
+        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
+
+
+def _nothing(patience: float) -> Iterator[str]:
+    time.sleep(patience)
+    return iter(())
+
+
+bench = typer_command(BENCH, _perform)

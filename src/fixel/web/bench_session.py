@@ -1,0 +1,111 @@
+"""The bench of a server: at most one campaign, its live picture, and wishes of pages."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from typing import Final, final
+
+from fixel.errors import FixelError, JobRefused
+from fixel.web.live import LiveView
+from fixel.workflows.bench.loop import BenchLoop
+
+LOST: Final = 3.0  # [s] without a sign of life after which a page counts as lost
+
+
+@final
+class BenchSession:
+    """Campaign that the server performs.
+
+    Attributes
+    ----------
+    view : LiveView
+        Live picture and status.
+    loop : BenchLoop, optional
+        Loop of the campaign; None before the first.
+    trouble : str
+        Why the campaign could not be opened, or ended.
+    """
+
+    def __init__(self) -> None:
+        self.view = LiveView()
+        self.loop: BenchLoop | None = None
+        self.trouble = ""
+        self._alive = time.monotonic()
+        self._ready = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._failure: BaseException | None = None
+
+    @property
+    def running(self) -> bool:
+        """Whether a campaign is performed now."""
+        return self._thread is not None and self._thread.is_alive()
+
+    def start(self, opened: AbstractContextManager[BenchLoop]) -> BenchLoop:
+        """Open the devices and begin the campaign in a thread; return when they are open.
+
+        Raises
+        ------
+        FixelError
+            What opening raises.
+        JobRefused
+            A campaign is performed already.
+        """
+        if self.running:
+            raise JobRefused("a campaign is running already", hint="end it first")
+        self.loop, self.trouble, self._failure = None, "", None
+        self._ready.clear()
+        self._thread = threading.Thread(target=self._run, args=(opened,), name="fixel-bench")
+        self._thread.start()
+        self._ready.wait()
+        loop: BenchLoop | None = self.loop
+        if loop is None:
+            self._thread.join()
+            raise self._failure or JobRefused("the campaign did not begin")
+        return loop
+
+    def _run(self, opened: AbstractContextManager[BenchLoop]) -> None:
+        try:
+            with opened as loop:
+                self.loop = loop
+                loop.show, loop.page_left = self.view.show, self._left
+                self._ready.set()
+                loop.run()
+        except BaseException as failure:
+            if self._ready.is_set():
+                self.trouble = str(failure)
+                self.view.repeat()
+                if not isinstance(failure, FixelError):
+                    raise
+            self._failure = failure
+        finally:
+            self._ready.set()
+
+    def ask(self, do: str, row: str = "", by: str = "page") -> None:
+        """Ask the loop for something, as `BenchLoop.ask`."""
+        self.alive()
+        if self.loop is not None:
+            self.loop.ask(do, row, by)
+
+    def alive(self) -> None:
+        """Take a sign of life of a page."""
+        self._alive = time.monotonic()
+
+    def _left(self) -> str:
+        silent = time.monotonic() - self._alive
+        return f"the page is lost since {silent:.1f} s" if silent > LOST else ""
+
+    def wait(self, every: float, called: Callable[[], None] = lambda: None) -> None:
+        """Return when the campaign has ended; call a function now and then."""
+        while self._thread is not None and self._thread.is_alive():
+            self._thread.join(every)
+            called()
+
+    def close(self) -> None:
+        """Stop the drive and end the campaign, which can be continued."""
+        if self.loop is not None and self.running:
+            self.loop.stop("the program was ended")
+            self.loop.ask("end")
+            self.wait(0.2)

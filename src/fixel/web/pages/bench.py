@@ -1,0 +1,79 @@
+"""The page *Bench*: start a campaign, and perform it."""
+
+from __future__ import annotations
+
+import json
+from typing import Any, Literal
+
+from fastapi import APIRouter, Request
+from fastapi.responses import JSONResponse
+from pydantic import BaseModel, ConfigDict
+
+from fixel.errors import FixelError
+from fixel.web.context import ProjectContext
+from fixel.web.pages.run import filled_form, texts_of
+from fixel.workflows.bench.campaign import campaigns
+from fixel.workflows.bench.run import BENCH
+
+PATH = "/bench"
+
+
+class BenchWish(BaseModel):
+    """What a page asks the loop for."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    do: Literal["push", "stop", "place", "skip", "again", "end", "accept", "repeat"]
+    row: str = ""
+
+
+def bench_page(context: ProjectContext, request: Request) -> dict[str, Any]:
+    """Fill `/bench`, or `/bench?new=1` after a campaign: its status, or the form of a new one."""
+    session = context.bench
+    new = "query_string" in request.scope and request.query_params.get("new")
+    if session.loop is not None and (session.running or not new):
+        report = json.loads(session.view.report)
+        if report:
+            report["trouble"] = report["trouble"] or session.trouble
+            heading = f"Bench: {report['campaign']}"
+            return {"report": report, "heading": heading, "running": session.running}
+    texts = {name: option.texts(option.default) for name, option in BENCH.shown.items()}
+    return _form(context, texts)
+
+
+def start(
+    context: ProjectContext, request: Request, fields: dict[str, list[str]]
+) -> str | dict[str, Any]:
+    """Start the campaign of a posted form."""
+    texts = fields
+    try:
+        texts = {name: texts_of(BENCH, name, own) for name, own in fields.items()}
+        asked = BENCH.from_texts(texts)
+        context.bench.start(BENCH.function(context.project, **BENCH.arguments(asked)))
+    except FixelError as error:
+        return _form(context, texts, error)
+    return PATH
+
+
+def _form(
+    context: ProjectContext, texts: dict[str, list[str]], error: FixelError | None = None
+) -> dict[str, Any]:
+    form = filled_form(context, BENCH, texts, error)
+    return form | {"report": None, "campaigns": campaigns(context.project.folder)}
+
+
+def bench_router(context: ProjectContext) -> APIRouter:
+    """Return the routes of the live page: its picture, its status and its wishes."""
+    router: APIRouter = context.bench.view.router()
+
+    @router.post("/act")
+    def act(wish: BenchWish) -> JSONResponse:
+        context.bench.ask(wish.do, wish.row)
+        return JSONResponse({"asked": wish.do})
+
+    @router.post("/alive")
+    def alive() -> JSONResponse:
+        context.bench.alive()
+        return JSONResponse({})
+
+    return router

@@ -1,0 +1,210 @@
+"""State of a campaign: which rows of a plan were performed, in a journal that survives crashes.
+
+PROJECT/bench/NAME/
+    journal             one event for each step of each attempt, durable before the next step
+    001-row-name-1/     recording of the first attempt at a row; no attempt is ever deleted
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, Literal, NamedTuple, final
+
+from fixel.errors import InvalidInput
+from fixel.formats.scene_file import SceneFile, scene_dict
+from fixel.io.journal import Journal, read_journal
+from fixel.model import PlannedExperiment
+from fixel.sampling.rig import plain_name
+
+BENCH: Final = "bench"  # folder of a project
+JOURNAL: Final = "journal"
+ROWS: Final = "rows"  # its first block, the checksum of the rows
+
+# Of an attempt: begun -> recorded -> tracked -> accepted or repeated; stopped where it has no push.
+State = Literal["begun", "stopped", "recorded", "tracked", "accepted", "repeated"]
+OPEN: Final = ("recorded", "tracked")  # states after which somebody must act
+
+
+class Attempt(NamedTuple):
+    """One performance of a row.
+
+    Attributes
+    ----------
+    row : str
+        Name of the row.
+    number : int
+        Number of the attempt at this row, from 1.
+    state : str
+    reasons : tuple of str
+        Why it should be repeated, or was stopped.
+    experiment : int, optional
+        Id of the stored experiment.
+    """
+
+    row: str
+    number: int
+    state: State
+    reasons: tuple[str, ...] = ()
+    experiment: int | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of its folder."""
+        return f"{self.row}-{self.number}"
+
+
+@final
+@dataclass(eq=False)
+class Campaign:
+    """Campaign of experiments at the bench, open in this process only.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the campaign.
+    rows : sequence of PlannedExperiment
+        Rows of the plan, in order.
+
+    Raises
+    ------
+    InvalidInput
+        There are no rows, or the campaign was begun with other rows.
+    JobRefused
+        Another process performs the campaign.
+    """
+
+    folder: Path
+    rows: Sequence[PlannedExperiment]
+    attempts: dict[str, Attempt] = field(default_factory=dict, init=False)  # by name, in order
+    skipped: set[str] = field(default_factory=set, init=False)
+
+    def __post_init__(self) -> None:
+        if not self.rows:
+            raise InvalidInput("plan", found="no rows", expected="at least one experiment")
+        self.by_name = {row.name: row for row in self.rows}
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self._journal = Journal(self.folder / JOURNAL)
+        try:
+            self._check_rows()
+        except BaseException:
+            self._journal.close()
+            raise
+        self._events = [name for name in self._journal if name != ROWS]
+        for name in self._events:
+            self._learn(json.loads(self._journal.get(name) or b"{}"))
+        self._mend()
+
+    def _check_rows(self) -> None:
+        content = [
+            (plain_name(row.name, "plan"), scene_dict(SceneFile(scene=row.scene)))
+            for row in self.rows
+        ]
+        digest = hashlib.sha256(json.dumps(content).encode()).hexdigest().encode()
+        known = self._journal.get(ROWS)
+        if known is not None and known != digest:
+            raise InvalidInput(
+                "plan",
+                found=f"other rows than those with which {self.folder.name} was begun",
+                expected="the same plan",
+                hint="perform the new plan under another --name",
+            )
+        self._journal.append([(ROWS, digest)])
+
+    def _mend(self) -> None:
+        """End attempts during which the program died: their rows are performed again."""
+        for attempt in [own for own in self.attempts.values() if own.state == "begun"]:
+            self.note(attempt, "stopped", reasons=("the program ended during the push",))
+
+    # --- events ---------------------------------------------------------------------------------
+
+    def begin(self, row: str) -> Attempt:
+        """Add an attempt at a row, whose folder does not exist yet."""
+        number = 1 + sum(own.row == row for own in self.attempts.values())
+        return self.note(Attempt(row, number, "begun"), "begun")
+
+    def note(
+        self,
+        attempt: Attempt,
+        state: State,
+        *,
+        reasons: Sequence[str] | None = None,
+        experiment: int | None = None,
+    ) -> Attempt:
+        """Add the next state of an attempt; durable on return."""
+        why = attempt.reasons if reasons is None else tuple(reasons)
+        known = attempt._replace(state=state, reasons=why, experiment=experiment)
+        self._append(known._asdict())
+        return known
+
+    def skip(self, row: str) -> None:
+        """Leave out a row from now on; its attempts stay."""
+        self._append({"row": row, "state": "skipped"})
+
+    def _append(self, event: dict[str, Any]) -> None:
+        # A damaged event is missing, and its number must not be used again.
+        number = 1 + max(map(int, self._events), default=0)
+        self._events.append(f"{number:08d}")
+        self._journal.append([(self._events[-1], json.dumps(event).encode())])
+        self._learn(event)
+
+    def _learn(self, event: dict[str, Any]) -> None:
+        if event.get("state") == "skipped":
+            self.skipped.add(event["row"])
+        elif "number" in event:
+            known = Attempt(**event | {"reasons": tuple(event["reasons"])})
+            self.attempts[known.name] = known
+
+    def close(self) -> None:
+        """Close the journal."""
+        self._journal.close()
+
+    # --- state ----------------------------------------------------------------------------------
+
+    def recording(self, attempt: Attempt) -> Path:
+        """Return the folder of the recording of an attempt."""
+        return self.folder / attempt.name
+
+    def of(self, row: str) -> list[Attempt]:
+        """Return the attempts at a row, oldest first."""
+        return [own for own in self.attempts.values() if own.row == row]
+
+    @property
+    def accepted(self) -> list[Attempt]:
+        """Attempts that are experiments of the project, in the order in which they were stored."""
+        return [own for own in self.attempts.values() if own.state == "accepted"]
+
+    @property
+    def undecided(self) -> list[Attempt]:
+        """Attempts that are recorded, and neither accepted nor to be repeated."""
+        return [own for own in self.attempts.values() if own.state in OPEN]
+
+    @property
+    def left(self) -> list[PlannedExperiment]:
+        """Rows to perform, in the order of the plan."""
+        busy = {own.row for own in (*self.accepted, *self.undecided)} | self.skipped
+        return [row for row in self.rows if row.name not in busy]
+
+
+class CampaignCounts(NamedTuple):
+    """Numbers of rows of a campaign, as a list of campaigns shows them."""
+
+    name: str
+    accepted: int
+    skipped: int
+    attempts: int
+
+
+def campaigns(project: Path) -> list[CampaignCounts]:
+    """Return the campaigns in a project's folder, also those that a program performs now."""
+    found = []
+    for journal in sorted((project / BENCH).glob(f"*/{JOURNAL}")):
+        events = [json.loads(data) for name, data in read_journal(journal) if name != ROWS]
+        last = {(own["row"], own["number"]): own["state"] for own in events if "number" in own}
+        skipped = {own["row"] for own in events if own["state"] == "skipped"}
+        n = sum(state == "accepted" for state in last.values())
+        found.append(CampaignCounts(journal.parent.name, n, len(skipped), len(last)))
+    return found

@@ -1,0 +1,287 @@
+"""Devices of a bench: camera, tactile board, drive, and how the drive lies in the world."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from fixel.errors import InvalidInput, unknown_name
+from fixel.formats.rig_file import rig_of
+from fixel.model import LineDrive, PlannedExperiment, Scene, placed
+from fixel.testbed.motion import AbstractActuator
+from fixel.testbed.motion_grbl import GrblActuator
+from fixel.testbed.open_source import check_size, source_of
+from fixel.testbed.recorder import TouchReader
+from fixel.testbed.shared_camera import SharedCamera
+from fixel.typing import FloatArray, Notify
+from fixel.vision.marks import Rig
+from fixel.workflows.acquisition.devices import chosen_actuator
+from fixel.workflows.bench.way import clear_way
+
+if TYPE_CHECKING:
+    from fixel.testbed.emulators.laboratory import EmulatedLaboratory
+
+FAST: Final = 0.05  # [m/s] of the head on its way to a start, if its drive can do that
+CLEAR: Final = 0.003  # [m] between the head and the part on that way
+SETTINGS: Final[Mapping[str, Any]] = {
+    "camera": "0", "rig": "", "tactile": "", "driver": "grbl", "port": "", "axes": "X",
+    "drive_pose": "", "rate": 30.0,
+}  # fmt: skip
+"""Settings of a bench with their defaults, as the section `bench` of `fixel.yaml` states them."""
+
+
+@dataclass(eq=False)
+class BenchDevices:
+    """Open devices of a bench.
+
+    Attributes
+    ----------
+    camera : SharedCamera
+    rig : Rig
+    tactile : TouchReader, optional
+    drive : AbstractActuator
+    frame : (3,) float64, optional
+        Pose of the coordinates of the drive in the world [m, m, rad]; None for a drive with one
+        axis, which begins every push withdrawn.
+    clock : callable
+        Time of the bench [s], which an emulated one accelerates.
+    laboratory : EmulatedLaboratory, optional
+        Laboratory that the devices belong to, if they are emulated.
+    """
+
+    camera: SharedCamera
+    rig: Rig
+    tactile: TouchReader | None
+    drive: AbstractActuator
+    frame: FloatArray | None = None
+    clock: Callable[[], float] = time.monotonic
+    laboratory: EmulatedLaboratory | None = None
+    _fast: float = 0.0
+
+    def sleep(self, seconds: float) -> None:
+        """Wait for a time on the clock of the bench."""
+        until = self.clock() + seconds
+        while self.clock() < until and not self.camera.reason:
+            time.sleep(0.002)
+
+    # --- moves ----------------------------------------------------------------------------------
+
+    def stroke(self, scene: Scene) -> Stroke:
+        """Return the push of a scene in coordinates of the drive.
+
+        Raises
+        ------
+        InvalidInput
+            The push is not one straight stroke.
+        """
+        head = scene.pushers[0]
+        way = head.drive
+        if len(scene.pushers) != 1 or not isinstance(way, LineDrive):
+            raise InvalidInput("scene", found="another path", expected="one straight push")
+        travel = min(way.travel, way.speed * scene.duration)
+        n = self.drive.n_axes
+        start, direction = np.zeros(n), np.eye(n)[0]
+        if self.frame is not None:
+            turn = math.atan2(way.direction[1], way.direction[0]) - self.frame[2]
+            start[:2] = _inside(self.frame, head.pose[:2])
+            direction[:2] = math.cos(turn), math.sin(turn)
+        return Stroke(start, direction, travel, way.speed)
+
+    def check(self, row: PlannedExperiment) -> None:
+        """Raise `InvalidInput` if the drive cannot perform a row; nothing moves."""
+        try:
+            push = self.stroke(row.scene)
+            self.drive.aim(push.start, push.direction)
+            self.drive.check(to=0.0, speed=push.speed)
+            self.drive.check(to=push.travel, speed=push.speed)
+            self._fast = self._fast or self._way_speed(push)
+        except InvalidInput as problem:
+            raise InvalidInput(
+                f"row {row.name}: {problem.where}",
+                found=problem.found,
+                expected=problem.expected,
+                hint=problem.hint,
+            ) from None
+
+    def _way_speed(self, push: Stroke) -> float:
+        """Return the speed [m/s] at which the head moves to a start."""
+        try:
+            self.drive.check(to=push.travel, speed=FAST)
+        except InvalidInput:
+            return push.speed
+        return FAST
+
+    def way_to(self, scene: Scene, part: FloatArray | None) -> list[FloatArray] | None:
+        """Return places of the drive on the way to the start of a push, past the part.
+
+        Parameters
+        ----------
+        scene : Scene
+        part : (3,) float64, optional
+            Present pose of the part [m, m, rad], if it is seen.
+
+        Returns
+        -------
+        list of (n_axes,) float64, or None
+            None where no way is clear.
+        """
+        end, here = self.stroke(scene).start, self.drive.place()
+        if self.frame is None or part is None:
+            return [end]
+        head, body = scene.pushers[0], scene.bodies[0]
+        room = float(np.hypot(*head.shape.outline.T).max()) + CLEAR
+        first, last = (placed(place[:2], self.frame) for place in (here, end))
+        way = clear_way(placed(body.shape.outline, part), first, last, room)
+        if way is None:
+            return None
+        return [np.array([*_inside(self.frame, place), *here[2:]]) for place in way[:-1]] + [end]
+
+    def go(self, places: list[FloatArray]) -> None:
+        """Move the head through places of the drive, and return when it is there."""
+        for place in places:
+            self.drive.go(place, speed=self._fast)
+
+    def recover_drive(self) -> None:
+        """Connect and home a drive whose connection or position is lost.
+
+        Raises
+        ------
+        DeviceFailed
+            It does not answer, or cannot be homed.
+        """
+        if not self.drive.connected:
+            self.drive.connect()
+        if getattr(self.drive, "state", "Idle") == "Alarm":
+            self.drive.home()
+
+
+class Stroke(NamedTuple):
+    """Straight push in coordinates of the drive."""
+
+    start: FloatArray  # (n_axes,) [m]
+    direction: FloatArray  # (n_axes,) unit vector
+    travel: float  # [m]
+    speed: float  # [m/s]
+
+
+def _inside(frame: FloatArray, place: FloatArray) -> FloatArray:
+    """Return a place of the world in a frame."""
+    c, s = math.cos(frame[2]), math.sin(frame[2])
+    return np.asarray(np.array([[c, s], [-s, c]]) @ (place - frame[:2]))
+
+
+def settings_of(stored: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of a bench: those given, else those of the project, else the defaults.
+
+    Raises
+    ------
+    InvalidInput
+        The project's settings have another key, or a value of another kind.
+    """
+    for name, value in stored.items():
+        if name not in SETTINGS:
+            raise unknown_name("fixel.yaml: bench", name, tuple(SETTINGS))
+        kind = type(SETTINGS[name])
+        if isinstance(value, bool) or not isinstance(value, (kind, int)):
+            raise InvalidInput(
+                f"fixel.yaml: bench.{name}", found=repr(value), expected=f"{SETTINGS[name]!r}, say"
+            )
+    chosen = {name: value for name, value in given.items() if value is not None}
+    return {**SETTINGS, **{k: type(SETTINGS[k])(v) for k, v in stored.items()}, **chosen}
+
+
+@contextmanager
+def open_devices(settings: Mapping[str, Any], *, notify: Notify = print) -> Iterator[BenchDevices]:
+    """Open the devices of a bench, each of which is named if it is missing.
+
+    Parameters
+    ----------
+    settings : mapping
+        As `settings_of` returns them.
+    notify : callable
+        Called with sentences for the person at the bench.
+
+    Raises
+    ------
+    InvalidInput
+        No rig, or a device that is missing or another one.
+    DeviceFailed
+        A device does not answer as it should.
+    """
+    if not settings["rig"]:
+        raise InvalidInput(
+            "rig",
+            found="none",
+            expected="the rig with camera and markers",
+            hint="give --rig FILE, or write it once into fixel.yaml: bench: {rig: FILE}",
+        )
+    rig = rig_of(settings["rig"])
+    size = rig.camera.lens.image_size
+    with ExitStack() as stack:
+        camera = SharedCamera(
+            partial(source_of, settings["camera"], size=size, rate=settings["rate"])
+        )
+        stack.callback(camera.close)
+        check_size(camera.stream, size, camera.source.name)
+        tactile: TouchReader | None = None
+        if settings["tactile"]:
+            from fixel.testbed.tactile import TactileReader
+
+            tactile = stack.enter_context(TactileReader(settings["tactile"]))
+        drive = stack.enter_context(_drive(settings, notify))
+        yield BenchDevices(camera, rig, tactile, drive, _frame(settings["drive_pose"], drive))
+
+
+def _drive(settings: Mapping[str, Any], notify: Notify) -> AbstractActuator:
+    if settings["driver"] != GrblActuator.name:
+        return chosen_actuator(settings["driver"], None, notify=notify)
+    return GrblActuator(settings["port"] or None, axes=settings["axes"])  # the bench reads keys
+
+
+def _frame(text: str, drive: AbstractActuator) -> FloatArray | None:
+    """Return the pose of the drive in the world from text such as `0,-50,90` [mm, mm, deg]."""
+    from fixel.workflows.planning.execute import seen_pose
+
+    if drive.n_axes == 1:
+        return None
+    if not text:
+        raise InvalidInput(
+            "drive_pose",
+            found="none",
+            expected="the pose of the drive's coordinates in the world, for several axes",
+            hint="--drive-pose X,Y,ANGLE in mm and degrees",
+        )
+    return seen_pose(text, "drive_pose")
+
+
+@contextmanager
+def emulated_devices(rows: list[PlannedExperiment], seed: int, rig: str) -> Iterator[BenchDevices]:
+    """Return the devices of an emulated laboratory, whose truth nobody knows."""
+    from fixel.testbed.emulators.laboratory import EmulatedLaboratory, smaller
+    from fixel.testbed.simulated import SimulatedTestbed
+
+    laboratory = EmulatedLaboratory(
+        smaller(rig_of(rig or "thesis-tags"), 0.5), truth=SimulatedTestbed(seed=seed), seed=seed
+    )
+    laboratory.prepare(rows[0])
+    camera = SharedCamera(lambda: laboratory.source)
+    try:
+        with laboratory.drive as drive:
+            yield BenchDevices(
+                camera,
+                laboratory.rig,
+                laboratory.tactile,
+                drive,
+                np.zeros(3),
+                laboratory.clock,
+                laboratory,
+            )
+    finally:
+        camera.close()

@@ -1,0 +1,83 @@
+"""Calibration while a campaign runs; called in a process of its own."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from typing import Final, NamedTuple
+
+from fixel.calibration.usual_parameters import Space
+from fixel.model import Experiment, PlannedExperiment
+from fixel.table import Table
+from fixel.workflows.bench.estimates import LiveEstimates, Until, choose, estimate
+
+AHEAD: Final = 5  # rows after which the intervals are predicted
+
+
+class LiveRequest(NamedTuple):
+    """Experiments so far, and what is asked about them."""
+
+    experiments: Sequence[Experiment]
+    space: Space
+    motion: str
+    until: str  # intervals that are wanted, as text; empty for none
+    left: Sequence[PlannedExperiment]  # rows that are left, in the order of the plan
+    choose: bool  # whether to choose one of them
+    previous: LiveEstimates | None
+
+
+class LiveAnswer(NamedTuple):
+    """Estimates so far, and the row to perform next."""
+
+    estimates: LiveEstimates
+    table: Table
+    chosen: str  # name of the row; empty if none was chosen
+    words: tuple[str, ...]  # what was found, in sentences
+    finish: str  # why no more experiments are needed; empty if they are
+    seconds: float  # duration of the computation [s]
+
+
+def estimate_rows(request: LiveRequest) -> LiveAnswer:
+    """Calibrate the experiments so far, and choose the next row if asked.
+
+    Raises
+    ------
+    InvalidInput
+        No experiment informs the parameters.
+    """
+    begun = time.monotonic()
+    known = estimate(
+        request.experiments, request.space, motion=request.motion, previous=request.previous
+    )
+    until = Until.parse(request.until) if request.until else None
+    wanted: Mapping[str, float] = {} if until is None else until.wanted
+    finish = until.words(known) if until is not None and until.met(known) else ""
+    words = [
+        f"Error of experiments predicted from the others: {1e3 * known.held_out_error:.2f} mm."
+    ]
+    chosen = ""
+    if request.choose and request.left and not finish:
+        choice = choose(known, request.left, wanted)
+        words.append(choice.reason)
+        if choice.index is None:
+            finish = choice.reason
+        else:
+            chosen = request.left[choice.index].name
+    ahead = known.ahead(request.left, AHEAD)
+    table = _table(known, wanted, ahead, min(AHEAD, len(request.left)))
+    return LiveAnswer(known, table, chosen, tuple(words), finish, time.monotonic() - begun)
+
+
+def _table(
+    known: LiveEstimates, wanted: Mapping[str, float], ahead: Mapping[str, float], n: int
+) -> Table:
+    """Return the estimates with their half-widths, now and after the next rows."""
+    rows = []
+    for own in known.calibration.estimates.values():
+        halves = (known.half_widths.get(own.label), ahead.get(own.label) if n else None)
+        texts = ["-" if half is None or not half < math.inf else own.text(half) for half in halves]
+        goal = own.text(wanted[own.label]) if own.label in wanted else "-"
+        rows.append((own.label, own.value_text, *texts, goal, own.verdict_text))
+    head = ("parameter", "value", "+/-", f"+/- after {n} more", "wanted", "verdict")
+    return Table(head, rows, left=6)

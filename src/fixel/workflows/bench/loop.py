@@ -1,0 +1,586 @@
+"""The loop of a bench: place, check, push, track, accept or repeat, calibrate; row by row."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Final, Literal, NamedTuple, final
+
+from fixel.database.project import Project
+from fixel.errors import FixelError
+from fixel.formats.recording import VIDEO
+from fixel.formats.rig_file import save_rig
+from fixel.formats.scene_file import SceneFile, save_scene
+from fixel.jobs.worker_process import WorkerProcess
+from fixel.model import PlannedExperiment
+from fixel.model.space import ParameterSpace
+from fixel.testbed.recorder import SPARE, Recorder, RecordingStatus, RecordingSummary, free_space
+from fixel.typing import FloatArray
+from fixel.vision.frame import Frame, Picture
+from fixel.workflows.acquisition.overlay import Look, Overlay, Tolerance, frames_of
+from fixel.workflows.acquisition.record import codec_for
+from fixel.workflows.acquisition.track import RIG_FILE, SCENE_FILE
+from fixel.workflows.bench.campaign import Attempt, Campaign
+from fixel.workflows.bench.devices import BenchDevices
+from fixel.workflows.bench.judge import TrackedAttempt, TrackRequest, track_attempt
+from fixel.workflows.bench.live import LiveAnswer, LiveRequest, estimate_rows
+from fixel.workflows.calibration.parameter_options import searched_unknowns
+
+LEAD: Final = 0.5  # [s] of recording before the push
+REST: Final = 0.8  # [s] of recording after it
+IN_PLACE: Final = 5  # looks in a row at a part in place, before a push without being asked
+NUDGE: Final = 0.4  # [s] between two corrections of the emulated person
+MAX_ATTEMPTS: Final = 3  # at one row, without being asked
+SHOWN: Final = 60  # newest attempts in a status
+LIMIT: Final = 900.0  # [s] for one call of another process
+DARK, LIGHT = 25.0, 235.0  # mean grey levels of pictures that are too dark and too light
+Phase = Literal["placing", "moving", "pushing", "waiting", "trouble", "finished"]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopOptions:
+    """Options of a loop.
+
+    Attributes
+    ----------
+    auto : bool
+        Whether it pushes as soon as the part is in place, accepts attempts without a fault, and
+        repeats others up to `MAX_ATTEMPTS` times.
+    dataset : str
+        Dataset of the experiments.
+    tolerance, tolerance_angle : float, optional
+        Largest deviation of a part in place [m, rad]; by default those of the rig.
+    fit : tuple of str
+        Parameters to calibrate, as for `fixel calibrate --fit`.
+    motion : str
+        Motion model of the calibration.
+    choose : bool
+        Whether the next row is the one that tells most.
+    until : str
+        Intervals at which the campaign ends, such as `mu_pusher=0.02`.
+    dry_run : bool
+        Whether to perform nothing.
+    """
+
+    auto: bool = False
+    dataset: str = "bench"
+    tolerance: float | None = None
+    tolerance_angle: float | None = None
+    fit: tuple[str, ...] = ()
+    motion: str = "quasistatic"
+    choose: bool = False
+    until: str = ""
+    dry_run: bool = False
+
+
+class BenchCheck(NamedTuple):
+    """One check before a push."""
+
+    name: str
+    passed: bool
+    words: str
+
+
+@final
+class Background:
+    """Calls of a function in a process of its own, one after the other, without waiting."""
+
+    def __init__(self, function: Callable[[Any], Any]) -> None:
+        self._process = WorkerProcess(function, limit=LIMIT)
+        self._pool = ThreadPoolExecutor(1)
+        self._closed = False
+        self.waiting = 0  # calls without an answer
+
+    def call(self, argument: Any, done: Callable[[Any], None]) -> None:
+        """Call the function; `done` gets its answer or its error, in another thread."""
+        self.waiting += 1
+
+        def work() -> None:
+            try:
+                answer = self._process.call(argument, lambda: self._closed)
+            except Exception as problem:
+                answer = problem
+            self.waiting -= 1
+            done(answer)
+
+        self._pool.submit(work)
+
+    def close(self) -> None:
+        """End the process; calls without an answer get none."""
+        self._closed = True
+        self._pool.shutdown(cancel_futures=True)
+        self._process.close()
+
+
+@final
+class BenchLoop:
+    """Loop over the rows of a campaign: `run` in one thread, `ask` from any.
+
+    Parameters
+    ----------
+    project : Project
+    campaign : Campaign
+    devices : BenchDevices
+    options : LoopOptions
+
+    Attributes
+    ----------
+    show : callable, optional
+        Called with a function that draws the picture, or None, and with the status, as
+        `LiveView.show`.
+    page_left : callable
+        Returns why the page that asked for a push is lost; empty while it is there.
+    live : LiveAnswer, optional
+        Newest estimates.
+    finish : str
+        Why the campaign has ended; empty before.
+    """
+
+    def __init__(
+        self,
+        project: Project,
+        campaign: Campaign,
+        devices: BenchDevices,
+        options: LoopOptions,
+    ) -> None:
+        self.campaign, self.devices, self.options = campaign, devices, options
+        self.show: Callable[[Callable[[], Picture] | None, dict[str, Any]], None] | None = None
+        self.page_left: Callable[[], str] = lambda: ""
+        rig = devices.rig
+        self.tolerance = Tolerance(
+            distance=options.tolerance or rig.position_tolerance,
+            angle=options.tolerance_angle or rig.angle_tolerance,
+        )
+        self.live: LiveAnswer | None = None
+        self.finish = "the drive can perform every row" if options.dry_run else ""
+        self._project = project
+        self._events: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._tracker, self._estimator = Background(track_attempt), Background(estimate_rows)
+        self._row: PlannedExperiment | None = None
+        self._overlay: Overlay | None = None
+        self._look: Look | None = None
+        self._checks: tuple[BenchCheck, ...] = ()
+        self._trouble, self._remark = "", ""
+        self._in_place, self._nudged = 0, -NUDGE
+        self._wants_push = ""  # who asked for it: `key` or `page`
+        self._pushing, self._stop_reason = threading.Event(), ""
+        self._tracked_ones: dict[str, TrackedAttempt] = {}  # by the name of the attempt
+
+    # --- from any thread ------------------------------------------------------------------------
+
+    def ask(self, do: str, row: str = "", by: str = "key") -> None:
+        """Ask for something; a stop takes effect at once.
+
+        Parameters
+        ----------
+        do : str
+            `push`, `stop`, `place` (the emulated person), `skip`, `again` (after trouble), `end`;
+            `accept` or `repeat` for an attempt.
+        row : str
+            Name of the attempt.
+        by : str
+            `key` or `page`.
+        """
+        if do == "stop":
+            self.stop("stopped by the person at the bench")
+        self._events.put(lambda: self._granted(do, row, by))
+
+    def stop(self, reason: str) -> None:
+        """Stop the drive at once, if it pushes."""
+        if self._pushing.is_set():
+            self._stop_reason = self._stop_reason or reason
+            self.devices.drive.stop()
+
+    # --- the loop -------------------------------------------------------------------------------
+
+    def run(self) -> str:
+        """Perform rows until all are done, or enough is known, or someone ends it; return why."""
+        frames: Generator[Frame] | None = None
+        try:
+            for attempt in [] if self.finish else self.campaign.undecided:
+                self._track(attempt)
+            self._estimate()
+            while not self._is_over():
+                self._take_events()
+                if self._trouble:
+                    self._report("trouble")
+                    time.sleep(0.1)
+                    continue
+                frames = frames or self._frames()
+                self._turn(frames)
+                if self._wants_push and self._row is not None:
+                    frames.close()
+                    frames = None
+                    self._perform(self._row)
+            self._report("finished")
+        finally:
+            if frames is not None:
+                frames.close()
+            self._tracker.close()
+            self._estimator.close()
+        return self.finish
+
+    def _frames(self) -> Generator[Frame]:
+        camera = self.devices.camera
+        yield from frames_of(camera.view(), camera.stream.live)
+
+    def _is_over(self) -> bool:
+        """Whether nothing is left to do."""
+        if self._tracker.waiting or self._pushing.is_set() or not self._events.empty():
+            return False
+        if self.finish:
+            return True
+        if not self.campaign.left and not self.campaign.undecided and not self._estimator.waiting:
+            self.finish = "every row of the plan is done"
+        return bool(self.finish)
+
+    def _take_events(self) -> None:
+        """Do what was asked for, and take what other processes have computed."""
+        while not self._events.empty():
+            self._events.get()()
+
+    def _turn(self, frames: Iterator[Frame]) -> None:
+        """Look at one picture for the present row, which is chosen if there is none."""
+        if self._row is None:
+            self._begin_row(self._next_row())
+        frame = next(frames, None)
+        if frame is None:
+            self._fail(f"the camera stopped: {self.devices.camera.reason}")
+        elif self._overlay is None:
+            self._report("waiting", partial(_itself, frame.picture))
+        else:
+            look = self._look = self._overlay.look(frame)
+            self._checks = tuple(self._checked(look, frame))
+            self._report("placing", partial(self._overlay.drawn, frame.picture, look))
+            if self.options.auto:
+                self._without_asking(look)
+
+    def _next_row(self) -> PlannedExperiment | None:
+        """Return the row to perform next; None while it is not known, or there is none."""
+        left = self.campaign.left
+        if not left or self.finish:
+            return None
+        if self.options.choose and self._estimator.waiting + self._tracker.waiting:
+            return None
+        chosen = self.live.chosen if self.options.choose and self.live else ""
+        return next((row for row in left if row.name == chosen), left[0])
+
+    def _begin_row(self, row: PlannedExperiment | None) -> None:
+        self._row, self._look, self._checks = row, None, ()
+        self._in_place, self._wants_push = 0, ""
+        self._overlay = None
+        if row is None:
+            return
+        if self.devices.laboratory is not None:
+            self.devices.laboratory.prepare(row)
+        self._overlay = Overlay(
+            self.devices.rig, row.scene, self.tolerance, anchor=self._anchor(row)
+        )
+
+    def _anchor(self, row: PlannedExperiment) -> str:
+        """Return the head, if the place of the drive in the world is not known but seen."""
+        head = row.scene.pushers[0].name
+        seen = self.devices.frame is None and head in self.devices.rig.parts
+        return head if seen else ""
+
+    def _without_asking(self, look: Look) -> None:
+        ready = all(check.passed for check in self._checks)
+        self._in_place = self._in_place + 1 if ready else 0
+        if self._in_place >= IN_PLACE:
+            self._wants_push = "key"
+        elif not look.placed and self.devices.clock() - self._nudged > NUDGE:
+            self._granted("place")
+
+    def _granted(self, do: str, name: str = "", by: str = "key") -> None:
+        """Do what was asked for, if it is possible now."""
+        attempt = self.campaign.attempts.get(name)
+        if do == "push" and self._checks and all(check.passed for check in self._checks):
+            self._wants_push = by
+        elif do == "place" and self.devices.laboratory is not None:
+            self._nudged = self.devices.clock()
+            self.devices.laboratory.nudge()
+        elif do == "skip" and self._row is not None:
+            self.campaign.skip(self._row.name)
+            self._begin_row(None)
+        elif do == "accept" and attempt is not None and attempt.state == "tracked":
+            self._accept(attempt)
+        elif do == "repeat" and attempt is not None and attempt.state in ("tracked", "accepted"):
+            self.campaign.note(attempt, "repeated")
+        elif do == "again" and self._trouble:
+            self._recover()
+        elif do == "end":
+            self.finish = self.finish or "ended by the person at the bench"
+
+    # --- checks ---------------------------------------------------------------------------------
+
+    def _checked(self, look: Look, frame: Frame) -> Iterator[BenchCheck]:
+        """Yield the checks before a push."""
+        assert self._row is not None
+        unseen = [part for part in look.checked if part.measured is None]
+        words = ", ".join(f"{part.name}: {part.reason}" for part in unseen) or "all seen"
+        yield BenchCheck("markers", not unseen and not look.problems, words)
+        yield BenchCheck("in place", look.placed, look.sentence)
+        if self.devices.tactile is not None:
+            reading = self.devices.tactile.read()
+            words = reading.problem or ("no reading" if reading.bits is None else "read")
+            yield BenchCheck("fixels", reading.bits is not None, words)
+        grey = float(frame.luma[::8, ::8].mean())
+        words = "too dark" if grey < DARK else "too bright" if grey > LIGHT else "good"
+        yield BenchCheck("light", DARK <= grey <= LIGHT, words)
+        yield self._drive_check(look)
+        free = free_space(self.campaign.folder)
+        yield BenchCheck("disk", free > 4 * SPARE, f"{free / 1e9:.1f} GB free")
+
+    def _drive_check(self, look: Look) -> BenchCheck:
+        assert self._row is not None
+        drive, scene = self.devices.drive, self._row.scene
+        if not drive.connected:
+            return BenchCheck("drive", False, "not connected")
+        if getattr(drive, "state", "Idle") != "Idle":
+            return BenchCheck("drive", False, f"{drive.state}: home it")  # type: ignore[attr-defined]
+        part = next(own for own in look.parts if own.name == scene.bodies[0].name)
+        if self.devices.way_to(scene, part.measured) is None:
+            return BenchCheck("drive", False, "the part is in the way of the head")
+        return BenchCheck("drive", True, "ready")
+
+    # --- a push ---------------------------------------------------------------------------------
+
+    def _perform(self, row: PlannedExperiment) -> None:
+        """Push once, recorded; then track it while the next part is placed."""
+        assert self._look is not None
+        assert self._overlay is not None
+        part = next(own for own in self._look.parts if own.name == row.scene.bodies[0].name)
+        scene, by = self._overlay.scene, self._wants_push
+        way = self.devices.way_to(row.scene, part.measured)
+        assert way is not None
+        attempt = self.campaign.begin(row.name)
+        self._stop_reason = ""
+        self._pushing.set()
+        try:
+            self._moved(way, by)
+            done = self._recorded(replace(row, scene=scene), self.campaign.recording(attempt), by)
+            self._moved([self.devices.stroke(row.scene).start], by)
+        except FixelError as failure:
+            why = self._stop_reason or str(failure)
+            self.campaign.note(attempt, "stopped", reasons=(why,))
+            self._fail(why)
+            return
+        finally:
+            self._pushing.clear()
+            self._begin_row(None)
+        if done.early:
+            self.campaign.note(attempt, "stopped", reasons=(done.reason,))
+            self._fail(done.reason)
+            return
+        self._track(self.campaign.note(attempt, "recorded"))
+
+    def _recorded(self, row: PlannedExperiment, folder: Path, by: str) -> RecordingSummary:
+        """Record while the drive performs its stroke."""
+        camera, ended = self.devices.camera, threading.Event()
+
+        def prepare(place: Path) -> None:
+            save_rig(self.devices.rig, place / RIG_FILE)
+            save_scene(SceneFile(scene=row.scene), place / SCENE_FILE)
+
+        begun = threading.Event()
+
+        def watch(arrived: Any, status: RecordingStatus) -> None:
+            begun.set()
+            self._report("pushing", arrived.picture, status)
+            self._watch_page(by)
+
+        recorder = Recorder(
+            source=camera.view(),
+            stream=camera.stream,
+            folder=folder,
+            codec=codec_for("auto", camera.stream),
+            tactile=self.devices.tactile,
+            rig=self.devices.rig.name,
+            stop=lambda: "the push is over" if ended.is_set() else "",
+            watch=watch,
+            prepare=prepare,
+        )
+        with ThreadPoolExecutor(1, "fixel-recorder") as pool:
+            recording = pool.submit(recorder.run)
+            try:
+                while not begun.is_set() and not recording.done():
+                    time.sleep(0.005)
+                if not recording.done():
+                    self.devices.sleep(LEAD)
+                    self._stroke(row, recording.done)
+                    self.devices.sleep(REST)
+            finally:
+                ended.set()
+            return recording.result()
+
+    def _stroke(self, row: PlannedExperiment, camera_lost: Callable[[], bool]) -> None:
+        """Move the head along its stroke; stop it if the recording ends."""
+        drive, push = self.devices.drive, self.devices.stroke(row.scene)
+        drive.aim(push.start, push.direction)
+        drive.move(to=push.travel, speed=push.speed, wait=False)
+        while drive.moving:
+            if camera_lost():
+                self.stop("the camera or the tactile board was lost during the push")
+            time.sleep(0.005)
+        drive.wait()
+
+    def _moved(self, places: list[FloatArray], by: str) -> None:
+        """Move the head through places, and show the pictures meanwhile."""
+        frames = self._frames()
+        with closing(frames), ThreadPoolExecutor(1, "fixel-drive") as pool:
+            moving = pool.submit(self.devices.go, places)
+            while not moving.done():
+                frame = next(frames, None)
+                if frame is None:
+                    self.stop("the camera was lost")
+                    break
+                self._report("moving", partial(_itself, frame.picture))
+                self._watch_page(by)
+            moving.result()
+
+    def _watch_page(self, by: str) -> None:
+        """Stop the drive if the page that asked for the push is lost."""
+        if by == "page" and (why := self.page_left()):
+            self.stop(why)
+
+    # --- after a push ---------------------------------------------------------------------------
+
+    def _track(self, attempt: Attempt) -> None:
+        """Track a recorded attempt in another process."""
+        request = TrackRequest(
+            self.campaign.recording(attempt),
+            self.campaign.by_name[attempt.row],
+            attempt.number,
+            self.options.dataset,
+            self.tolerance,
+        )
+        tell = partial(self._tracked, attempt)
+        self._tracker.call(request, lambda found: self._events.put(lambda: tell(found)))
+
+    def _tracked(self, attempt: Attempt, found: TrackedAttempt | Exception) -> None:
+        """Take a tracked attempt, which is accepted if nothing speaks against it."""
+        reasons = (str(found),) if isinstance(found, Exception) else found.reasons
+        attempt = self.campaign.note(attempt, "tracked", reasons=reasons)
+        if not isinstance(found, Exception):
+            self._tracked_ones[attempt.name] = found
+        if not reasons:
+            self._accept(attempt)
+        elif self.options.auto:
+            self.campaign.note(attempt, "repeated")
+            if attempt.number >= MAX_ATTEMPTS:
+                self.campaign.skip(attempt.row)
+
+    def _accept(self, attempt: Attempt) -> None:
+        """Store an attempt as an experiment of the project; the same again changes nothing."""
+        found = self._tracked_ones.get(attempt.name)
+        if found is None:
+            self._remark = f"{attempt.name} cannot be tracked; repeat it"
+            return
+        with self._project.store() as store:
+            video = store.add_video(self.campaign.recording(attempt) / VIDEO)
+            number, _ = store.add_experiment(replace(found.experiment, video=video))
+        self.campaign.note(attempt, "accepted", experiment=number)
+        self._estimate()
+
+    def _estimate(self) -> None:
+        """Calibrate all accepted experiments in another process."""
+        ids = [own.experiment for own in self.campaign.accepted if own.experiment is not None]
+        if not ids or self._estimator.waiting > 1:  # that one has the newest experiments too
+            return
+        with self._project.store() as store:
+            experiments = [store.experiment(number) for number in ids]
+        scenes = [own.scene for own in experiments if own.scene is not None]
+        fit = searched_unknowns(self.options.fit, scenes)
+        request = LiveRequest(
+            experiments,
+            ParameterSpace(unknowns=tuple(fit)) if fit else None,
+            self.options.motion,
+            self.options.until,
+            self.campaign.left,
+            self.options.choose,
+            None if self.live is None else self.live.estimates,
+        )
+        self._estimator.call(request, lambda found: self._events.put(lambda: self._learned(found)))
+
+    def _learned(self, found: LiveAnswer | Exception) -> None:
+        if isinstance(found, Exception):
+            self._remark = f"no estimates yet: {found}"
+            return
+        self.live, self._remark = found, ""
+        self.finish = self.finish or found.finish
+
+    # --- trouble --------------------------------------------------------------------------------
+
+    def _fail(self, why: str) -> None:
+        """Wait until the person at the bench has removed the cause."""
+        self._trouble = why
+
+    def _recover(self) -> None:
+        """Open a lost camera again, and home a drive whose position is lost."""
+        try:
+            if self.devices.camera.reason:
+                self.devices.camera.restart()
+            self.devices.recover_drive()
+        except FixelError as problem:
+            self._trouble = str(problem)
+        else:
+            self._trouble = ""
+
+    # --- status ---------------------------------------------------------------------------------
+
+    def _report(
+        self,
+        phase: Phase,
+        draw: Callable[[], Picture] | None = None,
+        recording: RecordingStatus | None = None,
+    ) -> None:
+        """Show a picture and the whole status, as plain values."""
+        campaign, live = self.campaign, self.live
+        number = 0 if self._row is None else 1 + list(campaign.by_name).index(self._row.name)
+        status: dict[str, Any] = {
+            "campaign": campaign.folder.name,
+            "phase": phase,
+            "emulated": self.devices.laboratory is not None,
+            "auto": self.options.auto,
+            "rows": len(campaign.rows),
+            "row": "" if self._row is None else self._row.name,
+            "number": number,
+            "accepted": len(campaign.accepted),
+            "skipped": len(campaign.skipped),
+            "trouble": self._trouble,
+            "remark": self._remark,
+            "finish": self.finish,
+            "look": None if self._look is None else self._look.summary(),
+            "checks": [check._asdict() for check in self._checks],
+            "tracking": self._tracker.waiting,
+            "attempts": [
+                own._asdict() | {"name": own.name} for own in [*campaign.attempts.values()][-SHOWN:]
+            ],
+            "estimates": None
+            if live is None
+            else {
+                "columns": [column.head for column in live.table.columns],
+                "rows": live.table.rows,
+                "words": live.words,
+                "seconds": round(live.seconds, 2),
+                "experiments": len(live.estimates.held_out),
+            },
+            "calibrating": self._estimator.waiting,
+            "recording": None
+            if recording is None
+            else recording._asdict() | {"seconds": round(recording.seconds, 2)},
+        }
+        if self.show is not None:
+            self.show(draw, status)
+
+
+def _itself(picture: Picture) -> Picture:
+    return picture

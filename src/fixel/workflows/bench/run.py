@@ -1,0 +1,197 @@
+"""Perform a plan of experiments at a bench: open its devices and its campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, closing, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+from fixel.capability.capability import Capability
+from fixel.capability.options import Door
+from fixel.capability.usual import Fit, Seed
+
+if TYPE_CHECKING:
+    from fixel.database.project import Project
+    from fixel.model import PlannedExperiment
+    from fixel.workflows.analysis import AnalysisReport
+    from fixel.workflows.bench.devices import BenchDevices
+    from fixel.workflows.bench.loop import BenchLoop, LoopOptions
+
+YOURS: Final = "that of fixel.yaml"
+
+
+def open_bench(
+    project: Project,
+    plan: Annotated[Path, Door(metavar="PLAN")],
+    *,
+    emulated: bool = False,
+    auto: bool = False,
+    choose: bool = False,
+    until: Annotated[str, Door(metavar="NAME=WIDTH")] = "",
+    fit: Fit = (),
+    motion: Annotated[str, Door(metavar="NAME")] = "quasistatic",
+    scene: Path | None = None,
+    name: Annotated[str, Door(metavar="NAME", usual="that of the plan")] = "",
+    rig: Annotated[str | None, Door(metavar="RIG", usual=YOURS)] = None,
+    camera: Annotated[str | None, Door(metavar="SOURCE", usual=YOURS)] = None,
+    tactile: Annotated[str | None, Door(metavar="PORT", usual=YOURS)] = None,
+    driver: Annotated[str | None, Door(metavar="DRIVER", usual=YOURS)] = None,
+    port: Annotated[str | None, Door(metavar="PORT", usual=YOURS)] = None,
+    axes: Annotated[str | None, Door(metavar="AXES", usual=YOURS)] = None,
+    drive_pose: Annotated[str | None, Door(metavar="X,Y,ANGLE", usual=YOURS)] = None,
+    tolerance: Annotated[float | None, Door(unit="mm", above=0.0, usual="the rig's")] = None,
+    tolerance_angle: Annotated[float | None, Door(unit="deg", above=0.0, usual="the rig's")] = None,
+    seed: Seed = 1,
+    dry_run: bool = False,
+) -> AbstractContextManager[BenchLoop]:
+    """Perform a plan of experiments: place, push, record, track, calibrate, row by row.
+
+    The same command continues after an interruption. Nothing is ever deleted.
+
+    Parameters
+    ----------
+    project : Project
+        Project that stores the experiments.
+    plan : Path
+        Plan file, or a table (.csv) with one row per experiment.
+    emulated : bool
+        Whether to use an emulated laboratory instead of devices.
+    auto : bool
+        Whether to push as soon as the part is in place, and to repeat what has a fault.
+    choose : bool
+        Whether the next row is the one that narrows the widest interval most.
+    until : str
+        Half-widths of 95 % intervals at which to stop: mu_pusher=0.02,tripod_radius=1mm.
+    fit : tuple of str
+        Parameter to calibrate meanwhile, as for fixel calibrate; may be repeated.
+    motion : str
+        Motion model of these calibrations.
+    scene : Path, optional
+        Scene file from which the rows of a table differ; by default scene.yaml in its folder.
+    name : str
+        Name of the campaign, which is the dataset of its experiments.
+    rig : str, optional
+        Rig with camera and markers, by name or file.
+    camera : str, optional
+        Camera: 0, /dev/video0 or http://...
+    tactile : str, optional
+        Serial port of the tactile board.
+    driver : str, optional
+        Kind of drive: grbl, manual or simulated.
+    port : str, optional
+        Serial port of the drive's controller.
+    axes : str, optional
+        Axes of the controller, such as X or XY.
+    drive_pose : str, optional
+        Pose of the coordinates of a drive with several axes in the world [mm, mm, deg].
+    tolerance : float, optional
+        Largest allowed deviation of a part from its place.
+    tolerance_angle : float, optional
+        Largest allowed deviation of its angle.
+    seed : int
+        Seed of the emulated laboratory.
+    dry_run : bool
+        Whether to check every row against the limits of the drive, and to move nothing.
+
+    Returns
+    -------
+    context manager
+        It opens the devices and gives a `BenchLoop`, whose `run` performs the plan. Every row was
+        checked against the limits of the drive.
+
+    Raises
+    ------
+    InvalidInput
+        The plan, a device or a row that the drive cannot perform; before anything moves.
+    DeviceFailed
+        A device does not answer as it should.
+    JobRefused
+        Another process performs this campaign.
+    """
+    from fixel.workflows.bench.devices import emulated_devices, open_devices, settings_of
+    from fixel.workflows.bench.loop import LoopOptions
+    from fixel.workflows.sampling import planned_rows
+
+    rows = planned_rows(plan, project, scene=scene)
+    given = {
+        "rig": rig, "camera": camera, "tactile": tactile, "driver": driver, "port": port,
+        "axes": axes, "drive_pose": drive_pose,
+    }  # fmt: skip
+    settings = settings_of(project.settings.bench, given)
+    devices = emulated_devices(rows, seed, rig or "") if emulated else open_devices(settings)
+    options = LoopOptions(
+        auto=auto,
+        dataset=name or plan.stem,
+        tolerance=tolerance,
+        tolerance_angle=tolerance_angle,
+        fit=fit,
+        motion=motion,
+        choose=choose,
+        until=until,
+        dry_run=dry_run,
+    )
+    return _opened(project, rows, devices, options)
+
+
+@contextmanager
+def _opened(
+    project: Project,
+    rows: Sequence[PlannedExperiment],
+    devices: AbstractContextManager[BenchDevices],
+    options: LoopOptions,
+) -> Iterator[BenchLoop]:
+    from fixel.workflows.bench.campaign import BENCH as FOLDER
+    from fixel.workflows.bench.campaign import Campaign
+    from fixel.workflows.bench.loop import BenchLoop
+
+    with devices as opened:
+        for row in rows:
+            opened.check(row)
+        campaign = Campaign(project.folder / FOLDER / options.dataset, rows)
+        with closing(campaign):
+            yield BenchLoop(project, campaign, opened, options)
+
+
+def report_of(loop: BenchLoop) -> AnalysisReport:
+    """Return the rows, attempts and estimates of a campaign."""
+    from fixel.table import Table
+    from fixel.workflows.analysis import Analysis, AnalysisReport
+
+    campaign, live = loop.campaign, loop.live
+    n, rows = len(campaign.accepted), len(campaign.rows)
+    attempts = [
+        (own.row, own.number, own.state, "; ".join(own.reasons) or "-")
+        for own in campaign.attempts.values()
+        if own.state != "accepted"
+    ]
+    tables = [] if live is None else [live.table]
+    if attempts:
+        head = ("row", "attempt", "state", "reasons")
+        tables.append(Table(head, attempts, title="Attempts without an experiment"))
+    numbers = {
+        "campaign": campaign.folder.name,
+        "folder": str(campaign.folder),
+        "rows": rows,
+        "accepted": n,
+        "skipped": sorted(campaign.skipped),
+        "attempts": [own._asdict() for own in campaign.attempts.values()],
+        "finish": loop.finish,
+        "half_widths": {} if live is None else live.estimates.half_widths,
+        "values": {} if live is None else dict(live.estimates.calibration),
+        "held_out_error_m": None if live is None else live.estimates.held_out_error,
+    }
+    return AnalysisReport(
+        Analysis(
+            kind="bench",
+            title=f"Campaign {campaign.folder.name}",
+            question={},
+            headline=(f"{n} of {rows} rows are experiments: {loop.finish or 'not finished'}.",),
+            tables=tuple(tables),
+            notes=() if live is None else live.words,
+            numbers=numbers,
+        )
+    )
+
+
+BENCH: Final = Capability(name="bench", function=open_bench, plot="")

@@ -1,0 +1,89 @@
+"""Several readers of one camera: each gets every picture from its beginning on."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from fixel.testbed.frame_source import CameraPicture, FrameQueue, FrameSource, Stream
+from fixel.testbed.shared_camera import SharedCamera
+
+
+class Counting(FrameSource):
+    """Camera whose pictures are numbered, at most `n` of them."""
+
+    def __init__(self, n=10**9, live=False, pause=0.0):
+        self.name, self.n, self.live, self.pause = "counting", n, live, pause
+        self.closed = threading.Event()
+
+    def open(self):
+        return Stream((4, 3), 30.0, jpeg=False, live=self.live)
+
+    def frames(self):
+        for number in range(self.n):
+            if self.closed.wait(self.pause):
+                break
+            yield CameraPicture(time.monotonic(), pixels=np.full((3, 4, 3), number % 251, np.uint8))
+        self.ended = "unplugged"
+
+    def close(self):
+        self.closed.set()
+
+
+def numbers(view, count):
+    return [int(one.pixels[0, 0, 0]) for one, _ in zip(view.frames(), range(count), strict=False)]
+
+
+def test_two_readers_lose_no_picture_of_a_camera_that_waits():
+    camera = SharedCamera(Counting)
+    first, second = camera.view(), camera.view()
+    found = {}
+    threads = [
+        threading.Thread(target=lambda view=view: found.update({view: numbers(view, 200)}))
+        for view in (first, second)
+    ]
+    [thread.start() for thread in threads]
+    [thread.join(20.0) for thread in threads]
+    for view in (first, second):
+        assert found[view] == [(found[view][0] + k) % 251 for k in range(200)]
+    assert found[first][0] == 0  # the camera waited for its first reader
+    camera.close()
+
+
+def test_a_reader_that_leaves_does_not_hold_up_the_others():
+    camera = SharedCamera(Counting)
+    lazy, keen = camera.view(), camera.view()
+    threading.Timer(0.3, lazy.close).start()
+    assert len(numbers(keen, 150)) == 150
+    camera.close()
+
+
+def test_a_slow_reader_of_a_live_camera_loses_pictures_alone():
+    camera = SharedCamera(lambda: Counting(live=True, pause=0.001))
+    lazy, keen = camera.view(), camera.view()
+    assert len(numbers(keen, 300)) == 300
+    waiting = numbers(lazy, 30)
+    assert len(waiting) == 30
+    camera.close()
+
+
+def test_the_end_of_the_camera_ends_every_view_and_it_can_be_opened_again():
+    camera = SharedCamera(lambda: Counting(n=5))
+    view = camera.view()
+    assert numbers(view, 100) == [0, 1, 2, 3, 4]
+    assert view.ended == camera.reason == "unplugged"
+
+    camera.restart()
+    assert numbers(camera.view(), 100) == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("live", [True, False])
+def test_a_queue_of_frames_can_be_closed_and_begun_again(live):
+    camera = SharedCamera(lambda: Counting(live=live, pause=0.001))
+    for _ in range(3):
+        queue = FrameQueue(camera.view(), live=live)
+        queue.start()
+        assert queue.get(2.0) is not None
+        queue.close()
+    camera.close()
