@@ -85,7 +85,9 @@ def _show(session: "BenchSession", last: str) -> str:
     if not report:
         return last
     look = report["look"] or {}
-    words = report["trouble"] or (look.get("sentence", "") if report["phase"] == "placing" else "")
+    words = "; ".join(report["problems"]) or (
+        look.get("sentence", "") if report["phase"] == "placing" else ""
+    )
     line = f"row {report['number']}/{report['rows']} {report['row']}: {report['phase']} {words}"
     if sys.stderr.isatty() and line != last:
         print(f"\r{line:<{len(last)}}", end="", file=sys.stderr, flush=True)

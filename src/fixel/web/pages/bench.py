@@ -34,7 +34,7 @@ def bench_page(context: ProjectContext, request: Request) -> dict[str, Any]:
     if session.loop is not None and (session.running or not new):
         report = json.loads(session.view.report)
         if report:
-            report["trouble"] = report["trouble"] or session.trouble
+            report["problems"] += [session.trouble] if session.trouble else []
             heading = f"Bench: {report['campaign']}"
             return {"report": report, "heading": heading, "running": session.running}
     texts = {name: option.texts(option.default) for name, option in BENCH.shown.items()}

@@ -555,7 +555,7 @@ class BenchLoop:
             "number": number,
             "accepted": len(campaign.accepted),
             "skipped": len(campaign.skipped),
-            "trouble": self._trouble,
+            "problems": [self._trouble] if self._trouble else [],
             "remark": self._remark,
             "finish": self.finish,
             "look": None if self._look is None else self._look.summary(),
