@@ -55,16 +55,20 @@ class BenchSession:
         """
         if self.running:
             raise JobRefused("a campaign is running already", hint="end it first")
-        self.loop, self.trouble, self._failure = None, "", None
-        self._ready.clear()
+        self._forget()
         self._thread = threading.Thread(target=self._run, args=(opened,), name="fixel-bench")
         self._thread.start()
         self._ready.wait()
-        loop: BenchLoop | None = self.loop
-        if loop is None:
+        if self._failure is not None:
             self._thread.join()
-            raise self._failure or JobRefused("the campaign did not begin")
-        return loop
+            raise self._failure
+        assert self.loop is not None
+        return self.loop
+
+    def _forget(self) -> None:
+        """Forget the campaign before."""
+        self.loop, self.trouble, self._failure = None, "", None
+        self._ready.clear()
 
     def _run(self, opened: AbstractContextManager[BenchLoop]) -> None:
         try:

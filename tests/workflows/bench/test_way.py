@@ -1,5 +1,7 @@
 """The way of the head past the part, checked by points along it instead of distances of shapes."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from matplotlib.path import Path as Outline
@@ -32,7 +34,7 @@ def test_a_way_ends_at_its_end_and_keeps_its_distance(outline, seed):
     corners = np.array([here, *way])
     along = np.concatenate([
         a + np.linspace(0.0, 1.0, 300)[:, None] * (b - a)
-        for a, b in zip(corners, corners[1:], strict=False)
+        for a, b in pairwise(corners)
     ])  # fmt: skip
     assert nearest(outline, along).min() > ROOM - 2e-4
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -113,7 +113,9 @@ class BenchDevices:
     def _way_speed(self, push: Stroke) -> float:
         """Return the speed [m/s] at which the head moves to a start."""
         try:
-            self.drive.check(to=push.travel, speed=FAST)
+            for axis in np.eye(self.drive.n_axes):
+                self.drive.aim(push.start, axis)
+                self.drive.check(to=0.0, speed=FAST)
         except InvalidInput:
             return push.speed
         return FAST
@@ -143,9 +145,10 @@ class BenchDevices:
             return None
         return [np.array([*_inside(self.frame, place), *here[2:]]) for place in way[:-1]] + [end]
 
-    def go(self, places: list[FloatArray]) -> None:
-        """Move the head through places of the drive, and return when it is there."""
+    def go(self, places: list[FloatArray], before: Callable[[], None]) -> None:
+        """Move the head through places of the drive; `before` is called before each move."""
         for place in places:
+            before()
             self.drive.go(place, speed=self._fast)
 
     def recover_drive(self) -> None:
@@ -262,8 +265,10 @@ def _frame(text: str, drive: AbstractActuator) -> FloatArray | None:
 
 
 @contextmanager
-def emulated_devices(rows: list[PlannedExperiment], seed: int, rig: str) -> Iterator[BenchDevices]:
-    """Return the devices of an emulated laboratory, whose truth nobody knows."""
+def emulated_devices(
+    rows: Sequence[PlannedExperiment], seed: int, rig: str
+) -> Iterator[BenchDevices]:
+    """Return the devices of an emulated laboratory, whose true scenes are hidden."""
     from fixel.testbed.emulators.laboratory import EmulatedLaboratory, smaller
     from fixel.testbed.simulated import SimulatedTestbed
 

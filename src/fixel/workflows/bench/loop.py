@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, final
 
 from fixel.database.project import Project
-from fixel.errors import FixelError
+from fixel.errors import DeviceFailed, FixelError
 from fixel.formats.recording import VIDEO
 from fixel.formats.rig_file import save_rig
 from fixel.formats.scene_file import SceneFile, save_scene
@@ -63,7 +63,7 @@ class LoopOptions:
     motion : str
         Motion model of the calibration.
     choose : bool
-        Whether the next row is the one that tells most.
+        Whether the next row is the one that narrows the widest interval most.
     until : str
         Intervals at which the campaign ends, such as `mu_pusher=0.02`.
     dry_run : bool
@@ -172,6 +172,7 @@ class BenchLoop:
         self._in_place, self._nudged = 0, -NUDGE
         self._wants_push = ""  # who asked for it: `key` or `page`
         self._pushing, self._stop_reason = threading.Event(), ""
+        self._withdraws: FloatArray | None = None  # where the head goes after its push
         self._tracked_ones: dict[str, TrackedAttempt] = {}  # by the name of the attempt
 
     # --- from any thread ------------------------------------------------------------------------
@@ -253,13 +254,18 @@ class BenchLoop:
             self._begin_row(self._next_row())
         frame = next(frames, None)
         if frame is None:
-            self._fail(f"the camera stopped: {self.devices.camera.reason}")
+            self._trouble = f"the camera stopped: {self.devices.camera.reason}"
         elif self._overlay is None:
             self._report("waiting", partial(_itself, frame.picture))
         else:
-            look = self._look = self._overlay.look(frame)
+            look = self._overlay.look(frame)
+            draw = partial(self._overlay.drawn, frame.picture, look)
+            # The head is not to be placed: the drive moves it to its start.
+            heads = self._row.scene.pushers if self._row else ()
+            own = tuple(p for p in look.parts if p.name not in [head.name for head in heads])
+            look = self._look = look._replace(parts=own)
             self._checks = tuple(self._checked(look, frame))
-            self._report("placing", partial(self._overlay.drawn, frame.picture, look))
+            self._report("placing", draw)
             if self.options.auto:
                 self._without_asking(look)
 
@@ -366,21 +372,21 @@ class BenchLoop:
         self._pushing.set()
         try:
             self._moved(way, by)
+            self._withdraws = way[-1]
             done = self._recorded(replace(row, scene=scene), self.campaign.recording(attempt), by)
-            self._moved([self.devices.stroke(row.scene).start], by)
+            if done.early:
+                raise DeviceFailed(done.reason)
+            attempt = self.campaign.note(attempt, "recorded")
+            self._track(attempt)
+            self._moved([self._withdraws], by)
+            self._withdraws = None
         except FixelError as failure:
-            why = self._stop_reason or str(failure)
-            self.campaign.note(attempt, "stopped", reasons=(why,))
-            self._fail(why)
-            return
+            self._trouble = self._stop_reason or str(failure)
+            if attempt.state == "begun":
+                self.campaign.note(attempt, "stopped", reasons=(self._trouble,))
         finally:
             self._pushing.clear()
             self._begin_row(None)
-        if done.early:
-            self.campaign.note(attempt, "stopped", reasons=(done.reason,))
-            self._fail(done.reason)
-            return
-        self._track(self.campaign.note(attempt, "recorded"))
 
     def _recorded(self, row: PlannedExperiment, folder: Path, by: str) -> RecordingSummary:
         """Record while the drive performs its stroke."""
@@ -425,18 +431,26 @@ class BenchLoop:
         """Move the head along its stroke; stop it if the recording ends."""
         drive, push = self.devices.drive, self.devices.stroke(row.scene)
         drive.aim(push.start, push.direction)
+        self._refuse_stopped()
         drive.move(to=push.travel, speed=push.speed, wait=False)
         while drive.moving:
             if camera_lost():
                 self.stop("the camera or the tactile board was lost during the push")
+            if self._stop_reason:  # also where the stop came just before the move
+                drive.stop()
             time.sleep(0.005)
         drive.wait()
+
+    def _refuse_stopped(self) -> None:
+        """Raise if a stop was asked for before the head began to move."""
+        if self._stop_reason:
+            raise DeviceFailed(self._stop_reason)
 
     def _moved(self, places: list[FloatArray], by: str) -> None:
         """Move the head through places, and show the pictures meanwhile."""
         frames = self._frames()
         with closing(frames), ThreadPoolExecutor(1, "fixel-drive") as pool:
-            moving = pool.submit(self.devices.go, places)
+            moving = pool.submit(self.devices.go, places, self._refuse_stopped)
             while not moving.done():
                 frame = next(frames, None)
                 if frame is None:
@@ -444,6 +458,8 @@ class BenchLoop:
                     break
                 self._report("moving", partial(_itself, frame.picture))
                 self._watch_page(by)
+                if self._stop_reason:
+                    self.devices.drive.stop()
             moving.result()
 
     def _watch_page(self, by: str) -> None:
@@ -519,20 +535,23 @@ class BenchLoop:
 
     # --- trouble --------------------------------------------------------------------------------
 
-    def _fail(self, why: str) -> None:
-        """Wait until the person at the bench has removed the cause."""
-        self._trouble = why
-
     def _recover(self) -> None:
-        """Open a lost camera again, and home a drive whose position is lost."""
+        """Open a lost camera again, home a drive whose position is lost, and withdraw the head."""
+        self._stop_reason = ""
+        self._pushing.set()
         try:
             if self.devices.camera.reason:
                 self.devices.camera.restart()
             self.devices.recover_drive()
+            if self._withdraws is not None:
+                self._moved([self._withdraws], "key")
+            self._withdraws = None
         except FixelError as problem:
             self._trouble = str(problem)
         else:
             self._trouble = ""
+        finally:
+            self._pushing.clear()
 
     # --- status ---------------------------------------------------------------------------------
 

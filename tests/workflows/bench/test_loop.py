@@ -1,0 +1,190 @@
+"""The whole loop at the emulated laboratory, judged by the laboratory's hidden truth."""
+
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fixel.database.project import Project
+from fixel.formats.plan_file import plan_text
+from fixel.formats.recording import open_recording
+from fixel.sampling import thesis_plan
+from fixel.workflows.bench import loop as loop_module
+from fixel.workflows.bench.loop import BenchLoop
+from fixel.workflows.bench.run import open_bench, report_of
+
+
+@pytest.fixture
+def bench(tmp_path):
+    """A project, and a plan of two quick pushes of a square."""
+    plan = thesis_plan()
+    few = replace(
+        plan,
+        name="few",
+        shapes=plan.shapes[:1],
+        layouts=plan.layouts[:1],
+        schemes=(plan.schemes[0],),
+        repetitions=2,
+        rig=replace(plan.rig, speed=0.06, travel=0.12),
+    )
+    (tmp_path / "few.yaml").write_text(plan_text(few))
+    return Project.create(tmp_path / "lab"), tmp_path / "few.yaml"
+
+
+def opened(bench, **options):
+    project, plan = bench
+    return open_bench(project, plan, **{"emulated": True, "fit": ("mu_support",), **options})
+
+
+def until(condition, patience=120.0):
+    end = time.monotonic() + patience
+    while not condition():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.02)
+
+
+class Hand:
+    """A person who acts by what the status shows."""
+
+    def __init__(self, loop):
+        self.loop, self.statuses = loop, []
+        loop.show = lambda draw, status: self.statuses.append(status)
+        self.thread = threading.Thread(target=loop.run)
+
+    def now(self):
+        return self.statuses[-1] if self.statuses else {"phase": "", "checks": [], "attempts": []}
+
+    def ready(self):
+        checks = self.now()["checks"]
+        return bool(checks) and all(check["passed"] for check in checks)
+
+    def place(self):
+        """Move the part until it is in place."""
+        until(lambda: self.now()["phase"] == "placing")
+
+        def placed():
+            if not self.ready():
+                self.loop.ask("place")
+                time.sleep(0.3)
+            return self.ready()
+
+        until(placed)
+
+
+@pytest.mark.system
+def test_a_plan_is_performed_tracked_stored_and_calibrated(bench):
+    project, _ = bench
+    with opened(bench, auto=True) as loop:
+        statuses = []
+        loop.show = lambda draw, status: statuses.append(status)
+        assert loop.run() == "every row of the plan is done"
+        attempts = [own for own in loop.campaign.attempts.values() if own.state == "accepted"]
+        laboratory = loop.devices.laboratory
+        truth = [moment.part for moment in laboratory.moments]
+        report = report_of(loop).analysis
+
+    assert [own.row for own in attempts] == [row.name for row in loop.campaign.rows]
+    with project.store() as store:
+        stored = [store.experiment(own.experiment) for own in attempts]
+    assert not any(own.real for own in stored)
+    for own, attempt in zip(stored, attempts, strict=True):
+        assert own.dataset == "few"
+        recording = open_recording(loop.campaign.recording(attempt))
+        assert recording.complete
+        assert recording.end.lost == 0
+        # The end of the track is a pose that the part truly had.
+        off = np.abs(np.array(truth) - own.trajectory.pose[-1]).min(axis=0)
+        assert off[:2].max() < 3e-4
+        assert off[2] < 5e-3
+    assert report.numbers["accepted"] == 2
+    assert report.numbers["half_widths"]["mu_support"] > 0.0
+    phases = [status["phase"] for status in statuses]
+    for phase in ("placing", "moving", "pushing", "finished"):
+        assert phase in phases
+
+    with opened(bench, auto=True) as loop:  # again: nothing is left, nothing is doubled
+        assert loop.run() == "every row of the plan is done"
+    with project.store() as store:
+        assert store.datasets() == {"few": 2}
+
+
+@pytest.mark.system
+def test_a_stop_ends_the_push_at_once_and_the_row_is_performed_again(bench):
+    with opened(bench) as loop:
+        hand = Hand(loop)
+        hand.thread.start()
+        hand.place()
+        loop.ask("push")
+        until(lambda: hand.now()["phase"] == "pushing" and loop.devices.drive.moving)
+        loop.ask("stop")
+        stopped = loop.devices.drive.place()
+        until(lambda: hand.now()["phase"] == "trouble")
+        assert np.array_equal(loop.devices.drive.place(), stopped)
+        assert "stopped by the person" in hand.now()["problems"][0]
+        first = next(iter(loop.campaign.attempts.values()))
+        assert first.state == "stopped"
+        assert loop.campaign.left[0].name == first.row
+
+        loop.ask("again")
+        hand.place()
+        assert hand.now()["row"] == first.row
+        loop.ask("end")
+        hand.thread.join(60.0)
+        assert loop.finish == "ended by the person at the bench"
+
+
+@pytest.mark.system
+def test_a_lost_page_stops_the_push_that_it_asked_for(bench):
+    with opened(bench) as loop:
+        hand = Hand(loop)
+        loop.page_left = lambda: "the page is lost" if loop.devices.drive.moving else ""
+        hand.thread.start()
+        hand.place()
+        loop.ask("push", by="page")
+        until(lambda: hand.now()["phase"] == "trouble")
+        assert hand.now()["problems"] == ["the page is lost"]
+        loop.ask("end")
+        hand.thread.join(60.0)
+
+
+@pytest.mark.system
+def test_a_lost_camera_stops_the_push_and_is_opened_again(bench, monkeypatch):
+    with opened(bench) as loop:
+        hand = Hand(loop)
+        hand.thread.start()
+        hand.place()
+        loop.ask("push")
+        until(lambda: hand.now()["phase"] == "pushing" and loop.devices.drive.moving)
+        loop.devices.camera.source.close()
+        until(lambda: hand.now()["phase"] == "trouble")
+        assert not loop.devices.drive.moving
+        loop.ask("again")
+        hand.place()
+        loop.ask("end")
+        hand.thread.join(60.0)
+
+
+@pytest.mark.system
+def test_an_attempt_with_a_fault_waits_for_a_decision(bench, monkeypatch):
+    real = BenchLoop._tracked
+
+    def doubted(self, attempt, found):
+        real(self, attempt, found._replace(reasons=("2 frames were lost",)))
+
+    monkeypatch.setattr(loop_module.BenchLoop, "_tracked", doubted)
+    with opened(bench) as loop:
+        hand = Hand(loop)
+        hand.thread.start()
+        hand.place()
+        loop.ask("push")
+        until(lambda: hand.now()["attempts"] and hand.now()["attempts"][0]["state"] == "tracked")
+        first = hand.now()["attempts"][0]
+        assert first["reasons"] == ("2 frames were lost",)
+        loop.ask("repeat", first["name"])
+        until(lambda: hand.now()["attempts"][0]["state"] == "repeated")
+        assert loop.campaign.recording(next(iter(loop.campaign.attempts.values()))).is_dir()
+        assert loop.campaign.left[0].name == first["row"]
+        loop.ask("end")
+        hand.thread.join(60.0)
