@@ -40,7 +40,7 @@ class LinearFit(NamedTuple):
 
     @property
     def information(self) -> FloatArray:
-        """What all experiments and the bounds tell about the parameters (p, p)."""
+        """Information of all experiments and of the bounds about the parameters (p, p)."""
         slope = self.slope
         own = np.einsum("npi,nqi->pq", slope, slope) / slope.shape[2] * OBSERVATIONS / self._error
         return np.asarray(own + 12.0 * np.eye(len(self.span)))

@@ -70,7 +70,7 @@ class GrblEvent(NamedTuple):
     speed: float  # speed of the drive at that time [mm/s]
 
 
-class Block(NamedTuple):
+class PlannerBlock(NamedTuple):
     """Straight move in the planner."""
 
     begin: tuple[float, ...]  # place of each axis, from its withdrawn end [mm]
@@ -84,7 +84,7 @@ class Block(NamedTuple):
         """Return the place after a part of the move [mm]."""
         return tuple(b + gone * w for b, w in zip(self.begin, self.way, strict=True))
 
-    def corner(self, following: Block) -> float:
+    def corner(self, following: PlannerBlock) -> float:
         """Return the square of the largest speed between two moves [mm^2/s^2], as in GRBL."""
         along = sum(a * b for a, b in zip(self.way, following.way, strict=True))
         full = min(self.speed, following.speed) ** 2
@@ -150,14 +150,14 @@ class EmulatedGrbl:
         self.events: list[GrblEvent] = []
         self.lost = 0  # number of bytes that did not fit into its buffer
         self.mute = False  # fault: sends nothing
-        self.garble = 0  # fault: number of following bytes to damage
-        self.refuse = 0  # fault: number of following lines to reject
-        self._rate = rate
+        self.garble = self.refuse = (
+            0  # fault: numbers of following bytes to damage, lines to reject
+        )
+        self._rate, self._homing = rate, homing
         self._firmware, self._axes = FIRMWARE[firmware], axes  # axes in its reports
         self._letters = "XYZA"[:axes]
         self._travel = _of_axes(travel, axes)
         self._places = _of_axes(start, axes)  # the withdrawn ends are at 0, where the switches are
-        self._homing = homing
         self._settings = {
             10: 1.0, 13: float(inches), 20: float(homing), 21: float(homing), 22: float(homing),
             23: 0.0,
@@ -169,17 +169,13 @@ class EmulatedGrbl:
         self._shift = _of_axes(0.0, axes) if homing else tuple(-at for at in self._places)
         self._sign = -1.0 if homing else 1.0
         self.state = "Alarm" if homing else "Idle"
-        self._critical = False
-        self._speed = 0.0
-        self._blocks: deque[Block] = deque()
+        self._critical, self._speed = False, 0.0
+        self._blocks: deque[PlannerBlock] = deque()
         self._gone = 0.0  # [mm] of the first block
         self._planned = self._places
-        self._partial = bytearray()
+        self._partial, self._feed, self._units = bytearray(), 0.0, 1.0
         self._waiting: deque[bytes] = deque()
-        self._feed = 0.0
-        self._relative = False
-        self._units = 1.0
-        self._ended = False
+        self._relative = self._ended = False
         self._errands: deque[Callable[[], object]] = deque()
         # Place of each axis from its withdrawn end [mm] and speed [mm/s], while it moved.
         self.trace: list[tuple[tuple[float, ...], float]] = []
@@ -437,7 +433,7 @@ class EmulatedGrbl:
             slowing = min(self._settings[120 + k] / part for k, part in moved)
             begin, self._planned = self._planned, tuple(ends)
             speed = min(self._feed, speed)
-            self._blocks.append(Block(begin, self._planned, way, length, speed, slowing))
+            self._blocks.append(PlannerBlock(begin, self._planned, way, length, speed, slowing))
             if self.state == "Idle":
                 self.state = "Run"
         return "ok"

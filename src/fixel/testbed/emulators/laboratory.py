@@ -240,7 +240,7 @@ class EmulatedLaboratory:
             self._place(self._faults.corrected)
 
     def _place(self, error: tuple[float, float]) -> None:
-        """Place the part with a random error [m, rad], beside what is there."""
+        """Place the part with a random error [m, rad], next to what is there."""
         self._placings += 1
         random = stream(self._seed, "placed", self._planned.name, str(self._placings))
         way, far = random.uniform(0.0, 2.0 * math.pi), error[0] * math.sqrt(random.uniform())

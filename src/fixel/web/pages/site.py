@@ -135,7 +135,7 @@ def system_page(context: ProjectContext, _: Request) -> dict[str, Any]:
 
 def api_page(_: ProjectContext, request: Request) -> dict[str, Any]:
     """Fill `/api`, the documentation of the API for programs."""
-    mounted: Any = next(route for route in request.app.routes if route.path == API)
+    mounted: Any = next(route for route in request.app.routes if getattr(route, "path", "") == API)
     operations = [
         {
             "method": method.upper(),

@@ -45,7 +45,7 @@ def open_bench(
     seed: Seed = 1,
     dry_run: bool = False,
 ) -> AbstractContextManager[BenchLoop]:
-    """Perform a plan of experiments: place, push, record, track, calibrate, row by row.
+    """Perform a plan of experiments at a bench, row by row.
 
     The same command continues after an interruption. Nothing is ever deleted.
 
