@@ -119,7 +119,7 @@ def predictive_of(
     rows = np.searchsorted(np.cumsum(weight) / weight.sum(), places)
     free = max(1, 3 * len(ends) - len(space.labels))
     size = SHARE * math.sqrt(float((residual**2).sum()) / free)
-    moved = np.array([_recorded_motion(own) for own in ends])
+    moved = np.concatenate([_motions(own, np.zeros(3)) for own in ends])
     return Predictive(space, shrunk[rows], EndError(size, max(float(moved.mean()), 1e-9)))
 
 
@@ -152,7 +152,7 @@ def check_predictions(
         return 0, 0
     some, ends = free[_spread(len(free))], [_end_of(own) for own in targets]
     squares = (end_residuals(ends, space, motion, best[None]) ** 2).sum(axis=(1, 2))
-    motions = np.array([_recorded_motion(own) for own in ends])
+    motions = np.concatenate([_motions(own, np.zeros(3)) for own in ends])
     points = np.clip(predictive.points + moved[some, None], space.low, space.high)
     found = end_residuals([ends[k] for k in some], space, motion, points)
     n, held = len(ends) - 1, 0
@@ -199,10 +199,6 @@ def _end_of(own: Target) -> Target:
 def _spread(n: int) -> IntArray:
     """Return the numbers of at most `MOST` of n pushes, spread evenly."""
     return np.unique(np.linspace(0, n - 1, min(MOST, n)).astype(np.int64))
-
-
-def _recorded_motion(own: Target) -> float:
-    return float(_motions(own, np.zeros((1, 3)))[0])
 
 
 def _motions(own: Target, off: FloatArray) -> FloatArray:

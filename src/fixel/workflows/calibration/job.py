@@ -457,7 +457,7 @@ class CalibrationSearch:
         if len(one.members) >= LEAST:
             value, sd = quoted(one.estimates, self.comparer.space.labels, self.request.level)
             chunk = Chunk("check", bytes_of(point=one.point, value=value, sd=sd))
-            answers = yield Round("calibration:check_ends", [chunk], "predictions")
+            answers = yield Round("calibration:check_ends", [chunk], "predictions", left=0)
             answer = answers[chunk.name]
             if isinstance(answer, Failure):
                 return one
