@@ -32,6 +32,7 @@ from fixel.jobs.folder import read_job
 from fixel.testing.pushes import example_parts
 from fixel.workflows import jobs
 from fixel.workflows.analysis import load_analyses
+from fixel.workflows.bench.run import BENCH
 from fixel.workflows.capabilities import CAPABILITIES, prepare, run
 from fixel.workflows.project.export import export, import_zip
 
@@ -82,7 +83,9 @@ def specimen(
 SPECIMEN = Capability(group="try", name="specimen", function=specimen)
 REGISTERED = pytest.mark.parametrize("capability", CAPABILITIES.values(), ids=[*CAPABILITIES])
 EVERY = pytest.mark.parametrize(
-    "capability", [SPECIMEN, *CAPABILITIES.values()], ids=["specimen", *CAPABILITIES]
+    "capability",
+    [SPECIMEN, BENCH, *CAPABILITIES.values()],
+    ids=["specimen", "bench", *CAPABILITIES],
 )
 HEAVY = {"numpy", "numba", "scipy", "matplotlib", "sqlalchemy", "pyarrow", "rich"}
 NAMES = st.from_regex(r"[a-z][a-z_]{0,8}", fullmatch=True)
