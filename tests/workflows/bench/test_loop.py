@@ -188,3 +188,18 @@ def test_an_attempt_with_a_fault_waits_for_a_decision(bench, monkeypatch):
         assert loop.campaign.left[0].name == first["row"]
         loop.ask("end")
         hand.thread.join(60.0)
+
+
+@pytest.mark.system
+def test_a_camera_lost_while_a_part_is_placed_is_opened_again(bench):
+    with opened(bench) as loop:
+        hand = Hand(loop)
+        hand.thread.start()
+        hand.place()
+        loop.devices.camera.source.close()
+        until(lambda: hand.now()["phase"] == "trouble")
+        assert "the camera stopped" in hand.now()["problems"][0]
+        loop.ask("again")
+        hand.place()
+        loop.ask("end")
+        hand.thread.join(60.0)

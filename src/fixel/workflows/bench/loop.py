@@ -217,10 +217,12 @@ class BenchLoop:
                     continue
                 frames = frames or self._frames()
                 self._turn(frames)
-                if self._wants_push and self._row is not None:
-                    frames.close()
+                push = self._row if self._wants_push else None
+                if push is not None or self._trouble:
+                    frames.close()  # a push reads its own, and those of a lost camera have ended
                     frames = None
-                    self._perform(self._row)
+                if push is not None:
+                    self._perform(push)
             self._report("finished")
         finally:
             if frames is not None:
