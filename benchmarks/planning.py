@@ -3,9 +3,9 @@
 ``python -m benchmarks planning``: every task has a world of its own, a simulated laboratory with
 uneven pressure, a rough plate, and friction and centre of pressure that nobody states. It records
 eight experiments into a project, `fixel.calibrate` stores a calibration there, and the plan is that
-of `fixel plan GOAL --untrusted`: the same function with the same defaults, so that the belief has
-the scatter between runs that the command learns. The plan is carried out 200 times in that world
-with new conditions and new errors of the start.
+of `fixel plan GOAL --untrusted`: the same function with the same defaults, so that the belief is
+that of a calibration. The plan is carried out 200 times in that world with new conditions and new
+errors of the start.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from fixel.model.goals import BodyTrack, Goal, touching
 from fixel.parts.next_pushes import push_candidates
 from fixel.planning.plan import PushPlan, simulator_of
 from fixel.planning.pushes import FreePushes, scene_of_push
-from fixel.planning.search import DRAWS, PlanSearch, SearchStage, stage_scenarios
+from fixel.planning.search import PlanSearch
 from fixel.planning.success import SuccessProbability, rates_without_noise
 from fixel.sampling.published import thesis_plan
 from fixel.simulation.ensemble import Ensemble
@@ -79,7 +79,6 @@ class Row(NamedTuple):
     low: float  # lower end of the stated range over samples of the parameters
     held: float
     expected: float  # mean |mean - held| over the belief's own samples of the parameters
-    without_scatter: float  # stated mean without the learned scatter between runs
     nominal_mean: float
     nominal_held: float
     pushes: int
@@ -124,14 +123,11 @@ def figures(rows: Sequence[Row], *, bar: bool) -> list[Figure]:
     )
     hard = np.argsort(nominal, kind="stable")[: max(1, len(rows) // 2)]
     off = mean - held
-    alone = np.array([row.without_scatter for row in rows])
     values = {
         "tasks": (len(rows), "-"),
         "stated mean less held (bias)": (100.0 * off.mean(), "points"),
         "size of the bias": (100.0 * abs(off.mean()), "points"),
         "log score": (log_score(mean, held), "-"),
-        "bias without the learned scatter": (100.0 * (alone - held).mean(), "points"),
-        "log score without the learned scatter": (log_score(alone, held), "-"),
         "difference of stated mean and held": (100.0 * np.abs(off).mean(), "points"),
         "difference that the belief expects": (100.0 * expected.mean(), "points"),
         "held below 5 % quantile": (100.0 * (held < low).mean(), "%"),
@@ -188,7 +184,7 @@ def compared(task: Task, runs: int, rollouts: int) -> Row:
     return Row(
         task.name, task.kind, plan.success.mean, plan.success.least,
         held(task, plan.goal, plan.scenes, runs), expected_difference(plan.success, runs),
-        mean_without_scatter(plan), plan.nominal_success.mean,
+        plan.nominal_success.mean,
         held(task, plan.goal, nominal_pushes(plan, rollouts), runs),
         len(plan.scenes), runs, rollouts, seconds,
     )  # fmt: skip
@@ -224,16 +220,6 @@ def expected_difference(success: SuccessProbability, runs: int) -> float:
     share = np.arange(runs + 1) / runs
     chance = binom.pmf(np.arange(runs + 1), runs, np.clip(rates, 0.0, 1.0)[:, None])
     return float((chance @ np.abs(success.mean - share)).mean())
-
-
-def mean_without_scatter(plan: PushPlan) -> float:
-    """Mean success of a plan by the calibration alone, in scenarios of the same seed."""
-    belief = replace(plan.belief, run_to_run=None)
-    stage = SearchStage(DRAWS, len(plan.runs.margin), 1)
-    scenarios = stage_scenarios(belief, plan.scene, stage, DRAWS)
-    runs = plan.run(scenarios, samples=1, threads=1)
-    simulator = simulator_of(plan.scene, plan.goal, plan.choose, belief, None, None, 1)
-    return float((simulator.margins(runs) >= 0.0).mean())
 
 
 def held(task: Task, goal: Goal, pushes: Sequence[Scene], runs: int) -> float:

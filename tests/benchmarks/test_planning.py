@@ -10,7 +10,7 @@ from fixel.planning.success import SuccessProbability
 
 
 def row(mean, held):
-    return planning.Row("task", "push", mean, 0.0, held, 0.1, mean, mean, held, 1, 200, 1000, 1.0)
+    return planning.Row("task", "push", mean, 0.0, held, 0.1, mean, held, 1, 200, 1000, 1.0)
 
 
 def test_bias_scores_and_reliability_of_known_rows():
