@@ -239,20 +239,19 @@ def shade(
     # On the same grid for all windows, or shadows would flicker as windows move.
     left, top = window.left % COARSE, window.top % COARSE
     w, h = -(-(window.width + left) // COARSE), -(-(window.height + top) // COARSE)
+    corner = np.array([window.left - left, window.top - top])
+    ends = (np.array([hull.ends for hull in hulls]) + 0.5 - corner) / COARSE - 0.5
+    meets = (ends[:, 0] < (w, h)).all(axis=1) & (ends[:, 1] > -1.0).all(axis=1)
+    if not meets.any():
+        return None
     room = np.zeros((h, w + 2))
     lost: FloatPicture = np.zeros((h, w), np.float32)
     one: FloatPicture = np.empty((h, w), np.float32)
-    met, corner = False, np.array([window.left - left, window.top - top])
     for ray, share in enumerate(SHARES):
         one[:] = 0.0
-        for hull in hulls[ray :: len(RAYS)]:
-            pixels = (hull.ends + 0.5 - corner) / COARSE - 0.5
-            if (pixels[0] < (w, h)).all() and (pixels[1] > -1.0).all():
-                cover(one, room, (hull.corners + 0.5 - corner) / COARSE - 0.5)
-                met = True
+        for k in np.flatnonzero(meets[ray :: len(RAYS)]).tolist():
+            cover(one, room, (hulls[ray + k * len(RAYS)].corners + 0.5 - corner) / COARSE - 0.5)
         lost += share * one
-    if not met:
-        return None
     cv2 = opencv()
     smooth = cv2.GaussianBlur(lost, (0, 0), 0.7)
     fine = cv2.resize(smooth, (w * COARSE, h * COARSE), interpolation=cv2.INTER_LINEAR)
