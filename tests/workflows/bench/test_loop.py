@@ -76,13 +76,16 @@ class Hand:
 @pytest.mark.system
 def test_a_plan_is_performed_tracked_stored_and_calibrated(bench):
     project, _ = bench
+    truth = []
+    with opened(bench, auto=True, limit=1) as loop:
+        assert loop.run() == "1 of 2 rows are experiments, as asked"
+        truth += [moment.part for moment in loop.devices.laboratory.moments]
     with opened(bench, auto=True) as loop:
         statuses = []
         loop.show = lambda draw, status: statuses.append(status)
         assert loop.run() == "every row of the plan is done"
         attempts = [own for own in loop.campaign.attempts.values() if own.state == "accepted"]
-        laboratory = loop.devices.laboratory
-        truth = [moment.part for moment in laboratory.moments]
+        truth += [moment.part for moment in loop.devices.laboratory.moments]
         report = report_of(loop).analysis
 
     assert [own.row for own in attempts] == [row.name for row in loop.campaign.rows]
@@ -95,9 +98,10 @@ def test_a_plan_is_performed_tracked_stored_and_calibrated(bench):
         assert recording.complete
         assert recording.end.lost == 0
         # The end of the track is a pose that the part truly had.
-        off = np.abs(np.array(truth) - own.trajectory.pose[-1]).min(axis=0)
-        assert off[:2].max() < 3e-4
-        assert off[2] < 5e-3
+        off = np.abs(np.array(truth) - own.trajectory.pose[-1])
+        nearest = off[np.argmin(np.hypot(*off[:, :2].T))]
+        assert nearest[:2].max() < 3e-4
+        assert nearest[2] < 5e-3
     assert report.numbers["accepted"] == 2
     assert report.numbers["half_widths"]["mu_support"] > 0.0
     phases = [status["phase"] for status in statuses]

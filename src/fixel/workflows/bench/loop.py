@@ -54,6 +54,8 @@ class LoopOptions:
     auto : bool
         Whether it pushes as soon as the part is in place, accepts attempts without a fault, and
         repeats others up to `MAX_ATTEMPTS` times.
+    limit : int, optional
+        Number of experiments at which the campaign ends.
     dataset : str
         Dataset of the experiments.
     tolerance, tolerance_angle : float, optional
@@ -71,6 +73,7 @@ class LoopOptions:
     """
 
     auto: bool = False
+    limit: int | None = None
     dataset: str = "bench"
     tolerance: float | None = None
     tolerance_angle: float | None = None
@@ -241,8 +244,12 @@ class BenchLoop:
             return False
         if self.finish:
             return True
-        if not self.campaign.left and not self.campaign.undecided and not self._estimator.waiting:
-            self.finish = "every row of the plan is done"
+        if not self.campaign.undecided and not self._estimator.waiting:
+            n = len(self.campaign.accepted)
+            if not self.campaign.left:
+                self.finish = "every row of the plan is done"
+            elif self.options.limit is not None and n >= self.options.limit:
+                self.finish = f"{n} of {len(self.campaign.rows)} rows are experiments, as asked"
         return bool(self.finish)
 
     def _take_events(self) -> None:
@@ -275,6 +282,9 @@ class BenchLoop:
         """Return the row to perform next; None while it is not known, or there is none."""
         left = self.campaign.left
         if not left or self.finish:
+            return None
+        coming = len(self.campaign.accepted) + len(self.campaign.undecided)
+        if self.options.limit is not None and coming >= self.options.limit:
             return None
         if self.options.choose and self._estimator.waiting + self._tracker.waiting:
             return None

@@ -23,8 +23,11 @@ YOURS: Final = "that of fixel.yaml"
 
 def open_bench(
     project: Project,
-    plan: Annotated[Path, Door(metavar="PLAN")],
+    plan: Annotated[
+        Path | None, Door(metavar="PLAN", usual="the 420 experiments of the thesis")
+    ] = None,
     *,
+    limit: Annotated[int | None, Door(least=1, metavar="COUNT")] = None,
     emulated: bool = False,
     auto: bool = False,
     choose: bool = False,
@@ -53,8 +56,10 @@ def open_bench(
     ----------
     project : Project
         Project that stores the experiments.
-    plan : Path
+    plan : Path, optional
         Plan file, or a table (.csv) with one row per experiment.
+    limit : int, optional
+        Number of experiments of the campaign at which to stop.
     emulated : bool
         Whether to use an emulated laboratory instead of devices.
     auto : bool
@@ -109,11 +114,14 @@ def open_bench(
     JobRefused
         Another process performs this campaign.
     """
+    from fixel.sampling import thesis_plan
     from fixel.workflows.bench.devices import emulated_devices, open_devices, settings_of
     from fixel.workflows.bench.loop import LoopOptions
     from fixel.workflows.sampling import planned_rows
 
-    rows = planned_rows(plan, project, scene=scene)
+    rows = thesis_plan().experiments
+    if plan is not None:
+        rows = planned_rows(plan, project, scene=scene)
     given = {
         "rig": rig, "camera": camera, "tactile": tactile, "driver": driver, "port": port,
         "axes": axes, "drive_pose": drive_pose,
@@ -122,7 +130,8 @@ def open_bench(
     devices = emulated_devices(rows, seed, rig or "") if emulated else open_devices(settings)
     options = LoopOptions(
         auto=auto,
-        dataset=name or plan.stem,
+        limit=limit,
+        dataset=name or ("thesis" if plan is None else plan.stem),
         tolerance=tolerance,
         tolerance_angle=tolerance_angle,
         fit=fit,
