@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 
 FAST: Final = 0.05  # [m/s] of the head on its way to a start, if its drive can do that
 CLEAR: Final = 0.003  # [m] between the head and the part on that way
+SMALLER: Final = 0.75  # pictures of the emulated laboratory: fixels are still found in them
+# Rows of the emulated laboratory in which a hand hides a marker, and in which the head jams.
+HIDDEN, OVERLOAD = slice(3, None, 10), slice(6, None, 10)
 SETTINGS: Final[Mapping[str, Any]] = {
     "camera": "0", "rig": "", "tactile": "", "driver": "grbl", "port": "", "axes": "X",
     "drive_pose": "", "rate": 30.0,
@@ -269,11 +272,15 @@ def emulated_devices(
     rows: Sequence[PlannedExperiment], seed: int, rig: str
 ) -> Iterator[BenchDevices]:
     """Return the devices of an emulated laboratory, whose true scenes are hidden."""
-    from fixel.testbed.emulators.laboratory import EmulatedLaboratory, smaller
+    from fixel.testbed.emulators.laboratory import EmulatedLaboratory, Faults, smaller
     from fixel.testbed.simulated import SimulatedTestbed
 
+    names = [row.name for row in rows]
     laboratory = EmulatedLaboratory(
-        smaller(rig_of(rig or "thesis-tags"), 0.5), truth=SimulatedTestbed(seed=seed), seed=seed
+        smaller(rig_of(rig or "thesis-tags"), SMALLER),
+        truth=SimulatedTestbed(seed=seed),
+        seed=seed,
+        faults=Faults(hidden=names[HIDDEN], overload=names[OVERLOAD]),
     )
     laboratory.prepare(rows[0])
     camera = SharedCamera(lambda: laboratory.source)

@@ -79,7 +79,8 @@ def _reasons(
         yield f"the part began {1e3 * apart:.1f} mm and {math.degrees(turned):.1f} deg off"
     if experiment.effective is None:
         yield "the head did not move"
-    elif not planned.fixels and (wanted := planned_travel(planned)):
+    elif "1" not in experiment.contact_mode and (wanted := planned_travel(planned)):
+        # A head that holds a part against a fixel stops early.
         travel = float(experiment.conditions.get("travel_m", wanted))
         if travel < SHORT * wanted:
             yield f"the head moved {1e3 * travel:.1f} of {1e3 * wanted:.1f} mm: overload"
