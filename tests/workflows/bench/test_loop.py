@@ -207,3 +207,19 @@ def test_a_camera_lost_while_a_part_is_placed_is_opened_again(bench):
         hand.place()
         loop.ask("end")
         hand.thread.join(60.0)
+
+
+@pytest.mark.system
+def test_a_plate_without_fixels_needs_no_reading_of_them(bench):
+    project, plan = bench
+    layout = replace(thesis_plan().layouts[0], pegs=())
+    shapes, schemes = thesis_plan().shapes[:1], thesis_plan().schemes[:1]
+    empty = replace(thesis_plan(), shapes=shapes, layouts=(layout,), schemes=schemes)
+    plan.write_text(plan_text(empty))
+    with opened((project, plan)) as loop:
+        hand = Hand(loop)
+        hand.thread.start()
+        hand.place()
+        assert "fixels" not in [check["name"] for check in hand.now()["checks"]]
+        loop.ask("end")
+        hand.thread.join(60)

@@ -346,7 +346,7 @@ class BenchLoop:
         words = ", ".join(f"{part.name}: {part.reason}" for part in unseen) or "all seen"
         yield BenchCheck("markers", not unseen and not look.problems, words)
         yield BenchCheck("in place", look.placed, look.sentence)
-        if self.devices.tactile is not None:
+        if self.devices.tactile is not None and self._row.scene.fixels:
             reading = self.devices.tactile.read()
             words = reading.problem or ("no reading" if reading.bits is None else "read")
             yield BenchCheck("fixels", reading.bits is not None, words)
