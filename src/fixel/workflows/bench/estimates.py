@@ -64,14 +64,11 @@ class _Scatter(NamedTuple):
 
     def linear(self, shifted: ShiftModel, members: Sequence[int]) -> Linear:
         """Return experiments that are linearised about the best point."""
-        unit, own = self._unit, np.zeros((len(members), len(self.names)))
+        unit = np.array([SHIFTS[name][1] for name in self.names])
+        own = np.zeros((len(members), len(unit)))
         probes = [Probes(shifted, m, self.names, self.fit.point, own[0]) for m in members]
         parts = run_study(probe_rollouts(probes), shifted.differences)
         return linear_data(shifted, probes, parts, own, unit, self.fit.noise)
-
-    @property
-    def _unit(self) -> FloatArray:
-        return np.array([SHIFTS[name][1] for name in self.names])
 
     def information(self, data: Linear, frames: FloatArray) -> FloatArray:
         """Return the information (n, p, p) of experiments with (n,) frames."""
@@ -92,7 +89,7 @@ class _Scatter(NamedTuple):
 
 
 @final
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class LiveEstimates:
     """Parameters after the experiments so far.
 
