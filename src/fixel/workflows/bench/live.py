@@ -47,10 +47,12 @@ def estimate_rows(request: LiveRequest) -> LiveAnswer:
         No experiment informs the parameters.
     """
     begun = time.monotonic()
-    known = estimate(
-        request.experiments, request.space, motion=request.motion, previous=request.previous
-    )
     until = Until.parse(request.until) if request.until else None
+    previous, experiments = request.previous, request.experiments
+    if until is not None and previous is None and len(experiments) > 1:
+        # Intervals must be narrow twice in a row, also after a pause of the campaign.
+        previous = estimate(experiments[:-1], request.space, motion=request.motion)
+    known = estimate(experiments, request.space, motion=request.motion, previous=previous)
     wanted: Mapping[str, float] = {} if until is None else until.wanted
     finish = until.words(known) if until is not None and until.met(known) else ""
     words = [
