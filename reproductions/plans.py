@@ -1,5 +1,7 @@
 """Choices among real pushes by their success probability, stated before and checked afterwards.
 
+The probability is that of the belief with which `fixel.plan` judges pushes after a calibration.
+
 The held-out pushes of a plate on a surface are the actions to choose from. A goal is the predicted
 motion of a random training push, displaced at random: it depends on no measured motion of a
 held-out push. A method chooses one push for each goal; the recorded motion decides. A goal is
@@ -8,36 +10,35 @@ feasible if at least one recorded motion meets it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from fixel.model import wrapped
 from fixel.replay.base import Row
+from fixel.simulation.vary import composed, inverted
 from fixel.typing import BoolArray, FloatArray
 from reproductions.charts.plans import plans_figure
 from reproductions.mit_push import PUBLISHED
-from reproductions.new_sides import FIRST_SEED, side_labels
-from reproductions.protocols import BenchmarkData, calibrated_bench, full_fit
-from reproductions.pushes import Key, PushGroup
-from reproductions.residuals import Split, in_object, split_without
-from reproductions.result import Reproduction, RunOptions
-from reproductions.run_scatter import (
-    DRAWS,
+from reproductions.predicted_pushes import (
+    PARAMETERS,
     REPEATS,
-    GroupScatter,
-    Widening,
-    simulated_group,
-    typical,
-    widened,
+    TRAIN,
+    GroupPrediction,
+    predict_group,
 )
+from reproductions.protocols import BenchmarkData, calibrated_bench
+from reproductions.pushes import Key, PushGroup
+from reproductions.residuals import in_object
+from reproductions.result import Reproduction, RunOptions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SEEDS: Final = 3
+SEEDS: Final = 1  # random splits
 GOALS: Final = 150  # per group and split
 # Largest displacement of a goal from a prediction [m, rad].
 SHAKE: Final = (3e-3, np.radians(3.0))
@@ -54,13 +55,15 @@ METHODS: Final = {
     "neighbours": "nearest mean of 4 similar training pushes",
     "neighbour": "nearest similar training push",
 }
-RANDOM, SIDES, PLATES = "random pushes", "new sides", "scatter of other plates"
+PAIRS: Final = (3.0, 3.0)  # tolerance of the goals of two pushes [mm, deg]
+NEAR: Final = 16  # pushes, or pairs of them, that are compared by their probabilities
+SEEN: Final = 32  # draws of the first push for which a second one is chosen
 
 
 class Actions(NamedTuple):
     """Held-out pushes of one group, and how each method predicts them."""
 
-    group: GroupScatter
+    group: GroupPrediction
     predicted: dict[str, FloatArray]  # (m, 3) motions by method [m, m, rad]
     goals: FloatArray  # (k, 3) [m, m, rad]
 
@@ -74,32 +77,42 @@ class Choices(NamedTuple):
     stated: FloatArray  # (k,) stated probability of the chosen push
 
 
+class Pairs(NamedTuple):
+    """Two pushes for each goal of one group: stated probabilities and successes."""
+
+    key: Key
+    blind: FloatArray  # (k,) stated for two pushes
+    looked: FloatArray  # (k,) stated with a look between them
+    blind_met: FloatArray  # (k,) 1 where the recorded motions meet the goal
+    looked_met: FloatArray  # (k,)
+
+
 def run(options: RunOptions) -> Reproduction:
     """Choose among held-out pushes, and compare stated probabilities with recorded motions.
 
     With `quick`, it uses three plates with 60 pushes each, and rough fits.
     """
     bench = calibrated_bench(options, SEEDS)
-    sides = sum(int(side_labels(bench.group(key)).max()) + 1 for key in bench.rows)
-    bench.total = len(bench.rows) * (bench.request.seeds + 1) + sides
+    bench.total = len(bench.rows) * bench.request.seeds
     rows: dict[str, list[Row]] = {"choices": [], "stated": [], "reliability": [], "coverage": []}
-    random = list(_random(bench))
-    others = _other_plates(bench, random[0][0])
-    for name, splits in ((RANDOM, random), (PLATES, [others]), (SIDES, [_sides(bench)])):
-        actions = []
-        plain: list[GroupScatter] = []
-        for seed, (before, after) in enumerate(splits):
-            plain += before
-            actions += [_actions(bench, own, [seed, k]) for k, own in enumerate(after)]
-        _judge(rows, name, actions)
-        rows["coverage"] += _coverage_rows(name, "scatter alone", plain)
-        rows["coverage"] += _coverage_rows(name, "widened", [own.group for own in actions])
+    actions, pairs = [], []
+    for seed in range(bench.request.seeds):
+        for k, key in enumerate(bench.rows):
+            own = predict_group(bench, key, bench.splits(key)[seed], seed)
+            actions.append(_actions(bench, own, [seed, k]))
+            pairs.append(chosen_pairs(own, np.random.default_rng([seed, k, 2])))
+            bench.advance(f"split {seed + 1}, {' '.join(key)}")
+    _judge(rows, actions)
+    rows["coverage"] = _coverage_rows([own.group for own in actions])
+    rows["pairs"] = _pair_rows(pairs)
     return Reproduction(
         tables=rows,
         conclusions=_conclusions(rows),
         settings={
             "seeds": bench.request.seeds,
             "goals": GOALS,
+            "calibrated_to": TRAIN,
+            "parameters": {name: list(ends) for name, ends in PARAMETERS.items()},
             "methods": METHODS,
             "quick": options.quick,
         },
@@ -107,57 +120,10 @@ def run(options: RunOptions) -> Reproduction:
     )
 
 
-# --- protocols ------------------------------------------------------------------------------------
-
-Halves = tuple[list[GroupScatter], list[GroupScatter]]  # before and after widening
-
-
-def _random(bench: BenchmarkData) -> Iterator[Halves]:
-    """Hold out 40 % of the pushes of every group at random."""
-    for seed in range(bench.request.seeds):
-        groups = []
-        for key in bench.rows:
-            group, split = bench.group(key), bench.splits(key)[seed]
-            groups.append(
-                simulated_group(group, full_fit(bench, group, seed, split), split).predict()
-            )
-            bench.advance(f"{RANDOM}, split {seed + 1}, {' '.join(key)}")
-        yield groups, widened(groups, groups)
-
-
-def _other_plates(bench: BenchmarkData, own: Sequence[GroupScatter]) -> Halves:
-    """Calibrate each plate, but take its scatter and widening from plates of other shapes."""
-    groups, after = [], []
-    for key in bench.rows:
-        group, split = bench.group(key), bench.splits(key)[0]
-        others = [found for found in own if found.train.key[1] != key[1]]
-        simulated = simulated_group(group, full_fit(bench, group, 0, split), split)
-        groups.append(simulated.predict(typical([other.scatter for other in others])))
-        after += widened(groups[-1:], others)
-        bench.advance(f"{PLATES}, {' '.join(key)}")
-    return groups, after
-
-
-def _sides(bench: BenchmarkData) -> Halves:
-    """Hold out every side of every plate; learn all from the other sides of the group."""
-    before: list[GroupScatter] = []
-    for key in bench.rows:
-        group = bench.group(key)
-        labels = side_labels(group)
-        for side in range(int(labels.max()) + 1) if labels.max() > 0 else ():
-            split = split_without(labels, side, FIRST_SEED + side)
-            fit = full_fit(bench, group, f"side_{side}", split)
-            on_side = Split(split.train, np.flatnonzero(labels == side))
-            before.append(simulated_group(group, fit, on_side).predict(draws=DRAWS // 2))
-            bench.advance(f"{SIDES}, side {side + 1}, {' '.join(key)}")
-    widening = Widening.fitted([own.train for own in before])
-    return before, [own._replace(held_out=widening.applied(own.held_out)) for own in before]
-
-
 # --- choices --------------------------------------------------------------------------------------
 
 
-def _actions(bench: BenchmarkData, own: GroupScatter, seed: Sequence[int]) -> Actions:
+def _actions(bench: BenchmarkData, own: GroupPrediction, seed: Sequence[int]) -> Actions:
     group = bench.group(own.held_out.key)
     rows = own.held_out.rows
     published = bench.data.published.get(PUBLISHED)
@@ -234,16 +200,62 @@ def choose(actions: Actions, tolerance: tuple[float, float]) -> dict[str, Choice
     }
 
 
+def chosen_pairs(own: GroupPrediction, rng: np.random.Generator) -> Pairs:
+    """Choose two held-out pushes for each goal, blind and with a look between them.
+
+    Goals are the predicted motions of two training pushes, displaced. The recorded motion of the
+    second push is assumed to be the same in the frame of the part wherever the first one left it.
+    """
+    held, train = own.held_out, own.train.predicted
+    both = composed(train[rng.permutation(len(train))], train)
+    n, goals = len(held.rows), goals_of([both], GOALS, rng)
+    pairs = composed(held.predicted[:, None], held.predicted[None]).reshape(-1, 3)
+    every, single = cKDTree(_scaled(pairs)), cKDTree(_scaled(held.predicted))
+    found = []
+    for goal in goals:
+        near = every.query(_scaled(goal), k=NEAR)[1]
+        first, second = near // n, near % n
+        order = rng.permutation(held.draws.shape[1])
+        ends = composed(held.draws[first], held.draws[second][:, order])
+        best, blind = _likeliest(ends, goal)
+        i, j = first[best], second[best]
+        met = [_met(composed(held.measured[i], held.measured[j]), goal)]
+        left = composed(inverted(held.draws[i][:: held.draws.shape[1] // SEEN]), goal)
+        stated = []
+        for wanted in (*left, composed(inverted(held.measured[i]), goal)):
+            near = single.query(_scaled(wanted), k=NEAR)[1]
+            best, chance = _likeliest(held.draws[near], wanted)
+            stated.append(chance)
+        met.append(_met(held.measured[near[best]], wanted))
+        found.append((blind, float(np.mean(stated[:-1])), *met))
+    return Pairs(held.key, *np.array(found, np.float64).T)
+
+
+def _likeliest(draws: FloatArray, goal: FloatArray) -> tuple[int, float]:
+    """Return the push whose draws (m, n, 3) most often meet a goal by one half of them, and the
+    probability by the other half."""
+    met, halves = _met(draws, goal), np.arange(draws.shape[1]) // REPEATS % 2
+    best = int(met[:, halves == 0].mean(axis=1).argmax())
+    return best, float(met[best, halves == 1].mean())
+
+
+def _met(motions: FloatArray, goal: FloatArray) -> BoolArray:
+    return np.asarray((off_goal(motions, goal, PAIRS) <= 1.0).all(axis=-1))
+
+
+def _scaled(motions: FloatArray) -> FloatArray:
+    """Return motions in tolerances."""
+    return motions / (1e-3 * PAIRS[0], 1e-3 * PAIRS[0], np.radians(PAIRS[1]))
+
+
 def _motions(group: PushGroup, end: FloatArray) -> FloatArray:
     off = end - group.start
     off[:, 2] = wrapped(off[:, 2])
     return in_object(group, np.arange(len(group)), off)
 
 
-def _of_neighbours(group: PushGroup, own: GroupScatter, n: int) -> FloatArray:
+def _of_neighbours(group: PushGroup, own: GroupPrediction, n: int) -> FloatArray:
     """Return mean measured motions (m, 3) of the n most similar training pushes."""
-    from scipy.spatial import cKDTree
-
     everyone, flat = np.arange(len(group)), np.zeros(len(group))
     tip = group.tip_start - group.start[:, :2]
     way = group.tip_end - group.tip_start
@@ -258,10 +270,10 @@ def _of_neighbours(group: PushGroup, own: GroupScatter, n: int) -> FloatArray:
 # --- tables ---------------------------------------------------------------------------------------
 
 
-def _judge(rows: dict[str, list[Row]], protocol: str, actions: Sequence[Actions]) -> None:
+def _judge(rows: dict[str, list[Row]], actions: Sequence[Actions]) -> None:
     for tolerance in TOLERANCES:
         chosen = [choose(own, tolerance) for own in actions]
-        head: Row = {"pushes": protocol, "mm": tolerance[0], "deg": tolerance[1]}
+        head: Row = {"mm": tolerance[0], "deg": tolerance[1]}
         for name in METHODS:
             own = [c[name] for c in chosen if name in c]
             if own:
@@ -344,7 +356,7 @@ def _reliability(chosen: Sequence[Choices]) -> list[Row]:
     ]
 
 
-def _coverage_rows(protocol: str, kind: str, groups: Sequence[GroupScatter]) -> list[Row]:
+def _coverage_rows(groups: Sequence[GroupPrediction]) -> list[Row]:
     """Return the coverage of 90 % intervals in every fifth of predicted motion and rotation."""
     held = [own.held_out for own in groups]
     inside = np.concatenate([own.inside() for own in held])
@@ -360,8 +372,6 @@ def _coverage_rows(protocol: str, kind: str, groups: Sequence[GroupScatter]) -> 
             own = label == k
             rows.append(
                 {
-                    "pushes": protocol,
-                    "intervals": kind,
                     "by": by,
                     "part": " ".join(keys[k]) if by == "group" else str(k + 1),
                     "from_mm": round(1e3 * float(moved[own].min()), 1),
@@ -383,36 +393,51 @@ def _fifth(values: FloatArray) -> np.ndarray:
     return np.searchsorted(edges, values, side="right")
 
 
+def _pair_rows(pairs: Sequence[Pairs]) -> list[Row]:
+    """Compare stated and held success of two pushes, blind and with a look between them."""
+    return [
+        {
+            "pushes": name,
+            "goals": sum(len(own.blind) for own in pairs),
+            "stated": _share(np.concatenate([getattr(own, stated) for own in pairs])),
+            "held": _share(np.concatenate([getattr(own, met) for own in pairs])),
+            "standard_error": round(_error([getattr(own, met) for own in pairs]), 4),
+        }
+        for name, stated, met in (
+            ("two, blind", "blind", "blind_met"),
+            ("two, the second chosen after a look", "looked", "looked_met"),
+        )
+    ]
+
+
 def _conclusions(rows: dict[str, list[Row]]) -> list[str]:
     sentences = []
     for row in rows["stated"]:
-        best = {
-            own["method"]: own
-            for own in rows["choices"]
-            if (own["pushes"], own["mm"]) == (row["pushes"], row["mm"])
-        }
+        best = {own["method"]: own for own in rows["choices"] if own["mm"] == row["mm"]}
         ours, next_best = best["probability"], best["calibrated"]
         sentences.append(
-            f"{row['pushes'].capitalize()}, {row['mm']:g} mm and {row['deg']:g} deg: the largest"
-            f" probability meets {100 * ours['success']:.1f} % of the feasible goals, the nearest"
-            f" prediction {100 * next_best['success']:.1f} %. Calibration error"
+            f"{row['mm']:g} mm and {row['deg']:g} deg: the largest probability meets"
+            f" {100 * ours['success']:.1f} % of the feasible goals, the nearest prediction"
+            f" {100 * next_best['success']:.1f} %. Calibration error"
             f" {row['calibration_error']:.3f}; {100 * row['acts_on']:.0f} % of the goals have a"
             f" stated probability of at least {ACT:g}, of which {100 * row['held_acting']:.1f} %"
             " are met."
         )
-    for protocol in dict.fromkeys(row["pushes"] for row in rows["coverage"]):
-        own = [
-            row[f"{name}_held"]
-            for row in rows["coverage"]
-            if row["pushes"] == protocol and row["intervals"] == "widened"
-            if row["by"] in ("motion", "rotation")
-            for name in ("x", "y", "angle")
-        ]
-        sentences.append(
-            f"{protocol.capitalize()}: 90 % intervals hold {100 * min(own):.1f} to"
-            f" {100 * max(own):.1f} % in every fifth of predicted motion and rotation."
-        )
-    return sentences
+    held = [
+        row[f"{name}_held"]
+        for row in rows["coverage"]
+        if row["by"] in ("motion", "rotation")
+        for name in ("x", "y", "angle")
+    ]
+    return [
+        *sentences,
+        f"90 % intervals hold {100 * min(held):.1f} to {100 * max(held):.1f} % in every fifth of"
+        " predicted motion and rotation.",
+        *(
+            f"Pushes: {row['pushes']}: stated {row['stated']:.3f}, held {row['held']:.3f}."
+            for row in rows["pairs"]
+        ),
+    ]
 
 
 def _figure(rows: dict[str, list[Row]]) -> Callable[[], Figure]:

@@ -1,52 +1,44 @@
 """Real open-loop plans that were repeated: regions of their final poses, from other repetitions.
 
 Source: logs of repeated two-finger pushes (CMU 2017). The rig of a plan is not known: friction of
-the fingers, centre of the load, place of the fingers in the robot's frame. Rigs are drawn, weighted
-by the ends of all other repetitions of the plan, and the last push of the left-out repetition is
-simulated with the scatter between runs learned from other pushes.
+the fingers, centre of the load, place of the fingers in the robot's frame. It is calibrated to the
+other repetitions of the plan, and the last push of the left-out repetition is simulated with the
+belief by which `fixel.plan` judges pushes after a calibration.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+import fixel
 from fixel.drawing import palette
 from fixel.drawing.chart import WIDE, clean, legend_below, sheet
-from fixel.model.trajectory import wrapped
+from fixel.model import Experiment, Provenance, Trajectory
+from fixel.planning.belief import Belief
 from fixel.replay.base import Row
-from fixel.simulation import StewartTrinkle
 from fixel.typing import FloatArray
-from fixel.uncertainty.run_to_run import (
-    CENTRE,
-    FAR,
-    FRICTION,
-    START,
-    RunEffects,
-    RunToRun,
-    arm_of,
-    rest_at,
-)
+from fixel.uncertainty.predictive import motion_of
+from fixel.uncertainty.run_to_run import arm_of, pose_difference
 from fixel.uncertainty.start_ensemble import simulate_starts
-from fixel.uncertainty.starts import StartError, even_points
-from reproductions.repeat_groups import RepeatGroup, group_scene, read_groups, rig_noise
-from reproductions.repeats import RANGES, STEP, pooled
+from reproductions.repeat_groups import RepeatGroup, group_scene, read_groups
+from reproductions.repeats import RANGES, pooled
 from reproductions.result import Reproduction, RunOptions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-RIGS: Final = 2048  # drawn from the ranges
-RUNS: Final = 512  # simulated with scatter, of rigs drawn by their weights
+RUNS: Final = 512  # simulated for every repetition
 LEVEL: Final = 0.9
+HALF: Final = 0.5
 ARM: Final = 35e-3  # [m/rad], by which angles count as lengths
-LEARNED, DEFAULT, NONE = "learned from other plans", "default scatter", "no scatter"
 # The frame of the fingers is off by millimetres, another offset in each push [m].
 OFFSET: Final = 3e-3
+PARAMETERS: Final = {**RANGES, **{f"registration_{axis}": (-OFFSET, OFFSET) for axis in "xy"}}
 
 
 class RunPrediction(NamedTuple):
@@ -55,7 +47,6 @@ class RunPrediction(NamedTuple):
     plan: str
     draws: FloatArray  # (n, 3) ends [m, m, rad]
     end: FloatArray  # (3,)
-    rigs: float  # effective number of rigs
 
     @property
     def level(self) -> float:
@@ -75,146 +66,68 @@ class RunPrediction(NamedTuple):
 def run(options: RunOptions) -> Reproduction:
     """Predict the final pose of every repetition from the other repetitions of its plan.
 
-    With `quick`, it draws few rigs.
+    With `quick`, it predicts one plan.
     """
     groups = read_groups(options.folder)
     last = {group.start_pose: group for group in groups}
-    total = sum(group.runs for group in last.values())
-    kinds = (LEARNED, DEFAULT, NONE)
-    effects = [_effects(group) for group in groups]
-    found: dict[str, list[RunPrediction]] = {name: [] for name in kinds}
-    for group in last.values():
+    chosen = list(last.values())[: 1 if options.quick else None]
+    total = sum(group.runs for group in chosen)
+    found: list[RunPrediction] = []
+    for group in chosen:
         others = [other for other in groups if other.start_pose != group.start_pose]
-        known = [e for e, g in zip(effects, groups, strict=True) if any(g is o for o in others)]
-        scatters = {LEARNED: RunToRun.learned(_joined(known)), DEFAULT: RunToRun(), NONE: None}
         for k in range(group.runs):
-            for name, scatter in scatters.items():
-                n = 256 if options.quick else RIGS
-                found[name].append(_left_out(group, k, others, scatter, n))
-            options.progress(len(found[LEARNED]), total, group.name)
-    rows = [_row(name, one, k) for name, own in found.items() for k, one in enumerate(own)]
+            found.append(left_out(group, k, others))
+            options.progress(len(found), total, group.name)
     return Reproduction(
-        tables={"runs": rows},
-        conclusions=[_conclusion(name, own) for name, own in found.items()],
+        tables={"runs": [_row(one, k) for k, one in enumerate(found)]},
+        conclusions=[_conclusion(found)],
         settings={
-            "rigs": RIGS,
             "runs": RUNS,
             "level": LEVEL,
-            "ranges": {name: list(ends) for name, ends in _ranges().items()},
+            "ranges": {name: list(ends) for name, ends in PARAMETERS.items()},
             "quick": options.quick,
         },
-        figure=_figure(found[LEARNED]),
+        figure=_figure(found),
     )
 
 
-def _ranges() -> Mapping[str, tuple[float, float]]:
-    offset = {f"registration_{axis}": (-OFFSET, OFFSET) for axis in "xy"}
-    return {**RANGES, **offset}
+def left_out(group: RepeatGroup, k: int, others: Sequence[RepeatGroup]) -> RunPrediction:
+    """Predict repetition k of a push from its other repetitions.
 
-
-def _left_out(
-    group: RepeatGroup,
-    k: int,
-    others: Sequence[RepeatGroup],
-    scatter: RunToRun | None,
-    n: int,
-) -> RunPrediction:
-    """Predict repetition k of a push from the other repetitions, and groups of other plans."""
+    The error of the start is that of groups of other plans.
+    """
     kept = np.delete(np.arange(group.runs), k)
     own = group._replace(start=group.start[kept], end=group.end[kept])
+    fit = fixel.calibrate(
+        [_experiment(group, j) for j in kept.tolist()], PARAMETERS, motion="quasistatic",
+        progress=False,
+    )  # fmt: skip
     error = pooled([other for other in others if other.by_hand == group.by_hand])
-    shares = even_points(n, len(_ranges()), seed=11)
-    rigs = {
-        name: low + (high - low) * shares[:, j]
-        for j, (name, (low, high)) in enumerate(_ranges().items())
-    }
+    belief, scene = Belief(parameters=fit, start=error), group_scene(own)
+    drawn = belief.scenarios(scene, worlds=RUNS, runs=1, seed=13)
+    runs = simulate_starts(
+        scene, error, drawn=drawn.start, values=drawn.values, times=[group.duration],
+        motion=fit.motion,
+    )  # fmt: skip
+    assert drawn.end_error is not None
+    ends, start = runs.pose[runs.ended, -1], scene.bodies[0].pose + drawn.start[runs.ended]
+    size = drawn.end_error.deviation(motion_of(start, ends, arm_of(scene)))
+    ends = ends + size[:, None] * drawn.misfit[runs.ended]
     centre = _mean(own.end)
-    plain, _ = _ends(own, np.zeros((n, 3)), rigs, error)
-    weight = _weights(_off(plain, centre), others, len(kept))
-    rng = np.random.default_rng(12)
-    chosen = rng.choice(n, RUNS, p=weight)
-    values = {name: column[chosen] for name, column in rigs.items()}
-    start = error.size * rng.standard_normal((RUNS, 3))
-    rest = np.zeros((RUNS, 3))
-    scene = group_scene(own)
-    if scatter is not None:
-        changes = scatter.drawn(RUNS, seed=13, scene=scene, values=values)
-        values, start, rest = changes.values, start + changes.start, changes.rest
-    ends, turned = _ends(own, start, values, error)
-    noise = rig_noise(others)[[0, 0, 1]]
-    ends = ends + rest_at(rest, turned) + noise * rng.standard_normal((RUNS, 3))
-    good = np.isfinite(ends).all(axis=1)
-    return RunPrediction(
-        group.start_pose,
-        _off(ends[good], centre),
-        _off(group.end[k][None], centre)[0],
-        float(1.0 / np.sum(weight**2)),
-    )
+    return RunPrediction(group.start_pose, _off(ends, centre), _off(group.end[k][None], centre)[0])
 
 
-def _effects(group: RepeatGroup) -> RunEffects:
-    """Return deviations of the ends of repetitions from their mean, and effects of the scatter."""
-    scene, n = group_scene(group), 7
-    arm = arm_of(scene)
-    size = np.array([arm, arm, 1.0])
-    names = ("start", "start", "start", "friction_centre_x", "friction_centre_y", "mu_pusher")
-    drawn = np.zeros((2 * n, 3))
-    middle = {"friction_centre_x": 0.0, "friction_centre_y": 0.0, "mu_pusher": 0.3}
-    values = {name: np.full(2 * n, x) for name, x in middle.items()}
-    for k, name in enumerate(names):
-        for row, way in ((2 * k, -FAR), (2 * k + 1, FAR)):
-            if name == "start":
-                drawn[row, k] = way * START * size[k]
-            elif name == "mu_pusher":
-                values[name][row] *= math.exp(way * FRICTION)
-            else:
-                values[name][row] = way * CENTRE * arm
-    error = StartError(x=1e-3, y=1e-3, theta=0.02, kind="uniform")
-    ends, turned = _ends(group, drawn, values, error)
-    change = np.nan_to_num(_off(ends[1::2], ends[0::2]) / (2.0 * FAR * size)).T
-    runs = group.runs
-    left = _off(group.end, _mean(group.end)) / size * math.sqrt(runs / (runs - 1.0))
-    start, centre, friction = (
-        np.repeat(column[None], runs, axis=0) for column in np.split(change, (3, 5), axis=1)
-    )
-    return RunEffects(left, start, centre, friction, np.full(runs, abs(turned[-1])))
-
-
-def _joined(effects: Sequence[RunEffects]) -> RunEffects:
-    columns = zip(*(own[:-1] for own in effects), strict=True)
-    return RunEffects(*(np.concatenate(parts) for parts in columns))
-
-
-def _ends(
-    group: RepeatGroup, drawn: FloatArray, values: Mapping[str, FloatArray], error: StartError
-) -> tuple[FloatArray, FloatArray]:
-    """Return ends (n, 3) of a push from starts with errors, NaN of failed ones, and rotations."""
-    scene = group_scene(group)
-    found = simulate_starts(
-        scene,
-        error,
-        drawn=drawn,
-        values=values,
-        times=[group.duration],
-        stepper=StewartTrinkle(step=STEP),
-    )
-    ends = np.where(found.ended[:, None], found.pose[:, -1], np.nan)
-    return ends, np.nan_to_num(wrapped(ends[:, 2] - scene.bodies[0].pose[2]))
-
-
-def _weights(off: FloatArray, others: Sequence[RepeatGroup], n: int) -> FloatArray:
-    """Return weights (k,) of rigs by their distance (k, 3) from the mean of n measured ends."""
-    square, freedom = np.zeros(3), 0
-    for other in others:
-        square += (_off(other.end, _mean(other.end)) ** 2).sum(axis=0)
-        freedom += other.runs - 1
-    # The nominal end of a rig differs from the mean of its runs by their scatter over the root of
-    # their number, and by that of the mean start.
-    spread = np.sqrt(square / freedom) * math.sqrt(1.0 / n + 1.0)
-    score = -0.5 * np.sum((off / spread) ** 2, axis=1)
-    score = np.where(np.isfinite(score), score, -np.inf)
-    weight = np.exp(score - score.max())
-    return np.asarray(weight / weight.sum())
+def _experiment(group: RepeatGroup, k: int) -> Experiment:
+    """Return repetition k as an experiment with its start and its end."""
+    own = group._replace(start=group.start[k : k + 1], end=group.end[k : k + 1])
+    scene, time = group_scene(own), np.array([0.0, group.duration])
+    poses = np.stack((scene.bodies[0].pose, group.end[k]))
+    return Experiment(
+        dataset="cmu_two_point_push", name=f"{group.name} {k + 1}", real=True,
+        provenance=Provenance(version=fixel.__version__, command="read_groups"),
+        trajectory=Trajectory(time=time, pose=poses), object_name=scene.bodies[0].name,
+        scene=scene, effective=(0.0, group.duration),
+    )  # fmt: skip
 
 
 def _mean(poses: FloatArray) -> FloatArray:
@@ -222,24 +135,21 @@ def _mean(poses: FloatArray) -> FloatArray:
 
 
 def _off(poses: FloatArray, centre: FloatArray) -> FloatArray:
-    off = poses - centre
-    return np.column_stack((off[:, :2], wrapped(off[:, 2])))
+    return pose_difference(poses, np.broadcast_to(centre, poses.shape))
 
 
 # --- tables and figure ----------------------------------------------------------------------------
 
 
-def _row(kind: str, one: RunPrediction, k: int) -> Row:
+def _row(one: RunPrediction, k: int) -> Row:
     spread = _spread(one)
     return {
-        "scatter": kind,
         "plan": one.plan,
         "run": k,
         "end_mm": round(1e3 * float(np.hypot(*one.end[:2])), 3),
         "end_deg": round(math.degrees(float(abs(one.end[2]))), 3),
         "spread_mm": round(1e3 * float(np.hypot(*spread[:2])), 3),
         "spread_deg": round(math.degrees(float(spread[2])), 3),
-        "effective_rigs": round(one.rigs, 1),
         "level": round(one.level, 4),
         "inside": one.level <= LEVEL,
     }
@@ -251,13 +161,13 @@ def _spread(one: RunPrediction) -> FloatArray:
     return np.asarray(0.5 * (high - low))
 
 
-def _conclusion(kind: str, found: Sequence[RunPrediction]) -> str:
-    inside = sum(one.level <= LEVEL for one in found)
+def _conclusion(found: Sequence[RunPrediction]) -> str:
+    inside, half = (sum(one.level <= level for one in found) for level in (LEVEL, HALF))
     spread = np.median([np.hypot(*_spread(one)[:2]) for one in found])
     turned = np.median([_spread(one)[2] for one in found])
     return (
-        f"{kind.capitalize()}: the 90 % region of the final pose contains {inside} of {len(found)}"
-        f" repetitions; half the central 68 % of draws is {1e3 * spread:.2f} mm and"
+        f"The 90 % region of the final pose contains {inside} of {len(found)} repetitions, the 50 %"
+        f" region {half}; half the central 68 % of draws is {1e3 * spread:.2f} mm and"
         f" {math.degrees(turned):.2f} deg (median)."
     )
 

@@ -109,6 +109,7 @@ def grasps_figure(rows: Sequence[Row]) -> Figure:
         ("least", palette.PUSHER, "|", "worst 5 % of parameters"),
         ("mean", palette.BODY, "o", "mean over parameters"),
         ("held", palette.FORCE, "D", "held in the simulated laboratory"),
+        ("look_held", palette.TOUCHED, "x", "held with a look before the stroke"),
     ):
         axes.plot(
             [rows[k][name] for k in order], place, marker, color=colour, label=label, markersize=4.0
@@ -119,6 +120,6 @@ def grasps_figure(rows: Sequence[Row]) -> Figure:
         place, [f"{rows[k]['shape']}, {rows[k]['layout']}: {rows[k]['mode']}" for k in order]
     )
     axes.set(xlabel="success probability", xlim=(-0.02, 1.02))
-    figure.legend(frameon=False, ncols=3, loc="outside lower center")
+    figure.legend(frameon=False, ncols=2, loc="outside lower center")
     hide_spines(axes)
     return figure

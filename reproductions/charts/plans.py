@@ -33,11 +33,10 @@ def plans_figure(tables: Mapping[str, Sequence[Row]], methods: Mapping[str, str]
     """
     figure = sheet(WIDE, 5.6)
     above, below = figure.subplots(2, 2)
-    first = tables["choices"][0]["pushes"]
-    _draw_success(above[0], [r for r in tables["choices"] if r["pushes"] == first], methods)
+    _draw_success(above[0], tables["choices"], methods)
     _draw_reliability(above[1], tables["reliability"])
     for axes, by, unit in ((below[0], "motion", "mm"), (below[1], "rotation", "deg")):
-        own = [r for r in tables["coverage"] if r["pushes"] == first and r["by"] == by]
+        own = [row for row in tables["coverage"] if row["by"] == by]
         _draw_coverage(axes, own, unit, f"fifth of predicted {by}")
     return figure
 
@@ -63,18 +62,16 @@ def _draw_success(axes: Axes, rows: Sequence[Row], methods: Mapping[str, str]) -
 
 def _draw_reliability(axes: Axes, rows: Sequence[Row]) -> None:
     axes.plot((0, 100), (0, 100), color=palette.INK, linewidth=0.7, linestyle=(0, (4, 2)))
-    middle = sorted({row["mm"] for row in rows})
-    size = middle[len(middle) // 2]
-    for k, kind in enumerate(dict.fromkeys(row["pushes"] for row in rows)):
-        own = [r for r in rows if r["pushes"] == kind and r["mm"] == size]
-        own = [row for row in own if row["goals"] >= MIN_GOALS]
+    for k, size in enumerate(dict.fromkeys((row["mm"], row["deg"]) for row in rows)):
+        own = [r for r in rows if (r["mm"], r["deg"]) == size and r["goals"] >= MIN_GOALS]
         colour, mark = MARKS[k % len(MARKS)]
         axes.plot(
             [100.0 * row["stated"] for row in own], [100.0 * row["held"] for row in own],
-            marker=mark, color=colour, markersize=3.5, linewidth=0.8, label=kind,
+            marker=mark, color=colour, markersize=3.5, linewidth=0.8,
+            label=f"{size[0]:g} mm, {size[1]:g} deg",
         )  # fmt: skip
     axes.set(xlim=(0, 100), ylim=(0, 100), ylabel="goals met [%]")
-    axes.set_xlabel(f"stated success probability [%], {size:g} mm")
+    axes.set_xlabel("stated success probability [%]")
     clean(axes)
     axes.legend(frameon=False, loc="upper left", handletextpad=0.2)
 
@@ -82,20 +79,15 @@ def _draw_reliability(axes: Axes, rows: Sequence[Row]) -> None:
 def _draw_coverage(axes: Axes, rows: Sequence[Row], unit: str, label: str) -> None:
     axes.axhspan(*TARGET, color=palette.TRAIL, alpha=0.35, linewidth=0.0)
     axes.axhline(90.0, color=palette.INK, linewidth=0.7, linestyle=(0, (4, 2)))
-    for kind, fill in (("scatter alone", False), ("widened", True)):
-        own = [row for row in rows if row["intervals"] == kind]
-        for k, name in enumerate(("x", "y", "angle")):
-            colour, mark = MARKS[k]
-            axes.plot(
-                np.arange(len(own)), [100.0 * row[f"{name}_held"] for row in own],
-                marker=mark, color=colour, markersize=3.5, linewidth=0.8,
-                linestyle="-" if fill else ":", markerfacecolor=colour if fill else "none",
-                label=f"{name}, {kind}",
-            )  # fmt: skip
-    own = [row for row in rows if row["intervals"] == "widened"]
+    for k, name in enumerate(("x", "y", "angle")):
+        colour, mark = MARKS[k]
+        axes.plot(
+            np.arange(len(rows)), [100.0 * row[f"{name}_held"] for row in rows],
+            marker=mark, color=colour, markersize=3.5, linewidth=0.8, label=name,
+        )  # fmt: skip
     axes.set_xticks(
-        np.arange(len(own)),
-        [f"{row[f'from_{unit}']:.0f}-{row[f'to_{unit}']:.0f}" for row in own],
+        np.arange(len(rows)),
+        [f"{row[f'from_{unit}']:.0f}-{row[f'to_{unit}']:.0f}" for row in rows],
     )
     axes.set(ylim=(60, 100), ylabel="within 90 % interval [%]", xlabel=f"{label} [{unit}]")
     clean(axes)

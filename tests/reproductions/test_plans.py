@@ -1,34 +1,19 @@
-"""Choices among real pushes: goals, choices, widening, and one group of real pushes."""
+"""Choices among real pushes: goals, choices, pairs, and one group of real pushes."""
 
 import numpy as np
 import pytest
 from reproductions.mit_push import PUBLISHED
-from reproductions.plans import Actions, choose, goals_of, off_goal
-from reproductions.protocols import calibrated_bench, full_fit
-from reproductions.result import RunOptions
-from reproductions.run_scatter import (
+from reproductions.plans import Actions, choose, chosen_pairs, goals_of, off_goal
+from reproductions.predicted_pushes import (
     REPEATS,
-    GroupScatter,
-    ScatteredPushes,
-    Widening,
-    simulated_group,
-    typical,
-    widened,
+    GroupPrediction,
+    PredictedPushes,
+    predict_group,
 )
-
-from fixel.uncertainty.run_to_run import RunToRun
+from reproductions.protocols import calibrated_bench
+from reproductions.result import RunOptions
 
 KEY = ("abs", "rect1")
-
-
-def pushes(m, n=40, *, size=1e-3, stated=1.0, key=KEY, seed=0):
-    """Pushes whose draws are too narrow by a factor, with scatter in proportion to the motion."""
-    rng = np.random.default_rng(seed)
-    predicted = np.column_stack((rng.uniform(0.0, 0.05, (m, 2)), rng.uniform(-0.5, 0.5, m)))
-    scale = size * np.array([1.0, 1.0, 20.0])
-    measured = predicted + scale * rng.standard_normal((m, 3))
-    draws = predicted[:, None] + stated * scale * rng.standard_normal((m, n, 3))
-    return ScatteredPushes(key, np.arange(m), predicted, measured, draws)
 
 
 def test_goals_are_displaced_predictions_of_training_pushes():
@@ -53,9 +38,9 @@ def test_the_certain_push_is_chosen_although_another_is_predicted_nearer():
     predicted = np.array([[0.0, 0.0, 0.0], [1e-3, 0.0, 0.0]])
     draws = predicted[:, None] + np.array([[[8e-3]], [[1e-4]]]) * rng.standard_normal((2, n, 3))
     measured = np.array([[9e-3, 0.0, 0.0], [1e-3, 0.0, 0.0]])
-    held = ScatteredPushes(KEY, np.arange(2), predicted, measured, draws)
+    held = PredictedPushes(KEY, np.arange(2), predicted, measured, draws)
     goals = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
-    actions = Actions(GroupScatter(RunToRun(), held, held), {"calibrated": predicted}, goals)
+    actions = Actions(GroupPrediction(held, held), {"calibrated": predicted}, goals)
     found = choose(actions, (3.0, 3.0))
     assert found["calibrated"].success.tolist() == [False, False]
     assert found["probability"].success.tolist() == [True, False]
@@ -63,36 +48,27 @@ def test_the_certain_push_is_chosen_although_another_is_predicted_nearer():
     assert found["probability"].stated.tolist() == [1.0, 0.0]
 
 
-def test_draws_half_as_wide_are_widened_by_two():
-    groups = [
-        pushes(300, 400, stated=0.5, key=("abs", name), seed=k) for k, name in enumerate("ab")
-    ]
-    widening = Widening.fitted(groups)
-    fresh = pushes(400, 400, stated=0.5, key=("abs", "c"), seed=9)
-    assert fresh.inside().mean() < 0.65
-    after = widening.applied(fresh)
-    assert after.inside().mean() == pytest.approx(0.9, abs=0.03)
-    assert np.median(after.half_widths() / fresh.half_widths()) == pytest.approx(2.0, rel=0.15)
+def exact(motions: np.ndarray, error: float = 0.0) -> PredictedPushes:
+    """Pushes whose draws are the motions themselves, recorded with an error of the way."""
+    draws = np.repeat(motions[:, None], 8 * REPEATS, axis=1)
+    measured = motions + np.array([error, 0.0, 0.0])
+    return PredictedPushes(KEY, np.arange(len(motions)), motions, measured, draws)
 
 
-def test_widening_follows_the_motion():
-    """Draws right for small motions and too narrow for large ones."""
-    own = pushes(800, seed=3)
-    far = own.moved > 0.03
-    narrow = own.predicted[:, None] + np.where(far, 0.4, 1.0)[:, None, None] * (
-        own.draws - own.predicted[:, None]
+def test_a_look_corrects_what_two_blind_pushes_miss():
+    """Straight moves on a grid of 4 mm, of which each ends 4 mm farther along x than predicted."""
+    grid = np.stack(np.meshgrid(*2 * [np.linspace(-0.02, 0.02, 11)]), axis=-1).reshape(-1, 2)
+    held = exact(np.column_stack((grid, np.zeros(len(grid)))), error=4e-3)
+    few = exact(np.array([[0.01, 0.0, 0.0], [0.0, 0.01, 0.0]] * 20))
+    found = chosen_pairs(GroupPrediction(few, held), np.random.default_rng(0))
+    assert found.blind_met.max() == 0.0  # off by 8 mm, where 3 mm are allowed
+    assert found.looked_met.mean() > 0.1  # off by the 4 mm of the second push
+    sure = chosen_pairs(
+        GroupPrediction(few, held._replace(measured=held.predicted)), np.random.default_rng(0)
     )
-    known = GroupScatter(RunToRun(), own._replace(draws=narrow), own._replace(draws=narrow))
-    (after,) = widened([known], [known])
-    held = after.held_out.inside()
-    assert abs(held[far].mean() - held[~far].mean()) < 0.12
-    assert known.held_out.inside()[far].mean() < 0.6
-
-
-def test_the_typical_scatter_is_the_median_of_others():
-    found = typical([RunToRun(centre=x, experiments=10) for x in (0.1, 0.2, 0.9)])
-    assert found.centre == 0.2
-    assert found.experiments == 30
+    assert sure.blind_met.mean() > 0.95
+    assert sure.blind.tolist() == sure.blind_met.tolist()
+    assert sure.looked.tolist() == sure.looked_met.tolist()
 
 
 @pytest.mark.slow
@@ -102,9 +78,9 @@ def test_intervals_of_real_pushes_hold(data_root):
     )
     bench = calibrated_bench(options)
     key = next(iter(bench.rows))
-    group, (split,) = bench.group(key), bench.splits(key)
-    found = simulated_group(group, full_fit(bench, group, 0, split), split).predict(draws=16)
-    assert found.scatter.experiments == len(found.train.rows)
-    (after,) = widened([found], [found])
-    assert 0.75 <= after.held_out.inside().mean() <= 1.0
+    found = predict_group(bench, key, bench.splits(key)[0], 0, draws=16)
+    assert len(found.train.rows) == 8
+    assert 0.5 <= found.held_out.inside().mean() <= 1.0
+    off = np.hypot(*(found.held_out.predicted - found.held_out.measured)[:, :2].T)
+    assert np.median(off) < 5e-3  # pushes of 50 mm
     assert PUBLISHED in bench.data.published
