@@ -1,18 +1,23 @@
 """The whole loop at the emulated laboratory, judged by the laboratory's hidden truth."""
 
+import os
+import queue
+import signal
 import threading
 import time
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from fixel.database.project import Project
+from fixel.errors import JobRefused
 from fixel.formats.plan_file import plan_text
 from fixel.formats.recording import open_recording
 from fixel.sampling import thesis_plan
 from fixel.workflows.bench import loop as loop_module
-from fixel.workflows.bench.loop import BenchLoop
+from fixel.workflows.bench.loop import Background, BenchLoop
 from fixel.workflows.bench.run import open_bench, report_of
 
 
@@ -223,3 +228,24 @@ def test_a_plate_without_fixels_needs_no_reading_of_them(bench):
         assert "fixels" not in [check["name"] for check in hand.now()["checks"]]
         loop.ask("end")
         hand.thread.join(60)
+
+
+def dies_twice(folder):
+    """Kill the own process at the first two calls."""
+    n = len(list(folder.iterdir()))
+    (folder / str(n)).touch()
+    if n < 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return "done"
+
+
+@pytest.mark.system
+def test_a_calculation_whose_process_was_killed_is_repeated(tmp_path, monkeypatch):
+    answers = queue.Queue()
+    with closing(Background(dies_twice)) as background:
+        background.call(tmp_path, answers.put)
+        assert answers.get(timeout=120.0) == "done"
+    monkeypatch.setattr(loop_module, "TRIES", 1)
+    with closing(Background(os._exit)) as background:
+        background.call(1, answers.put)
+        assert isinstance(answers.get(timeout=300.0), JobRefused)

@@ -110,7 +110,7 @@ class BenchDevices:
                 f"row {row.name}: {problem.where}",
                 found=problem.found,
                 expected=problem.expected,
-                hint=problem.hint,
+                hint=problem.hint or "change the row, or where and how fast the drive can move",
             ) from None
 
     def _way_speed(self, push: Stroke) -> float:

@@ -8,9 +8,13 @@ from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
 from fixel.calibration.usual_parameters import Space
+from fixel.errors import unknown_name
 from fixel.model import Experiment, PlannedExperiment
+from fixel.model.space import split_label
+from fixel.simulation.motion import motion_model
 from fixel.table import Table
 from fixel.workflows.bench.estimates import LiveEstimates, Until, choose, estimate
+from fixel.workflows.calibration.parameter_options import searched_unknowns
 
 AHEAD: Final = 5  # rows after which the intervals are predicted
 
@@ -36,6 +40,17 @@ class LiveAnswer(NamedTuple):
     words: tuple[str, ...]  # what was found, in sentences
     finish: str  # why no more experiments are needed; empty if they are
     seconds: float  # duration of the computation [s]
+
+
+def check_wishes(
+    rows: Sequence[PlannedExperiment], fit: Sequence[str], motion: str, until: str
+) -> None:
+    """Raise `InvalidInput` for what could not be estimated, before the first push."""
+    motion_model(motion)
+    names = {own.name for own in searched_unknowns(fit, [row.scene for row in rows])}
+    for label in Until.parse(until).wanted if until else ():
+        if names and split_label(label)[0] not in names:
+            raise unknown_name("until", label, names)
 
 
 def estimate_rows(request: LiveRequest) -> LiveAnswer:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, final
 
 from fixel.database.project import Project
-from fixel.errors import DeviceFailed, FixelError
+from fixel.errors import DeviceFailed, FixelError, JobRefused
 from fixel.formats.recording import VIDEO
 from fixel.formats.rig_file import save_rig
 from fixel.formats.scene_file import SceneFile, save_scene
@@ -37,9 +37,10 @@ LEAD: Final = 0.5  # [s] of recording before the push
 REST: Final = 0.8  # [s] of recording after it
 IN_PLACE: Final = 5  # looks in a row at a part in place, before a push without being asked
 NUDGE: Final = 0.4  # [s] between two corrections of the emulated person
-MAX_ATTEMPTS: Final = 3  # at one row, without being asked
+MAX_ATTEMPTS: Final = 3  # with a fault at one row, without being asked
 SHOWN: Final = 60  # newest attempts in a status
 LIMIT: Final = 900.0  # [s] for one call of another process
+TRIES: Final = 5  # of a call whose process died, as one does that is killed for its memory
 DARK, LIGHT = 25.0, 235.0  # mean grey levels of pictures that are too dark and too light
 Phase = Literal["placing", "moving", "pushing", "waiting", "trouble", "finished"]
 
@@ -107,14 +108,23 @@ class Background:
         self.waiting += 1
 
         def work() -> None:
-            try:
-                answer = self._process.call(argument, lambda: self._closed)
-            except Exception as problem:
-                answer = problem
-            self.waiting -= 1
-            done(answer)
+            done(self._answer(argument))
+            self.waiting -= 1  # last: nobody may find neither a call nor its answer
 
         self._pool.submit(work)
+
+    def _answer(self, argument: Any) -> Any:
+        """Return the answer or the error of a call, again if its process died."""
+        begun, deaths = time.monotonic(), 0
+        while True:
+            try:
+                return self._process.call(argument, lambda: self._closed)
+            except JobRefused as death:
+                deaths += 1
+                if deaths == TRIES or time.monotonic() - begun > LIMIT:
+                    return death
+            except Exception as problem:
+                return problem
 
     def close(self) -> None:
         """End the process; calls without an answer get none."""
@@ -176,6 +186,7 @@ class BenchLoop:
         self._wants_push = ""  # who asked for it: `key` or `page`
         self._pushing, self._stop_reason = threading.Event(), ""
         self._withdraws: FloatArray | None = None  # where the head goes after its push
+        self._outdated = False  # whether the estimates lack an experiment that no call has
         self._tracked_ones: dict[str, TrackedAttempt] = {}  # by the name of the attempt
 
     # --- from any thread ------------------------------------------------------------------------
@@ -194,6 +205,7 @@ class BenchLoop:
             `key` or `page`.
         """
         if do == "stop":
+            self._wants_push = ""  # not even begun
             self.stop("stopped by the person at the bench")
         self._events.put(lambda: self._granted(do, row, by))
 
@@ -221,6 +233,9 @@ class BenchLoop:
                 frames = frames or self._frames()
                 self._turn(frames)
                 push = self._row if self._wants_push else None
+                if push is not None:
+                    self._stop_reason = ""
+                    self._pushing.set()
                 if push is not None or self._trouble:
                     frames.close()  # a push reads its own, and those of a lost camera have ended
                     frames = None
@@ -380,8 +395,6 @@ class BenchLoop:
         way = self.devices.way_to(row.scene, part.measured)
         assert way is not None
         attempt = self.campaign.begin(row.name)
-        self._stop_reason = ""
-        self._pushing.set()
         try:
             self._moved(way, by)
             self._withdraws = way[-1]
@@ -503,7 +516,8 @@ class BenchLoop:
             self._accept(attempt)
         elif self.options.auto:
             self.campaign.note(attempt, "repeated")
-            if attempt.number >= MAX_ATTEMPTS:
+            faulty = [own for own in self.campaign.of(attempt.row) if own.state == "repeated"]
+            if len(faulty) >= MAX_ATTEMPTS:  # those that were stopped had no fault
                 self.campaign.skip(attempt.row)
 
     def _accept(self, attempt: Attempt) -> None:
@@ -521,7 +535,8 @@ class BenchLoop:
     def _estimate(self) -> None:
         """Calibrate all accepted experiments in another process."""
         ids = [own.experiment for own in self.campaign.accepted if own.experiment is not None]
-        if not ids or self._estimator.waiting > 1:  # that one has the newest experiments too
+        self._outdated = self._estimator.waiting > 1  # `_learned` asks again
+        if not ids or self._outdated:
             return
         with self._project.store() as store:
             experiments = [store.experiment(number) for number in ids]
@@ -539,6 +554,8 @@ class BenchLoop:
         self._estimator.call(request, lambda found: self._events.put(lambda: self._learned(found)))
 
     def _learned(self, found: LiveAnswer | Exception) -> None:
+        if self._outdated:
+            self._estimate()
         if isinstance(found, Exception):
             self._remark = f"no estimates yet: {found}"
             return

@@ -116,12 +116,14 @@ def open_bench(
     """
     from fixel.sampling import thesis_plan
     from fixel.workflows.bench.devices import emulated_devices, open_devices, settings_of
+    from fixel.workflows.bench.live import check_wishes
     from fixel.workflows.bench.loop import LoopOptions
     from fixel.workflows.sampling import planned_rows
 
     rows = thesis_plan().experiments
     if plan is not None:
         rows = planned_rows(plan, project, scene=scene)
+    check_wishes(rows, fit, motion, until)
     given = {
         "rig": rig, "camera": camera, "tactile": tactile, "driver": driver, "port": port,
         "axes": axes, "drive_pose": drive_pose,
@@ -150,6 +152,7 @@ def _opened(
     devices: AbstractContextManager[BenchDevices],
     options: LoopOptions,
 ) -> Iterator[BenchLoop]:
+    from fixel.workflows.acquisition.overlay import Overlay
     from fixel.workflows.bench.campaign import BENCH as FOLDER
     from fixel.workflows.bench.campaign import Campaign
     from fixel.workflows.bench.loop import BenchLoop
@@ -157,6 +160,7 @@ def _opened(
     with devices as opened:
         for row in rows:
             opened.check(row)
+            Overlay(opened.rig, row.scene)  # raises if the rig has no part of the row
         campaign = Campaign(project.folder / FOLDER / options.dataset, rows)
         with closing(campaign):
             yield BenchLoop(project, campaign, opened, options)
@@ -186,7 +190,7 @@ def report_of(loop: BenchLoop) -> AnalysisReport:
         "skipped": sorted(campaign.skipped),
         "attempts": [own._asdict() for own in campaign.attempts.values()],
         "finish": loop.finish,
-        "half_widths": {} if live is None else live.estimates.half_widths,
+        "half_widths": {} if live is None else dict(live.estimates.half_widths),
         "values": {} if live is None else dict(live.estimates.calibration),
         "held_out_error_m": None if live is None else live.estimates.held_out_error,
     }

@@ -1,0 +1,156 @@
+"""What is wrong with a bench is named before anything moves."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fixel.database.project import Project
+from fixel.errors import DeviceFailed, InvalidInput
+from fixel.formats.plan_file import plan_text
+from fixel.formats.recording import RecordingHeader, RecordingWriter
+from fixel.formats.rig_file import rig_of, save_rig
+from fixel.sampling import thesis_plan
+from fixel.testbed.emulators.grbl import EmulatedGrbl
+from fixel.testbed.emulators.laboratory import smaller
+from fixel.testbed.loopback import LoopbackCamera
+from fixel.testbed.motion_grbl import GrblActuator
+from fixel.vision.frame import Frame
+from fixel.workflows.bench.run import open_bench
+
+pytestmark = pytest.mark.system
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A project, a plan of one push of 120 mm at 30 mm/s, a small rig, a film of its size."""
+    folder = tmp_path_factory.mktemp("bench")
+    plan = thesis_plan()
+    one = replace(
+        plan,
+        name="one",
+        shapes=plan.shapes[:1],
+        layouts=plan.layouts[:1],
+        schemes=plan.schemes[:1],
+        repetitions=1,
+        rig=replace(plan.rig, speed=0.03, travel=0.12),
+    )
+    (folder / "one.yaml").write_text(plan_text(one))
+    Project.create(folder / "lab")
+    rig = smaller(rig_of("thesis-tags"), 0.25)
+    save_rig(rig, folder / "rig.yaml")
+    width, height = rig.camera.lens.image_size
+    with RecordingWriter(
+        folder / "film", RecordingHeader(size=(width, height), codec="near")
+    ) as film:
+        for k in range(30):
+            film.write(Frame(k / 30.0, np.full((height, width, 3), 90, np.uint8)), 0, k / 30.0)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def camera(folder):
+    with LoopbackCamera(folder / "film", loop=True) as served:
+        yield served.url
+
+
+@pytest.fixture
+def controller():
+    with EmulatedGrbl(travel=200.0, start=0.0, acceleration=2000.0) as emulated:
+        yield emulated
+
+
+def refused(folder, kind=InvalidInput, **options):
+    """The error of a bench that is not opened."""
+    with (
+        pytest.raises(kind) as caught,
+        open_bench(
+            Project(folder / "lab"),
+            folder / "one.yaml",
+            **{"rig": str(folder / "rig.yaml")} | options,
+        ),
+    ):
+        pass
+    return caught.value
+
+
+def test_a_whole_bench_opens_and_its_drive_stays_where_it_is(folder, camera, controller):
+    lab, plan, rig = Project(folder / "lab"), folder / "one.yaml", str(folder / "rig.yaml")
+    with open_bench(lab, plan, rig=rig, camera=camera, port=controller.port) as loop:
+        assert len(loop.campaign.left) == 1
+    assert controller.trace == []
+
+
+@pytest.mark.parametrize(
+    ("options", "where", "found"),
+    [
+        ({"rig": None}, "rig", "none"),
+        ({"rig": "no-such"}, "rig", "no file 'no-such'"),
+        ({"camera": "17"}, "/dev/video17", "no such device"),
+        ({"fit": ("mu_nonsense",)}, "mu_nonsense", ""),
+        ({"motion": "fast"}, "motion", "'fast'"),
+        ({"until": "mu_pusher=wide"}, "until", "'mu_pusher=wide'"),
+        ({"until": "mu_pusher=0.02", "fit": ("mu_support",)}, "until", "'mu_pusher'"),
+    ],
+)
+def test_what_is_missing_or_unknown_is_named(folder, options, where, found):
+    error = refused(folder, **options)
+    assert where in str(error)
+    assert found in str(error.found)
+    assert error.expected
+
+
+@pytest.mark.parametrize(
+    ("options", "where"),
+    [
+        ({"rig": "thesis-tags"}, "video.mjpg"),  # whose pictures are larger
+        ({"port": "/dev/ttyNone"}, "/dev/ttyNone"),
+        ({"tactile": "/dev/ttyNone"}, "/dev/ttyNone"),
+        ({"driver": "servo"}, "driver"),
+        ({"axes": "XY"}, "drive_pose"),
+        ({"axes": "XY", "drive_pose": "500,0,0"}, "row 1-"),
+    ],
+    ids=lambda own: str(own) if isinstance(own, str) else None,
+)
+def test_a_device_that_is_missing_or_another_one_is_named(
+    folder, camera, controller, options, where
+):
+    error = refused(folder, **{"camera": camera, "port": controller.port} | options)
+    assert where in error.where
+    assert error.expected
+    assert controller.trace == []
+
+
+@pytest.mark.parametrize("limits", [{"fastest": 10.0}, {"travel": 50.0, "homing": True}])
+def test_a_row_that_the_drive_cannot_perform_is_named(folder, camera, limits):
+    with EmulatedGrbl(**{"travel": 200.0, "start": 0.0, "rate": 5.0} | limits) as controller:
+        if controller.state == "Alarm":
+            error = refused(folder, DeviceFailed, camera=camera, port=controller.port)
+            assert error.hint == "home it: fixel actuator home"
+            with GrblActuator(controller.port, guard=False) as drive:
+                drive.home()
+        moved = len(controller.trace)
+        error = refused(folder, camera=camera, port=controller.port)
+        assert error.where.startswith("row 1-square")
+        assert error.hint
+        assert len(controller.trace) == moved
+
+
+def test_a_rig_without_a_part_of_the_plan_is_refused(folder, camera, controller):
+    rig = rig_of(str(folder / "rig.yaml"))
+    save_rig(replace(rig, parts={}), folder / "empty.yaml")
+    rig = str(folder / "empty.yaml")
+    assert refused(folder, rig=rig, camera=camera, port=controller.port).expected
+    assert controller.trace == []
+
+
+@pytest.mark.parametrize(
+    ("text", "where"), [("{camra: 1}", "fixel.yaml: bench"), ("{rate: fast}", "bench.rate")]
+)
+def test_a_wrong_setting_of_the_project_is_named(folder, tmp_path, text, where):
+    lab = Project.create(tmp_path / "lab")
+    with (lab.folder / "fixel.yaml").open("a") as settings:
+        settings.write(f"bench: {text}\n")
+    with pytest.raises(InvalidInput) as caught:
+        open_bench(Project(lab.folder), folder / "one.yaml")
+    assert where in caught.value.where
