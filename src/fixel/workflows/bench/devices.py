@@ -93,7 +93,7 @@ class BenchDevices:
         start, direction = np.zeros(n), np.eye(n)[0]
         if self.frame is not None:
             turn = math.atan2(way.direction[1], way.direction[0]) - self.frame[2]
-            start[:2] = _inside(self.frame, head.pose[:2])
+            start[:2] = inside(self.frame, head.pose[:2])
             direction[:2] = math.cos(turn), math.sin(turn)
         return Stroke(start, direction, travel, way.speed)
 
@@ -146,7 +146,7 @@ class BenchDevices:
         way = clear_way(placed(body.shape.outline, part), first, last, room)
         if way is None:
             return None
-        return [np.array([*_inside(self.frame, place), *here[2:]]) for place in way[:-1]] + [end]
+        return [np.array([*inside(self.frame, place), *here[2:]]) for place in way[:-1]] + [end]
 
     def go(self, places: list[FloatArray], before: Callable[[], None]) -> None:
         """Move the head through places of the drive; `before` is called before each move."""
@@ -177,7 +177,7 @@ class Stroke(NamedTuple):
     speed: float  # [m/s]
 
 
-def _inside(frame: FloatArray, place: FloatArray) -> FloatArray:
+def inside(frame: FloatArray, place: FloatArray) -> FloatArray:
     """Return a place of the world in a frame."""
     c, s = math.cos(frame[2]), math.sin(frame[2])
     return np.asarray(np.array([[c, s], [-s, c]]) @ (place - frame[:2]))

@@ -17,7 +17,7 @@ from fixel.database.project import Project
 from fixel.errors import DeviceFailed, FixelError, JobRefused
 from fixel.formats.recording import VIDEO
 from fixel.formats.rig_file import save_rig
-from fixel.formats.scene_file import SceneFile, save_scene
+from fixel.formats.scene_file import SceneFile, load_scene, save_scene
 from fixel.jobs.worker_process import WorkerProcess
 from fixel.model import PlannedExperiment
 from fixel.model.space import ParameterSpace
@@ -27,6 +27,7 @@ from fixel.vision.frame import Frame, Picture
 from fixel.workflows.acquisition.overlay import Look, Overlay, Tolerance, frames_of
 from fixel.workflows.acquisition.record import codec_for
 from fixel.workflows.acquisition.track import RIG_FILE, SCENE_FILE
+from fixel.workflows.bench.acceptance import BenchFigure, BenchRun, measure_bench
 from fixel.workflows.bench.campaign import Attempt, Campaign
 from fixel.workflows.bench.devices import BenchDevices
 from fixel.workflows.bench.judge import TrackedAttempt, TrackRequest, track_attempt
@@ -71,6 +72,8 @@ class LoopOptions:
         Intervals at which the campaign ends, such as `mu_pusher=0.02`.
     dry_run : bool
         Whether to perform nothing.
+    check : bool
+        Whether to measure the bench, and to perform nothing.
     """
 
     auto: bool = False
@@ -83,6 +86,7 @@ class LoopOptions:
     choose: bool = False
     until: str = ""
     dry_run: bool = False
+    check: bool = False
 
 
 class BenchCheck(NamedTuple):
@@ -155,6 +159,8 @@ class BenchLoop:
         Newest estimates.
     finish : str
         Why the campaign has ended; empty before.
+    figures : tuple of BenchFigure
+        What was measured by a check of the bench.
     """
 
     def __init__(
@@ -174,6 +180,7 @@ class BenchLoop:
         )
         self.live: LiveAnswer | None = None
         self.finish = "the drive can perform every row" if options.dry_run else ""
+        self.figures: tuple[BenchFigure, ...] = ()
         self._project = project
         self._events: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._tracker, self._estimator = Background(track_attempt), Background(estimate_rows)
@@ -221,9 +228,12 @@ class BenchLoop:
         """Perform rows until all are done, or enough is known, or someone ends it; return why."""
         frames: Generator[Frame] | None = None
         try:
+            if self.options.check:
+                self._measure()
             for attempt in [] if self.finish else self.campaign.undecided:
                 self._track(attempt)
-            self._estimate()
+            if not self.options.check:
+                self._estimate()
             while not self._is_over():
                 self._take_events()
                 if self._trouble:
@@ -264,7 +274,9 @@ class BenchLoop:
             if not self.campaign.left:
                 self.finish = "every row of the plan is done"
             elif self.options.limit is not None and n >= self.options.limit:
-                self.finish = f"{n} of {len(self.campaign.rows)} rows are experiments, as asked"
+                self.finish = (
+                    f"{n} of {len(self.campaign.rows)} rows are experiments, which is the limit"
+                )
         return bool(self.finish)
 
     def _take_events(self) -> None:
@@ -384,6 +396,27 @@ class BenchLoop:
             return BenchCheck("drive", False, "the part is in the way of the head")
         return BenchCheck("drive", True, "ready")
 
+    def _measure(self) -> None:
+        """Measure the bench with the part of the first row."""
+        campaign, done = self.campaign, []
+        with self._project.store() as store:
+            for own in campaign.accepted:
+                scene = load_scene(campaign.recording(own) / SCENE_FILE).scene
+                assert own.experiment is not None
+                found = store.experiment(own.experiment)
+                done.append(BenchRun(campaign.by_name[own.row], scene, found))
+        self._begin_row(campaign.rows[0])
+        assert self._overlay is not None
+        self._pushing.set()
+        try:
+            self.figures = measure_bench(
+                self.devices, self._overlay, done, lambda *how: self._moved(how[0], "key", *how[1:])
+            )
+        finally:
+            self._pushing.clear()
+            self._begin_row(None)
+        self.finish = "the bench was measured"
+
     # --- a push ---------------------------------------------------------------------------------
 
     def _perform(self, row: PlannedExperiment) -> None:
@@ -471,16 +504,28 @@ class BenchLoop:
         if self._stop_reason:
             raise DeviceFailed(self._stop_reason)
 
-    def _moved(self, places: list[FloatArray], by: str) -> None:
+    def _moved(
+        self,
+        places: list[FloatArray],
+        by: str,
+        seen: Callable[[Frame], None] = lambda frame: None,
+        before: Callable[[], None] = lambda: None,
+    ) -> None:
         """Move the head through places, and show the pictures meanwhile."""
+
+        def ready() -> None:
+            self._refuse_stopped()
+            before()
+
         frames = self._frames()
         with closing(frames), ThreadPoolExecutor(1, "fixel-drive") as pool:
-            moving = pool.submit(self.devices.go, places, self._refuse_stopped)
+            moving = pool.submit(self.devices.go, places, ready)
             while not moving.done():
                 frame = next(frames, None)
                 if frame is None:
                     self.stop("the camera was lost")
                     break
+                seen(frame)
                 self._report("moving", partial(_itself, frame.picture))
                 self._watch_page(by)
                 if self._stop_reason:

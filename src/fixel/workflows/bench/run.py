@@ -47,6 +47,7 @@ def open_bench(
     tolerance_angle: Annotated[float | None, Door(unit="deg", above=0.0, usual="the rig's")] = None,
     seed: Seed = 1,
     dry_run: bool = False,
+    check: bool = False,
 ) -> AbstractContextManager[BenchLoop]:
     """Perform a plan of experiments at a bench, row by row.
 
@@ -98,6 +99,8 @@ def open_bench(
         Seed of the emulated laboratory.
     dry_run : bool
         Whether to check every row against the limits of the drive, and to move nothing.
+    check : bool
+        Whether to measure the bench with the part of the first row, and to push nothing.
 
     Returns
     -------
@@ -141,6 +144,7 @@ def open_bench(
         choose=choose,
         until=until,
         dry_run=dry_run,
+        check=check,
     )
     return _opened(project, rows, devices, options)
 
@@ -170,6 +174,7 @@ def report_of(loop: BenchLoop) -> AnalysisReport:
     """Return the rows, attempts and estimates of a campaign."""
     from fixel.table import Table
     from fixel.workflows.analysis import Analysis, AnalysisReport
+    from fixel.workflows.bench.acceptance import figure_table
 
     campaign, live = loop.campaign, loop.live
     n, rows = len(campaign.accepted), len(campaign.rows)
@@ -179,6 +184,8 @@ def report_of(loop: BenchLoop) -> AnalysisReport:
         if own.state != "accepted"
     ]
     tables = [] if live is None else [live.table]
+    if loop.figures:
+        tables.insert(0, figure_table(loop.figures))
     if attempts:
         head = ("row", "attempt", "state", "reasons")
         tables.append(Table(head, attempts, title="Attempts without an experiment"))
@@ -192,6 +199,7 @@ def report_of(loop: BenchLoop) -> AnalysisReport:
         "finish": loop.finish,
         "half_widths": {} if live is None else dict(live.estimates.half_widths),
         "values": {} if live is None else dict(live.estimates.calibration),
+        "check": [own._asdict() | {"verdict": own.verdict} for own in loop.figures],
         "held_out_error_m": None if live is None else live.estimates.held_out_error,
     }
     return AnalysisReport(

@@ -1,0 +1,99 @@
+"""The check of a bench: by hand at small numbers, and by the truth of an emulated laboratory."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from tests.workflows.bench.test_loop import bench, opened  # noqa: F401
+
+from fixel.workflows.bench import acceptance
+from fixel.workflows.bench.acceptance import BenchFigure, BenchRun, figure_table, measure_bench
+from fixel.workflows.bench.run import report_of
+
+
+def overlay_with(distance, angle):
+    return SimpleNamespace(tolerance=SimpleNamespace(distance=distance, angle=angle))
+
+
+def test_a_figure_is_good_up_to_what_is_needed():
+    assert BenchFigure("a", 1e-3, 1e-3, "mm", "").verdict == "good"
+    assert BenchFigure("a", -2e-3, 1e-3, "mm", "").verdict == "too large"
+    assert BenchFigure("a", None, 1e-3, "mm", "").verdict == "not measured"
+    table = figure_table([BenchFigure("a", 0.5, 1.0, "deg", "b")])
+    assert table.rows[0] == ("a", "28.648 deg", "57.296 deg", "good", "b")
+
+
+def test_placement_and_scatter_of_three_runs():
+    from fixel.sampling import thesis_plan
+
+    first, other = thesis_plan().experiments[:2]
+    here = first.scene.bodies[0].pose
+
+    def run(row, start, end):
+        poses = np.array([here + np.array([*start, 0.0]), here + np.array([*end, 0.0])])
+        return BenchRun(row, first.scene, SimpleNamespace(trajectory=SimpleNamespace(pose=poses)))
+
+    runs = [
+        run(first, (3e-4, 4e-4), (0.050, 0.0)),
+        run(first, (0.0, 0.0), (0.052, 0.0)),
+        run(other, (0.0, 5e-4), (0.090, 0.0)),  # no other like it
+    ]
+    error, scatter = acceptance._experiments(runs, overlay_with(1e-3, 0.02))
+    assert error.value == pytest.approx(math.sqrt(2 * 25e-8 / 3))
+    assert scatter.value == pytest.approx(math.sqrt(2.0) * 1e-3)
+    assert (error.verdict, scatter.verdict) == ("good", "too large")
+    assert [own.value for own in acceptance._experiments([], overlay_with(1e-3, 0.02))] == [
+        None
+    ] * 2
+
+
+@pytest.mark.system
+def test_the_check_measures_an_emulated_laboratory(bench):  # noqa: F811
+    with opened(bench, auto=True) as loop:
+        loop.run()
+        truth = np.array([moment.part for moment in loop.devices.laboratory.moments])
+        with bench[0].store() as store:
+            ids = [own.experiment for own in loop.campaign.accepted]
+            ends = [store.experiment(number).trajectory.pose[-1] for number in ids]
+    nearest = [truth[np.abs(truth - end).sum(axis=1).argmin()] for end in ends]
+    true_scatter = np.hypot(*(nearest[0] - nearest[1])[:2]) / math.sqrt(2.0)
+
+    with opened(bench, check=True) as loop:
+        assert loop.run() == "the bench was measured"
+        figures = {own.name: own for own in loop.figures}
+        moments = list(loop.devices.laboratory.moments)
+        report = report_of(loop).analysis
+    assert not loop.campaign.left  # no row was performed or changed
+    # The part never moved after it was placed; the head stood at one place after each move.
+    parts = np.array([moment.part for moment in moments[-200:]])
+    assert np.ptp(parts, axis=0).max() < 1e-9
+    assert 0.0 < figures["camera noise"].value < 1e-4
+    assert 0.0 < figures["camera noise, angle"].value < math.radians(0.2)
+    heads = np.array([moment.head[:2] for moment in moments])
+    start = heads[-1]
+    gone = np.hypot(*(heads - start).T)
+    assert 5e-3 < gone.max() < 21e-3
+    assert figures["repeatability of the drive"].value < 5e-5
+    # In accelerated time the begin of a move is known to a frame.
+    assert abs(figures["latency of the camera"].value) < 1.0 / 30.0
+    assert figures["error of placement"].value < 1e-3
+    assert figures["scatter between runs"].value == pytest.approx(true_scatter, abs=3e-4)
+    assert figures["round trip of the tactile board"].verdict == "good"
+    assert len(report.numbers["check"]) == 7
+    assert report.tables[0].title == "Check of the bench"
+
+
+def test_a_part_that_is_not_seen_is_refused():
+    from fixel.errors import InvalidInput
+    from fixel.sampling import thesis_plan
+
+    scene = thesis_plan().experiments[0].scene
+    unseen = SimpleNamespace(name="object", measured=None)
+    overlay = SimpleNamespace(scene=scene, look=lambda frame: SimpleNamespace(parts=[unseen]))
+    frame = SimpleNamespace(time=0.0)
+    devices = SimpleNamespace()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(acceptance, "_frames", lambda devices, n: [frame] * n)
+        with pytest.raises(InvalidInput, match="part"):
+            measure_bench(devices, overlay, [], lambda *how: None)
