@@ -54,7 +54,8 @@ def _perform(request: "BaseModel", folder: Path, as_json: bool) -> None:
         analysis = report_of(loop).analysis
     finally:  # also stops the drive, on Ctrl-C
         context.close()
-    again = command_of(*BENCH.words(request), project=folder)
+    performed = request.model_copy(update={"dry_run": False, "check": False})
+    again = command_of(*BENCH.words(performed), project=folder)
     after = command_of("calibrate", "--dataset", loop.options.dataset, project=folder)
     done = not loop.campaign.left
     print_answer(

@@ -175,23 +175,18 @@ def _experiments(performed: Sequence[BenchRun], overlay: Overlay) -> Iterator[Be
     for row, scene, experiment in performed:
         planned, pose = scene.bodies[0].pose, experiment.trajectory.pose
         starts.append(float(np.hypot(*(pose[0] - planned)[:2])))
-        ends[json.dumps(scene_dict(SceneFile(scene=row.scene)))].append(
-            inside(planned, pose[-1, :2])
-        )
+        same = json.dumps(scene_dict(SceneFile(scene=row.scene)))
+        ends[same].append(inside(planned, pose[-1, :2]))
     needed, n = overlay.tolerance.distance, len(starts)
     error = float(np.sqrt(np.mean(np.square(starts)))) if starts else None
     source = f"starts of {n} experiments; root mean square" if n else "no experiments yet"
     yield BenchFigure("error of placement", error, needed, "mm", source)
     off = [own - np.mean(own, axis=0) for own in map(np.array, ends.values()) if len(own) > 1]
-    total = sum(map(len, off))
-    scatter = (
-        float(np.sqrt(np.square(np.concatenate(off)).sum() / (total - len(off)))) if off else None
-    )
-    source = (
-        f"ends of {total} pushes in {len(off)} groups of equal ones"
-        if off
-        else "no equal pushes yet"
-    )
+    scatter, source = None, "no equal pushes yet"
+    if off:
+        total = sum(map(len, off))
+        scatter = float(np.sqrt(np.square(np.concatenate(off)).sum() / (total - len(off))))
+        source = f"ends of {total} pushes in {len(off)} groups of equal ones"
     yield BenchFigure("scatter between runs", scatter, needed, "mm", source)
 
 
