@@ -12,6 +12,7 @@ from fixel.errors import FixelError, JobRefused
 from fixel.web.live import LiveView
 from fixel.workflows.bench.loop import BenchLoop
 
+GLANCE: Final = 0.01  # [s]
 LOST: Final = 3.0  # [s] without a sign of life after which a page counts as lost
 
 
@@ -56,6 +57,7 @@ class BenchSession:
         if self.running:
             raise JobRefused("a campaign is running already", hint="end it first")
         self._forget()
+        shown = self.view.newest.number
         self._thread = threading.Thread(target=self._run, args=(opened,), name="fixel-bench")
         self._thread.start()
         self._ready.wait()
@@ -63,6 +65,8 @@ class BenchSession:
             self._thread.join()
             raise self._failure
         assert self.loop is not None
+        while self._thread.is_alive() and self.view.newest.number == shown:
+            time.sleep(GLANCE)  # else a page would find no status, or that of the campaign before
         return self.loop
 
     def _forget(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import queue
 import threading
 import time
@@ -36,6 +37,7 @@ from fixel.workflows.calibration.parameter_options import searched_unknowns
 
 LEAD: Final = 0.5  # [s] of recording before the push
 REST: Final = 0.8  # [s] of recording after it
+BEHIND: Final = 10.0  # [s] for which pictures may wait to be written
 IN_PLACE: Final = 5  # looks in a row at a part in place, before a push without being asked
 NUDGE: Final = 0.4  # [s] between two corrections of the emulated person
 MAX_ATTEMPTS: Final = 3  # with a fault at one row, without being asked
@@ -228,6 +230,7 @@ class BenchLoop:
         """Perform rows until all are done, or enough is known, or someone ends it; return why."""
         frames: Generator[Frame] | None = None
         try:
+            self._report("waiting")
             if self.options.check:
                 self._measure()
             for attempt in [] if self.finish else self.campaign.undecided:
@@ -448,7 +451,7 @@ class BenchLoop:
 
     def _recorded(self, row: PlannedExperiment, folder: Path, by: str) -> RecordingSummary:
         """Record while the drive performs its stroke."""
-        camera, ended = self.devices.camera, threading.Event()
+        camera, newest, end = self.devices.camera, -math.inf, math.inf
 
         def prepare(place: Path) -> None:
             save_rig(self.devices.rig, place / RIG_FILE)
@@ -457,9 +460,15 @@ class BenchLoop:
         begun = threading.Event()
 
         def watch(arrived: Any, status: RecordingStatus) -> None:
+            nonlocal newest
+            newest = arrived.taken
             begun.set()
             self._report("pushing", arrived.picture, status)
             self._watch_page(by)
+
+        def over() -> str:  # once the pictures that wait to be written are written
+            late = newest >= end or self.devices.clock() > end + BEHIND
+            return "the push is over" if late else ""
 
         recorder = Recorder(
             source=camera.view(),
@@ -468,7 +477,7 @@ class BenchLoop:
             codec=codec_for("auto", camera.stream),
             tactile=self.devices.tactile,
             rig=self.devices.rig.name,
-            stop=lambda: "the push is over" if ended.is_set() else "",
+            stop=over,
             watch=watch,
             prepare=prepare,
         )
@@ -482,7 +491,7 @@ class BenchLoop:
                     self._stroke(row, recording.done)
                     self.devices.sleep(REST)
             finally:
-                ended.set()
+                end = self.devices.clock()
             return recording.result()
 
     def _stroke(self, row: PlannedExperiment, camera_lost: Callable[[], bool]) -> None:

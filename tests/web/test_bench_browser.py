@@ -1,0 +1,165 @@
+"""The page of the bench, in a real browser, before an emulated laboratory."""
+
+import json
+import time
+from dataclasses import replace
+from importlib.resources import files
+
+import pytest
+
+from fixel.database.project import Project
+from fixel.sampling import thesis_plan
+
+pytestmark = pytest.mark.system
+
+PATIENCE = 180.0  # [s]
+RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory):
+    return Project.create(tmp_path_factory.mktemp("bench") / "lab").folder
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch):
+    """Two quick pushes in place of the plan that a form performs."""
+    plan = thesis_plan()
+    plan = replace(
+        plan,
+        shapes=plan.shapes[:1],
+        layouts=plan.layouts[:1],
+        schemes=plan.schemes[:1],
+        repetitions=2,
+        rig=replace(plan.rig, speed=0.06, travel=0.12),
+    )
+    monkeypatch.setattr("fixel.sampling.thesis_plan", lambda: plan)
+
+
+@pytest.fixture
+def session(server):
+    """The bench of the server, which ends in any case."""
+    yield server.context.bench
+    server.context.bench.close()
+
+
+def until(condition, page, patience=PATIENCE):
+    end = time.monotonic() + patience
+    while not condition():
+        assert time.monotonic() < end, page.inner_text("#side")
+        page.wait_for_timeout(50)
+
+
+def begin(page, server, name):
+    """Start a campaign by the form."""
+    page.goto(server.home + "bench?new=1")
+    page.click("details summary")
+    page.select_option("#emulated", "yes")
+    page.fill("#name", name)
+    page.fill("#fit", "mu_support")
+    page.click("button:has-text('Start')", no_wait_after=True)
+    page.wait_for_selector("button[data-do=place]", timeout=1e3 * PATIENCE)
+
+
+def place(page):
+    """Press *Move the part* until the page offers to push."""
+
+    def placed():
+        if page.locator("button[data-do=push]").count():
+            return True
+        button = page.locator("button[data-do=place]:enabled")
+        if button.count():
+            button.click(timeout=5000)
+        page.wait_for_timeout(700)
+        return False
+
+    until(placed, page)
+
+
+def phase(session):
+    return json.loads(session.view.report)["phase"]
+
+
+def faults(page):
+    """Faults by the rules of axe, and what is wider than the window."""
+    axe = pytest.importorskip("axe_playwright_python", reason="pip install 'fixel[dev]'")
+    page.evaluate(files(axe).joinpath("axe.min.js").read_text(encoding="utf-8"))
+    found = page.evaluate(
+        """async (rules) => (await window.axe.run(document, {
+          runOnly: { type: "tag", values: rules }, resultTypes: ["violations"],
+        })).violations.filter((one) => one.impact !== "minor").map((one) => [one.id,
+          one.nodes.map((node) => `${node.target.join(" ")}: ${node.failureSummary}`)])""",
+        RULES,
+    )
+    wide = page.evaluate("document.documentElement.scrollWidth > innerWidth + 1")
+    return found + (["wider than the window"] if wide else [])
+
+
+def test_a_row_is_placed_pushed_tracked_accepted_and_calibrated(browser_page, server, session):
+    page = browser_page
+    begin(page, server, "whole")
+    assert "not" not in page.inner_text("#link-state")
+    assert page.evaluate("document.querySelector('#picture').naturalWidth") > 300
+    assert faults(page) == []
+    place(page)
+    assert page.locator("#checks [data-state=off]").count() == 0
+    page.click("button[data-do=push]")
+    page.wait_for_selector("button[data-do=stop]")
+    page.wait_for_selector("[data-attempt] [data-state=accepted]", timeout=1e3 * PATIENCE)
+    page.wait_for_selector("#estimates:has-text('mu_support')", timeout=1e3 * PATIENCE)
+    for width in (1280, 390):
+        page.set_viewport_size({"width": width, "height": 800})
+        page.wait_for_timeout(300)
+        assert faults(page) == []
+    page.click("button[data-do=end]")
+    page.wait_for_selector("#finish", timeout=1e3 * PATIENCE)
+    until(lambda: not session.running, page)
+    page.goto(server.home + "bench")
+    assert faults(page) == []
+    page.click("#attempts a")
+    page.wait_for_url("**/experiments/1")
+    page.goto(server.home + "bench?new=1")
+    assert page.inner_text("tr:has-text('whole')").split() == ["whole", "1", "0", "1"]
+
+
+def test_the_button_stops_the_drive(browser_page, server, session):
+    page = browser_page
+    begin(page, server, "stopped")
+    place(page)
+    page.click("button[data-do=push]")
+    page.click("button[data-do=stop]")
+    page.wait_for_selector("#problems:has-text('stopped by the person')")
+    assert not session.loop.devices.drive.moving
+    assert faults(page) == []
+    page.click("button[data-do=again]")
+    page.wait_for_selector("button[data-do=place]")
+
+
+def test_a_page_that_is_closed_during_a_push_stops_the_drive(browser_page, server, session):
+    page = browser_page
+    begin(page, server, "lost")
+    # Slow enough, in accelerated time, that the page is lost during the push.
+    source = session.loop.devices.laboratory.advance
+    session.loop.devices.laboratory.advance = lambda: (time.sleep(0.3), source())[1]
+    place(page)
+    page.click("button[data-do=push]")
+    page.wait_for_selector("button[data-do=stop]")
+    page.goto("about:blank")
+    end = time.monotonic() + PATIENCE
+    while phase(session) != "trouble":
+        assert time.monotonic() < end, phase(session)
+        time.sleep(0.02)
+    assert "the page is lost since 3" in json.loads(session.view.report)["problems"][0]
+    assert not session.loop.devices.drive.moving
+
+
+def test_a_fault_of_the_form_is_shown_at_its_field(browser_page, server):
+    page = browser_page
+    page.expected_problems = ["422"]
+    page.goto(server.home + "bench?new=1")
+    page.click("details summary")
+    page.fill("#rig", "no-such")
+    page.click("button:has-text('Start')")
+    page.wait_for_selector("#rig[aria-invalid=true]")
+    assert "no file 'no-such'" in page.inner_text("#about-rig")
+    assert faults(page) == []
