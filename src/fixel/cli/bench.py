@@ -25,7 +25,6 @@ SAID: Final = (
     " a doubtful attempt. a: try again after trouble. q: end."
 )
 EVERY: Final = 0.05  # [s]
-EARLY: Final = 1  # exit code of a campaign with rows left
 
 
 def _perform(request: "BaseModel", folder: Path, as_json: bool) -> None:
@@ -51,6 +50,7 @@ def _perform(request: "BaseModel", folder: Path, as_json: bool) -> None:
                 for key in pressed(EVERY):
                     _take(session, key)
                 last = _show(session, last)
+        session.raise_failure()
         analysis = report_of(loop).analysis
     finally:  # also stops the drive, on Ctrl-C
         context.close()
@@ -63,8 +63,6 @@ def _perform(request: "BaseModel", folder: Path, as_json: bool) -> None:
         lambda: analysis.numbers,
         lambda: paragraphs(analysis.lines(), [f"Next: {after if done else again}"]),
     )
-    if session.trouble:
-        raise SystemExit(EARLY)
 
 
 def _take(session: "BenchSession", key: str) -> None:

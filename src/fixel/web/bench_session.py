@@ -26,18 +26,20 @@ class BenchSession:
         Live picture and status.
     loop : BenchLoop, optional
         Loop of the campaign; None before the first.
-    trouble : str
-        Why the campaign could not be opened, or ended.
     """
 
     def __init__(self) -> None:
         self.view = LiveView()
         self.loop: BenchLoop | None = None
-        self.trouble = ""
         self._alive = time.monotonic()
         self._ready = threading.Event()
         self._thread: threading.Thread | None = None
         self._failure: BaseException | None = None
+
+    @property
+    def trouble(self) -> str:
+        """Why the campaign could not be opened, or ended early; empty otherwise."""
+        return "" if self._failure is None else str(self._failure)
 
     @property
     def running(self) -> bool:
@@ -63,7 +65,7 @@ class BenchSession:
         self._ready.wait()
         if self._failure is not None:
             self._thread.join()
-            raise self._failure
+        self.raise_failure()
         assert self.loop is not None
         while self._thread.is_alive() and self.view.newest.number == shown:
             time.sleep(GLANCE)  # else a page would find no status, or that of the campaign before
@@ -71,7 +73,7 @@ class BenchSession:
 
     def _forget(self) -> None:
         """Forget the campaign before."""
-        self.loop, self.trouble, self._failure = None, "", None
+        self.loop = self._failure = None
         self._ready.clear()
 
     def _run(self, opened: AbstractContextManager[BenchLoop]) -> None:
@@ -82,14 +84,17 @@ class BenchSession:
                 self._ready.set()
                 loop.run()
         except BaseException as failure:
-            if self._ready.is_set():
-                self.trouble = str(failure)
-                self.view.repeat()
-                if not isinstance(failure, FixelError):
-                    raise
             self._failure = failure
+            self.view.repeat()
+            if not isinstance(failure, FixelError):
+                raise
         finally:
             self._ready.set()
+
+    def raise_failure(self) -> None:
+        """Raise the error that ended the campaign, if there is one."""
+        if self._failure is not None:
+            raise self._failure
 
     def ask(self, do: str, row: str = "", by: str = "page") -> None:
         """Ask the loop for something, as `BenchLoop.ask`."""

@@ -150,9 +150,8 @@ class EmulatedGrbl:
         self.events: list[GrblEvent] = []
         self.lost = 0  # number of bytes that did not fit into its buffer
         self.mute = False  # fault: sends nothing
-        self.garble = self.refuse = (
-            0  # fault: numbers of following bytes to damage, lines to reject
-        )
+        self.garble = 0  # fault: number of following bytes to damage
+        self.refuse = 0  # fault: number of following lines to reject
         self._rate, self._homing = rate, homing
         self._firmware, self._axes = FIRMWARE[firmware], axes  # axes in its reports
         self._letters = "XYZA"[:axes]
@@ -167,12 +166,10 @@ class EmulatedGrbl:
             self._settings |= {first + k: unit * value for k, value in of_axes}
         # Machine coordinates decrease as the drive extends, as in GRBL after homing to the switch.
         self._shift = _of_axes(0.0, axes) if homing else tuple(-at for at in self._places)
-        self._sign = -1.0 if homing else 1.0
-        self.state = "Alarm" if homing else "Idle"
+        self._sign, self.state = (-1.0, "Alarm") if homing else (1.0, "Idle")
         self._critical, self._speed = False, 0.0
         self._blocks: deque[PlannerBlock] = deque()
-        self._gone = 0.0  # [mm] of the first block
-        self._planned = self._places
+        self._planned, self._gone = self._places, 0.0  # the latter of the first block [mm]
         self._partial, self._feed, self._units = bytearray(), 0.0, 1.0
         self._waiting: deque[bytes] = deque()
         self._relative = self._ended = False

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -29,10 +29,11 @@ if TYPE_CHECKING:
     from fixel.testbed.emulators.laboratory import EmulatedLaboratory
 
 FAST: Final = 0.05  # [m/s] of the head on its way to a start, if its drive can do that
-CLEAR: Final = 0.003  # [m] between the head and the part on that way
+CLEAR: Final = 0.05  # of the part's radius: between the head and the part on that way
 SMALLER: Final = 0.75  # pictures of the emulated laboratory: fixels are still found in them
 # Rows of the emulated laboratory in which a hand hides a marker, and in which the head jams.
 HIDDEN, OVERLOAD = slice(3, None, 10), slice(6, None, 10)
+USUAL_SIZE: Final = 0.1  # [m] of parts of the usual laboratory
 SETTINGS: Final[Mapping[str, Any]] = {
     "camera": "0", "rig": "", "tactile": "", "driver": "grbl", "port": "", "axes": "X",
     "drive_pose": "", "rate": 30.0,
@@ -141,7 +142,8 @@ class BenchDevices:
         if self.frame is None or part is None:
             return [end]
         head, body = scene.pushers[0], scene.bodies[0]
-        room = float(np.hypot(*head.shape.outline.T).max()) + CLEAR
+        size = float(np.hypot(*(body.shape.outline - body.shape.centroid).T).max())
+        room = float(np.hypot(*head.shape.outline.T).max()) + CLEAR * size
         first, last = (placed(place[:2], self.frame) for place in (here, end))
         way = clear_way(placed(body.shape.outline, part), first, last, room)
         if way is None:
@@ -276,11 +278,26 @@ def emulated_devices(
     from fixel.testbed.simulated import SimulatedTestbed
 
     names = [row.name for row in rows]
+    usual, faults = SimulatedTestbed(seed=seed), Faults()
+    # Lengths of the usual laboratory, at the size of the part.
+    extent = float(np.ptp(rows[0].scene.bodies[0].shape.outline, axis=0).max())
+    scale = min(1.0, extent / USUAL_SIZE)
+    x, y = usual.centre_of_pressure
+    truth = replace(
+        usual,
+        centre_of_pressure=(scale * x, scale * y),
+        centre_of_pressure_spread=scale * usual.centre_of_pressure_spread,
+        plate_grain=scale * usual.plate_grain,
+        position_noise=scale * usual.position_noise,
+    )
+    faults = Faults(
+        placement=(scale * faults.placement[0], faults.placement[1]),
+        corrected=(scale * faults.corrected[0], faults.corrected[1]),
+        hidden=names[HIDDEN],
+        overload=names[OVERLOAD],
+    )
     laboratory = EmulatedLaboratory(
-        smaller(rig_of(rig or "thesis-tags"), SMALLER),
-        truth=SimulatedTestbed(seed=seed),
-        seed=seed,
-        faults=Faults(hidden=names[HIDDEN], overload=names[OVERLOAD]),
+        smaller(rig_of(rig or "thesis-tags"), SMALLER), truth=truth, seed=seed, faults=faults
     )
     laboratory.prepare(rows[0])
     camera = SharedCamera(lambda: laboratory.source)

@@ -35,6 +35,7 @@ def open_bench(
     fit: Fit = (),
     motion: Annotated[str, Door(metavar="NAME")] = "quasistatic",
     scene: Path | None = None,
+    about_part: bool = False,
     name: Annotated[str, Door(metavar="NAME", usual="that of the plan")] = "",
     rig: Annotated[str | None, Door(metavar="RIG", usual=YOURS)] = None,
     camera: Annotated[str | None, Door(metavar="SOURCE", usual=YOURS)] = None,
@@ -75,6 +76,9 @@ def open_bench(
         Motion model of these calibrations.
     scene : Path, optional
         Scene file from which the rows of a table differ; by default scene.yaml in its folder.
+    about_part : bool
+        Whether to move each row so that the part always lies at the place of the first one, for a
+        drive with several axes that pushes it from all sides.
     name : str
         Name of the campaign, which is the dataset of its experiments.
     rig : str, optional
@@ -117,15 +121,15 @@ def open_bench(
     JobRefused
         Another process performs this campaign.
     """
+    from fixel.sampling import about_part as pushes_about_part
     from fixel.sampling import thesis_plan
     from fixel.workflows.bench.devices import emulated_devices, open_devices, settings_of
     from fixel.workflows.bench.live import check_wishes
     from fixel.workflows.bench.loop import LoopOptions
     from fixel.workflows.sampling import planned_rows
 
-    rows = thesis_plan().experiments
-    if plan is not None:
-        rows = planned_rows(plan, project, scene=scene)
+    read = planned_rows(plan, project, scene=scene) if plan else thesis_plan().experiments
+    rows = pushes_about_part(read) if about_part else read
     check_wishes(rows, fit, motion, until)
     given = {
         "rig": rig, "camera": camera, "tactile": tactile, "driver": driver, "port": port,
