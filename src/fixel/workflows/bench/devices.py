@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from fixel.testbed.emulators.laboratory import EmulatedLaboratory
 
 FAST: Final = 0.05  # [m/s] of the head on its way to a start, if its drive can do that
-CLEAR: Final = 0.05  # of the part's radius: between the head and the part on that way
+CLEAR: Final = 0.05  # of the radius of the part: between it and the head on its ways
 SMALLER: Final = 0.75  # pictures of the emulated laboratory: fixels are still found in them
 # Rows of the emulated laboratory in which a hand hides a marker, and in which the head jams.
 HIDDEN, OVERLOAD = slice(3, None, 10), slice(6, None, 10)
@@ -142,13 +142,19 @@ class BenchDevices:
         if self.frame is None or part is None:
             return [end]
         head, body = scene.pushers[0], scene.bodies[0]
-        size = float(np.hypot(*(body.shape.outline - body.shape.centroid).T).max())
-        room = float(np.hypot(*head.shape.outline.T).max()) + CLEAR * size
+        room = float(np.hypot(*head.shape.outline.T).max()) + _clearance(scene)
         first, last = (placed(place[:2], self.frame) for place in (here, end))
         way = clear_way(placed(body.shape.outline, part), first, last, room)
         if way is None:
             return None
         return [np.array([*inside(self.frame, place), *here[2:]]) for place in way[:-1]] + [end]
+
+    def withdrawn(self, scene: Scene) -> FloatArray:
+        """Return the place of the drive after a push: behind its start, if the drive gets there."""
+        push = self.stroke(scene)
+        self.drive.aim(push.start, push.direction)
+        behind = -_clearance(scene)
+        return push.start + max(behind, min(self.drive.reach[0], 0.0)) * push.direction
 
     def go(self, places: list[FloatArray], before: Callable[[], None]) -> None:
         """Move the head through places of the drive; `before` is called before each move."""
@@ -168,6 +174,12 @@ class BenchDevices:
             self.drive.connect()
         if getattr(self.drive, "state", "Idle") == "Alarm":
             self.drive.home()
+
+
+def _clearance(scene: Scene) -> float:
+    """Return the distance that the head keeps from the part on its ways [m]."""
+    body = scene.bodies[0]
+    return CLEAR * float(np.hypot(*(body.shape.outline - body.shape.centroid).T).max())
 
 
 class Stroke(NamedTuple):

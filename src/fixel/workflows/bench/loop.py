@@ -433,7 +433,7 @@ class BenchLoop:
         attempt = self.campaign.begin(row.name)
         try:
             self._moved(way, by)
-            self._withdraws = way[-1]
+            self._withdraws = self.devices.withdrawn(row.scene)
             done = self._recorded(replace(row, scene=scene), self.campaign.recording(attempt), by)
             if done.early:
                 raise DeviceFailed(done.reason)
