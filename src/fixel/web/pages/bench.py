@@ -9,7 +9,8 @@ from fastapi import APIRouter, Request
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, ConfigDict
 
-from fixel.errors import FixelError
+from fixel.database.project import SETTINGS
+from fixel.errors import FixelError, InvalidInput
 from fixel.web.context import ProjectContext
 from fixel.web.pages.run import filled_form, texts_of
 from fixel.workflows.bench.campaign import campaigns
@@ -45,21 +46,34 @@ def start(
     context: ProjectContext, request: Request, fields: dict[str, list[str]]
 ) -> str | dict[str, Any]:
     """Start the campaign of a posted form."""
-    texts = fields
+    chosen, texts = "".join(fields.pop("plan", [])), fields
     try:
+        if chosen not in ("", *_plans(context)):
+            raise InvalidInput("plan", found=chosen, expected="a plan in the project's folder")
         texts = {name: texts_of(BENCH, name, own) for name, own in fields.items()}
         asked = BENCH.from_texts(texts)
-        context.bench.start(BENCH.function(context.project, **BENCH.arguments(asked)))
+        plan = {"plan": context.project.folder / chosen} if chosen else {}
+        context.bench.start(BENCH.function(context.project, **BENCH.arguments(asked) | plan))
     except FixelError as error:
         return _form(context, texts, error)
     return PATH
+
+
+def _plans(context: ProjectContext) -> list[str]:
+    """Return the names of the files in the project's folder that may be plans."""
+    files = [own for kind in ("*.yaml", "*.csv") for own in context.project.folder.glob(kind)]
+    return sorted(own.name for own in files if own.name not in (SETTINGS, "scene.yaml"))
 
 
 def _form(
     context: ProjectContext, texts: dict[str, list[str]], error: FixelError | None = None
 ) -> dict[str, Any]:
     form = filled_form(context, BENCH, texts, error)
-    return form | {"report": None, "campaigns": campaigns(context.project.folder)}
+    return form | {
+        "report": None,
+        "campaigns": campaigns(context.project.folder),
+        "plans": _plans(context),
+    }
 
 
 def bench_router(context: ProjectContext) -> APIRouter:

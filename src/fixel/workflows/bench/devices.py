@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 FAST: Final = 0.05  # [m/s] of the head on its way to a start, if its drive can do that
 CLEAR: Final = 0.05  # of the radius of the part: between it and the head on its ways
+BEHIND: Final = 0.5  # of the radius of the part: from the start of a push to the head after it
 SMALLER: Final = 0.75  # pictures of the emulated laboratory: fixels are still found in them
 # Rows of the emulated laboratory in which a hand hides a marker, and in which the head jams.
 HIDDEN, OVERLOAD = slice(3, None, 10), slice(6, None, 10)
@@ -142,7 +143,7 @@ class BenchDevices:
         if self.frame is None or part is None:
             return [end]
         head, body = scene.pushers[0], scene.bodies[0]
-        room = float(np.hypot(*head.shape.outline.T).max()) + _clearance(scene)
+        room = float(np.hypot(*head.shape.outline.T).max()) + CLEAR * _radius(scene)
         first, last = (placed(place[:2], self.frame) for place in (here, end))
         way = clear_way(placed(body.shape.outline, part), first, last, room)
         if way is None:
@@ -153,8 +154,8 @@ class BenchDevices:
         """Return the place of the drive after a push: behind its start, if the drive gets there."""
         push = self.stroke(scene)
         self.drive.aim(push.start, push.direction)
-        behind = -_clearance(scene)
-        return push.start + max(behind, min(self.drive.reach[0], 0.0)) * push.direction
+        behind = max(-BEHIND * _radius(scene), min(self.drive.reach[0], 0.0))
+        return push.start + behind * push.direction
 
     def go(self, places: list[FloatArray], before: Callable[[], None]) -> None:
         """Move the head through places of the drive; `before` is called before each move."""
@@ -176,10 +177,10 @@ class BenchDevices:
             self.drive.home()
 
 
-def _clearance(scene: Scene) -> float:
-    """Return the distance that the head keeps from the part on its ways [m]."""
+def _radius(scene: Scene) -> float:
+    """Return the radius of the part of a scene about its centroid [m]."""
     body = scene.bodies[0]
-    return CLEAR * float(np.hypot(*(body.shape.outline - body.shape.centroid).T).max())
+    return float(np.hypot(*(body.shape.outline - body.shape.centroid).T).max())
 
 
 class Stroke(NamedTuple):
