@@ -7,6 +7,7 @@ import threading
 import time
 from contextlib import closing
 from dataclasses import replace
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from fixel.database.project import Project
 from fixel.errors import JobRefused
 from fixel.formats.plan_file import plan_text
 from fixel.formats.recording import open_recording
-from fixel.sampling import thesis_plan
+from fixel.sampling import eight_push_plan, thesis_plan
 from fixel.workflows.bench import loop as loop_module
 from fixel.workflows.bench.loop import Background, BenchLoop
 from fixel.workflows.bench.run import open_bench, report_of
@@ -249,3 +250,27 @@ def test_a_calculation_whose_process_was_killed_is_repeated(tmp_path, monkeypatc
     with closing(Background(os._exit)) as background:
         background.call(1, answers.put)
         assert isinstance(answers.get(timeout=300.0), JobRefused)
+
+
+@pytest.mark.system
+def test_a_small_part_is_pushed_where_it_lies_from_two_sides(tmp_path):
+    """Pushes of the ASME paper with two axes, under the microscope."""
+    plan = replace(eight_push_plan(), repetitions=1)
+    (offsets,) = plan.schemes
+    plan = replace(plan, schemes=(replace(offsets, rows=(offsets.rows[0], offsets.rows[5])),))
+    (tmp_path / "two.yaml").write_text(plan_text(plan))
+    rig = (files("fixel.testing") / "examples/rigs/microscope.yaml").read_text()
+    named = rig.replace("\n  part:", "\n  object:").replace("\n  probe:", "\n  actuator:")
+    (tmp_path / "rig.yaml").write_text(named)
+    project = Project.create(tmp_path / "lab")
+    options = {"rig": str(tmp_path / "rig.yaml"), "fit": ("mu_pusher",), "about_part": True}
+    with open_bench(project, tmp_path / "two.yaml", emulated=True, auto=True, **options) as loop:
+        assert loop.run() == "every row of the plan is done"
+        ids = [own.experiment for own in loop.campaign.accepted]
+    with project.store() as store:
+        stored = [store.experiment(number) for number in ids]
+    starts = np.array([own.trajectory.pose[0] for own in stored])
+    ways = [own.pusher.pose[-1, :2] - own.pusher.pose[0, :2] for own in stored]
+    assert np.abs(starts[0] - starts[1])[:2].max() < 5e-5  # the part lay at one place
+    assert abs(np.dot(*[way / np.hypot(*way) for way in ways])) < 0.05  # pushes at right angles
+    assert [float(np.hypot(*way)) for way in ways] == pytest.approx([7e-4, 7e-4], rel=0.05)
