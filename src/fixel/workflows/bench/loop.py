@@ -7,7 +7,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
@@ -107,17 +107,17 @@ class Background:
         self._process = WorkerProcess(function, limit=LIMIT)
         self._pool = ThreadPoolExecutor(1)
         self._closed = False
-        self.waiting = 0  # calls without an answer
+        self._calls: list[Future[None]] = []
+
+    @property
+    def waiting(self) -> int:
+        """Number of calls whose answer `done` did not get yet."""
+        self._calls = [own for own in self._calls if not own.done()]
+        return len(self._calls)
 
     def call(self, argument: Any, done: Callable[[Any], None]) -> None:
         """Call the function; `done` gets its answer or its error, in another thread."""
-        self.waiting += 1
-
-        def work() -> None:
-            done(self._answer(argument))
-            self.waiting -= 1  # last: nobody may find neither a call nor its answer
-
-        self._pool.submit(work)
+        self._calls.append(self._pool.submit(lambda: done(self._answer(argument))))
 
     def _answer(self, argument: Any) -> Any:
         """Return the answer or the error of a call, again if its process died."""
