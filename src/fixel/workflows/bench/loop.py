@@ -464,7 +464,6 @@ class BenchLoop:
             newest = arrived.taken
             begun.set()
             self._report("pushing", arrived.picture, status)
-            self._watch_page(by)
 
         def over() -> str:  # once the pictures that wait to be written are written
             late = newest >= end or self.devices.clock() > end + BEHIND
@@ -488,14 +487,14 @@ class BenchLoop:
                     time.sleep(0.005)
                 if not recording.done():
                     self.devices.sleep(LEAD)
-                    self._stroke(row, recording.done)
+                    self._stroke(row, recording.done, by)
                     self.devices.sleep(REST)
             finally:
                 end = self.devices.clock()
             return recording.result()
 
-    def _stroke(self, row: PlannedExperiment, camera_lost: Callable[[], bool]) -> None:
-        """Move the head along its stroke; stop it if the recording ends."""
+    def _stroke(self, row: PlannedExperiment, camera_lost: Callable[[], bool], by: str) -> None:
+        """Move the head along its stroke; stop it if the recording ends or the page is lost."""
         drive, push = self.devices.drive, self.devices.stroke(row.scene)
         drive.aim(push.start, push.direction)
         self._refuse_stopped()
@@ -503,6 +502,7 @@ class BenchLoop:
         while drive.moving:
             if camera_lost():
                 self.stop("the camera or the tactile board was lost during the push")
+            self._watch_page(by)
             if self._stop_reason:  # also where the stop came just before the move
                 drive.stop()
             time.sleep(0.005)
