@@ -1,6 +1,7 @@
 """The page of the bench, in a real browser, before an emulated laboratory."""
 
 import json
+import re
 import time
 from dataclasses import replace
 from importlib.resources import files
@@ -9,6 +10,7 @@ import pytest
 
 from fixel.database.project import Project
 from fixel.sampling import thesis_plan
+from fixel.web.bench_session import LOST
 
 pytestmark = pytest.mark.system
 
@@ -149,7 +151,11 @@ def test_a_page_that_is_closed_during_a_push_stops_the_drive(browser_page, serve
     while phase(session) != "trouble":
         assert time.monotonic() < end, phase(session)
         time.sleep(0.02)
-    assert "the page is lost since 3" in json.loads(session.view.report)["problems"][0]
+    problem = json.loads(session.view.report)["problems"][0]
+    found = re.fullmatch(r"the page is lost since ([0-9.]+) s", problem)
+    # A busy machine notices it later; never before the page could have been heard again.
+    assert found, problem
+    assert float(found[1]) >= LOST
     assert not session.loop.devices.drive.moving
 
 
