@@ -34,7 +34,7 @@ if drive.n_axes == 2:
 drive.move(by=0.1, speed=0.0135, wait=False)
 time.sleep(0.2)
 print(drive._guard.pid, flush=True)
-if sys.argv[4]:  # a server that is told to stop
+if sys.argv[4]:  # a server that is asked to stop
     sys.stdin.readline()
     drive.stop()
 sum(range(10**10))  # minutes during which no other Python code of this process runs
@@ -87,7 +87,7 @@ def _kill_all(*processes: int) -> None:
 
 
 def measure_stops(stops: int, axes: str) -> None:
-    """From the event to the drive at rest, its program computes, or waits to `stop()`."""
+    """Time from an event to rest, while the program computes, or waits to `stop()`."""
     ways: dict[str, Callable[[int, int, str], object] | None] = {
         "Ctrl-C": lambda program, guard, port: os.killpg(program, signal.SIGINT),
         "SIGINT to the program alone": lambda program, guard, port: os.kill(program, signal.SIGINT),

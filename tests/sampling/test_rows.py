@@ -174,7 +174,7 @@ def test_other_scenes_are_refused():
 
 
 def test_a_push_in_another_direction_is_checked_along_it():
-    """From the far left, straight down on the part; and past it, where it is missed."""
+    """Push straight down from the far left, on the part and past it."""
     x, y, _ = PUSH.bodies[0].pose
     values = {"head_x_m": x, "head_y_m": y + 0.12, "direction_rad": -math.pi / 2}
     open_plate = replace(PUSH, fixels=())

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Final, final
 
@@ -110,15 +109,9 @@ class BenchSession:
         silent = time.monotonic() - self._alive
         return f"the page is lost since {silent:.1f} s" if silent > LOST else ""
 
-    def wait(self, every: float, called: Callable[[], None] = lambda: None) -> None:
-        """Return when the campaign has ended; call a function now and then."""
-        while self._thread is not None and self._thread.is_alive():
-            self._thread.join(every)
-            called()
-
     def close(self) -> None:
         """Stop the drive and end the campaign, which can be continued."""
-        if self.loop is not None and self.running:
+        if self.loop is not None and self._thread is not None:
             self.loop.stop("the program was ended")
             self.loop.ask("end")
-            self.wait(0.2)
+            self._thread.join()

@@ -1,4 +1,4 @@
-"""What is wrong with a bench is named before anything moves."""
+"""Faults of a bench and of requests are named before anything moves."""
 
 from dataclasses import replace
 

@@ -20,7 +20,7 @@ PATH = "/bench"
 
 
 class BenchWish(BaseModel):
-    """What a page asks the loop for."""
+    """Wish of a page, such as a push or a stop."""
 
     model_config = ConfigDict(extra="forbid")
 

@@ -26,7 +26,7 @@ ROWS: Final = "rows"  # its first block, the checksum of the rows
 
 # Of an attempt: begun -> recorded -> tracked -> accepted or repeated; stopped where it has no push.
 State = Literal["begun", "stopped", "recorded", "tracked", "accepted", "repeated"]
-OPEN: Final = ("recorded", "tracked")  # states after which somebody must act
+OPEN: Final = ("recorded", "tracked")  # states that wait for tracking or a decision
 
 
 class Attempt(NamedTuple):
@@ -123,8 +123,7 @@ class Campaign:
 
     def begin(self, row: str) -> Attempt:
         """Add an attempt at a row, whose folder does not exist yet."""
-        number = 1 + sum(own.row == row for own in self.attempts.values())
-        return self.note(Attempt(row, number, "begun"), "begun")
+        return self.note(Attempt(row, 1 + len(self.of(row)), "begun"), "begun")
 
     def note(
         self,
