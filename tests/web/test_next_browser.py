@@ -23,6 +23,7 @@ def test_pushes_are_proposed_and_shown_with_what_is_unseen_first(browser_page, s
     page.fill("#number", "4")
     page.click("text=Start")
     page.click("#result", timeout=120_000)
+    page.wait_for_load_state("load")  # with its style
     page.wait_for_selector(".problems")
     assert "only 14 pushes of it" in page.inner_text(".problems li >> nth=0")
     rows = page.locator("table tbody tr")

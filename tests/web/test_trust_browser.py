@@ -228,6 +228,7 @@ def test_jobs_fit_on_a_phone(browser_page, server):
             document.querySelector('tbody td[data-label=workers]'), '::before').content"""
     )
     assert "workers" in shown or "data-label" in shown
-    page.click("tbody .open")
-    page.wait_for_selector("#facts div", state="attached")
+    with page.expect_navigation():  # until its style has loaded: without it the page is wider
+        page.click("tbody .open")
+    page.wait_for_selector("#facts div")
     assert page.evaluate("() => document.documentElement.scrollWidth") <= 390
