@@ -181,6 +181,16 @@ class LineDrive(Comparable):
         if abs(length - 1.0) > UNIT_LENGTH:
             settle(self, direction=frozen(self.direction / length))
 
+    def distance(self, duration: float) -> float:
+        """Return the distance moved in `duration` seconds, if nothing stops the drive [m].
+
+        Examples
+        --------
+        >>> LineDrive(speed=0.02, travel=0.05).distance(2.0)
+        0.04
+        """
+        return min(self.travel, self.speed * duration)
+
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)

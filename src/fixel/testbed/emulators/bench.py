@@ -65,7 +65,7 @@ class EmulatedBench:
             self._schedule_contacts(self._board, status.seconds)
         drive = scene.pushers[0].drive
         if self.actuator is not None and isinstance(drive, LineDrive):
-            travel = min(drive.travel, drive.speed * scene.duration)
+            travel = drive.distance(scene.duration)
             self._move = threading.Thread(
                 target=self._drive, args=(max(0.0, lead - status.seconds), travel, drive.speed)
             )

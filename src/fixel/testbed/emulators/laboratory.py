@@ -223,7 +223,7 @@ class EmulatedLaboratory:
         with self._lock:
             self._planned, self._scene, self._along = planned, scene, along
             self._travel = (
-                min(drive.travel, drive.speed * planned.scene.duration)
+                drive.distance(planned.scene.duration)
                 if isinstance(drive, LineDrive)
                 else float(np.ptp(drive.waypoints[:, 1:3] @ along))
             )

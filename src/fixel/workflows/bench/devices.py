@@ -90,14 +90,13 @@ class BenchDevices:
         way = head.drive
         if len(scene.pushers) != 1 or not isinstance(way, LineDrive):
             raise InvalidInput("scene", found="another path", expected="one straight push")
-        travel = min(way.travel, way.speed * scene.duration)
         n = self.drive.n_axes
         start, direction = np.zeros(n), np.eye(n)[0]
         if self.frame is not None:
             turn = math.atan2(way.direction[1], way.direction[0]) - self.frame[2]
             start[:2] = inside(self.frame, head.pose[:2])
             direction[:2] = math.cos(turn), math.sin(turn)
-        return Stroke(start, direction, travel, way.speed)
+        return Stroke(start, direction, way.distance(scene.duration), way.speed)
 
     def check(self, row: PlannedExperiment) -> None:
         """Raise `InvalidInput` if the drive cannot perform a row; nothing moves."""

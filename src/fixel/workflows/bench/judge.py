@@ -13,7 +13,7 @@ import numpy as np
 
 from fixel.formats.recording import open_recording
 from fixel.formats.scene_file import load_scene
-from fixel.model import Experiment, PlannedExperiment, Scene
+from fixel.model import Experiment, LineDrive, PlannedExperiment, Scene
 from fixel.model.trajectory import wrapped
 from fixel.workflows.acquisition.overlay import Tolerance
 from fixel.workflows.acquisition.track import SCENE_FILE, track_film
@@ -89,4 +89,4 @@ def _reasons(
 def planned_travel(scene: Scene) -> float:
     """Return the distance that the head of a scene moves [m]; 0 for a path."""
     drive = scene.pushers[0].drive
-    return min(getattr(drive, "travel", 0.0), getattr(drive, "speed", 0.0) * scene.duration)
+    return drive.distance(scene.duration) if isinstance(drive, LineDrive) else 0.0

@@ -295,8 +295,7 @@ def _span(experiment: Experiment) -> tuple[float, float]:
     assert scene is not None
     drive = scene.pushers[0].drive
     if isinstance(drive, LineDrive):
-        travel = min(drive.travel, drive.speed * scene.duration)
-        return float(travel), float(drive.speed)
+        return drive.distance(scene.duration), drive.speed
     steps = np.diff(drive.waypoints, axis=0)
     travel = float(np.hypot(steps[:, 1], steps[:, 2]).sum())
     return travel, travel / max(float(steps[:, 0].sum()), 1e-9)
