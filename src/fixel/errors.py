@@ -22,6 +22,7 @@ import errno
 import reprlib
 from collections.abc import Iterable
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -294,6 +295,12 @@ class MissingExtra(FixelError, ImportError):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return partial(MissingExtra, command=self.command), (self.feature, self.package)
+
+
+def require(package: str, feature: str, extra: str) -> None:
+    """Raise `MissingExtra` if the package of an extra is not installed."""
+    if find_spec(package) is None:
+        raise MissingExtra(feature, package, extra=extra)
 
 
 @final

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-from fixel.errors import InvalidInput, MissingExtra
+from fixel.errors import InvalidInput, MissingExtra, require
 from fixel.registry import offered, offers
 from fixel.table import Table, Value
 
@@ -168,7 +168,14 @@ class Result:
         return frame
 
     def to_arrow(self) -> Any:
-        """Return the data as a table of Apache Arrow, with units in the metadata of its fields."""
+        """Return the data as a table of Apache Arrow, with units in the metadata of its fields.
+
+        Raises
+        ------
+        MissingExtra
+            pyarrow is not installed.
+        """
+        require("pyarrow", "to_arrow", extra="parquet")
         import pyarrow
 
         arrays = {name: pyarrow.array(values) for name, values in self.to_dict().items()}

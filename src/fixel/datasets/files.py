@@ -16,7 +16,7 @@ from typing import Any, Final, TextIO, final
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.errors import DatasetMissing, FixelError, InvalidInput
+from fixel.errors import DatasetMissing, FixelError, InvalidInput, require
 from fixel.typing import BoolArray, FloatArray
 
 MM: Final = 1e-3
@@ -226,6 +226,7 @@ def read_table(path: Path, *, torn: bool = False) -> CsvRows:
     Rows with a wrong number of cells are errors; with `torn`, they are listed as such.
     """
     if path.suffix == ".parquet":
+        require("pyarrow", path.name, extra="parquet")
         import pyarrow
         import pyarrow.parquet
 

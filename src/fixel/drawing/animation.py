@@ -8,6 +8,7 @@ body.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from importlib.util import find_spec
 from math import sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,6 +32,7 @@ from fixel.drawing.view import (
     shapes_of,
     unit_for,
 )
+from fixel.errors import require
 from fixel.io.atomic import written_whole
 from fixel.model import placed
 from fixel.progress import ProgressOption, show_progress
@@ -75,9 +77,11 @@ def animate_simulation(
     ------
     InvalidInput
         The file name has another ending, or the file cannot be written.
+    MissingExtra
+        An `.mp4` file, and PyAV is not installed.
     """
     path = Path(path)
-    refuse_ending(path, FILM_ENDINGS, "film")
+    refuse_film(path)
     gif = path.suffix.lower() == ".gif"
     rate = GIF_RATE if gif else RATE
     end = float(simulation.time[-1])
@@ -87,6 +91,18 @@ def animate_simulation(
     with written_whole(path) as temporary, show_progress(progress, "drawing frames") as report:
         frames = _frames(_Stage(simulation, speed), times, report)
         (_write_gif if gif else _write_mp4)(temporary, frames, rate)
+
+
+def refuse_film(path: str | Path) -> None:
+    """Raise for a file name that is no film, or one whose format needs a missing package."""
+    refuse_ending(path, FILM_ENDINGS, "film")
+    if Path(path).suffix.lower() == ".mp4":
+        require("av", str(path), extra="video")
+
+
+def film_ending() -> str:
+    """Ending of a film whose user named no file: `.mp4`, or `.gif` without PyAV."""
+    return ".gif" if find_spec("av") is None else ".mp4"
 
 
 def usual_speed(duration: float) -> float:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
 import numpy as np
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, require
 from fixel.formats.recording_files import MICRO
 from fixel.vision.frame import Frame, Gray, Picture
 
@@ -155,6 +155,7 @@ class VideoSink:
     """
 
     def __init__(self, path: Path, size: tuple[int, int], *, exact: bool) -> None:
+        require("av", "a recording", extra="video")
         import av
 
         self.path = path
@@ -220,6 +221,7 @@ class VideoSink:
 
 def warm_up() -> None:
     """Import the encoders in advance, so that the first frame of a camera is not delayed."""
+    require("av", "a recording", extra="video")
     import av
     from PIL import Image
 
@@ -229,6 +231,7 @@ def warm_up() -> None:
 
 def packets(path: Path) -> Iterator[tuple[int, bytes]]:
     """Yield time [µs] and data of all packets of a video; the last may be torn."""
+    require("av", "a recording", extra="video")
     import av
 
     try:

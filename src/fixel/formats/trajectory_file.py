@@ -13,14 +13,16 @@ Columns, in this order, the same for every simulation of a scene with the same c
 
 from __future__ import annotations
 
+import csv
 import json
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, require
 from fixel.io.atomic import written_whole
 from fixel.io.document import plain_numbers
 from fixel.simulation import Simulation
@@ -46,26 +48,46 @@ def save_trajectory(simulation: Simulation, path: str | Path) -> None:
     ------
     InvalidInput
         Unknown ending, or a folder that cannot be written to.
+    MissingExtra
+        A `.parquet` file, and pyarrow is not installed.
     """
     path = Path(path)
     refuse_trajectory_ending(path)
+    columns = trajectory_columns(simulation)
+    with written_whole(path) as temporary:
+        (_write_csv if path.suffix.lower() == ".csv" else _write_parquet)(
+            temporary, columns, simulation
+        )
+
+
+def _write_csv(path: Path, columns: dict[str, NDArray[Any]], simulation: Simulation) -> None:
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        csv.writer(stream, quoting=csv.QUOTE_ALL, lineterminator="\n").writerow(columns)
+        rows = zip(*(map(_cell, column.tolist()) for column in columns.values()), strict=True)
+        stream.writelines(",".join(row) + "\n" for row in rows)
+
+
+def _cell(value: float) -> str:
+    """Shortest text that reads back as the same number, as Arrow writes it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if value and not 1e-6 <= abs(value) < 1e10 and math.isfinite(value):
+        return np.format_float_scientific(value, trim="-", exp_digits=1)
+    return np.format_float_positional(value, trim="-")
+
+
+def _write_parquet(path: Path, columns: dict[str, NDArray[Any]], simulation: Simulation) -> None:
     # Imported here since the first import of pyarrow takes a second.
     import pyarrow as pa
-    import pyarrow.csv as pa_csv
     import pyarrow.parquet as pa_parquet
 
-    table = pa.table(trajectory_columns(simulation))
-    with written_whole(path) as temporary:
-        if path.suffix.lower() == ".csv":
-            pa_csv.write_csv(table, temporary, pa_csv.WriteOptions(quoting_style="needed"))
-        else:
-            about = json.dumps(plain_numbers(simulation.summary()))
-            table = table.replace_schema_metadata({"fixel": about})
-            pa_parquet.write_table(table, temporary)
+    about = json.dumps(plain_numbers(simulation.summary()))
+    table = pa.table(columns).replace_schema_metadata({"fixel": about})
+    pa_parquet.write_table(table, path)
 
 
 def refuse_trajectory_ending(path: str | Path) -> None:
-    """Raise `InvalidInput` for a file name whose ending is no known format."""
+    """Raise for a file name whose ending is no known format, or needs a missing package."""
     ending = Path(path).suffix
     if ending.lower() not in TRAJECTORY_ENDINGS:
         raise InvalidInput(
@@ -73,6 +95,8 @@ def refuse_trajectory_ending(path: str | Path) -> None:
             found=f"the ending {ending!r}" if ending else "no ending",
             expected="a trajectory file: " + ", ".join(TRAJECTORY_ENDINGS),
         )
+    if ending.lower() == ".parquet":
+        require("pyarrow", str(path), extra="parquet")
 
 
 def trajectory_columns(simulation: Simulation) -> dict[str, NDArray[Any]]:

@@ -9,10 +9,9 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, Final, final
 
-import av
 import numpy as np
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, require
 from fixel.io.atomic import refuse_unwritable
 from fixel.vision.frame import Frame, Gray, Picture
 
@@ -155,6 +154,8 @@ class VideoWriter:
         self.path = Path(path)
         self.size = size
         _refuse_output(self.path, size, codec)
+        import av
+
         encoder, pixels, options = CODECS[codec]
         self._temporary = self.path.with_name(f".{self.path.stem}.{os.getpid()}{self.path.suffix}")
         self._pixels = pixels
@@ -188,6 +189,8 @@ class VideoWriter:
                 expected="frames in order of time, from 0 s",
             )
         self._last = tick
+        import av
+
         decoded = av.VideoFrame.from_ndarray(picture, format="bgr24")
         decoded = decoded.reformat(format=self._pixels, dst_colorspace="itu601")
         decoded.pts, decoded.time_base = tick, Fraction(1, TICKS)
@@ -327,6 +330,8 @@ def decoded_frame(time: float, decoded: Any) -> Frame:
 
 def _decoded(container: Any, stream: Any, spoilt: _Spoilt) -> Iterator[Any]:
     """Yield the frames of all packets; count packets that cannot be decoded."""
+    import av
+
     packets = container.demux(stream)
     while True:
         try:
@@ -348,6 +353,9 @@ def _opened(path: Path) -> Any:
         raise InvalidInput(str(path), found=found, expected="a video file")
     if path.stat().st_size == 0:
         raise InvalidInput(str(path), found="an empty file", expected="a video file")
+    require("av", str(path), extra="video")
+    import av
+
     try:
         return av.open(str(path))
     except av.FFmpegError as problem:
@@ -384,4 +392,5 @@ def _refuse_output(path: Path, size: tuple[int, int], codec: str) -> None:
         raise InvalidInput(
             "size", found=f"{size[0]} x {size[1]}", expected="an even width and height [px]"
         )
+    require("av", str(path), extra="video")
     refuse_unwritable(path)

@@ -30,8 +30,7 @@ from fixel.simulation import (
 from fixel.testing import scenes
 from fixel.workflows.compilation import cache_size, engine_is_cold, get_ready
 
-PACKAGES = ("numpy", "numba", "scipy", "shapely", "matplotlib", "pyarrow", "av", "pillow")
-
+PACKAGES = ("numpy", "numba", "scipy", "shapely", "matplotlib", "pillow", "pyarrow", "av")
 
 # Largest natural-map residual of any step, as published collections of problems require.
 RESIDUAL = 1e-8
@@ -116,6 +115,8 @@ def _film_check() -> SelfCheck:
     try:
         import av
         from av.codec import Codec
+    except ModuleNotFoundError:
+        return SelfCheck(name, True, "as .gif; .mp4 needs pip install 'fixel[video]'")
     except ImportError as problem:
         return SelfCheck(name, False, f"{problem}")
     for codec, what in (("libx264", "H.264"), ("mpeg4", "MPEG-4, as H.264 is missing")):

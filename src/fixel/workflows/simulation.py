@@ -28,7 +28,7 @@ class Outputs(NamedTuple):
 
     def check(self) -> None:
         """Reject invalid endings and folders before anything is simulated."""
-        from fixel.drawing.animation import FILM_ENDINGS
+        from fixel.drawing.animation import refuse_film
         from fixel.drawing.chart import PICTURE_ENDINGS, refuse_ending
         from fixel.formats.trajectory_file import refuse_trajectory_ending
         from fixel.io.atomic import refuse_unwritable
@@ -38,7 +38,7 @@ class Outputs(NamedTuple):
         if self.plot:
             refuse_ending(self.plot, PICTURE_ENDINGS, "picture")
         if self.animate:
-            refuse_ending(self.animate, FILM_ENDINGS, "film")
+            refuse_film(self.animate)
         for path in (self.trajectory, self.plot, self.animate):
             if path:
                 refuse_unwritable(path)
@@ -205,7 +205,9 @@ def next_words(done: StoredAnswer) -> list[str]:
         return [*again, "--set", f"pushers.{rigid[0]}.drive.force_limit=34.3"]
     if simulation.status in ("max_iterations", "step_too_small"):
         return [*again, "--step", "0.001"]
-    for name, ending in (("plot", ".png"), ("animate", ".mp4"), ("trajectory", ".csv")):
+    from fixel.drawing.animation import film_ending
+
+    for name, ending in (("plot", ".png"), ("animate", film_ending()), ("trajectory", ".csv")):
         if name not in done.files:
             return [*again, f"--{name}", scene.stem + ending]
     body = simulation.scene.bodies[0]

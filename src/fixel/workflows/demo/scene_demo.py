@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fixel.drawing.animation import film_ending
 from fixel.errors import InvalidInput, os_reason
 from fixel.formats import load_scene
 from fixel.io.atomic import written_whole
@@ -62,7 +63,7 @@ def run_demo(folder: Path) -> Demo:
         reason = os_reason(problem)
         raise InvalidInput(str(folder), found=reason, expected="a folder to write to") from None
     scene = folder / f"{EXAMPLE}.yaml"
-    endings = {"trajectory": ".csv", "plot": ".png", "animate": ".mp4"}
+    endings = {"trajectory": ".csv", "plot": ".png", "animate": film_ending()}
     files = {name: scene.with_suffix(ending) for name, ending in endings.items()}
     with written_whole(scene) as temporary:
         temporary.write_text(example_text(EXAMPLE), encoding="utf-8")

@@ -18,7 +18,7 @@ from fixel.database.project import Project, stored_experiments
 from fixel.datasets import IMPORTERS, Experiments
 from fixel.datasets.table import CsvTable
 from fixel.drawing.chart import refuse_ending
-from fixel.errors import InvalidInput, NotStored, unknown_name
+from fixel.errors import InvalidInput, NotStored, require, unknown_name
 from fixel.formats.frames_file import folder_whole, refuse_folder, write_frames
 from fixel.formats.lerobot import write_lerobot
 from fixel.io.atomic import refuse_unwritable
@@ -98,6 +98,8 @@ def export(
     ------
     InvalidInput
         The target cannot be written.
+    MissingExtra
+        Another format than a bundle, and pyarrow is not installed.
     NotStored
         There are no experiments.
     StoreRefused
@@ -228,6 +230,7 @@ def _check_arguments(target: Path, format: str, fps: int | None) -> None:
         refuse_ending(target, (".zip",), "bundle")
         refuse_unwritable(target)
     else:
+        require("pyarrow", f"the format {format}", extra="parquet")
         refuse_folder(target)
 
 
