@@ -88,6 +88,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "animate": "fixel.drawing:animate_simulation",
         "compare": "fixel.workflows.project.comparison:compare",
         "load_scene": "fixel.formats:load_scene",
+        "read_outline": "fixel.formats.outline_file:read_outline",
         "save": "fixel.io:save",
         "scene_file": "fixel.formats:SceneFile",
         "save_scene": "fixel.formats:save_scene",

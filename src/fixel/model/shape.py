@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import hypot, pi
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, final
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import ArrayLike
 from fixel.errors import InvalidInput
 from fixel.model.decomposition import Piece, convex_pieces, is_convex
 from fixel.model.fields import Comparable, Value, frozen, positive, settle, table
+from fixel.registry import offered
 from fixel.typing import FloatArray
 
 # Share of the size of a polygon below which two points are one, and a vertex lies on a straight
@@ -131,6 +133,52 @@ class Polygon(Comparable):
         angle = np.arange(n) * (2.0 * pi / n)
         corners = np.column_stack((np.cos(angle), np.sin(angle)))
         return cls(positive(radius, "regular.radius", "m") * corners)
+
+    @classmethod
+    def from_file(
+        cls,
+        path: str | Path,
+        *,
+        unit: str | None = None,
+        tolerance: float = 1e-4,
+        part: str | None = None,
+        fill_holes: bool = False,
+    ) -> Polygon:
+        """Read the outline of a part from an SVG or DXF drawing, or from an STL mesh.
+
+        Coordinates are those of the file, with y up; a mesh is seen along z. Lines whose ends meet
+        within the tolerance are joined. The extra `files` installs the packages.
+
+        Parameters
+        ----------
+        path : str or path
+            File that ends in `.svg`, `.dxf` or `.stl`.
+        unit : str, optional
+            Unit of the coordinates: `"m"`, `"cm"`, `"mm"`, `"um"`, `"in"` or, in SVG, `"px"`. By
+            default the unit that the file states; STL files state none.
+        tolerance : float
+            Largest distance of the polygon from the drawn curves [m].
+        part : str, optional
+            Layer of a DXF file, or id of a shape or group of an SVG file; by default everything.
+        fill_holes : bool
+            Whether holes are filled, instead of an error.
+
+        Raises
+        ------
+        InvalidInput
+            A damaged file; no closed outline, or several; holes; no unit, or a doubtful one.
+        MissingExtra
+            The package that reads the file is not installed.
+
+        Examples
+        --------
+        >>> drawing = '<svg width="80mm" viewBox="0 0 80 40"><path d="M0 0H80V40H0Z"/></svg>'
+        >>> _ = Path("part.svg").write_text(drawing)
+        >>> round(Polygon.from_file("part.svg").area, 9)
+        0.0032
+        """
+        read = offered("methods", "read_outline")
+        return cls(read(path, unit=unit, tolerance=tolerance, part=part, fill_holes=fill_holes))
 
     @property
     def outline(self) -> FloatArray:

@@ -1,0 +1,291 @@
+"""Outlines of parts from drawings and meshes: SVG, DXF and STL."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from fixel.errors import FixelError, InvalidInput, unknown_name
+from fixel.io.extra import extra_module
+from fixel.typing import FloatArray
+
+UNITS: Final = {
+    "m": 1.0,
+    "cm": 1e-2,
+    "mm": 1e-3,
+    "um": 1e-6,
+    "in": 0.0254,
+    "pt": 0.0254 / 72.0,
+    "px": 0.0254 / 96.0,
+}
+DXF_UNITS: Final = {1: "in", 4: "mm", 5: "cm", 6: "m", 13: "um"}
+# [m] A part of another size is probably in another unit. Curves beyond FAR have too many points.
+SMALLEST, LARGEST, FAR = 1e-4, 5.0, 100.0
+FINEST: Final = 1e-6  # [m] smallest tolerance
+MAX_BYTES, MAX_CURVES, MAX_RINGS, MAX_TRIANGLES = 100_000_000, 20_000, 500, 500_000
+MAX_STEPS: Final = 4096  # of one curve
+
+
+def read_outline(
+    path: str | Path,
+    *,
+    unit: str | None = None,
+    tolerance: float = 1e-4,
+    part: str | None = None,
+    fill_holes: bool = False,
+) -> FloatArray:
+    """Read the outline (n, 2) of a part from a file [m]; see `fixel.Polygon.from_file`."""
+    path = Path(path)
+    if path.suffix.lower() not in _READERS:
+        expected = f"a file that ends in {', '.join(_READERS)}"
+        raise InvalidInput(str(path), found=path.suffix or "no ending", expected=expected)
+    if unit is not None and unit not in UNITS:
+        raise unknown_name("unit", unit, UNITS)
+    if not tolerance >= FINEST:
+        raise InvalidInput("tolerance", found=tolerance, expected=f"at least {FINEST:g} m")
+    try:
+        _refuse_more(path.name, path.stat().st_size, MAX_BYTES, "bytes")
+        region = _READERS[path.suffix.lower()](_Wanted(path, unit, tolerance, part))
+        return _outline(region, path.name, tolerance, fill_holes)
+    except FixelError:
+        raise
+    except Exception as problem:  # parsers raise anything on damaged files
+        found = f"{type(problem).__name__}: {problem}"[:200]
+        expected = f"a readable {path.suffix[1:].upper()} file"
+        raise InvalidInput(path.name, found=found, expected=expected) from problem
+
+
+class _Wanted(NamedTuple):
+    """Arguments of the readers."""
+
+    path: Path
+    unit: str | None
+    tolerance: float  # [m]
+    part: str | None
+
+    def scale(self, stated: float | None) -> float:
+        """Return the unit of a drawing [m], which its file may state; raise if unit= differs."""
+        given = None if self.unit is None else UNITS[self.unit]
+        if stated is None and given is None:
+            found, expected = "no unit of length", f"unit=, one of {', '.join(UNITS)}"
+            raise InvalidInput(self.path.name, found=found, expected=expected)
+        if stated and given and abs(stated / given - 1.0) > 1e-3:
+            raise InvalidInput(
+                "unit",
+                found=f"{self.unit!r}, but a unit in {self.path.name} is {1e3 * stated:g} mm",
+                expected="the same unit in both",
+                hint="leave out unit=, or correct the file",
+            )
+        return float(stated or given or 0.0)
+
+    def points(self, points: ArrayLike, scale: float) -> FloatArray:
+        """Return points (n, 2) in metres; raise unless they are finite and near the origin."""
+        found = np.asarray(points, dtype=np.float64)[:, :2] * scale
+        if not (np.abs(found) <= FAR).all():
+            where, far = self.path.name, f"coordinates beyond {FAR:g} m"
+            expected = "a part near the origin"
+            raise InvalidInput(where, found=far, expected=expected, hint="check unit=")
+        return found
+
+
+def _refuse_more(where: str, n: int, most: int, what: str) -> None:
+    if n > most:
+        raise InvalidInput(where, found=f"{n} {what}", expected=f"at most {most}")
+
+
+def _outline(region: Any, where: str, tolerance: float, fill_holes: bool) -> FloatArray:
+    """Return the outline of a region that is one part; raise for others."""
+    parts = [one for one in shapely.get_parts(region) if one.area > tolerance**2]
+    if len(parts) != 1:
+        sizes = "; ".join(map(_size, parts[:5]))
+        raise InvalidInput(
+            where,
+            found=f"{len(parts)} separate outlines: {sizes}" if parts else "no closed outline",
+            expected="one outline",
+            hint="part= selects a layer of a DXF file, or an id of an SVG file" if parts else None,
+        )
+    extent = float(np.ptp(shapely.get_coordinates(parts[0]), axis=0).max())
+    if not SMALLEST <= extent <= LARGEST:
+        raise InvalidInput(
+            where,
+            found=f"a part of {_size(parts[0])}",
+            expected=f"a size from {1e3 * SMALLEST:g} mm to {LARGEST:g} m",
+            hint="check unit=; Polygon takes corners of any size",
+        )
+    holes = [shapely.Polygon(ring) for ring in parts[0].interiors]
+    holes = [hole for hole in holes if hole.area > tolerance**2]
+    if holes and not fill_holes:
+        raise InvalidInput(
+            where,
+            found=f"{len(holes)} holes, one of {_size(max(holes, key=shapely.area))}",
+            expected="an outline without holes",
+            hint="fill_holes=True fills them; then give inertia= and centre_of_mass= of the body",
+        )
+    ring = shapely.Polygon(parts[0].exterior).simplify(0.5 * tolerance)
+    return np.asarray(shapely.get_coordinates(ring)[:-1])
+
+
+def _size(shape: Any) -> str:
+    width, height = 1e3 * np.ptp(shapely.get_coordinates(shape), axis=0)
+    return f"{width:.4g} by {height:.4g} mm"
+
+
+def _region(lines: Iterable[FloatArray], where: str, tolerance: float) -> Any:
+    """Return the region inside lines, which are joined to rings; rings inside others are holes."""
+    rings: list[FloatArray] = []
+    pieces: list[FloatArray] = []
+    for line in lines:
+        closed = len(line) > 3 and np.hypot(*(line[0] - line[-1])) <= tolerance
+        (rings if closed else pieces).append(line)
+    rings += _joined(pieces, where, tolerance)
+    _refuse_more(where, len(rings), MAX_RINGS, "closed lines")
+    alone: list[Any] = []
+    for area in map(shapely.Polygon, rings):
+        if not area.is_valid:
+            found = f"{shapely.is_valid_reason(area)} [m]"
+            raise InvalidInput(where, found=found, expected="lines that do not cross")
+        # A line that was drawn twice counts once.
+        if not any(area.symmetric_difference(a).area <= tolerance * a.length for a in alone):
+            alone.append(area)
+    areas = np.array(alone, dtype=object)
+    outer = shapely.contains(areas[:, None], areas[None, :]).sum(axis=0) % 2 == 1
+    return shapely.union_all(areas[outer]).difference(shapely.union_all(areas[~outer]))
+
+
+def _joined(pieces: list[FloatArray], where: str, tolerance: float) -> list[FloatArray]:
+    """Return rings of lines whose ends are within the tolerance of one another."""
+    if not pieces:
+        return []
+    ends = np.array([end for piece in pieces for end in (piece[0], piece[-1])])
+    pairs = cKDTree(ends).query_pairs(tolerance, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(ends), len(ends)))
+    place = connected_components(links, directed=False)[1]
+    met = ends[np.unique(place, return_index=True)[1]][place].reshape(-1, 2, 2)
+    lines = [np.vstack((a, piece[1:-1], b)) for (a, b), piece in zip(met, pieces, strict=True)]
+    merged = shapely.line_merge(shapely.MultiLineString(lines))
+    for line in shapely.get_parts(merged):
+        if not line.is_ring:
+            (x, y), (u, v) = 1e3 * shapely.get_coordinates(line)[[0, -1]]
+            raise InvalidInput(
+                where,
+                found=f"an open line from ({x:.4g}, {y:.4g}) mm to ({u:.4g}, {v:.4g}) mm",
+                expected=f"closed lines, with gaps of at most {1e3 * tolerance:g} mm",
+                hint="close it, or select the outline with part=",
+            )
+    return [*map(shapely.get_coordinates, shapely.get_parts(merged))]
+
+
+def _from_svg(wanted: _Wanted) -> Any:
+    svgelements = extra_module("an outline in SVG", "svgelements", "svgelements")
+    text, where = wanted.path.read_text(encoding="utf-8"), wanted.path.name
+    # Entities and clones can unpack to more than fits in memory.
+    if banned := re.search(r"<!ENTITY\b|<(?:\w+:)?use\b", text):
+        expected, hint = "a drawing without entities and clones", "unlink clones; save as plain SVG"
+        raise InvalidInput(where, found=banned[0], expected=expected, hint=hint)
+    svg = svgelements.SVG.parse(io.StringIO(text), ppi=96.0)
+    if (box := svg.viewbox) and svg.values.get("height") is None:  # as browsers do
+        height = svg.width * box.height / box.width
+        svg = svgelements.SVG.parse(io.StringIO(text), ppi=96.0, height=height)
+    width = re.fullmatch(r"([\d.]+)\s*(mm|cm|in|pt)", str(svg.values.get("width")).strip())
+    stated = float(width[1]) * UNITS[width[2]] / svg.width if width else None  # [m] of a pixel
+    drawn = svg.width / box.width if box else 1.0  # [pixel] of a unit of the drawing
+    scale = wanted.scale(stated and stated * drawn) / drawn
+    scale = stated or scale
+    found = [*svg.elements()]
+    if wanted.part is not None:
+        named = {one.id: one for one in found if getattr(one, "id", None)}
+        if wanted.part not in named:
+            raise unknown_name("part", wanted.part, named)
+        group = isinstance(named[wanted.part], svgelements.Group)
+        found = [*named[wanted.part].select()] if group else [named[wanted.part]]
+    lines = []
+    for shape in (one for one in found if isinstance(one, svgelements.Shape)):
+        for own in svgelements.Path(shape).as_subpaths():
+            points = [_sampled(segment, wanted, scale) for segment in own if segment.end]
+            if len(points) > 1:
+                lines.append(np.vstack(points) * (1.0, -1.0))  # y points down in SVG
+    return _region(lines, where, wanted.tolerance)
+
+
+def _sampled(segment: Any, wanted: _Wanted, scale: float) -> FloatArray:
+    """Return points (n, 2) of a segment of an SVG path within half the tolerance [m]."""
+    if type(segment).__name__ in ("Move", "Line", "Close"):
+        return wanted.points([segment.end], scale)
+    steps = 8
+    while True:
+        points = wanted.points([*map(segment.point, np.linspace(0.0, 1.0, steps + 1))], scale)
+        off = np.abs(points[1::2] - 0.5 * (points[:-1:2] + points[2::2])).max()
+        if off <= 0.25 * wanted.tolerance or steps >= MAX_STEPS:
+            return points
+        steps *= 2
+
+
+def _from_dxf(wanted: _Wanted) -> Any:
+    drawing = extra_module("an outline in DXF", "ezdxf", "ezdxf").readfile(wanted.path)
+    stated = DXF_UNITS.get(drawing.units)
+    scale = wanted.scale(None if stated is None else UNITS[stated])
+    found = [*drawing.modelspace()]
+    if wanted.part is not None:
+        layers = sorted({one.dxf.layer for one in found})
+        if wanted.part not in layers:
+            raise unknown_name("part", wanted.part, layers)
+        found = [one for one in found if one.dxf.layer == wanted.part]
+    lines = []
+    for curve in _curves(found, iter(range(MAX_CURVES)), wanted.path.name):
+        points: Iterable[Any] = _reach(curve)
+        wanted.points([*points], scale)
+        if curve.dxftype() != "LINE":
+            points = curve.flattening(0.5 * wanted.tolerance / scale)
+        lines.append(wanted.points([*points], scale))
+    return _region(lines, wanted.path.name, wanted.tolerance)
+
+
+def _curves(found: Iterable[Any], left: Iterator[int], where: str) -> Iterator[Any]:
+    """Yield the curves of entities, and of blocks and polylines in them, one by one."""
+    for one in found:
+        if next(left, None) is None:
+            _refuse_more(where, MAX_CURVES + 1, MAX_CURVES, "curves or more")
+        kind = one.dxftype()
+        if kind == "INSERT" and one.mcount > 1:
+            yield from _curves(one.multi_insert(), left, where)
+        elif kind in ("INSERT", "LWPOLYLINE", "POLYLINE"):
+            yield from _curves(one.virtual_entities(), left, where)
+        elif kind in ("LINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE"):
+            yield one
+
+
+def _reach(curve: Any) -> Iterable[Any]:
+    """Return points of a curve that show its size."""
+    if curve.dxftype() == "LINE":
+        return curve.dxf.start, curve.dxf.end
+    if curve.dxftype() == "SPLINE":
+        return (*curve.control_points, *curve.fit_points)
+    return (curve.dxf.major_axis,) if curve.dxftype() == "ELLIPSE" else ((curve.dxf.radius, 0.0),)
+
+
+def _from_stl(wanted: _Wanted) -> Any:
+    stl = extra_module("an outline in STL", "trimesh.exchange.stl", "trimesh")
+    scale = wanted.scale(None)
+    with wanted.path.open("rb") as stream:
+        mesh = stl.load_stl(stream)
+    _refuse_more(wanted.path.name, len(mesh["faces"]), MAX_TRIANGLES, "triangles")
+    corners = wanted.points(mesh["vertices"], scale)[mesh["faces"]]
+    seen = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) > FINEST**2  # not those on edge
+    return shapely.union_all(shapely.polygons(corners[seen]))
+
+
+_READERS: Final[dict[str, Callable[[_Wanted], Any]]] = {
+    ".svg": _from_svg,
+    ".dxf": _from_dxf,
+    ".stl": _from_stl,
+}

@@ -1,0 +1,272 @@
+"""Outlines of parts from SVG, DXF and STL files, which libraries of these kinds write."""
+
+import struct
+from math import pi
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fixel import InvalidInput, MissingExtra, Polygon
+from fixel.units import mm
+
+ezdxf: Any = pytest.importorskip("ezdxf")
+pytest.importorskip("svgelements")
+trimesh: Any = pytest.importorskip("trimesh")
+
+
+def svg(path: Path, inside: str, size: str = 'width="100mm" viewBox="0 0 100 80"') -> Path:
+    path.write_text(f'<svg xmlns="http://www.w3.org/2000/svg" {size}>{inside}</svg>')
+    return path
+
+
+def dxf(path: Path, draw: Any, units: int = 4) -> Path:
+    drawing = ezdxf.new(units=units)
+    draw(drawing.modelspace(), drawing)
+    drawing.saveas(path)
+    return path
+
+
+def slot(space: Any, drawing: Any, layer: str = "0") -> None:
+    """A slot of 40 by 20 mm, from four entities that share no points in order."""
+    layer = {"layer": layer}
+    space.add_line((0, 0), (20, 0), layer)
+    space.add_line((0, 20), (20, 20), layer)
+    space.add_arc((20, 10), 10, -90, 90, dxfattribs=layer)
+    space.add_arc((0, 10), 10, 90, 270, dxfattribs=layer)
+
+
+SLOT = 20 * 20 + pi * 10**2  # [mm^2]
+
+
+@pytest.mark.parametrize("tolerance", [0.3 * mm, 0.01 * mm])
+def test_slot_in_dxf_has_its_area(tmp_path: Path, tolerance: float) -> None:
+    part = Polygon.from_file(dxf(tmp_path / "slot.dxf", slot), tolerance=tolerance)
+    length = 2 * 20 + 2 * pi * 10
+    assert abs(part.area - SLOT * mm**2) <= length * mm * tolerance
+    assert part.centroid == pytest.approx([10 * mm, 10 * mm], abs=tolerance)
+    # Every corner is on the drawn curve.
+    x, y = (part.vertices / mm).T
+    out = np.hypot(x - np.clip(x, 0, 20), y - 10)
+    assert np.abs(out - 10).max() <= tolerance / mm
+
+
+def test_finer_tolerance_has_more_corners(tmp_path: Path) -> None:
+    path = dxf(tmp_path / "slot.dxf", slot)
+    counts = [len(Polygon.from_file(path, tolerance=t).vertices) for t in (1e-3, 1e-4, 1e-5)]
+    assert counts == sorted(counts)
+    assert counts[0] < 20 < 100 < counts[-1] < 500
+
+
+@pytest.mark.parametrize(("units", "metres"), [(1, 0.0254), (4, 1e-3), (5, 1e-2)])
+def test_unit_that_dxf_states_counts(tmp_path: Path, units: int, metres: float) -> None:
+    part = Polygon.from_file(dxf(tmp_path / "slot.dxf", slot, units))
+    assert part.area == pytest.approx(SLOT * metres**2, rel=1e-2)
+
+
+def test_unit_of_dxf_is_needed_and_must_agree(tmp_path: Path) -> None:
+    none = dxf(tmp_path / "none.dxf", slot, units=0)
+    with pytest.raises(InvalidInput, match="no unit of length"):
+        Polygon.from_file(none)
+    assert Polygon.from_file(none, unit="mm").area == pytest.approx(SLOT * 1e-6, rel=1e-2)
+    with pytest.raises(InvalidInput, match=r"a unit in mm.dxf is 1 mm"):
+        Polygon.from_file(dxf(tmp_path / "mm.dxf", slot), unit="in")
+    with pytest.raises(InvalidInput, match=r"a part of 4e[+]04 by"):
+        Polygon.from_file(none, unit="m")
+    with pytest.raises(InvalidInput, match="did you mean 'mm'"):
+        Polygon.from_file(none, unit="mmm")
+
+
+def test_other_entities_of_dxf(tmp_path: Path) -> None:
+    def draw(space: Any, drawing: Any) -> None:
+        block = drawing.blocks.new("BLOCK")
+        # A polyline with a bulge: a half disk on a square of 10 mm.
+        block.add_lwpolyline([(0, 0, 0), (10, 0, 1), (10, 10, 0), (0, 10, 0)], "xyb", close=True)
+        space.add_blockref("BLOCK", (5, 5), {"xscale": 2, "yscale": 2})
+        space.add_text("a note")
+
+    part = Polygon.from_file(dxf(tmp_path / "block.dxf", draw), tolerance=0.01 * mm)
+    assert part.area == pytest.approx(4 * (100 + pi * 25 / 2) * mm**2, rel=1e-3)
+    assert part.vertices.min(axis=0) == pytest.approx([5 * mm, 5 * mm], abs=1e-9)
+    assert not part.is_convex or len(part.pieces) == 1
+    ellipse = dxf(
+        tmp_path / "e.dxf", lambda s, d: s.add_ellipse((0, 0), major_axis=(30, 0), ratio=0.5)
+    )
+    area = Polygon.from_file(ellipse, tolerance=0.01 * mm).area
+    assert area == pytest.approx(pi * 30 * 15 * mm**2, rel=2e-3)
+
+
+def test_layer_selects_outline(tmp_path: Path) -> None:
+    def draw(space: Any, drawing: Any) -> None:
+        slot(space, drawing, "PART")
+        space.add_line((-50, 3), (50, 3), {"layer": "axes"})
+
+    path = dxf(tmp_path / "layers.dxf", draw)
+    with pytest.raises(InvalidInput, match="an open line from"):
+        Polygon.from_file(path)
+    assert Polygon.from_file(path, part="PART").area == pytest.approx(SLOT * 1e-6, rel=1e-2)
+    with pytest.raises(InvalidInput, match="'PART'"):
+        Polygon.from_file(path, part="PARTS")
+
+
+def test_holes_and_several_outlines(tmp_path: Path) -> None:
+    plate = '<rect width="50" height="40"/>'
+    hole = '<circle cx="20" cy="20" r="5"/>'
+    path = svg(tmp_path / "hole.svg", plate + hole + plate)  # one drawn twice
+    with pytest.raises(InvalidInput, match="1 holes, one of 10 by 10 mm"):
+        Polygon.from_file(path)
+    assert Polygon.from_file(path, fill_holes=True).area == pytest.approx(50 * 40 * 1e-6)
+    two = svg(tmp_path / "two.svg", plate + '<rect id="b" x="60" width="7" height="8"/>')
+    with pytest.raises(InvalidInput, match=r"2 separate outlines: 50 by 40 mm; 7 by 8 mm") as told:
+        Polygon.from_file(two)
+    assert "part=" in str(told.value)
+    assert Polygon.from_file(two, part="b").area == pytest.approx(56e-6)
+
+
+def test_curves_transforms_and_groups_of_svg(tmp_path: Path) -> None:
+    # A Bezier parabola y = x (20 - x) / 10 over 20 mm has area 20**3 / 60.
+    curve = '<g id="g" transform="translate(10 5)"><path d="M0 0 Q10 20 20 0 Z"/></g>'
+    path = svg(tmp_path / "curve.svg", curve + "<text>note</text>")
+    part = Polygon.from_file(path, part="g", unit="mm", tolerance=0.01 * mm)
+    assert part.area == pytest.approx(20**3 / 60 * mm**2, rel=1e-3)
+    # y is up: the parabola, below its base in a browser, is at negative y.
+    assert part.vertices.max(axis=0) == pytest.approx([30 * mm, -5 * mm], abs=1e-6)
+    assert part.vertices.min() == pytest.approx(-15 * mm, abs=0.02 * mm)
+
+
+def test_unit_of_svg(tmp_path: Path) -> None:
+    square = '<path d="M0 0H10V10H0Z"/>'
+    plain = svg(tmp_path / "plain.svg", square, "")
+    with pytest.raises(InvalidInput, match="no unit of length"):
+        Polygon.from_file(plain)
+    assert Polygon.from_file(plain, unit="mm").area == pytest.approx(1e-4)
+    assert Polygon.from_file(plain, unit="px").area == pytest.approx((10 * 0.0254 / 96) ** 2)
+    large = svg(tmp_path / "large.svg", square, 'width="200" height="160" viewBox="0 0 100 80"')
+    assert Polygon.from_file(large, unit="mm").area == pytest.approx(1e-4)
+    inches = svg(tmp_path / "inches.svg", square, 'width="5in" viewBox="0 0 50 50"')
+    assert Polygon.from_file(inches).area == pytest.approx(0.0254**2)
+    with pytest.raises(InvalidInput, match=r"a unit in inches.svg is 2.54 mm"):
+        Polygon.from_file(inches, unit="mm")
+
+
+@pytest.mark.parametrize("kind", ["stl", "stl_ascii"])
+def test_stl_is_seen_from_above(tmp_path: Path, kind: str) -> None:
+    # An L of two boxes of different heights: not convex, 6 corners.
+    a = trimesh.creation.box(bounds=[[0, 0, 0], [30, 10, 5]])
+    b = trimesh.creation.box(bounds=[[0, 0, 0], [10, 40, 8]])
+    path = tmp_path / "l.stl"
+    path.write_bytes(
+        data.encode() if isinstance(data := (a + b).export(file_type=kind), str) else data
+    )
+    part = Polygon.from_file(path, unit="mm")
+    assert part.area == pytest.approx((300 + 400 - 100) * mm**2)
+    assert (len(part.vertices), part.is_convex, len(part.pieces)) == (6, False, 2)
+    with pytest.raises(InvalidInput, match="no unit"):
+        Polygon.from_file(path)
+
+
+def test_round_mesh(tmp_path: Path) -> None:
+    trimesh.creation.icosphere(4, 20.0).export(tmp_path / "ball.stl")
+    part = Polygon.from_file(tmp_path / "ball.stl", unit="mm")
+    assert part.area == pytest.approx(pi * 400 * mm**2, rel=0.01)
+
+
+# --- hostile and damaged files
+
+
+def test_svg_reads_no_entities_and_no_clones(tmp_path: Path) -> None:
+    (tmp_path / "secret").write_text("M0 0H10V10H0Z")
+    entity = '<!DOCTYPE svg [<!ENTITY p SYSTEM "secret">]>'
+    for text in (
+        f'{entity}<svg><path d="&p;"/></svg>',
+        '<svg xmlns:x="a"><x:use href="#a"/></svg>',
+    ):
+        (tmp_path / "a.svg").write_text(text)
+        with pytest.raises(InvalidInput, match="without entities and clones"):
+            Polygon.from_file(tmp_path / "a.svg", unit="mm")
+    # Encodings that hide an entity from a search of the text are not read at all.
+    for encoding in ("utf-16", "cp037"):
+        head = f'<?xml version="1.0" encoding="{encoding}"?>'
+        text = f'{head}{entity}<svg><path d="&p;"/></svg>'
+        (tmp_path / "a.svg").write_bytes(text.encode(encoding))
+        with pytest.raises(InvalidInput, match=r"a readable SVG file|no closed outline"):
+            Polygon.from_file(tmp_path / "a.svg", unit="mm")
+    image = '<image width="9" height="9" href="/dev/zero"/>'
+    path = svg(tmp_path / "b.svg", image + '<path d="M0 0H10V10H0Z"/>')
+    assert Polygon.from_file(path).area == pytest.approx(1e-4)
+
+
+def test_blocks_that_unpack_to_millions_are_rejected(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fixel.formats.outline_file.MAX_CURVES", 1000)
+
+    def draw(space: Any, drawing: Any) -> None:
+        for k in range(30):
+            block = drawing.blocks.new(f"B{k}")
+            if k:
+                block.add_blockref(f"B{k - 1}", (0, 0))
+                block.add_blockref(f"B{k - 1}", (1, 0))
+        space.add_blockref("B29", (0, 0))
+
+    with pytest.raises(InvalidInput, match="at most 1000"):
+        Polygon.from_file(dxf(tmp_path / "bomb.dxf", draw))
+
+
+@pytest.mark.parametrize("radius", [1e9, 1e300, float("nan")])
+def test_giant_curves_are_rejected(tmp_path: Path, radius: float) -> None:
+    path = dxf(tmp_path / "giant.dxf", lambda s, d: s.add_circle((0, 0), radius))
+    with pytest.raises(InvalidInput, match="beyond 100 m"):
+        Polygon.from_file(path)
+    with pytest.raises(InvalidInput):
+        Polygon.from_file(svg(tmp_path / "a.svg", f'<circle r="{radius}"/>'))
+
+
+def test_count_that_stl_declares_is_not_believed(tmp_path: Path) -> None:
+    path = tmp_path / "a.stl"
+    path.write_bytes(bytes(80) + struct.pack("<I", 2**32 - 1) + bytes(50))
+    with pytest.raises(InvalidInput, match="a readable STL file"):
+        Polygon.from_file(path, unit="mm")
+
+
+@pytest.mark.parametrize("ending", ["svg", "dxf", "stl"])
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.7, 0.97])
+def test_truncated_and_foreign_files(tmp_path: Path, ending: str, share: float) -> None:
+    whole = tmp_path / f"whole.{ending}"
+    if ending == "svg":
+        svg(whole, '<path d="M0 0H10V10H0Z"/>')
+    elif ending == "dxf":
+        dxf(whole, slot)
+    else:
+        trimesh.creation.box(extents=[9, 9, 9]).export(whole)
+    data = whole.read_bytes()
+    cut = tmp_path / f"cut.{ending}"
+    # A cut at 97 % of DXF is in its last section, after the entities; a closed outline is found.
+    if not (ending == "dxf" and share > 0.9):
+        cut.write_bytes(data[: int(share * len(data))])
+        with pytest.raises(InvalidInput):
+            Polygon.from_file(cut, unit="mm")
+    cut.write_bytes(b"\x89PNG\r\n" + data[::-1])
+    with pytest.raises(InvalidInput):
+        Polygon.from_file(cut, unit="mm")
+
+
+def test_crossing_lines_missing_files_and_other_endings(tmp_path: Path) -> None:
+    path = svg(tmp_path / "a.svg", '<path d="M0 0L10 10V0L0 10Z"/>')
+    with pytest.raises(InvalidInput, match="Self-intersection"):
+        Polygon.from_file(path)
+    with pytest.raises(InvalidInput, match="No such file"):
+        Polygon.from_file(tmp_path / "none.svg")
+    with pytest.raises(InvalidInput, match=r".svg, .dxf, .stl"):
+        Polygon.from_file(tmp_path / "a.step")
+    with pytest.raises(InvalidInput, match="tolerance"):
+        Polygon.from_file(path, tolerance=0.0)
+    with pytest.raises(InvalidInput, match="no closed outline"):
+        Polygon.from_file(svg(tmp_path / "b.svg", ""))
+
+
+def test_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "svgelements", None)
+    with pytest.raises(MissingExtra, match=r"needs the package svgelements; run: pip install 'fix"):
+        Polygon.from_file(svg(tmp_path / "a.svg", ""))
