@@ -7,10 +7,14 @@ SHELL := /bin/sh
 VENV      := .venv
 BIN       := $(VENV)/bin
 # Stamps: what was done, so that it is done once and again when its input changes.
-PACKAGES  := $(VENV)/.packages
+CORE      := $(VENV)/.core
+FIXEL     := $(VENV)/.fixel
 READY     := $(VENV)/.ready
 PEERS     := $(VENV)/.peers
 DOCS      := $(VENV)/.docs
+# The complete lock has every hash, so pip neither resolves nor reads metadata. Python stores bytecode of what it imports;
+# pip would compile everything first, for half a minute.
+INSTALL    = $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 # Without stored bytecode each of some hundred processes of the tests compiles the package again.
 unexport PYTHONDONTWRITEBYTECODE
 # Any of these will do, the first that is new enough and has venv. `make test PYTHON=/path/to/python` picks one.
@@ -35,9 +39,10 @@ help:  ## this list
 	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/  make \1|\2/p' Makefile | \
 	while IFS='|' read -r name text; do printf '%-18s %s\n' "$$name" "$$text"; done
 	@echo
-	@echo "The first target you run also creates $(VENV) from requirements/lock.txt."
+	@echo "The first target you run also creates $(VENV): the demo from requirements/core.txt, the others from lock.txt."
 
-demo: $(READY)  ## simulate, replay and draw: see what fixel does
+# With other targets, the demo waits until all packages are there: it would see half of one that is being installed.
+demo: $(if $(filter-out demo,$(MAKECMDGOALS)),$(READY),$(FIXEL))  ## simulate, replay and draw: see what fixel does
 	@$(BIN)/fixel demo
 
 demo-camera: $(READY)  ## the whole way: film, record, track, calibrate, compare with the truth
@@ -101,6 +106,7 @@ lock:  ## resolve requirements/*.txt again from pyproject.toml; LOCK_ARGS=--upgr
 	@test -x $(UV_VENV)/bin/uv || { echo "Installing uv into $(UV_VENV) ..."; \
 	  python3 -m venv $(UV_VENV) && $(UV_VENV)/bin/python -m pip install --quiet --disable-pip-version-check uv; }
 	$(UV_VENV)/bin/uv pip compile $(LOCK) --extra dev pyproject.toml -o requirements/lock.txt
+	$(UV_VENV)/bin/uv pip compile $(LOCK) --extra build -c requirements/lock.txt pyproject.toml -o requirements/core.txt
 	for extra in bench docs; do $(UV_VENV)/bin/uv pip compile $(LOCK) --extra $$extra -c requirements/lock.txt \
 	  pyproject.toml -o requirements/$$extra.txt || exit 1; done
 LOCK := --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url $(LOCK_ARGS)
@@ -133,24 +139,29 @@ $(BIN)/python:
 	"$$chosen" -m venv $(VENV) || { rm -rf $(VENV); \
 	  echo "Could not create $(VENV). On Debian or Ubuntu: sudo apt install python3-venv" >&2; exit 1; }
 
-$(PACKAGES): requirements/lock.txt | $(BIN)/python
-	@echo "Installing the packages of requirements/lock.txt into $(VENV) (once; a minute or two) ..."
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/lock.txt || { \
+$(CORE): requirements/core.txt | $(BIN)/python
+	@echo "Installing the packages of requirements/core.txt into $(VENV) (once; half a minute) ..."
+	@$(INSTALL) --no-deps --require-hashes -r requirements/core.txt || { \
 	  echo "Installing failed; the reason stands above. Without network, or behind a mirror, set pip up first," >&2; \
 	  echo "then run the same command again; it continues where it stopped." >&2; exit 1; }
 	@touch $@
 
-$(READY): pyproject.toml $(PACKAGES)
+$(FIXEL): pyproject.toml $(CORE)
 	@echo "Installing fixel itself, editable ..."
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@$(INSTALL) --no-deps --no-build-isolation -e .
+	@touch $@
+
+$(READY): requirements/lock.txt $(FIXEL)
+	@echo "Installing the packages of requirements/lock.txt into $(VENV) (once; a minute) ..."
+	@$(INSTALL) --no-deps --require-hashes -r requirements/lock.txt
 	@touch $@
 
 $(PEERS): requirements/bench.txt | $(READY)
 	@echo "Installing the peers of requirements/bench.txt into $(VENV) (once) ..."
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/bench.txt
+	@$(INSTALL) --no-deps --require-hashes -r requirements/bench.txt
 	@touch $@
 
 $(DOCS): requirements/docs.txt | $(READY)
 	@echo "Installing the packages of requirements/docs.txt into $(VENV) (once) ..."
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/docs.txt
+	@$(INSTALL) --no-deps --require-hashes -r requirements/docs.txt
 	@touch $@
