@@ -48,6 +48,32 @@ def test_placement_and_scatter_of_three_runs():
     ] * 2
 
 
+@pytest.mark.parametrize("delay", [0.0, 0.07])
+def test_the_delay_of_the_board_from_a_part_that_moves_against_a_fixel(delay):
+    """A square of 40 mm moves at 20 mm/s; its side meets a peg of 5 mm at x = 35 mm after 0.5 s."""
+    import fixel
+
+    square = fixel.Body("part", fixel.Polygon.rectangle(0.04, 0.04), mass=0.1)
+    peg = fixel.Fixel("peg", fixel.Disk(0.005), pose=(0.035, 0.0, 0.0), friction=0.2)
+    far = fixel.Fixel("far", fixel.Disk(0.005), pose=(0.5, 0.0, 0.0), friction=0.2)
+    scene = fixel.Scene(square, fixels=(peg, far))
+    rng = np.random.default_rng(3)
+    found = []
+    for _ in range(40):
+        time = np.arange(30) / 30.0 + rng.uniform(0.0, 1.0 / 30.0)
+        x = np.minimum(0.02 * time, 0.01) + rng.normal(0.0, 5e-5, 30)
+        poses = np.column_stack([x, rng.normal(0.0, 5e-5, 30), rng.normal(0.0, 1e-3, 30)])
+        read = time + rng.uniform(0.0, 0.01, 30)
+        touched = np.column_stack([read > 0.5 + delay, np.zeros(30)]).astype(float)
+        touched[rng.integers(1, 10)] = 1.0  # a false report, long before
+        channel = SimpleNamespace(name="tactile", time=read, values=touched)
+        path = SimpleNamespace(time=time, pose=poses)
+        experiment = SimpleNamespace(trajectory=path, channels=(channel,))
+        found += acceptance.contact_delays(BenchRun(None, scene, experiment))
+    assert len(found) == 40  # the peg far away was never touched
+    assert np.median(found) == pytest.approx(delay, abs=5e-3)
+
+
 @pytest.mark.system
 def test_the_check_measures_an_emulated_laboratory(bench):  # noqa: F811
     with opened(bench, auto=True) as loop:
@@ -80,7 +106,8 @@ def test_the_check_measures_an_emulated_laboratory(bench):  # noqa: F811
     assert figures["error of placement"].value < 1e-3
     assert figures["scatter between runs"].value == pytest.approx(true_scatter, abs=3e-4)
     assert figures["round trip of the tactile board"].verdict == "good"
-    assert len(report.numbers["check"]) == 7
+    assert abs(figures["delay of the tactile board"].value or 0.0) < 1.0 / 30.0
+    assert len(report.numbers["check"]) == 8
     assert report.tables[0].title == "Check of the bench"
 
 

@@ -16,6 +16,7 @@ import shapely
 from fixel.errors import DeviceFailed, InvalidInput
 from fixel.formats.scene_file import SceneFile, scene_dict
 from fixel.model import Experiment, PlannedExperiment, Scene, placed
+from fixel.simulation.geometry import gap
 from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.vision.frame import Frame
@@ -29,6 +30,9 @@ WAITING: Final = 5  # pictures that may show what was before
 ROOM: Final = 0.02  # [m] of these moves at most
 LEAST: Final = 0.002  # [m] of these moves at least
 READINGS: Final = 50  # of the tactile board
+LASTING: Final = 4  # readings in a row with contact; single ones may be false
+NEAR: Final = 0.005  # [m] between part and fixel, over which its approach is a straight line
+CLEAR: Final = 0.0003  # [m] between them that the camera's noise does not close
 SHARE: Final = 0.2  # of the tolerance: an error of this size adds 2 % to one of the tolerance's
 UNITS: Final = {"mm": 1e3, "deg": 180.0 / np.pi, "ms": 1e3}
 
@@ -98,7 +102,7 @@ def measure_bench(
         *_noise(part, overlay),
         *_drive(devices, overlay, np.median(part, axis=0), move),
         *_experiments(performed, overlay),
-        *_board(devices),
+        *_board(devices, performed),
     )
 
 
@@ -190,8 +194,8 @@ def _experiments(performed: Sequence[BenchRun], overlay: Overlay) -> Iterator[Be
     yield BenchFigure("scatter between runs", scatter, needed, "mm", source)
 
 
-def _board(devices: BenchDevices) -> Iterator[BenchFigure]:
-    """Yield the round trip of the tactile board, if there is one."""
+def _board(devices: BenchDevices, performed: Sequence[BenchRun]) -> Iterator[BenchFigure]:
+    """Yield the round trip of the tactile board and its delay, if there is one."""
     if devices.tactile is None:
         return
     trips = []
@@ -201,5 +205,35 @@ def _board(devices: BenchDevices) -> Iterator[BenchFigure]:
             trips.append(time.perf_counter() - begun)
     value = float(np.median(trips)) if trips else None
     source = f"{len(trips)} of {READINGS} readings" if trips else "no reading"
-    needed = 0.5 / (devices.camera.stream.rate or 30.0)
-    yield BenchFigure("round trip of the tactile board", value, needed, "ms", source)
+    interval = 1.0 / (devices.camera.stream.rate or 30.0)
+    yield BenchFigure("round trip of the tactile board", value, 0.5 * interval, "ms", source)
+    delays = [delay for run in performed for delay in contact_delays(run)]
+    value = float(np.median(delays)) if delays else None
+    source = f"{len(delays)} contacts with fixels, after the outlines meet in the pictures"
+    source = source if delays else "no contact with a fixel yet"
+    yield BenchFigure("delay of the tactile board", value, interval, "ms", source)
+
+
+def contact_delays(run: BenchRun) -> Iterator[float]:
+    """Yield how long after the outlines meet in the pictures each fixel reports contact [s].
+
+    A straight line through the distances of the last `NEAR` metres gives the instant in which part
+    and fixel meet. The report comes between two readings of the board; their middle counts.
+    """
+    scene, trajectory = run.scene, run.experiment.trajectory
+    channel = next((own for own in run.experiment.channels if own.name == "tactile"), None)
+    if channel is None:
+        return
+    body = scene.bodies[0]
+    for fixel, reported in zip(scene.fixels, channel.values.T, strict=True):
+        kept = np.convolve(reported, np.ones(LASTING), "valid") == LASTING
+        first = int(np.argmax(kept))
+        if first == 0 or reported[first - 1] != 0.0:  # none, or not seen to begin
+            continue
+        onset = 0.5 * float(channel.time[first - 1] + channel.time[first])
+        before = abs(trajectory.time - onset) < 1.0
+        times, poses = trajectory.time[before], trajectory.pose[before]
+        apart = np.array([gap(body.shape, p, fixel.shape, fixel.pose).distance for p in poses])
+        use = (apart > CLEAR) & (apart < NEAR)
+        if use.sum() > 2 and np.ptp(apart[use]) > 0.2 * NEAR:
+            yield onset - float(np.polyval(np.polyfit(apart[use], times[use], 1), 0.0))
