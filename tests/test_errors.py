@@ -25,7 +25,9 @@ ERRORS = [
 def test_invalid_input_says_what_was_found_and_expected_in_one_sentence() -> None:
     error = InvalidInput("bodies[0].shape.polygon", found="two vertices", expected="at least three")
 
-    assert str(error) == "bodies[0].shape.polygon: found two vertices, expected at least three"
+    assert (
+        str(error) == "bodies[0].shape.polygon: found two vertices, but fixel needs at least three"
+    )
 
 
 def test_invalid_input_ends_with_the_next_move() -> None:
@@ -41,7 +43,7 @@ def test_invalid_input_may_be_a_sentence_alone() -> None:
 
 
 def test_none_can_be_what_was_found() -> None:
-    assert str(InvalidInput("duration", found=None)) == "duration: found nothing"
+    assert str(InvalidInput("duration", found=None)) == "duration is missing"
 
 
 def test_long_values_are_shortened() -> None:
@@ -54,11 +56,13 @@ def test_long_values_are_shortened() -> None:
 def test_within_extends_the_path_outwards(inner: str, outer: str) -> None:
     error = InvalidInput(inner, found=1, expected="2", hint="3").within("bodies[0]")
 
-    assert str(error) == f"{outer}: found 1, expected 2; 3"
+    assert str(error) == f"{outer} is 1, but must be 2; 3"
 
 
 def test_dataset_missing_names_the_folder() -> None:
-    assert str(ERRORS[3]) == "found no dataset in pushes, expected an inputs.csv; set FIXEL_DATA"
+    assert (
+        str(ERRORS[3]) == "pushes: found no dataset, but fixel needs an inputs.csv; set FIXEL_DATA"
+    )
 
 
 @pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
@@ -84,5 +88,5 @@ def test_each_error_is_also_the_builtin_one_expects(kind: type, base: type) -> N
 def test_unknown_names_are_compared_without_case() -> None:
     error = unknown_name("motion", "Dynamc", iter(("dynamic", "quasistatic")), more=", ...")
     assert error.hint == "did you mean 'dynamic'?"
-    assert str(error).startswith("motion: found 'Dynamc', expected one of dynamic, quasistatic, ")
+    assert str(error).startswith("motion is 'Dynamc', but must be one of dynamic, quasistatic, ")
     assert unknown_name("motion", 3, ("dynamic",)).hint is None

@@ -135,5 +135,5 @@ def test_every_module_imports_on_macos_and_windows() -> None:
     assert "is in use by process" in lock
     assert "is in use by process" in also
     assert workers.startswith("several workers need Linux or macOS")
-    assert "expected Linux or macOS" in drive
+    assert "fixel needs Linux or macOS" in drive
     assert "power of the drive" in stop

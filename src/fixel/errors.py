@@ -19,6 +19,7 @@ A numerical failure is not raised by default: `simulate(...)` records a status, 
 from __future__ import annotations
 
 import errno
+import re
 import reprlib
 from collections.abc import Iterable
 from functools import partial
@@ -37,7 +38,7 @@ class FixelError(Exception):
     ...     fixel.Disk(-1.0)
     ... except fixel.FixelError as problem:
     ...     print(problem)
-    disk: found -1.0, expected a number greater than 0 [m]
+    disk is -1.0, but must be a number greater than 0 [m]
     """
 
 
@@ -56,6 +57,16 @@ _MAX_BEFORE_HINT: Final = 20  # known names that an error with a suggestion list
 _MAX_NAMED: Final = 40  # known names that an error lists
 _MAX_FOUND: Final = 300  # [characters] of a text that was found; it may be a whole file
 
+_PLACE: Final = re.compile(r"\b(line|row|frame) \d+$")  # place in a file, which is no value
+
+# Strings that are values, not phrases: a quoted text, a length or a range with its unit.
+_NUMBER: Final = r"[-+]?[\d.]+(e[-+]?\d+)?"
+_VALUE: Final = re.compile(
+    r"""(['"])(\\.|(?!\1).)*\1|"""
+    rf"{_NUMBER}( to {_NUMBER})?( ?([cm]?m|deg|rad|s|kg|px|MB|[cm]?m/s|%))?",
+    re.DOTALL,
+)
+
 
 @final
 class InvalidInput(FixelError, ValueError):
@@ -67,17 +78,19 @@ class InvalidInput(FixelError, ValueError):
         Path of the value, as in a scene file: `bodies[0].shape.polygon`. Without `found` and
         `expected` it may be the whole sentence.
     found : object
-        Value that was found. A string is shown as it is (`"two vertices"`) up to 300 characters,
-        anything else as its shortened `repr`.
+        Value that was found: a number, a quoted text, a length such as `"12 mm"`, a phrase such as
+        `"two vertices"`, an exception, or None for a missing value. A string is shown as it is, up
+        to 300 characters, anything else as its shortened `repr`.
     expected : str
-        Description of allowed values.
+        Description of allowed values. It continues "must be" after a value, "fixel needs" after
+        a phrase, and "give" after None.
     hint : str
         Advice, if there is an obvious one.
 
     Examples
     --------
     >>> print(InvalidInput("bodies[0].mass", found=-1.0, expected="a positive number of kilograms"))
-    bodies[0].mass: found -1.0, expected a positive number of kilograms
+    bodies[0].mass is -1.0, but must be a positive number of kilograms
     """
 
     def __init__(
@@ -89,6 +102,8 @@ class InvalidInput(FixelError, ValueError):
         hint: str | None = None,
     ) -> None:
         self.where = where
+        if isinstance(found, Exception):
+            found = f"an error ({os_reason(found) if isinstance(found, OSError) else found})"
         is_long = isinstance(found, str) and len(found) > _MAX_FOUND
         self.found = f"{str(found)[:_MAX_FOUND]} ..." if is_long else found
         self.expected = expected
@@ -103,12 +118,16 @@ class InvalidInput(FixelError, ValueError):
         )
 
     def _sentence(self) -> str:
-        clauses = []
-        if self.found is not _ABSENT:
-            clauses.append(f"found {_shown(self.found)}")
-        if self.expected:
-            clauses.append(f"expected {self.expected}")
-        sentence = f"{self.where}: {', '.join(clauses)}" if clauses else self.where
+        sentence, found, expected = self.where, self.found, self.expected
+        if found is None:
+            sentence += " is missing" + (f": give {expected}" if expected else "")
+        elif _is_value(found) and not _PLACE.search(self.where):
+            sentence += f" is {_shown(found)}" + (f", but must be {expected}" if expected else "")
+        elif found is not _ABSENT:
+            sentence += f": found {_shown(found)}"
+            sentence += f", but fixel needs {expected}" if expected else ""
+        elif expected:
+            sentence += f": fixel needs {expected}"
         return f"{sentence}; {self.hint}" if self.hint else sentence
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -175,7 +194,7 @@ class DatasetMissing(FixelError, LookupError):
         self.hint = hint
         sentence = f"{self.folder}: no such file or folder"
         if expected:
-            sentence = f"found no dataset in {self.folder}, expected {expected}"
+            sentence = f"{self.folder}: found no dataset, but fixel needs {expected}"
         super().__init__(f"{sentence}; {hint}" if hint else sentence)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -197,7 +216,7 @@ class NotStored(FixelError, LookupError):
     def __init__(self, what: str, hint: str | None = None) -> None:
         self.what = what
         self.hint = hint
-        sentence = f"found no {what}"
+        sentence = f"there is no {what}"
         super().__init__(f"{sentence}; {hint}" if hint else sentence)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -373,17 +392,18 @@ def unknown_name(where: str, name: object, known: Iterable[str], *, more: str = 
     Examples
     --------
     >>> print(unknown_name("motion", "dynamc", ("dynamic", "quasistatic")))
-    motion: found 'dynamc', expected one of dynamic, quasistatic; did you mean 'dynamic'?
+    motion is 'dynamc', but must be one of dynamic, quasistatic; did you mean 'dynamic'?
     """
     names = list(known)
+    found = "an unknown name" if name == where else repr(name)
     hint = did_you_mean(name, names)
     if hint and len(names) > _MAX_BEFORE_HINT:
         expected = f"one of {len(names)} known names"
-        return InvalidInput(where, found=repr(name), expected=expected, hint=hint)
+        return InvalidInput(where, found=found, expected=expected, hint=hint)
     if len(names) > _MAX_NAMED:
         more = f", ... ({len(names)} in all){more}"
     return InvalidInput(
-        where, found=repr(name), expected=f"one of {', '.join(names[:_MAX_NAMED])}{more}", hint=hint
+        where, found=found, expected=f"one of {', '.join(names[:_MAX_NAMED])}{more}", hint=hint
     )
 
 
@@ -404,7 +424,9 @@ def machine_failure(problem: OSError) -> FixelError | None:
     return StoreRefused(f"{place}{reason}", hint=hint)
 
 
+def _is_value(found: object) -> bool:
+    return _VALUE.fullmatch(found) is not None if isinstance(found, str) else found is not _ABSENT
+
+
 def _shown(found: object) -> str:
-    if found is None:
-        return "nothing"
     return found if isinstance(found, str) else reprlib.repr(found)

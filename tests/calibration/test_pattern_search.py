@@ -234,5 +234,5 @@ def test_fixed_steps_are_moved_onto_the_bounds():
 
 
 def test_fixed_steps_have_to_be_as_many_as_unknowns():
-    with pytest.raises(InvalidInput, match="found 3 steps, expected 2"):
+    with pytest.raises(InvalidInput, match="found 3 steps, but fixel needs 2"):
         FixedStepSearch(steps=[0.1, 0.1, 0.1]).start(box())

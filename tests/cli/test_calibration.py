@@ -121,15 +121,15 @@ def test_a_job_to_submit_elsewhere(capsys, project):
     [
         (("--option", "delta"), "NAME=VALUE"),
         (("--fit", "mu_pushr"), "known names; did you mean 'mu_pusher'?"),
-        (("--fit", "tripod_radius=10:60"), "found 10 to 60 m, expected bounds in metres"),
+        (("--fit", "tripod_radius=10:60"), "is 10 to 60 m, but must be bounds in metres"),
         (("--fit", "tripod_radius=10:60"), "write tripod_radius_mm=LOW:HIGH"),
         (("--fit", "start_theta=-5:5"), "write start_theta_deg=LOW:HIGH"),
         (("--fit", "mu_pusher=1:0"), "the lower bound first"),
         (("--fit", "mu_pusher=0:1:2"), "outside the bounds"),
         (("--optimiser", "least-squares", "--mode", "each"), "mode joint"),
         (("nowhere",), "no experiment 'nowhere'"),
-        (("--noise-mm", "-1", "--noise-mrad", "1"), "--noise-mm: found -0.001"),
-        (("--name", "../mine"), "--name: found '../mine'"),
+        (("--noise-mm", "-1", "--noise-mrad", "1"), "--noise-mm is -0.001"),
+        (("--name", "../mine"), "--name is '../mine'"),
         (("1", "--where", "shape=none"), "--where: found names of experiments too"),
     ],
 )

@@ -81,7 +81,7 @@ def test_what_was_offset_elsewhere_is_left_out_and_said(capsys, project):
     [
         (("--threshold-mm", "0.01"), "below the error that measurement noise alone causes"),
         (("--threshold-mm", "2", "--relative", "1"), "one of them"),
-        (("--threshold-mm", "0"), "--threshold-mm: found 0 mm, expected more than 0"),
+        (("--threshold-mm", "0"), "--threshold-mm is 0 mm, but must be more than 0"),
         (("--relative", "1"), "fixel calibrate --mode each"),
         (("--axes", "offset_z_m"), "axis offset_z_m"),
         (("--nominal", "offset_x_m"), "AXIS=VALUE"),

@@ -82,4 +82,4 @@ def test_an_engine_that_calibrated_nothing(calibrated, capsys):
         capsys, "report", "-p", calibrated, "--engine", "box2d", "--calibration", 2
     )
     assert code == 2
-    assert "calibration 2: found one by dynamic, expected one by box2d" in err
+    assert "calibration 2: found one by dynamic, but fixel needs one by box2d" in err

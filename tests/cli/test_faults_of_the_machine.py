@@ -207,7 +207,7 @@ def test_long_names(tmp_path, capsys, name):
 def test_many_keys_cost_no_more_than_reading_them():
     """Each step of a scene's way is linear; counted in calls, since nothing here is timed."""
     many = {f"k{i}": i for i in range(120_000)}
-    with pytest.raises(InvalidInput, match="found 120000 keys, expected at most 1000"):
+    with pytest.raises(InvalidInput, match="found 120000 keys, but fixel needs at most 1000"):
         scene_file_from_dict({"fixel": 1, **dict(list(many.items())[:-1])})
 
 

@@ -68,7 +68,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
         (
             InvalidInput("bodies[0].mass", found=-1, expected="a positive number"),
             2,
-            "bodies[0].mass: found -1",
+            "bodies[0].mass is -1",
         ),
         (DatasetMissing("pushes"), 2, "pushes: no such file or folder"),
         (SolveFailed("the pusher is jammed"), 3, "the pusher is jammed"),

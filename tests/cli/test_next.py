@@ -94,7 +94,7 @@ def test_candidates_of_a_plan_are_the_only_ones(capsys, project, new_part, tmp_p
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ((), "--part: found none, expected one of part-1, part-2"),
+        ((), "--part: found none, but fixel needs one of part-1, part-2"),
         (("--part", "part-9"), "a part without experiments needs its scene file"),
         (("--part", "surprise=1"), "no usable push of another part"),
         (("--part", "part-4", "--out", "next.txt"), "a plan file: .yaml"),

@@ -119,7 +119,7 @@ def test_poses_from_the_object_as_it_is_seen(bench, capsys):
     assert actuator["dx_mm"] == pytest.approx(-6.0, abs=0.1)
     code, _, err = fixel(capsys, *once(bench, "off.mp4", "--anchor", "head"))
     assert code == 2
-    assert "anchor: found 'head', expected one of object, actuator" in err
+    assert "anchor is 'head', but must be one of object, actuator" in err
 
 
 def test_the_page_until_the_film_ends(bench, capsys):
@@ -173,7 +173,7 @@ def test_ctrl_c_ends_the_page(bench, capsys, monkeypatch):
     [
         (["--rig", "nowhere"], "a rig file, or one of thesis-tags"),
         (["--rig", "thesis-tags"], "neither scene nor experiment"),
-        (["scene.yaml", "--rig", "microscope"], "it has part, probe"),
+        (["scene.yaml", "--rig", "microscope"], "found part, probe"),
         (["scene.yaml", "--rig", "rig.yaml", "--tolerance-mm", "0"], "greater than 0"),
         (["scene.yaml", "--rig", "rig.yaml", "--camera", "none.mp4"], "none.mp4"),
         (["scene.yaml", "--rig", "rig.yaml", "--once", "--output", "a.txt"], ".png"),

@@ -114,7 +114,7 @@ def test_a_plan_on_the_simulated_testbed(lab, capsys):
 def test_a_condition_needs_a_value(lab, capsys):
     code, _, err = fixel(capsys, "list", "--project", lab, "--where", "shape")
     assert code == 2
-    assert "found 'shape'" in err
+    assert "is 'shape'" in err
 
 
 def test_the_environment_names_another_database(lab, tmp_path, capsys, monkeypatch):
@@ -146,7 +146,7 @@ def test_import_lists_what_is_left_out(lab, tmp_path, capsys):
     folder = push_files.mit_push(
         tmp_path / "pushes", push_files.push(0), push_files.push(1, obj_x1="?"), push_files.push(2)
     )
-    expected = "mit-push/felt_block_1: pushes.csv.gz, row 2, column obj_x1: found '?'"
+    expected = "mit-push/felt_block_1: pushes.csv.gz, row 2, column obj_x1 is '?'"
 
     dry = answer(capsys, "import", folder, "--project", lab, "--dry-run")
     assert (dry["experiments"], len(dry["skipped"])) == (2, 1)

@@ -96,10 +96,10 @@ def test_simulating_finds_more(capsys):
     ("arguments", "sentence"),
     [
         (["nowhere.yaml"], "nowhere.yaml"),
-        (["--plot", "plan.bmp"], "expected a picture file"),
-        (["--out", "plan.txt"], "expected a plan file"),
+        (["--plot", "plan.bmp"], "fixel needs a picture file"),
+        (["--out", "plan.txt"], "fixel needs a plan file"),
         (["--out", "no/such/folder/plan.yaml"], "no folder"),
-        (["bad.yaml"], "fixel: head.speed: found -1"),
+        (["bad.yaml"], "fixel: head.speed is -1"),
         (["good.yaml", "--out", "good.yaml"], "the plan file itself"),
     ],
 )

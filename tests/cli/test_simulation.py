@@ -47,7 +47,7 @@ def test_a_table_is_one_sentence_with_the_next_command(tmp_path, capsys, words):
     code, out, err = call(capsys, *words, table)
 
     assert (code, out) == (2, "")
-    assert "found a table, expected a" in err
+    assert "found a table, but fixel needs a" in err
     assert f"fixel import '{table}'" in err
     assert len(err) < 300 + len(str(table)) * 2
 
@@ -103,11 +103,11 @@ def test_a_jam_exits_3_with_what_was_computed(scene, tmp_path, capsys):
     ("arguments", "reason"),
     [
         (["--set", "bodies.0.mas=1"], "did you mean 'mass'"),
-        (["--set", "bodies.0.mass=-1"], "expected a number greater than 0"),
-        (["--plot", "a.bmp"], "expected a picture file"),
+        (["--set", "bodies.0.mass=-1"], "must be a number greater than 0"),
+        (["--plot", "a.bmp"], "fixel needs a picture file"),
         (["--trajectory", "nowhere/a.csv"], "no folder nowhere"),
         (["--solver", "lemke"], "support_directions"),
-        (["--step", "-1"], "expected a positive time"),
+        (["--step", "-1"], "must be a positive time"),
         (["--step", "0.1", "--tolerance", "1"], "leave one out"),
         (["--motion", "magic"], "magic"),
     ],

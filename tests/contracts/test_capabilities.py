@@ -235,7 +235,7 @@ def test_every_option_has_a_meaning(capability):
 def test_refusals_have_the_name_of_the_door(capability):
     for number in (o for o in capability.shown.values() if o.door.least is not None):
         text = str(int(number.door.least) - 1)
-        with pytest.raises(InvalidInput, match=f"^{number.name}: .* expected at least") as problem:
+        with pytest.raises(InvalidInput, match=f"^{number.name} is .* must be at least") as problem:
             capability.from_texts(required(capability) | {number.name: [text]})
 
         flag, label = (

@@ -288,11 +288,11 @@ def rewritten(path: Path, change: Callable[[dict[str, Any]], None]) -> Path:
         (lambda head: head.update(format=2, fixel="9.0.0"), r"fixel 9\.0\.0 in format 2.*newer"),
         (
             lambda head: head["content"].update({"class": "os:system"}),
-            "found 'system', expected one",
+            "is 'system', but must be one",
         ),
         (
             lambda head: head["content"].update({"class": "fixel:simulate"}),
-            "found 'simulate', expected one",
+            "is 'simulate', but must be one",
         ),
         (lambda head: head["content"]["items"].append(["new", 1]), "another kind of file"),
         (lambda head: head.pop("format"), "another kind of file"),
@@ -314,7 +314,7 @@ def test_files_that_are_no_results_are_refused(tmp_path: Path, data: bytes) -> N
     (tmp_path / "file").write_bytes(data)
 
     for path in (tmp_path / "file", tmp_path / "missing", tmp_path):
-        with pytest.raises(fixel.InvalidInput, match="expected a result saved by fixel"):
+        with pytest.raises(fixel.InvalidInput, match="fixel needs a result saved by fixel"):
             fixel.load(path)
 
 

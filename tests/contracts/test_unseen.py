@@ -158,13 +158,13 @@ def test_a_laboratory_with_one_experiment_is_as_good_as_none(fit):
 
 def test_experiments_of_one_part_say_nothing_of_another_and_cannot_be_left_out():
     same = [replace(p, conditions={**p.conditions, "shape": "rect1"}) for p in pushes()]
-    with pytest.raises(InvalidInput, match="1 value of shape, expected at least 2"):
+    with pytest.raises(InvalidInput, match="1 value of shape, but fixel needs at least 2"):
         fixel.error_bound(same, SPACE, leave_out="shape", folds=2, **QUIET)
 
 
 def test_repeated_pushes_count_once():
     repeated = [replace(p, name=f"{p.name}-{k}") for p in pushes(3) for k in range(6)]
-    with pytest.raises(InvalidInput, match="18, of 3 different pushes, expected 9 at least"):
+    with pytest.raises(InvalidInput, match="18, of 3 different pushes, but fixel needs 9 at least"):
         fixel.error_bound(repeated, SPACE, folds=2, **QUIET)
 
 

@@ -106,8 +106,8 @@ def test_texts_equal_numbers_typed_like_them(filled):
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("error>large", "filter: error: found 'large', expected a number"),
-        ("speed_m_s>fast", "filter: speed_m_s: found 'fast', expected a number"),
+        ("error>large", "filter: error is 'large', but must be a number"),
+        ("speed_m_s>fast", "filter: speed_m_s is 'fast', but must be a number"),
         ("is:reel", "one of clean, faulty"),
         ('surface="abs', "a quote that does not end"),
         ("x" * 1001, "1001 characters"),

@@ -45,7 +45,7 @@ def test_experiments_are_added_once(lab):
     assert lab.add(corrected, progress=False).new == 1
     assert lab.experiments("surface=felt").keys == ("example/00",)
     for wrong in (3, ["example/00"]):
-        with pytest.raises(InvalidInput, match="expected experiments, or a result"):
+        with pytest.raises(InvalidInput, match="needs experiments, or a result"):
             lab.add(wrong)
 
 

@@ -52,7 +52,7 @@ def test_a_filter_selects_like_a_loop(pushes):
         ("surfce=abs", "did you mean 'surface'"),
         ("surface=plywod", "did you mean 'plywood'"),
         ("error>5", "errors of simulations; use fixel.compare"),
-        ("moved>far", "expected a number"),
+        ("moved>far", "must be a number"),
     ],
 )
 def test_filters_that_cannot_be_met_are_refused(pushes, text, complaint):
@@ -72,9 +72,9 @@ def test_samples_and_splits_repeat_and_partition(pushes):
     assert len({push.conditions["surface"] for push in held_out}) == 1
     assert len(train) == len(held_out) == 20
     for wrong in (0, 40, 1.0, True):
-        with pytest.raises(InvalidInput, match="test: found"):
+        with pytest.raises(InvalidInput, match="test is"):
             pushes.split(wrong)
-    with pytest.raises(InvalidInput, match="n: found 41"):
+    with pytest.raises(InvalidInput, match="n is 41"):
         pushes.sample(41)
 
 
@@ -164,6 +164,6 @@ def test_plots_return_axes_and_change_no_settings(pushes):
     assert len(pushes[0].plot()) == 4
     assert pushes[:2].plot().get_xlabel() == "x [mm]"
     assert dict(mpl.rcParams) == before
-    with pytest.raises(InvalidInput, match="kind: found 'tracks'"):
+    with pytest.raises(InvalidInput, match="kind is 'tracks'"):
         pushes.plot("tracks")
     pyplot.close("all")

@@ -61,7 +61,7 @@ def test_what_nobody_knows_is_refused_with_what_is_known(tmp_path: Path) -> None
         importer_for(tmp_path)
     with pytest.raises(DatasetMissing, match="no such file"):
         importer_for(tmp_path / "nowhere")
-    with pytest.raises(InvalidInput, match="'mit', expected one of rpi-2dgad"):
+    with pytest.raises(InvalidInput, match="'mit', but must be one of rpi-2dgad"):
         importer_for(tmp_path, "mit")
 
 
@@ -83,7 +83,9 @@ def test_a_named_importer_says_what_it_misses(tmp_path: Path) -> None:
 def test_unknown_options_are_refused(tmp_path: Path) -> None:
     folder = recordings.rpi_2dgad(tmp_path)
 
-    with pytest.raises(InvalidInput, match="the option speed, expected one of its options: none"):
+    with pytest.raises(
+        InvalidInput, match="the option speed, but fixel needs one of its options: none"
+    ):
         IMPORTERS["rpi-2dgad"].read(folder, speed=3)
 
 
@@ -348,7 +350,7 @@ def test_pushes_on_known_supports(tmp_path: Path) -> None:
 
 
 def test_a_support_nobody_described_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput, match="the support stilts, expected points, patch"):
+    with pytest.raises(InvalidInput, match="the support stilts, but fixel needs points, patch"):
         imported(recordings.cmu_tripod(tmp_path, support="stilts"))
 
 

@@ -80,17 +80,21 @@ def test_what_is_written_is_read(plan, tmp_path):
 @pytest.mark.parametrize(
     ("text", "where", "words"),
     [
-        ("id,x_mm\na,1\n", "plan.csv", "expected a column name"),
-        ("name,x\na,1\n", "plan.csv, header", "'x', expected one of"),
+        ("id,x_mm\na,1\n", "plan.csv", "fixel needs a column name"),
+        ("name,x\na,1\n", "plan.csv, header", "'x', but must be one of"),
         ("name,speed_mms\na,1\n", "plan.csv, header", "did you mean 'speed_mm_s'"),
         ("name,ofset_x_mm\na,1\n", "plan.csv, row 1, a.ofset_x_m", "mean 'offset_x_m'"),
         ("name,x_deg\na,1\n", "plan.csv, header", "'x_deg'"),
-        ("name;x_mm\na;1\n", "plan.csv", "expected a column name"),
-        ("name,x_mm\na,160\nb,far\n", "plan.csv, row 2, column x_mm", "'far', expected a finite"),
+        ("name;x_mm\na;1\n", "plan.csv", "fixel needs a column name"),
+        (
+            "name,x_mm\na,160\nb,far\n",
+            "plan.csv, row 2, column x_mm",
+            "'far', but must be a finite",
+        ),
         ("name,x_mm\na,nan\n", "plan.csv, row 1, column x_mm", "finite number"),
         ("name,speed_mm_s\na,0\n", "plan.csv, row 1, a.drive", "greater than 0"),
         ("name,x_mm\na,160\na,161\n", "plan.csv, row 2, column name", "'a' twice"),
-        ("name,x_mm\na/b,160\n", "plan.csv, row 1, column name", "'a/b', expected at most"),
+        ("name,x_mm\na/b,160\n", "plan.csv, row 1, column name", "'a/b', but must be at most"),
         ("name,x_mm\na,160\nb,20\n", "plan.csv, row 2, b.'object' and 'actuator'", "an overlap of"),
         ("name,scene\na,none.yaml\n", "plan.csv, row 1, column scene", "none.yaml"),
         (
@@ -113,7 +117,7 @@ def test_what_is_refused(text, where, words, read):
 def test_a_value_for_a_fixel_that_the_scene_of_the_row_lacks(read, tmp_path):
     eight_push_plan().experiments[0].scene.save(tmp_path / "open.yaml")
     with pytest.raises(
-        InvalidInput, match=r"row 2, b\.fixel-1_x_m: found 'fixel-1_x_m', expected one of"
+        InvalidInput, match=r"row 2, b\.fixel-1_x_m: found an unknown name, but fixel needs one of"
     ):
         read("name,scene,fixel-1_x_mm\na,scene.yaml,240\nb,open.yaml,240\n")
 
@@ -122,6 +126,7 @@ def test_no_template(tmp_path):
     path = tmp_path / "plan.csv"
     path.write_text("name,x_mm\na,160\n")
     with pytest.raises(
-        InvalidInput, match="row 1, column scene: found none, expected a scene file or an exp"
+        InvalidInput,
+        match="row 1, column scene: found none, but fixel needs a scene file or an exp",
     ):
         read_rows(path, None, stored)

@@ -131,18 +131,18 @@ def test_a_compressed_table(tmp_path: Path) -> None:
     [
         ("t_s,x_m,y_m\n0,0,0\n0,0,0\n", "row 2: found t = 0 s after 0 s"),
         ("t_s,x_m,y_m\n0,0,0\n2,0,0\n1,0,0\n", "row 3: found t = 1 s after 2 s"),
-        ("t_s,x_m,y_m\n0,nan,0\n", "row 1, column x_m: found 'nan'"),
-        ("t_s,x_m,y_m\n0,1e30,0\n", "row 1, column x_m: found '1e30'"),
-        ("t_s,x_m,y_m\n,0,0\n", "column t_s: found ''"),
+        ("t_s,x_m,y_m\n0,nan,0\n", "row 1, column x_m is 'nan'"),
+        ("t_s,x_m,y_m\n0,1e30,0\n", "row 1, column x_m is '1e30'"),
+        ("t_s,x_m,y_m\n,0,0\n", "column t_s is ''"),
         ("t_s,x_m\n0,0\n", "a column for y; name columns"),
         ("t_s,x_m,y_m,pusher_x_m\n0,0,0,0\n", "a column for pusher_y"),
         ("t_s,x_m,x_mm,y_m\n0,0,0,0\n", "found 'x_m' and 'x_mm'"),
         ("t_s,x_m,x_m,y_m\n0,0,0,0\n", "header: found 'x_m' twice"),
         ("t_s,x_deg,y_m\n0,0,0\n", "column x_deg: found a unit of angle"),
         ("t_s;x_m;y_m\n0;0;0\n", "semicolons"),
-        ("t_s,x_m,y_m,touch_bool\n0,0,0,2\n", "column touch_bool: found '2'"),
+        ("t_s,x_m,y_m,touch_bool\n0,0,0,2\n", "column touch_bool is '2'"),
         ("t_s,x_m,y_m\n0,,\n", "no pose of the object"),
-        ("t_s,x_m,y_m\n0,0\n", "2 cells, expected 3"),
+        ("t_s,x_m,y_m\n0,0\n", "2 cells, but fixel needs 3"),
         ("t_s,x_m,y_m\n", "1 lines"),
         ("", "0 lines"),
     ],
@@ -153,7 +153,7 @@ def test_wrong_tables_are_refused(text: str, complaint: str, tmp_path: Path) -> 
 
 
 def test_wrong_options_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput, match=r"length_unit: found 'ell', expected one of m, mm"):
+    with pytest.raises(InvalidInput, match=r"length_unit is 'ell', but must be one of m, mm"):
         plan_of(tmp_path, "t_s,x,y\n0,0,0\n", length_unit="ell")
     with pytest.raises(InvalidInput, match="option name"):
         plan_of(tmp_path, "t_s,x_m,y_m\n0,0,0\n", name=3)

@@ -143,7 +143,8 @@ def test_a_finite_bound_takes_nine_left_out_sides() -> None:
             assert np.isfinite(ConformalBound.fit(x, e, parts, units=units).bounds(x[:1])).all()
         else:
             with pytest.raises(
-                InvalidInput, match=r"8 left out, expected at least 9.*8 prove at most 88\.9 %"
+                InvalidInput,
+                match=r"8 left out, but fixel needs at least 9.*8 prove at most 88\.9 %",
             ):
                 ConformalBound.fit(x, e, parts, units=units)
 

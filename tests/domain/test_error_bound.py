@@ -84,7 +84,7 @@ def test_constant_bound_is_the_next_larger_order_statistic() -> None:
 def test_too_few_experiments_are_refused_with_the_number_needed() -> None:
     assert [min_experiments(level) for level in (0.5, 0.8, 0.9, 0.95, 0.99)] == [1, 4, 9, 19, 99]
     features, errors, _ = made_up(8, 0)
-    with pytest.raises(InvalidInput, match="8 held out, expected at least 9"):
+    with pytest.raises(InvalidInput, match="8 held out, but fixel needs at least 9"):
         ConformalBound.fit(features, errors)
     with pytest.raises(InvalidInput, match="19 for bounds with 95 %"):
         ConformalBound.fit(features, errors, level=0.95)
@@ -103,7 +103,7 @@ def test_too_few_experiments_are_refused_with_the_number_needed() -> None:
         (lambda f, e: (f[:, 0], e), "table of finite numbers"),
         (lambda f, e: (f, -e), "0 or more"),
         (lambda f, e: (f, e * np.nan), "0 or more"),
-        (lambda f, e: (f, e[:-1]), "expected \\(30,\\)"),
+        (lambda f, e: (f, e[:-1]), "fixel needs \\(30,\\)"),
     ],
 )
 def test_numbers_that_cannot_be_are_refused(

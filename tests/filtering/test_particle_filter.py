@@ -179,7 +179,7 @@ def test_first_order_motion_and_rigid_drives():
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"n_particles": 1}, "n_particles: found 1, expected a whole number of at least 2"),
+        ({"n_particles": 1}, "n_particles is 1, but must be a whole number of at least 2"),
         ({"n_particles": 2.5}, "n_particles"),
         ({"threads": 0}, "threads"),
         ({"priors": {"mu_pushr": (0.1, 1.0)}}, "did you mean 'mu_pusher'"),

@@ -114,7 +114,7 @@ def test_progress_is_told_and_the_camera_is_enough(experiment):
         ({"pusher": None}, None, "no measured path of the pusher"),
         ({}, (8.0, 9.0), "within the recording, 0 to 7 s"),
         ({}, (-1.0, 2.0), "within the recording"),
-        ({}, (3.0, 2.0), "found 3 to 2 s"),
+        ({}, (3.0, 2.0), "is 3 to 2 s"),
         ({}, (2.0, float("nan")), "within the recording"),
         ({"effective": (50.0, 60.0)}, None, "0 measured instants"),
     ],
@@ -129,7 +129,7 @@ def test_readings_must_be_one_a_fixel(experiment):
     one = Channel(
         name="tactile", time=tactile.time, columns=("a_bool",), values=tactile.values[:, :1]
     )
-    with pytest.raises(InvalidInput, match="1 columns, expected 3"):
+    with pytest.raises(InvalidInput, match="1 columns, but fixel needs 3"):
         run_filter(replace(experiment, channels=(one,)), SOME)
 
 

@@ -123,14 +123,26 @@ def test_what_is_left_out_is_as_dakota_has_it():
             "inital_delta =",
             r"line 15: found inital_delta, .*did you mean 'initi",
         ),
-        ("coliny_pattern_search", "coliny_ea", r"line 11: found coliny_ea, expected one of coliny"),
+        (
+            "coliny_pattern_search",
+            "coliny_ea",
+            r"line 11: found coliny_ea, but fixel needs one of coliny",
+        ),
         ("method,", "methods,", r"dakota: found no method block"),
         ("strategy,", "strategies,", r"line 6: found strategies, .*did you mean 'strategy"),
-        ("basic_pattern", "adaptive_pattern", r"line 18: found adaptive_pattern, expected expl"),
-        ("coordinate", "simplex", r"line 17: found simplex, expected pattern_basis to be coord"),
-        ("0.9", "", r"line 21: found model, expected a number after contraction_factor"),
-        ("0.9", "0.9 0.8", r"expected a number after contraction_factor"),
-        ("0.9", "1.9", r"line 11\.PatternSearch\.contraction_factor: found 1\.9"),
+        (
+            "basic_pattern",
+            "adaptive_pattern",
+            r"line 18: found adaptive_pattern, but fixel needs expl",
+        ),
+        (
+            "coordinate",
+            "simplex",
+            r"line 17: found simplex, but fixel needs pattern_basis to be coord",
+        ),
+        ("0.9", "", r"line 21: found model, but fixel needs a number after contraction_factor"),
+        ("0.9", "0.9 0.8", r"fixel needs a number after contraction_factor"),
+        ("0.9", "1.9", r"line 11\.PatternSearch\.contraction_factor is 1\.9"),
         ("= 10000", "= 10.5", r"line 12: .*a whole number after max_iterations"),
         ("= 10000", "= 1\n  max_iterations = 2", r"line 13: .*each keyword once"),
         ("single\n\nvar", "surrogate global\n\nvar", r"line 22: found surrogate"),
@@ -140,8 +152,8 @@ def test_what_is_left_out_is_as_dakota_has_it():
         ("1 1 60 1", "1 0 60 1", r"line 25\.mu_pusher: found bounds 0 to 0"),
         ("0.2 0.2 25", "0.2 1.2 25", r"line 25\.mu_pusher\.nominal: .*move the start"),
         ("    upper_bounds 1 1 60 1\n", "", r"line 24: found variables without upper_bounds"),
-        ("1 1 60 1", "1 1 inf 1", r"line 28: found inf, expected a finite number"),
-        ("0 0 0 0", "0 0 0 -Inf", r"line 27: found -Inf, expected a finite number"),
+        ("1 1 60 1", "1 1 inf 1", r"line 28: found inf, but fixel needs a finite number"),
+        ("0 0 0 0", "0 0 0 -Inf", r"line 27: found -Inf, but fixel needs a finite number"),
         ("0 0 0 0", "0.5*0", r"a count before"),
         ("responses,", "method, coliny_pattern_search responses,", r"one method block"),
     ],
@@ -179,7 +191,7 @@ def test_files(tmp_path):
     with pytest.raises(InvalidInput, match="no such file"):
         load_dakota(tmp_path / "missing.in")
     path.write_bytes(b"\xff\xfe method")
-    with pytest.raises(InvalidInput, match="expected a text file"):
+    with pytest.raises(InvalidInput, match="fixel needs a text file"):
         load_dakota(path)
     with pytest.raises(InvalidInput):
         load_dakota(tmp_path)

@@ -144,10 +144,10 @@ def test_free_pushes_and_intervals_of_parameters():
 @pytest.mark.parametrize(
     ("belief", "message"),
     [
-        ("{parameters: {friction_centre_x: [-2, 2]}}", "expected friction_centre_x_mm.*mm"),
-        ("{parameters: {tripod_radius: 0.03}}", "expected tripod_radius_mm"),
-        ("{parameters: {start_theta: 0.1}}", "expected start_theta_deg"),
-        ("{parameters: {mu_pusher_mm: 0.1}}", "expected mu_pusher;"),
+        ("{parameters: {friction_centre_x: [-2, 2]}}", "fixel needs friction_centre_x_mm.*mm"),
+        ("{parameters: {tripod_radius: 0.03}}", "fixel needs tripod_radius_mm"),
+        ("{parameters: {start_theta: 0.1}}", "fixel needs start_theta_deg"),
+        ("{parameters: {mu_pusher_mm: 0.1}}", "needs mu_pusher;"),
         ("{parameters: {friction_center_x_mm: 1}}", "did you mean 'friction_centre_x'"),
         ("{start: {x_mm: 1}}", r"belief\.start\.kind: found none.*half-widths"),
         ("{start: {preset: asme, kind: normal}}", "a preset and sizes"),
@@ -162,7 +162,7 @@ def test_units_and_kinds_are_named(belief: str, message: str):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("fixel: 1", "fixel: 2", "^fixel: found 2"),
+        ("fixel: 1", "fixel: 2", "^fixel is 2"),
         ("position_mm", "positoin_mm", r"goal\.any\[0\]\.pose\.positoin_mm.*position_mm"),
         ("position_mm: 2", "position_mm: -2", r"goal\.any\[0\]\.pose\.position_mm.*greater than 0"),
         ("fixel: fixel-4", "fixels: fixel-4", r"goal\.never\[0\]\.contact"),
@@ -182,7 +182,7 @@ def test_units_and_kinds_are_named(belief: str, message: str):
         ("calibration: 7", "calibration: seven", r"belief\.calibration.*whole number"),
         ("calibration: 7", "calibration: 7\n  parameters: {mu_pusher: 1}", "one of them"),
         ("success: 0.9", "success: 90", r"want\.success.*at most 1"),
-        ("goal:", "goals:", "^goal: found nothing, expected a value"),
+        ("goal:", "goals:", "^goal is missing: give a value"),
         ("  any:", "   any: {", "line"),
     ],
 )

@@ -171,9 +171,9 @@ def edit_json(name: str, **values: object) -> Callable[[Path], None]:
     [
         (swap_video, "does not match its row"),
         (spoil_picture, "does not match its row"),
-        (edit_rows(lambda x: [*x[:4], *x[5:]]), "frame 4, expected frame 3"),
+        (edit_rows(lambda x: [*x[:4], *x[5:]]), "frame 4, but fixel needs frame 3"),
         (edit_rows(lambda x: [*x[:4], x[4].replace(b",3,", b",5,"), *x[5:]]), "damaged row"),
-        (edit_rows(lambda x: [*x[:4], x[5], x[4], *x[6:]]), "expected frame 3"),
+        (edit_rows(lambda x: [*x[:4], x[5], x[4], *x[6:]]), "fixel needs frame 3"),
         (edit_rows(lambda x: x[1:]), "an unexpected first line"),
         (edit_rows(lambda x: x[:1]), "before its first frame"),
         (lambda folder: (folder / VIDEO).write_bytes(b""), "before its first frame"),
@@ -181,10 +181,10 @@ def edit_json(name: str, **values: object) -> Callable[[Path], None]:
         (lambda folder: (folder / VIDEO).unlink(), "no such file"),
         (lambda folder: (folder / ROWS).unlink(), "no such file"),
         (lambda folder: (folder / HEADER).unlink(), "no recording.json"),
-        (lambda folder: (folder / HEADER).write_text("{"), "expected a JSON file"),
+        (lambda folder: (folder / HEADER).write_text("{"), "fixel needs a JSON file"),
         (edit_json(HEADER, version=9), "version 9"),
         (edit_json(HEADER, codec="h266"), "recording.codec"),
-        (edit_json(HEADER, size=None), "expected a header"),
+        (edit_json(HEADER, size=None), "fixel needs a header"),
         (edit_json(END, frames=3), "12 rows"),
     ],
 )
@@ -254,7 +254,7 @@ def test_a_disk_without_room_for_the_beginning_is_refused(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(Path, "write_bytes", full)
-    with pytest.raises(InvalidInput, match="found no space left on device"):
+    with pytest.raises(InvalidInput, match="no space left on device"):
         RecordingWriter(tmp_path / "r", RecordingHeader(size=SIZE))
 
 

@@ -215,23 +215,23 @@ def test_numbers_and_text_are_those_of_yaml_1_2():
 @pytest.mark.parametrize(
     ("change", "where", "words"),
     [
-        ({"bodies.0.mass": -1}, "bodies[0].mass", "found -1, expected a number greater than 0"),
-        ({"bodies.0.mass": "heavy"}, "bodies[0].mass", "found 'heavy', expected a number"),
-        ({"bodies.0.mass": None}, "bodies[0].mass", "found nothing"),
+        ({"bodies.0.mass": -1}, "bodies[0].mass", "is -1, but must be a number greater than 0"),
+        ({"bodies.0.mass": "heavy"}, "bodies[0].mass", "is 'heavy', but must be a number"),
+        ({"bodies.0.mass": None}, "bodies[0].mass", "is missing"),
         ({"bodies.0.pose": [0, 0]}, "bodies[0].pose", "at least 3 entries"),
-        ({"bodies.0.pose": [0, 0, "x"]}, "bodies[0].pose[2]", "found 'x', expected a number"),
+        ({"bodies.0.pose": [0, 0, "x"]}, "bodies[0].pose[2]", "is 'x', but must be a number"),
         ({"bodies.0.pose": [0, 0, float("nan")]}, "bodies[0].pose[2]", "finite number"),
-        ({"bodies.0.name": 3}, "bodies[0].name", "expected text"),
+        ({"bodies.0.name": 3}, "bodies[0].name", "must be text"),
         ({"bodies.0.shape": "square"}, "bodies[0].shape", "the keys polygon, disk"),
         (
             {"bodies.0.shape": {}},
             "bodies[0].shape",
-            "found nothing, expected exactly one of polygon",
+            "is missing: give exactly one of polygon",
         ),
         (
             {"bodies.0.shape": {"polygon": SQUARE, "disk": 1.0}},
             "bodies[0].shape",
-            "found polygon and disk, expected exactly one",
+            "found polygon and disk, but fixel needs exactly one",
         ),
         (
             {"bodies.0.shape": {"polygon": [[0, 0], [1, 1], [1, 0], [0, 1]]}},
@@ -256,7 +256,7 @@ def test_numbers_and_text_are_those_of_yaml_1_2():
         (
             {"bodies.0.support": {"points": {"at": SQUARE, "friction": "rough"}}},
             "bodies[0].support.points.friction",
-            "expected a number",
+            "must be a number",
         ),
         (
             {"bodies.0.support": {"tripod": {"radius": 1, "friction": 0}, "none": {}}},
@@ -265,7 +265,7 @@ def test_numbers_and_text_are_those_of_yaml_1_2():
         ),
         ({"bodies": []}, "bodies", "no free body"),
         ({"bodies": {"name": "a"}}, "bodies", "a list"),
-        ({"fixel": 2}, "fixel", "expected 1"),
+        ({"fixel": 2}, "fixel", "must be 1"),
         ({"motion": "static"}, "motion", "'dynamic', 'quasistatic' or 'first-order'"),
         ({"support_directions": 3}, "support_directions", "at least 4"),
         (
@@ -275,7 +275,7 @@ def test_numbers_and_text_are_those_of_yaml_1_2():
         ),
         ({"pushers.0.drive": {"direction": [1, 0]}}, "pushers[0].drive.speed", "a speed"),
         ({"pushers.0.drive.direction": [0, 0]}, "pushers[0].drive.direction", "a direction"),
-        ({"pushers.0.pose": None}, "pushers[0].pose", "found nothing"),
+        ({"pushers.0.pose": None}, "pushers[0].pose", "is missing"),
         (
             {"pushers.0.drive": {"waypoints": [[0, 0, 0, 0]], "speed": 1}},
             "pushers[0].drive.speed",
@@ -323,7 +323,7 @@ def test_a_wrong_value_is_refused_with_the_path_of_its_key(change, where, words)
 @pytest.mark.parametrize(
     ("old", "new", "where", "words"),
     [
-        ("mass:", "mas:", "bodies[0].mass", "found nothing"),
+        ("mass:", "mas:", "bodies[0].mass", "is missing"),
         ("gravity:", "gravitiy:", "gravitiy", "an unknown key"),
         ("travel:", "travell:", "pushers[0].drive.travell", "did you mean 'travel'?"),
         ("radius:", "radios:", "bodies[0].support.tripod.radius", "required"),
@@ -378,7 +378,7 @@ def test_deep_mappings_are_refused():
 def test_an_alias_bomb_is_refused():
     lines = ["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]"]
     lines += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 10)}]" for k in range(1, 12)]
-    assert "line 2: found the alias *a0, expected no aliases" in refusal_of("\n".join(lines))
+    assert "line 2: found the alias *a0, but fixel needs no aliases" in refusal_of("\n".join(lines))
 
 
 def test_an_alias_to_itself_is_refused():
@@ -400,14 +400,14 @@ def test_an_alias_to_itself_is_refused():
         ("", ".yaml", "the keys fixel, gravity"),
         ("", ".json", "well-formed JSON"),
         ("{", ".json", "line 1"),
-        ('{"duration": NaN}', ".json", "duration: found nan"),
+        ('{"duration": NaN}', ".json", "duration is nan"),
         ('{"duration": ' + "9" * 5000 + "}", ".json", "numbers that can be read"),
-        ("duration: " + "9" * 5000, ".yaml", "duration: found inf"),
-        ("duration: 1:30", ".yaml", "found '1:30'"),
-        ("duration: 1_000", ".yaml", "found '1_000'"),
-        ("duration: .nan", ".yaml", "found nan"),
-        ("duration: yes", ".yaml", "found 'yes'"),
-        ("duration: true", ".yaml", "found True"),
+        ("duration: " + "9" * 5000, ".yaml", "duration is inf"),
+        ("duration: 1:30", ".yaml", "is '1:30'"),
+        ("duration: 1_000", ".yaml", "is '1_000'"),
+        ("duration: .nan", ".yaml", "is nan"),
+        ("duration: yes", ".yaml", "is 'yes'"),
+        ("duration: true", ".yaml", "is True"),
     ],
 )
 def test_a_careless_file_is_refused(text, suffix, words):
@@ -475,21 +475,21 @@ def test_an_override_leaves_the_dict_it_was_given_alone():
     [
         (
             "bodies.1.mass=1",
-            "bodies.1: found no such index, expected a number below 1, or one of object",
+            "bodies.1: found no such index, but fixel needs a number below 1, or one of object",
         ),
         ("bodies.objekt.mass=1", "one of object"),
         ("bodies.0.mas=1", "bodies[0].mas: found an unknown key"),
-        ("bodies.0.mass.kg=1", "expected a list or a mapping"),
+        ("bodies.0.mass.kg=1", "fixel needs a list or a mapping"),
         ("durations=1", "did you mean 'duration'?"),
-        ("duration", "expected path.to.key=value"),
-        ("=1", "expected path.to.key=value"),
+        ("duration", "fixel needs path.to.key=value"),
+        ("=1", "fixel needs path.to.key=value"),
         ("duration=[", "well-formed YAML"),
-        ("duration=-1", "duration: found -1"),
-        ("duration=", "duration: found nothing"),
+        ("duration=-1", "duration is -1"),
+        ("duration=", "duration is missing"),
         ("bodies.0.pose.3=1", "a number below 3"),
         ("plane.friction_map.cells=1", "did you mean 'cell'?"),
         ("bodies.0.support.uniform.friction=0.1", "found tripod and uniform"),
-        ("bodies.0.spring.stiffness=1", "bodies[0].spring.anchor: found nothing"),
+        ("bodies.0.spring.stiffness=1", "bodies[0].spring.anchor is missing"),
     ],
 )
 def test_an_override_that_leads_nowhere_is_refused(override, words):

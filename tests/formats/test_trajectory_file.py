@@ -86,7 +86,9 @@ def test_other_endings_are_refused(run, name, tmp_path):
 
 
 def test_a_missing_folder_is_a_plain_sentence(run, tmp_path):
-    with pytest.raises(InvalidInput, match=r"no folder .*nowhere, expected an existing folder"):
+    with pytest.raises(
+        InvalidInput, match=r"no folder .*nowhere, but fixel needs an existing folder"
+    ):
         save_trajectory(run, tmp_path / "nowhere" / "run.csv")
 
 

@@ -107,7 +107,7 @@ def test_raw_streams_have_no_times(tmp_path):
 
 def test_what_is_no_video_is_refused(tmp_path):
     for name, content, reason in (
-        ("text.mkv", b"not a film at all", "not a video"),
+        ("text.mkv", b"not a film at all", "no video"),
         ("empty.mkv", b"", "an empty file"),
     ):
         (tmp_path / name).write_bytes(content)

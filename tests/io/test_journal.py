@@ -84,7 +84,7 @@ def test_another_file_is_refused_and_left_alone(tmp_path):
     for content in (b"something", b"something much longer than a header is"):
         path = tmp_path / "notes"
         path.write_bytes(content)
-        with pytest.raises(InvalidInput, match="expected a journal"):
+        with pytest.raises(InvalidInput, match="fixel needs a journal"):
             Journal(path)
         assert path.read_bytes() == content
 

@@ -199,7 +199,7 @@ def test_what_a_crash_left_before_there_was_a_job_is_in_nobodys_way(tmp_path, le
 
 def test_inputs_alone_are_somebodys_own(tmp_path):
     (tmp_path / "job" / "inputs").mkdir(parents=True)
-    with pytest.raises(InvalidInput, match="expected a new folder"):
+    with pytest.raises(InvalidInput, match="fixel needs a new folder"):
         prepare_job(tmp_path / "job", maker=MAKER)
 
 
@@ -208,12 +208,12 @@ def test_a_folder_is_prepared_whole_or_not_at_all(tmp_path):
         with pytest.raises(InvalidInput, match="function of a job"):
             prepare_job(tmp_path / "job", maker=maker)
     for name in ("../up", "", ".hidden", "a/b"):
-        with pytest.raises(InvalidInput, match="expected a plain file name"):
+        with pytest.raises(InvalidInput, match="fixel needs a plain file name"):
             prepare_job(tmp_path / "job", maker=MAKER, inputs={name: b""})
     assert not (tmp_path / "job" / "job.json").exists()
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "file").touch()
-    with pytest.raises(InvalidInput, match="expected a new folder"):
+    with pytest.raises(InvalidInput, match="fixel needs a new folder"):
         prepare_job(tmp_path / "other", maker=MAKER)
     prepare_job(tmp_path / "job", maker=MAKER, inputs={"copy": tmp_path / "other" / "file"})
     assert sorted(p.name for p in (tmp_path / "job").iterdir()) == [

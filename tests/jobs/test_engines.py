@@ -135,7 +135,7 @@ def test_a_worker_of_another_fixel_is_refused_before_work_starts(folder, monkeyp
     with workers(folder) as engine, pytest.raises(JobRefused) as refused:
         answers(engine, folder, chunks(4))
     assert stamp() in str(refused.value)
-    assert "expected fixel 0.0.9+0123456789abcdef" in str(refused.value)
+    assert "but the job has fixel 0.0.9+0123456789abcdef" in str(refused.value)
     assert refused.value.hint == "install the same fixel for the workers"
     assert (folder / "calls").read_text() == ""
 
@@ -264,7 +264,7 @@ def test_a_client_that_was_not_closed_is_not_waited_for():
 
 def test_interfaces_are_named_ones():
     assert link.listening("lo") == {"host": "127.0.0.1"}
-    with pytest.raises(InvalidInput, match="found 'nowhere0', expected one of"):
+    with pytest.raises(InvalidInput, match="is 'nowhere0', but must be one of"):
         link.listening("nowhere0")
 
 
@@ -275,6 +275,6 @@ def test_without_the_packages_it_says_what_to_install(monkeypatch):
 
 
 def test_a_pool_of_none_is_refused(folder):
-    with pytest.raises(InvalidInput, match="workers: found 0"):
+    with pytest.raises(InvalidInput, match="workers is 0"):
         LocalPool(folder, 0)
     assert sys.executable

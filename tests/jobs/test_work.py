@@ -121,7 +121,7 @@ def test_what_a_chunk_function_may_answer(inputs):
         raise SystemExit(3)
 
     assert answer_of(lambda inputs, payload: payload, inputs, b"x") == b"x"
-    assert "expected bytes" in answer_of(lambda inputs, payload: "x", inputs, b"x").reason
+    assert "not bytes" in answer_of(lambda inputs, payload: "x", inputs, b"x").reason
     assert answer_of(ends, inputs, b"").reason.startswith("SystemExit: 3 (test_work.py, line")
 
 

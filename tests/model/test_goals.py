@@ -297,7 +297,7 @@ def test_fixels_too_far_apart_for_the_part_are_refused():
     far = (FIXELS[0], Fixel(name="far", shape=Disk(0.01), pose=row(0.2, 0, 0), friction=0.1))
     with pytest.raises(InvalidInput, match="too far apart"):
         check_goal(Seated("left", "far"), resting(Disk(0.02), fixels=far))
-    with pytest.raises(InvalidInput, match="a scene with fixels"):
+    with pytest.raises(InvalidInput, match="a fixel of the scene"):
         check_goal(Seated("left"), resting(Disk(0.02), fixels=()))
 
 

@@ -97,7 +97,7 @@ def test_obstacles_may_overlap_each_other():
                 fixels=[fixel("f", 5, 0, 0)],
                 contact_friction=[PairFriction(pair=("bxo", "f"), friction=0.1)],
             ),
-            r"contact_friction\[0\].pair: found 'bxo', expected one of box, f; did you mean 'box'",
+            r"contact_friction\[0\].pair is 'bxo', but must be one of box, f; did you mean 'box'",
         ),
         (lambda: PairFriction(pair=("a", "a"), friction=0.1), "twice"),
         (lambda: PairFriction(pair="ab", friction=0.1), "two names"),
@@ -133,7 +133,7 @@ def test_a_pair_that_cannot_touch_or_is_unknown_is_refused():
     made = scene(free("a", 0, 0, 0), fixels=[fixel("f", 5, 0, 0), fixel("g", 5, 0, 0)])
     with pytest.raises(InvalidInput, match="one free body"):
         made.friction("f", "g")
-    with pytest.raises(InvalidInput, match="expected one of a, f, g"):
+    with pytest.raises(InvalidInput, match="must be one of a, f, g"):
         made.friction("a", "h")
 
 

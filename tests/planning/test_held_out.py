@@ -37,5 +37,5 @@ def test_the_curve_counts_pushes_and_not_choices():
 def test_too_few_pushes_are_refused():
     pushes = example_pushes(3, duration=0.3)
     fit = fixel.calibrate(pushes, SPACE, verdicts=False, progress=False)
-    with pytest.raises(InvalidInput, match="found 3 pushes, expected 20 or more"):
+    with pytest.raises(InvalidInput, match="found 3 pushes, but fixel needs 20 or more"):
         held_out_success(fit, pushes, progress=False)

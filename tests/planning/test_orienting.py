@@ -79,7 +79,7 @@ def test_outlines_with_many_corners_take_a_second_at_most():
 
 @pytest.mark.parametrize("part", [Disk(0.1), _body(Disk(0.1))])
 def test_a_disk_is_refused(part):
-    with pytest.raises(InvalidInput, match="expected a part with corners"):
+    with pytest.raises(InvalidInput, match="fixel needs a part with corners"):
         orienting_plan(part)
 
 

@@ -97,7 +97,7 @@ def test_selection_limit_and_settings(tmp_path: Path) -> None:
     ("options", "complaint"),
     [
         ({"select": columns_and_values(["shap=hex"])}, "did you mean 'shape'"),
-        ({"select": columns_and_values(["shape=hex"])}, "found 'hex', expected one of block"),
+        ({"select": columns_and_values(["shape=hex"])}, "is 'hex', but must be one of block"),
         ({"settings": {"mu_pushr": 0.1}}, "did you mean 'mu_pusher'"),
         ({"settings": {"support_points": 16.5}}, "a whole number"),
         ({"settings": {"mu_pusher": -1.0}}, "at least 0"),

@@ -250,7 +250,7 @@ def test_command_prints_json_and_a_table(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        ({"protocols": ("calibrate",)}, "expected one of calibrated, learned"),
+        ({"protocols": ("calibrate",)}, "must be one of calibrated, learned"),
         ({"seeds": 0}, "1 or more"),
         ({"folds": 1}, "2 or more"),
     ],
@@ -263,7 +263,7 @@ def test_wrong_requests_are_refused(changes: dict[str, object], complaint: str) 
 def test_a_folder_without_the_data_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DatasetMissing):
         benchmark_real(tmp_path)
-    with pytest.raises(InvalidInput, match="expected one of mit"):
+    with pytest.raises(InvalidInput, match="must be one of mit"):
         benchmark_real(tmp_path, part="moon")
 
 

@@ -134,7 +134,7 @@ def test_too_few_or_broken_examples_are_refused(n: int) -> None:
     features, residuals = made_up(n, 5)
     residuals[0] = np.nan
 
-    with pytest.raises(InvalidInput, match="expected finite ones"):
+    with pytest.raises(InvalidInput, match="fixel needs finite ones"):
         ResidualProcess(features, residuals, features)
 
 

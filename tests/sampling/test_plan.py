@@ -104,7 +104,7 @@ def test_low_discrepancy_is_lower_than_that_of_random_numbers():
         (lambda: FixelLayout(name="a", pegs=((0.5, 1.1),)), r"pegs\[0\]"),
         (lambda: FixelLayout(name="a", pegs=((0.5, nan),)), r"pegs\[0\]"),
         (lambda: FixelLayout(name="a", pegs=((0.5, 0.5),) * 101), "at most 100"),
-        (lambda: FixelLayout(name="a", pegs=(), number=0), r"number: found 0"),
+        (lambda: FixelLayout(name="a", pegs=(), number=0), r"number is 0"),
         (lambda: FixelLayout(name="a/b", pegs=((0.5, 0.5),)), r"layout\.name"),
         (lambda: replace(SMALL, name=""), r"plan\.name"),
         (lambda: replace(SMALL, repetitions=0), "repetitions"),

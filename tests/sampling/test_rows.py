@@ -163,7 +163,7 @@ def test_other_scenes_are_refused():
     )
     with pytest.raises(InvalidInput, match="one free body and one pusher"):
         row_scene(two, {})
-    with pytest.raises(InvalidInput, match=r"fixel-9_x_m: .* expected one of"):
+    with pytest.raises(InvalidInput, match=r"fixel-9_x_m: .* fixel needs one of"):
         row_scene(PUSH, {"fixel-9_x_m": 0.1})
     endless = replace(PUSH.pushers[0], drive=LineDrive(speed=0.02))
     with pytest.raises(InvalidInput, match=r"drive: found inf mm at 20 mm/s"):

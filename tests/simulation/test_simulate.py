@@ -152,7 +152,7 @@ def test_lemke_ends_after_a_stated_number_of_steps_with_advice() -> None:
 )
 def test_options_that_cannot_be_are_refused(build, options):
     (name,) = options
-    with pytest.raises(InvalidInput, match=rf"{build.__name__}\.{name}: found .*, expected"):
+    with pytest.raises(InvalidInput, match=rf"{build.__name__}\.{name} is .*, but must be"):
         build(**options)
 
 

@@ -223,7 +223,10 @@ def test_parts_without_a_length(tmp_path: Path) -> None:
     ("answer", "sentence"),
     [
         (b"HTTP/1.0 401 Unauthorized\r\n\r\n", r"401 Unauthorized.*NAME:PASSWORD"),
-        (b"HTTP/1.0 200 OK\r\nContent-Type: text/html\r\n\r\n<html>", "text/html, expected multi"),
+        (
+            b"HTTP/1.0 200 OK\r\nContent-Type: text/html\r\n\r\n<html>",
+            "text/html, but fixel needs multi",
+        ),
         (b"SSH-2.0-OpenSSH_9.2\r\n", "a camera that answers"),
         (b"", "a camera that answers"),
         (HEAD % b"x", "the camera ended the stream"),
@@ -425,7 +428,7 @@ def test_files_that_are_no_film_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="no such file"):
         source_of(str(tmp_path / "nothing.mp4")).open()
     (tmp_path / "text.mkv").write_text("no film")
-    with pytest.raises(InvalidInput, match="not a video"):
+    with pytest.raises(InvalidInput, match="no video"):
         source_of(str(tmp_path / "text.mkv")).open()
     with pytest.raises(InvalidInput, match="a folder"):
         source_of(str(tmp_path)).open()
@@ -433,7 +436,7 @@ def test_files_that_are_no_film_are_refused(tmp_path: Path) -> None:
 
 def test_another_size_than_the_rigs_is_refused() -> None:
     stream = Stream((640, 480), 30.0, True, True)
-    with pytest.raises(InvalidInput, match="640 x 480 pixels, expected 1280 x 720"):
+    with pytest.raises(InvalidInput, match="640 x 480 pixels, but fixel needs 1280 x 720"):
         check_size(stream, (1280, 720), "camera 0")
 
 

@@ -332,7 +332,7 @@ def test_a_restart_is_recognised_by_its_greeting(firmware):
 def test_an_axis_that_the_controller_lacks_is_refused():
     with EmulatedGrbl(firmware="FluidNC", axes=1) as controller:
         drive = GrblActuator(controller.port, axis="Y", guard=False)
-        with pytest.raises(InvalidInput, match="found 'Y', expected an axis of the controller: X"):
+        with pytest.raises(InvalidInput, match="is 'Y', but must be an axis of the controller: X"):
             drive.connect()
         assert not drive.connected
 
@@ -691,5 +691,7 @@ def test_homing_that_is_off_in_a_mask_or_a_cycle_is_off():
     ],
 )
 def test_a_needed_setting_that_is_no_number_is_named(damage, found):
-    with pytest.raises(InvalidInput, match=f"the controller: found {found}, expected a number"):
+    with pytest.raises(
+        InvalidInput, match=f"the controller: found {found}, but fixel needs a number"
+    ):
         grbl.settings_of(GRBL_HAL.replace(*damage).splitlines(), "Y")

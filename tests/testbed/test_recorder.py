@@ -205,7 +205,7 @@ def test_gaps_are_told(tmp_path: Path) -> None:
 
 def test_a_minute_must_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recorder_module, "free_space", lambda folder: 40_000_000)
-    with pytest.raises(InvalidInput, match="40 MB free on its disk, expected"):
+    with pytest.raises(InvalidInput, match="40 MB free on its disk, but fixel needs"):
         record(Pictures(9), tmp_path / "r")
     assert not (tmp_path / "r").exists()
     assert record(Pictures(9), tmp_path / "r", limit=1.0).frames == 9

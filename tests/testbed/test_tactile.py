@@ -283,7 +283,7 @@ def test_no_port_is_refused_with_a_list():
 
 
 def test_a_port_that_does_not_exist_is_refused():
-    with pytest.raises(InvalidInput, match="found nothing"):
+    with pytest.raises(InvalidInput, match="found no port"):
         TactileReader("/dev/ttyNOSUCH").connect()
 
 

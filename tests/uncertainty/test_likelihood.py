@@ -156,5 +156,5 @@ def test_priors_are_uniform_or_cut_normal(comparer):
 def test_what_cannot_be_is_refused(comparer):
     with pytest.raises(InvalidInput, match="experiments: found none"):
         LogLikelihood(comparer, [], NOISE)
-    with pytest.raises(InvalidInput, match="lower bound first"):
+    with pytest.raises(InvalidInput, match="increasing bounds"):
         ModelError(low=1e-2, high=1e-3)

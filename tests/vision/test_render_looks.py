@@ -186,7 +186,7 @@ def test_presets_have_names_and_strangers_are_refused():
     assert {"clean", "thesis", "hard", "microscope"} <= set(PRESETS)
     with pytest.raises(InvalidInput, match="did you mean 'thesis'"):
         looks_named("thessis")
-    with pytest.raises(InvalidInput, match=r"looks.dropped: found 1.5"):
+    with pytest.raises(InvalidInput, match=r"looks.dropped is 1.5"):
         CameraEffects(dropped=1.5)
     with pytest.raises(InvalidInput, match=r"looks.lighting"):
         CameraEffects(lighting="below")
@@ -197,9 +197,9 @@ def test_numbers_of_looks_are_changed_by_name():
 
     assert (looks.occlusion, looks.light_change, looks.blur) == (1.5, 0.2, 1.1)
     for text in ("occlusion", "colour=3", "tab=1"):
-        with pytest.raises(InvalidInput, match="expected NAME=VALUE, where NAME is one of"):
+        with pytest.raises(InvalidInput, match="must be NAME=VALUE, where NAME is one of"):
             changed(looks, [text])
-    with pytest.raises(InvalidInput, match=r"looks.blur: found 'much', expected a number"):
+    with pytest.raises(InvalidInput, match=r"looks.blur is 'much', but must be a number"):
         changed(looks, ["blur=much"])
 
 

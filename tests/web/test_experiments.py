@@ -203,7 +203,7 @@ def test_none_is_none(bench, path):
 def test_a_page_of_none_says_so(bench, number):
     answer = bench.client.get(f"/experiments/{number}")
     assert answer.status_code == 404
-    assert "found no experiment" in answer.text
+    assert "there is no experiment" in answer.text
 
 
 def test_thumbnails_are_kept_where_the_content_is_named(bench):

@@ -62,7 +62,7 @@ def test_filtering_as_one_types(table):
     table.expected_problems = ["422"]
     table.fill("#filter", "is:odd")
     table.wait_for_selector("#filter-problem:not([hidden])")
-    assert "expected one of clean" in table.inner_text("#filter-problem")
+    assert "must be one of clean" in table.inner_text("#filter-problem")
     table.fill("#filter", "nothing is like this")
     table.wait_for_selector("#nothing")
     table.keyboard.press("Escape")

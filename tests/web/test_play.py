@@ -56,7 +56,7 @@ def test_other_peoples_simulations_are_refused(bench):
         ("set=pinned-1&set=nothing", "values of the scene"),
         ("set=pinned-2%7Cdynamic%7Cmu_support%3D0.4", "set 2"),
         ("pin=yes&mu_pusher=0.3", "mu_pusher=0.3"),
-        ("mu_pusher=x", "expected a number"),
+        ("mu_pusher=x", "must be a number"),
         ("mu_pusher=-1", "invalid"),
         ("motion=/bin/true", "pages start no programs"),
         ("adopt=nothing&drop=nothing", "adjusted"),

@@ -113,7 +113,7 @@ def test_a_wrong_value_is_refused_next_to_its_field(capability, bench, begun):
         answer = bench.submit(f"/run/{capability.name}", **wrong)
         assert answer.status_code == 422
         beside = answer.text.partition(f'id="about-{option.name}">')[2].partition("</small>")[0]
-        assert f"{option.label}: found" in unescape(beside)
+        assert f"{option.label} is" in unescape(beside)
         assert filled_in(answer.text) == wrong
     assert begun == []
 

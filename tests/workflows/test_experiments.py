@@ -149,19 +149,19 @@ def test_single_rows_are_skipped_and_named():
 @pytest.mark.parametrize(
     ("change", "options", "complaint"),
     [
-        ({"time_s": None}, {}, "found the columns .*expected a column for time"),
+        ({"time_s": None}, {}, "found the columns .*fixel needs a column for time"),
         ({"x_m": 1e3, "y_m": 1e3, "tip_x_m": 1e3, "tip_y_m": 1e3}, {}, "x_mm is in millimetres"),
         ({"theta_rad": 57.3}, {}, "units={'angle': 'deg'}"),
         ({}, {"units": {"angles": "deg"}}, "did you mean 'angle'"),
-        ({}, {"units": {"angle": "grad"}}, "expected one of rad, deg"),
+        ({}, {"units": {"angle": "grad"}}, "must be one of rad, deg"),
         ({}, {"columns": {"theta": "thta_rad"}}, "did you mean 'theta_rad'"),
         ({}, {"columns": {"pusher_xx": "tip_x_m"}}, "did you mean 'pusher_x'"),
         ({}, {"split_by": "pushes"}, "did you mean 'push'"),
         ({"tip_x_m": None, "tip_y_m": None}, {}, "'tip' without a drive, and a table without its"),
-        ({}, {"object_name": "prt"}, "expected the object 'prt'"),
-        ({}, {"scene": 3}, "scene: found a int"),
-        ({}, {"limit": 0}, "limit: found 0"),
-        ({}, {"format": "cvs"}, "format: found 'cvs'"),
+        ({}, {"object_name": "prt"}, "fixel needs the object 'prt'"),
+        ({}, {"scene": 3}, "scene: found the type int"),
+        ({}, {"limit": 0}, "limit is 0"),
+        ({}, {"format": "cvs"}, "format is 'cvs'"),
     ],
 )
 def test_what_cannot_be_right_is_refused(change, options, complaint):
@@ -178,7 +178,7 @@ def test_what_cannot_be_right_is_refused(change, options, complaint):
 def test_sources_that_are_none(tmp_path):
     with pytest.raises(DatasetMissing, match="no such file"):
         read_experiments(tmp_path / "nothing.csv")
-    with pytest.raises(InvalidInput, match="found a int, expected a file"):
+    with pytest.raises(InvalidInput, match="found the type int, but fixel needs a file"):
         read_experiments(3)
     with pytest.raises(InvalidInput, match="of equal length"):
         read_experiments({"time_s": [0.0], "x_m": [0.0, 1.0]})

@@ -83,12 +83,14 @@ def test_how_a_job_is_run_is_kept_for_the_next_time(tmp_path):
 def test_what_is_missing_is_said_before_anything_starts(tmp_path, monkeypatch):
     pytest.importorskip("distributed")
     folder = toy_job(tmp_path / "job", **OPTIONS)
-    with pytest.raises(InvalidInput, match="interface: found 'nowhere0'"):
+    with pytest.raises(InvalidInput, match="interface is 'nowhere0'"):
         jobs.arrange(folder, site=Site(interface="nowhere0"))
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(InvalidInput, match="found no command sbatch"):
         jobs.arrange(folder, site=Site())
-    with pytest.raises(InvalidInput, match="coordinator: found slurm, expected a site template"):
+    with pytest.raises(
+        InvalidInput, match="coordinator: found slurm, but fixel needs a site template"
+    ):
         jobs.run_on_slurm(folder)
     monkeypatch.setattr("fixel.jobs.link.find_spec", lambda name: None)
     with pytest.raises(JobRefused, match=r'pip install "fixel\[cluster\]"'):
@@ -141,7 +143,7 @@ def test_a_zip_that_is_no_packed_job(tmp_path, names):
     with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
         for name in names:
             archive.writestr(name, "{}")
-    with pytest.raises(InvalidInput, match="expected a packed job"):
+    with pytest.raises(InvalidInput, match="fixel needs a packed job"):
         jobs.unpack(tmp_path / "a.zip", tmp_path / "copy")
     assert not (tmp_path / "copy").exists()
 
@@ -149,7 +151,7 @@ def test_a_zip_that_is_no_packed_job(tmp_path, names):
 def test_a_file_that_is_no_zip(tmp_path):
     (tmp_path / "a.zip").write_text("no zip")
     for file in ("a.zip", "absent.zip"):
-        with pytest.raises(InvalidInput, match="expected a packed job"):
+        with pytest.raises(InvalidInput, match="fixel needs a packed job"):
             jobs.unpack(tmp_path / file, tmp_path / "copy")
 
 

@@ -33,7 +33,7 @@ def test_a_plan_file_has_its_scenes(tmp_path):
     path.write_text(plan_text(thesis_plan()))
 
     assert planned_rows(path) == thesis_plan().experiments
-    with pytest.raises(InvalidInput, match=r"^scene: .*expected a table"):
+    with pytest.raises(InvalidInput, match=r"^scene: .*fixel needs a table"):
         planned_rows(path, scene=tmp_path / "scene.yaml")
 
 

@@ -55,7 +55,7 @@ def test_step_and_tolerance_exclude_each_other():
 
 @pytest.mark.parametrize("name", ["motion", "solver"])
 def test_an_unknown_name_is_refused(scene, name):
-    with pytest.raises(InvalidInput, match="expected one of"):
+    with pytest.raises(InvalidInput, match="must be one of"):
         simulate_file(load_scene(scene), **{name: "magic"})
 
 

@@ -277,7 +277,7 @@ class Capability:
         first = problem.errors(include_url=False)[0]
         kind = first["type"]
         if not first["loc"]:  # of a text that is no JSON, or no object
-            return InvalidInput("request", found=first["msg"], expected="an object in JSON")
+            return InvalidInput("request", found="another text", expected="an object in JSON")
         name, *rest = map(str, first["loc"])
         if name not in self.options:
             return unknown_name(f"option of {self.name}", name, tuple(self.options))

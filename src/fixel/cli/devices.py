@@ -273,7 +273,7 @@ def _metres(text: str | None, where: str, n_axes: int) -> float | tuple[float, .
         if len(values) == n_axes:
             return values if n_axes > 1 else values[0]
     expected = "a number [mm]" if n_axes == 1 else f"{n_axes} numbers with commas between [mm]"
-    raise InvalidInput(where, found=text, expected=expected)
+    raise InvalidInput(where, found=repr(text), expected=expected)
 
 
 @actuator.command("stop")

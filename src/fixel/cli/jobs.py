@@ -164,7 +164,7 @@ def _run(folder: Path, options: PlaceOptions, as_json: bool, accept_version: boo
 
     place, site = options.coordinator, options.site
     if place not in ("here", "slurm"):
-        raise InvalidInput("--coordinator", found=place, expected="here or slurm")
+        raise InvalidInput("--coordinator", found=repr(place), expected="here or slurm")
     done = jobs.status_of(folder)
     if done.state != "done":
         jobs.arrange(
@@ -270,8 +270,8 @@ def trust(
         if not removed:
             raise InvalidInput(
                 "program",
-                found=program,
-                expected="an entry of the list",
+                found=repr(program),
+                expected="an entry of the list of trusted programs",
                 hint="print the list: fixel trust",
             )
         title, entries = "Removed:", removed

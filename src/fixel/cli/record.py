@@ -105,7 +105,7 @@ class RecordOptions:
         if self.camera is None or self.out is None:
             missing = "--camera" if self.camera is None else "--out"
             raise InvalidInput(
-                missing, found=None, expected="fixel record --camera SOURCE --out FOLDER"
+                missing, found=None, expected="both: fixel record --camera SOURCE --out FOLDER"
             )
         return RecordPlan(
             camera=self.camera,

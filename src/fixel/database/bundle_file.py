@@ -91,7 +91,9 @@ def damage_refused(path: Path) -> Iterator[None]:
     try:
         yield
     except StoreRefused as problem:
-        raise _refused(path, problem.reason, "complete records of a project") from None
+        raise _refused(
+            path, f"an error: {problem.reason}", "complete records of a project"
+        ) from None
     except (*INVALID_CONTENT, sa.exc.SQLAlchemyError) as problem:
         found = " ".join(str(problem).split())[:200] or type(problem).__name__
         raise _refused(path, found, "complete records of a project") from None
@@ -109,7 +111,7 @@ def _unpack(path: Path, folder: Path, limits: BundleLimits) -> None:
     try:
         archive = zipfile.ZipFile(path)
     except (OSError, zipfile.BadZipFile, NotImplementedError, ValueError) as problem:
-        raise _refused(path, str(problem) or "not a zip file", "a complete bundle") from None
+        raise _refused(path, str(problem) or "no zip file", "a complete bundle") from None
     with archive:
         infos = archive.infolist()
         _check_members(path, infos, limits)
@@ -143,7 +145,7 @@ def _check_members(path: Path, infos: list[zipfile.ZipInfo], limits: BundleLimit
     if len(names) < len(infos):
         raise _refused(path, "a repeated member", "each member once")
     if DATABASE not in names:
-        raise _refused(path, f"no {DATABASE}", "a bundle", "create one: fixel export")
+        raise _refused(path, f"no {DATABASE}", "one, as in a bundle", "create one: fixel export")
 
 
 def _check_member(path: Path, info: zipfile.ZipInfo, limits: BundleLimits) -> None:
@@ -180,7 +182,7 @@ def _chunks(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Iter
                     )
                 yield data
     except (EOFError, OSError, zipfile.BadZipFile, zlib.error, RuntimeError) as problem:
-        raise _refused(path, f"{info.filename} damaged: {problem}", "a complete bundle") from None
+        raise _refused(path, f"{info.filename} damaged ({problem})", "a complete bundle") from None
 
 
 # --- the database -------------------------------------------------------------------------------

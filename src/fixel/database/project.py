@@ -134,7 +134,7 @@ class Project:
             first = problem.errors()[0]
             raise InvalidInput(
                 f"{path}: {'.'.join(map(str, first['loc'])) or 'settings'}",
-                found=first["msg"].lower(),
+                found=f"an error ({first['msg'].lower()})",
                 expected="the keys name, database (for a server) and bench (for its devices)",
             ) from None
         _check_inside(path, self.settings.database)
@@ -220,7 +220,7 @@ class Project:
             )
         if not isinstance(several, Iterable):
             raise InvalidInput(
-                "what", found=f"a {type(what).__name__}", expected="experiments, or a result"
+                "what", found=f"the type {type(what).__name__}", expected="experiments, or a result"
             )
         with self.store() as store, show_progress(progress, "storing experiments") as report:
             return add_experiments(store, several, report)
@@ -442,7 +442,7 @@ def _server(url: str, media: Path | None) -> tuple[Path, ProjectSettings]:
         raise InvalidInput(
             "media",
             found="none for a database on a server",
-            expected="folder of long arrays and videos",
+            expected="a folder of long arrays and videos",
             hint="open the folder of the project, or give media=FOLDER",
         )
     if file != url and not Path(file).is_file():

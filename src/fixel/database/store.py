@@ -15,7 +15,7 @@ import sqlalchemy as sa
 from fixel.database import arrays, browsing, marks, rows, schema, tables
 from fixel.database.engine import open_engine, reading, set_journal, writing
 from fixel.database.query import LIVE
-from fixel.errors import InvalidInput, NotStored, StoreRefused, closest, os_reason
+from fixel.errors import InvalidInput, NotStored, StoreRefused, closest
 from fixel.io.damaged_files import INVALID_CONTENT
 from fixel.model import Experiment, Flag
 from fixel.model.records import (
@@ -316,8 +316,7 @@ class Store:
         try:
             return arrays.keep(file.read_bytes(), self.media)
         except OSError as problem:
-            reason = os_reason(problem)
-            raise InvalidInput(str(file), found=reason, expected="a file to read") from None
+            raise InvalidInput(str(file), found=problem, expected="a file to read") from None
 
     def video(self, experiment_id: int) -> Path | None:
         """Path of an experiment's video; None if it has none."""

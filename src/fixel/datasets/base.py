@@ -189,7 +189,7 @@ def guarded(source: str) -> Iterator[None]:
     except _TRIPPED as problem:
         raise InvalidInput(
             source,
-            found=f"{type(problem).__name__}: {problem}"[:200],
+            found=f"an error ({type(problem).__name__}: {problem})"[:200],
             expected="data in the format of this importer",
         ) from problem
 

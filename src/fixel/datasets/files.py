@@ -201,7 +201,7 @@ def table_rows(table: Any, source: str = "table") -> CsvRows:
     else:
         raise InvalidInput(
             source,
-            found=f"a {type(table).__name__}",
+            found=f"the type {type(table).__name__}",
             expected="a file, a folder, or a table of pandas, polars or Arrow",
         )
     lengths = {name: len(column) for name, column in columns.items()}
@@ -233,14 +233,14 @@ def read_table(path: Path, *, torn: bool = False) -> CsvRows:
         try:
             return table_rows(pyarrow.parquet.read_table(path), path.name)
         except (OSError, pyarrow.ArrowException) as problem:
-            found = str(problem).splitlines()[0]
+            found = f"an error ({str(problem).splitlines()[0]})"
             raise InvalidInput(path.name, found=found, expected="a Parquet file") from None
     opened = gzip.open if path.suffix == ".gz" else open
     try:
         with opened(path, "rt", encoding="utf-8", newline="") as stream:
             rows = _bounded_rows(csv.reader(_bounded_lines(stream, path.name)), path.name)
     except (OSError, EOFError, UnicodeDecodeError, zlib.error, csv.Error) as problem:
-        raise InvalidInput(path.name, found=str(problem), expected="a readable CSV file") from None
+        raise InvalidInput(path.name, found=problem, expected="a readable CSV file") from None
     if len(rows) < 2:
         raise InvalidInput(path.name, found=f"{len(rows)} lines", expected="a header and rows")
     header, body = rows[0], [row for row in rows[1:] if row]
@@ -304,7 +304,9 @@ def read_json(path: Path) -> dict[str, Any]:
     except (OSError, ValueError) as problem:
         raise InvalidInput(path.name, found=str(problem), expected="a JSON file") from None
     if not isinstance(content, dict):
-        raise InvalidInput(path.name, found=f"a {type(content).__name__}", expected="an object")
+        raise InvalidInput(
+            path.name, found=f"the type {type(content).__name__}", expected="an object"
+        )
     return content
 
 

@@ -201,7 +201,7 @@ def _hdf5_tables(path: Path) -> dict[str, Any]:
         with h5py.File(path, "r") as file:
             return {key: _dataset(h5py, file, key) for key in _KEYS}
     except OSError as problem:
-        raise InvalidInput(path.name, found=str(problem), expected="an HDF5 file") from None
+        raise InvalidInput(path.name, found=problem, expected="an HDF5 file") from None
 
 
 def _dataset(h5py: Any, file: Any, key: str) -> Any:
@@ -333,7 +333,7 @@ def _shape(where: str, value: Any) -> Shape:
             return Polygon(member(value, "vertices_m", where))
     except InvalidInput as problem:
         raise problem if problem.where == where else problem.within(where) from None
-    raise InvalidInput(where, found=kind, expected="the type polygon or ellipse")
+    raise InvalidInput(where, found=f"the type {kind}", expected="the type polygon or ellipse")
 
 
 def _ellipse(semi_axis_x: float, semi_axis_y: float) -> Shape:

@@ -405,7 +405,7 @@ def _refuse_lengths(track: Trajectory, source: str) -> None:
         raise InvalidInput(
             f"{source}, positions of the object",
             found=found,
-            expected=f"at most {WIDEST:g} m and {FASTEST:g} m/s on a plate, within {OUTERMOST:g} m",
+            expected=f"at most {WIDEST:g} m and {FASTEST:g} m/s within {OUTERMOST:g} m of 0",
             hint="check the unit of positions in the header: x_mm is in millimetres",
         )
 

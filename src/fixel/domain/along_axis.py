@@ -239,6 +239,6 @@ def _checked(sizes: Mapping[str, Sequence[int]]) -> dict[str, tuple[int, ...]]:
         for size in own:
             if not 2 <= size <= MOST_SAMPLES:
                 raise InvalidInput(
-                    f"sizes of {axis}", found=size, expected=f"2 to {MOST_SAMPLES} samples"
+                    f"sizes of {axis}", found=size, expected=f"from 2 to {MOST_SAMPLES} samples"
                 )
     return found

@@ -391,8 +391,8 @@ def cells_of(
     else:
         index = list(product(*(range(len(axis)) for axis in made)))
     if len(index) > MAX_CELLS:
-        hint = "use wider cells"
-        raise InvalidInput("cells", found=len(index), expected=f"at most {MAX_CELLS}", hint=hint)
+        found, hint = f"{len(index)} cells", "use wider cells"
+        raise InvalidInput("cells", found=found, expected=f"at most {MAX_CELLS}", hint=hint)
     return Cells(axes=made, index=tuple(index), nominal=index.index(centre), arms=arms)
 
 

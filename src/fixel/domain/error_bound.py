@@ -303,7 +303,7 @@ class ConformalBound:
     def _novelty(self, contacts: TouchedPlaces | None, labels: list[Hashable]) -> Novelty:
         if (self._pushed is None) != (contacts is None):
             found = "none" if contacts is None else "some, for bounds without contacts"
-            raise InvalidInput("contacts", found=found, expected="as in `for_contacts`")
+            raise InvalidInput("contacts", found=found, expected="what `for_contacts` got")
         if self._pushed is not None and contacts is not None:
             return self._pushed.novelty(contacts, labels)
         if self._unit is not None or self._groups == (None,):

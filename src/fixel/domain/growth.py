@@ -75,7 +75,7 @@ def joining(step: int, index: Index = "corrected") -> tuple[AxisPlace, ...]:
     if index not in INDEXES:
         raise InvalidInput("index", found=repr(index), expected="corrected or printed")
     if not 1 <= step <= PRINTED_STEPS:
-        raise InvalidInput("step", found=step, expected="1 to 5, as printed")
+        raise InvalidInput("step", found=step, expected="from 1 to 5, as printed")
     return tuple(ROWS[row - 1] for row in (1 + step, 12 - step, 11 + step, 15 + step))
 
 

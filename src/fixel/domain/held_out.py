@@ -68,7 +68,7 @@ class CalibrationModel:
         if not isinstance(self.error, MeanSquare | EndPose):
             raise InvalidInput(
                 "calibration",
-                found=f"calibrated with the error {self.error.name} [{self.error.unit}]",
+                found=f"one with the error {self.error.name} [{self.error.unit}]",
                 expected="mean-square or end-pose [mm^2], the errors of a map",
                 hint="calibrate again with error='mean-square'",
             )

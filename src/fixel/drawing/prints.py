@@ -68,7 +68,7 @@ def tag_sheets(
             raise InvalidInput(
                 "tag.size",
                 found=f"{1e3 * tag.size:g} mm",
-                expected=f"tags that fit on {paper}",
+                expected=f"small enough to fit on {paper}",
                 hint="another --paper",
             )
         if x + wide > page[0] - EDGE:

@@ -242,7 +242,7 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
         if isinstance(seed, int | np.integer):
             return [int(seed) + k for k in range(self.num_envs)]
         if len(seed) != self.num_envs:
-            raise InvalidInput("seed", found=len(seed), expected=f"{self.num_envs} seeds")
+            raise InvalidInput("seed", found=f"{len(seed)} seeds", expected=f"{self.num_envs}")
         return list(seed)
 
     def _checked(self, actions: Any) -> FloatArray:

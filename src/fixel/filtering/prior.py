@@ -142,7 +142,7 @@ def prior_for(scene: Scene, priors: Mapping[str, tuple[float, float] | None]) ->
         if priors.get(name) is not None:
             raise InvalidInput(
                 f"filter.priors.{name}",
-                found=idle[name],
+                found=f"a fixed value ({idle[name]})",
                 expected="a parameter that changes the scene",
             )
     kept = {n: bounds for n, bounds in chosen.items() if bounds is not None and n not in idle}

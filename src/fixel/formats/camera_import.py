@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from fixel.errors import InvalidInput, os_reason
+from fixel.errors import InvalidInput
 from fixel.formats.camera_opencv import check_plausible, lens_of, opencv_camera, placed_above
 from fixel.formats.records import within
 from fixel.io.document import MAX_BYTES, read_document
@@ -128,8 +128,7 @@ def _head(path: Path) -> bytes:
             )
         return path.read_bytes()
     except OSError as problem:
-        reason = os_reason(problem)
-        raise InvalidInput(str(path), found=reason, expected="a file that can be read") from None
+        raise InvalidInput(str(path), found=problem, expected="a file that can be read") from None
 
 
 def _kalibr(path: Path, which: str) -> Lens:

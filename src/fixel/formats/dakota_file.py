@@ -143,7 +143,7 @@ def load_dakota(path: str | Path) -> DakotaFile:
             str(file), found="no such file", expected="a Dakota input file"
         ) from None
     except (OSError, UnicodeDecodeError) as problem:
-        raise InvalidInput(str(file), found=str(problem), expected="a text file") from None
+        raise InvalidInput(str(file), found=problem, expected="a text file") from None
     return dakota_from_text(text, str(file))
 
 
@@ -174,7 +174,7 @@ class _Block:
     def need(self, keyword: str) -> Any:
         if keyword not in self.values:
             raise InvalidInput(
-                self.at(keyword), found=f"{self.name} without {keyword}", expected="it to be given"
+                self.at(keyword), found=f"{self.name} without {keyword}", expected="both"
             )
         return self.values[keyword]
 

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fixel.errors import InvalidInput, os_reason
+from fixel.errors import InvalidInput
 from fixel.io.atomic import refuse_unwritable
 from fixel.model import Experiment
 from fixel.typing import FloatArray
@@ -134,9 +134,8 @@ def folder_whole(folder: Path) -> Iterator[Path]:
             folder.rmdir()
         os.replace(unfinished, folder)
     except OSError as problem:
-        reason = os_reason(problem)
         raise InvalidInput(
-            str(folder), found=reason, expected="a folder that can be written"
+            str(folder), found=problem, expected="a folder that can be written"
         ) from None
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)

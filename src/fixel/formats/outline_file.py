@@ -82,7 +82,7 @@ class _Wanted(NamedTuple):
         if stated and given and abs(stated / given - 1.0) > 1e-3:
             raise InvalidInput(
                 "unit",
-                found=f"{self.unit!r}, but a unit in {self.path.name} is {1e3 * stated:g} mm",
+                found=f"{self.unit!r}, while a unit in {self.path.name} is {1e3 * stated:g} mm",
                 expected="the same unit in both",
                 hint="leave out unit=, or correct the file",
             )

@@ -25,7 +25,7 @@ from typing import Final, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.errors import InvalidInput, os_reason
+from fixel.errors import InvalidInput
 from fixel.formats.recording_files import (
     CODECS,
     END,
@@ -184,9 +184,8 @@ def repair_recording(folder: str | Path) -> Recording:
         os.truncate(folder / VIDEO, last.video_end)
         (folder / RESERVE).unlink(missing_ok=True)
     except OSError as problem:
-        reason = os_reason(problem)
         raise InvalidInput(
-            str(folder), found=reason, expected="a folder that can be written to"
+            str(folder), found=problem, expected="a folder that can be written to"
         ) from None
     if not recording.complete:
         before = recording.end
@@ -430,7 +429,8 @@ class RecordingWriter:
 
     def _check_reading(self, reading: int | None) -> None:
         if reading is not None and not 0 <= reading <= MAX_READING:
-            raise InvalidInput(f"frame {self.frames}", found=reading, expected="a byte or None")
+            found = f"the reading {reading!r}"
+            raise InvalidInput(f"frame {self.frames}", found=found, expected="a byte or None")
 
     def _let_go(self) -> None:
         self._closed = True
@@ -458,7 +458,6 @@ def _make(folder: Path) -> None:
 
 
 def _refusal(folder: Path, problem: OSError) -> InvalidInput:
-    reason = os_reason(problem)
     return InvalidInput(
-        str(folder), found=reason, expected="a folder that can be created and written to"
+        str(folder), found=problem, expected="a folder that can be created and written to"
     )

@@ -18,7 +18,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple, final
 
-from fixel.errors import InvalidInput, os_reason
+from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
 from fixel.model.fields import name_of, settle
 
@@ -112,7 +112,7 @@ def read_header(folder: Path) -> RecordingHeader:
     except InvalidInput as problem:
         raise problem.within(str(folder / HEADER)) from None
     except (TypeError, ValueError) as problem:
-        raise InvalidInput(str(folder / HEADER), found=str(problem), expected="a header") from None
+        raise InvalidInput(str(folder / HEADER), found=problem, expected="a header") from None
 
 
 def read_end(folder: Path) -> RecordingEnd | None:
@@ -124,7 +124,7 @@ def read_end(folder: Path) -> RecordingEnd | None:
         end = RecordingEnd(**content)
         return RecordingEnd(**(end._asdict() | {"problems": tuple(end.problems)}))
     except TypeError as problem:
-        raise InvalidInput(str(folder / END), found=str(problem), expected="an end mark") from None
+        raise InvalidInput(str(folder / END), found=problem, expected="an end mark") from None
 
 
 def _write(path: Path, content: dict[str, Any]) -> None:
@@ -141,7 +141,7 @@ def _read(path: Path) -> dict[str, Any] | None:
     except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, ValueError) as problem:
-        raise InvalidInput(str(path), found=str(problem), expected="a JSON file") from None
+        raise InvalidInput(str(path), found=problem, expected="a JSON file") from None
     if not isinstance(content, dict):
         raise InvalidInput(str(path), found=content, expected="a JSON object")
     return content
@@ -188,15 +188,14 @@ def read_rows(path: Path) -> RecordingRows:
     try:
         lines = path.read_bytes().splitlines(keepends=True)
     except OSError as problem:
-        reason = os_reason(problem)
-        raise InvalidInput(str(path), found=reason, expected="the rows of a recording") from None
+        raise InvalidInput(str(path), found=problem, expected="the rows of a recording") from None
     if not lines or lines[0] != HEAD.encode("ascii"):
         found = (
             "an unexpected first line"
             if lines and lines[0].endswith(b"\n")
             else "an incomplete first line"
         )
-        raise InvalidInput(str(path), found=found, expected=HEAD.strip())
+        raise InvalidInput(str(path), found=found, expected=f"the header {HEAD.strip()}")
     rows: list[RecordingRow] = []
     ends: list[int] = []
     end = len(lines[0])

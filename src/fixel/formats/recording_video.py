@@ -241,7 +241,9 @@ def packets(path: Path) -> Iterator[tuple[int, bytes]]:
                     yield packet.pts, bytes(packet)
     except (FileNotFoundError, PermissionError) as problem:
         raise InvalidInput(
-            str(path), found=str(problem.strerror).lower(), expected="the video of a recording"
+            str(path),
+            found=f"an error ({str(problem.strerror).lower()})",
+            expected="the video of a recording",
         ) from None
     except (av.error.FFmpegError, IndexError):
         return  # the end is torn: all intact packets have been yielded

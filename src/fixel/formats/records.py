@@ -67,7 +67,7 @@ _PHRASES = {
     "greater_than": "a number greater than {gt:g}",
     "greater_than_equal": "a number of at least {ge:g}",
     "less_than_equal": "a number of at most {le:g}",
-    "too_short": "at least {min_length} entries",
+    "too_short": "a list of at least {min_length} entries",
     "too_long": "at most {max_length} entries",
     "literal_error": "{expected}",
 }
@@ -514,7 +514,7 @@ def _expected(
 ) -> str:
     record = record_at(root, path)
     if record and kind == "model_type":
-        return "the keys " + ", ".join(record.model_fields)
+        return "a mapping with the keys " + ", ".join(record.model_fields)
     plain = message.removeprefix("Input should be ").replace("valid ", "")
     phrase = _PHRASES[kind].format(**context) if kind in _PHRASES else plain
     description = description_at(root, path)

@@ -18,7 +18,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from fixel.errors import InvalidInput, os_reason
+from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
 from fixel.io.lock import FileLock
 from fixel.planning.trials import PlanTrial, Trials
@@ -105,7 +105,7 @@ def append_trials(path: str | Path, *trials: PlanTrial, plan: str | None = None)
                 os.fsync(stream.fileno())
         except OSError as problem:
             raise InvalidInput(
-                str(path), found=os_reason(problem), expected="a file that can be written"
+                str(path), found=problem, expected="a file that can be written"
             ) from None
     return before.added(*trials)
 
@@ -138,13 +138,15 @@ def read_trials(path: str | Path, *, plan: str | None = None) -> Trials:
     rows = list(_parsed(lines[1:], path))
     if not rows or tuple(rows[0]) != COLUMNS:
         where = f"{path}, line 2"
-        raise InvalidInput(where, found="other columns", expected=",".join(COLUMNS))
+        raise InvalidInput(
+            where, found="other columns", expected=f"the columns {','.join(COLUMNS)}"
+        )
     trials = tuple(_trial(row, k, f"{path}, line {k + 2}") for k, row in enumerate(rows[1:], 1))
     try:
         return Trials(plan=head["plan"], stated=head["stated"], mean=head["mean"], trials=trials)
     except (InvalidInput, TypeError) as problem:
         where = f"{path}, line 1"
-        raise InvalidInput(where, found=str(problem), expected=_EXPECTED) from None
+        raise InvalidInput(where, found=problem, expected=_EXPECTED) from None
 
 
 def _lines(path: Path) -> list[str]:
@@ -154,7 +156,7 @@ def _lines(path: Path) -> list[str]:
             raise InvalidInput(str(path), found="more than 50 MB", expected=_EXPECTED)
         data = path.read_bytes()
     except OSError as problem:
-        raise InvalidInput(str(path), found=os_reason(problem), expected=_EXPECTED) from None
+        raise InvalidInput(str(path), found=problem, expected=_EXPECTED) from None
     try:
         text = data[: data.rfind(b"\n") + 1].decode()
     except UnicodeDecodeError:
@@ -184,7 +186,7 @@ def _parsed(lines: Sequence[str], path: Path) -> Iterator[list[str]]:
         yield from reader
     except csv.Error as problem:
         where = f"{path}, line {reader.line_num + 1}"
-        raise InvalidInput(where, found=str(problem), expected="a row of a CSV file") from None
+        raise InvalidInput(where, found=problem, expected="a row of a CSV file") from None
 
 
 def _trial(row: list[str], number: int, where: str) -> PlanTrial:

@@ -364,7 +364,7 @@ def _opened(path: Path) -> Any:
             str(path),
             found="no index, since the recording was interrupted"
             if mp4
-            else f"not a video ({problem.strerror or problem})",
+            else f"no video ({problem.strerror or problem})",
             expected="a complete video file",
             hint="record into .mkv, which survives interruptions" if mp4 else None,
         ) from None

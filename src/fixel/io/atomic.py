@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from fixel.errors import InvalidInput, os_reason
+from fixel.errors import InvalidInput
 
 
 def refuse_unwritable(path: str | Path) -> None:
@@ -55,5 +55,4 @@ def written_whole(path: str | Path) -> Iterator[Path]:
 
 
 def _unwritable(path: Path, problem: OSError) -> InvalidInput:
-    reason = os_reason(problem)
-    return InvalidInput(str(path), found=reason, expected="a file that can be written")
+    return InvalidInput(str(path), found=problem, expected="a file that can be written")

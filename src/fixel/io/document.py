@@ -73,7 +73,7 @@ def parse_yaml(text: str, where: str) -> Any:
     except yaml.YAMLError as problem:
         mark = getattr(problem, "problem_mark", None)
         line = f"{where}, line {mark.line + 1}" if mark else where
-        found = getattr(problem, "problem", None) or str(problem)
+        found = f"an error ({getattr(problem, 'problem', None) or problem})"
         raise InvalidInput(line, found=found, expected="well-formed YAML") from None
 
 
@@ -83,13 +83,14 @@ def parse_json(text: str, where: str) -> Any:
         value = json.loads(text, object_pairs_hook=lambda pairs: _unique(pairs, where))
     except json.JSONDecodeError as problem:
         line = f"{where}, line {problem.lineno}"
-        raise InvalidInput(line, found=problem.msg, expected="well-formed JSON") from None
+        found = f"an error ({problem.msg})"
+        raise InvalidInput(line, found=found, expected="well-formed JSON") from None
     except RecursionError:
         raise _too_deep(where) from None
     except ValueError as problem:
         if isinstance(problem, InvalidInput):
             raise
-        raise InvalidInput(where, found=str(problem), expected="numbers that can be read") from None
+        raise InvalidInput(where, found=problem, expected="numbers that can be read") from None
     _refuse_depth(value, where)
     return value
 
@@ -134,7 +135,7 @@ def _text(path: Path) -> str:
     except (OSError, ValueError) as problem:
         if isinstance(problem, InvalidInput):
             raise
-        raise InvalidInput(where, found=str(problem), expected="a file that can be read") from None
+        raise InvalidInput(where, found=problem, expected="a file that can be read") from None
     if data is None or len(data) > MAX_BYTES:
         raise InvalidInput(
             where,

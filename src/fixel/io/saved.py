@@ -123,7 +123,7 @@ def load(path: str | Path) -> Any:
             result = _Decoder(file).made(head["content"])
         repr(result)  # parts that do not fit together are found here, not by the caller
     except OSError as problem:
-        raise _refused(path, os_reason(problem)) from None
+        raise _refused(path, f"an error ({os_reason(problem)})") from None
     except FixelError as problem:
         if isinstance(problem, InvalidInput) and problem.where == str(path):
             raise

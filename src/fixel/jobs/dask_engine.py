@@ -137,9 +137,9 @@ class DaskEngine(AbstractEngine):
             return self._survived(state, name, outcome)
         if isinstance(outcome, OtherVersion):
             self._refusals += 1
-            self._say(f"refused an answer of fixel {outcome.found}, expected fixel {stamp()}")
+            self._say(f"refused an answer of fixel {outcome.found}, since this is fixel {stamp()}")
             if self._refusals >= MAX_REFUSALS or not self._answered:
-                raise _other_version(f"a worker has fixel {outcome.found}, expected {stamp()}")
+                raise _other_version(f"a worker has fixel {outcome.found}, not {stamp()}")
         elif outcome is not None:
             return outcome
         self._again(state, name)

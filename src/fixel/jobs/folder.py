@@ -233,6 +233,6 @@ def _read(path: Path, kind: type[Any]) -> Any:
         where = ".".join(map(str, first["loc"]))
         raise InvalidInput(
             f"{path}: {where or 'content'}",
-            found=first["msg"].lower(),
+            found=f"an error ({first['msg'].lower()})",
             expected="a file written by this version of fixel",
         ) from None

@@ -75,7 +75,7 @@ class Site(BaseModel):
         match = _WALLTIME.fullmatch(self.walltime)
         if match is None:
             raise InvalidInput(
-                "walltime", found=self.walltime, expected="HH:MM:SS or D-HH:MM:SS, in quotes"
+                "walltime", found=repr(self.walltime), expected="HH:MM:SS or D-HH:MM:SS, in quotes"
             )
         days, hours, minutes, seconds = (int(part or 0) for part in match.groups())
         return float(((days * 24 + hours) * 60 + minutes) * 60 + seconds)
@@ -104,7 +104,9 @@ def site_of(content: object, where: str) -> Site:
     except ValidationError as problem:
         raise _refused(problem, where) from None
     if site.walltime_s < 10.0:
-        raise InvalidInput(f"{where}: walltime", found=site.walltime, expected="at least 00:00:10")
+        raise InvalidInput(
+            f"{where}: walltime", found=repr(site.walltime), expected="at least 00:00:10"
+        )
     return site
 
 
@@ -138,6 +140,6 @@ def _refused(problem: ValidationError, where: str) -> InvalidInput:
         return InvalidInput(f"{where}: {key}", found="an unknown key", expected=f"one of {known}")
     if first["type"] == "string_pattern_mismatch":
         expected = {"memory": "a size such as 4 GB"}.get(key.split(".")[0], "one line of text")
-        return InvalidInput(f"{where}: {key}", found=first["input"], expected=expected)
+        return InvalidInput(f"{where}: {key}", found=repr(first["input"]), expected=expected)
     expected = first["msg"].removeprefix("Input should be ").replace("valid ", "")
-    return InvalidInput(f"{where}: {key or 'site'}", found=first["input"], expected=expected)
+    return InvalidInput(f"{where}: {key or 'site'}", found=repr(first["input"]), expected=expected)

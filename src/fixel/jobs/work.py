@@ -193,7 +193,7 @@ def answer_of(call: Callable[..., bytes], *arguments: object) -> Answer:
         place = f"{Path(where.filename).name}, line {where.lineno}"
         return Failure(f"{type(problem).__name__}: {said} ({place})")
     if not isinstance(answer, bytes):
-        return Failure(f"the chunk function answered {type(answer).__name__}, expected bytes")
+        return Failure(f"the chunk function returned {type(answer).__name__}, not bytes")
     return answer
 
 

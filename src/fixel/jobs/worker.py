@@ -76,7 +76,7 @@ def _parser() -> argparse.ArgumentParser:
 def _refuse(given: argparse.Namespace) -> int:
     reason = (
         f"worker {given.name} on {socket.gethostname()} has fixel {stamp()}, "
-        f"expected fixel {given.stamp}"
+        f"but the job has fixel {given.stamp}"
     )
     print(reason, flush=True)
     link.record_refusal(given.folder, given.name, reason)

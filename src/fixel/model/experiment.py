@@ -111,7 +111,7 @@ class Flag:
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[a-z][a-z0-9-]*", name_of(self.name, "flag.name")):
-            raise InvalidInput("flag.name", found=repr(self.name), expected="a-z, 0-9 and dashes")
+            raise InvalidInput("flag.name", found=repr(self.name), expected="text of a-z, 0-9, -")
 
 
 @final
@@ -223,7 +223,7 @@ class Experiment(Comparable, Result):
             raise InvalidInput(
                 f"{where}.simulated_by",
                 found=repr(self.simulated_by),
-                expected="no text for a real experiment, the simulator for a simulated one",
+                expected="empty for a real experiment, or the name of the simulator",
             )
         for label in ("height", "pusher_height", "fixel_height"):
             settle(self, **{label: optional_positive(getattr(self, label), label, "m")})
@@ -239,7 +239,7 @@ class Experiment(Comparable, Result):
             first, last = (float(instant) for instant in self.effective)
             if not first <= last:
                 raise InvalidInput(
-                    f"{where}.effective", found=(first, last), expected="the earlier time first"
+                    f"{where}.effective", found=(first, last), expected="in increasing order"
                 )
             settle(self, effective=(first, last))
         settle(

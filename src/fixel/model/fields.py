@@ -99,7 +99,7 @@ def name_of(value: object, where: str) -> str:
 def instance(value: object, kind: type | UnionType, where: str, expected: str) -> None:
     """Raise for a value of another type."""
     if not isinstance(value, kind):
-        found = None if value is None else f"a {type(value).__name__}"
+        found = None if value is None else f"the type {type(value).__name__}"
         raise InvalidInput(where, found=found, expected=expected)
 
 

@@ -679,7 +679,7 @@ def check_fixel(name: str, scene: Scene) -> None:
     """Raise `InvalidInput` if a scene has no such fixel."""
     names = [fixel.name for fixel in scene.fixels]
     if not names:
-        raise InvalidInput("goal.fixels", found=repr(name), expected="a scene with fixels")
+        raise InvalidInput("goal.fixels", found=repr(name), expected="a fixel of the scene")
     if name not in names:
         raise unknown_name("goal.fixels", name, names)
 

@@ -145,7 +145,7 @@ def _positive_grid(factor: ArrayLike) -> FloatArray:
         raise InvalidInput(
             f"{where}[{row}][{column}]",
             found=float(grid[row, column]),
-            expected="factors greater than 0",
+            expected="a factor greater than 0",
         )
     return frozen(grid)
 
@@ -155,7 +155,7 @@ def _grid(values: ArrayLike, where: str, name: str) -> FloatArray:
     try:
         width = len(values[0])  # type: ignore[index,arg-type]
     except (TypeError, IndexError, KeyError):
-        found = type(values).__name__
+        found = f"the type {type(values).__name__}"
         raise InvalidInput(where, found=found, expected=f"rows of {name}s") from None
     return table(values, where, ", ".join([name] * width))
 

@@ -53,7 +53,7 @@ class Parameter:
     >>> space = {"mu_pusher": Parameter(0, 1, by="surface"), "tripod_radius": (10 * mm, 60 * mm)}
     >>> Parameter(1, 0)
     Traceback (most recent call last):
-    fixel.errors.InvalidInput: parameter: found bounds 1 to 0, expected the lower bound first
+    fixel.errors.InvalidInput: parameter: found bounds 1 to 0, but fixel needs the lower bound first
     """
 
     low: float

@@ -247,7 +247,7 @@ class PartModel(Result):
         if not len(candidates):
             raise InvalidInput("candidates", found="none", expected="at least one push")
         if n < 1:
-            raise InvalidInput("n", found=n, expected="1 or more pushes")
+            raise InvalidInput("n", found=n, expected="at least 1")
         offered = [self._named(push_target(own, conditions)) for own in candidates]
         wanted = [self._named(push_target(own, conditions)) for own in intended or ()] or offered
         label = _one_label((*offered, *wanted), self.surface, self.part, "candidates")

@@ -343,7 +343,7 @@ def push_candidates(
     positive(radius, "radius", "m"), positive(travel, "travel", "m")
     positive(speed, "speed", "m/s"), non_negative(friction, "friction")
     if contacts < 1:
-        raise InvalidInput("contacts", found=contacts, expected="1 or more")
+        raise InvalidInput("contacts", found=contacts, expected="at least 1")
     body = scene.bodies[0]
     neighbours = [placed(own.shape.outline, own.pose) for own in scene.fixels]
     outline = shapely.Polygon(placed(body.shape.outline, body.pose))
@@ -366,7 +366,7 @@ def push_candidates(
         raise InvalidInput(
             "radius",
             found=f"{1e3 * radius:.3g} mm",
-            expected="a tip that fits next to the part",
+            expected="small enough for the tip to fit next to the part",
             hint="use a smaller radius or more contacts",
         )
     return found

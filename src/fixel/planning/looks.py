@@ -248,7 +248,7 @@ def check_looks(search: PlanSearch) -> None:
     if isinstance(looks, bool) or not 0 <= looks <= MOST:
         raise InvalidInput("looks", found=looks, expected=f"a whole number from 0 to {MOST}")
     if not 0.0 <= search.lost_views < 1.0:
-        raise InvalidInput("lost_views", found=search.lost_views, expected="at least 0, below 1")
+        raise InvalidInput("lost_views", found=search.lost_views, expected="at least 0 and below 1")
     if looks and not isinstance(simulator.choice, FreePushes):
         raise InvalidInput(
             "looks", found="pushes of a rig", expected="FreePushes, which can push from any pose"

@@ -533,7 +533,7 @@ def _radius(scene: Scene) -> float:
 
 def _check_most(most: int) -> None:
     if isinstance(most, bool) or not 1 <= most <= MAX_PUSHES:
-        raise InvalidInput("choose.most", found=most, expected=f"1 to {MAX_PUSHES} pushes")
+        raise InvalidInput("choose.most", found=most, expected=f"from 1 to {MAX_PUSHES}")
 
 
 def _regions(given: Any) -> tuple[Polygon, ...]:
@@ -556,6 +556,6 @@ def _check_cost(cost: str) -> None:
 def _range(given: Sequence[float], where: str, lowest: float = -math.inf) -> Range:
     low, high = (float(x) for x in given)
     if not (math.isfinite(low) and math.isfinite(high) and lowest <= low <= high):
-        expected = "lower and upper end" + (", from 0" if lowest == 0.0 else "")
+        expected = "an increasing range" + (" from 0 up" if lowest == 0.0 else "")
         raise InvalidInput(where, found=f"{low:g} to {high:g}", expected=expected)
     return low, high

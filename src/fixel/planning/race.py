@@ -265,4 +265,4 @@ def _check(n_plans: int, sizes: Sequence[int], finalists: int, confidence: float
     if finalists < 1:
         raise InvalidInput("finalists", found=finalists, expected="at least 1")
     if not 0.5 <= confidence < 1.0:
-        raise InvalidInput("confidence", found=confidence, expected="at least 0.5, below 1")
+        raise InvalidInput("confidence", found=confidence, expected="at least 0.5 and below 1")

@@ -379,7 +379,7 @@ class PlanSearch:
 
     def _unreachable(self, plans: Numbers) -> InvalidInput:
         """Return the error for a goal that no candidate reaches, with the nearest end."""
-        wider, found = "wider tolerances", "no push of the candidates can be carried out"
+        wider, found = "wider tolerances", "that no push of the candidates can be carried out"
         least = -np.inf
         for _, planned in grouped(self.quick, plans):
             own = planned.nominal
@@ -390,7 +390,9 @@ class PlanSearch:
                 least, nearest = float(margin[k]), planned.rows(np.array([k]))
         if least > -np.inf:
             end = nearest.nominal.pose[0, -1]
-            found = f"the nearest candidate ends at {pose_text(end)}: it misses by {-least:.3g}"
+            found = (
+                f"that the nearest candidate ends at {pose_text(end)}: it misses by {-least:.3g}"
+            )
             found += f" tolerances{self._chance(nearest, end)}"
         if least > -NEARLY:
             wider = f"tolerances {1.01 - least:.3g} times as wide, which that end meets"

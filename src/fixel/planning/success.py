@@ -194,7 +194,7 @@ class SuccessProbability(Result):
         Clopper & Pearson (1934); Korn & Graubard (1998), Survey Methodology 24, 193-201.
         """
         if not 0.0 < confidence < 1.0:
-            raise InvalidInput("confidence", found=confidence, expected="between 0 and 1")
+            raise InvalidInput("confidence", found=confidence, expected="a number between 0 and 1")
         flat = np.asarray(margins, dtype=np.float64)
         own = finite_margins(flat[:, None] if flat.ndim == 1 else flat, 2)
         if independent is not None:

@@ -126,7 +126,7 @@ class Trials(Result):
     def __post_init__(self) -> None:
         name_of(self.plan, "plan")
         if not 0.0 <= self.stated < 1.0:
-            raise InvalidInput("stated", found=self.stated, expected="at least 0, below 1")
+            raise InvalidInput("stated", found=self.stated, expected="at least 0 and below 1")
         if not self.stated <= self.mean <= 1.0:
             raise InvalidInput("mean", found=self.mean, expected=f"from {self.stated} to 1")
         settle(self, mean=float(self.mean), stated=float(self.stated), trials=tuple(self.trials))

@@ -168,7 +168,7 @@ class TrialReplay(AbstractReplay):
 def _scene(trial: Experiment) -> Scene:
     if trial.scene is None:
         why = next((flag.detail for flag in trial.flags if flag.name == "no-scene"), "no scene")
-        raise InvalidInput(f"experiment {trial.name}", found=why, expected="a scene")
+        raise InvalidInput(f"experiment {trial.name}", found=f"none ({why})", expected="a scene")
     return trial.scene
 
 

@@ -203,7 +203,7 @@ class OffsetSample:
             low, high = vector(getattr(self, name), f"sample.{name}", "smallest, largest").tolist()
             if low > high:
                 raise InvalidInput(
-                    f"sample.{name}", found=(low, high), expected="the smallest value first"
+                    f"sample.{name}", found=(low, high), expected="in increasing order"
                 )
             settle(self, **{name: (low, high)})
 

@@ -131,7 +131,7 @@ def trust(content: dict[str, Any]) -> TrustedEntry:
         os.replace(unfinished, file)
     except OSError as problem:
         raise InvalidInput(
-            str(file), found=os_reason(problem), expected="a file that can be written"
+            str(file), found=problem, expected="a file that can be written"
         ) from None
     return TrustedEntry(_text_of(content), content, file)
 
@@ -225,7 +225,9 @@ def _checksum(path: Path) -> str:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as problem:
         raise InvalidInput(
-            "engine", found=f"{_plain(str(path))}: {os_reason(problem)}", expected="a program"
+            "engine",
+            found=f"{_plain(str(path))} ({os_reason(problem)})",
+            expected="a program",
         ) from None
 
 

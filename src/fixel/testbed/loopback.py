@@ -53,7 +53,7 @@ class LoopbackCamera:
         try:
             self._server = ThreadingHTTPServer((HERE_ONLY, port), self._handler())
         except (OSError, OverflowError) as problem:
-            raise InvalidInput("--port", found=str(problem), expected="a free port") from None
+            raise InvalidInput("--port", found=problem, expected="a free port") from None
         self._server.daemon_threads = True
         self._thread = threading.Thread(
             target=self._server.serve_forever, args=(0.05,), name="loopback camera", daemon=True

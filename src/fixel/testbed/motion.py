@@ -183,7 +183,7 @@ class AbstractActuator(abc.ABC):
             if (end != inside[1]).any():
                 found = f"{(1e3 * end).round(3).tolist()} mm"
                 raise InvalidInput(
-                    "place", found=found, expected=f"one inside {self._travels_text}"
+                    "place", found=found, expected=f"a place inside {self._travels_text}"
                 )
         distance = float(np.linalg.norm(end - here))
         self.aim(here, (end - here) / distance if distance > 0.0 else np.eye(len(here))[0])

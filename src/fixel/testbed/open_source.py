@@ -331,7 +331,9 @@ class UrlSource(FrameSource):
         self._answer = answer = self._connection.getresponse()
         if answer.status != http.HTTPStatus.OK:
             hint = "http://NAME:PASSWORD@HOST/..." if answer.status == 401 else None
-            self._fail(f"{answer.status} {answer.reason}", "an answer with pictures", hint)
+            self._fail(
+                f"the answer {answer.status} {answer.reason}", "an answer with pictures", hint
+            )
         kind_of_answer = answer.headers.get_content_type()
         if kind_of_answer != MULTIPART:
             self._fail(
@@ -412,12 +414,12 @@ def _split(url: str) -> SplitResult:
         parts = urlsplit(url)
         _ = parts.port  # parsed only on access
     except ValueError as problem:
-        raise _refusal(str(problem)) from None
+        raise _refusal(f"an error ({problem})") from None
     return parts
 
 
 def _refusal(found: str, hint: str | None = None) -> InvalidInput:
-    expected = "http://... address of a camera that sends MJPEG"
+    expected = "the address http://... of a camera that sends MJPEG"
     return InvalidInput("camera", found=found, expected=expected, hint=hint)
 
 

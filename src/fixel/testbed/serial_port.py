@@ -96,8 +96,8 @@ def open_port(port: str, baud: int, what: str) -> Serial:
             user = _program_at(port) or "another program"
             raise InvalidInput(
                 where,
-                found=f"in use by {user}",
-                expected=f"{what}, not in use by another program",
+                found=f"a port in use by {user}",
+                expected=f"{what} at a port that is free",
                 hint="close it",
             ) from None
         if reason in (errno.EACCES, errno.EPERM) and sys.platform != "win32":
@@ -109,8 +109,8 @@ def open_port(port: str, baud: int, what: str) -> Serial:
                 f" sudo usermod -aG {_group(port)} $USER",
             ) from None
         if not os.path.exists(port) and sys.platform != "win32":
-            raise InvalidInput(where, found=None, expected=what, hint=_seen()) from None
-        found = "no serial port" if reason in (errno.ENOTTY, errno.EISDIR) else str(problem)
+            raise InvalidInput(where, found="no port", expected=what, hint=_seen()) from None
+        found = "no serial port" if reason in (errno.ENOTTY, errno.EISDIR) else f"{problem}"
         raise InvalidInput(where, found=found, expected=what, hint=_seen()) from None
 
 
@@ -129,7 +129,7 @@ def closed_on_failure(close: Callable[[], None], port: str, what: str) -> Iterat
         close()
         raise InvalidInput(
             f"port {port}",
-            found=f"the device was disconnected: {problem}",
+            found=f"that the device was disconnected: {problem}",
             expected=what,
             hint="connect it again",
         ) from None
@@ -181,8 +181,8 @@ def _need_pyserial() -> None:
     except ImportError:
         raise InvalidInput(
             "serial ports",
-            found="the package pyserial is missing",
-            expected="an installed pyserial",
+            found="no package pyserial",
+            expected="it to be installed",
             hint="pip install 'fixel[serial]'",
         ) from None
 

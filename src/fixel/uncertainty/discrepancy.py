@@ -52,7 +52,7 @@ class ModelError:
             settle(self, **{name: positive(getattr(self, name), f"model_error.{name}", unit)})
         if not self.low < self.high:
             found = f"{self.low:g} to {self.high:g} m"
-            raise InvalidInput("model_error", found=found, expected="the lower bound first")
+            raise InvalidInput("model_error", found=found, expected="increasing bounds")
 
     def transform(self, unit: FloatArray) -> FloatArray:
         """Return the standard deviations at probabilities (k,) in [0, 1] [m]."""

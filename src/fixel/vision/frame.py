@@ -89,7 +89,7 @@ def opencv() -> Any:
     except ImportError:
         raise InvalidInput(
             "opencv",
-            found="the package is not installed",
+            found="no such package",
             expected="OpenCV, which reads cameras and boards",
             hint="pip install 'fixel[vision]'",
         ) from None

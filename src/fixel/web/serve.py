@@ -185,7 +185,7 @@ def _listening(host: str, port: int | None) -> socket.socket:
         listening.close()
         raise InvalidInput(
             "--port",
-            found=f"{port} of {host}: {os_reason(problem)}",
+            found=f"{port} of {host} in use ({os_reason(problem)})",
             expected="a free port from 1024 to 65535",
             hint="without --port, any free port is used",
         ) from None

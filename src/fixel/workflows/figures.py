@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from fixel.drawing.chart import Chart, draw_chart
-from fixel.errors import InvalidInput, os_reason
+from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
 
 ENDINGS: Final = ("png", "pdf", "csv")
@@ -37,8 +37,7 @@ def make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as problem:
-        reason = os_reason(problem)
-        raise InvalidInput(str(folder), found=reason, expected="a folder for pictures") from None
+        raise InvalidInput(str(folder), found=problem, expected="a folder for pictures") from None
 
 
 def write_picture(folder: Path, picture: Picture) -> list[Path]:

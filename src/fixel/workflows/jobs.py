@@ -333,7 +333,7 @@ def unpack(file: Path, folder: Path) -> JobStatus:
                 with archive.open(member) as source, (folder / member.filename).open("wb") as copy:
                     shutil.copyfileobj(source, copy)
     except (OSError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error) as problem:
-        raise InvalidInput(str(file), found=str(problem), expected="a packed job") from None
+        raise InvalidInput(str(file), found=problem, expected="a packed job") from None
     return status_of(folder)
 
 

@@ -109,7 +109,7 @@ def predict(
     1.00 (0.91 to 1.00, n = 40)
     """
     if isinstance(samples, bool) or not 2 <= samples <= MAX_SAMPLES:
-        raise InvalidInput("samples", found=samples, expected=f"2 to {MAX_SAMPLES} runs")
+        raise InvalidInput("samples", found=samples, expected=f"from 2 to {MAX_SAMPLES}")
     permit(motion)
     instance(start, StartError | None, "start", "a StartError")
     instance(run_to_run, RunToRun | None, "run_to_run", "a RunToRun")

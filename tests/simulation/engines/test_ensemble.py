@@ -52,12 +52,12 @@ BAD = {
     "answers NaN": ("pose[2][0] = float('nan')", "not finite"),
     "answers too little": ("del pose[-1]", "shape"),
     "answers texts": ("pose = 'forward'", "without a table of poses"),
-    "answers no JSON": ("print('hello', flush=True); continue", "expected a JSON object"),
+    "answers no JSON": ("print('hello', flush=True); continue", "fixel needs a JSON object"),
     "answers half a line": ("print('{{\"pose\": [[', end='', flush=True); os._exit(0)", "status 0"),
     "answers without end": ("print('x' * (80 << 20), end='', flush=True)", "more than 64 MB"),
     "answers a deep nesting": (
         "print('[' * 90000 + ']' * 90000, flush=True); continue",
-        "expected a JSON",
+        "fixel needs a JSON",
     ),
     "answers deep poses": (
         "print('{{\"pose\": ' + '[' * 500 + ']' * 500 + '}}', flush=True); continue",
@@ -154,7 +154,7 @@ def test_values_out_of_range_are_not_simulated(tmp_path: Path) -> None:
 
 def test_a_program_with_another_version_is_refused(tmp_path: Path) -> None:
     engine = program(tmp_path)
-    with pytest.raises(InvalidInput, match="found version 1, expected version 2"):
+    with pytest.raises(InvalidInput, match="found version 1, but fixel needs version 2"):
         many(OtherEngine(f"{engine.name}==2"))
 
 

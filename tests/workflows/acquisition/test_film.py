@@ -144,7 +144,7 @@ def test_what_cannot_be_filmed_is_refused_before_any_work(tmp_path, rig, scene):
         film([scene], tmp_path / "there", FilmSettings(rig=rig))
     with pytest.raises(InvalidInput, match="microscope or microscope-clean for a microscope"):
         film([scene], tmp_path / "x", FilmSettings(rig=rig, looks="microscope"))
-    with pytest.raises(InvalidInput, match="2 films, expected one"):
+    with pytest.raises(InvalidInput, match="2 films, but fixel needs one"):
         film([scene, scene], tmp_path / "x", FilmSettings(rig=rig), video=tmp_path / "x.mp4")
     assert not (tmp_path / "x").exists()
 

@@ -164,7 +164,7 @@ def test_a_picture_turned_by_half_a_turn():
 
 def test_a_rig_that_knows_none_of_the_parts():
     rig = small_rig(parts={"probe": RIG.parts["object"]})
-    with pytest.raises(InvalidInput, match=r"it has probe, expected .*object, actuator"):
+    with pytest.raises(InvalidInput, match=r"found probe, but fixel needs .*object, actuator"):
         Overlay(rig, SCENE)
 
 
@@ -313,5 +313,5 @@ def test_the_anchor_stays_where_it_was_seen_last():
 
 def test_an_anchor_must_be_measurable():
     for name in ("fixel-1", "actuater"):
-        with pytest.raises(InvalidInput, match=r"anchor: .* expected one of object, actuator"):
+        with pytest.raises(InvalidInput, match=r"anchor is .* must be one of object, actuator"):
             Overlay(RIG, SCENE, TOLERANCE, anchor=name)

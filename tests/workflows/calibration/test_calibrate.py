@@ -134,7 +134,10 @@ def test_plots_are_axes(fit, kind):
 @pytest.mark.parametrize(
     ("parameters", "said"),
     [
-        ({"mu_pusher": (1, 0)}, "mu_pusher: found bounds 1 to 0, expected the lower bound first"),
+        (
+            {"mu_pusher": (1, 0)},
+            "mu_pusher: found bounds 1 to 0, but fixel needs the lower bound first",
+        ),
         ({"tripod_radius_mm": (10, 60)}, "(10 * mm, 60 * mm)"),
         ({"mu_pushr": (0, 1)}, "did you mean 'mu_pusher'?"),
         ({"mu_fixel": (0, 1)}, "no fixel in any of the experiments"),
@@ -143,7 +146,7 @@ def test_plots_are_axes(fit, kind):
         ({"mu_pusher": fixel.Parameter(0, 1, by="surface")}, "no experiment with surface"),
         ({"mu_pusher": "wide"}, "(low, high), a number to fix it"),
         ({"mu_pusher": (0, math.nan)}, "mu_pusher.high"),
-        ({"mu_pusher": (0, 1, 2)}, "3 numbers, expected two bounds"),
+        ({"mu_pusher": (0, 1, 2)}, "3 numbers, but fixel needs two bounds"),
         ({"mu_pusher": 0.3}, "no parameter that is free"),
         ({"support_1_x": (0, 0.1)}, "a body on Tripod"),
     ],
@@ -166,7 +169,7 @@ def test_spaces_that_cannot_be_searched_are_refused(pushes, parameters, said):
         ({"combine": "product"}, "combine"),
         ({"max_evaluations": 0}, "max_evaluations"),
         ({"budget": 0.0}, "budget"),
-        ({"workers": -1}, "workers: found -1, expected at least 0"),
+        ({"workers": -1}, "workers is -1, but must be at least 0"),
         ({"optimiser": {"name": "pattern-search", "delta": 1}}, "the option delta"),
     ],
 )

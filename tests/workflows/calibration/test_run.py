@@ -463,5 +463,5 @@ def test_experiments_that_cannot_be_compared(project, experiments):
         assert "no measured pose" in found.left_out["testbed/one"]
         with pytest.raises(InvalidInput, match="no scene"):
             run.select_experiments(store, ("lost",), ExperimentQuery())
-        with pytest.raises(InvalidInput, match="expected one of testbed"):
+        with pytest.raises(InvalidInput, match="must be one of testbed"):
             run.select_experiments(store, (), ExperimentQuery(dataset="nowhere"))

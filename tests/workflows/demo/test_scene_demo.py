@@ -66,7 +66,7 @@ def test_the_grasp_turns_both_ways_and_holds_still(demo):
 def test_a_folder_that_cannot_be_made_is_a_sentence(tmp_path):
     (tmp_path / "file").write_text("")
 
-    with pytest.raises(InvalidInput, match="expected a folder to write to"):
+    with pytest.raises(InvalidInput, match="fixel needs a folder to write to"):
         run_demo(tmp_path / "file" / "below")
 
 

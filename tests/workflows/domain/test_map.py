@@ -153,7 +153,7 @@ def test_another_call_on_the_same_folder_is_refused_with_the_difference(pushes, 
     others = (
         ((pushes[:7], SPACE), {}, "other experiments"),
         ((pushes[:6], {**SPACE, "mu_pusher": (0, 0.5)}), {}, "another fit: mu_pusher 0 to 1"),
-        ((pushes[:6], SPACE), {"seed": 1}, "another seed: 0, expected the same .* 1 now"),
+        ((pushes[:6], SPACE), {"seed": 1}, "another seed: 0, but fixel needs the same .* 1 now"),
         ((pushes[:6], SPACE), {"folds": 3}, "another folds: 2"),
         ((pushes[:6], SPACE), {"motion": "quasistatic"}, "another motion: dynamic"),
     )

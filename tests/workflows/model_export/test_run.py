@@ -227,7 +227,7 @@ def test_the_card_of_a_calibration_has_intervals_and_errors(tmp_path: Path) -> N
     assert errors["held_out"]
     assert errors["fixel"]["simulations"] == 2
     assert held.card["distance_from_fixel"] is None
-    with pytest.raises(InvalidInput, match="has not used"):
+    with pytest.raises(InvalidInput, match="which the calibration has used"):
         fixel.export_model(fit, tmp_path / "used", to="pymunk", held_out=pushes[1:3])
 
 
@@ -266,7 +266,7 @@ def test_bad_input_leaves_nothing(tmp_path: Path) -> None:
         fixel.export_model(grasp(), target, to="mujoco")
     with pytest.raises(InvalidInput, match="0 to 100000"):
         fixel.export_model(scene, target, to="pymunk", scenes=-1)
-    with pytest.raises(InvalidInput, match="only together with a project"):
+    with pytest.raises(InvalidInput, match="needs the project that has it"):
         fixel.export_model(scene, target, to="pymunk", calibration=1)
     assert not list(tmp_path.iterdir())
     target.mkdir()

@@ -95,7 +95,7 @@ def test_damaged_foreign_and_newer_files_are_refused_by_name(tmp_path: Path):
         bad.write_bytes(bytes(content))
         assert outcome(bad) in (found_plan().plan, str(bad))  # some bytes have no meaning
     save(fixel.Disk(0.005), bad)
-    with pytest.raises(InvalidInput, match="a saved Disk, expected a plan file"):
+    with pytest.raises(InvalidInput, match="a saved Disk, but fixel needs a plan file"):
         load_plan(bad)
     with zipfile.ZipFile(path) as old, zipfile.ZipFile(bad, "w") as new:
         for name in old.namelist():
@@ -136,5 +136,5 @@ def test_trials_of_another_plan_are_refused(tmp_path: Path):
     path = tmp_path / "a.plan"
     add_trials(path, save_plan(found_plan(), path), trial(0))
     other = save_plan(FoundPlan(plan=rig_plan(), request=PlanRequest(goal={})), path)
-    with pytest.raises(InvalidInput, match=f"expected trials of the plan {other.id}"):
+    with pytest.raises(InvalidInput, match=f"fixel needs trials of the plan {other.id}"):
         load_trials(path, other)

@@ -71,9 +71,9 @@ def test_experiments_without_a_scene_are_skipped_or_refused(pushes):
     ("models", "motion", "complaint"),
     [
         ({"mu_pushr": 0.2}, None, "mu_pushr"),
-        (0.2, None, "models: found 0.2"),
-        ({}, None, "models: found"),
-        (None, "quasi", "motion: found 'quasi'"),
+        (0.2, None, "models is 0.2"),
+        ({}, None, "models is {}"),
+        (None, "quasi", "motion is 'quasi'"),
     ],
 )
 def test_what_cannot_be_simulated_is_refused(pushes, models, motion, complaint):
@@ -90,7 +90,7 @@ def test_plots(found, pushes):
     assert ax.lines[1].get_ydata()[-1] == 100.0
     assert len(found.plot(experiment=pushes[3].key)) == 3
     assert len(compare(pushes[0], progress=False).plot()) == 3
-    with pytest.raises(InvalidInput, match="experiment: found 'nowhere'"):
+    with pytest.raises(InvalidInput, match="experiment is 'nowhere'"):
         found.plot(experiment="nowhere")
     pyplot.close("all")
 

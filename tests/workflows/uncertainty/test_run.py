@@ -102,7 +102,7 @@ def _asked(folder, **changes):
     ("changes", "words"),
     [
         ({"held_out": ("push-1",)}, "held_out"),
-        ({"motion": "magic"}, "motion: found"),
+        ({"motion": "magic"}, "motion is 'magic'"),
         ({"experiments": ()}, "found none"),
         ({"experiments": ("nothing",)}, "nothing"),
     ],

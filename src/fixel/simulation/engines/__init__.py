@@ -83,7 +83,7 @@ def silent(engine: str, failure: ProgramFailed) -> InvalidInput:
     """Return the refusal of an engine that does not answer."""
     return InvalidInput(
         f"engine {engine}",
-        found=str(failure),
+        found=failure,
         expected='an answer to {"hello": 1}, such as {"name": "mine", "version": "1"}',
     )
 

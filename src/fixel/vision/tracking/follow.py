@@ -371,7 +371,7 @@ class Locator:
         if not own:
             raise InvalidInput(
                 f"rig {rig.name!r}",
-                found="it has " + (", ".join(rig.parts) or "no part"),
+                found=", ".join(rig.parts) or "no part",
                 expected="a part of the scene: " + ", ".join(things),
                 hint="use the names of the scene for the parts of the rig",
             )
@@ -435,5 +435,5 @@ class Locator:
 
 def _told(problem: InvalidInput) -> str:
     """Format an error and its hint as a sentence."""
-    sentence = f"Found {problem.found}, expected {problem.expected}"
+    sentence = f"Found {problem.found}, but fixel needs {problem.expected}"
     return f"{sentence}; {problem.hint}" if problem.hint else sentence

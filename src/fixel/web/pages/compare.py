@@ -220,7 +220,7 @@ def _number(name: str, text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise InvalidInput(name, found=text, expected="a number") from None
+        raise InvalidInput(name, found=repr(text), expected="a number") from None
 
 
 def _row(

@@ -139,7 +139,7 @@ def begin(context: ProjectContext, capability: Capability, asked: BaseModel) -> 
     for name, option in capability.options.items():
         value = getattr(asked, name)
         if not option.on_page and value != option.default:
-            raise InvalidInput(name, found=value, expected="no such option from elsewhere")
+            raise InvalidInput(name, found="this option", expected="only options of the page")
         if option.door.content and value and not str(value).startswith("{"):
             raise InvalidInput(name, found="no object", expected="the content of a file in JSON")
     with job_list.job_slot(context.project.folder):

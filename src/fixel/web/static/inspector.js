@@ -291,8 +291,7 @@ export function refuse(host, problem) {
   }
   if (!best || !problem) return false;
   const refusal = /** @type {HTMLElement} */ (best.querySelector(".refusal"));
-  refusal.textContent = problem.expected
-    ? `found ${problem.found ?? "nothing"}, expected ${problem.expected}` : problem.sentence;
+  refusal.textContent = problem.sentence;
   refusal.hidden = false;
   const entry = best.querySelector("input, select");
   entry?.setAttribute("aria-invalid", "true");

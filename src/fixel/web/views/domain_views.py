@@ -346,7 +346,9 @@ def shown_map(view: MapView, query: Mapping[str, str], folder: Path) -> dict[str
     except ValidationError as problem:
         first = problem.errors()[0]
         where = str(first["loc"][0])
-        raise InvalidInput(where, found=first["input"], expected=first["msg"]) from None
+        raise InvalidInput(
+            where, found=first["input"], expected=first["msg"].removeprefix("Input should be ")
+        ) from None
     drawn = document(view, claim, folder)
     # The cell that was clicked now, or else before.
     group, _, cell = (query.get("cell") or query.get("picked") or "").partition(" ")

@@ -56,13 +56,15 @@ class RecordPlan:
             ("--until", self.until, ENDS),
         ):
             if value not in known:
-                raise InvalidInput(option, found=value, expected=", ".join(known))
+                raise InvalidInput(option, found=repr(value), expected="one of " + ", ".join(known))
         if self.until == "limit" and self.limit is None:
             raise InvalidInput("--limit", found=None, expected="a duration such as 15s")
         if self.limit is not None and not (math.isfinite(self.limit) and self.limit > 0.0):
             raise InvalidInput("--limit", found=f"{self.limit} s", expected="more than 0 s")
         if self.mode is not None and (self.until != "seated" or self.tactile is None):
-            raise InvalidInput("--mode", found=self.mode, expected="--until seated, --tactile")
+            raise InvalidInput(
+                "--mode", found=repr(self.mode), expected="used with --until seated and --tactile"
+            )
         if self.folder.exists():
             what = "a recording" if is_recording(self.folder) else "an existing file or folder"
             raise InvalidInput(str(self.folder), found=what, expected="a new folder")
@@ -129,8 +131,8 @@ def codec_for(choice: str, stream: Stream) -> str:
     if choice == "as-it-comes" and not stream.jpeg:
         raise InvalidInput(
             "--codec",
-            found=choice,
-            expected="the codec near or exact, since this source does not send JPEG",
+            found=repr(choice),
+            expected="near or exact, since this source does not send JPEG",
         )
     if choice != "auto":
         return choice

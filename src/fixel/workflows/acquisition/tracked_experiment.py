@@ -92,7 +92,7 @@ def experiment_of(
     if body.name not in tracked.parts:
         raise InvalidInput(
             f"rig {rig.name!r}",
-            found="parts " + ", ".join(map(repr, tracked.parts)),
+            found="the parts " + ", ".join(map(repr, tracked.parts)),
             expected=f"a part named {body.name!r}, like the body of the scene",
         )
     track = tracked.parts[body.name]
@@ -229,7 +229,7 @@ def _apart(shape: object, start: FloatArray, others: tuple[Pusher | Fixel, ...])
     neighbours = [Neighbour(other.name, other.shape, other.pose) for other in others]
     poses, reasons = remove_overlap(shape, start[None], neighbours, MAX_APART)  # type: ignore[arg-type]
     if reasons[0]:
-        raise InvalidInput("scene", found=reasons[0], expected="parts that do not overlap")
+        raise InvalidInput("scene", found=f"an overlap ({reasons[0]})", expected="none")
     return np.asarray(poses[0])
 
 

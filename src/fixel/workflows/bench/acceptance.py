@@ -93,10 +93,10 @@ def measure_bench(
     """
     part = _tracked(overlay, _frames(devices, PICTURES), overlay.scene.bodies[0].name)[:, 1:]
     if len(part) < PICTURES // 2:
-        raise InvalidInput("part", found="it is not seen", expected="the part of the first row")
+        raise InvalidInput("part", found="no part", expected="the part of the first row")
     way = devices.way_to(overlay.scene, np.median(part, axis=0))
     if way is None:
-        raise InvalidInput("part", found="it is in the way of the head", expected="its place")
+        raise InvalidInput("part", found="it in the way of the head", expected="a free way")
     move(way, lambda frame: None, lambda: None)
     return (
         *_noise(part, overlay),

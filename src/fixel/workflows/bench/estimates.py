@@ -221,7 +221,9 @@ def estimate(
         progress=False,
     )
     if fit.status == "failed":
-        raise InvalidInput("experiments", found=fit.message, expected="experiments that simulate")
+        raise InvalidInput(
+            "experiments", found=f"none ({fit.message})", expected="some that simulate"
+        )
     comparer, members = comparer_of(fit.request, fit.targets, threads), fit.found.members
     best = assess.run_assessment(
         comparer, members, assess.fit_steps(comparer, members, fit.found.point)
@@ -440,7 +442,7 @@ class Until:
             found = re.fullmatch(r"((?:\d+\.?\d*|\.\d+)(?:e-?\d+)?)\s*([a-z]*)", value)
             factor = {"": 1.0, **units}.get(found[2]) if found else None
             if found is None or factor is None or not 0.0 < float(found[1]) < math.inf:
-                expected = f"{name}=1{[*units][1]}" if units else f"{name}=0.02"
+                expected = f"such as {name}=" + (f"1{[*units][1]}" if units else "0.02")
                 raise InvalidInput("until", found=repr(part.strip()), expected=expected)
             wanted[name] = float(found[1]) * factor
         return cls(MappingProxyType(wanted))

@@ -444,7 +444,9 @@ class Calibration(Result, Mapping[str, float]):
         )
         if not good[0]:
             raise InvalidInput(
-                f"experiment {experiment.key}", found=reasons[0], expected="a complete simulation"
+                f"experiment {experiment.key}",
+                found=f"an incomplete simulation ({reasons[0]})",
+                expected="a complete one",
             )
         return np.asarray(difference[0, : len(target.pose)])
 

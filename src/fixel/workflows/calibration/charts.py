@@ -196,7 +196,7 @@ def plot_profiles(fit: Calibration, ax: Axes | None = None) -> Any:
 def plot_search(fit: Calibration, ax: Axes | None = None) -> Any:
     """Draw the error against the evaluation, with the best so far; return the axes."""
     if fit.found.trace is None:
-        raise InvalidInput("kind", found="'search' of a result without one", expected="another")
+        raise InvalidInput("kind", found="a result without a search", expected="one with a search")
     return plot_axes(_search_chart(_data(fit), [("", fit.found)]).figure, ax)
 
 

@@ -419,7 +419,9 @@ class CalibrationSearch:
         for chunk in chunks:
             answer = answers[chunk.name]
             if isinstance(answer, Failure):
-                raise InvalidInput(chunk.name, found=answer.reason, expected="simulations")
+                raise InvalidInput(
+                    chunk.name, found=f"a failure ({answer.reason})", expected="simulations"
+                )
             tables.append(arrays_of(answer)["table"])
         return np.concatenate(tables)
 

@@ -116,7 +116,7 @@ def _entry(written: str, entry: Any, path: Path) -> Unknown:
         raise InvalidInput(
             where,
             found=", ".join(map(str, entry)) if isinstance(entry, Mapping) else repr(entry),
-            expected="low, high, start, and if wanted scale, prior, frozen, where",
+            expected="the keys low, high, start, and if wanted scale, prior, frozen, where",
         )
     missing = [key for key in ("low", "high", "start") if key not in entry]
     if missing:

@@ -217,7 +217,7 @@ def _tracked(folder: Path, made: Path, firmware: Path | None, notify: Notify) ->
         shutil.rmtree(out)
     raise InvalidInput(
         f"recording {name}",
-        found=why_not or "no scene",
+        found=f"no scene ({why_not})" if why_not else "no scene",
         expected="an object that is tracked from its start",
         hint="the computer may be too busy to record; repeat the command to continue with this run",
     )

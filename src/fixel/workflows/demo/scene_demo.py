@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fixel.drawing.animation import film_ending
-from fixel.errors import InvalidInput, os_reason
+from fixel.errors import InvalidInput
 from fixel.formats import load_scene
 from fixel.io.atomic import written_whole
 from fixel.model import LineDrive, placed
@@ -60,8 +60,7 @@ def run_demo(folder: Path) -> Demo:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as problem:
-        reason = os_reason(problem)
-        raise InvalidInput(str(folder), found=reason, expected="a folder to write to") from None
+        raise InvalidInput(str(folder), found=problem, expected="a folder to write to") from None
     scene = folder / f"{EXAMPLE}.yaml"
     endings = {"trajectory": ".csv", "plot": ".png", "animate": film_ending()}
     files = {name: scene.with_suffix(ending) for name, ending in endings.items()}

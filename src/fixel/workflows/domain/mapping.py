@@ -143,7 +143,7 @@ def cut(errors: HeldOutErrors, asked: Any) -> tuple[HeldOutErrors, Cells, int]:
             column = errors.column(name)
             keep_row &= np.array([value is None or value == 0.0 for value in column])
     if not keep_row.any():
-        raise InvalidInput("axes", found="every experiment offset along others", expected="them")
+        raise InvalidInput("axes", found="offsets along others only", expected="offsets")
     if not keep_row.all():
         errors = errors.rows(np.flatnonzero(keep_row))
     return errors, cells_of(errors, axes, asked.nominal, asked.cells), int((~keep_row).sum())

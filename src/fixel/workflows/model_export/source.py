@@ -65,7 +65,7 @@ def source_of(
     """
     if calibration is not None and not isinstance(what, Project):
         raise InvalidInput(
-            "calibration", found=calibration, expected="an id only together with a project"
+            "calibration", found=f"the id {calibration}", expected="the project that has it"
         )
     values: Callable[[Experiment], Mapping[str, float]] = _no_values
     if isinstance(what, Project):
@@ -82,8 +82,8 @@ def source_of(
         if experiment.key in used:
             raise InvalidInput(
                 "held_out",
-                found=experiment.key,
-                expected="experiments that the calibration has not used",
+                found=f"{experiment.key}, which the calibration has used",
+                expected="other experiments",
             )
     return found._replace(held_out=[_case(own, values(own)) for own in others])
 

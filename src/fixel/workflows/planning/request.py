@@ -116,7 +116,7 @@ def goal_content(goal: str) -> tuple[Any, Path]:
     try:
         return json.loads(goal), Path()
     except ValueError as problem:
-        raise InvalidInput("goal", found=str(problem), expected="a goal file in JSON") from None
+        raise InvalidInput("goal", found=problem, expected="a goal file in JSON") from None
 
 
 def inputs_of(

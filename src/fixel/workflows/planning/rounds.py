@@ -106,5 +106,7 @@ def _request(payload: bytes) -> MarginRequest:
 
 def _margins(answer: Answer) -> FloatArray:
     if isinstance(answer, Failure):
-        raise InvalidInput("simulations of a plan", found=answer.reason, expected="margins")
+        raise InvalidInput(
+            "simulations of a plan", found=f"a failure ({answer.reason})", expected="margins"
+        )
     return np.asarray(arrays_of(answer)["margins"])

@@ -269,7 +269,7 @@ def compare(
     if not rows:
         raise InvalidInput(
             "experiments",
-            found=skipped[0] if skipped else "none",
+            found=f"none ({skipped[0]})" if skipped else "none",
             expected="at least one with a scene and motion to compare with",
             hint="give scenes with read_experiments(..., scene=...) or experiments.with_scene(...)",
         )

@@ -224,7 +224,7 @@ def _check_arguments(target: Path, format: str, fps: int | None) -> None:
         raise unknown_name("format", format, FORMATS)
     if fps is not None and (format != "lerobot" or not RATES[0] <= fps <= RATES[1]):
         raise InvalidInput(
-            "fps", found=fps, expected=f"{RATES[0]} to {RATES[1]} Hz, of a LeRobot dataset"
+            "fps", found=fps, expected=f"from {RATES[0]} to {RATES[1]} Hz in a LeRobot dataset"
         )
     if format == "bundle":
         refuse_ending(target, (".zip",), "bundle")

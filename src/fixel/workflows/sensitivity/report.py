@@ -285,7 +285,9 @@ def selected(own: PushSelection) -> tuple[PushSelection, list[Subject], dict[str
     if not subjects:
         why = "; ".join(f"{key}: {reason}" for key, reason in list(skipped.items())[:3])
         raise InvalidInput(
-            "experiments", found=why or "none", expected="a push that can be simulated"
+            "experiments",
+            found=f"none ({why})" if why else "none",
+            expected="a push that can be simulated",
         )
     return own, subjects, skipped
 

@@ -238,7 +238,8 @@ def _analysed(
                 raise
             skipped[one.key] = str(problem)
     if not found:
-        raise InvalidInput("experiments", found=next(iter(skipped.values())), expected="an outcome")
+        why = next(iter(skipped.values()))
+        raise InvalidInput("experiments", found=f"no outcome ({why})", expected="at least one")
     return found
 
 

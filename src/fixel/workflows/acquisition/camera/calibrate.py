@@ -10,7 +10,7 @@ import numpy as np
 
 from fixel.drawing.chart import PICTURE_ENDINGS, draw_chart, refuse_ending
 from fixel.drawing.prints import PRINT_ENDINGS, PrintSheet, board_sheet, save_sheets, tag_sheets
-from fixel.errors import InvalidInput, os_reason
+from fixel.errors import InvalidInput
 from fixel.formats.camera_import import import_camera
 from fixel.formats.camera_opencv import save_opencv, save_ros
 from fixel.formats.rig_file import EXAMPLES, load_camera, plate_of, rig_of, save_camera
@@ -388,8 +388,7 @@ def read_picture(path: Path) -> Picture:
             raise InvalidInput(str(path), found="more than 200 MB", expected="a picture")
         data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
     except OSError as problem:
-        reason = os_reason(problem)
-        raise InvalidInput(str(path), found=reason, expected="a picture") from None
+        raise InvalidInput(str(path), found=problem, expected="a picture") from None
     flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
     try:
         picture: Picture | None = cv2.imdecode(data, flags) if len(data) else None
