@@ -9,7 +9,6 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "_ext"))
 os.environ.setdefault("MPLBACKEND", "agg")
 
-import numpydoc.xref  # noqa: E402
 import reference  # noqa: E402
 import repository  # noqa: E402
 
@@ -28,8 +27,12 @@ extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
+    "sphinx.ext.intersphinx",
+    "sphinx.ext.viewcode",
     "numpydoc",
     "sphinx.ext.mathjax",
+    "sphinx_codeautolink",
+    "sphinx_copybutton",
     "sphinx_gallery.gen_gallery",
     "sphinxcontrib.bibtex",
     "names",
@@ -39,8 +42,9 @@ source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 exclude_patterns = ["reference/generated", "gallery/*.py", "gallery/*.ipynb", "**/*.codeobj.json"]
 templates_path = ["_templates"]
 nitpicky = True
-# The configuration of the gallery names functions, which Sphinx cannot store between builds.
-suppress_warnings = ["config.cache"]
+# The configuration of the gallery names functions, which Sphinx cannot store between builds; the
+# gallery links most of its code itself.
+suppress_warnings = ["config.cache", "codeautolink.match_name"]
 
 # --- text ------------------------------------------------------------
 
@@ -63,10 +67,41 @@ numpydoc_show_class_members = False
 numpydoc_xref_param_type = True
 numpydoc_xref_ignore = "all"  # but the public names
 numpydoc_xref_aliases = {
-    **{name: name for name in numpydoc.xref.DEFAULT_LINKS},
-    **{name: f"fixel.{name}" for name in reference.public_names()},
+    **{name: f":obj:`{name} <fixel.{name}>`" for name in reference.public_names()},
+    **{name: f":obj:`{name} <numpy.{name}>`" for name in ("float64", "int64", "uint8", "ndarray")},
+    **{name: f":obj:`{name}`" for name in ("bool", "dict", "float", "int", "list", "str", "tuple")},
+    "array_like": ":obj:`array_like <numpy.typing.ArrayLike>`",
+    "callable": ":obj:`callable <collections.abc.Callable>`",
+    "iterable": ":obj:`iterable <collections.abc.Iterable>`",
+    "mapping": ":obj:`mapping <collections.abc.Mapping>`",
+    "None": ":obj:`None`",
+    "path": ":obj:`path <pathlib.Path>`",
+    "sequence": ":obj:`sequence <collections.abc.Sequence>`",
+    **{name: f":obj:`{name}`" for name in ("matplotlib.axes.Axes", "pathlib.Path")},
 }
 default_role = "py:obj"
+# The names that pages use, by hand: the site is built without network.
+intersphinx_mapping = {
+    name: (f"https://{address}", f"_inventories/{name}.txt")
+    for name, address in {
+        "python": "docs.python.org/3",
+        "numpy": "numpy.org/doc/stable",
+        "scipy": "docs.scipy.org/doc/scipy",
+        "matplotlib": "matplotlib.org/stable",
+        "pandas": "pandas.pydata.org/docs",
+        "pyarrow": "arrow.apache.org/docs/python",
+    }.items()
+}
+viewcode_line_numbers = True
+codeautolink_concat_default = True  # the blocks of a page run as one script
+codeautolink_autodoc_inject = False
+codeautolink_warn_on_missing_inventory = False
+codeautolink_warn_on_failed_resolve = False
+copybutton_selector = (
+    "div:not(.highlight-text, .highlight-none, .sphx-glr-script-out) > .highlight > pre"
+)
+copybutton_prompt_text = r">>> |\.\.\. |\$ "
+copybutton_prompt_is_regexp = True
 
 # --- gallery ------------------------------------------------------------
 
@@ -96,6 +131,8 @@ html_title = f"fixel {version}"
 # One file of MathJax 3, which draws formulas as SVG without any other file or request. Version 4
 # fetches fonts; MathML looks different on every machine, and poor where no font has a MATH table.
 MATHJAX = "sphinx-mathjax-offline"
+html_favicon = "../src/fixel/web/static/icon.svg"
+html_search_scorer = str(HERE / "_ext" / "search.js")
 html_static_path = [
     "_static",
     str(distribution(MATHJAX).locate_file(f"{MATHJAX}/static/mathjax/tex-svg.js")),
@@ -110,7 +147,7 @@ html_show_sphinx = False
 html_permalinks_icon = "#"
 html_context = {"default_mode": "auto"}
 html_theme_options = {
-    "logo": {"text": "fixel"},
+    "logo": {"text": f"fixel {version}"},
     "header_links_before_dropdown": 8,
     "navbar_persistent": ["search-button"],
     "navbar_end": ["theme-switcher"],

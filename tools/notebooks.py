@@ -1,4 +1,4 @@
-"""Notebooks of the first tutorials, made from their pages: `python -m tools.notebooks`.
+"""Notebooks of the tutorials, made from their pages: `python -m tools.notebooks`.
 
 A page is the one source: the site shows it, and its blocks of Python become the cells of a
 notebook. A notebook has no outputs, so it differs only where its page does.
@@ -17,11 +17,22 @@ from typing import Any, Final
 ROOT: Final = Path(__file__).parents[1]
 PAGES: Final = ROOT / "docs" / "tutorials"
 FOLDER: Final = ROOT / "examples" / "notebooks"
-NAMES: Final = ("first_push", "own_experiments", "calibration", "plan")
+NAMES: Final = (
+    "first_push",
+    "own_experiments",
+    "calibration",
+    "trust",
+    "grasp",
+    "plan",
+    "own_simulator",
+)
 
 BLOCK: Final = re.compile(r"^```python\n(.*?)^```\n", re.DOTALL | re.MULTILINE)
 OUTPUT: Final = re.compile(r"\s*```text\n(.*?)^```\n", re.DOTALL | re.MULTILINE)
 NUMBER: Final = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+# A file that the reader saves, and the link to the notebook itself.
+FILE: Final = re.compile(r"```{code-block} \w+\n:caption: (\S+)\n\n(.*?)```\n", re.DOTALL)
+OWN_LINK: Final = re.compile(r"^\[Download this page.*\n\n", re.MULTILINE)
 LINK: Final = re.compile(r"(?<=\]\()(?!\w+:|#|/)")
 METADATA: Final = {
     "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
@@ -62,6 +73,7 @@ def is_output(shown: str, printed: str) -> bool:
 
 
 def _cells(page: str) -> Iterator[dict[str, Any]]:
+    page = FILE.sub(r"```python\n%%writefile \1\n\2```\n", OWN_LINK.sub("", page))
     for k, part in enumerate(BLOCK.split(page)):
         source = (part if k % 2 else OUTPUT.sub("", part, count=1)).strip()
         if not source:

@@ -1,14 +1,20 @@
-"""Links from the names in docstrings to their pages.
+"""Links from the names in docstrings and in code of the text to their pages.
 
 A docstring writes `simulate`, `Scene` or `fixel.model.scene.Scene`. What is public becomes a link;
-any other name is set as code, since most of them are arguments, units or values.
+any other name is set as code, since most of them are arguments, units or values. In Markdown
+`Scene`, `Scene.simulate` and `fixel.plan(...)` become links; `plan` alone may be a command.
 """
+
+import re
 
 from docutils import nodes
 from reference import public_names
 from sphinx.addnodes import pending_xref
 
+import fixel
+
 PUBLIC = set(public_names())
+NAME = re.compile(r"(?:fixel\.(?=\w)|(?=[A-Z]))(\w+)(\.\w+)?")
 
 
 def resolve(app, env, node: pending_xref, content: nodes.TextElement):
@@ -30,6 +36,27 @@ def resolve(app, env, node: pending_xref, content: nodes.TextElement):
     return nodes.literal(target, content.astext(), classes=["code"])
 
 
+def link(app, doctree: nodes.document) -> None:
+    """Make references of the public names that a Markdown page has in its text."""
+    if app.env.doc2path(app.env.docname).suffix != ".md":
+        return
+    for code in list(doctree.findall(nodes.literal)):
+        found = NAME.match(code.astext())
+        inside = isinstance(code.parent, nodes.title | nodes.reference | pending_xref)
+        if not found or inside or found[1] not in PUBLIC:
+            continue
+        member = (found[2] or "").lstrip(".")
+        known = member and hasattr(getattr(fixel, found[1]), member)
+        target = f"fixel.{found[1]}" + (f".{member}" if known else "")
+        reference = pending_xref(
+            "", refdomain="py", reftype="obj", reftarget=target, refexplicit=True
+        )
+        reference["refdoc"] = app.env.docname
+        code.replace_self(reference)
+        reference += code
+
+
 def setup(app):
-    app.connect("missing-reference", resolve)
+    app.connect("doctree-read", link)
+    app.connect("missing-reference", resolve, priority=900)  # after intersphinx
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -19,12 +19,15 @@ GROUPS = {
     " NoSupport LineDrive PathDrive PairFriction Plane LoadMap Pose Parameters load_scene",
     "Simulation": "simulate simulate_batch Simulator Simulation BatchResult Trajectory Dynamic"
     " QuasiStatic FirstOrder Adaptive StewartTrinkle Newton Lemke GaussSeidel",
-    "Experiments": "read_experiments Experiment Experiments Project export report load",
+    "Experiments": "read_experiments Experiment Experiments PlannedExperiment SimulatedTestbed"
+    " Project export report load",
     "Calibration": "calibrate calibrate_each calibrate_campaign known_parameters Parameter"
     " Calibration Calibrations Estimate Noise",
     "Comparison and trust": "compare Comparison map_domain DomainMap error_bound ErrorBound"
     " sensitivity Sensitivity posterior Posterior predict Prediction filter FilterRun StartError"
     " part_model PartModel table_check TableCheck table_map TableMap",
+    "Planning": "plan PushPlan FreePushes RigPushes Belief RigError run_on_testbed orienting_plan"
+    " OrientingPlan push_candidates NextPushes",
     "Goals": "PoseRegion Seated Inside Beyond AllOf AnyOf Contact Exit ForceAbove Goal",
     "Errors": "FixelError InvalidInput SolveFailed StoreRefused MissingExtra Interrupted",
 }

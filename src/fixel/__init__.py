@@ -47,6 +47,7 @@ if TYPE_CHECKING:
         Parameters as Parameters,
         PathDrive as PathDrive,
         Plane as Plane,
+        PlannedExperiment as PlannedExperiment,
         Polygon as Polygon,
         Pose as Pose,
         PoseRegion as PoseRegion,
@@ -87,6 +88,7 @@ if TYPE_CHECKING:
         Simulator as Simulator,
         StewartTrinkle as StewartTrinkle,
     )
+    from fixel.testbed.simulated import SimulatedTestbed as SimulatedTestbed
     from fixel.uncertainty.outcomes import Sensitivity as Sensitivity
     from fixel.uncertainty.posterior import Posterior as Posterior
     from fixel.uncertainty.prediction import Prediction as Prediction
@@ -110,6 +112,7 @@ if TYPE_CHECKING:
     from fixel.workflows.filtering.run import filter as filter
     from fixel.workflows.model_export.run import export_model as export_model
     from fixel.workflows.parts import part_model as part_model
+    from fixel.workflows.planning.execute import run_on_testbed as run_on_testbed
     from fixel.workflows.planning.run import plan as plan
     from fixel.workflows.project.comparison import compare as compare, Comparison as Comparison
     from fixel.workflows.project.export import export as export
@@ -137,8 +140,9 @@ _NAMES = {
     "fixel.formats": "load_scene",
     "fixel.io": "load",
     "fixel.model": "AllOf AnyOf Beyond Body Contact Disk Ellipsoid Exit Experiment Fixel ForceAbove"
-    " Goal Inside LineDrive LoadMap NoSupport PairFriction Parameters PathDrive Plane Polygon Pose"
-    " PoseRegion Pusher Scene Seated SupportPoints Trajectory Tripod UniformPressure",
+    " Goal Inside LineDrive LoadMap NoSupport PairFriction Parameters PathDrive Plane"
+    " PlannedExperiment Polygon Pose PoseRegion Pusher Scene Seated SupportPoints Trajectory"
+    " Tripod UniformPressure",
     "fixel.model.records": "Estimate",
     "fixel.model.space": "Parameter",
     "fixel.parts.model": "PartModel",
@@ -151,6 +155,7 @@ _NAMES = {
     "fixel.planning.pushes": "FreePushes RigPushes",
     "fixel.simulation": "Adaptive BatchResult Dynamic FirstOrder GaussSeidel Lemke Newton"
     " QuasiStatic simulate simulate_batch Simulation Simulator StewartTrinkle",
+    "fixel.testbed.simulated": "SimulatedTestbed",
     "fixel.uncertainty.outcomes": "Sensitivity",
     "fixel.uncertainty.posterior": "Posterior",
     "fixel.uncertainty.prediction": "Prediction",
@@ -164,6 +169,7 @@ _NAMES = {
     "fixel.workflows.filtering.run": "filter",
     "fixel.workflows.model_export.run": "export_model",
     "fixel.workflows.parts": "part_model",
+    "fixel.workflows.planning.execute": "run_on_testbed",
     "fixel.workflows.planning.run": "plan",
     "fixel.workflows.project.comparison": "compare Comparison",
     "fixel.workflows.project.export": "export",
@@ -196,4 +202,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *__all__, "datasets", "filter", "units"})

@@ -89,6 +89,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "compare": "fixel.workflows.project.comparison:compare",
         "load_scene": "fixel.formats:load_scene",
         "read_outline": "fixel.formats.outline_file:read_outline",
+        "player": "fixel.web.views.notebook_player:player_of_simulation",
         "save": "fixel.io:save",
         "scene_file": "fixel.formats:SceneFile",
         "save_scene": "fixel.formats:save_scene",

@@ -112,6 +112,30 @@ class Summary:
         return f'<div class="fixel-result">{"".join(parts)}</div>'
 
 
+@dataclass(frozen=True, slots=True, repr=False)
+class Player:
+    """Animation with play button and slider, which a cell of a notebook shows.
+
+    Parameters
+    ----------
+    page : str
+        HTML page that loads nothing else; written to a file, every browser opens it.
+    """
+
+    page: str
+
+    def __repr__(self) -> str:
+        return f"Player: {len(self.page) / 1e3:.0f} kB of HTML, shown in a notebook"
+
+    def _repr_html_(self) -> str:
+        # In a frame, neither styles nor scripts meet those of the notebook or of other cells.
+        style = "width: 100%; height: 420px; border: 0; color-scheme: light dark"
+        return (
+            f'<iframe sandbox="allow-scripts" title="Animation" style="{style}" '
+            f'srcdoc="{escape(self.page)}"></iframe>'
+        )
+
+
 class Result:
     """Result of a public function: prints, draws, converts and saves itself.
 

@@ -347,6 +347,13 @@ class PlannedExperiment(Comparable):
         Scene with one free body, one pusher with a force-limited drive, and fixels.
     conditions : mapping of str to str or float
         Shape, layout, offset and repetition.
+
+    Examples
+    --------
+    >>> import fixel
+    >>> from fixel.testing.scenes import pushed_square
+    >>> fixel.PlannedExperiment(name="push-1", scene=pushed_square()).name
+    'push-1'
     """
 
     name: str

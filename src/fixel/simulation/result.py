@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from math import degrees
 from pathlib import Path
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple, final, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,7 +29,7 @@ from fixel.model import (
 )
 from fixel.model.parameters import info_of
 from fixel.registry import offered
-from fixel.results import Result, Summary
+from fixel.results import Player, Result, Summary
 from fixel.simulation.geometry import contact_outline, outline_tolerance
 from fixel.simulation.solver import Lemke
 from fixel.table import Column, Table
@@ -265,21 +265,43 @@ class Simulation(Result):
         pose = self.pose[_known(name, list(self.pose))]
         return self.pushers.get(name) or Trajectory(time=self.time, pose=pose)
 
-    def animate(self, path: str | Path, *, progress: Any = None) -> Path:
-        """Write an animation of the motion.
+    @overload
+    def animate(self, path: None = None, *, progress: Any = None) -> Player: ...
+    @overload
+    def animate(self, path: str | Path, *, progress: Any = None) -> Path: ...
+    def animate(self, path: str | Path | None = None, *, progress: Any = None) -> Path | Player:
+        """Show the motion in a notebook, or write an animation of it.
 
         Parameters
         ----------
-        path : str or path
-            File to write: `.mp4` or `.gif`.
+        path : str or path, optional
+            File to write: `.mp4` or `.gif`. Without it, a player is returned, which a notebook
+            shows: play, pause, a slider for the time, contact forces.
         progress : bool or callable, optional
             As for `fixel.progress.show_progress`.
+
+        Returns
+        -------
+        pathlib.Path or Player
+            The file, or the player. Its `page` is HTML that works offline.
 
         Raises
         ------
         InvalidInput
             The file name has another ending, or the file cannot be written.
+
+        Examples
+        --------
+        >>> import fixel
+        >>> from fixel.testing.scenes import pushed_square
+        >>> push = fixel.simulate(pushed_square())
+        >>> player = push.animate()  # the last line of a cell shows it
+        >>> "<script" in player.page
+        True
         """
+        if path is None:
+            player: Player = offered("methods", "player")(self)
+            return player
         offered("methods", "animate")(self, path, progress=progress)
         return Path(path)
 

@@ -119,6 +119,14 @@ class SimulatedTestbed:
     false_contact, missed_contact : float
         Probabilities that a fixel reads 1 without contact, and 0 with it [-]; as measured on the
         laboratory's own fixels.
+
+    Examples
+    --------
+    >>> import fixel
+    >>> from fixel.testing.scenes import pushed_square
+    >>> planned = [fixel.PlannedExperiment(name="push", scene=pushed_square(0.5))]
+    >>> [recorded.key for recorded in fixel.SimulatedTestbed(seed=4).run(planned)]
+    ['testbed/push']
     """
 
     seed: int = 1

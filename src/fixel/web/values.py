@@ -8,7 +8,6 @@ from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
-from fastapi import Path
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -25,9 +24,9 @@ from fixel.typing import FloatArray, IntArray
 MAX_ID = 2**31 - 1  # largest integer of a database
 MAX_KEYS = 100  # keys of a request's body; those that are known are about ten
 
-# Ids, as they stand in addresses and in bodies.
-Number = Annotated[int, Path(ge=1, le=MAX_ID)]
+# Ids, as they stand in addresses and in bodies. FastAPI, an extra, is not imported here.
 Id = Annotated[int, Field(ge=1, le=MAX_ID)]
+Number = Id
 
 
 def plain_text(text: str) -> str:

@@ -1,12 +1,12 @@
 // @ts-check
 // Asking fixel: JSON in and out, refusals as sentences, undo.
 
-import { ROOT, at, make } from "./dom.js";
+import { at, make } from "./dom.js";
 
+/** Path below which all pages are, as `/SECRET`: the cookie is sent with no other path. */
+export const ROOT = new URL("..", import.meta.url).pathname.replace(/\/$/, "");
 const BASE = `${ROOT}/api/v1`;
 const SHOWN_FOR = 8000; // [ms]
-
-/** @typedef {{dtype: string, shape: number[], base64: string}} Packed */
 
 /** What fixel answered instead of what was asked for. */
 export class Refusal extends Error {
@@ -58,21 +58,6 @@ async function ask(path, options) {
   if (answer.ok) return answer.status === 204 ? null : answer.json();
   const said = await answer.json().catch(() => ({}));
   throw new Refusal({ status: answer.status, ...said, sentence: said.sentence ?? `the server answered with status ${answer.status}` });
-}
-
-const KINDS = { "<f8": Float64Array, "<f4": Float32Array, "<i4": Int32Array };
-
-/**
- * The numbers of an array, row after row.
- * @param {Packed} packed
- * @returns {Float64Array | Float32Array | Int32Array}
- */
-export function numbers(packed) {
-  const text = atob(packed.base64);
-  const bytes = new Uint8Array(text.length);
-  for (let k = 0; k < text.length; k += 1) bytes[k] = text.charCodeAt(k);
-  const Kind = KINDS[/** @type {keyof typeof KINDS} */ (packed.dtype)];
-  return new Kind(bytes.buffer);
 }
 
 /** Of the messages that are there, the newest last. @type {(() => void)[]} */

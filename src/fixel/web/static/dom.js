@@ -1,9 +1,6 @@
 // @ts-check
 // Small functions for pages that are put together here. Texts go in as text, never as markup.
 
-/** Path below which all pages are, as `/SECRET`: the cookie is sent with no other path. */
-export const ROOT = new URL("..", import.meta.url).pathname.replace(/\/$/, "");
-
 /**
  * The element of an id; it is there, or the page is wrong.
  * @param {string} id

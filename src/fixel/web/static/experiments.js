@@ -1,8 +1,8 @@
 // @ts-check
 // The table of experiments: keys, selection, marks of what is selected.
 
-import { complain, get, send, toast } from "./api.js";
-import { ROOT, at, input, typing } from "./dom.js";
+import { ROOT, complain, get, send, toast } from "./api.js";
+import { at, input, typing } from "./dom.js";
 import { offerImport } from "./import.js";
 import * as marks from "./marks.js";
 import { renew } from "./page.js";

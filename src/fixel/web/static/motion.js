@@ -1,9 +1,7 @@
 // @ts-check
 // A motion document, as `/api/v1` answers it, made ready for drawing: see web/api/motion.py.
 
-import { numbers } from "./api.js";
-
-/** @typedef {import("./api.js").Packed} PackedArray */
+/** @typedef {{dtype: string, shape: number[], base64: string}} PackedArray */
 /** @typedef {ReturnType<typeof numbers>} Numbers */
 /** @typedef {{polygon_m: number[][] | null, disk_m: number | null}} Shape */
 /** @typedef {[number, number, number]} Pose x [m], y [m], angle [rad] */
@@ -40,6 +38,21 @@ import { numbers } from "./api.js";
  * @property {PackedMotion[]} motions
  */
 /** @typedef {{point: number[], force: number[], body: number, other: number}} Contact */
+
+const KINDS = { "<f8": Float64Array, "<f4": Float32Array, "<i4": Int32Array };
+
+/**
+ * The numbers of an array, row after row.
+ * @param {PackedArray} packed
+ * @returns {Float64Array | Float32Array | Int32Array}
+ */
+export function numbers(packed) {
+  const text = atob(packed.base64);
+  const bytes = new Uint8Array(text.length);
+  for (let k = 0; k < text.length; k += 1) bytes[k] = text.charCodeAt(k);
+  const Kind = KINDS[/** @type {keyof typeof KINDS} */ (packed.dtype)];
+  return new Kind(bytes.buffer);
+}
 
 /**
  * Index of the last instant that is not after `time`; -1 before the first.

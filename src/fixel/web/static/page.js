@@ -14,8 +14,8 @@
 // <a data-key="j">           is opened by that key; a button is pressed by it
 // <a data-goto>              is opened at once
 
-import { complain, copy, send, toast } from "./api.js";
-import { ROOT, settled, typing } from "./dom.js";
+import { ROOT, complain, copy, send, toast } from "./api.js";
+import { settled, typing } from "./dom.js";
 
 let newest = 0;
 let timer = 0;

@@ -1,10 +1,9 @@
 // @ts-check
 // A video in step with a player, with the outline of the part as it was measured drawn over it.
 
-import { lastBefore } from "./motion.js";
-import { numbers } from "./api.js";
+import { lastBefore, numbers } from "./motion.js";
 
-/** @typedef {{size_px: [number, number], time_s: import("./api.js").Packed, outline_px: import("./api.js").Packed}} Seen */
+/** @typedef {{size_px: [number, number], time_s: import("./motion.js").PackedArray, outline_px: import("./motion.js").PackedArray}} Seen */
 
 const LATE = 0.08; // [s] that a playing video may be off before it is put right
 const SAME = 0.004; // [s] that nobody sees

@@ -63,6 +63,8 @@ def run_on_testbed(path: str | Path, *, trials: int = 1, seed: int = 1) -> Trial
     ----------
     path : str or Path
         Plan file.
+    trials : int
+        Number of new trials.
     seed : int
         Seed of the testbed: its plate and its conditions.
 
@@ -70,6 +72,15 @@ def run_on_testbed(path: str | Path, *, trials: int = 1, seed: int = 1) -> Trial
     -------
     Trials
         All trials of the plan.
+
+    Examples
+    --------
+    >>> import fixel
+    >>> from fixel.testing.scenes import pushed_square
+    >>> goal = fixel.PoseRegion((0.02, 0.0, 0.0), position=0.009)
+    >>> plan = fixel.plan(pushed_square(), goal, rollouts=1_000, progress=False)
+    >>> fixel.run_on_testbed(plan.save("push.plan"), trials=2).n
+    2
     """
     path = Path(path)
     file = load_plan(path)
