@@ -43,7 +43,7 @@ class Noise:
         Origin: `stated` by the user, scatter of `repetitions`, `residuals` of the fit itself, or
         second `differences` of measured poses.
     correlation : float
-        Integrated autocorrelation time, the frames that are worth one independent one [frames].
+        Integrated autocorrelation time: frames that count as one independent frame [frames].
     freedom : float
         Degrees of freedom of the standard deviations; inf if they are known.
 

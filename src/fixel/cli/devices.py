@@ -358,7 +358,7 @@ def overlay(
     ),
     project: ProjectFolder = Path(),
     anchor: str = option(
-        "", "Part with which all poses move to where the camera sees it.", metavar="NAME"
+        "", "Part to anchor at: all poses move so that it is where it is seen.", metavar="NAME"
     ),
     tolerance_mm: float | None = option(
         None, "Largest allowed position error of a part [mm].", show_default="the rig's"

@@ -56,14 +56,14 @@ def resume(
     options: PlaceOptions,
     accept_version: bool = option(
         False,
-        "Resume a job that another version of fixel began; last digits may differ.",
+        "Resume a job that another version of fixel began; the last digits may differ.",
         "--accept-version",
     ),
     as_json: AsJson = False,
 ) -> None:
     """Resume a job that was stopped, cancelled or lost.
 
-    By default, it has its last settings.
+    By default, the last settings are used.
     """
     _run(folder, options, as_json, accept_version)
 

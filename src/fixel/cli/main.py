@@ -135,7 +135,7 @@ def main(
         ),
     ] = False,
 ) -> None:
-    """Planar rigid bodies in frictional contact, solved as complementarity problems."""
+    """Simulate, calibrate and plan pushes of rigid parts on a table."""
 
 
 def program_of(names: Iterable[str]) -> typer.Typer:

@@ -102,7 +102,7 @@ def held(
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
-    """Compare stated with held success on left-out experiments."""
+    """Compare stated with observed success on left-out experiments."""
     from fixel.units import deg, mm
     from fixel.workflows.planning.execute import stored_held_success
 
@@ -138,7 +138,7 @@ def next_(
 ) -> None:
     """Choose the next push from a seen pose.
 
-    A plan with looks chooses at once. Others are planned again, with the pushes that are left.
+    A plan with looks chooses at once. Other plans are made again, with the pushes that are left.
     """
     from fixel.workflows.planning.execute import next_plan, next_step, seen_pose
     from fixel.workflows.planning.report import analysis_of
@@ -246,7 +246,7 @@ def run(
 ) -> None:
     """Carry out a plan and add the trial.
 
-    Ctrl-C, an alarm or another start stops the drive.
+    Ctrl-C, an alarm, or a start that was not planned stops the drive.
     """
     from fixel.workflows.planning.execute import present_belief, run_on_testbed
     from fixel.workflows.planning.request import load_plan

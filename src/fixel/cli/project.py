@@ -297,7 +297,7 @@ def export(
     ),
     calibration: int | None = option(
         None,
-        "Stored calibration whose first experiment is the model, with --to.",
+        "Stored calibration whose first experiment is written, with --to.",
         metavar="ID",
         show_default="the newest for several experiments",
     ),

@@ -41,20 +41,20 @@ class FilterRun(Result):
     options : ParticleFilter
     seed : int
     prior : UniformPrior
-        As it applied to the scene.
+        Prior, as it applied to the scene.
     occlusion : (float, float) or None
         First and last instant in which the object was hidden [s].
     uses_tactile : bool
-        False also where there was nothing to feel with.
+        Whether tactile readings were used; False if there were none.
     time : (n,) float64
         [s]
     pose : (n, 3) float64
         [m, m, rad]
     covariance : (n, 3, 3) float64
     mean : (n, n_name) float64
-        Of the parameters of `prior`.
+        Means of the parameters of `prior`.
     quantiles : (n, n_name, 3) float64
-        At 5, 50 and 95 %.
+        Quantiles of the parameters at 5, 50 and 95 %.
     touch : (n, n_fixel) float64
         Probability that the object touches each fixel [-].
     ess : (n,) float64
@@ -67,9 +67,9 @@ class FilterRun(Result):
     draws : (n_draw, n_name) float64
         Parameters of the particles at the end, drawn in proportion to their weights.
     misfit : FilterMisfit
-        How far the model alone is from what the camera saw.
+        Distance of the model alone from the measured poses.
     busy : (n,) float64
-        Wall time each frame took [s]; the only thing that is not the same every time.
+        Wall time of each frame [s]; only this differs between equal runs.
 
     Examples
     --------
@@ -113,22 +113,22 @@ class FilterRun(Result):
 
     @property
     def hidden(self) -> BoolArray:
-        """(n,) which frames lie in the occlusion."""
+        """Whether each frame lies in the occlusion, (n,) bool."""
         return _within(self.time, self.occlusion)
 
     @property
     def contact_mode(self) -> str:
-        """At the end, a digit a fixel: 1 where it is touched more likely than not."""
+        """Contact mode at the end, one digit per fixel: 1 if it is probably touched."""
         return "".join(str(int(probability > 0.5)) for probability in self.touch[-1])
 
     @property
     def real_time_factor(self) -> float:
-        """Recorded time over the time it took to filter it [-]."""
+        """Recorded time divided by the time that filtering took [-]."""
         return float((self.time[-1] - self.time[0]) / max(float(self.busy.sum()), 1e-12))
 
     @property
     def excited(self) -> dict[str, bool]:
-        """Parameters by name, with whether the run has informed them."""
+        """Whether the run has informed each parameter, by name."""
         low, _, high = self.quantiles[-1].T
         return dict(zip(self.prior.names, self.prior.excited(low, high).tolist(), strict=True))
 

@@ -164,8 +164,8 @@ class Experiment(Comparable, Result):
     pusher : Trajectory, optional
         Measured poses of the pusher, on the same clock.
     scene : Scene, optional
-        Bodies on the plate at the first measured pose, with nominal friction; None where not all
-        is known.
+        Bodies on the plate at the first measured pose, with nominal friction; None if it is not
+        fully known.
     height, pusher_height, fixel_height : float, optional
         Heights above the plane [m], which tracking by a camera needs.
     channels : tuple of Channel

@@ -374,7 +374,7 @@ class Inside(Clause):
 class Beyond(Clause):
     """Goal that a body, or one point of it, ends beyond a line.
 
-    The margin is 1 on the line, more beyond it, and 0 where the tolerance is missing.
+    The margin is 1 on the line, more beyond it, and 0 where the body is short by the tolerance.
 
     Parameters
     ----------
@@ -555,7 +555,7 @@ class ForceAbove(Clause):
 @final
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class AllOf(Goal):
-    """Goal that all of some goals are met at the end, and that events never happened.
+    """Goal that requires all of several goals at the end, and that events never happen.
 
     The margin is the smallest one.
 
@@ -610,7 +610,7 @@ class AllOf(Goal):
 @final
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class AnyOf(Goal):
-    """Goal that at least one of some goals is met at the end.
+    """Goal that requires at least one of several goals at the end.
 
     The margin is the largest one.
 

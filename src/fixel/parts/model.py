@@ -70,7 +70,8 @@ class PartModel(Result):
 
     Made by `fixel.part_model`. Parts on a surface differ in how they stand on it. Their support
     parameters have a common normal distribution, learned from parts; it is the prior of a new part
-    and narrows with its pushes. Bounds are judged by leaving whole parts out, with as many pushes.
+    and narrows with its pushes. Bounds come from whole parts that were left out, with as many own
+    pushes as the new part has.
 
     Attributes
     ----------

@@ -129,8 +129,8 @@ class TableMap(Result):
 
     Made by `fixel.table_map`. Where the table is high, parts press more; the map is the logarithm
     of that factor, never a height: heights and stiffness have the same effect. It belongs to one
-    table in one place. It is used by putting it into scenes, with `on`, before these are given to
-    `fixel.calibrate`, `fixel.part_model`, `fixel.predict`, `fixel.plan` or any other function.
+    table in one place. Put it into scenes with `on` before you pass these to `fixel.calibrate`,
+    `fixel.part_model`, `fixel.predict`, `fixel.plan` or any other function.
 
     Attributes
     ----------
@@ -147,9 +147,9 @@ class TableMap(Result):
     spread : (n_node, k) float64
         Square root of the covariance of the nodes.
     own : mapping of str to OwnFit
-        What is the parts' own on the table, from pose to pose.
+        Loads of each part from pose to pose that the map does not explain.
     weight : float
-        Weight of the map that leaving out chose; 0 for a map that does not help.
+        Weight of the map, chosen on left-out pushes; 0 for a map that does not help.
     judgement : MapJudgement
         Errors of pushes that were left out.
     experiments : tuple of str

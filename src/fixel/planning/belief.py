@@ -121,18 +121,19 @@ class Belief:
     Parameters
     ----------
     parameters : Posterior, PartModel, Calibration, mapping or sequence of mappings, optional
-        Samples of a posterior; of a part by its labels in `conditions`; of a calibration from its
-        intervals and correlations. Or a value or an interval ``(low, high)`` by name, sampled
-        evenly [SI], or several sets of values that are equally likely, the nominal one first. By
-        default the scene's own values.
+        Samples from a posterior, from the distribution of the part that `conditions` names, or from
+        the intervals and correlations of a calibration. Or a value or an interval ``(low, high)``
+        by name, sampled evenly [SI], or several sets of values that are equally likely, the nominal
+        one first. By default the scene's own values.
     start : StartError, optional
         Errors of the start pose. By default none.
     rig : RigError, optional
         Errors of the rig. By default none.
     run_to_run : RunToRun, optional
-        What differs between runs of the same push, drawn inside the simulation, as learned from
-        repetitions. By default the error of the model itself: that of a posterior or part model,
-        added to ends where nothing touches, or that of a calibration, in proportion to the motion.
+        Scatter between runs of the same push, drawn inside the simulation and learned from
+        repetitions. It replaces the error of the model itself, the default, which is added to ends
+        where nothing touches (posterior, part model) or is proportional to the motion
+        (calibration).
     conditions : mapping of str to str or float
         Labels of the part, the surface and others, which select parameters.
 

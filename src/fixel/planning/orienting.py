@@ -95,7 +95,7 @@ class OrientingPlan(Result):
     rotations : (n - 1,) float64
         Rotations of the direction of pushing between the n pushes, counter-clockwise [rad].
     margins : (n - 1,) float64
-        Error of each rotation up to which its effect is the same [rad].
+        Largest error of each rotation that does not change its effect [rad].
     angle : float
         Angle of the part after the last push, from the direction of that push [rad]; known up to
         the symmetry.

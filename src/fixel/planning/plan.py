@@ -80,7 +80,7 @@ class PushPlan(Result):
         Scene with the tool, the part at its planned start.
     goal : Goal
     choose : FreePushes or RigPushes
-        What could be chosen.
+        Pushes that could be chosen.
     belief : Belief
         What is unknown.
     pushes : tuple of PlanPush or RigPush

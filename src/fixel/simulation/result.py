@@ -161,11 +161,11 @@ class Simulation(Result):
     version : str
         Version of fixel.
     accuracy : Accuracy or None
-        How far a second, independent way confirms the end; None where that was not asked for.
+        Confirmation of the end by a second, independent method; None if not requested.
     derivatives : mapping from name to (3,) float64, or None
-        Derivative of x, y and theta of the part at the end, by each name that was asked for [SI
-        units]; empty where there are none: contact modes are lost, or one ends in a jump, or
-        elsewhere than the stepper.
+        Derivative of x, y and theta of the part at the end, by each requested name [SI units];
+        empty if there are none, because contact modes are lost, jump, or end elsewhere than the
+        stepper.
 
     Examples
     --------
@@ -488,13 +488,12 @@ class BatchResult(Result):
     contacts : (n, n_moving, n_body) bool or None
         Whether two bodies touch at the end; None if contacts were not recorded.
     accuracy : (n,) str or None
-        ``certified``, ``agreed`` or ``uncertain``, as `Accuracy.verdict`; None where that was not
-        asked for.
+        ``certified``, ``agreed`` or ``uncertain``, as `Accuracy.verdict`; None if not requested.
     apart : (n, 2) float64 or None
         Largest distance [m] and angle [rad] between the ends by two independent ways.
     derivatives : mapping from name to (n, 3) float64, or None
-        Derivatives of the last poses [m, m, rad] by each parameter or start coordinate that was
-        asked for; NaN where there are none.
+        Derivatives of the last poses [m, m, rad] by each requested parameter or start coordinate;
+        NaN where there are none.
     differentiable : (n,) bool or None
         Whether there are derivatives; see `Simulation.derivatives`.
     version : str

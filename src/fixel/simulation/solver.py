@@ -112,9 +112,9 @@ class GaussSeidel(AbstractSolver):
 class Lemke(AbstractSolver):
     """Lexicographic Lemke on the linear form: a reference, for `support_directions` of 4 or more.
 
-    It needs no guess, so that a solution does not depend on the previous step. A hundred times
-    slower than `Newton`, the fallback for steps where it ends on a ray; runs in the plain loop,
-    for at most `MAX_STEPS` steps (some seconds), after which the status is ``max_steps``.
+    It needs no guess, so that a solution does not depend on the previous step. It is a hundred
+    times slower than `Newton`, which solves the steps in which it ends on a ray. It runs in the
+    plain loop, for at most `MAX_STEPS` steps (some seconds); then the status is ``max_steps``.
 
     Parameters
     ----------

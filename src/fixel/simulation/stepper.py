@@ -148,9 +148,9 @@ class _BuiltInStepper(AbstractStepper):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StewartTrinkle(_BuiltInStepper):
-    """Fixed step, rows taken at the step's start. First order.
+    """Fixed steps of first order, with the geometry at the start of each step.
 
-    The scheme of the thesis and of most peers; choose it to reproduce them.
+    This is the scheme of the thesis and of most engines. Choose it to reproduce their results.
 
     Parameters
     ----------
@@ -209,7 +209,8 @@ class Adaptive(_BuiltInStepper):
     The estimated error of a step is half its length times the change of velocity over it, which is
     the error of a first-order step. Steps end where a pusher's path bends and where a gap closes. A
     bounce has a step of its own. A step is repeated with a shorter one if contacts change in its
-    second half. With inertia it is the implicit midpoint rule. See docs/theory/stepping.md.
+    second half. With inertia, a step follows the implicit midpoint rule. See
+    docs/theory/stepping.md.
 
     Parameters
     ----------

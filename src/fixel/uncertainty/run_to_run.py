@@ -314,7 +314,7 @@ def learn_run_to_run(
     Parameters
     ----------
     experiments : sequence of Experiment
-        Best those that were not calibrated on.
+        Experiments, preferably not used for the calibration.
     model : mapping of str to float or Calibration
         Parameters [SI].
     fitted : int

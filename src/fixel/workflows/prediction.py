@@ -65,9 +65,9 @@ def predict(
         of an experiment predicted with a posterior has the noise of its camera, as in
         `fixel uncertainty`.
     model_error : bool or float, optional
-        Standard deviation of the model's own error at the end of the way [m]. True: that of the
-        posterior. By default as the posterior has it; none with fixed parameters; of a part model
-        the median error on parts that were left out.
+        Standard deviation of the model's own error at the end of the motion [m]; True for that of
+        the posterior. By default, that of the posterior if it has one, the median error on left-out
+        parts for a part model, and none for fixed parameters.
     run_to_run : RunToRun, optional
         Scatter between runs of the same push, which replaces the model error: it acts inside the
         simulation, and grows with how far the part moves and turns.

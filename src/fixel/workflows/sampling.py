@@ -97,8 +97,8 @@ def sample(
         Whether to use the eight pushes of the ASME paper, which identify three support points,
         instead of the scheme of the thesis.
     table : bool
-        Whether to plan equal pushes at places and orientations of the table for `fixel table
-        check`, which the rig moves to.
+        Whether to plan equal pushes for `fixel table check`. The rig moves to places and
+        orientations of the table.
     simulate : bool
         Whether to simulate every experiment and check that the object touches a fixel.
     progress : object

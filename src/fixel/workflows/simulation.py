@@ -127,7 +127,7 @@ def simulate_scene(
     ] = (),
     progress: ProgressOption = None,
 ) -> Simulation:
-    """Simulate a scene file and report its end.
+    """Simulate a scene file and report the final poses.
 
     Parameters
     ----------
@@ -154,9 +154,9 @@ def simulate_scene(
     plain : bool
         Whether to run the steps in Python, slowly, as a cross-check.
     accuracy : bool
-        Whether to solve the scene in a second, independent way and compare both ends.
+        Whether to solve the scene in a second, independent way and compare both results.
     derivatives : sequence of str
-        Differentiate the end by this parameter, or by x, y or theta of the start pose; may be
+        Differentiate the final pose by this parameter, or by x, y, theta of the start; may be
         repeated.
     progress : bool or callable, optional
         Not used.

@@ -40,8 +40,8 @@ def table_map(
     """Map the unevenness of a table from pushes of parts on it.
 
     The same push ends elsewhere when it is made at another place or orientation, because no table
-    is flat. The map has where parts press more. It is judged by leaving out whole parts, or the
-    sides of fewer than three parts, and has weight 0 where it does not help.
+    is flat. The map states where parts press more. It is tested on left-out parts, or on left-out
+    sides of fewer than three parts, and has weight 0 if it does not help.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def map_stored(
 ) -> StoredMap:
     """Map the unevenness of a table from pushes of parts on it.
 
-    The map is judged by pushes of parts, or on sides, that were left out. Give the file of --out
+    The map is tested on parts, or on sides, that were left out. Pass the file of --out
     to other commands as --table.
 
     Parameters

@@ -80,7 +80,7 @@ def map_domain(
         Root mean square error that must not be exceeded [m], angles at 35 mm per radian; by default
         twice the median of the held-out errors.
     relative : float, optional
-        Instead: how much larger the mean squared error may be than with parameters calibrated to
+        Relative threshold: how much larger the squared error may be than with parameters fitted to
         the experiment itself, as a share of that error.
     level : float
         Share of new experiments that have to stay within the threshold.

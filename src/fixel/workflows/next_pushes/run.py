@@ -38,7 +38,7 @@ def propose_pushes(
 ) -> PushProposal:
     """Propose which pushes of a part to make next.
 
-    Each is the push that reduces the expected error of all candidates most. Other parts of the
+    Each push reduces the expected error of all candidates as much as possible. Other parts of the
     project contribute what parts have in common.
 
     Parameters

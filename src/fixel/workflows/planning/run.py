@@ -49,7 +49,7 @@ def plan(
     ] = None,
     progress: ProgressOption = None,
 ) -> PushPlan:
-    """Plan pushes that reach a goal despite what is unknown.
+    """Plan pushes that reach a goal although parameters and start are uncertain.
 
     Candidates are raced under common samples of what is unknown, the best are refined, and the
     success probability of the chosen plan is computed from samples that the search has not seen.

@@ -74,7 +74,7 @@ def sensitivity(
     Returns
     -------
     Sensitivity
-        Growth of the start error, separate outcomes, and the word for both: `.flag`.
+        Growth of the start error, separate outcomes, and a verdict on both: `.flag`.
 
     Raises
     ------
@@ -173,7 +173,7 @@ def sensitivity_of_pushes(
     progress: ProgressOption = None,
     **options: Any,
 ) -> RankedPushes:
-    """Report how start errors grow, and pushes with several ends.
+    """Report how errors of the start grow during pushes.
 
     Parameters
     ----------
@@ -191,8 +191,8 @@ def sensitivity_of_pushes(
     start_error : StartError, optional
         Distribution of the start pose about that of the scene.
     preset : str, optional
-        Preset start error instead: asme (+-5 um, +-0.5 deg) or rpi-camera (noise of the camera at
-        RPI).
+        Preset start error, without sizes: asme (+-5 um, +-0.5 deg) or rpi-camera (noise of the
+        camera at RPI).
     **options
         Options of `sensitivity`.
 
