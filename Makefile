@@ -30,7 +30,7 @@ PARALLEL   = -n $(JOBS) --dist loadfile --no-loadscope-reorder --max-worker-rest
 SCRIPTS   := build/scripts/.packages
 TSC       := build/scripts/node_modules/typescript/bin/tsc
 
-.PHONY: help demo demo-camera test test-system test-slow test-cluster check lint lint-scripts format house soak bench docs wheel lock clean
+.PHONY: help demo demo-camera test test-system test-slow test-cluster check lint lint-scripts format house soak bench docs wheel release-check lock clean
 .DELETE_ON_ERROR:
 
 help:  ## this list
@@ -101,6 +101,9 @@ docs: $(READY) $(DOCS)  ## the documentation site, in build/docs; a warning fail
 
 wheel: $(READY)  ## the package that pip installs, in dist
 	@$(BIN)/python -m hatchling build -t wheel -d dist
+
+release-check: $(READY)  ## build, install and run the package as users do; RELEASE_ARGS="--quick" only builds, "--json"
+	@$(BIN)/python -m tools.release_check $(RELEASE_ARGS)
 
 lock:  ## resolve requirements/*.txt again from pyproject.toml; LOCK_ARGS=--upgrade for newer versions
 	@test -x $(UV_VENV)/bin/uv || { echo "Installing uv into $(UV_VENV) ..."; \
