@@ -35,7 +35,8 @@ def flags(experiment: Experiment) -> list[str]:
 
 def test_the_names_are_those_promised() -> None:
     assert list(IMPORTERS) == [
-        "rpi-2dgad", "mit-push", "mit-pusher-slider", "cmu-tripod", "cmu-two-point", "csv",
+        "rpi-2dgad", "mit-push", "mit-pusher-slider", "cmu-tripod", "cmu-two-point", "bag",
+        "csv",
     ]  # fmt: skip
     assert all(x.title and x.licence for x in IMPORTERS.values())
 

@@ -238,7 +238,7 @@ def read_table(path: Path, *, torn: bool = False) -> CsvRows:
     opened = gzip.open if path.suffix == ".gz" else open
     try:
         with opened(path, "rt", encoding="utf-8", newline="") as stream:
-            rows = _bounded_rows(csv.reader(_bounded_lines(stream, path.name)), path.name)
+            rows = _bounded_rows(csv.reader(bounded_lines(stream, path.name)), path.name)
     except (OSError, EOFError, UnicodeDecodeError, zlib.error, csv.Error) as problem:
         raise InvalidInput(path.name, found=problem, expected="a readable CSV file") from None
     if len(rows) < 2:
@@ -264,7 +264,7 @@ def read_table(path: Path, *, torn: bool = False) -> CsvRows:
     return CsvRows(path.name, columns, torn=wrong)
 
 
-def _bounded_lines(stream: TextIO, source: str) -> Iterator[str]:
+def bounded_lines(stream: TextIO, source: str) -> Iterator[str]:
     """Yield the lines of a file; raise once they exceed the maximum size of a table."""
     left = MAX_FILE
     while line := stream.readline(MAX_LINE):

@@ -10,6 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
+from fixel.datasets.bag import BagImporter
 from fixel.datasets.base import Importer, ImportPlan, Origin, fixel_version, guarded
 from fixel.datasets.cmu import CmuTripod, CmuTwoPoint
 from fixel.datasets.experiments import Experiments
@@ -24,7 +25,10 @@ from fixel.model import Body, Disk, Polygon, Provenance, Pusher, Scene, Tripod
 from fixel.model.scene import SceneChoice
 from fixel.progress import ProgressOption, show_progress
 
-_ALL: Final = (Rpi2dgad(), MitPush(), MitPusherSlider(), CmuTripod(), CmuTwoPoint(), CsvTable())
+_ALL: Final = (
+    *(Rpi2dgad(), MitPush(), MitPusherSlider(), CmuTripod(), CmuTwoPoint()),
+    *(BagImporter(), CsvTable()),
+)
 
 IMPORTERS: Final[Mapping[str, Importer]] = MappingProxyType(
     {importer.name: importer for importer in _ALL}
@@ -93,7 +97,7 @@ def plan_import(
     DatasetMissing
         No importer recognises the source.
     """
-    known = dict(options or {})
+    known: dict[str, Any] = dict(options or {})
     in_memory = not isinstance(source, Path)
     if in_memory and format not in (None, TABLE):
         raise InvalidInput("format", found=repr(format), expected=f"{TABLE!r}, for a table")
@@ -108,6 +112,10 @@ def plan_import(
             known[f"{kind}_unit"] = unit
         return _plan_table(source, known, choice, split_by, columns)
     given = {"scene": scene, "columns": columns, "units": units, "split_by": split_by}
+    if isinstance(importer, BagImporter):
+        own = {"scene": scene, "split_by": split_by, **(columns or {})}
+        known |= {name: value for name, value in own.items() if value is not None}
+        given = {"units": units}
     for name, value in given.items():
         if value is not None:
             found = f"a source read as {importer.name}"

@@ -127,6 +127,7 @@ def plan_table(
     scene: SceneChoice | None = None,
     split_by: str | None = None,
     columns: Mapping[str, str] | None = None,
+    dataset: str = DATASET,
 ) -> ImportPlan:
     """Plan the import of a table.
 
@@ -142,6 +143,8 @@ def plan_table(
         Column whose values separate experiments.
     columns : mapping of str to str, optional
         Titles of columns by role: `{"theta": "yaw"}`.
+    dataset : str
+        Name of the importer, and of the dataset of a single experiment.
 
     Raises
     ------
@@ -154,7 +157,7 @@ def plan_table(
     problems: Problems = {}
     sentences: list[tuple[str, ...]] = []
     for value, part in _parts(table, split_by):
-        key = (DATASET, stem) if value is None else (stem, value)
+        key = (dataset, stem) if value is None else (stem, value)
         if value is not None and len(part) < 2 and not part.torn:
             problems[f"{stem}/{value}"] = InvalidInput("one row")
             continue
@@ -173,7 +176,7 @@ def plan_table(
     _refuse_common(problems, len(experiments), table.source)
     understood = sentences[0] if split_by is None else _common(sentences, split_by)
     names = [experiment.key for experiment in experiments]
-    return ImportPlan(DATASET, source, understood, names, experiments.__getitem__, problems)
+    return ImportPlan(dataset, source, understood, names, experiments.__getitem__, problems)
 
 
 def _refuse_common(problems: Problems, n_sound: int, source: str) -> None:

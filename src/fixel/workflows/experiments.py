@@ -42,7 +42,8 @@ def read_experiments(
     ----------
     source : path, sequence of paths, or table
         CSV or Parquet table, or table of pandas, polars or Arrow, with columns such as `time_s`,
-        `x_mm`, `y_mm`, `theta_deg`, `pusher_x_mm`, `pusher_y_mm`; folder of a public dataset;
+        `x_mm`, `y_mm`, `theta_deg`, `pusher_x_mm`, `pusher_y_mm`; MCAP file, ROS 2 bag or AprilTag
+        log (`.jsonl`); folder of a public dataset;
         folder of a recording with its `rig.yaml` and `scene.yaml`, which is tracked; or `.zip` that
         `fixel export` wrote. Several paths are read one after the other.
     scene : Scene, path or callable, optional
@@ -52,12 +53,15 @@ def read_experiments(
     format : str, optional
         Format of the source, such as `csv`, `mit-push` or `rpi-2dgad`; by default recognised.
     columns : mapping of str to str, optional
-        Titles of columns whose role is not clear: `{"theta": "yaw", "pusher_x": "robot x"}`.
+        Titles of columns whose role is not clear: `{"theta": "yaw", "pusher_x": "robot x"}`. For a
+        bag, topics or frames by role: `{"part": "/part/pose", "pusher": "tip", "reference":
+        "table"}`.
     units : mapping of str to str, optional
         Units of columns without a unit: `{"time": "ms", "length": "mm", "angle": "deg"}`. The unit
         of angles replaces that in the header; other units must agree with the header.
     split_by : str, optional
-        Column whose values separate the experiments of a table.
+        Column whose values separate the experiments of a table; of a bag, topic of their names, or
+        seconds without poses between them, by default 1.
     object_name : str, optional
         Body of the scene whose motion was measured; by default its only body.
     limit : int, optional

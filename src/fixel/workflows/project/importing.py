@@ -13,6 +13,7 @@ from fixel.database.browsing import ExperimentPage
 from fixel.database.project import AddSummary, Project, add_experiments
 from fixel.database.store import Store
 from fixel.datasets import IMPORTERS, ImportPlan, plan_import
+from fixel.datasets.bag import DATASET as BAG
 from fixel.datasets.own_scene import template_text
 from fixel.datasets.table import DATASET as TABLE
 from fixel.errors import InvalidInput, StoreRefused
@@ -22,7 +23,7 @@ from fixel.workflows.project.filters import check_known_names
 
 
 def write_template(plan: ImportPlan, folder: Path) -> Path | None:
-    """Write the template of a scene for a table that was imported without one.
+    """Write the template of a scene for a table or bag that was imported without one.
 
     It is written next to the table, or into `folder` if that is not possible; an existing file of
     that name is not changed.
@@ -30,14 +31,14 @@ def write_template(plan: ImportPlan, folder: Path) -> Path | None:
     Returns
     -------
     Path or None
-        None if the experiments have a scene, or are not from a table.
+        None if the experiments have a scene, or are of a public dataset.
     """
-    if plan.importer != TABLE:
+    if plan.importer not in (TABLE, BAG):
         return None
     experiment = next(plan.experiments())
     if experiment.scene is not None:
         return None
-    stem = experiment.name if experiment.dataset == TABLE else experiment.dataset
+    stem = experiment.name if experiment.dataset in (TABLE, BAG) else experiment.dataset
     name = f"{stem.replace('/', '-')}.scene.yaml"
     text = template_text(experiment, plan.source.name)
     for place in (plan.source.parent, folder):

@@ -1,0 +1,428 @@
+"""Poses from MCAP files, ROS 2 bags and AprilTag logs, which other libraries write."""
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+import fixel
+from fixel import InvalidInput, MissingExtra
+
+mcap_writer: Any = pytest.importorskip("mcap.writer")
+rosbag2: Any = pytest.importorskip("rosbags.rosbag2")
+typesys: Any = pytest.importorskip("rosbags.typesys")
+
+STORE = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
+T = STORE.types
+Array = NDArray[np.float64]
+TIME = np.arange(0.0, 2.0, 0.05)
+# On the table: x, y [m] and angle [rad] of part and tip, at any times.
+START = 1_700_000_000.0
+
+
+def part_at(t: Array) -> Array:
+    return np.column_stack((0.1 + 0.02 * t, 0.05 - 0.01 * t**2, 3.0 + 0.3 * t))
+
+
+def tip_at(t: Array) -> Array:
+    return np.column_stack((0.04 + 0.02 * t, 0.05 + 0.0 * t))
+
+
+def matrices(planar: Array, height: float = 0.02) -> Array:
+    """Homogeneous matrices (n, 4, 4) of planar poses (n, 3)."""
+    found = np.tile(np.eye(4), (len(planar), 1, 1))
+    found[:, :3, :3] = Rotation.from_euler("z", planar[:, 2:3]).as_matrix()
+    found[:, :3, 3] = np.column_stack((planar[:, :2], np.full(len(planar), height)))
+    return found
+
+
+def stamp(t: float) -> Any:
+    return T["builtin_interfaces/msg/Time"](sec=int(t), nanosec=round(t % 1 * 1e9))
+
+
+def header(t: float, frame: str) -> Any:
+    return T["std_msgs/msg/Header"](stamp=stamp(t), frame_id=frame)
+
+
+def pose(m: Array) -> Any:
+    q = Rotation.from_matrix(m[:3, :3]).as_quat()
+    return T["geometry_msgs/msg/Pose"](
+        position=T["geometry_msgs/msg/Point"](*m[:3, 3].tolist()),
+        orientation=T["geometry_msgs/msg/Quaternion"](*q.tolist()),
+    )
+
+
+def posed(t: float, m: Array, frame: str = "table", kind: str = "PoseStamped") -> Any:
+    own: Any = pose(m)
+    cov = np.zeros(36)
+    if kind != "PoseStamped":
+        own = T["geometry_msgs/msg/PoseWithCovariance"](pose=own, covariance=cov)
+    more = {}
+    if kind == "Odometry":
+        zero = T["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
+        twist = T["geometry_msgs/msg/Twist"](linear=zero, angular=zero)
+        twist = T["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=cov)
+        more = {"child_frame_id": "part", "twist": twist}
+    package = "nav_msgs" if kind == "Odometry" else "geometry_msgs"
+    return T[f"{package}/msg/{kind}"](header=header(t, frame), pose=own, **more)
+
+
+def transform(t: float, parent: str, child: str, m: Array) -> Any:
+    q = Rotation.from_matrix(m[:3, :3]).as_quat()
+    return T["geometry_msgs/msg/TransformStamped"](
+        header=header(t, parent),
+        child_frame_id=child,
+        transform=T["geometry_msgs/msg/Transform"](
+            translation=T["geometry_msgs/msg/Vector3"](*m[:3, 3].tolist()),
+            rotation=T["geometry_msgs/msg/Quaternion"](*q.tolist()),
+        ),
+    )
+
+
+def tf(*transforms: Any) -> Any:
+    return T["tf2_msgs/msg/TFMessage"](transforms=list(transforms))
+
+
+def write_bag(path: Path, messages: list[tuple[str, float, Any]], storage: str = "sqlite3") -> Path:
+    """Write a ROS 2 bag with rosbags; messages are topic, log time and content."""
+    plugin = rosbag2.StoragePlugin[storage.upper()]
+    with rosbag2.Writer(path, version=9, storage_plugin=plugin) as writer:
+        connections: dict[str, Any] = {}
+        for topic, logged, content in messages:
+            kind = content.__msgtype__
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=STORE)
+            data = STORE.serialize_cdr(content, kind)
+            writer.write(connections[topic], round(logged * 1e9), data)
+    return path
+
+
+def two_topics(kind: str = "PoseStamped", times: Array = TIME) -> list[tuple[str, float, Any]]:
+    """Poses of the part, and of the tip at twice the rate and other times."""
+    found = [
+        ("/part", START + t, posed(START + t, m, kind=kind))
+        for t, m in zip(times, matrices(part_at(times)), strict=True)
+    ]
+    dense = np.arange(times[0] - 0.01, times[-1] + 0.03, 0.025)
+    tips = np.column_stack((tip_at(dense), 0.0 * dense))
+    found += [
+        ("/tip", START + t, posed(START + t, m))
+        for t, m in zip(dense, matrices(tips, 0.1), strict=True)
+    ]
+    return sorted(found, key=lambda one: one[1])
+
+
+def check(experiment: Any, times: Array = TIME, tip: bool = True) -> None:
+    wanted = part_at(times)
+    assert experiment.trajectory.time == pytest.approx(times - times[0], abs=1e-6)
+    assert experiment.trajectory.pose[:, :2] == pytest.approx(wanted[:, :2], abs=1e-7)
+    turn = experiment.trajectory.pose[:, 2] - wanted[:, 2]
+    assert np.ptp(turn) < 1e-6  # unwrapped over half a turn
+    assert np.cos(turn) == pytest.approx(1.0)
+    if tip:
+        found = experiment.pusher.pose[:, :2]
+        assert found == pytest.approx(tip_at(times), abs=1e-6)
+
+
+ROLES = {"part": "/part", "pusher": "/tip"}
+
+
+@pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
+@pytest.mark.parametrize("kind", ["PoseStamped", "PoseWithCovarianceStamped", "Odometry"])
+def test_topics_of_a_bag(tmp_path: Path, storage: str, kind: str) -> None:
+    bag = write_bag(tmp_path / "bag", two_topics(kind), storage)
+    found = fixel.read_experiments(bag, columns=ROLES)
+    check(found[0])
+    assert found.notes[0] == "/part (topic, 40 poses) is the part, in table."
+    (file,) = [path for path in bag.iterdir() if path.suffix in (".db3", ".mcap")]
+    check(fixel.read_experiments(file, columns=ROLES)[0])
+
+
+def test_bag_with_scene_can_be_simulated(tmp_path: Path) -> None:
+    square = fixel.Body(
+        "part",
+        fixel.Polygon.rectangle(0.1, 0.1),
+        mass=0.5,
+        support=fixel.Tripod(radius=0.03, friction=0.25),
+    )
+    scene = fixel.Scene(square, fixel.Pusher("tip", fixel.Disk(0.005), friction=0.3))
+    bag = write_bag(tmp_path / "bag", two_topics())
+    (push,) = fixel.read_experiments(bag, columns=ROLES, scene=scene)
+    assert push.scene.duration == pytest.approx(TIME[-1])
+    assert push.scene.pushers[0].drive.waypoints[-1][1:3] == pytest.approx(tip_at(TIME[-1:])[0])
+
+
+def frames(times: Array, camera: Array, tag_in_part: Array) -> list[tuple[str, float, Any]]:
+    """Transforms of a camera that sees the table's tag and the part's tag."""
+    seen = camera @ matrices(part_at(times)) @ tag_in_part
+    found = [
+        ("/tf_static", START - 9, tf(transform(0.0, "camera", "table", camera))),
+        ("/tf_static", START - 8, tf(transform(0.0, "mark", "part", np.linalg.inv(tag_in_part)))),
+    ]
+    for k, t in enumerate(times):
+        found.append(("/tf", START + t, tf(transform(START + t, "camera", "mark", seen[k]))))
+    return found
+
+
+def test_frames_through_a_camera(tmp_path: Path) -> None:
+    camera, mark = np.eye(4), np.eye(4)
+    camera[:3, :3] = Rotation.from_euler("xyz", (160, 10, 40), degrees=True).as_matrix()
+    camera[:3, 3] = 0.1, -0.2, 0.9
+    mark[:3, :3] = Rotation.from_euler("z", 77, degrees=True).as_matrix()
+    mark[:3, 3] = 0.01, -0.02, 0.005
+    bag = write_bag(tmp_path / "bag", frames(TIME, camera, mark), "mcap")
+    roles = {"part": "part", "reference": "table"}
+    found = fixel.read_experiments(bag, columns=roles)
+    check(found[0], tip=False)
+    assert any("heights of 20.0 to 20.0 mm, a tilt of up to 0.0 deg" in n for n in found.notes)
+    with pytest.raises(InvalidInput, match=r"a tilt of up to .* of part against camera"):
+        fixel.read_experiments(bag, columns={"part": "part", "reference": "camera"})
+    with pytest.raises(InvalidInput, match="'table'"):
+        fixel.read_experiments(bag, columns={"part": "part", "reference": "tabel"})
+
+
+def test_overhead_camera_sees_no_mirror_image(tmp_path: Path) -> None:
+    camera = np.diag((1.0, -1.0, -1.0, 1.0))  # x as on the table, z down
+    camera[2, 3] = 0.5
+    bag = write_bag(tmp_path / "bag", frames(TIME, camera, np.eye(4)))
+    found = fixel.read_experiments(bag, columns={"part": "part", "reference": "camera"})
+    check(found[0], tip=False)
+    assert any("y is reversed" in note for note in found.notes)
+
+
+def test_tag_log(tmp_path: Path) -> None:
+    """Tags as AprilTag 3 has them: z points into the tag, y down."""
+    into = np.diag((1.0, -1.0, -1.0, 1.0))
+    camera = np.eye(4)
+    camera[:3, :3] = Rotation.from_euler("x", 150, degrees=True).as_matrix()
+    camera[:3, 3] = 0.0, 0.1, 0.8
+    lines = []
+    for k, m in enumerate(camera @ matrices(part_at(TIME), 0.0) @ into):
+        seen = [(4, camera @ into)] if k % 3 == 0 else []
+        seen += [(7, m)] if k != 5 else []
+        rows = [
+            {"tag_id": i, "pose_t": n[:3, 3:].tolist(), "pose_R": n[:3, :3].tolist()}
+            for i, n in seen
+        ]
+        lines.append(json.dumps({"time_s": TIME[k], "detections": rows}))
+    path = tmp_path / "tags.jsonl"
+    path.write_text("\n".join(lines) + "\n")
+    found = fixel.read_experiments(path, columns={"part": "tag:7", "reference": "tag:4"})
+    check(found[0], np.delete(TIME, 5), tip=False)
+
+
+def test_foxglove_messages_in_json(tmp_path: Path) -> None:
+    def times(t: float) -> dict[str, int]:
+        return {"sec": int(START + t), "nsec": round((START + t) % 1 * 1e9)}
+
+    def xyzw(m: Array) -> tuple[dict[str, float], dict[str, float]]:
+        q = Rotation.from_matrix(m[:3, :3]).as_quat().tolist()
+        place = dict(zip("xyz", m[:3, 3].tolist(), strict=True))
+        return place, dict(zip("xyzw", q, strict=True))
+
+    path = tmp_path / "push.mcap"
+    with path.open("wb") as stream:
+        writer = mcap_writer.Writer(stream)
+        writer.start()
+        ids = {}
+        for topic, schema in (("/part", "PoseInFrame"), ("/tf", "FrameTransform"), ("/x", "Log")):
+            number = writer.register_schema(f"foxglove.{schema}", "jsonschema", b"{}")
+            ids[topic] = writer.register_channel(topic, "json", number)
+        tips = np.column_stack((tip_at(TIME), 0 * TIME))
+        for t, m, tip in zip(TIME, matrices(part_at(TIME)), matrices(tips), strict=True):
+            place, turn = xyzw(m)
+            own: dict[str, Any] = {"timestamp": times(t), "frame_id": "table"}
+            own["pose"] = {"position": place, "orientation": turn}
+            place, turn = xyzw(tip)
+            moved = {"timestamp": times(t), "parent_frame_id": "table", "child_frame_id": "tip"}
+            moved |= {"translation": place, "rotation": turn}
+            for topic, content in (("/part", own), ("/tf", moved), ("/x", {"any": "thing"})):
+                data = json.dumps(content).encode()
+                at = round((START + t) * 1e9)
+                writer.add_message(ids[topic], at, data, at)
+        writer.finish()
+    check(fixel.read_experiments(path, columns={"part": "/part", "pusher": "tip"})[0])
+
+
+def test_joints_are_the_place_of_the_pusher(tmp_path: Path) -> None:
+    kind = T["sensor_msgs/msg/JointState"]
+    messages = [one for one in two_topics() if one[0] == "/part"]
+    none = np.zeros(0)
+    for t, (x, y) in zip(TIME, tip_at(TIME), strict=True):
+        state = kind(header(START + t, ""), ["a", "gx", "gy"], np.array([9.0, x, y]), none, none)
+        messages.append(("/joints", START + t, state))
+    bag = write_bag(tmp_path / "bag", messages)
+    check(fixel.read_experiments(bag, columns={"part": "/part", "pusher": "gx,gy"})[0])
+
+
+def test_pushes_are_separated_by_gaps_topics_and_files(tmp_path: Path) -> None:
+    second = TIME + 10.0
+    gaps = write_bag(tmp_path / "gaps", [*two_topics(), *two_topics(times=second)])
+    found = fixel.read_experiments(gaps, columns=ROLES)
+    assert [one.key for one in found] == ["gaps/1", "gaps/2"]
+    check(found[1], second)
+    assert len(fixel.read_experiments(gaps, columns=ROLES, split_by="20")) == 1
+    text = T["std_msgs/msg/String"]
+    names = [("/push", START - 0.5 + t, text(name)) for t, name in ((0, "a"), (1, "b"), (2, ""))]
+    topic = write_bag(tmp_path / "topic", [*two_topics(), *names, *two_topics(times=second)])
+    found = fixel.read_experiments(topic, columns=ROLES, split_by="/push")
+    assert [one.key for one in found] == ["topic/a", "topic/b"]
+    assert [len(one.trajectory.time) for one in found] == [10, 20]
+    both = [write_bag(tmp_path / name, two_topics()) for name in "ab"]
+    assert len(fixel.read_experiments(both, columns=ROLES)) == 2
+    with pytest.raises(InvalidInput, match="split_by"):
+        fixel.read_experiments(topic, columns=ROLES, split_by="/pushes")
+
+
+def test_roles_are_needed_and_known(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", two_topics())
+    with pytest.raises(InvalidInput, match="poses of /tip, /part") as told:
+        fixel.read_experiments(bag)
+    assert "--option part=NAME" in str(told.value)
+    with pytest.raises(InvalidInput, match="did you mean '/part'"):
+        fixel.read_experiments(bag, columns={"part": "/prt"})
+    with pytest.raises(InvalidInput, match="the option x"):
+        fixel.read_experiments(bag, columns={"x": "/part"})
+    with pytest.raises(InvalidInput, match="units"):
+        fixel.read_experiments(bag, columns=ROLES, units={"length": "mm"})
+    alone = write_bag(tmp_path / "one", [one for one in two_topics() if one[0] == "/part"])
+    check(fixel.read_experiments(alone)[0], tip=False)
+
+
+def test_messages_without_stamp_have_the_time_of_the_log(tmp_path: Path) -> None:
+    messages = [
+        (topic, at, posed(0.0, matrices(part_at(np.array([at - START])))[0]))
+        for topic, at, _ in two_topics()
+        if topic == "/part"
+    ]
+    found = fixel.read_experiments(write_bag(tmp_path / "bag", messages))
+    check(found[0], tip=False)
+    assert "40 poses have no stamp; the time of the log is used." in found.notes
+
+
+# --- hostile and damaged files
+
+
+def mcap_of(tmp_path: Path) -> bytes:
+    bag = write_bag(tmp_path / "source", two_topics(), "mcap")
+    (path,) = bag.glob("*.mcap")
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.999])
+def test_truncated_files(tmp_path: Path, share: float) -> None:
+    data = mcap_of(tmp_path)
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(InvalidInput, match="mcap recover"):
+        fixel.read_experiments(cut, columns=ROLES)
+    (path,) = write_bag(tmp_path / "bag", two_topics()).glob("*.db3")
+    if share < 0.9:
+        (tmp_path / "cut.db3").write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
+        with pytest.raises(InvalidInput):
+            fixel.read_experiments(tmp_path / "cut.db3", columns=ROLES)
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "a.db3", "a.jsonl"])
+def test_foreign_files(tmp_path: Path, name: str) -> None:
+    for data in (b"", b"\x80\x04cposix\nsystem\n", b"SQLite format 3\x00" + bytes(5000), b"[1]\n"):
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises(InvalidInput):
+            fixel.read_experiments(tmp_path / name)
+
+
+def test_any_flipped_byte_is_found_or_harmless(tmp_path: Path) -> None:
+    data = bytearray(mcap_of(tmp_path))
+    random = np.random.default_rng(0)
+    for at in random.integers(len(data), size=60).tolist():
+        own = bytearray(data)
+        own[at] ^= 1 << int(random.integers(8))
+        (tmp_path / "a.mcap").write_bytes(own)
+        try:
+            fixel.read_experiments(tmp_path / "a.mcap", columns=ROLES, progress=False)
+        except InvalidInput:
+            continue
+
+
+@pytest.mark.parametrize("how", ["zstd", "lz4"])
+def test_chunk_that_unpacks_to_gigabytes(tmp_path: Path, how: str) -> None:
+    """A chunk of zeros whose declared size is small."""
+    if how == "zstd":
+        zstandard: Any = pytest.importorskip("zstandard")
+        packer = zstandard.ZstdCompressor(level=1).compressobj()
+        body = b"".join(packer.compress(bytes(1 << 24)) for _ in range(20)) + packer.flush()
+    else:
+        lz4: Any = pytest.importorskip("lz4.frame")
+        body = lz4.compress(bytes(20 << 24), compression_level=0)
+    assert len(body) < 2_000_000
+    chunk = struct.pack("<QQQI", 0, 0, 100, 0) + struct.pack("<I", len(how)) + how.encode()
+    chunk += struct.pack("<Q", len(body)) + body
+    header = struct.pack("<I", 0) * 2
+    path = tmp_path / "bomb.mcap"
+    magic = b"\x89MCAP0\r\n"
+    parts = ((1, header), (6, chunk), (2, bytes(20)))
+    path.write_bytes(
+        magic + b"".join(struct.pack("<BQ", op, len(own)) + own for op, own in parts) + magic
+    )
+    with pytest.raises(InvalidInput, match="at most 256 MB in a chunk"):
+        fixel.read_experiments(path)
+
+
+@pytest.mark.parametrize("length", [2**31, 2**40, 2**63])
+def test_record_length_that_a_file_declares_is_not_believed(tmp_path: Path, length: int) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(b"\x89MCAP0\r\n" + struct.pack("<BQ", 6, length) + bytes(100))
+    with pytest.raises(InvalidInput, match="a readable MCAP file"):
+        fixel.read_experiments(path)
+
+
+def test_definitions_in_a_file_are_not_used(tmp_path: Path) -> None:
+    """A definition that would change the layout of a known type has no effect."""
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as stream:
+        writer = mcap_writer.Writer(stream)
+        writer.start()
+        evil = b"string x \"__import__('os').mkdir('made')\"\nfloat64[1000000000] data\n"
+        number = writer.register_schema("geometry_msgs/msg/PoseStamped", "ros2msg", evil)
+        channel = writer.register_channel("/part", "cdr", number)
+        for topic, at, content in two_topics():
+            if topic == "/part":
+                data = STORE.serialize_cdr(content, content.__msgtype__)
+                writer.add_message(channel, round(at * 1e9), bytes(data), 0)
+        writer.finish()
+    check(fixel.read_experiments(path)[0], tip=False)
+
+
+def test_poses_that_are_none(tmp_path: Path) -> None:
+    m = matrices(part_at(TIME))
+    messages = [("/p", START + t, posed(START + t, m[k])) for k, t in enumerate(TIME)]
+    messages[3][2].pose.orientation.w = messages[3][2].pose.orientation.z = 0.0
+    with pytest.raises(InvalidInput, match="unit rotations"):
+        fixel.read_experiments(write_bag(tmp_path / "q", messages))
+    circle = [
+        ("/tf", START, tf(transform(START, "b", "a", m[0]), transform(START, "a", "b", m[0])))
+    ]
+    circle += [("/tf", START + 1, tf(transform(START + 1, "b", "a", m[1])))]
+    with pytest.raises(InvalidInput):
+        fixel.read_experiments(
+            write_bag(tmp_path / "circle", circle), columns={"part": "a", "reference": "c"}
+        )
+    two = [("/tf", START, tf(transform(START, "b", "a", m[0]), transform(START, "c", "a", m[0])))]
+    with pytest.raises(InvalidInput, match="one parent"):
+        fixel.read_experiments(write_bag(tmp_path / "two", two))
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "empty" / "a.mcap").write_bytes(b"")
+    with pytest.raises(InvalidInput):
+        fixel.read_experiments(tmp_path / "empty")
+
+
+def test_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "mcap.stream_reader", None)
+    (tmp_path / "a.mcap").write_bytes(b"")
+    with pytest.raises(MissingExtra, match=r"needs the package mcap; run: pip install 'fixel"):
+        fixel.read_experiments(tmp_path / "a.mcap")
