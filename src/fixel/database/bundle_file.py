@@ -91,9 +91,7 @@ def damage_refused(path: Path) -> Iterator[None]:
     try:
         yield
     except StoreRefused as problem:
-        raise _refused(
-            path, f"an error: {problem.reason}", "complete records of a project"
-        ) from None
+        raise _refused(path, problem.reason, "complete records of a project") from None
     except (*INVALID_CONTENT, sa.exc.SQLAlchemyError) as problem:
         found = " ".join(str(problem).split())[:200] or type(problem).__name__
         raise _refused(path, found, "complete records of a project") from None

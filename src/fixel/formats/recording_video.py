@@ -240,11 +240,7 @@ def packets(path: Path) -> Iterator[tuple[int, bytes]]:
                 if packet.size and packet.pts is not None:
                     yield packet.pts, bytes(packet)
     except (FileNotFoundError, PermissionError) as problem:
-        raise InvalidInput(
-            str(path),
-            found=f"an error ({str(problem.strerror).lower()})",
-            expected="the video of a recording",
-        ) from None
+        raise InvalidInput(str(path), found=problem, expected="the video of a recording") from None
     except (av.error.FFmpegError, IndexError):
         return  # the end is torn: all intact packets have been yielded
 

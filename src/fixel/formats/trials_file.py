@@ -104,9 +104,7 @@ def append_trials(path: str | Path, *trials: PlanTrial, plan: str | None = None)
                 stream.flush()
                 os.fsync(stream.fileno())
         except OSError as problem:
-            raise InvalidInput(
-                str(path), found=problem, expected="a file that can be written"
-            ) from None
+            raise InvalidInput(str(path), found=problem, expected="a writable file") from None
     return before.added(*trials)
 
 
@@ -138,9 +136,7 @@ def read_trials(path: str | Path, *, plan: str | None = None) -> Trials:
     rows = list(_parsed(lines[1:], path))
     if not rows or tuple(rows[0]) != COLUMNS:
         where = f"{path}, line 2"
-        raise InvalidInput(
-            where, found="other columns", expected=f"the columns {','.join(COLUMNS)}"
-        )
+        raise InvalidInput(where, found="other columns", expected=f"{', '.join(COLUMNS)}")
     trials = tuple(_trial(row, k, f"{path}, line {k + 2}") for k, row in enumerate(rows[1:], 1))
     try:
         return Trials(plan=head["plan"], stated=head["stated"], mean=head["mean"], trials=trials)

@@ -83,8 +83,7 @@ def parse_json(text: str, where: str) -> Any:
         value = json.loads(text, object_pairs_hook=lambda pairs: _unique(pairs, where))
     except json.JSONDecodeError as problem:
         line = f"{where}, line {problem.lineno}"
-        found = f"an error ({problem.msg})"
-        raise InvalidInput(line, found=found, expected="well-formed JSON") from None
+        raise InvalidInput(line, found=problem, expected="well-formed JSON") from None
     except RecursionError:
         raise _too_deep(where) from None
     except ValueError as problem:

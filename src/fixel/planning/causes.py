@@ -160,9 +160,7 @@ class Explanation(Result):
         own = finite_margins(margins, 2)
         n_plans, n = own.shape
         if n < MIN_SCENARIOS:
-            raise InvalidInput(
-                "margins", found=f"{n} scenarios", expected=f"{MIN_SCENARIOS} of them"
-            )
+            raise InvalidInput("margins", found=f"{n} scenarios", expected=f"{MIN_SCENARIOS}")
         if not 0 <= plan < n_plans:
             raise InvalidInput("plan", found=plan, expected=f"from 0 to {n_plans - 1}")
         good = own >= 0.0

@@ -130,9 +130,7 @@ def trust(content: dict[str, Any]) -> TrustedEntry:
         unfinished.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
         os.replace(unfinished, file)
     except OSError as problem:
-        raise InvalidInput(
-            str(file), found=problem, expected="a file that can be written"
-        ) from None
+        raise InvalidInput(str(file), found=problem, expected="a writable file") from None
     return TrustedEntry(_text_of(content), content, file)
 
 
@@ -224,11 +222,8 @@ def _checksum(path: Path) -> str:
         with path.open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as problem:
-        raise InvalidInput(
-            "engine",
-            found=f"{_plain(str(path))} ({os_reason(problem)})",
-            expected="a program",
-        ) from None
+        found = f"{_plain(str(path))} ({os_reason(problem)})"
+        raise InvalidInput("engine", found=found, expected="a program") from None
 
 
 def _digest(content: dict[str, Any]) -> str:

@@ -306,9 +306,7 @@ class GrblActuator(AbstractActuator):
             raise InvalidInput(
                 "dead_man" if queue < needed else "speed",
                 found=f"{queue:.3g} s" if queue < needed else f"{speed:.4g} mm/s",
-                expected=f"at least {needed:.2g} s"
-                if queue < needed
-                else f"lower, for a queue of at most {MAX_DEAD_MAN:.3g} s",
+                expected=f"at least {needed:.2g} s" if queue < needed else "lower, for this queue",
                 hint=f"with an acceleration of {acceleration:.4g} mm/s^2 (${number}) the "
                 "drive would slow down between pieces; increase the acceleration",
             )

@@ -331,9 +331,7 @@ class UrlSource(FrameSource):
         self._answer = answer = self._connection.getresponse()
         if answer.status != http.HTTPStatus.OK:
             hint = "http://NAME:PASSWORD@HOST/..." if answer.status == 401 else None
-            self._fail(
-                f"the answer {answer.status} {answer.reason}", "an answer with pictures", hint
-            )
+            self._fail(f"the answer {answer.status} {answer.reason}", "pictures", hint)
         kind_of_answer = answer.headers.get_content_type()
         if kind_of_answer != MULTIPART:
             self._fail(

@@ -62,9 +62,8 @@ class RecordPlan:
         if self.limit is not None and not (math.isfinite(self.limit) and self.limit > 0.0):
             raise InvalidInput("--limit", found=f"{self.limit} s", expected="more than 0 s")
         if self.mode is not None and (self.until != "seated" or self.tactile is None):
-            raise InvalidInput(
-                "--mode", found=repr(self.mode), expected="used with --until seated and --tactile"
-            )
+            expected = "used with --until seated and --tactile"
+            raise InvalidInput("--mode", found=repr(self.mode), expected=expected)
         if self.folder.exists():
             what = "a recording" if is_recording(self.folder) else "an existing file or folder"
             raise InvalidInput(str(self.folder), found=what, expected="a new folder")

@@ -221,9 +221,7 @@ def estimate(
         progress=False,
     )
     if fit.status == "failed":
-        raise InvalidInput(
-            "experiments", found=f"none ({fit.message})", expected="some that simulate"
-        )
+        raise InvalidInput("experiments", found=f"none ({fit.message})", expected="some")
     comparer, members = comparer_of(fit.request, fit.targets, threads), fit.found.members
     best = assess.run_assessment(
         comparer, members, assess.fit_steps(comparer, members, fit.found.point)

@@ -443,11 +443,8 @@ class Calibration(Result, Mapping[str, float]):
             np.zeros(1, np.int64), self.found.point[None]
         )
         if not good[0]:
-            raise InvalidInput(
-                f"experiment {experiment.key}",
-                found=f"an incomplete simulation ({reasons[0]})",
-                expected="a complete one",
-            )
+            where, found = f"experiment {experiment.key}", f"no complete simulation ({reasons[0]})"
+            raise InvalidInput(where, found=found, expected="one")
         return np.asarray(difference[0, : len(target.pose)])
 
     @property

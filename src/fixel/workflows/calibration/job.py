@@ -419,9 +419,7 @@ class CalibrationSearch:
         for chunk in chunks:
             answer = answers[chunk.name]
             if isinstance(answer, Failure):
-                raise InvalidInput(
-                    chunk.name, found=f"a failure ({answer.reason})", expected="simulations"
-                )
+                raise InvalidInput(chunk.name, found=f"none ({answer.reason})", expected="runs")
             tables.append(arrays_of(answer)["table"])
         return np.concatenate(tables)
 

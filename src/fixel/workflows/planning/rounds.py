@@ -107,6 +107,6 @@ def _request(payload: bytes) -> MarginRequest:
 def _margins(answer: Answer) -> FloatArray:
     if isinstance(answer, Failure):
         raise InvalidInput(
-            "simulations of a plan", found=f"a failure ({answer.reason})", expected="margins"
+            "simulations of a plan", found=f"none ({answer.reason})", expected="some"
         )
     return np.asarray(arrays_of(answer)["margins"])
