@@ -292,7 +292,7 @@ def export(
     to: str | None = option(
         None,
         "Write a model for another engine: mujoco, drake, pymunk or box2d, with choices as in "
-        "mujoco:step=0.001; or urdf.",
+        "mujoco:step=0.001; or urdf. Or write a recording: mcap or rerun.",
         metavar="ENGINE",
     ),
     calibration: int | None = option(

@@ -31,9 +31,10 @@ from fixel.simulation.rollouts import RolloutCase, ensemble_of
 from fixel.typing import FloatArray, ProgressCallback
 from fixel.uncertainty.start_ensemble import simulate_starts
 from fixel.uncertainty.starts import StartError
+from fixel.workflows.model_export.recording import WRITERS, motion_of
 from fixel.workflows.model_export.source import Exportable, ModelSource, SourceCase, source_of, urdf
 
-TARGETS: Final = ("mujoco", "drake", "pymunk", "box2d", "urdf")
+TARGETS: Final = ("mujoco", "drake", "pymunk", "box2d", "urdf", *WRITERS)
 FORMAT: Final = "fixel-model-1"
 # Files of engines that read models, by name.
 MODELS: Final[Mapping[str, Callable[[PlainTask, Any], Mapping[str, str]]]] = {
@@ -67,23 +68,26 @@ def export_model(
     seed: int = 0,
     progress: ProgressOption = None,
 ) -> ModelExport:
-    """Write a scene as a model for another engine, and measure how far that engine is from fixel.
+    """Write a scene as a model for another engine, or its motion as a recording for viewers.
 
     The folder contains the model, ``run.py``, which simulates it without fixel and prints poses as
     CSV, and ``card.json``: versions, parameters with their intervals, the distance between end
     poses of the engine and of fixel, and errors on experiments. Distances are measured on scenes
-    that differ in the start pose: by up to 5 % of the size of the body, and by up to 5 degrees.
+    that differ in the start pose: by up to 5 % of the size of the body, and by up to 5 degrees. The
+    folder of a recording contains ``motion.mcap`` or ``motion.rrd``, and the card.
 
     Parameters
     ----------
-    what : Scene, SceneFile, path, Experiment, Calibration or Project
+    what : Scene, SceneFile, path, Experiment, Calibration, Project, Simulation or PushPlan
         Scene or experiment; or a calibration, whose first experiment is written with the calibrated
-        parameters.
+        parameters. Simulations and plans have recordings only: a plan as simulated with its
+        most likely parameters.
     folder : path
         New or empty folder.
     to : str
         ``"mujoco"``, ``"drake"``, ``"pymunk"``, ``"box2d"``, with choices as in
-        ``"mujoco:step=0.001"``; or ``"urdf"``, the body with its support alone.
+        ``"mujoco:step=0.001"``; ``"urdf"``, the body with its support alone; ``"mcap"``, a
+        recording for Foxglove; or ``"rerun"``, one for rerun.
     calibration : int, optional
         Id of a calibration of a project; by default the newest for several experiments.
     held_out : iterable of Experiment, optional
@@ -122,10 +126,14 @@ def export_model(
         raise InvalidInput("scenes", found=scenes, expected="a whole number from 0 to 100000")
     refuse_folder(target)
     source = source_of(what, calibration, held_out)
-    exported = source.cases[0]
-    if found := unsupported(exported.scene):
-        raise _refused(wanted.name, found)
-    if wanted.name == "urdf":
+    exported, recorded = source.cases[0], wanted.name in WRITERS
+    if not recorded and (source.runs or (found := unsupported(exported.scene))):
+        raise _refused(wanted.name, f"a {source.kind}" if source.runs else found)
+    motion = motion_of(source) if recorded else None
+    if motion is not None:
+        model = _ModelFiles({}, motion.lost)
+        stated, judged = wanted.name, {"to": wanted.name, "distance_from_fixel": None}
+    elif wanted.name == "urdf":
         model = _urdf(exported)
         # A description of a body has no motion of its own.
         stated, judged = "urdf", {"to": "urdf", "distance_from_fixel": None}
@@ -139,6 +147,10 @@ def export_model(
     with folder_whole(target) as unfinished:
         for name, text in contents.items():
             (unfinished / name).write_text(text, encoding="utf-8")
+        if motion is not None:
+            name, write = WRITERS[wanted.name]
+            write(unfinished / name, motion.things)
+            contents[name] = ""
     return ModelExport(folder=target, to=stated, files=tuple(sorted(contents)), card=card)
 
 

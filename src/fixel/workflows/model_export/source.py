@@ -15,17 +15,22 @@ from fixel.errors import InvalidInput
 from fixel.formats import SceneFile, load_scene
 from fixel.model import Experiment, Scene
 from fixel.model.records import Estimate
-from fixel.simulation import AbstractMotionModel, AbstractStepper, Dynamic
+from fixel.planning.plan import PushPlan
+from fixel.simulation import AbstractMotionModel, AbstractStepper, Dynamic, Simulation
 from fixel.simulation.engines.plane import harmonic_partner
 from fixel.simulation.engines.solids import FOOT, PieceSolid, footed, prism_obj, solids
 from fixel.simulation.engines.task import PlainTask, bench_units
 from fixel.simulation.motion import OtherEngine, motion_model
+from fixel.simulation.simulate import simulate
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration, values_under
 from fixel.workflows.calibration.stored import load_values
 
 SAMPLES: Final = 100  # poses of a scene without measurements
-Exportable = Scene | SceneFile | Experiment | Calibration | Project | str | PathLike[str]
+Recordable = Simulation | PushPlan
+Exportable = (
+    Scene | SceneFile | Recordable | Experiment | Calibration | Project | str | PathLike[str]
+)
 
 
 class SourceCase(NamedTuple):
@@ -49,6 +54,7 @@ class ModelSource(NamedTuple):
     stepper: AbstractStepper | None = None
     calibration_id: int | None = None
     held_out: Sequence[SourceCase] = ()
+    runs: tuple[Simulation, ...] = ()  # motions that are known, of parts of a plan or one
 
 
 def source_of(
@@ -72,6 +78,8 @@ def source_of(
         found, values = _stored(what, calibration)
     elif isinstance(what, Calibration):
         found, values = _calibrated(what), what.values_for
+    elif isinstance(what, Recordable):
+        found = _simulated(what)
     elif isinstance(what, Experiment):
         found = ModelSource("experiment", what.key, [_case(what, {})])
     else:
@@ -105,6 +113,25 @@ def _scene(what: Scene | SceneFile | str | PathLike[str]) -> ModelSource:
         motion=motion_model(file.motion),
         stepper=None if file.step is None else file.stepper,
     )
+
+
+def _simulated(what: Recordable) -> ModelSource:
+    """Return a simulation, or the pushes of a plan that are simulated as planned."""
+    if isinstance(what, Simulation):
+        runs: tuple[Simulation, ...] = (what,)
+    else:
+        given = what.belief.nominal(what.scene)
+        runs = tuple(
+            simulate(scene, given, motion=what.motion, stepper=what.stepper)
+            for scene in what.scenes
+        )
+    if not runs:
+        raise InvalidInput("what", found="a plan without pushes", expected="one with a push")
+    scene = runs[0].scene
+    values: Mapping[str, float] = runs[0].parameters or {}
+    kind = "simulation" if isinstance(what, Simulation) else "plan"
+    case = SourceCase("", scene, runs[0].time[1:], values)
+    return ModelSource(kind, scene.bodies[0].name, [case], runs=runs)
 
 
 def _calibrated(fit: Calibration) -> ModelSource:

@@ -1,0 +1,188 @@
+"""Motions as MCAP files, for Foxglove and its kin, and as recordings for the viewer rerun."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from fixel.io.extra import extra_module
+from fixel.model.shape import Shape
+from fixel.simulation import Simulation
+from fixel.simulation.simulate import simulate
+from fixel.typing import FloatArray
+from fixel.workflows.model_export.source import ModelSource
+
+INTERVAL: Final = 0.02  # [s] between poses
+HEIGHT: Final = 0.01  # [m] of measured parts over the plane, so that both are seen
+# Red, green and blue, from 0 to 1.
+_COLOURS: Final = {
+    "part": (0.25, 0.5, 0.85),
+    "pusher": (0.9, 0.5, 0.15),
+    "fixel": (0.45, 0.45, 0.45),
+    "measured": (0.3, 0.7, 0.35),
+}
+
+
+class Moved(NamedTuple):
+    """Body with its poses, one for each time."""
+
+    name: str
+    kind: str
+    shape: Shape
+    time: FloatArray  # (n,) [s]
+    pose: FloatArray  # (n, 3) [m, m, rad]
+
+
+class Motion(NamedTuple):
+    """Motion of everything in a scene, and what it lacks."""
+
+    things: list[Moved]
+    lost: list[str]
+
+
+def motion_of(source: ModelSource) -> Motion:
+    """Return the motion of the first case of a source, which is simulated unless it is known."""
+    case = source.cases[0]
+    runs = source.runs or (
+        simulate(
+            case.scene,
+            {name: value for name, value in case.values.items() if "." not in name},
+            motion=source.motion,
+            stepper=source.stepper,
+            output_interval=INTERVAL,
+        ),
+    )
+    found = [*_joined(runs)]
+    if case.measured is not None:
+        part = case.scene.bodies[0]
+        own = Moved(f"{part.name} measured", "measured", part.shape, case.times, case.measured)
+        found.append(own)
+    lost = [
+        f"motion after {run.time[-1]:g} s: {run.status}"
+        for run in runs
+        if run.stopped_at is not None
+    ]
+    return Motion(found, ["masses, friction and forces", *lost])
+
+
+def _joined(runs: tuple[Simulation, ...]) -> Iterator[Moved]:
+    """Yield the things of simulations, one after the other in time."""
+    starts = np.cumsum([0.0, *(run.time[-1] for run in runs)])
+    time = np.concatenate([run.time + start for run, start in zip(runs, starts, strict=False)])
+    scene = runs[0].scene
+    for kind, things in (("part", scene.bodies), ("pusher", scene.pushers)):
+        for thing in things:
+            pose = np.vstack([run.pose[thing.name] for run in runs])
+            yield Moved(thing.name, kind, thing.shape, time, pose)
+    for fixel in scene.fixels:
+        yield Moved(fixel.name, "fixel", fixel.shape, time[:1], np.array([fixel.pose]))
+
+
+def _corners(moved: Moved) -> FloatArray:
+    """Return the corners (3 m, 3) of triangles that fill a shape, in its frame [m]."""
+    height = HEIGHT if moved.kind == "measured" else 0.0
+    fans = [
+        corners[[0, k, k + 1]]
+        for corners, _ in moved.shape.pieces
+        for k in range(1, len(corners) - 1)
+    ]
+    flat = np.vstack(fans)
+    return np.column_stack((flat, np.full(len(flat), height)))
+
+
+def write_mcap(path: Path, found: list[Moved]) -> None:
+    """Write motions as Foxglove's FrameTransforms on /tf and SceneUpdate on /scene, in JSON."""
+    mcap = extra_module("a recording in MCAP", "mcap.writer", "mcap")
+    with path.open("wb") as stream:
+        writer = mcap.Writer(stream)
+        writer.start(library="fixel")
+
+        def channel(topic: str, schema: str) -> Callable[[float, Mapping[str, Any]], None]:
+            number = writer.register_schema(schema, "jsonschema", b'{"type": "object"}')
+            own = writer.register_channel(topic, "json", number)
+
+            def add(time: float, content: Mapping[str, Any]) -> None:
+                at = round(1e9 * time)
+                data = json.dumps(content, allow_nan=False).encode()
+                writer.add_message(own, log_time=at, data=data, publish_time=at)
+
+            return add
+
+        scene = channel("/scene", "foxglove.SceneUpdate")
+        transforms = channel("/tf", "foxglove.FrameTransforms")
+        scene(0.0, {"deletions": [], "entities": [_entity(moved) for moved in found]})
+        rows = [(t, moved, row) for moved in found for row, t in enumerate(moved.time.tolist())]
+        for time, moved, row in sorted(rows, key=lambda one: one[0]):
+            transforms(time, {"transforms": [_transform(moved, row)]})
+        writer.finish()
+
+
+def _stamp(time: float) -> dict[str, int]:
+    sec, nsec = divmod(round(1e9 * time), 10**9)
+    return {"sec": sec, "nsec": nsec}
+
+
+def _transform(moved: Moved, row: int) -> dict[str, Any]:
+    x, y, angle = moved.pose[row].tolist()
+    turn = {"x": 0.0, "y": 0.0, "z": float(np.sin(angle / 2)), "w": float(np.cos(angle / 2))}
+    return {
+        "timestamp": _stamp(float(moved.time[row])),
+        "parent_frame_id": "world",
+        "child_frame_id": moved.name,
+        "translation": {"x": x, "y": y, "z": 0.0},
+        "rotation": turn,
+    }
+
+
+def _entity(moved: Moved) -> dict[str, Any]:
+    none = dict.fromkeys("xyz", 0.0)
+    triangles = {
+        "pose": {"position": none, "orientation": none | {"w": 1.0}},
+        "points": [dict(zip("xyz", corner, strict=True)) for corner in _corners(moved).tolist()],
+        "color": dict(zip("rgba", (*_COLOURS[moved.kind], 1.0), strict=True)),
+        "colors": [],
+        "indices": [],
+    }
+    return {
+        "timestamp": _stamp(0.0),
+        "frame_id": moved.name,
+        "id": moved.name,
+        "lifetime": _stamp(0.0),
+        "frame_locked": True,
+        "metadata": [],
+        "triangles": [triangles],
+    }
+
+
+def write_rerun(path: Path, found: list[Moved]) -> None:
+    """Write motions as a recording for rerun."""
+    rerun = extra_module("a recording for rerun", "rerun", "rerun-sdk", "rerun")
+    recording = rerun.RecordingStream("fixel")
+    recording.save(path)
+    for moved in found:
+        name, (x, y, angle), zero = f"world/{moved.name}", moved.pose.T, 0.0 * moved.pose[:, 0]
+        recording.log(
+            name,
+            rerun.Mesh3D(vertex_positions=_corners(moved), albedo_factor=_COLOURS[moved.kind]),
+            static=True,
+        )
+        turn = np.column_stack((zero, zero, np.sin(angle / 2), np.cos(angle / 2)))
+        recording.send_columns(
+            name,
+            indexes=[rerun.TimeColumn("time", duration=moved.time)],
+            columns=rerun.Transform3D.columns(
+                translation=np.column_stack((x, y, zero)), quaternion=turn
+            ),
+        )
+    recording.flush()
+    recording.disconnect()
+
+
+WRITERS: Final[Mapping[str, tuple[str, Callable[[Path, list[Moved]], None]]]] = {
+    "mcap": ("motion.mcap", write_mcap),
+    "rerun": ("motion.rrd", write_rerun),
+}
