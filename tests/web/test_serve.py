@@ -10,7 +10,6 @@ import urllib.request
 import numpy as np
 import pytest
 
-import fixel.web
 from fixel.errors import InvalidInput
 from fixel.web.live import LiveView
 from fixel.web.overlay_page import overlay_page
@@ -91,13 +90,6 @@ def test_it_ends_though_a_browser_does_not_read(view):
     assert time.monotonic() - begun < 4.0
     connection.close()
     still.close()
-
-
-def test_without_its_packages_the_way_to_them_is_said(monkeypatch):
-    fixel.web.require_server()
-    monkeypatch.setattr(fixel.web, "find_spec", lambda name: None)
-    with pytest.raises(InvalidInput, match=r"fastapi and uvicorn; pip install 'fixel\[web\]'"):
-        fixel.web.require_server()
 
 
 def test_the_package_itself_is_light():

@@ -30,9 +30,6 @@ EVERY: Final = 0.05  # [s]
 def _perform(request: "BaseModel", folder: Path, as_json: bool) -> None:
     """Serve the page and read keys until the campaign has ended."""
     from fixel.database.project import Project
-    from fixel.web import require_server
-
-    require_server()
     from fixel.web.context import ProjectContext
     from fixel.web.project import project_server
     from fixel.workflows.bench.run import report_of

@@ -482,13 +482,10 @@ def _live(
     looks: "Overlay", source: "FrameSource", heading: str, port: int | None, *, show: bool
 ) -> "Look":
     """Show the overlay in a browser until the pictures end, or Ctrl-C."""
-    from fixel.web import require_server
-    from fixel.workflows.acquisition.overlay import frames_of, watch
-
-    require_server()
     from fixel.web.live import LiveView
     from fixel.web.overlay_page import overlay_page
     from fixel.web.serve import WebServer
+    from fixel.workflows.acquisition.overlay import frames_of, watch
 
     view = LiveView()
     look: Look | None = None

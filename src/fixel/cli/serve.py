@@ -42,9 +42,6 @@ def serve(
             "in the link; to accept that, add --allow-others",
         )
     from fixel.database.project import Project
-    from fixel.web import require_server
-
-    require_server()
     from fixel.web.context import ProjectContext
     from fixel.web.project import project_server
 
