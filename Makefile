@@ -42,7 +42,7 @@ help:  ## this list
 	@echo "The first target you run also creates $(VENV): the demo from requirements/core.txt, the others from lock.txt."
 
 # With other targets, the demo waits until all packages are there: it would see half of one that is being installed.
-demo: $(if $(filter-out demo,$(MAKECMDGOALS)),$(READY),$(FIXEL))  ## simulate, replay and draw: see what fixel does
+demo: $(if $(filter-out demo,$(MAKECMDGOALS)),$(READY),$(FIXEL))  ## from a table of pushes to a plan that works; every claim beside the truth
 	@$(BIN)/fixel demo
 
 demo-camera: $(READY)  ## the whole way: film, record, track, calibrate, compare with the truth

@@ -1,5 +1,7 @@
 """`fixel demo`: the first command of the README."""
 
+import shlex
+
 import pytest
 
 from fixel.cli import main
@@ -42,19 +44,38 @@ def test_the_suggested_commands_work(tmp_path, capsys, monkeypatch):
 
 
 @pytest.mark.slow
-def test_the_whole_tour_ends_in_a_report(tmp_path, capsys, monkeypatch):
+def test_the_story_is_right_and_its_commands_work(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
     assert call("demo") == 0
 
     out = capsys.readouterr().out
+    assert "WRONG" not in out
+    assert out.count("  right  ") == 6
+    report = tmp_path / "fixel-demo" / "laboratory-1" / "report" / "report.html"
+    text = report.read_text(encoding="utf-8")
+    for part in ("data", "errors", "parameters", "error-bound", "plan"):
+        assert f'<section id="{part}">' in text
+    lines = [line.strip() for line in out.splitlines()]
+    commands = [shlex.split(line)[1:] for line in lines if line.startswith("fixel plan run")]
+    assert [call(*command[:-4], "-n", "3", *command[-2:]) for command in commands] == [0]
+    assert "Held in pymunk" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_the_tour_of_a_misfit_ends_in_a_report(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+    assert call("demo", "--misfit") == 0
+
+    out = capsys.readouterr().out
+    assert out.startswith("This laboratory does not fit the model")
     report = tmp_path / "fixel-demo" / "report" / "report.html"
     text = report.read_text(encoding="utf-8")
-    for part in ("data", "errors", "parameters", "domain", "sensitivity", "uncertainty"):
+    for part in ("data", "errors", "parameters", "domain", "sensitivity"):
         assert f'<section id="{part}">' in text
-    assert "was not analysed" not in text
     assert "were not tested on held-out experiments" not in text
     assert str(report.relative_to(tmp_path)) in out
-    assert call("demo") == 0  # again, from what is there
+    assert call("demo", "--misfit") == 0  # again, from what is there
     commands = [line.split()[1:] for line in out.splitlines() if line.startswith("  fixel domain")]
     assert [call(*command) for command in commands] == [0]

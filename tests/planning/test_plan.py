@@ -1,6 +1,7 @@
 """Plans through the public function, on small problems."""
 
 import math
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -64,6 +65,23 @@ def test_without_anything_unknown_success_is_certain():
 
 def test_a_plan_states_its_start_error(found):
     assert "start: +-0.5 mm, +-0.5 deg uniform" in repr(found)
+
+
+def test_success_in_another_engine_is_that_of_its_runs_one_by_one(found):
+    plan = replace(found, belief=replace(BELIEF, rig=None), goal=replace(GOAL, position=1 * mm))
+    drawn, scene = plan.draw(6, seed=4), plan.scenes[0]
+    part, engine = scene.bodies[0], "pymunk:inertia_factor=10"
+    met = []
+    for k in range(6):
+        moved = replace(scene, bodies=(replace(part, pose=part.pose + drawn.start[k]),))
+        friction = {"mu_pusher": float(drawn.values["mu_pusher"][k])}
+        met.append(fixel.simulate(moved, friction, motion=engine).meets(plan.goal))
+
+    success = plan.success_in(engine, 6, seed=4)
+
+    assert success.n == 6
+    assert success.value == pytest.approx(np.mean(met))
+    assert 0 < sum(met) < 6
 
 
 @pytest.mark.parametrize(

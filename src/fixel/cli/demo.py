@@ -1,4 +1,4 @@
-"""`fixel demo` and `fixel doctor`: a tour that ends in a report, and checks of the installation."""
+"""`fixel demo` and `fixel doctor`: tours that end in a report, and checks of the installation."""
 
 import shlex
 import time
@@ -10,18 +10,20 @@ import typer
 
 from fixel.cli.options import AsJson, option, with_options
 from fixel.cli.screen import notify, print_answer
+from fixel.errors import InvalidInput
 from fixel.progress import show_progress, time_text
 
 if TYPE_CHECKING:
     from fixel.workflows.demo.camera_demo import CameraTour
     from fixel.workflows.demo.laboratory_demo import Tour
     from fixel.workflows.demo.scene_demo import Demo
+    from fixel.workflows.demo.story_demo import Claim, Step
     from fixel.workflows.diagnostics import Diagnosis
 
 _WHAT = {"scene": "the scene", "plot": "picture", "animate": "film", "trajectory": "numbers"}
-LAB = "lab"
 CAMERA = "camera"
 NOT_SOLVED = 3
+WRONG = 1  # exit code where a claim is wrong
 
 
 @with_options
@@ -30,43 +32,97 @@ def demo(
     out: Path = option(
         Path("fixel-demo"), "Folder for the figures; created if missing.", metavar="FOLDER"
     ),
-    quick: bool = option(
-        False, "Simulate the grasp only, without experiments and report.", "--quick"
+    seed: int = option(1, "Seed of the laboratory: another one has other true values.", min=0),
+    misfit: bool = option(
+        False, "Show what happens in a laboratory that the model does not fit.", "--misfit"
     ),
+    quick: bool = option(False, "Simulate a grasp only.", "--quick"),
     camera: bool = option(
         False,
         "Film simulated pushes instead, record the films from a network camera, track, "
         "calibrate, and compare with the truth. This takes minutes; the same command resumes it.",
         "--camera",
     ),
+    as_json: AsJson = False,
 ) -> None:
-    """Simulate and film a grasp, then assess the simulator.
+    """Calibrate a table of pushes, and plan a push that works.
 
-    For the second part, simulated experiments are calibrated.
+    The laboratory is simulated, so that every claim is compared with the truth. The exit code is 1
+    if one is wrong.
     """
+    begin = time.monotonic()
+
+    def tell(what: str) -> None:
+        notify(f"{time.monotonic() - begin:4.0f} s  {what} ...")
+
+    if as_json and (misfit or quick or camera):
+        raise InvalidInput("--json", found="another demo", expected="fixel demo alone")
     if camera:
         from fixel.workflows.demo.camera_demo import run_camera_tour
 
-        begin = time.monotonic()
         with show_progress(stage="filming") as report:
-            tour = run_camera_tour(
-                out / CAMERA,
-                notify=lambda what: notify(f"{time.monotonic() - begin:4.0f} s  {what} ..."),
-                progress=report,
-            )
+            tour = run_camera_tour(out / CAMERA, notify=tell, progress=report)
         return typer.echo("\n".join(_camera_lines(tour)))
+    if misfit:
+        from fixel.workflows.demo.laboratory_demo import run_tour
+
+        typer.echo(
+            "This laboratory does not fit the model: its parts stand on uneven undersides, on a "
+            "rough plate.\nSo the calibration must report a misfit, and where it can still be "
+            "trusted.\n"
+        )
+        return typer.echo("\n".join(_laboratory_lines(run_tour(out / "misfit", notify=tell))))
+    if quick:
+        return _grasp(out)
+    from fixel.workflows.demo.story_demo import tell_story
+
+    steps = []
+    for number, step in enumerate(tell_story(out, seed, tell), 1):
+        steps.append(step)
+        if not as_json:
+            typer.echo("\n".join(_step_lines(number, step)))
+    claims = [claim for step in steps for claim in step.claims]
+    wrong = sum(not claim.right for claim in claims)
+    print_answer(
+        as_json,
+        lambda: {"seed": seed, "claims": [claim._asdict() for claim in claims], "wrong": wrong},
+        lambda: _last_lines(len(claims), wrong, time.monotonic() - begin),
+    )
+    if wrong:
+        raise typer.Exit(WRONG)
+
+
+def _step_lines(number: int, step: "Step") -> list[str]:
+    claims = [_claim_line(claim) for claim in step.claims]
+    repeat = [f"    {line}" for line in step.repeat]
+    return [f"{number}. {step.title}", *(f"  {line}" for line in step.lines), *claims,
+            *(["  The same with your own table:", *repeat] if repeat else []), ""]  # fmt: skip
+
+
+def _claim_line(claim: "Claim") -> str:
+    verdict = "right" if claim.right else "WRONG"
+    return f"  {verdict}  {claim.what}: fixel states {claim.stated}; in truth {claim.truth}"
+
+
+def _last_lines(n: int, wrong: int, seconds: float) -> list[str]:
+    result = f"{wrong} of {n} claims are WRONG" if wrong else f"All {n} claims are right"
+    return [
+        f"{result}, after {time_text(seconds)}. Statements of 90 and 95 % may be wrong by chance.",
+        "Next, another laboratory, one that the model does not fit, or a grasp:",
+        "  fixel demo --seed 2",
+        "  fixel demo --misfit",
+        "  fixel demo --quick",
+    ]
+
+
+def _grasp(out: Path) -> None:
+    """Simulate and film the grasp."""
     from fixel.workflows.demo.scene_demo import run_demo
 
     result = run_demo(out)
     typer.echo("\n".join(_scene_lines(result)))
     if not result.simulation.converged:
         raise typer.Exit(NOT_SOLVED)
-    if not quick:
-        from fixel.workflows.demo.laboratory_demo import run_tour
-
-        typer.echo("\nHow accurate is such a simulation? Assess it on a simulated laboratory:\n")
-        laboratory = run_tour(out / LAB, notify=lambda what: notify(f"  {what} ..."))
-        typer.echo("\n".join(_laboratory_lines(laboratory)))
 
 
 def _camera_lines(tour: "CameraTour") -> list[str]:

@@ -240,6 +240,12 @@ def run(
     plan: PlanPath,
     options: DriveOptions,
     trials: int = option(1, "Number of trials on the simulated testbed.", "--trials", "-n", min=1),
+    engine: str = option(
+        "",
+        "Other simulator, such as pymunk: what is unknown is drawn for every trial, and none is "
+        "added.",
+        metavar="ENGINE",
+    ),
     seed: Seed = 1,
     folder: ProjectFolder = Path(),
     as_json: AsJson = False,
@@ -252,6 +258,14 @@ def run(
     from fixel.workflows.planning.request import load_plan
 
     found, project = load_plan(plan).found, _project(folder)
+    if engine:
+        held, stated = found.plan.success_in(engine, trials, seed=seed), found.plan.success.mean
+        return print_answer(
+            as_json,
+            lambda: {"engine": engine, "trials": trials, "held": held.value,
+                     "low": held.low, "high": held.high, "stated": stated},
+            lambda: [f"Held in {engine}: {held}; stated success probability {stated:.3f}"],
+        )  # fmt: skip
     again = command_of("plan", "check", plan, project=folder)
     if present_belief(project, found)[1] != found.calibration:
         notify(f"The calibration has changed since: {again}")

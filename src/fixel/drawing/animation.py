@@ -7,7 +7,7 @@ body.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib.util import find_spec
 from math import sqrt
 from pathlib import Path
@@ -56,6 +56,7 @@ def animate_simulation(
     simulation: Simulation,
     path: str | Path,
     *,
+    beside: Sequence[Simulation] = (),
     speed: float | None = None,
     progress: ProgressOption = None,
 ) -> None:
@@ -67,6 +68,8 @@ def animate_simulation(
         Simulation; a failed one is shown up to where it stopped.
     path : str or Path
         File to write, `.mp4` or `.gif`.
+    beside : sequence of Simulation
+        Other simulations of the same bodies, which are drawn as outlines.
     speed : float, optional
         Seconds of motion per second of animation. Default: 1, or a round factor that gives a very
         long or short motion a watchable length; a factor other than 1 is stated in the animation.
@@ -89,7 +92,7 @@ def animate_simulation(
     times = np.append(np.arange(0.0, end, speed / rate), end)
     times = np.append(times, np.full(rate, end))  # show the end for a second
     with written_whole(path) as temporary, show_progress(progress, "drawing frames") as report:
-        frames = _frames(_Stage(simulation, speed), times, report)
+        frames = _frames(_Stage(simulation, speed, beside), times, report)
         (_write_gif if gif else _write_mp4)(temporary, frames, rate)
 
 
@@ -123,13 +126,17 @@ def _frames(stage: _Stage, times: FloatArray, report: ProgressCallback) -> Itera
 class _Stage:
     """Figure with a fixed background, whose moving parts are redrawn for every frame."""
 
-    def __init__(self, simulation: Simulation, speed: float) -> None:
+    def __init__(
+        self, simulation: Simulation, speed: float, beside: Sequence[Simulation] = ()
+    ) -> None:
         import matplotlib as mpl
         from matplotlib.backends.backend_agg import FigureCanvasAgg
 
         self.simulation = simulation
         self.speed = speed
-        self.box = extent(simulation)
+        self.beside = tuple(beside)
+        boxes = [extent(own) for own in (simulation, *beside)]
+        self.box = Rectangle.around(np.concatenate([np.array((b.x, b.y)).T for b in boxes]))
         self.unit = unit_for(self.box.size)
         with mpl.rc_context(palette.STYLE):  # type: ignore[arg-type]
             figure, self.axes = _figure(self.box, self.unit)
@@ -161,7 +168,10 @@ class _Stage:
         self.clock = self.axes.text(0.0, 1.02, "", color=palette.INK, **title)
         self.note = self.axes.text(1.0, 1.02, "", color=palette.FORCE, ha="right", **title)
         self.touched = PolyCollection([], **solid(palette.TOUCHED))
-        drawn = (self.bodies, self.pushers, self.trails, self.touched, self.arrows)
+        self.outlines = PolyCollection([], **hollow(palette.FORCE, 0.5, alpha=0.6, zorder=4))
+        drawn = (
+            self.bodies, self.pushers, self.trails, self.touched, self.arrows, self.outlines
+        )  # fmt: skip
         for artist in drawn:
             self.axes.add_collection(artist, autolim=False)
         self.moving = (*drawn, self.clock, self.note)
@@ -180,6 +190,10 @@ class _Stage:
         outlines = {n: placed(self.shapes[n].outline, p) * scale for n, p in poses.items()}
         self.bodies.set_verts([outlines[b.name] for b in run.scene.bodies])
         self.pushers.set_verts([outlines[p.name] for p in run.scene.pushers])
+        self.outlines.set_verts([
+            placed(body.shape.outline, pose_at(own.time, own.pose[body.name], time)) * scale
+            for own in self.beside for body in run.scene.bodies
+        ])  # fmt: skip
         seen = int(np.searchsorted(run.time, time, side="right"))
         self.trails.set_segments([points[:seen] for points in self.trail_points])
         self._set_forces(time)

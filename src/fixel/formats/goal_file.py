@@ -45,6 +45,7 @@ from fixel.model.goals import (
 from fixel.model.parameters import info_of
 from fixel.planning.belief import Belief, RigError
 from fixel.planning.pushes import Cost, FreePushes, RigPushes
+from fixel.uncertainty.run_to_run import RunToRun
 from fixel.uncertainty.starts import StartError, preset
 
 Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
@@ -130,6 +131,11 @@ class BeliefRecord(FileRecord):
         "none",
         description="learned: scatter between runs from experiments that repeat pushes, instead of"
         " the error of the calibrated model",
+    )
+    friction_scatter: Annotated[Number, Field(ge=0.0, lt=1.0)] | None = Field(
+        None,
+        description="relative scatter of the friction of tool and fixels between runs, such as 0.2,"
+        " instead of the error of the calibrated model",
     )
     conditions: dict[str, str | Number] = Field({}, description="labels that select parameters")
 
@@ -242,11 +248,15 @@ def _goal(record: Any, path: str) -> Goal:
 def _belief(record: BeliefRecord, path: str) -> Belief:
     if record.calibration is not None and record.parameters:
         raise InvalidInput(path, found="calibration and parameters", expected="one of them")
+    scatter = record.friction_scatter
+    if scatter is not None and record.run_to_run == "learned":
+        raise InvalidInput(path, found="two kinds of scatter", expected="one of them")
     with within(path, "belief"):
         return Belief(
             parameters=_parameters(record.parameters) or None,
             start=None if record.start is None else _start(record.start),
             rig=None if record.rig is None else made(record.rig, "rig"),
+            run_to_run=None if scatter is None else RunToRun.of_friction(scatter),
             conditions=record.conditions,
         )
 

@@ -16,6 +16,7 @@ from fixel.model.bodies import POSE
 from fixel.model.fields import instance, vector
 from fixel.model.goal_checks import check_goal
 from fixel.model.goals import Goal
+from fixel.model.probability import Probability
 from fixel.planning.belief import UNKNOWN_UNITS, Belief, Scenarios, check_centres
 from fixel.planning.causes import MIN_SCENARIOS, Explanation
 from fixel.planning.looks import Looks, Policy, check_looks, looks_of, policy_of
@@ -38,8 +39,9 @@ from fixel.planning.search import (
 from fixel.planning.success import SuccessProbability
 from fixel.progress import Progress
 from fixel.results import Result, Summary
-from fixel.simulation.motion import AbstractMotionModel
+from fixel.simulation.motion import AbstractMotionModel, motion_model
 from fixel.simulation.stepper import AbstractStepper
+from fixel.simulation.trust import permit
 from fixel.table import Column, Table
 from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.starts import RPI_CAMERA, StartError
@@ -260,6 +262,45 @@ class PushPlan(Result):
             runs = simulator.run(planned, np.zeros(scenarios.n, np.int64), scenarios)
             margins.append(simulator.margins(runs).reshape(own.worlds, own.runs))
         return SuccessProbability.of(margins[-1], independent=margins[0][:, 0])
+
+    def success_in(
+        self, engine: str, runs: int = 100, *, seed: int = 1, threads: int | None = None
+    ) -> Probability:
+        """Carry the plan out in another simulator, and return how often it reaches the goal.
+
+        What is unknown is drawn anew for every run, as for the stated success probability.
+
+        Parameters
+        ----------
+        engine : str
+            Engine, such as `"pymunk"`, or the path of a program.
+        runs : int
+            Number of runs.
+        seed : int
+            Seed of what is drawn.
+        threads : int, optional
+
+        Returns
+        -------
+        Probability
+            Share of the runs that reached the goal, with its 95 % interval.
+
+        Raises
+        ------
+        InvalidInput
+            The engine is unknown or does not support the scene, or the plan has looks.
+        """
+        if self.looks is not None:
+            raise InvalidInput("plan", found="looks", expected="a plan without looks")
+        permit(engine)
+        own = replace(self, motion=motion_model(engine))
+        found = own.run(own.draw(runs, seed), samples=1, threads=threads)
+        met = own._simulator(threads).margins(found) >= 0.0
+        return Probability.of(int(met.sum()), runs)
+
+    def draw(self, n: int, seed: int = 1) -> Scenarios:
+        """Draw n fresh scenarios, which neither the search nor its statement has used."""
+        return self.belief.scenarios(self.scene, worlds=n, runs=1, seed=self.seed + FRESH + seed)
 
     @cached_property
     def policy(self) -> Policy:

@@ -14,9 +14,10 @@ from fixel.model.goals import BodyTrack, Goal, touching
 from fixel.model.overlap import overlaps
 from fixel.model.trajectory import wrapped
 from fixel.planning.belief import Scenarios
-from fixel.planning.pushes import PushChoice, collides, swept, touches
+from fixel.planning.pushes import PushChoice, collides, scene_of_push, swept, touches
 from fixel.simulation.ensemble import Ensemble
-from fixel.simulation.motion import AbstractMotionModel
+from fixel.simulation.motion import AbstractMotionModel, OtherEngine
+from fixel.simulation.rollouts import RolloutCase, Rollouts, ensemble_of
 from fixel.simulation.stepper import AbstractStepper
 from fixel.simulation.vary import composed, varied_start
 from fixel.typing import BoolArray, FloatArray, IntArray
@@ -197,10 +198,7 @@ class PlanSimulator:
         """Simulate one push of parts at `actual` (n, 3), planned for parts at `planned`."""
         n = len(path)
         self.rollouts += n
-        ensemble = Ensemble.of_pushes(
-            self.simulated, planned, path, self.samples,
-            motion=self.motion, stepper=self.stepper, threads=self.threads,
-        )  # fmt: skip
+        ensemble = self._ensemble(planned, path)
         if scenarios is None:
             values = {name: np.full(n, x) for name, x in self.nominal.items()}
         else:
@@ -222,6 +220,20 @@ class PlanSimulator:
         ended = np.isin(outcome.status, (codes.CONVERGED, codes.JAMMED))
         failure[~ended & (failure == CARRIED_OUT)] = NOT_SIMULATED
         return outcome.pose, failure, outcome.stalled, outcome.force
+
+    def _ensemble(self, planned: FloatArray, path: FloatArray) -> Rollouts:
+        """Return the ensemble of pushes; another engine has a scene for each."""
+        if not isinstance(self.motion, OtherEngine):
+            return Ensemble.of_pushes(
+                self.simulated, planned, path, self.samples,
+                motion=self.motion, stepper=self.stepper, threads=self.threads,
+            )  # fmt: skip
+        share = np.arange(1, self.samples + 1) / self.samples
+        cases = [
+            RolloutCase(scene_of_push(self.simulated, start, way), way[-1, 0] * share)
+            for start, way in zip(planned, path, strict=True)
+        ]
+        return ensemble_of(cases, self.motion, threads=self.threads)
 
     def _obstructed(
         self, begun: FloatArray, after: FloatArray, registered: FloatArray, path: FloatArray

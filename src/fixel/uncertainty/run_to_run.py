@@ -137,6 +137,12 @@ class RunToRun:
             )
 
     @classmethod
+    def of_friction(cls, scatter: float) -> RunToRun:
+        """Return a scatter of friction alone, near a normal distribution of its logarithm."""
+        none: dict[str, Any] = dict.fromkeys(_NUMBERS, 0.0) | {"friction": scatter}
+        return cls(**none, freedom=FREEDOMS[1])
+
+    @classmethod
     def learned(cls, effects: RunEffects, *, fitted: int = 0) -> RunToRun:
         """Fit the scatter to the errors of experiments, by their linear effects.
 

@@ -1,4 +1,4 @@
-"""Tour of a simulated laboratory: experiments, calibration, domain, uncertainty, report."""
+"""Tour of a laboratory that differs from the model: calibration, domain, sensitivity, report."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import numpy as np
 
 from fixel.database.project import Project
 from fixel.database.store import Store
-from fixel.errors import InvalidInput
 from fixel.model import Experiment
 from fixel.model.selection import ExperimentQuery
 from fixel.sampling.published import thesis_plan
@@ -28,8 +27,6 @@ EXPERIMENTS: Final = 21
 SEED: Final = 1
 # Pushes whose sensitivity to the start is analysed: straight on, off the middle, turned.
 ABOUT: Final = (1, 8, 19)
-# The push whose posterior is sampled, and a push that is predicted from it.
-FROM, PREDICTED = 19, 20
 
 
 class Tour(NamedTuple):
@@ -65,18 +62,6 @@ def run_tour(folder: Path, notify: Notify | None = None) -> Tour:
     notify("computing the sensitivity to the start pose")
     keys = tuple(map(str, ABOUT))
     call(project, "sensitivity", experiments=keys, samples=500, calibration=number)
-    notify("computing the posterior and predictions")
-    try:
-        call(
-            project,
-            "uncertainty",
-            experiments=(str(FROM),),
-            held_out=(str(PREDICTED),),
-            calibration=number,
-            samples=300,
-        )
-    except InvalidInput as missing:  # the package that samples posteriors
-        notify(f"skipped: {missing}")
     notify("writing the report")
     report = project.report(
         folder.parent / "report", calibration=number, command=f"fixel report {at}"
