@@ -214,6 +214,16 @@ def test_tag_log(tmp_path: Path) -> None:
     path.write_text("\n".join(lines) + "\n")
     found = fixel.read_experiments(path, columns={"part": "tag:7", "reference": "tag:4"})
     check(found[0], np.delete(TIME, 5), tip=False)
+    assert "z pointed into the tag" in found.notes[0]
+
+
+def test_tags_on_a_table_keep_their_axes(tmp_path: Path) -> None:
+    """A frame that is called a tag, but not seen by a camera."""
+    seen = zip(TIME, matrices(part_at(TIME)), strict=True)
+    messages = [("/tf", START + t, tf(transform(START + t, "map", "tag7", m))) for t, m in seen]
+    found = fixel.read_experiments(write_bag(tmp_path / "bag", messages))
+    check(found[0], tip=False)
+    assert not any("turned" in note for note in found.notes)
 
 
 def test_foxglove_messages_in_json(tmp_path: Path) -> None:

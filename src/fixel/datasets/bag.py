@@ -132,7 +132,8 @@ class _Roles(NamedTuple):
     def _sentence(self, role: str, name: str, tracks: Mapping[str, Track]) -> str:
         own, at = tracks[name], ", at the times of the part" if role == "pusher" else ""
         kind = "topic" if name == own.source else f"frame, in {own.source}"
-        return f"{name} ({kind}, {len(own.time)} poses) is the {role}, in {self.reference}{at}."
+        up = "; z pointed into the tag, which is turned about x" if own.turned else ""
+        return f"{name} ({kind}, {len(own.time)} poses) is the {role}, in {self.reference}{at}{up}."
 
     def _on_plane(self, poses: _Poses, flipped: bool) -> Iterator[str]:
         tilt = float(np.degrees(np.arccos(np.clip(np.nanmin(np.abs(poses.up)), 0.0, 1.0))))

@@ -54,6 +54,7 @@ class Track:
     parent: str
     source: str
     static: bool
+    turned: bool = False  # whether z pointed into the tag
     rows: list[tuple[float, ...]] = field(default_factory=list)  # time, log time, pose
     time: FloatArray = field(init=False)  # (n,) [s] increasing
     logged: FloatArray = field(init=False)  # (n,) [s]
@@ -71,9 +72,10 @@ class Track:
             )
         self.time, self.logged, self.position = table[:, 0], table[:, 1], table[:, 2:5]
         self.rotation = Rotation.from_quat(table[:, 5:])
-        # The z axis of a tag points away from the camera in AprilTag 3, and out of it elsewhere.
-        if name.startswith("tag") and self.rotation.as_matrix()[:, 2, 2].mean() > 0.0:
-            self.rotation = self.rotation * _FLIP
+        # AprilTag 3 has z into the tag, as the camera looks; others have it out of the tag.
+        seen = name.startswith("tag") and re.search("cam|optical", self.parent.lower())
+        if seen and self.rotation.as_matrix()[:, 2, 2].mean() > 0.0:
+            self.rotation, self.turned = self.rotation * _FLIP, True
 
 
 @final
