@@ -95,6 +95,7 @@ intersphinx_mapping = {
 viewcode_line_numbers = True
 codeautolink_concat_default = True  # the blocks of a page run as one script
 codeautolink_autodoc_inject = False
+codeautolink_inventory_map = reference.members_by_home()
 codeautolink_warn_on_missing_inventory = False
 codeautolink_warn_on_failed_resolve = False
 copybutton_selector = (

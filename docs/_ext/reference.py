@@ -57,6 +57,18 @@ def public_names() -> list[str]:
     return sorted(name for name in names if hasattr(fixel, name))
 
 
+def members_by_home() -> dict[str, str]:
+    """Return the names of members of public classes, by where their classes are defined."""
+    classes = {name: getattr(fixel, name) for name in public_names()}
+    return {
+        f"{own.__module__}.{own.__qualname__}.{member}": f"fixel.{name}.{member}"
+        for name, own in classes.items()
+        if isinstance(own, type)
+        for member in dir(own)
+        if not member.startswith("_")
+    }
+
+
 def api() -> str:
     """Return the page of public names, by groups."""
     public = public_names()

@@ -1,7 +1,7 @@
 // Scores of search results: what tells how to do something comes before what records why.
 // The theme's search reads `Scorer`; see `html_search_scorer` of Sphinx.
 const PLACES = {
-  "get-started": 12, "how-to/": 12, "tutorials/": 12, "gallery/": 4, "reference/": 4,
+  "get-started": 12, "how-to/": 14, "tutorials/": 12, "gallery/": 4, "reference/": 4,
   "evidence/": -4, "project/": -12, "decisions/": -100,
 };
 

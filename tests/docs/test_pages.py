@@ -8,6 +8,7 @@ import pytest
 import yaml
 from tools.notebooks import NAMES, is_output, shown_outputs
 
+import fixel
 from fixel.formats import scene_file_from_dict
 from fixel.model import KNOWN_PARAMETERS
 
@@ -59,6 +60,18 @@ def test_python_blocks_run_in_order(
         exec(compile(block, str(page), "exec"), namespace)
         printed = capsys.readouterr().out
         assert shown is None or is_output(shown, printed), f"{block} printed {printed}"
+
+
+@pytest.mark.parametrize(
+    "page", sorted((ROOT / "docs/tutorials").glob("*.md")), ids=lambda p: p.stem
+)
+def test_tutorials_import_public_names_only(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    own = re.findall(r"^\s*(?:import|from) (fixel\S*)(?: import (.*))?$", text, re.MULTILINE)
+    for module, names in own:
+        assert module in ("fixel", "fixel.units"), f"{page.name} imports from {module}"
+        assert module == "fixel.units" or {*re.findall(r"\w+", names)} <= {*dir(fixel)}
+    assert {*re.findall(r"\bfixel\.([a-zA-Z]\w+)\(", text)} <= {*dir(fixel)}
 
 
 @pytest.mark.parametrize("page", ALL_PAGES, ids=lambda page: page.stem)

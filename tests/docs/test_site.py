@@ -55,6 +55,61 @@ def test_search_finds_pages(page):
     assert page.locator("#search-results li a").count() > 5
 
 
+def test_search_lists_how_tos_before_decisions(page):
+    page.goto(f"file://{SITE}/search.html?q=calibrate")
+    page.wait_for_selector("#search-results li a[href*='decisions/']")
+    found = page.locator("#search-results li a")
+    places = [link.get_attribute("href").split("/")[0] for link in found.all()]
+    assert places.index("decisions") > len(places) - 1 - places[::-1].index("how-to")
+
+
+def test_wide_formulas_fit_a_phone(page):
+    page.goto(f"file://{SITE}/theory/domain.html")
+    page.wait_for_selector("mjx-container svg", state="attached")
+    widths = (
+        "[...document.querySelectorAll('div.math svg')].map(e => e.getBoundingClientRect().right)"
+    )
+    assert max(page.evaluate(widths)) <= 390
+
+
+def test_code_fits_a_laptop(page):
+    page.set_viewport_size({"width": 1280, "height": 800})
+    wide = "[...document.querySelectorAll('pre')].filter(e => e.scrollWidth > e.clientWidth)"
+    pages = [SITE / "index.html", SITE / "get-started.html", *(SITE / "tutorials").glob("*.html")]
+    pages += (SITE / "how-to").glob("*.html")
+    for file in pages:
+        page.goto(f"file://{file}")
+        assert page.evaluate(f"{wide}.map(e => e.innerText)") == [], file.name
+
+
+def test_code_is_copied_without_prompts_and_outputs_are_not(page):
+    page.goto(f"file://{SITE}/tutorials/first_push.html")
+    page.wait_for_selector(".highlight-python button.copybtn", state="attached")
+    assert page.locator(".highlight-text button.copybtn").count() == 0
+    page.goto(f"file://{SITE}/reference/api/fixel.Scene.html")
+    page.evaluate("document.addEventListener('copy', e => window.copied = e.target.value)")
+    page.locator(".doctest button.copybtn").first.dispatch_event("click")
+    assert page.evaluate("window.copied").startswith("from fixel.model import Disk")
+
+
+@pytest.mark.parametrize(
+    ("name", "target"),
+    [
+        ("tutorials/first_push", "../reference/api/fixel.Polygon.html#fixel.Polygon.rectangle"),
+        ("tutorials/trust", "../reference/api/fixel.map_domain.html#fixel.map_domain"),
+        ("how-to/plan", "../reference/api/fixel.FreePushes.html#fixel.FreePushes"),
+        ("reference/api/fixel.Simulation", "https://numpy.org/doc/stable/"),
+        ("reference/api/fixel.Simulation", "../../_modules/fixel/simulation/result.html"),
+        ("tutorials/plan", "plan.ipynb"),
+    ],
+)
+def test_page_links_to(page, name, target):
+    page.goto(f"file://{SITE}/{name}.html")
+    assert page.locator(f"article a[href*='{target}']").count() > 0
+    assert page.locator(".navbar-brand").first.inner_text().strip() == f"fixel {fixel.__version__}"
+    assert page.locator("link[rel=icon]").count() == 1
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_public_name_is_in_the_reference(name):
     assert (SITE / "reference" / "api" / f"fixel.{name}.html").exists()
