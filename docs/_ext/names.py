@@ -6,10 +6,12 @@ any other name is set as code, since most of them are arguments, units or values
 """
 
 import re
+from pathlib import Path
 
 from docutils import nodes
 from reference import public_names
 from sphinx.addnodes import pending_xref
+from sphinx_codeautolink.extension.cache import DataCache
 
 import fixel
 
@@ -56,7 +58,23 @@ def link(app, doctree: nodes.document) -> None:
         reference += code
 
 
+class AnyPage:
+    """Folder in which every page is found: the extension looks for pages in .rst only.
+
+    Without it a page in Markdown that is written again, but not read again, loses its links.
+    """
+
+    def __truediv__(self, name: str) -> Path:
+        return Path(__file__)
+
+
+def read_cache(cache: DataCache, read=DataCache.read) -> None:
+    cache.src_dir = AnyPage()
+    read(cache)
+
+
 def setup(app):
+    DataCache.read = read_cache
     app.connect("doctree-read", link)
     app.connect("missing-reference", resolve, priority=900)  # after intersphinx
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -24,7 +24,7 @@ from fixel.typing import FloatArray, IntArray
 MAX_ID = 2**31 - 1  # largest integer of a database
 MAX_KEYS = 100  # keys of a request's body; those that are known are about ten
 
-# Ids, as they stand in addresses and in bodies. FastAPI, an extra, is not imported here.
+# Ids, as they stand in addresses and in bodies.
 Id = Annotated[int, Field(ge=1, le=MAX_ID)]
 Number = Id
 
