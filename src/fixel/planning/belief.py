@@ -302,7 +302,7 @@ class Belief:
             error = given.typical_error
             tau = np.full(worlds, error / math.sqrt(2.0 * math.log(2.0))) if error else None
             return given.samples(worlds, number, **labels), tau
-        if isinstance(given, PredictiveModel) and self.run_to_run is None:
+        if self.run_to_run is None and isinstance(given, PredictiveModel):  # which computes it
             found = given.predictive
             return _without_start(found.samples(worlds, number, self.conditions)), found.error
         if isinstance(given, CalibratedModel):
