@@ -146,9 +146,9 @@ def few_live() -> Iterator[None]:
 
 # Compile the engine, then the parts of the plain loop.
 _COMPILE = """
-from fixel.simulation import simulate
+from fixel.simulation import Simulator, simulate
 from fixel.testing.scenes import grasp
-simulate(grasp(), duration=1e-6)
+Simulator(grasp()).ends(duration=1e-6)
 print("compiled", flush=True)
 simulate(grasp(), duration=1e-6, plain=True)
 """
@@ -179,6 +179,14 @@ def pytest_configure(config: pytest.Config) -> None:
     """Have one process compile if several run tests."""
     if config.getoption("numprocesses", None) and not hasattr(config, "workerinput"):
         config.pluginmanager.register(Compilation())
+
+
+@pytest.fixture(autouse=True, scope="session")
+def compiled_here() -> None:
+    """Run no test as plain Python while code is compiled, except those of it."""
+    from fixel.simulation import first_code
+
+    first_code._settled = True
 
 
 @pytest.fixture(scope="session")

@@ -1,11 +1,15 @@
 """Helpers are linked into entries and have no machine code of their own."""
 
+import contextlib
 import gc
+import time
 
 import numba
 import pytest
 from numba.core.compiler import Flags
 
+from fixel.kernels import jit
+from fixel.kernels.code_cache import cache_folder
 from fixel.kernels.jit import KNOWN_NUMBA, EntryCompiler, _Flags, entry, kernel
 
 compiled = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
@@ -69,3 +73,45 @@ def test_flags_are_compared_as_numba_compares_them():
         for other in (plain, changed, same):
             assert (_Flags(flags) == _Flags(other)) == (flags == other)
             assert (_Flags(flags) == other) == (flags == other)
+
+
+@kernel
+def squared(x: float) -> float:
+    return x * x
+
+
+def fourth_power(x: float) -> float:
+    return squared(squared(x))
+
+
+@compiled
+def test_a_compilation_shows_how_far_it_is(monkeypatch, tmp_path):
+    monkeypatch.setenv("FIXEL_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(jit, "PATIENCE_S", 0.0)
+    monkeypatch.setattr(jit, "BEAT_S", 0.01)
+    stages, reports, files = [], [], []
+    marks = f"{cache_folder(__file__)}/test_jit.fourth_power.compiling"
+
+    def report(done, total):
+        reports.append((done, total))
+        with open(marks) as file:
+            files.append(file.read())
+
+    @contextlib.contextmanager
+    def show(stage):
+        stages.append(stage)
+        yield report
+
+    core = EntryCompiler._compile_core
+
+    def slow(self):
+        time.sleep(0.2)
+        return core(self)
+
+    monkeypatch.setattr(jit, "show", show)
+    monkeypatch.setattr(EntryCompiler, "_compile_core", slow)
+    assert entry(fourth_power)(2.0) == 16.0
+    assert stages == ["compiling test_jit.fourth_power, 1 functions"]
+    assert 0 <= reports[0][0] < reports[-1][0] <= 1000
+    assert all(0.0 <= float(text) <= 1.0 for text in files)
+    assert not list(tmp_path.rglob("*.compiling"))

@@ -1,4 +1,4 @@
-"""`fixel demo` and `fixel doctor`: tours that end in a report, and checks of the installation."""
+"""`fixel demo`, `fixel doctor` and `fixel compile`: tours, checks, and code ahead of its use."""
 
 import shlex
 import time
@@ -198,6 +198,32 @@ def doctor(as_json: AsJson = False) -> None:
     found = examine()
     print_answer(as_json, found.summary, lambda: _lines(found))
     if not found.passed:
+        raise typer.Exit(1)
+
+
+def compile_(as_json: AsJson = False) -> None:
+    """Compile all numerical code now: for images and slow machines.
+
+    Two processes take one to two minutes. Without it, the first simulation starts the compilation.
+    """
+    from dataclasses import asdict
+
+    from fixel.kernels.code_cache import cache_folder
+    from fixel.workflows.compilation import cache_size, compile_kernels
+
+    parts = compile_kernels(progress=False if as_json else None)
+    failed = [part for part in parts if part.problem]
+    folder, size = cache_folder(), cache_size()
+    content = {"folder": folder, "bytes": size, "parts": [*map(asdict, parts)]}
+    lines = [
+        f"{part.problem or (time_text(part.seconds) if part.seconds else 'stored before'):>14}  "
+        f"{part.name}"
+        for part in parts
+    ]
+    end = "Next: fixel doctor" if failed else "Next: fixel demo"
+    lines += ["", f"{size / 1e6:.1f} MB in {folder}", end]
+    print_answer(as_json, lambda: content, lambda: lines)
+    if failed:
         raise typer.Exit(1)
 
 

@@ -62,6 +62,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, Capability | Callable[..., None] | typ
     "Get started": {
         "demo": demo.demo,
         "doctor": demo.doctor,
+        "compile": demo.compile_,
         "new": project.new,
         "serve": serve.serve,
     },

@@ -25,6 +25,7 @@ import pickle
 import shutil
 import stat
 import sys
+import time
 import uuid
 from collections.abc import Callable
 from typing import Any
@@ -36,6 +37,7 @@ from numba.core import caching, compiler, serialize
 
 MAX_BYTES = 1 << 28  # the largest entry has 4 MB
 SEAL_BYTES = 32
+SILENT_S = 10.0  # time without a sign after which a process that compiles counts as dead
 
 # Numba's type information is incomplete.
 _caching: Any = caching
@@ -55,8 +57,7 @@ class CodeCache(_caching.NullCache):  # type: ignore[misc]
 
     def __init__(self, function: Callable[..., Any]) -> None:
         code = function.__code__
-        module = os.path.splitext(os.path.basename(code.co_filename))[0]
-        self._name = f"{module}.{function.__qualname__}".replace("<", "").replace(">", "")
+        self._name = entry_name(function)
         self._line = code.co_firstlineno
         self._folder = cache_folder(code.co_filename)
 
@@ -91,6 +92,34 @@ class CodeCache(_caching.NullCache):  # type: ignore[misc]
         key = (self._line, str(signature), codegen.magic_tuple(), svml)
         digest = hashlib.sha256(repr(key).encode()).hexdigest()[:16]
         return os.path.join(self._folder, f"{self._name}-{digest}")
+
+
+def entry_name(function: Callable[..., Any]) -> str:
+    """Name of an entry in the cache: module and function."""
+    module = os.path.splitext(os.path.basename(function.__code__.co_filename))[0]
+    return f"{module}.{function.__qualname__}".replace("<", "").replace(">", "")
+
+
+def is_stored(entry: str) -> bool:
+    """Whether usable machine code of an entry of the kernels is stored, for any types."""
+    folder = cache_folder()
+    try:
+        names = [name for name in os.listdir(folder) if name.startswith(f"{entry}-")]
+    except OSError:
+        return False
+    return any(read_sealed(os.path.join(folder, name)) is not None for name in names)
+
+
+def share_compiled(entry: str) -> float | None:
+    """Share of an entry of the kernels that some process has compiled by now; None if none does."""
+    path = os.path.join(cache_folder(), f"{entry}.compiling")
+    try:
+        if abs(time.time() - os.stat(path).st_mtime) > SILENT_S:
+            return None
+        with open(path) as file:
+            return float(file.read() or 0.0)
+    except (OSError, ValueError):
+        return None
 
 
 def cache_folder(source: str = __file__) -> str:

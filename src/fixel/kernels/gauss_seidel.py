@@ -81,10 +81,12 @@ def _accelerate(problem: Problem, work: Workspace, before: float) -> float:
     size = 0.0
     for i in range(problem.size[N_CONTACT]):
         for k in range(2):
-            size += (p[i, k] - contact[i, _OLD + k]) ** 2
+            change = p[i, k] - contact[i, _OLD + k]
+            size += change * change
     for e in range(problem.size[N_ELEMENT]):
         for k in range(3):
-            size += (q[e, k] - element[e, _OLD_ELEMENT + k]) ** 2
+            change = q[e, k] - element[e, _OLD_ELEMENT + k]
+            size += change * change
     share = min(1.0, size / before) if size < TURN * before else 0.0
     for i in range(problem.size[N_CONTACT]):
         for k in range(2):

@@ -15,8 +15,11 @@ gives the reasons.
 Environment: ``NUMBA_DISABLE_JIT=1`` runs every kernel as plain Python.
 """
 
+import contextlib
 import gc
 import math
+import os
+import threading
 import time
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
@@ -27,7 +30,7 @@ from numba.core import cgutils, codegen, compiler, compiler_machinery, typed_pas
 from numba.extending import intrinsic
 from numba.np import arrayobj
 
-from fixel.kernels.code_cache import CodeCache, print_once
+from fixel.kernels.code_cache import CodeCache, cache_folder, entry_name, print_once
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -88,10 +91,16 @@ class _TakeIntermediate(_machinery.FunctionPass):  # type: ignore[misc]
         return True
 
 
-COMPILING = "Compiling numerical code (only once for this version); this can take a minute."
+COMPILING = (
+    "Compiling numerical code, only once for this version; this can take a minute. "
+    "`fixel compile` does all of it in advance."
+)
 PATIENCE_S = 1.0  # time that this process compiles before it prints a line
-_seconds = 0.0  # time that this process has compiled
-_began: float | None = None  # start of the entry that is compiled now
+BEAT_S = 0.2  # time between two signs of progress
+OPTIMISED = 1.4  # duration of a compilation, in those of its functions before they are optimised
+compiled_s = 0.0  # time that this process has compiled
+show: Any = None  # `fixel.progress.show_progress`, where upper floors are in use
+_watch: "_Watch | None" = None  # progress of the entry that is compiled now
 
 # Numba creates millions of objects that remain until the entry is compiled. Python's collector
 # would visit them repeatedly, in a tenth of the time.
@@ -117,6 +126,62 @@ class _Flags(_compiler.Flags):  # type: ignore[misc]
 _FLAGS_HASH = hash(_compiler.Flags())
 
 
+class _Watch(threading.Thread):
+    """Progress of the compilation of an entry: a line, a bar, and a file for other processes."""
+
+    def __init__(self, function: Any) -> None:
+        super().__init__(daemon=True, name="fixel-compiling")
+        self._entry = entry_name(function)
+        folder = cache_folder(function.__code__.co_filename)
+        self._path = os.path.join(folder, f"{self._entry}.compiling")
+        self._functions = len(_functions_below(function, set()))
+        self._began = time.monotonic()
+        self._ended = threading.Event()
+        self.done = 0  # functions that are compiled, but not optimised
+
+    def run(self) -> None:
+        with contextlib.suppress(OSError):
+            os.makedirs(os.path.dirname(self._path), exist_ok=True)
+        while self.seconds + compiled_s < PATIENCE_S:
+            self._share()
+            if self._ended.wait(BEAT_S):
+                return
+        print_once(COMPILING)
+        stage = f"compiling {self._entry}, {self._functions} functions"
+        with show(stage=stage) if show else contextlib.nullcontext() as report:
+            while not self._ended.wait(BEAT_S):
+                share = self._share()
+                if report:
+                    report(int(1000 * share), 1000)
+
+    def _share(self) -> float:
+        """Compute the share that is done, and write it for other processes."""
+        share = min(1.0, self.done / max(1, self._functions)) / OPTIMISED
+        with contextlib.suppress(OSError), open(self._path, "w") as file:
+            file.write(f"{share:.3f}")
+        return share
+
+    @property
+    def seconds(self) -> float:
+        return time.monotonic() - self._began
+
+    def end(self) -> None:
+        self._ended.set()
+        self.join()
+        with contextlib.suppress(OSError):
+            os.unlink(self._path)
+
+
+def _functions_below(function: Any, found: set[Any]) -> set[Any]:
+    """Add the helpers that a function calls by their names, directly or not, to `found`."""
+    for name in function.__code__.co_names:
+        helper = getattr(function.__globals__.get(name), "py_func", None)
+        if helper is not None and helper not in found:
+            found.add(helper)
+            _functions_below(helper, found)
+    return found
+
+
 class EntryCompiler(_compiler.CompilerBase):  # type: ignore[misc]
     """Compiler pipeline of Numba for functions that Python calls, with fast bookkeeping."""
 
@@ -127,21 +192,23 @@ class EntryCompiler(_compiler.CompilerBase):  # type: ignore[misc]
     def compile_extra(self, function: Any) -> Any:
         # Entries compile their helpers inside this call, which Numba's lock lets no other thread
         # enter.
-        global _began, _seconds
-        outermost = _began is None
-        if _began is None:
-            _began = time.monotonic()
-        if _seconds + time.monotonic() - _began > PATIENCE_S:
-            print_once(COMPILING)
+        global _watch, compiled_s
+        if _watch is not None:
+            try:
+                return super().compile_extra(function)
+            finally:
+                _watch.done += 1
+        watch = _watch = _Watch(function)
+        watch.start()
         thresholds = gc.get_threshold()
         gc.set_threshold(*_RARELY)
         try:
             return super().compile_extra(function)
         finally:
             gc.set_threshold(*thresholds)
-            if outermost:
-                _seconds += time.monotonic() - _began
-                _began = None
+            _watch = None
+            watch.end()
+            compiled_s += watch.seconds
 
     def define_pipelines(self) -> list[Any]:
         return [_compiler.DefaultPassBuilder.define_nopython_pipeline(self.state)]

@@ -424,13 +424,15 @@ def event_time(
         if (start <= min_gap and not few) or (end > 0.0 and lead == 0.0):
             continue
         spin = abs(guess[a + 2])
-        arm = math.sqrt(problem.normal[i, 2] ** 2 + problem.tangent[i, 2] ** 2)
+        along, across = problem.normal[i, 2], problem.tangent[i, 2]
+        arm = math.sqrt(along * along + across * across)
         if 0 <= b < problem.size[N_FREE_DOF]:
             spin += abs(guess[b + 2])
-            arm += math.sqrt(problem.normal[i, 5] ** 2 + problem.tangent[i, 5] ** 2)
+            along, across = problem.normal[i, 5], problem.tangent[i, 5]
+            arm += math.sqrt(along * along + across * across)
         ahead = lead * step
         # Of the third order, what bends away from the parabola.
-        bent = 0.5 * ahead**3 * spin * spin * (spin * arm + 2.0 * abs(slide))
+        bent = 0.5 * (ahead * (ahead * ahead)) * spin * spin * (spin * arm + 2.0 * abs(slide))
         deep = problem.contact_place[i, OVERLAP] - start
         if few and deep > EVENT * min_gap + bent and problem.impulse[i, 0] <= 0.0:
             # From its far side, a path through a corner or past it looks like an overlap at the

@@ -30,6 +30,7 @@ from fixel.kernels.arrays import (
 from fixel.model import Parameters, PathDrive, Scene
 from fixel.model.fields import frozen, instance, settle
 from fixel.registry import offered
+from fixel.simulation.first_code import is_missing, roll_in_python
 from fixel.simulation.motion import AbstractMotionModel, OtherEngine, motion_model, named_part
 from fixel.simulation.pack import PackedBatch, pack
 from fixel.simulation.plain import rollout_in_python
@@ -544,6 +545,8 @@ def _roll_compiled(
 def _roll_one(
     packed: PackedBatch, method: StepMethod, record: BatchRecord, *, every_step: bool
 ) -> None:
+    if is_missing() and roll_in_python(packed.batch, method, record, every_step):
+        return
     try:
         rollout_in_threads(packed.batch, method, record, 1, every_step)
     except KeyboardInterrupt:

@@ -18,6 +18,7 @@ from fixel.errors import InvalidInput
 from fixel.kernels import batch as kernel
 from fixel.kernels import codes
 from fixel.kernels.arrays import SAMPLES, STOP, Batch, BatchRecord, StepMethod
+from fixel.simulation.first_code import is_missing, wait_for_code
 
 T = TypeVar("T")
 MAX_RANGE: Final = 64  # rollouts of one call
@@ -51,6 +52,8 @@ def rollout_in_threads(
     KeyboardInterrupt
         Ctrl-C; rollouts that did not end have the status INTERRUPTED.
     """
+    if is_missing():
+        wait_for_code()
     n = len(record.status)
     n_threads = cores() if threads is None else threads
     if n_threads < 1:

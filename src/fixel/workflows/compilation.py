@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Final, final
 
-from fixel.kernels.code_cache import cache_folder, read_sealed
+import numpy as np
+
+from fixel.kernels import jit
+from fixel.kernels.code_cache import cache_folder, is_stored, share_compiled
 from fixel.model import Scene
-from fixel.simulation import AbstractSolver, Newton, simulate
+from fixel.progress import ProgressOption, show_progress
+from fixel.simulation import AbstractSolver, Lemke, Newton, Simulator, simulate
+from fixel.simulation.first_code import ENTRY
 from fixel.simulation.simulate import is_compiled
+from fixel.testing import scenes
 
 # Duration of the start-up simulation [s]: one step of any stepper.
 INSTANT = 1e-6
@@ -15,8 +28,7 @@ INSTANT = 1e-6
 
 def engine_is_cold() -> bool:
     """Whether no usable machine code of the simulation is stored."""
-    stored = Path(cache_folder()).glob("batch.rollout_batch-*")
-    return not any(read_sealed(str(file)) for file in stored)
+    return not is_stored(ENTRY)
 
 
 def cache_size() -> int:
@@ -25,7 +37,80 @@ def cache_size() -> int:
 
 
 def get_ready(scene: Scene, solver: AbstractSolver | None = None, plain: bool = False) -> None:
-    """Compile or load what a simulation needs, so that its wall time excludes compilation."""
+    """Compile or load what a simulation needs, so that its wall time excludes compilation.
+
+    Where plain Python computes the same bits, it starts the compilation and does not wait for it.
+    """
     solver = solver or Newton()
     plain = plain or not is_compiled(solver)
     simulate(scene, duration=min(INSTANT, scene.duration), solver=solver, plain=plain)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class CompiledPart:
+    """Part of the numerical code, compiled in a process of its own."""
+
+    name: str
+    seconds: float  # wall time of compiling [s]; 0 if the code was stored before
+    problem: str  # why it failed; empty if it did not
+
+
+def compile_kernels(progress: ProgressOption = None) -> list[CompiledPart]:
+    """Compile the code of all simulations and store it, in two processes.
+
+    Parameters
+    ----------
+    progress : bool or callable, optional
+        Display of the progress, as for `fixel.progress.show_progress`.
+
+    Returns
+    -------
+    list of CompiledPart
+        Parts of the code; those that were stored before took no time.
+    """
+    with ThreadPoolExecutor(2) as pool, show_progress(progress, "compiling") as report:
+        running = [pool.submit(_compiled, name) for name in _PARTS]
+        while not all(one.done() for one in running):
+            done = sum(one.done() for one in running)
+            share = 0.0 if running[0].done() else share_compiled(ENTRY) or 0.0
+            report(int(100 * (done + share)), 100 * len(running), f"{done} of {len(running)} parts")
+            time.sleep(jit.BEAT_S)
+        return [one.result() for one in running]
+
+
+def _compiled(name: str) -> CompiledPart:
+    command = [sys.executable, "-m", "fixel.workflows.compilation", name]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        last = (done.stderr.strip().splitlines() or [f"ended with status {done.returncode}"])[-1]
+        return CompiledPart(name, 0.0, last)
+    return CompiledPart(name, float(done.stdout.split()[-1]), "")
+
+
+def _rollouts() -> None:
+    Simulator(scenes.sliding_block()).ends(duration=INSTANT)
+
+
+def _environments() -> None:
+    from fixel.environments.motion import PushMotion
+
+    _rollouts()  # waits for the other process
+    PushMotion(scenes.pushed_square(), 1, unit=1.0).step(np.zeros((1, 2)))
+
+
+# The longest is first; the others, in the other process, do not wait for its code.
+_PARTS: Final[dict[str, Callable[[], object]]] = {
+    "rollouts, with all motion models and solvers": _rollouts,
+    "single steps: plain loop and Lemke's method": lambda: simulate(
+        scenes.grasp(support_directions=8), solver=Lemke(), plain=True
+    ),
+    "contact modes: accuracy and derivatives": lambda: simulate(
+        scenes.pushed_square(), motion="quasistatic", accuracy=True, derivatives=["mu_pusher"]
+    ),
+    "environments": _environments,
+}
+
+if __name__ == "__main__":
+    _PARTS[sys.argv[1]]()
+    print(jit.compiled_s)

@@ -25,7 +25,8 @@ from fixel.database.project import Project
 from fixel.errors import JobRefused, NotStored
 from fixel.io.document import plain_numbers
 from fixel.jobs.worker_process import WorkerProcess
-from fixel.kernels.code_cache import cache_folder
+from fixel.kernels.code_cache import cache_folder, share_compiled
+from fixel.simulation.first_code import ENTRY
 from fixel.web.context import Context
 from fixel.web.values import Answer
 from fixel.workflows import diagnostics
@@ -99,6 +100,7 @@ class CompiledKernels(Answer):
     folder: str
     size_bytes: int
     warm: bool = Field(description="whether the kernels are compiled")
+    compiling: float | None = Field(description="share that a process has compiled by now")
 
 
 class DatabaseStatus(Answer):
@@ -214,7 +216,10 @@ def system_status(project: Project) -> SystemStatus:
         versions=diagnostics.versions(),
         machine=diagnostics.machine(),
         cache=CompiledKernels(
-            folder=cache_folder(), size_bytes=cache_size(), warm=not engine_is_cold()
+            folder=cache_folder(),
+            size_bytes=cache_size(),
+            warm=not engine_is_cold(),
+            compiling=share_compiled(ENTRY),
         ),
         database=_database(project),
         disk=disk_status(project),

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from fastapi import Request
 
 from fixel.errors import FixelError, InvalidInput, NotStored
+from fixel.kernels.code_cache import share_compiled
 from fixel.model.selection import ExperimentQuery
 from fixel.simulation.engine_names import installed_engines
+from fixel.simulation.first_code import ENTRY
 from fixel.units import displayed
 from fixel.web.views.live_comparison import (
     DYNAMIC,
@@ -31,7 +33,7 @@ MAX_SHOWN: Final = 6  # sets with colours that differ clearly
 MOTIONS: Final = (DYNAMIC, "quasistatic", "first-order")
 PINNED: Final = "pinned-"
 PATIENCE: Final = 2.0  # [s] until the page is shown without simulations
-COMPILING: Final = "compiling the simulator, which takes some minutes, only once"
+COMPILING: Final = "compiling the simulator, only once: {:.0f} % done"
 
 
 class ShownSet(NamedTuple):
@@ -231,7 +233,9 @@ def _row(
     for name, value in one.parameters.items():
         unit, factor = units.get(name, ("", 1.0))
         values.append(f"{name} {factor * value:.4g} {unit}".strip())
-    answer, problem = None, COMPILING if cold else ""
+    answer, problem = None, ""
+    if cold:
+        problem = COMPILING.format(100.0 * (share_compiled(ENTRY) or 0.0))
     try:
         if cold:
             pass

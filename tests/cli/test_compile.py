@@ -1,0 +1,65 @@
+"""`fixel compile`: parts, times, and an exit code."""
+
+import json
+import sys
+
+import pytest
+
+from fixel.cli import main
+from fixel.workflows import compilation
+
+
+def call(*arguments: str) -> int:
+    """Exit code of a command."""
+    with pytest.raises(SystemExit) as end:
+        main.run(arguments)
+    return int(end.value.code or 0)
+
+
+@pytest.fixture
+def programs(monkeypatch, tmp_path) -> dict[str, str]:
+    """Programs that run instead of the parts."""
+    found = {"one": "print(2.5)", "two": "print(0.0)"}
+    monkeypatch.setattr(compilation, "_PARTS", found)
+    real = compilation.subprocess.run
+
+    def run(command, **options):
+        assert command[1:3] == ["-m", "fixel.workflows.compilation"]
+        return real([sys.executable, "-c", found[command[3]]], **options)
+
+    monkeypatch.setattr(compilation.subprocess, "run", run)
+    return found
+
+
+def test_parts_and_what_was_stored_before(programs, capsys):
+    assert call("compile") == 0
+    out = capsys.readouterr().out
+    assert "2.5 s  one" in out
+    assert "stored before  two" in out
+    assert out.splitlines()[-1] == "Next: fixel demo"
+
+
+def test_a_part_that_dies_is_named_and_exits_1(programs, capsys):
+    programs["two"] = "import os; os.kill(os.getpid(), 9)"
+    assert call("compile", "--json") == 1
+    parts = json.loads(capsys.readouterr().out)["parts"]
+    assert [part["name"] for part in parts] == ["one", "two"]
+    assert parts[0]["problem"] == ""
+    assert "-9" in parts[1]["problem"]
+
+
+def test_two_processes_run_at_once(programs, tmp_path):
+    for own, other in (("one", "two"), ("two", "one")):  # each waits for the other
+        programs[own] = f"""
+import pathlib, time
+pathlib.Path({str(tmp_path / own)!r}).touch()
+until = time.monotonic() + 60.0
+while not pathlib.Path({str(tmp_path / other)!r}).exists():
+    assert time.monotonic() < until
+    time.sleep(0.05)
+print(1)
+"""
+    seen = []
+    parts = compilation.compile_kernels(lambda progress: seen.append(str(progress)))
+    assert [(part.seconds, part.problem) for part in parts] == [(1.0, "")] * 2
+    assert "0 of 2 parts" in seen[0]
