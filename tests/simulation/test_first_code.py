@@ -65,7 +65,7 @@ def in_a_new_process(cache: Path, compile_: str = _WAITS, plain: str = "") -> tu
     script = _SCRIPT.format(compile=compile_, plain=plain)
     done = subprocess.run(
         [sys.executable, "-c", script], env=environment, capture_output=True, text=True,
-        timeout=120, check=False,
+        timeout=400, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return [json.loads(line) for line in done.stdout.splitlines()], done.stderr
