@@ -18,10 +18,10 @@ from tools.source import Module
 VALUE = "X"
 # A literal is read by people if it has a word next to another one, or to a value.
 WORDS = re.compile(r"[A-Za-z][a-z']+[,;:.!?)]* +\S|\bX [a-z]{2,}")
-# SQL, styles, types, headers and Python that literals hold too.
+# SQL, styles, types, headers, Python and YAML that literals hold too.
 CODE = re.compile(
     r"SELECT |INSERT |CREATE |UPDATE |DELETE |PRAGMA |ALTER |TRIGGER |RAISE|var\(--|^from fixel"
-    r"|\w+ \| None|^\w+\[|default-src|Content-Type|<!doctype|^\(prefers|data_files"
+    r"|^fixel: 1|\w+ \| None|^\w+\[|default-src|Content-Type|<!doctype|^\(prefers|data_files"
 )
 # Texts that are shown without their context: help of options, descriptions of fields and routes.
 ALONE = frozenset({"help", "description", "summary"})

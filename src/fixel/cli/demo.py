@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from fixel.workflows.demo.camera_demo import CameraTour
     from fixel.workflows.demo.laboratory_demo import Tour
     from fixel.workflows.demo.scene_demo import Demo
-    from fixel.workflows.demo.story_demo import Claim, Step
+    from fixel.workflows.demo.story_demo import DemoClaim, DemoStep
     from fixel.workflows.diagnostics import Diagnosis
 
 _WHAT = {"scene": "the scene", "plot": "picture", "animate": "film", "trajectory": "numbers"}
@@ -92,14 +92,14 @@ def demo(
         raise typer.Exit(WRONG)
 
 
-def _step_lines(number: int, step: "Step") -> list[str]:
+def _step_lines(number: int, step: "DemoStep") -> list[str]:
     claims = [_claim_line(claim) for claim in step.claims]
     repeat = [f"    {line}" for line in step.repeat]
     return [f"{number}. {step.title}", *(f"  {line}" for line in step.lines), *claims,
             *(["  The same with your own table:", *repeat] if repeat else []), ""]  # fmt: skip
 
 
-def _claim_line(claim: "Claim") -> str:
+def _claim_line(claim: "DemoClaim") -> str:
     verdict = "right" if claim.right else "WRONG"
     return f"  {verdict}  {claim.what}: fixel states {claim.stated}; in truth {claim.truth}"
 

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Final, NamedTuple, final
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from fixel.datasets.bag_file import Bag, Track, bag_files, read_bag
+from fixel.datasets.bag_file import Bag, FrameTrack, bag_files, read_bag
 from fixel.datasets.base import Importer, ImportPlan, Origin
 from fixel.datasets.files import CsvRows
 from fixel.datasets.table import plan_table
@@ -129,7 +129,7 @@ class _Roles(NamedTuple):
         }
         return {**cells, "push": push[rows].tolist()}, [*notes, how]
 
-    def _sentence(self, role: str, name: str, tracks: Mapping[str, Track]) -> str:
+    def _sentence(self, role: str, name: str, tracks: Mapping[str, FrameTrack]) -> str:
         own, at = tracks[name], ", at the times of the part" if role == "pusher" else ""
         kind = "topic" if name == own.source else f"frame, in {own.source}"
         up = "; z pointed into the tag, which is turned about x" if own.turned else ""
@@ -173,7 +173,7 @@ class _Poses(NamedTuple):
         return [np.where(self.there, value, np.nan) for value in known]
 
 
-def _path(tracks: Mapping[str, Track], name: str) -> Iterator[Track]:
+def _path(tracks: Mapping[str, FrameTrack], name: str) -> Iterator[FrameTrack]:
     """Yield the tracks from a frame to the root of its tree."""
     seen = set()
     while name in tracks and name not in seen:
@@ -182,7 +182,9 @@ def _path(tracks: Mapping[str, Track], name: str) -> Iterator[Track]:
         name = tracks[name].parent
 
 
-def _pose_in(tracks: Mapping[str, Track], name: str, reference: str, time: FloatArray) -> _Poses:
+def _pose_in(
+    tracks: Mapping[str, FrameTrack], name: str, reference: str, time: FloatArray
+) -> _Poses:
     """Return the poses of a frame in another, at some times."""
     own, other = [*_path(tracks, name)], [*_path(tracks, reference)]
     above = [reference, *(track.parent for track in other)]
@@ -199,7 +201,7 @@ def _pose_in(tracks: Mapping[str, Track], name: str, reference: str, time: Float
     )
 
 
-def _composed(tracks: list[Track], time: FloatArray) -> _Poses:
+def _composed(tracks: list[FrameTrack], time: FloatArray) -> _Poses:
     """Return the poses of the first frame in the parent of the last."""
     n = len(time)
     found = _Poses(np.zeros((n, 3)), Rotation.identity(n), np.ones(n, dtype=bool))
@@ -210,7 +212,7 @@ def _composed(tracks: list[Track], time: FloatArray) -> _Poses:
     return found
 
 
-def _at(track: Track, time: FloatArray) -> _Poses:
+def _at(track: FrameTrack, time: FloatArray) -> _Poses:
     """Interpolate the poses of a track, but not over gaps."""
     n = len(track.time)
     if n == 1 or track.static:
@@ -226,7 +228,7 @@ def _at(track: Track, time: FloatArray) -> _Poses:
     return _Poses(np.column_stack(position), rotation, np.asarray(there))
 
 
-def _pushes(bag: Bag, driver: Track, split_by: str | None) -> tuple[Any, str]:
+def _pushes(bag: Bag, driver: FrameTrack, split_by: str | None) -> tuple[Any, str]:
     """Return the name of the push of each pose, empty for none, and a sentence."""
     if split_by is not None and split_by in bag.names:
         at, names = zip(*bag.names[split_by], strict=True)

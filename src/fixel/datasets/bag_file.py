@@ -48,7 +48,7 @@ class Message(NamedTuple):
 
 @final
 @dataclass
-class Track:
+class FrameTrack:
     """Poses of a frame, or of a topic, in its parent frame."""
 
     parent: str
@@ -83,7 +83,7 @@ class Track:
 class Bag:
     """Tracks by the name of their frame or topic, and texts by topic with their log times."""
 
-    tracks: dict[str, Track] = field(default_factory=dict)
+    tracks: dict[str, FrameTrack] = field(default_factory=dict)
     names: dict[str, list[tuple[float, str]]] = field(default_factory=lambda: defaultdict(list))
     unstamped: int = 0  # messages without a time of their own
 
@@ -114,7 +114,7 @@ class Bag:
         time = stamp.sec + 1e-9 * getattr(stamp, "nanosec", getattr(stamp, "nsec", 0))
         self.unstamped += not time and message.logged > 0.0
         static = message.topic.endswith("tf_static")
-        own = self.tracks.setdefault(name, Track(parent, message.topic, static))
+        own = self.tracks.setdefault(name, FrameTrack(parent, message.topic, static))
         if own.parent != parent:
             found = f"{name} in {own.parent!r} and in {parent!r}"
             raise InvalidInput(message.topic, found=found, expected="one parent of a frame")

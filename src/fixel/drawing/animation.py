@@ -56,7 +56,7 @@ def animate_simulation(
     simulation: Simulation,
     path: str | Path,
     *,
-    beside: Sequence[Simulation] = (),
+    others: Sequence[Simulation] = (),
     speed: float | None = None,
     progress: ProgressOption = None,
 ) -> None:
@@ -68,7 +68,7 @@ def animate_simulation(
         Simulation; a failed one is shown up to where it stopped.
     path : str or Path
         File to write, `.mp4` or `.gif`.
-    beside : sequence of Simulation
+    others : sequence of Simulation
         Other simulations of the same bodies, which are drawn as outlines.
     speed : float, optional
         Seconds of motion per second of animation. Default: 1, or a round factor that gives a very
@@ -92,7 +92,7 @@ def animate_simulation(
     times = np.append(np.arange(0.0, end, speed / rate), end)
     times = np.append(times, np.full(rate, end))  # show the end for a second
     with written_whole(path) as temporary, show_progress(progress, "drawing frames") as report:
-        frames = _frames(_Stage(simulation, speed, beside), times, report)
+        frames = _frames(_Stage(simulation, speed, others), times, report)
         (_write_gif if gif else _write_mp4)(temporary, frames, rate)
 
 
@@ -127,15 +127,15 @@ class _Stage:
     """Figure with a fixed background, whose moving parts are redrawn for every frame."""
 
     def __init__(
-        self, simulation: Simulation, speed: float, beside: Sequence[Simulation] = ()
+        self, simulation: Simulation, speed: float, others: Sequence[Simulation] = ()
     ) -> None:
         import matplotlib as mpl
         from matplotlib.backends.backend_agg import FigureCanvasAgg
 
         self.simulation = simulation
         self.speed = speed
-        self.beside = tuple(beside)
-        boxes = [extent(own) for own in (simulation, *beside)]
+        self.others = tuple(others)
+        boxes = [extent(own) for own in (simulation, *others)]
         self.box = Rectangle.around(np.concatenate([np.array((b.x, b.y)).T for b in boxes]))
         self.unit = unit_for(self.box.size)
         with mpl.rc_context(palette.STYLE):  # type: ignore[arg-type]
@@ -192,7 +192,7 @@ class _Stage:
         self.pushers.set_verts([outlines[p.name] for p in run.scene.pushers])
         self.outlines.set_verts([
             placed(body.shape.outline, pose_at(own.time, own.pose[body.name], time)) * scale
-            for own in self.beside for body in run.scene.bodies
+            for own in self.others for body in run.scene.bodies
         ])  # fmt: skip
         seen = int(np.searchsorted(run.time, time, side="right"))
         self.trails.set_segments([points[:seen] for points in self.trail_points])

@@ -55,7 +55,7 @@ def read_outline(
         raise InvalidInput("tolerance", found=tolerance, expected=f"at least {FINEST:g} m")
     try:
         _refuse_more(path.name, path.stat().st_size, MAX_BYTES, "bytes")
-        region = _READERS[path.suffix.lower()](_Wanted(path, unit, tolerance, part))
+        region = _READERS[path.suffix.lower()](_Drawing(path, unit, tolerance, part))
         return _outline(region, path.name, tolerance, fill_holes)
     except FixelError:
         raise
@@ -65,7 +65,7 @@ def read_outline(
         raise InvalidInput(path.name, found=found, expected=expected) from problem
 
 
-class _Wanted(NamedTuple):
+class _Drawing(NamedTuple):
     """Arguments of the readers."""
 
     path: Path
@@ -185,9 +185,9 @@ def _joined(pieces: list[FloatArray], where: str, tolerance: float) -> list[Floa
     return [*map(shapely.get_coordinates, shapely.get_parts(merged))]
 
 
-def _from_svg(wanted: _Wanted) -> Any:
+def _from_svg(drawing: _Drawing) -> Any:
     svgelements = extra_module("an outline in SVG", "svgelements", "svgelements")
-    text, where = wanted.path.read_text(encoding="utf-8"), wanted.path.name
+    text, where = drawing.path.read_text(encoding="utf-8"), drawing.path.name
     # Entities and clones can unpack to more than fits in memory.
     if banned := re.search(r"<!ENTITY\b|<(?:\w+:)?use\b", text):
         expected, hint = "a drawing without entities and clones", "unlink clones; save as plain SVG"
@@ -199,55 +199,55 @@ def _from_svg(wanted: _Wanted) -> Any:
     width = re.fullmatch(r"([\d.]+)\s*(mm|cm|in|pt)", str(svg.values.get("width")).strip())
     stated = float(width[1]) * UNITS[width[2]] / svg.width if width else None  # [m] of a pixel
     drawn = svg.width / box.width if box else 1.0  # [pixel] of a unit of the drawing
-    scale = wanted.scale(stated and stated * drawn) / drawn
+    scale = drawing.scale(stated and stated * drawn) / drawn
     scale = stated or scale
     found = [*svg.elements()]
-    if wanted.part is not None:
+    if drawing.part is not None:
         named = {one.id: one for one in found if getattr(one, "id", None)}
-        if wanted.part not in named:
-            raise unknown_name("part", wanted.part, named)
-        group = isinstance(named[wanted.part], svgelements.Group)
-        found = [*named[wanted.part].select()] if group else [named[wanted.part]]
+        if drawing.part not in named:
+            raise unknown_name("part", drawing.part, named)
+        group = isinstance(named[drawing.part], svgelements.Group)
+        found = [*named[drawing.part].select()] if group else [named[drawing.part]]
     lines = []
     for shape in (one for one in found if isinstance(one, svgelements.Shape)):
         for own in svgelements.Path(shape).as_subpaths():
-            points = [_sampled(segment, wanted, scale) for segment in own if segment.end]
+            points = [_sampled(segment, drawing, scale) for segment in own if segment.end]
             if len(points) > 1:
                 lines.append(np.vstack(points) * (1.0, -1.0))  # y points down in SVG
-    return _region(lines, where, wanted.tolerance)
+    return _region(lines, where, drawing.tolerance)
 
 
-def _sampled(segment: Any, wanted: _Wanted, scale: float) -> FloatArray:
+def _sampled(segment: Any, drawing: _Drawing, scale: float) -> FloatArray:
     """Return points (n, 2) of a segment of an SVG path within half the tolerance [m]."""
     if type(segment).__name__ in ("Move", "Line", "Close"):
-        return wanted.points([segment.end], scale)
+        return drawing.points([segment.end], scale)
     steps = 8
     while True:
-        points = wanted.points([*map(segment.point, np.linspace(0.0, 1.0, steps + 1))], scale)
+        points = drawing.points([*map(segment.point, np.linspace(0.0, 1.0, steps + 1))], scale)
         off = np.abs(points[1::2] - 0.5 * (points[:-1:2] + points[2::2])).max()
-        if off <= 0.25 * wanted.tolerance or steps >= MAX_STEPS:
+        if off <= 0.25 * drawing.tolerance or steps >= MAX_STEPS:
             return points
         steps *= 2
 
 
-def _from_dxf(wanted: _Wanted) -> Any:
-    drawing = extra_module("an outline in DXF", "ezdxf", "ezdxf").readfile(wanted.path)
-    stated = DXF_UNITS.get(drawing.units)
-    scale = wanted.scale(None if stated is None else UNITS[stated])
-    found = [*drawing.modelspace()]
-    if wanted.part is not None:
+def _from_dxf(drawing: _Drawing) -> Any:
+    document = extra_module("an outline in DXF", "ezdxf", "ezdxf").readfile(drawing.path)
+    stated = DXF_UNITS.get(document.units)
+    scale = drawing.scale(None if stated is None else UNITS[stated])
+    found = [*document.modelspace()]
+    if drawing.part is not None:
         layers = sorted({one.dxf.layer for one in found})
-        if wanted.part not in layers:
-            raise unknown_name("part", wanted.part, layers)
-        found = [one for one in found if one.dxf.layer == wanted.part]
+        if drawing.part not in layers:
+            raise unknown_name("part", drawing.part, layers)
+        found = [one for one in found if one.dxf.layer == drawing.part]
     lines = []
-    for curve in _curves(found, iter(range(MAX_CURVES)), wanted.path.name):
+    for curve in _curves(found, iter(range(MAX_CURVES)), drawing.path.name):
         points: Iterable[Any] = _reach(curve)
-        wanted.points([*points], scale)
+        drawing.points([*points], scale)
         if curve.dxftype() != "LINE":
-            points = curve.flattening(0.5 * wanted.tolerance / scale)
-        lines.append(wanted.points([*points], scale))
-    return _region(lines, wanted.path.name, wanted.tolerance)
+            points = curve.flattening(0.5 * drawing.tolerance / scale)
+        lines.append(drawing.points([*points], scale))
+    return _region(lines, drawing.path.name, drawing.tolerance)
 
 
 def _curves(found: Iterable[Any], left: Iterator[int], where: str) -> Iterator[Any]:
@@ -273,18 +273,18 @@ def _reach(curve: Any) -> Iterable[Any]:
     return (curve.dxf.major_axis,) if curve.dxftype() == "ELLIPSE" else ((curve.dxf.radius, 0.0),)
 
 
-def _from_stl(wanted: _Wanted) -> Any:
+def _from_stl(drawing: _Drawing) -> Any:
     stl = extra_module("an outline in STL", "trimesh.exchange.stl", "trimesh")
-    scale = wanted.scale(None)
-    with wanted.path.open("rb") as stream:
+    scale = drawing.scale(None)
+    with drawing.path.open("rb") as stream:
         mesh = stl.load_stl(stream)
-    _refuse_more(wanted.path.name, len(mesh["faces"]), MAX_TRIANGLES, "triangles")
-    corners = wanted.points(mesh["vertices"], scale)[mesh["faces"]]
+    _refuse_more(drawing.path.name, len(mesh["faces"]), MAX_TRIANGLES, "triangles")
+    corners = drawing.points(mesh["vertices"], scale)[mesh["faces"]]
     seen = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) > FINEST**2  # not those on edge
     return shapely.union_all(shapely.polygons(corners[seen]))
 
 
-_READERS: Final[dict[str, Callable[[_Wanted], Any]]] = {
+_READERS: Final[dict[str, Callable[[_Drawing], Any]]] = {
     ".svg": _from_svg,
     ".dxf": _from_dxf,
     ".stl": _from_stl,

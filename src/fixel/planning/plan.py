@@ -268,7 +268,7 @@ class PushPlan(Result):
     ) -> Probability:
         """Carry the plan out in another simulator, and return how often it reaches the goal.
 
-        What is unknown is drawn anew for every run, as for the stated success probability.
+        What is unknown is drawn again for every run, as for the stated success probability.
 
         Parameters
         ----------

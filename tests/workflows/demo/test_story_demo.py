@@ -11,7 +11,7 @@ from fixel.cli import main
 from fixel.model import Trajectory
 from fixel.testing.pushes import example_pushes
 from fixel.workflows.demo import story_demo
-from fixel.workflows.demo.story_demo import GOAL, Claim, Step, expected, write_table
+from fixel.workflows.demo.story_demo import GOAL, DemoClaim, DemoStep, expected, write_table
 
 
 def test_the_range_of_chance_is_that_of_drawn_pushes():
@@ -43,7 +43,9 @@ def test_the_table_has_the_noise_of_camera_and_clock(tmp_path):
 
 @pytest.mark.parametrize("right", [True, False])
 def test_a_wrong_claim_is_printed_and_ends_with_an_error(tmp_path, capsys, monkeypatch, right):
-    step = Step("Weigh", ("a line",), ("fixel list",), (Claim("mass", "1 kg", "2 kg", right),))
+    step = DemoStep(
+        "Weigh", ("a line",), ("fixel list",), (DemoClaim("mass", "1 kg", "2 kg", right),)
+    )
     monkeypatch.setattr(story_demo, "tell_story", lambda *_: iter([step]))
 
     def demo(*options):

@@ -71,7 +71,7 @@ belief:
 """
 
 
-class Claim(NamedTuple):
+class DemoClaim(NamedTuple):
     """Statement of fixel, and the truth."""
 
     what: str
@@ -80,13 +80,13 @@ class Claim(NamedTuple):
     right: bool
 
 
-class Step(NamedTuple):
+class DemoStep(NamedTuple):
     """Step of the tour that is done."""
 
     title: str
     lines: tuple[str, ...]
     repeat: tuple[str, ...] = ()  # commands that do the same, or lines of Python
-    claims: tuple[Claim, ...] = ()
+    claims: tuple[DemoClaim, ...] = ()
 
 
 class Laboratory(NamedTuple):
@@ -97,7 +97,7 @@ class Laboratory(NamedTuple):
     tripod_radius: float  # [m]
 
 
-def tell_story(folder: Path, seed: int = 1, notify: Notify | None = None) -> Iterator[Step]:
+def tell_story(folder: Path, seed: int = 1, notify: Notify | None = None) -> Iterator[DemoStep]:
     """Calibrate a table of pushes, predict others, plan, check the plan, and write a report.
 
     Parameters
@@ -111,7 +111,7 @@ def tell_story(folder: Path, seed: int = 1, notify: Notify | None = None) -> Ite
 
     Yields
     ------
-    Step
+    DemoStep
     """
     tell, own = notify or (lambda _: None), folder / f"laboratory-{seed}"
     goal, lab = own / "goal.yaml", own / "project"
@@ -135,7 +135,7 @@ def tell_story(folder: Path, seed: int = 1, notify: Notify | None = None) -> Ite
         f" --fit tripod_radius_mm=10:60 --where use=fit {at}"
     )
     summary, claims = tuple(str(fit).splitlines()), tuple(_claims(fit, truth))
-    yield Step("What the pushes determine, and the values", summary, (command,), claims)
+    yield DemoStep("What the pushes determine, and the values", summary, (command,), claims)
 
     tell("bounding the error of new pushes")
     bound = call(project, "error-bound", calibration=number, where=("use=fit",)).bound
@@ -148,14 +148,14 @@ def tell_story(folder: Path, seed: int = 1, notify: Notify | None = None) -> Ite
     tell(f"carrying it out {TRIALS} times in pymunk")
     yield _carried_out(plan, goal, seed, at)
 
-    tell("filming the plan beside its prediction")
+    tell("filming the plan and its prediction")
     film(plan, path := own / f"plan{film_ending()}", seed)
     shown = f"{path}  filled: the prediction; outlines: {FILMED} runs in pymunk"
-    yield Step("Film", (shown,), ('fixel.simulate(plan.scenes[0], fit).animate("plan.gif")',))
+    yield DemoStep("Film", (shown,), ('fixel.simulate(plan.scenes[0], fit).animate("plan.gif")',))
 
     tell("writing the report")
     report = project.report(own / "report", calibration=number, command=f"fixel report {at}")
-    yield Step("Report", (next_command(report),), (f"fixel report {at}",))
+    yield DemoStep("Report", (next_command(report),), (f"fixel report {at}",))
 
 
 # --- the laboratory -------------------------------------------------------------------------------
@@ -211,7 +211,7 @@ def write_table(path: Path, experiments: list[Experiment], seed: int) -> None:
 # --- claims ---------------------------------------------------------------------------------------
 
 
-def _recorded(own: Path, truth: Laboratory, seed: int) -> Step:
+def _recorded(own: Path, truth: Laboratory, seed: int) -> DemoStep:
     own.mkdir(parents=True, exist_ok=True)
     write_table(own / TABLE, truth.experiments, seed)
     first_guess().save(own / SCENE)
@@ -219,10 +219,10 @@ def _recorded(own: Path, truth: Laboratory, seed: int) -> Step:
         f"{own / TABLE}  poses that a camera and a robot recorded",
         f"{own / SCENE}  outlines, and first guesses of friction and support",
     )
-    return Step("A table of pushes, and a scene", lines)
+    return DemoStep("A table of pushes, and a scene", lines)
 
 
-def _imported(project: Project, own: Path, true: int) -> Step:
+def _imported(project: Project, own: Path, true: int) -> DemoStep:
     table, scene = own / TABLE, own / SCENE
     project.add(read_experiments(table, split_by="push", scene=scene))
     lab, n = quote(str(project.folder)), len(project.experiments())
@@ -231,20 +231,20 @@ def _imported(project: Project, own: Path, true: int) -> Step:
         f"fixel import {quote(str(table))} --scene {quote(str(scene))} --option split_by=push"
         f" --project {lab}",
     )
-    claim = Claim("pushes", str(n), str(true), n == true)
-    return Step("Import", (f"The header names the units: {HEAD}",), commands, (claim,))
+    claim = DemoClaim("pushes", str(n), str(true), n == true)
+    return DemoStep("Import", (f"The header names the units: {HEAD}",), commands, (claim,))
 
 
-def _claims(fit: Calibration, truth: Laboratory) -> Iterator[Claim]:
+def _claims(fit: Calibration, truth: Laboratory) -> Iterator[DemoClaim]:
     for name, scale, unit in (("mu_pusher", 1.0, ""), ("tripod_radius", 1e3, " mm")):
         own, true = fit.estimates[name], getattr(truth, name)
         low, high = (nan if end is None else end for end in (own.low, own.high))
         right = own.verdict == "identified" and low <= true <= high
         stated = f"{own.verdict}, {scale * low:.4g} to {scale * high:.4g}{unit}"
-        yield Claim(name, stated, f"{scale * true:.4g}{unit}", right)
+        yield DemoClaim(name, stated, f"{scale * true:.4g}{unit}", right)
 
 
-def _predicted(bound: Any, fit: Calibration, pushes: Any, at: str) -> Step:
+def _predicted(bound: Any, fit: Calibration, pushes: Any, at: str) -> DemoStep:
     """Compare the ends of held-out pushes with their bounds."""
     errors, bounds = [], []
     for push in pushes:
@@ -264,12 +264,12 @@ def _predicted(bound: Any, fit: Calibration, pushes: Any, at: str) -> Step:
     )
     inside = np.less_equal(errors, bounds).sum(axis=0).tolist()
     claims = (
-        Claim(f"{name} inside", f"90 % of {n}", f"{k}", low <= k <= high)
+        DemoClaim(f"{name} inside", f"90 % of {n}", f"{k}", low <= k <= high)
         for name, k in zip(("positions", "angles"), inside, strict=True)
     )
     repeat = (f"fixel error-bound --where use=fit {at}",
               "fixel.error_bound(pushes, fit).at(push.scene)")  # fmt: skip
-    return Step("Pushes that the calibration has not seen", lines, repeat, tuple(claims))
+    return DemoStep("Pushes that the calibration has not seen", lines, repeat, tuple(claims))
 
 
 def expected(level: float, n: int, new: int) -> tuple[int, int]:
@@ -284,7 +284,7 @@ def expected(level: float, n: int, new: int) -> tuple[int, int]:
     return int(low), int(high)
 
 
-def _carried_out(plan: PushPlan, goal: Path, seed: int, at: str) -> Step:
+def _carried_out(plan: PushPlan, goal: Path, seed: int, at: str) -> DemoStep:
     held, stated = plan.success_in(ENGINE, TRIALS, seed=seed), plan.success.mean
     lines = (
         f"{goal}  40 mm ahead, 10 mm aside and turned by 15 deg, within 5 mm and 5 deg",
@@ -298,8 +298,8 @@ def _carried_out(plan: PushPlan, goal: Path, seed: int, at: str) -> Step:
                 f" --engine {ENGINE}")  # fmt: skip
     true = f"{100 * held.value:.0f} % ({100 * held.low:.0f} to {100 * held.high:.0f}) in pymunk"
     right = held.low - CLOSE <= stated <= held.high + CLOSE
-    claim = Claim("success of the plan", f"{100 * stated:.0f} %", true, right)
-    return Step("A push that works although friction is uncertain", lines, commands, (claim,))
+    claim = DemoClaim("success of the plan", f"{100 * stated:.0f} %", true, right)
+    return DemoStep("A push that works although friction is uncertain", lines, commands, (claim,))
 
 
 def film(plan: PushPlan, path: Path, seed: int) -> None:
@@ -311,4 +311,4 @@ def film(plan: PushPlan, path: Path, seed: int) -> None:
         values = {name: float(column[k]) for name, column in drawn.values.items()}
         others.append(simulate(moved, Parameters(values), motion=ENGINE))
     nominal = Parameters(plan.belief.nominal(scene))
-    animate_simulation(simulate(scene, nominal, motion=plan.motion), path, beside=others)
+    animate_simulation(simulate(scene, nominal, motion=plan.motion), path, others=others)

@@ -27,7 +27,7 @@ _COLOURS: Final = {
 }
 
 
-class Moved(NamedTuple):
+class BodyMotion(NamedTuple):
     """Body with its poses, one for each time."""
 
     name: str
@@ -40,7 +40,7 @@ class Moved(NamedTuple):
 class Motion(NamedTuple):
     """Motion of everything in a scene, and what it lacks."""
 
-    things: list[Moved]
+    things: list[BodyMotion]
     lost: list[str]
 
 
@@ -59,7 +59,7 @@ def motion_of(source: ModelSource) -> Motion:
     found = [*_joined(runs)]
     if case.measured is not None:
         part = case.scene.bodies[0]
-        own = Moved(f"{part.name} measured", "measured", part.shape, case.times, case.measured)
+        own = BodyMotion(f"{part.name} measured", "measured", part.shape, case.times, case.measured)
         found.append(own)
     lost = [
         f"motion after {run.time[-1]:g} s: {run.status}"
@@ -69,7 +69,7 @@ def motion_of(source: ModelSource) -> Motion:
     return Motion(found, ["masses, friction and forces", *lost])
 
 
-def _joined(runs: tuple[Simulation, ...]) -> Iterator[Moved]:
+def _joined(runs: tuple[Simulation, ...]) -> Iterator[BodyMotion]:
     """Yield the things of simulations, one after the other in time."""
     starts = np.cumsum([0.0, *(run.time[-1] for run in runs)])
     time = np.concatenate([run.time + start for run, start in zip(runs, starts, strict=False)])
@@ -77,24 +77,24 @@ def _joined(runs: tuple[Simulation, ...]) -> Iterator[Moved]:
     for kind, things in (("part", scene.bodies), ("pusher", scene.pushers)):
         for thing in things:
             pose = np.vstack([run.pose[thing.name] for run in runs])
-            yield Moved(thing.name, kind, thing.shape, time, pose)
+            yield BodyMotion(thing.name, kind, thing.shape, time, pose)
     for fixel in scene.fixels:
-        yield Moved(fixel.name, "fixel", fixel.shape, time[:1], np.array([fixel.pose]))
+        yield BodyMotion(fixel.name, "fixel", fixel.shape, time[:1], np.array([fixel.pose]))
 
 
-def _corners(moved: Moved) -> FloatArray:
+def _corners(body: BodyMotion) -> FloatArray:
     """Return the corners (3 m, 3) of triangles that fill a shape, in its frame [m]."""
-    height = HEIGHT if moved.kind == "measured" else 0.0
+    height = HEIGHT if body.kind == "measured" else 0.0
     fans = [
         corners[[0, k, k + 1]]
-        for corners, _ in moved.shape.pieces
+        for corners, _ in body.shape.pieces
         for k in range(1, len(corners) - 1)
     ]
     flat = np.vstack(fans)
     return np.column_stack((flat, np.full(len(flat), height)))
 
 
-def write_mcap(path: Path, found: list[Moved]) -> None:
+def write_mcap(path: Path, found: list[BodyMotion]) -> None:
     """Write motions as Foxglove's FrameTransforms on /tf and SceneUpdate on /scene, in JSON."""
     mcap = extra_module("a recording in MCAP", "mcap.writer", "mcap")
     with path.open("wb") as stream:
@@ -114,10 +114,10 @@ def write_mcap(path: Path, found: list[Moved]) -> None:
 
         scene = channel("/scene", "foxglove.SceneUpdate")
         transforms = channel("/tf", "foxglove.FrameTransforms")
-        scene(0.0, {"deletions": [], "entities": [_entity(moved) for moved in found]})
-        rows = [(t, moved, row) for moved in found for row, t in enumerate(moved.time.tolist())]
-        for time, moved, row in sorted(rows, key=lambda one: one[0]):
-            transforms(time, {"transforms": [_transform(moved, row)]})
+        scene(0.0, {"deletions": [], "entities": [_entity(body) for body in found]})
+        rows = [(t, body, row) for body in found for row, t in enumerate(body.time.tolist())]
+        for time, body, row in sorted(rows, key=lambda one: one[0]):
+            transforms(time, {"transforms": [_transform(body, row)]})
         writer.finish()
 
 
@@ -126,31 +126,31 @@ def _stamp(time: float) -> dict[str, int]:
     return {"sec": sec, "nsec": nsec}
 
 
-def _transform(moved: Moved, row: int) -> dict[str, Any]:
-    x, y, angle = moved.pose[row].tolist()
+def _transform(body: BodyMotion, row: int) -> dict[str, Any]:
+    x, y, angle = body.pose[row].tolist()
     turn = {"x": 0.0, "y": 0.0, "z": float(np.sin(angle / 2)), "w": float(np.cos(angle / 2))}
     return {
-        "timestamp": _stamp(float(moved.time[row])),
+        "timestamp": _stamp(float(body.time[row])),
         "parent_frame_id": "world",
-        "child_frame_id": moved.name,
+        "child_frame_id": body.name,
         "translation": {"x": x, "y": y, "z": 0.0},
         "rotation": turn,
     }
 
 
-def _entity(moved: Moved) -> dict[str, Any]:
+def _entity(body: BodyMotion) -> dict[str, Any]:
     none = dict.fromkeys("xyz", 0.0)
     triangles = {
         "pose": {"position": none, "orientation": none | {"w": 1.0}},
-        "points": [dict(zip("xyz", corner, strict=True)) for corner in _corners(moved).tolist()],
-        "color": dict(zip("rgba", (*_COLOURS[moved.kind], 1.0), strict=True)),
+        "points": [dict(zip("xyz", corner, strict=True)) for corner in _corners(body).tolist()],
+        "color": dict(zip("rgba", (*_COLOURS[body.kind], 1.0), strict=True)),
         "colors": [],
         "indices": [],
     }
     return {
         "timestamp": _stamp(0.0),
-        "frame_id": moved.name,
-        "id": moved.name,
+        "frame_id": body.name,
+        "id": body.name,
         "lifetime": _stamp(0.0),
         "frame_locked": True,
         "metadata": [],
@@ -158,22 +158,22 @@ def _entity(moved: Moved) -> dict[str, Any]:
     }
 
 
-def write_rerun(path: Path, found: list[Moved]) -> None:
+def write_rerun(path: Path, found: list[BodyMotion]) -> None:
     """Write motions as a recording for rerun."""
     rerun = extra_module("a recording for rerun", "rerun", "rerun-sdk", "rerun")
     recording = rerun.RecordingStream("fixel")
     recording.save(path)
-    for moved in found:
-        name, (x, y, angle), zero = f"world/{moved.name}", moved.pose.T, 0.0 * moved.pose[:, 0]
+    for body in found:
+        name, (x, y, angle), zero = f"world/{body.name}", body.pose.T, 0.0 * body.pose[:, 0]
         recording.log(
             name,
-            rerun.Mesh3D(vertex_positions=_corners(moved), albedo_factor=_COLOURS[moved.kind]),
+            rerun.Mesh3D(vertex_positions=_corners(body), albedo_factor=_COLOURS[body.kind]),
             static=True,
         )
         turn = np.column_stack((zero, zero, np.sin(angle / 2), np.cos(angle / 2)))
         recording.send_columns(
             name,
-            indexes=[rerun.TimeColumn("time", duration=moved.time)],
+            indexes=[rerun.TimeColumn("time", duration=body.time)],
             columns=rerun.Transform3D.columns(
                 translation=np.column_stack((x, y, zero)), quaternion=turn
             ),
@@ -182,7 +182,7 @@ def write_rerun(path: Path, found: list[Moved]) -> None:
     recording.disconnect()
 
 
-WRITERS: Final[Mapping[str, tuple[str, Callable[[Path, list[Moved]], None]]]] = {
+WRITERS: Final[Mapping[str, tuple[str, Callable[[Path, list[BodyMotion]], None]]]] = {
     "mcap": ("motion.mcap", write_mcap),
     "rerun": ("motion.rrd", write_rerun),
 }
