@@ -55,7 +55,7 @@ def read_outline(
         raise InvalidInput("tolerance", found=tolerance, expected=f"at least {FINEST:g} m")
     try:
         _refuse_more(path.name, path.stat().st_size, MAX_BYTES, "bytes")
-        region = _READERS[path.suffix.lower()](_Drawing(path, unit, tolerance, part))
+        region = _READERS[path.suffix.lower()](_OutlineSource(path, unit, tolerance, part))
         return _outline(region, path.name, tolerance, fill_holes)
     except FixelError:
         raise
@@ -65,7 +65,7 @@ def read_outline(
         raise InvalidInput(path.name, found=found, expected=expected) from problem
 
 
-class _Drawing(NamedTuple):
+class _OutlineSource(NamedTuple):
     """Arguments of the readers."""
 
     path: Path
@@ -185,9 +185,9 @@ def _joined(pieces: list[FloatArray], where: str, tolerance: float) -> list[Floa
     return [*map(shapely.get_coordinates, shapely.get_parts(merged))]
 
 
-def _from_svg(drawing: _Drawing) -> Any:
+def _from_svg(source: _OutlineSource) -> Any:
     svgelements = extra_module("an outline in SVG", "svgelements", "svgelements")
-    text, where = drawing.path.read_text(encoding="utf-8"), drawing.path.name
+    text, where = source.path.read_text(encoding="utf-8"), source.path.name
     # Entities and clones can unpack to more than fits in memory.
     if banned := re.search(r"<!ENTITY\b|<(?:\w+:)?use\b", text):
         expected, hint = "a drawing without entities and clones", "unlink clones; save as plain SVG"
@@ -199,55 +199,55 @@ def _from_svg(drawing: _Drawing) -> Any:
     width = re.fullmatch(r"([\d.]+)\s*(mm|cm|in|pt)", str(svg.values.get("width")).strip())
     stated = float(width[1]) * UNITS[width[2]] / svg.width if width else None  # [m] of a pixel
     drawn = svg.width / box.width if box else 1.0  # [pixel] of a unit of the drawing
-    scale = drawing.scale(stated and stated * drawn) / drawn
+    scale = source.scale(stated and stated * drawn) / drawn
     scale = stated or scale
     found = [*svg.elements()]
-    if drawing.part is not None:
+    if source.part is not None:
         named = {one.id: one for one in found if getattr(one, "id", None)}
-        if drawing.part not in named:
-            raise unknown_name("part", drawing.part, named)
-        group = isinstance(named[drawing.part], svgelements.Group)
-        found = [*named[drawing.part].select()] if group else [named[drawing.part]]
+        if source.part not in named:
+            raise unknown_name("part", source.part, named)
+        group = isinstance(named[source.part], svgelements.Group)
+        found = [*named[source.part].select()] if group else [named[source.part]]
     lines = []
     for shape in (one for one in found if isinstance(one, svgelements.Shape)):
         for own in svgelements.Path(shape).as_subpaths():
-            points = [_sampled(segment, drawing, scale) for segment in own if segment.end]
+            points = [_sampled(segment, source, scale) for segment in own if segment.end]
             if len(points) > 1:
                 lines.append(np.vstack(points) * (1.0, -1.0))  # y points down in SVG
-    return _region(lines, where, drawing.tolerance)
+    return _region(lines, where, source.tolerance)
 
 
-def _sampled(segment: Any, drawing: _Drawing, scale: float) -> FloatArray:
+def _sampled(segment: Any, source: _OutlineSource, scale: float) -> FloatArray:
     """Return points (n, 2) of a segment of an SVG path within half the tolerance [m]."""
     if type(segment).__name__ in ("Move", "Line", "Close"):
-        return drawing.points([segment.end], scale)
+        return source.points([segment.end], scale)
     steps = 8
     while True:
-        points = drawing.points([*map(segment.point, np.linspace(0.0, 1.0, steps + 1))], scale)
+        points = source.points([*map(segment.point, np.linspace(0.0, 1.0, steps + 1))], scale)
         off = np.abs(points[1::2] - 0.5 * (points[:-1:2] + points[2::2])).max()
-        if off <= 0.25 * drawing.tolerance or steps >= MAX_STEPS:
+        if off <= 0.25 * source.tolerance or steps >= MAX_STEPS:
             return points
         steps *= 2
 
 
-def _from_dxf(drawing: _Drawing) -> Any:
-    document = extra_module("an outline in DXF", "ezdxf", "ezdxf").readfile(drawing.path)
+def _from_dxf(source: _OutlineSource) -> Any:
+    document = extra_module("an outline in DXF", "ezdxf", "ezdxf").readfile(source.path)
     stated = DXF_UNITS.get(document.units)
-    scale = drawing.scale(None if stated is None else UNITS[stated])
+    scale = source.scale(None if stated is None else UNITS[stated])
     found = [*document.modelspace()]
-    if drawing.part is not None:
+    if source.part is not None:
         layers = sorted({one.dxf.layer for one in found})
-        if drawing.part not in layers:
-            raise unknown_name("part", drawing.part, layers)
-        found = [one for one in found if one.dxf.layer == drawing.part]
+        if source.part not in layers:
+            raise unknown_name("part", source.part, layers)
+        found = [one for one in found if one.dxf.layer == source.part]
     lines = []
-    for curve in _curves(found, iter(range(MAX_CURVES)), drawing.path.name):
+    for curve in _curves(found, iter(range(MAX_CURVES)), source.path.name):
         points: Iterable[Any] = _reach(curve)
-        drawing.points([*points], scale)
+        source.points([*points], scale)
         if curve.dxftype() != "LINE":
-            points = curve.flattening(0.5 * drawing.tolerance / scale)
-        lines.append(drawing.points([*points], scale))
-    return _region(lines, drawing.path.name, drawing.tolerance)
+            points = curve.flattening(0.5 * source.tolerance / scale)
+        lines.append(source.points([*points], scale))
+    return _region(lines, source.path.name, source.tolerance)
 
 
 def _curves(found: Iterable[Any], left: Iterator[int], where: str) -> Iterator[Any]:
@@ -273,18 +273,18 @@ def _reach(curve: Any) -> Iterable[Any]:
     return (curve.dxf.major_axis,) if curve.dxftype() == "ELLIPSE" else ((curve.dxf.radius, 0.0),)
 
 
-def _from_stl(drawing: _Drawing) -> Any:
+def _from_stl(source: _OutlineSource) -> Any:
     stl = extra_module("an outline in STL", "trimesh.exchange.stl", "trimesh")
-    scale = drawing.scale(None)
-    with drawing.path.open("rb") as stream:
+    scale = source.scale(None)
+    with source.path.open("rb") as stream:
         mesh = stl.load_stl(stream)
-    _refuse_more(drawing.path.name, len(mesh["faces"]), MAX_TRIANGLES, "triangles")
-    corners = drawing.points(mesh["vertices"], scale)[mesh["faces"]]
+    _refuse_more(source.path.name, len(mesh["faces"]), MAX_TRIANGLES, "triangles")
+    corners = source.points(mesh["vertices"], scale)[mesh["faces"]]
     seen = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) > FINEST**2  # not those on edge
     return shapely.union_all(shapely.polygons(corners[seen]))
 
 
-_READERS: Final[dict[str, Callable[[_Drawing], Any]]] = {
+_READERS: Final[dict[str, Callable[[_OutlineSource], Any]]] = {
     ".svg": _from_svg,
     ".dxf": _from_dxf,
     ".stl": _from_stl,
