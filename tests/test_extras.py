@@ -19,7 +19,7 @@ from fixel.formats.video_file import VideoWriter, open_video
 from fixel.testing import scenes
 
 SOURCES = Path(fixel.__file__).parent
-EXTRAS = {"pyarrow", "av", "cv2", "h5py", "pooch", "cma", "PyNomad", "sklearn", "dynesty", "SALib"}
+EXTRAS = {"pyarrow", "av", "cv2", "h5py", "pooch", "PyNomad", "sklearn", "dynesty", "SALib"}
 EXTRAS |= {"serial", "cryptography", "dask", "distributed", "psycopg", "mujoco", "Box2D", "pydrake"}
 
 

@@ -1,16 +1,12 @@
 import math
 import os
-import sys
 import warnings
 
 import numpy as np
 import pytest
 
 from fixel.calibration import CmaEs, SearchBox
-from fixel.errors import InvalidInput
 from fixel.testing.optimiser_contract import bowl, box, run
-
-pytest.importorskip("cma")
 
 
 def rastrigin(x) -> float:
@@ -67,10 +63,3 @@ def test_leaves_warnings_files_and_screen_alone(tmp_path, monkeypatch, capfd):
         run(CmaEs(restarts=1).start(box()), bowl)
     assert os.listdir(tmp_path) == []
     assert capfd.readouterr() == ("", "")
-
-
-def test_missing_package_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "cma", None)
-    monkeypatch.setattr("fixel.calibration.evolution.find_spec", lambda name: None)
-    with pytest.raises(InvalidInput, match=r'pip install "fixel\[cma\]"'):
-        CmaEs().start(box())

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
-from importlib.util import find_spec
 from typing import Any, ClassVar, final
 
 import numpy as np
@@ -25,7 +24,6 @@ from fixel.calibration.optimiser import (
     settle,
     whole,
 )
-from fixel.errors import InvalidInput
 from fixel.typing import FloatArray
 
 _MORE_WORDS = {
@@ -44,7 +42,7 @@ class CmaEs(AbstractOptimiser):
     """CMA-ES, for errors that are rough or have several minima, and for more than five unknowns.
 
     It needs hundreds of evaluations. With a few dozen, or for a smooth error with one minimum,
-    `NelderMead` is better. Needs `pip install "fixel[cma]"`.
+    `NelderMead` is better.
 
     Parameters
     ----------
@@ -89,13 +87,6 @@ class CmaEs(AbstractOptimiser):
         )
 
     def start(self, box: SearchBox, seed: int = 0, feasible: Feasible | None = None) -> Search:
-        if find_spec("cma") is None:
-            raise InvalidInput(
-                "CmaEs",
-                found="no package cma",
-                expected="it to be installed",
-                hint='pip install "fixel[cma]"',
-            )
         starts = box.start[None]
         if self.restarts:
             more = feasible_points(box, self.restarts, seed, feasible)

@@ -8,7 +8,6 @@ from collections.abc import Callable, Generator, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from importlib import import_module
-from importlib.util import find_spec
 from typing import Final, NamedTuple, TypeVar, final
 
 import numpy as np
@@ -250,7 +249,7 @@ class PlanSearch:
                 self._show("candidates")
         margin = nominal_margins(simulator, plans)
         order = np.argsort(-margin, kind="stable")
-        if margin[order[0]] < 0.0 and can_refine():
+        if margin[order[0]] < 0.0:
             first = [plans[k] for k in order[:64] if margin[k] > -np.inf]
             plans = self._reaching(self.distinct(first, 2 * REFINED)) + plans
             margin = nominal_margins(simulator, plans)
@@ -297,7 +296,7 @@ class PlanSearch:
     def _refined(self, plans: Numbers) -> Rounds[Numbers]:
         """Improve plans by CMA-ES side by side, each within its share of the budget."""
         plans = [plan for plan in plans if len(plan)]
-        if not can_refine() or not plans:
+        if not plans:
             return []
         searches = [
             PlanRefinement(self.simulator, plan, 1000 * self.seed + number)
@@ -525,11 +524,6 @@ def soft_score(margins: FloatArray, worlds: int) -> FloatArray:
 
 
 WIDTH: Final = 0.05  # standard deviation of the first plans, in shares of the ranges
-
-
-def can_refine() -> bool:
-    """Return whether the package cma is installed."""
-    return find_spec("cma") is not None
 
 
 @final
