@@ -57,7 +57,7 @@ def _draw_success(axes: Axes, rows: Sequence[Row], methods: Mapping[str, str]) -
     axes.set_xlabel("feasible goals met [%], 2 standard errors")
     axes.set(xlim=(0, 102), ylim=(-0.6, len(names) - 0.4))
     clean(axes)
-    axes.legend(frameon=False, loc="lower left", handletextpad=0.2)
+    axes.legend(frameon=False, loc="upper left", handletextpad=0.2)
 
 
 def _draw_reliability(axes: Axes, rows: Sequence[Row]) -> None:
