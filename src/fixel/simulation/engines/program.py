@@ -135,7 +135,7 @@ class Program:
         except (ValueError, RecursionError):  # deeper nesting than Python reads
             answer = None
         if not isinstance(answer, dict):
-            raise ProgramFailed(f"expected a JSON object, found {line[:60]!r}")
+            raise ProgramFailed(f"found {line[:60]!r}, but fixel needs a JSON object")
         return answer
 
     def _line(self, limit: float) -> bytes:
