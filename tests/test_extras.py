@@ -1,4 +1,4 @@
-"""What needs the package of an extra names the extra, and nothing else needs that package."""
+"""Functions that need the package of an extra name the extra; nothing else needs the package."""
 
 import ast
 import csv

@@ -50,8 +50,8 @@ class Check:
     seconds: float
 
 
-class Skipped(Exception):
-    """Check that cannot be made here."""
+class PythonMissing(Exception):
+    """Check that needs a version of Python which this machine lacks."""
 
 
 def require(right: object, problem: str) -> None:
@@ -151,7 +151,7 @@ def interpreter(version: str) -> str:
         code = f"import sys, ensurepip, venv; assert '{version}' == '%d.%d' % sys.version_info[:2]"
         if found and not subprocess.run([found, "-c", code], capture_output=True).returncode:
             return str(found)
-    raise Skipped(f"no Python {version} with venv here")
+    raise PythonMissing(f"no Python {version} with venv here")
 
 
 def check_install(archive: Path, version: str, folder: Path) -> str:
@@ -201,7 +201,7 @@ def run_checks(folder: Path, quick: bool, report: Callable[[Check], None]) -> li
         passed: bool | None = True
         try:
             result = check(*given)
-        except Skipped as reason:
+        except PythonMissing as reason:
             passed, result = None, str(reason)
         except (AssertionError, subprocess.TimeoutExpired, ExceptionGroup, ValueError) as problem:
             passed, result = False, str(problem)

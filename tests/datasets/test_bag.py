@@ -291,9 +291,9 @@ def test_pushes_are_separated_by_gaps_topics_and_files(tmp_path: Path) -> None:
 
 def test_roles_are_needed_and_known(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag", two_topics())
-    with pytest.raises(InvalidInput, match="poses of /tip, /part") as told:
+    with pytest.raises(InvalidInput, match="poses of /tip, /part") as raised:
         fixel.read_experiments(bag)
-    assert "--option part=NAME" in str(told.value)
+    assert "--option part=NAME" in str(raised.value)
     with pytest.raises(InvalidInput, match="did you mean '/part'"):
         fixel.read_experiments(bag, columns={"part": "/prt"})
     with pytest.raises(InvalidInput, match="the option x"):
@@ -432,7 +432,7 @@ def test_poses_that_are_none(tmp_path: Path) -> None:
 
 
 def test_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "mcap.stream_reader", None)
+    monkeypatch.setitem(__import__("sys").modules, "mcap", None)
     (tmp_path / "a.mcap").write_bytes(b"")
     with pytest.raises(MissingExtra, match=r"needs the package mcap; run: pip install 'fixel"):
         fixel.read_experiments(tmp_path / "a.mcap")

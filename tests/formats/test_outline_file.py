@@ -118,9 +118,11 @@ def test_holes_and_several_outlines(tmp_path: Path) -> None:
         Polygon.from_file(path)
     assert Polygon.from_file(path, fill_holes=True).area == pytest.approx(50 * 40 * 1e-6)
     two = svg(tmp_path / "two.svg", plate + '<rect id="b" x="60" width="7" height="8"/>')
-    with pytest.raises(InvalidInput, match=r"2 separate outlines: 50 by 40 mm; 7 by 8 mm") as told:
+    with pytest.raises(
+        InvalidInput, match=r"2 separate outlines: 50 by 40 mm; 7 by 8 mm"
+    ) as raised:
         Polygon.from_file(two)
-    assert "part=" in str(told.value)
+    assert "part=" in str(raised.value)
     assert Polygon.from_file(two, part="b").area == pytest.approx(56e-6)
 
 

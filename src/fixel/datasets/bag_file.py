@@ -20,8 +20,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fixel.datasets.files import bounded_lines
-from fixel.errors import DatasetMissing, FixelError, InvalidInput
-from fixel.io.extra import extra_module
+from fixel.errors import DatasetMissing, FixelError, InvalidInput, require
 from fixel.typing import FloatArray
 
 MAX_CHUNK = 256_000_000  # [bytes] of one record, unpacked
@@ -165,7 +164,9 @@ def read_bag(source: Path) -> Bag:
 
 
 def _from_mcap(path: Path) -> Iterator[Message]:
-    mcap = extra_module("an MCAP file", "mcap.stream_reader", "mcap")
+    require("mcap", "an MCAP file", extra="files")
+    from mcap import stream_reader as mcap
+
     schemas: dict[int, str] = {}
     channels: dict[int, Any] = {}
     with path.open("rb") as stream:
@@ -204,7 +205,9 @@ def _records(found: Iterable[Any], mcap: Any, where: str) -> Iterator[Any]:
 
 
 def _from_sqlite(path: Path) -> Iterator[Message]:
-    rosbag2 = extra_module("a ROS 2 bag", "rosbags.rosbag2", "rosbags")
+    require("rosbags", "a ROS 2 bag", extra="files")
+    from rosbags import rosbag2
+
     with rosbag2.Reader(path) as bag:
         used = [own for own in bag.connections if _short(own.msgtype)]
         for own, logged, data in bag.messages(used) if used else ():
@@ -222,8 +225,10 @@ def _short(kind: str) -> str:
 
 @cache
 def _definitions() -> Any:
-    types = extra_module("a ROS message", "rosbags.typesys", "rosbags")
-    return types.get_typestore(types.Stores.ROS2_HUMBLE)
+    require("rosbags", "a ROS message", extra="files")
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_HUMBLE)
 
 
 def _decoded(kind: str, topic: str, logged: float, data: bytes, encoding: str) -> Message | None:

@@ -26,8 +26,13 @@ from fixel.model.scene import SceneChoice
 from fixel.progress import ProgressOption, show_progress
 
 _ALL: Final = (
-    *(Rpi2dgad(), MitPush(), MitPusherSlider(), CmuTripod(), CmuTwoPoint()),
-    *(BagImporter(), CsvTable()),
+    Rpi2dgad(),
+    MitPush(),
+    MitPusherSlider(),
+    CmuTripod(),
+    CmuTwoPoint(),
+    BagImporter(),
+    CsvTable(),
 )
 
 IMPORTERS: Final[Mapping[str, Importer]] = MappingProxyType(

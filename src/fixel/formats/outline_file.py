@@ -15,8 +15,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from fixel.errors import FixelError, InvalidInput, unknown_name
-from fixel.io.extra import extra_module
+from fixel.errors import FixelError, InvalidInput, require, unknown_name
 from fixel.typing import FloatArray
 
 UNITS: Final = {
@@ -186,7 +185,9 @@ def _joined(pieces: list[FloatArray], where: str, tolerance: float) -> list[Floa
 
 
 def _from_svg(source: _OutlineSource) -> Any:
-    svgelements = extra_module("an outline in SVG", "svgelements", "svgelements")
+    require("svgelements", "an outline in SVG", extra="files")
+    import svgelements
+
     text, where = source.path.read_text(encoding="utf-8"), source.path.name
     # Entities and clones can unpack to more than fits in memory.
     if banned := re.search(r"<!ENTITY\b|<(?:\w+:)?use\b", text):
@@ -231,7 +232,10 @@ def _sampled(segment: Any, source: _OutlineSource, scale: float) -> FloatArray:
 
 
 def _from_dxf(source: _OutlineSource) -> Any:
-    document = extra_module("an outline in DXF", "ezdxf", "ezdxf").readfile(source.path)
+    require("ezdxf", "an outline in DXF", extra="files")
+    import ezdxf
+
+    document = ezdxf.readfile(source.path)
     stated = DXF_UNITS.get(document.units)
     scale = source.scale(None if stated is None else UNITS[stated])
     found = [*document.modelspace()]
@@ -274,7 +278,9 @@ def _reach(curve: Any) -> Iterable[Any]:
 
 
 def _from_stl(source: _OutlineSource) -> Any:
-    stl = extra_module("an outline in STL", "trimesh.exchange.stl", "trimesh")
+    require("trimesh", "an outline in STL", extra="files")
+    from trimesh.exchange import stl
+
     scale = source.scale(None)
     with source.path.open("rb") as stream:
         mesh = stl.load_stl(stream)

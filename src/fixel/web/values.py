@@ -26,7 +26,6 @@ MAX_KEYS = 100  # keys of a request's body; those that are known are about ten
 
 # Ids, as they stand in addresses and in bodies.
 Id = Annotated[int, Field(ge=1, le=MAX_ID)]
-Number = Id
 
 
 def plain_text(text: str) -> str:

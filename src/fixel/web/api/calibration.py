@@ -9,7 +9,7 @@ from fastapi.responses import Response
 from pydantic import Field
 
 from fixel.web.context import Context
-from fixel.web.values import Answer, Number
+from fixel.web.values import Answer, Id
 from fixel.web.views.calibration_detail import (
     CalibrationSummary,
     StoredCalibration,
@@ -54,7 +54,7 @@ def live(context: Context, name: str) -> LiveProgress:
 
 
 @router.get("/{number}", summary="Get a calibration")
-def calibration(context: Context, number: Number) -> StoredCalibration:
+def calibration(context: Context, number: Id) -> StoredCalibration:
     return context.calibration_detail(number).answer
 
 
@@ -64,5 +64,5 @@ def calibration(context: Context, number: Number) -> StoredCalibration:
     response_class=Response,
     responses={200: {"content": {"image/png": {}}}},
 )
-def plot(context: Context, number: Number, kind: str) -> Response:
+def plot(context: Context, number: Id, kind: str) -> Response:
     return Response(context.calibration_plot(number, kind), media_type="image/png")

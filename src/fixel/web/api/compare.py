@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query
 from pydantic import Field
 
 from fixel.web.context import Context
-from fixel.web.values import Answer, Id, Number, RequestBody
+from fixel.web.values import Answer, Id, RequestBody
 from fixel.web.views.live_comparison import (
     ComparedSimulation,
     NewSimulations,
@@ -62,7 +62,7 @@ class NewSimulation(Answer):
 )
 def motion(
     context: Context,
-    number: Number,
+    number: Id,
     simulation: Annotated[
         list[Id],
         Query(
@@ -80,7 +80,7 @@ def motion(
     summary="List parameter sets to compare an experiment with",
     tags=["compare"],
 )
-def comparison_offer(context: Context, number: Number) -> ComparisonOffer:
+def comparison_offer(context: Context, number: Id) -> ComparisonOffer:
     known = context.comparison
     return ComparisonOffer(
         experiment=known.experiment(number).key,
@@ -94,7 +94,7 @@ def comparison_offer(context: Context, number: Number) -> ComparisonOffer:
     summary="Simulate an experiment with other parameters",
     tags=["compare"],
 )
-def compare(context: Context, number: Number, wanted: ComparisonRequest) -> ComparedSimulation:
+def compare(context: Context, number: Id, wanted: ComparisonRequest) -> ComparedSimulation:
     return context.comparison.compared(number, wanted.parameters, wanted.motion, context.folder)
 
 
@@ -103,12 +103,12 @@ def compare(context: Context, number: Number, wanted: ComparisonRequest) -> Comp
     summary="Get a stored simulation",
     tags=["compare"],
 )
-def stored_simulation(context: Context, number: Number, simulation: Number) -> ComparedSimulation:
+def stored_simulation(context: Context, number: Id, simulation: Id) -> ComparedSimulation:
     return context.comparison.stored(number, simulation, context.folder)
 
 
 @router.post("/experiments/{number}/simulations", summary="Store a simulation", tags=["compare"])
-def keep_simulation(context: Context, number: Number, wanted: ComparisonRequest) -> NewSimulation:
+def keep_simulation(context: Context, number: Id, wanted: ComparisonRequest) -> NewSimulation:
     folder = context.folder
     return NewSimulation(
         id=context.comparison.keep(number, wanted.parameters, wanted.motion, folder)

@@ -13,7 +13,7 @@ from fixel.io.document import plain_numbers
 from fixel.model import Flag
 from fixel.model.selection import ExperimentDetails, ExperimentRow, meant_filter
 from fixel.web.context import Context, ProjectContext
-from fixel.web.values import MAX_ID, Answer, Array, Number
+from fixel.web.values import MAX_ID, Answer, Array, Id
 from fixel.web.views.video import VideoOutlines, browser_video, outlines_in_video
 from fixel.workflows.project.compare import summary
 from fixel.workflows.project.filters import (
@@ -216,7 +216,7 @@ def covered(
 
 
 @router.get("/experiments/{number}", summary="Get an experiment")
-def experiment(context: Context, number: Number) -> ExperimentDetail:
+def experiment(context: Context, number: Id) -> ExperimentDetail:
     store, one = context.store, context.store.experiment(number)
     return ExperimentDetail.model_validate(
         {
@@ -232,7 +232,7 @@ def experiment(context: Context, number: Number) -> ExperimentDetail:
 
 
 @router.get("/experiments/{number}/trajectory", summary="Get the measured poses")
-def trajectory(context: Context, number: Number) -> MeasuredTrack:
+def trajectory(context: Context, number: Id) -> MeasuredTrack:
     one = context.store.experiment(number)
     return MeasuredTrack(
         object=one.object_name,
@@ -248,7 +248,7 @@ def trajectory(context: Context, number: Number) -> MeasuredTrack:
     summary="List the newest stored simulations of an experiment",
 )
 def simulations(
-    context: Context, number: Number, limit: Annotated[int, Query(ge=1, le=100)] = 10
+    context: Context, number: Id, limit: Annotated[int, Query(ge=1, le=100)] = 10
 ) -> StoredSimulations:
     context.store.content(number)  # raises if there is none
     stored = context.store.simulations(number)[::-1]
@@ -258,7 +258,7 @@ def simulations(
 
 
 @router.get("/experiments/{number}/tactile", summary="Get the readings of the contact sensors")
-def tactile(context: Context, number: Number) -> TactileSignals:
+def tactile(context: Context, number: Id) -> TactileSignals:
     one = context.store.experiment(number)
     channel = one.channel("tactile")
     return TactileSignals(
@@ -275,7 +275,7 @@ def tactile(context: Context, number: Number) -> TactileSignals:
 )
 def small_picture(
     context: Context,
-    number: Number,
+    number: Id,
     content: Annotated[
         str,
         Query(
@@ -297,7 +297,7 @@ def small_picture(
         206: {"description": "a range within the file"},
     },
 )
-def video(context: Context, number: Number) -> Response:
+def video(context: Context, number: Id) -> Response:
     path = context.store.video(number)
     if path is None or not path.is_file():
         raise NotStored(
@@ -310,7 +310,7 @@ def video(context: Context, number: Number) -> Response:
 
 
 @router.get("/experiments/{number}/outlines", summary="Get the outline of the object in the video")
-def outlines(context: Context, number: Number) -> ExperimentOutlines:
+def outlines(context: Context, number: Id) -> ExperimentOutlines:
     one = context.store.experiment(number)
     return ExperimentOutlines(outlines=outlines_in_video(context.project, one))
 

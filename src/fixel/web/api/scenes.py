@@ -12,7 +12,7 @@ from pydantic import AfterValidator, Field
 
 from fixel.jobs.worker_process import CallCancellation
 from fixel.web.context import Context
-from fixel.web.values import Answer, Number, RequestBody, Text
+from fixel.web.values import Answer, Id, RequestBody, Text
 from fixel.web.views import scene_editor
 from fixel.web.views.scene_editor import SceneExample, SceneMotion
 
@@ -70,7 +70,7 @@ def example(name: ExampleName) -> SceneAnswer:
 
 
 @router.get("/experiments/{number}/scene", summary="Get the scene of an experiment")
-def scene_of_experiment(context: Context, number: Number) -> SceneAnswer:
+def scene_of_experiment(context: Context, number: Id) -> SceneAnswer:
     return SceneAnswer(scene=scene_editor.scene_of_experiment(context.store.experiment(number)))
 
 

@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from fixel.io.extra import extra_module
+from fixel.errors import require
 from fixel.model.shape import Shape
 from fixel.simulation import Simulation
 from fixel.simulation.simulate import simulate
@@ -96,9 +96,11 @@ def _corners(body: BodyMotion) -> FloatArray:
 
 def write_mcap(path: Path, found: list[BodyMotion]) -> None:
     """Write motions as Foxglove's FrameTransforms on /tf and SceneUpdate on /scene, in JSON."""
-    mcap = extra_module("a recording in MCAP", "mcap.writer", "mcap")
+    require("mcap", "a recording in MCAP", extra="files")
+    from mcap.writer import Writer
+
     with path.open("wb") as stream:
-        writer = mcap.Writer(stream)
+        writer = Writer(stream)
         writer.start(library="fixel")
 
         def channel(topic: str, schema: str) -> Callable[[float, Mapping[str, Any]], None]:
@@ -160,7 +162,9 @@ def _entity(body: BodyMotion) -> dict[str, Any]:
 
 def write_rerun(path: Path, found: list[BodyMotion]) -> None:
     """Write motions as a recording for rerun."""
-    rerun = extra_module("a recording for rerun", "rerun", "rerun-sdk", "rerun")
+    require("rerun", "a recording for rerun", extra="rerun")
+    import rerun
+
     recording = rerun.RecordingStream("fixel")
     recording.save(path)
     for body in found:
