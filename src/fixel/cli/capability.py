@@ -51,11 +51,8 @@ def typer_command(
 ) -> Callable[..., None]:
     """Return the function of a capability's command, with a signature for Typer.
 
-    Parameters
-    ----------
-    perform : callable, optional
-        Performs a request on the project in a folder and prints the answer, as JSON or text, where
-        that is not one call of the function.
+    Where that is not one call of the function, `perform` runs a request on the project in a folder,
+    and prints the answer as JSON or text.
     """
 
     def command(

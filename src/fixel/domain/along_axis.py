@@ -42,17 +42,9 @@ class AxisEdges(NamedTuple):
 def edges(steps: IntArray, errors: FloatArray, threshold: float) -> AxisEdges:
     """Return where an error curve first exceeds a threshold on both sides of the nominal.
 
-    Errors are interpolated linearly between experiments. Experiments farther out that are below
-    the threshold again are not part of the domain.
-
-    Parameters
-    ----------
-    steps : (n,) int
-        Steps of the experiments, ascending, with 0.
-    errors : (n,) float64
-        Errors; if not finite, the domain ends at the experiment before.
-    threshold : float
-        Largest error in the domain.
+    Errors (n,) at ascending steps (n,), with 0, are interpolated linearly; where one is not finite,
+    the domain ends at the experiment before. Experiments farther out that are below the threshold
+    again are not part of the domain.
     """
     start = int(np.flatnonzero(steps == 0)[0])
     if not errors[start] <= threshold:

@@ -71,14 +71,8 @@ def refuse_missing(
 ) -> None:
     """Raise if a push lacks a condition; the error shows the call with values for all of them.
 
-    Parameters
-    ----------
-    known : mapping
-        Coordinates of the push.
-    given : mapping
-        Conditions of the call.
-    examples : mapping of str to value
-        Every needed condition, with a value that occurs in the experiments.
+    Coordinates of the push are `known`, and conditions of the call `given`; `examples` have every
+    needed condition, with a value that occurs in the experiments.
     """
     missing = {name: value for name, value in examples.items() if name not in known}
     if missing:
@@ -212,10 +206,7 @@ class CellAxis:
 def axis_of(name: str, values: Sequence[Value], step: float | None = None) -> CellAxis:
     """Return an axis for values: one cell per value if these are few or text, else ranges.
 
-    Parameters
-    ----------
-    step : float, optional
-        Width of ranges, one of which is centred at zero [SI].
+    Ranges are `step` wide [SI], if that is given, and one of them is centred at zero.
     """
     known = [value for value in values if value is not None]
     if not known:

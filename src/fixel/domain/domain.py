@@ -507,18 +507,8 @@ def domain_map(
 ) -> DomainMap:
     """Assign experiments to cells, and fit a surface of errors over them.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of the versions of the surface.
-    predicted_mm : (n_group, n_cell) float64, optional
-    surface : Surface, optional
-        Surface of the same evidence in the same cells, to save the fit, which takes seconds.
-
-    Raises
-    ------
-    InvalidInput
-        There are too few experiments for any claim.
+    A surface of the same evidence in the same cells saves the fit, which takes seconds. Raise
+    `InvalidInput` for too few experiments for any claim.
     """
     groups = tuple(dict.fromkeys(evidence.group))
     place = cells.find(evidence)

@@ -241,15 +241,9 @@ class ConformalBound:
         levels: Sequence[float],
         contacts: TouchedPlaces | None = None,
     ) -> FloatArray:
-        """Return bounds at several levels (n_level, m).
+        """Return bounds at several levels (n_level, m), for features (m, f).
 
-        Parameters
-        ----------
-        features : (m, f) array_like
-        groups : (m,) sequence or None
-        levels : (n_level,) sequence of float
-        contacts : TouchedPlaces, optional
-            Contacts of the new configurations; required after `for_contacts`.
+        The contacts of the new configurations are required after `for_contacts`.
         """
         table = self._table(features)
         for level in levels:

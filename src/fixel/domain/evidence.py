@@ -121,11 +121,8 @@ class HeldOutErrors(Comparable):
 def threshold_score(threshold: float, measure: Measure) -> float:
     """Return the score of a threshold, to compare scores with.
 
-    Parameters
-    ----------
-    threshold : float
-        Root mean square error [mm]; or, if relative, the excess of E over the own best of an
-        experiment, as a share of it: 1 for twice as large.
+    The threshold is a root mean square error [mm]; or, if relative, the excess of E over the own
+    best of an experiment, as a share of it: 1 for twice as large.
     """
     if not (np.isfinite(threshold) and threshold > 0.0):
         where, unit = ("threshold", " mm") if measure == "absolute" else ("relative", "")

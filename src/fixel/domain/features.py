@@ -307,11 +307,8 @@ def default_model(n: int) -> str:
 def fitted_model(name: str, features: FloatArray, values: FloatArray, seed: int) -> ScaleModel:
     """Fit a model to `values` (n,), finite powers of errors.
 
-    Parameters
-    ----------
-    name : str
-        `"forest"`: extremely randomised trees (Geurts, Ernst & Wehenkel 2006), of scikit-learn.
-        `"neighbours"`: mean of the nearest experiments. `"constant"`: median.
+    `"forest"`: extremely randomised trees (Geurts, Ernst & Wehenkel 2006), of scikit-learn.
+    `"neighbours"`: mean of the nearest experiments. `"constant"`: median.
     """
     if name == "forest":
         return _forest(features, values, seed)

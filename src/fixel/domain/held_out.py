@@ -101,12 +101,7 @@ def held_out(
     progress: ProgressCallback | None = None,
     threads: int | None = None,
 ) -> HeldOut:
-    """Compute held-out errors by cross-validation.
-
-    Parameters
-    ----------
-    finished : callable
-        `(name, question, compute) -> answer`, which may return an answer that is stored.
+    """Compute held-out errors by cross-validation; `finished` may return answers that are stored.
 
     Raises
     ------
@@ -252,14 +247,8 @@ def noise_floor(
     """Return the root mean square error of a perfect simulator [mm], and its source.
 
     It is computed from repetitions, else from the scatter of measured poses about smooth motion;
-    None if there are too few frames.
-
-    Parameters
-    ----------
-    scale : float
-        Length that an angle counts as [m/rad].
-    ends : bool
-        Whether only last poses count, as in a map of them.
+    None if there are too few frames. An angle counts as `scale` [m/rad]; with `ends` only last
+    poses count, as in a map of them.
     """
     groups = repetitions(targets, ends=ends)
     if groups:

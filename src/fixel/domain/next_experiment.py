@@ -46,18 +46,7 @@ def proposals(
 ) -> list[Proposal]:
     """Return the most informative experiments over all maps, the best first.
 
-    Parameters
-    ----------
-    groups : tuple of str
-        Groups, one per map.
-    surface : Surface
-        Errors over the cells of every group.
-    verdicts : list of list of CellVerdict
-        Verdicts of the claim for every group and cell.
-    inside : list of list of int
-        Cells of the domain in every group.
-    most : int
-        Maximum number of proposals.
+    There is one map per group, with the verdicts of the claim and the cells `inside` the domain.
     """
     found = []
     for g, group in enumerate(groups):
@@ -137,13 +126,9 @@ def predicted_cells(
 ) -> FloatArray | None:
     """Return bounds (n_group, n_cell) that errors of new experiments satisfy [mm].
 
-    They apply to root mean square errors; inf without data, or for coordinates that no experiment
-    of the map has. None if there are too few experiments for any bound.
-
-    Parameters
-    ----------
-    level : float
-        Probability of each bound.
+    They apply to root mean square errors, each with the probability `level`; inf without data, or
+    for coordinates that no experiment of the map has. None if there are too few experiments for any
+    bound.
     """
     place = cells.find(evidence)
     known = np.flatnonzero((place >= 0) & ~np.isnan(evidence.error_mm2))

@@ -92,16 +92,7 @@ class Surface:
 def fit_surface(places: FloatArray, n_group: int, seen: CellObservations, seed: int = 0) -> Surface:
     """Fit the likeliest surface to the scores of members, and draw other versions.
 
-    Parameters
-    ----------
-    places : (n_cell, d) float64
-        Positions of the cells, as shares of the axes.
-    n_group : int
-        Number of maps.
-    seen : CellObservations
-        Scores of at least one cell.
-    seed : int
-        Seed of the versions.
+    Places (n_cell, d) of the cells are shares of the axes; at least one cell has scores.
     """
     best, spread = _likeliest(_SurfaceModel(places, n_group, _some(seen, seed)))
     model = _SurfaceModel(places, n_group, seen)

@@ -34,12 +34,8 @@ LAST: Final[Style] = {"color": palette.BODY, "marker": "o"}
 def errors_chart(keys: Sequence[str], series: Mapping[str, FloatArray], unit: str) -> Chart:
     """Draw the error of every experiment before and after a calibration, from worst to best.
 
-    Parameters
-    ----------
-    keys : sequence of str
-    series : mapping of str to (n,) float64
-        Errors by label, at most three series; not finite if missing. The last one sets the order.
-    unit : str
+    There are at most three series (n,) by label; not finite if missing. The last one sets the
+    order.
     """
     last = list(series.values())[-1]
     order = np.argsort(-np.where(np.isnan(last), np.inf, last), kind="stable").tolist()
@@ -117,13 +113,6 @@ def seconds_chart(keys: Sequence[str], seconds: FloatArray, evaluations: Sequenc
     """Draw a histogram of the computing time of calibrations.
 
     Source: RPI thesis, figure 5.4.
-
-    Parameters
-    ----------
-    keys : sequence of str
-        Names of the experiments.
-    seconds : (n,) float64
-    evaluations : sequence of int
     """
     n, middle = len(seconds), float(np.median(seconds))
     low, high = float(seconds.min()), float(seconds.max())
@@ -179,18 +168,10 @@ def offsets_chart(
 ) -> Chart:
     """Draw values against offsets: a row per quantity, a column per axis, and histograms.
 
-    Source: RPI thesis, figures 5.6 and 5.7.
+    Each experiment was offset from its group, which is its shape and layout. Without axes, values
+    are drawn in the order of the experiments.
 
-    Parameters
-    ----------
-    title : str
-    keys : sequence of str
-        Names of the experiments.
-    groups : sequence of str
-        Shape and layout of each experiment, from which it was offset.
-    axes : sequence of OffsetSeries
-        Axes of the offsets; if empty, values are drawn in the order of the experiments.
-    quantities : sequence of Quantity
+    Source: RPI thesis, figures 5.6 and 5.7.
     """
     at = np.arange(len(keys))
     in_order = OffsetSeries("experiment", "", at, np.asarray(at + 1.0, np.float64))

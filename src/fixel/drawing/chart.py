@@ -128,14 +128,8 @@ def panel(
 def panels(rows: Sequence[Sequence[Mark]], legend: int = 9, **options: Any) -> Fill:
     """Return a function that draws rows of panels, with one legend below them.
 
-    Parameters
-    ----------
-    rows : sequence of sequence of callable
-        Panels; the last row may be shorter than the others.
-    legend : int
-        Maximum number of labels per row of the legend; 0 for none.
-    **options
-        As for `matplotlib.figure.Figure.subplots`.
+    The last row may be shorter than the others, and the legend has at most `legend` labels per row;
+    0 for no legend. Options are those of `matplotlib.figure.Figure.subplots`.
     """
 
     def fill(figure: Figure) -> None:
@@ -169,20 +163,9 @@ def plot_of(draw: Callable[..., Chart | Figure]) -> Callable[..., Any]:
 
 
 def draw_chart(chart: Chart, *paths: str | Path, banner: str = "") -> None:
-    """Draw a chart and save it to files.
+    """Draw a chart and save it to files (`.pdf`, `.svg` or `.png`).
 
-    Parameters
-    ----------
-    chart : Chart
-    *paths : str or Path
-        Files to write (`.pdf`, `.svg` or `.png`).
-    banner : str
-        Text of a banner at the top, for simulated experiments.
-
-    Raises
-    ------
-    InvalidInput
-        A file name has another ending.
+    The banner is at the top, for simulated experiments. Another ending raises `InvalidInput`.
     """
 
     def make() -> Figure:
@@ -197,10 +180,7 @@ def draw_chart(chart: Chart, *paths: str | Path, banner: str = "") -> None:
 def save_figure(make: Callable[[], Figure], *paths: str | Path) -> None:
     """Create a figure in the house style and save it to files, each whole or not at all.
 
-    Raises
-    ------
-    InvalidInput
-        A file name has another ending than `.pdf`, `.svg` or `.png`.
+    Another ending than `.pdf`, `.svg` or `.png` raises `InvalidInput`.
     """
     import matplotlib as mpl
 
@@ -231,17 +211,8 @@ _BY_PYPLOT: ContextVar[bool] = ContextVar("_BY_PYPLOT", default=False)
 def plot_axes(make: Callable[[], Figure], ax: Axes | None = None) -> Any:
     """Create a figure in the house style for the `plot` method of a result; return its axes.
 
-    Parameters
-    ----------
-    make : callable
-        Function that draws the figure, which it creates by `sheet`.
-    ax : None
-        Axes that the caller of `plot` gave. They are rejected: the figure has axes of its own.
-
-    Returns
-    -------
-    matplotlib.axes.Axes, or (n,) array of them
-        Known to Pyplot, so that notebooks show them.
+    The figure is created by `sheet`, and Pyplot knows it, so that notebooks show it. Axes `ax` that
+    the caller of `plot` gave are rejected: the figure has axes of its own.
     """
     import matplotlib as mpl
 

@@ -47,17 +47,8 @@ def map_chart(
 ) -> Chart:
     """Draw small multiples of a map of the domain, one panel per group; at most 30 are drawn.
 
-    Parameters
-    ----------
-    domain : DomainMap
-    claim : Claim
-        Claim that holds in blue cells.
-    verdicts : list of list of CellVerdict
-        Verdict on every cell of every map.
-    across : int
-        Index of the axis of the columns.
-    up : int, optional
-        Index of the axis of the rows; without one, the cells through the nominal are drawn.
+    The claim holds in blue cells. Columns are along the axis `across`, rows along `up`; without
+    that, the cells through the nominal are drawn.
     """
     grid, axes, groups = _grid(domain.cells, across, up), domain.cells.axes, domain.groups
     (n_up, n_across), shown = grid.shape, groups[:MAX_PANELS]
@@ -197,14 +188,7 @@ def _outline(axes: Axes, inside: Any) -> None:
 
 
 def size_chart(domain: DomainMap, claim: Claim | None = None) -> Chart:
-    """Draw the number of cells in the domain of applicability against the threshold.
-
-    Parameters
-    ----------
-    domain : DomainMap
-    claim : Claim, optional
-        Claim that holds in the domain; by default that of the map.
-    """
+    """Draw the number of cells in the domain of applicability against the threshold."""
     claim = claim or domain.claimed
     absolute, cells = claim.measure == "absolute", len(domain.cells)
     thresholds = domain.usual_thresholds

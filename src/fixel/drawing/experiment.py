@@ -44,13 +44,7 @@ STEPS: Final = 2  # number of outlines between start and end in a comparison
 
 
 def plot_path(experiment: Experiment, *, ax: Axes | None = None) -> Axes:
-    """Draw the top view of an experiment; return its axes.
-
-    Parameters
-    ----------
-    experiment : Experiment
-    ax : matplotlib.axes.Axes, optional
-    """
+    """Draw the top view of an experiment; return its axes."""
     from matplotlib import pyplot
 
     axes = ax or pyplot.subplots(figsize=(4.9, 3.5), layout="constrained")[1]
@@ -62,14 +56,7 @@ def plot_path(experiment: Experiment, *, ax: Axes | None = None) -> Axes:
 
 
 def plot_paths(experiments: Sequence[Experiment], *, ax: Axes | None = None) -> Axes:
-    """Draw the measured paths of several experiments; return the axes.
-
-    Parameters
-    ----------
-    experiments : sequence of Experiment
-        At most `MAX_PATHS` of them are drawn, evenly chosen.
-    ax : matplotlib.axes.Axes, optional
-    """
+    """Draw the measured paths of several experiments, `MAX_PATHS` at most; return the axes."""
     from matplotlib import pyplot
 
     axes = ax or pyplot.subplots(figsize=(4.9, 4.9), layout="constrained")[1]
@@ -95,13 +82,7 @@ def plot_paths(experiments: Sequence[Experiment], *, ax: Axes | None = None) -> 
 
 
 def plot_errors(comparison: Any, *, ax: Axes | None = None) -> Axes:
-    """Draw the share of the experiments whose error is below a value, for each model.
-
-    Parameters
-    ----------
-    comparison : Comparison
-    ax : matplotlib.axes.Axes, optional
-    """
+    """Draw the share of the experiments whose error is below a value, for each model."""
     from matplotlib import pyplot
 
     axes = ax or pyplot.subplots(figsize=(4.9, 3.5), layout="constrained")[1]
@@ -136,15 +117,7 @@ def plot_motion(
 ) -> Any:
     """Draw measured and simulated motion of one experiment, and the errors against time.
 
-    Parameters
-    ----------
-    comparison : Comparison
-    ax : None
-        The plot has axes of its own.
-    experiment : str, optional
-        Key of the experiment; by default the first.
-    model : str, optional
-        Name of the model; by default the last.
+    By default it is the first experiment, and the last model. The plot has axes of its own.
     """
     rows = comparison.of(model or comparison.models[-1])
     chosen = [row for row in rows if experiment in (None, row.run.experiment.key)]
@@ -165,10 +138,7 @@ def _shown(shown: int, total: int) -> str:
 def experiment_figure(experiment: Experiment) -> Figure:
     """Draw an experiment: top view of the plate, poses against time, contacts of the fixels.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        Experiment; without a scene, only its path is drawn.
+    Of an experiment without a scene, only its path is drawn.
     """
     track, felt = experiment.trajectory, readings(experiment.channel("tactile"))
     labels = ("x [mm]", "y [mm]", "θ [deg]")
@@ -188,18 +158,8 @@ def comparison_figure(
 ) -> Figure:
     """Draw a simulation over its experiment, and its errors against time.
 
-    Parameters
-    ----------
-    experiment : Experiment
-    simulated : Trajectory
-        Simulated poses of the object, on the experiment's clock.
-    contacts : Channel, optional
-        Simulated contacts of the fixels, like the channel `tactile` of an experiment.
-
-    Raises
-    ------
-    InvalidInput
-        The simulation does not overlap in time.
+    Simulated poses are on the experiment's clock, and contacts like its channel `tactile`. A
+    simulation that does not overlap in time raises `InvalidInput`.
     """
     compared = _common_time(experiment, simulated)
     felt, touched = readings(experiment.channel("tactile")), readings(contacts)

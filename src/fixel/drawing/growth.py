@@ -105,18 +105,11 @@ def growth_steps(growth: Growth, threshold: float, unit: str) -> Chart:
 def axis_chart(
     studies: Sequence[AxisStudy], threshold: float, unit: str, length: float | None = None
 ) -> Chart:
-    """Draw errors along one axis with parameters found on intervals of several sizes, one per
-    column: above every layout and the average, below the average of each experiment's best as well.
+    """Draw errors along one axis with parameters found on intervals of several sizes.
 
-    Parameters
-    ----------
-    studies : sequence of AxisStudy
-        Studies of one shape and axis.
-    threshold : float
-    unit : str
-        Unit of the errors.
-    length : float, optional
-        Length of a step [m], or [rad] for theta.
+    There is a column per size: above every layout and the average, below the average of each
+    experiment's best as well. The studies are of one shape and axis; `length` is that of a step,
+    [m] or [rad].
     """
     axis = studies[0].axis.replace("theta", "θ")
     shown = chart.display_unit("rad" if axis == "θ" else "m")

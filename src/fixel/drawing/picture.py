@@ -56,17 +56,8 @@ RAMP: Final = (0.18, 0.55)  # opacity of the first and last ghost
 def draw_simulation(simulation: Simulation, target: str | Path | Axes) -> None:
     """Draw the top view of a simulation: start, path, end, and the contact forces at the end.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        Simulation; for a failed one, the figure shows where it stopped.
-    target : str, Path or matplotlib Axes
-        File to write (`.pdf`, `.svg` or `.png`), or axes to draw into.
-
-    Raises
-    ------
-    InvalidInput
-        The file name has another ending.
+    The target is a file (`.pdf`, `.svg` or `.png`) or axes. A failed simulation is shown up to
+    where it stopped. Another ending raises `InvalidInput`.
     """
     import matplotlib as mpl
     from matplotlib.axes import Axes

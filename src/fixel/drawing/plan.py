@@ -36,17 +36,8 @@ ABOVE: Final = 0.22  # [inch], height of a title and of the gap between rows
 def draw_plan(plan: Plan, path: str | Path) -> None:
     """Draw a plan: a small top view for each shape and layout.
 
-    Parameters
-    ----------
-    plan : Plan
-        Plan; at most 40 pairs of shape and layout are drawn, and a note has the number of others.
-    path : str or Path
-        File to write (`.pdf`, `.svg` or `.png`).
-
-    Raises
-    ------
-    InvalidInput
-        The file name has another ending.
+    At most 40 pairs of shape and layout are drawn, and a note has the number of others. The ending
+    of the file is `.pdf`, `.svg` or `.png`; another one raises `InvalidInput`.
     """
     save_figure(lambda: plan_figure(plan), path)
 

@@ -49,14 +49,7 @@ STARTS: Final = 720  # angles of the part at the start of an orienting plan
 
 
 def paths_chart(plan: PushPlan, n: int = MOTIONS) -> Chart:
-    """Simulate some scenarios of a plan again, and draw their motions, failures by kind.
-
-    Parameters
-    ----------
-    plan : PushPlan
-    n : int
-        Maximum number of motions.
-    """
+    """Simulate `n` scenarios of a plan again, at most, and draw their motions, failures by kind."""
     total = len(plan.runs.margin)
     rows = np.linspace(0, total - 1, min(n, total)).astype(np.int64)
     track = _tracks(plan, rows)
@@ -168,10 +161,7 @@ def _goal(axes: Axes, plan: PushPlan, unit: Any) -> None:
 def looks_chart(plan: PushPlan) -> Chart:
     """Draw simulated poses at the first look of a plan, by the direction of the next push.
 
-    Raises
-    ------
-    InvalidInput
-        The plan has no looks.
+    A plan without looks raises `InvalidInput`.
     """
     if plan.looks is None:
         raise InvalidInput("plan", found="no looks", expected="a plan with looks")
@@ -241,10 +231,7 @@ class CaptureRegion(NamedTuple):
 def capture_chart(plan: PushPlan) -> Chart:
     """Simulate the rest of a plan from a grid of poses before each push: does it reach the goal?
 
-    Raises
-    ------
-    InvalidInput
-        The plan has no pushes.
+    A plan without pushes raises `InvalidInput`.
     """
     if not plan.pushes:
         raise InvalidInput("plan", found="no pushes", expected="a plan with pushes")
@@ -351,16 +338,7 @@ def causes_chart(explanation: Explanation) -> Chart:
 def success_curves_chart(explanation: Explanation, *, unknown: str | None = None) -> Chart:
     """Draw success against one unknown, by name, or against those that explain most.
 
-    Parameters
-    ----------
-    explanation : Explanation
-    unknown : str, optional
-        Name of the unknown.
-
-    Raises
-    ------
-    InvalidInput
-        There is no unknown of this name.
+    An unknown that does not exist raises `InvalidInput`.
     """
     effects = explanation.effects[:MAX_PANELS]
     if unknown is not None or not effects:

@@ -40,15 +40,8 @@ def parameters_chart(
 ) -> Chart:
     """Draw values and intervals, one row per parameter, each scaled to its bounds.
 
-    Parameters
-    ----------
-    title : str
-    rows : sequence of Estimate
-        Estimates with the bounds of the search and the values before.
-    others : mapping from name to values
-        Other sets: a value for each row. At most three are drawn.
-    level : float, optional
-        Confidence level of the intervals; None if it is unknown.
+    Estimates have the bounds of the search and the values before. At most three `others` are drawn,
+    by name, each with a value per row. The level is None if it is unknown.
     """
     others = others or {}
     columns = ("parameter", "unit", "bound_low", "bound_high", "before", "value",
@@ -189,14 +182,7 @@ def profiles_chart(
 ) -> Chart:
     """Draw the rise of the deviance against the value, one profile per parameter.
 
-    Parameters
-    ----------
-    title : str
-    profiles : sequence of ProfileRecord
-    estimates : mapping from label to Estimate
-        Values and intervals to draw.
-    level : float, optional
-        Confidence level of the intervals; None if it is unknown.
+    Estimates by label have the values and intervals. The level is None if it is unknown.
     """
     n = len(profiles)
     columns = min(n, COLUMNS) if n != 5 else 3

@@ -34,12 +34,6 @@ def draw_relations(entities: Sequence[Entity], file: str | Path) -> None:
 
     Tables stand right of those they refer to. The three-pronged end of a line is at the table whose
     rows, possibly many, refer to one row of the other.
-
-    Parameters
-    ----------
-    entities : sequence of Entity
-    file : str or Path
-        File to write (`.pdf`, `.png` or `.svg`).
     """
     save_figure(lambda: _figure(entities), file)
 

@@ -38,18 +38,11 @@ class SearchPanel(NamedTuple):
 
 
 def search_chart(searches: Sequence[SearchPanel], unit: str, what: str = "error") -> Chart:
-    """Draw the error against the evaluation, one panel per search.
+    """Draw the error against the evaluation, one panel for each of one to three searches.
+
+    The objective is `what`, such as `"sum of errors"` for several experiments.
 
     Source: RPI thesis, figure 5.5.
-
-    Parameters
-    ----------
-    searches : sequence of SearchPanel
-        One to three searches.
-    unit : str
-        Unit of the errors.
-    what : str
-        Name of the objective, such as `"sum of errors"` for several experiments.
     """
     n, label = len(searches), f"{what} [{chart.unit_text(unit)}]"
     row = [_search(one, 70 if n == 1 else 38, "" if k else label) for k, one in enumerate(searches)]
@@ -138,25 +131,10 @@ def starts_chart(
     nearly: float = 0.02,
     what: str = "error",
 ) -> Chart:
-    """Draw final errors of searches from several starts, sorted, and their end points.
+    """Draw final errors (k,) of searches from several starts, sorted, and their end points (k, n).
 
-    Parameters
-    ----------
-    title : str
-    unit : str
-        Unit of the errors.
-    errors : (k,) float64
-        Final errors; inf if a search found nothing.
-    points : (k, n) float64
-        End points of the searches.
-    unknowns : sequence of Unknown
-        Parameters, with their bounds.
-    evaluations : sequence of int
-        Number of evaluations of each search.
-    nearly : float
-        Excess over the best error, as a share of it, up to which a start counts as good.
-    what : str
-        Name of the objective, as in `search_chart`.
+    An error is inf if a search found nothing. Starts count as good up to an excess `nearly` over
+    the best error, as a share of it. The objective is `what`, as in `search_chart`.
     """
     order = np.argsort(errors, kind="stable").tolist()
     good = np.isfinite(errors) & (errors <= errors.min() * (1.0 + nearly))

@@ -196,10 +196,7 @@ def _touched(fixels: Sequence[str], mode: str) -> str:
 def indices_chart(found: Sensitivity, title: str = "Sobol indices") -> Chart:
     """Draw the Sobol indices of a sensitivity, one panel per coordinate of the end.
 
-    Raises
-    ------
-    InvalidInput
-        The sensitivity has no indices.
+    A sensitivity without indices raises `InvalidInput`.
     """
     own = found.indices
     if own is None:
@@ -243,14 +240,9 @@ def indices_chart(found: Sensitivity, title: str = "Sobol indices") -> Chart:
 
 
 def runs_chart(runs: BatchResult, *, body: str | None = None) -> Chart:
-    """Draw histograms of the end poses of a body over many runs.
+    """Draw histograms of the end poses of a body, by default the first, over many runs.
 
-    Parameters
-    ----------
-    runs : BatchResult
-        Runs; those that stopped early are left out.
-    body : str, optional
-        Name of the body; the first one by default.
+    Runs that stopped early are left out.
     """
     name = body or runs.names[0]
     ends = runs[runs.converged][name].final

@@ -21,10 +21,7 @@ ROUND: Final = 16  # number of corners that a disk is drawn with
 def thumbnail(experiment: Experiment) -> str:
     """Draw the object at start and end, its trail, pusher and fixels, as an SVG of 120 by 80.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        Experiment; without a scene, only the trail is drawn, with a cross at its end.
+    Of an experiment without a scene, only the trail is drawn, with a cross at its end.
     """
     scene = experiment.scene
     poses = experiment.trajectory.pose

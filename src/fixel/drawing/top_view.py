@@ -197,18 +197,8 @@ def column_page(
 ) -> ColumnPage:
     """Create a page of one column: a top view, panels against time, a strip for fixels.
 
-    Parameters
-    ----------
-    box : Rectangle
-        Extent of the view [m].
-    labels, heights : sequence of str and of float
-        Labels and heights of the panels [inch].
-    fixels : sequence of str
-        Names of the rows of the strip; without any there is none.
-    row : float
-        Height of these rows [inch].
-    unit : DisplayUnit
-        Unit of the view.
+    The box is the extent of the view [m]. Panels have labels and heights [inch]. The strip has a
+    row of the height `row` [inch] for each name of `fixels`; there is none without any.
     """
     height = WIDTH * (box.y[1] - box.y[0]) / (box.x[1] - box.x[0])
     height = min(TALLEST, max(LOWEST, height))

@@ -31,11 +31,7 @@ LEVELS: Final = 9  # contours of errors
 def track_figure(tracked: FilmTracks, effective: tuple[float, float] | None = None) -> Figure:
     """Draw tracked poses and residuals against time, with gaps shaded.
 
-    Parameters
-    ----------
-    tracked : FilmTracks
-    effective : (float, float), optional
-        First and last time of useful data, counted from the first frame [s].
+    Useful data are from the first to the last `effective` time, counted from the first frame [s].
     """
     figure = sheet(WIDE, HEIGHT)
     panels = figure.subplots(4, 1, sharex=True)
@@ -146,13 +142,8 @@ def _apart(axes: Axes, run: TrackedRun) -> None:
 def camera_error_chart(errors: PlaneErrors, image_size: tuple[int, int], seen: FloatArray) -> Chart:
     """Draw errors of places on the plate in the camera's view, and the coverage by boards.
 
-    Parameters
-    ----------
-    errors : PlaneErrors
-    image_size : (int, int)
-        Width and height of the pictures [px].
-    seen : (n_row, n_column) float64
-        Number of board corners in each cell of the picture; empty if unknown.
+    Pictures have a width and height [px]. `seen` (n_row, n_column) are the numbers of board corners
+    in each cell of the picture; empty if unknown.
     """
 
     def fill(figure: Figure) -> None:

@@ -170,18 +170,10 @@ def bands_chart(
     measured: FloatArray | None = None,
     title: str = "",
 ) -> Chart:
-    """Draw x, y and theta against time: measured, likeliest and bands. Below each, the difference
-    from the likeliest, which makes narrow bands visible.
+    """Draw x, y and theta against time: measured, likeliest and bands.
 
-    Parameters
-    ----------
-    time : (n,) float64
-        Times [s].
-    best : (n, 3) float64
-    bands : sequence of Band
-        Bands, the narrowest first.
-    measured : (n, 3) float64, optional
-    title : str
+    Below each is the difference from the likeliest, which makes narrow bands visible. Poses are
+    (n, 3) at times (n,) [s]; the narrowest band is first.
     """
 
     def path(k: int, off: FloatArray, **labels: Any) -> Mark:
@@ -236,16 +228,8 @@ def final_pose_chart(
 ) -> Chart:
     """Draw the final pose of a push: outlines drawn from the posterior, positions and angles.
 
-    Parameters
-    ----------
-    outline : (m, 2) float64
-        Outline of the object, in its frame.
-    start, measured : (3,) float64
-        First and last measured pose.
-    draws : (k, 3) float64
-    regions : sequence of EndBounds
-        Bounds, the smallest first.
-    title : str
+    The outline (m, 2) is in the frame of the object. Poses (3,) are the first and the last measured
+    one, and draws (k, 3) of the last one. The smallest bounds are first.
     """
     poses = dict(zip(POSE, np.vstack((measured, draws)).T, strict=True))
 
@@ -329,13 +313,7 @@ def coverage_chart(
 ) -> Chart:
     """Draw the observed coverage of bounds against their stated probability, by kind of bound.
 
-    Parameters
-    ----------
-    curves : mapping of str to CoverageCurve
-        Curves by the title of their panel.
-    title : str
-    groups : mapping of str to sequence of (n,) float64
-        Shares observed in single groups, by panel.
+    Curves, and shares (n,) observed in single groups, are by the title of their panel.
     """
     row = [
         _coverage(f"{name}, {curve.outcomes} outcomes", curve, (groups or {}).get(name, ()))

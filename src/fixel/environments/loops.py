@@ -135,14 +135,9 @@ def begin_step(
 ) -> int:
     """Move the agents, and write the rollouts of the bodies that they may touch.
 
-    Parameters
-    ----------
-    outline : (m, 2) float64
-        Corners of the body about its centre of mass [px]; none for a disk.
-    action : (n, 2) float64
-        Target of each agent [px].
-    first, last : int
-        Environments; the rollouts written are those from `first` to before the value returned.
+    Corners (m, 2) of the body are about its centre of mass, none for a disk; actions (n, 2) are
+    targets of the agents [px]. The rollouts written for the environments `first` to ``last - 1``
+    are those from `first` to before the value returned.
     """
     n = first
     for k in range(first, last):
@@ -191,18 +186,9 @@ def end_step(
 ) -> None:
     """Read the rollouts `first` to ``last - 1`` back into the states of their environments.
 
-    An agent stops where its rollout ended early: no motion of the body lets it move on.
-
-    Parameters
-    ----------
-    pose : (n, 3) float64
-        Scaled pose of the body at the end of each rollout.
-    samples, status : (n,) int64
-        Number of poses written, and status of each rollout.
-    reached : (n,) float64
-        Scaled time that it reached.
-    first, last : int
-        Rollouts.
+    An agent stops where its rollout ended early: no motion of the body lets it move on. Each
+    rollout has a scaled end pose (n, 3), a number of poses written (n,), a status (n,), and the
+    scaled time (n,) that it reached.
     """
     n = state.route.shape[1] - 1
     for r in range(first, last):
@@ -280,20 +266,11 @@ def _common_area(one: FloatArray, other: FloatArray, here: FloatArray, there: Fl
 def coverage(
     pose: FloatArray, pieces: FloatArray, goal: FloatArray, first: int, last: int, out: FloatArray
 ) -> None:
-    """Compute which share of the goal each body covers.
+    """Compute which share of the goal each of the bodies `first` to ``last - 1`` covers.
 
-    Parameters
-    ----------
-    pose : (n, 3) float64
-        Poses of the shapes [px, px, rad].
-    pieces : (n_piece, 4, 2) float64
-        Quadrilaterals of the shape in its frame, counter-clockwise, without overlap [px].
-    goal : (n_piece, 4, 2) float64
-        The same at the goal, in the world [px].
-    first, last : int
-        Bodies.
-    out : (n,) float64
-        Shares from 0 to 1.
+    The shares `out` (n,) are from 0 to 1. Pieces (n_piece, 4, 2) are quadrilaterals of the shape in
+    its frame, counter-clockwise, without overlap [px]; `goal` has the same in the world. Poses
+    (n, 3) are of the shapes [px, px, rad].
     """
     here = np.empty((MAX_CORNERS, 2))
     there = np.empty((MAX_CORNERS, 2))

@@ -150,16 +150,10 @@ class PushMotion:
     def place(
         self, which: IntArray, agent: FloatArray, body: FloatArray, sunk: FloatArray | float = 0.0
     ) -> None:
-        """Place agents at rest at (k, 2), and the shapes of bodies at (k, 3).
+        """Place agents at rest at (k, 2), and the shapes of bodies at (k, 3) [unit, unit, rad].
 
-        Parameters
-        ----------
-        which : (k,) int
-            Environments.
-        agent, body : (k, 2) and (k, 3) float64
-            Places [unit] and poses [unit, unit, rad].
-        sunk : (k,) float64, optional
-            Overlap of agent and body, which the next steps take back little by little [unit].
+        The environments are `which` (k,). The next steps take the overlap `sunk` (k,) of agent and
+        body back little by little [unit].
         """
         state = self.state
         state.agent[which, :2], state.agent[which, 2:] = agent, 0.0

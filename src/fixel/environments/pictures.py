@@ -44,22 +44,10 @@ def picture(
     size: tuple[int, int],
     action: FloatArray | None = None,
 ) -> NDArray[np.uint8]:
-    """Draw one environment.
+    """Draw one environment: (height, width, 3) uint8.
 
-    Parameters
-    ----------
-    agent : (2,) float64
-        Centre of the agent [px].
-    pieces, goal : (2, 4, 2) float64
-        Corners of bar and stem of the T, and of its goal [px].
-    size : (int, int)
-        Width and height of the picture [px].
-    action : (2,) float64, optional
-        Target of the agent, marked by a cross; NaN for none.
-
-    Returns
-    -------
-    (height, width, 3) uint8
+    The agent (2,), corners (2, 4, 2) of bar and stem of the T and of its goal, and the target of
+    the agent, marked by a cross, are in pixels; NaN for no target.
     """
     out = np.empty((size[1], size[0], 3), np.uint8)
     _paint(np.round(agent), np.round(pieces), np.round(goal), COLOURS, out)
@@ -186,26 +174,10 @@ def scene_picture(
     goal: FloatArray | None = None,
     table: Polygon | None = None,
 ) -> NDArray[np.uint8]:
-    """Draw a scene.
+    """Draw a scene with one body and one pusher: (PIXELS, PIXELS, 3) uint8.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene with one body and one pusher.
-    centre : (2,) float64
-        Centre of the picture, a square [m].
-    half_side : float
-        Half of its side [m].
-    body, tool : (3,) float64
-        Poses of the body's shape and of the pusher [m, m, rad].
-    goal : (3,) float64, optional
-        Pose of the body at its goal.
-    table : Polygon, optional
-        Outline of a table; by default everywhere.
-
-    Returns
-    -------
-    (PIXELS, PIXELS, 3) uint8
+    The picture is a square about `centre` (2,) [m]. The poses (3,) of the body's shape, of the
+    pusher and of the goal are in the world [m, m, rad]. By default the table is everywhere.
     """
     side = FINER * PIXELS
     image = Image.new("RGB", (side, side), TABLE if table is None else AROUND)

@@ -28,21 +28,11 @@ MIN_SAMPLES: Final = 5  # samples, below which noise and motion cannot be separa
 
 
 def smoothed(time: FloatArray, measured: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return measured poses with their noise smoothed out, and how uncertain they still are.
+    """Return measured poses (n, k) with their noise smoothed out, and how uncertain they still are.
 
-    Parameters
-    ----------
-    time : (n,) float64
-        Increasing [s].
-    measured : (n, k) float64
-        One column for each coordinate; each is smoothed for itself.
-
-    Returns
-    -------
-    path : (n, k) float64
-    rate : (k,) float64
-        Variance by which the error of the path changes in a second, in the coordinates' own units;
-        zero where there are too few samples.
+    Each coordinate is smoothed for itself, at increasing times (n,) [s]. The second value (k,) is
+    the variance by which the error of the path changes in a second, in the coordinates' own units;
+    zero where there are too few samples.
     """
     n = len(time)
     if n < MIN_SAMPLES:

@@ -160,20 +160,12 @@ class Mechanics:
         shake: FloatArray,
         coarse: bool = False,
     ) -> None:
-        """Move particles through frames.
+        """Move particles through frames, in place.
 
-        Parameters
-        ----------
-        particles : Particles
-            At frame `first`; changed in place.
-        sights : sequence of FrameMeasurement
-            At the frame where the particles are, and at those to come.
-        path : (n, n_sight, 3) float64
-            Of the pusher [m, m, rad], likewise.
-        shake : (2,) float64
-            Variance by which the error of that path changes in a second [m^2/s, rad^2/s].
-        coarse : bool
-            Whether steps may be as long as a group of frames.
+        The first measurement and the first pose of the pusher's path (n, n_sight, 3) are at the
+        frame of the particles, the others at those to come. `shake` (2,) is the variance by which
+        the error of that path changes in a second [m^2/s, rad^2/s]. Steps may be as long as a group
+        of frames if `coarse`.
         """
         time = np.array([sight.time for sight in sights])
         poses, particles.failed, stalled = self._simulated(
@@ -262,19 +254,10 @@ class Mechanics:
 
 
 def contact_probability(gap: FloatArray, touch_gap: float, spread: FloatArray) -> FloatArray:
-    """Return the probability that shapes touch, from the gap between them [-].
+    """Return the probability that shapes touch, from the gaps (n, n_fixel) between them [m].
 
-    A half at half of `touch_gap`; how far on both sides it is in between is given by `touch_gap`
-    and by how uncertain the gap itself is.
-
-    Parameters
-    ----------
-    gap : (n, n_fixel) float64
-        [m]
-    touch_gap : float
-        [m]
-    spread : (n, 1) float64
-        Standard deviation of the gap [m].
+    A half at half of `touch_gap` [m]; how far on both sides it is in between is given by
+    `touch_gap` and by `spread` (n, 1), the standard deviation of the gap itself [m].
     """
     width = np.sqrt((0.25 * touch_gap) ** 2 + spread**2)
     # The logistic function is the normal distribution's within 0.01 on this scale.
@@ -285,14 +268,9 @@ def lasting(contact: FloatArray, before: FloatArray, memory: FloatArray) -> Floa
     """Return probabilities of contact (n, n_fixel) that remember those of the frame before.
 
     Where the pose is uncertain, it is as uncertain in the next frame, in the same direction: sixty
-    frames at an unclear gap are one unknown, not sixty. Contacts that are clear remember nothing.
-
-    Parameters
-    ----------
-    contact, before : (n, n_fixel) float64
-        By the gaps now, and after the readings of the frame before.
-    memory : (n, 1) float64
-        Share of the old one that is kept [-].
+    frames at an unclear gap are one unknown, not sixty. Contacts that are clear remember nothing:
+    `memory` (n, 1) is the share of the old probability that remains. That `before` is after the
+    readings.
     """
     unclear = (contact > CLEAR) & (contact < 1.0 - CLEAR)
     return np.asarray(np.where(unclear, contact + memory * (before - contact), contact))
@@ -301,23 +279,11 @@ def lasting(contact: FloatArray, before: FloatArray, memory: FloatArray) -> Floa
 def told(
     contact: FloatArray, ones: FloatArray, zeros: FloatArray, silent: float, heard: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the log likelihood of readings, and probabilities of contact after them (Bayes' rule).
+    """Return the log likelihood (n,) of readings, and probabilities of contact after them.
 
-    Parameters
-    ----------
-    contact : (n, n_fixel) float64
-        Probability that there is contact, before the readings.
-    ones, zeros : (n_fixel,) float64
-        How often each fixel has read 1 and 0.
-    silent, heard : float
-        P(read 0 | no contact) and P(read 1 | contact) [-].
-
-    Returns
-    -------
-    likelihood : (n,) float64
-        Logarithm of the probability of the readings.
-    contact : (n, n_fixel) float64
-        Probability that there is contact, after the readings.
+    These follow from Bayes' rule. Probabilities of contact before the readings are (n, n_fixel).
+    Each fixel has read `ones` and `zeros` (n_fixel,) times; `silent` is P(read 0 | no contact), and
+    `heard` P(read 1 | contact).
     """
     likely = contact * (heard**ones * (1.0 - heard) ** zeros)
     other = (1.0 - contact) * (silent**zeros * (1.0 - silent) ** ones)
@@ -396,18 +362,9 @@ def power(log_weight: FloatArray, score: FloatArray, reached: FloatArray, least:
     """Return the largest power of the likelihood that leaves `least` particles alive.
 
     At most `COARSE`. Where that would leave fewer, for instance when a fixel is touched at last,
-    the likelihood counts with a lower power until moves have spread the particles again.
-
-    Parameters
-    ----------
-    log_weight : (n,) float64
-        Of the particles before.
-    score : (n,) float64
-        Logarithm of the likelihood of all that was measured.
-    reached : (n,) float64
-        How much of it is in the weights already.
-    least : float
-        Effective number of particles [-].
+    the likelihood counts with a lower power until moves have spread the particles again. `score`
+    (n,) is the logarithm of the likelihood of all measurements, and `reached` (n,) how much of it
+    is in the weights already.
     """
     best, most = COARSE, 0.0
     for trial in POWERS:
@@ -436,21 +393,9 @@ def systematic(weight: FloatArray, random: np.random.Generator) -> Indices:
 
 
 def mean_pose(pose: FloatArray, weight: FloatArray, near: float) -> FloatArray:
-    """Mean of poses, the angle on the circle.
+    """Return the mean (3,) of poses (n, 3), the angle on the circle, with weights (n,) of sum 1.
 
-    Parameters
-    ----------
-    pose : (n, 3) float64
-        [m, m, rad].
-    weight : (n,) float64
-        With sum 1.
-    near : float
-        Which of the angles that differ by whole turns to give: within half a turn of this one
-        [rad].
-
-    Returns
-    -------
-    (3,) float64
+    Of the angles that differ by whole turns, it is the one within half a turn of `near` [rad].
     """
     x, y = np.sum(weight[:, None] * pose[:, :2], axis=0)
     turn = pose[:, 2] - near

@@ -128,13 +128,10 @@ def _range(where: str, name: str, bounds: tuple[float, float]) -> tuple[float, f
 
 
 def prior_for(scene: Scene, priors: Mapping[str, tuple[float, float] | None]) -> UniformPrior:
-    """The beliefs that make sense in a scene.
+    """Return the beliefs that make sense in a scene.
 
-    Parameters
-    ----------
-    priors : mapping from name to (low, high) or None
-        Replace `DEFAULT_PRIORS`; None leaves a parameter at the scene's value. Defaults that
-        change nothing in the scene are left out; what is asked for and changes nothing is refused.
+    Given priors replace `DEFAULT_PRIORS`; None leaves a parameter at the scene's value. Defaults
+    that change nothing in the scene are left out; a given prior that changes nothing is refused.
     """
     chosen = {**DEFAULT_PRIORS, **priors}
     idle = {name: reason for name, reason in _idle(scene).items() if name in chosen}

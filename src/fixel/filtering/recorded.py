@@ -428,14 +428,9 @@ def noise_of(scene: Scene, track: Trajectory) -> FloatArray:
 def misfit_of(
     running: RunningFilter, track: Trajectory, pusher: Trajectory, seed: int
 ) -> FilterMisfit:
-    """Measure the misfit of a filter's scene with the parameters that it ended with.
+    """Measure the misfit of a filter's scene with the parameters at the end of its run.
 
-    Parameters
-    ----------
-    running : RunningFilter
-        At the end of a run.
-    track, pusher : Trajectory
-        What was measured of the object and of the pusher, over that run.
+    The tracks of the object and of the pusher were measured over that run.
     """
     random = np.random.default_rng([seed, 1])
     noise = noise_of(running.scene, track)

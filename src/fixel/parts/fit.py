@@ -109,17 +109,10 @@ ON_SURFACE: Final = ("mu_pusher", "registration", "contact_offset", "table")
 
 
 def learned_prior(fits: Sequence[PartValues], surface: str, share: float) -> SupportPrior:
-    """Return the prior of a new part on a surface, from other parts.
+    """Return the prior of a new part on a surface, from other parts on one or several surfaces.
 
-    Parameters
-    ----------
-    fits : sequence of PartValues
-        Other parts, each on one or several surfaces.
-    surface : str
-        Surface of the new part. What belongs to a surface is learned from the parts on it, if
-        there are any.
-    share : float
-        Weight of the others' mean load and table, between 0 (equal loads on a flat table) and 1.
+    What belongs to a surface is learned from the parts on it, if there are any. The mean load and
+    table of the others have the weight `share`, between 0 (equal loads on a flat table) and 1.
     """
     prior = SupportPrior.unpushed()
     if not fits:
@@ -161,20 +154,11 @@ ITERATIONS: Final = 8
 def fit_part(
     pushes: PartPushes, which: IntArray, prior: SupportPrior, noise: FloatArray
 ) -> SupportPrior:
-    """Fit the parameters of a part to pushes, and return their distribution.
+    """Fit the parameters of a part to pushes `which` (k,), and return their distribution.
 
-    Parameters
-    ----------
-    which : (k,) int
-        Pushes to fit.
-    noise : (k,) float64
-        Size of the errors of each push [m].
-
-    Returns
-    -------
-    SupportPrior
-        Most probable values, and the covariance about them (Laplace's approximation, with the
-        weights of the robust loss).
+    The errors of each push have the size `noise` (k,) [m]. The distribution has the most probable
+    values, and the covariance about them (Laplace's approximation, with the weights of the robust
+    loss).
     """
     n = len(prior.mean)
     ones = np.ones(n)
@@ -282,17 +266,11 @@ def errors_of(table: FloatArray, noise: float) -> FloatArray:
 
 
 def choose_pushes(candidates: FloatArray, intended: FloatArray, n: int) -> ChosenPushes:
-    """Choose pushes that reduce the mean variance of predicted ends most, one after another.
+    """Choose n pushes that reduce the mean variance of predicted ends most, one after another.
 
-    Parameters
-    ----------
-    candidates : (m, 3, n_param) float64
-        Derivatives of the ends of pushes that can be made, along standard normal coordinates of
-        the parameters [m]; angles times a length.
-    intended : (i, 3, n_param) float64
-        The same for the pushes whose ends matter.
-    n : int
-        Number of pushes, at most m.
+    Of candidates (m, 3, n_param) there are derivatives of the ends along standard normal
+    coordinates of the parameters [m], angles times a length; and the same of `intended`
+    (i, 3, n_param), the pushes whose ends matter.
     """
     covariance = np.eye(candidates.shape[2])
     wanted = np.einsum("kci,kcj->ij", intended, intended) / max(len(intended), 1)

@@ -86,22 +86,9 @@ def leave_parts_out(
 ) -> LeftOutEnds:
     """Predict every part from the others, after a number of its own pushes.
 
-    Parameters
-    ----------
-    fits : sequence of PartValues
-        Values fitted to all groups.
-    share : float
-        Weight of the others' mean load; see `learned_prior`.
-    pushes : int
-        Number of the part's own pushes that are used: from one half of them, while the errors are
-        of the other half.
-    chosen : bool
-        Whether these are chosen by `choose_pushes` rather than at random.
-
-    Returns
-    -------
-    LeftOutEnds
-        Without groups that have fewer pushes than these and ten more.
+    The own pushes are from one half of them, at random or `chosen` by `choose_pushes`, while the
+    errors are of the other half. Groups that have fewer pushes than these and ten more are left
+    out. For the share, see `learned_prior`.
     """
     rows: list[tuple[str, str, FloatArray, FloatArray]] = []
     for done, ((surface, part), group) in enumerate(groups.items()):

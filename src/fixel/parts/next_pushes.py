@@ -206,23 +206,11 @@ def propose(
     error: float,
     misfit: float,
 ) -> NextPushes:
-    """Propose pushes among candidates.
+    """Propose n pushes among those offered, given the pushes whose ends are wanted.
 
-    Parameters
-    ----------
-    offered : PartPushes
-        Candidates.
-    wanted : PartPushes
-        Pushes whose ends matter.
-    bounds_of : callable
-        Function that returns the bounds of the wanted pushes, by their features (m, f) and whether
-        their simulations converged (m,).
-    n : int
-        Number of pushes to propose.
-    pushes : int
-        Number of pushes that were made.
-    error, misfit : float
-        Typical error on left-out parts now, and of parts with all their pushes [m].
+    `bounds_of` returns the bounds of the wanted pushes, by their features (m, f) and whether their
+    simulations converged (m,). `pushes` were made. Typical errors on left-out parts are `error`
+    now, and `misfit` of parts with all their pushes [m].
     """
     _refuse_other_parts(offered, wanted)
     moving = _moving(offered, prior)

@@ -149,17 +149,10 @@ class StandingPart:
         return end, found.converged
 
     def ends(self, which: IntArray, height: FloatArray, own: OwnFit | None = None) -> FloatArray:
-        """Simulate pushes `which` (k,) on a table, given the logarithm (k, p) of its load factors.
+        """Simulate pushes `which` (k,) on a table with load factors of given logarithm (k, p).
 
-        Parameters
-        ----------
-        own : OwnFit, optional
-            What is the part's own on the table.
-
-        Returns
-        -------
-        (k, 3) float64
-            End poses; the start where a simulation failed.
+        Return end poses (k, 3), with what is the part's `own` on the table; the start where a
+        simulation failed.
         """
         values, free = dict(self.values), np.zeros(height.shape)
         if own is not None:
@@ -350,13 +343,9 @@ def fit_table(rows: Sequence[MapRows], by_pose: bool = False) -> TableFit:
     """Fit the map and what is the parts' own together, with robust weights of pushes.
 
     Ends are linear in all, which have normal priors: a Gaussian process whose posterior mean is
-    computed part by part, given the map. The noise of the ends is the median of what is left.
-
-    Parameters
-    ----------
-    by_pose : bool
-        Whether what is a part's own differs from pose to pose. It does, but a map that is fitted
-        at the same time was worse for other parts.
+    computed part by part, given the map. The noise of the ends is the median of what is left. What
+    is a part's own differs from pose to pose (`by_pose`), but a map that is fitted at the same time
+    was worse for other parts.
     """
     parts = [own.usable() for own in rows]
     prior = [part.covariance(by_pose) for part in parts]
@@ -423,12 +412,8 @@ def shift_of(
     """Estimate the motion (3,) of a table [m, m, rad] since its map was made, and its deviation.
 
     The turn is about the centre of the pushes. Parts are corrected at the same time, and the map
-    within its own uncertainty.
-
-    Parameters
-    ----------
-    spread : (n_node, k) float64
-        Square root of the covariance of the nodes.
+    within its own uncertainty: `spread` (n_node, k) is the square root of the covariance of the
+    nodes.
     """
     grid = _nodes_of(load_map, spread)
     centre = np.concatenate([part.places.reshape(-1, 2) for part in parts]).mean(axis=0)

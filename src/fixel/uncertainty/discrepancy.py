@@ -108,16 +108,8 @@ def log_density(
 ) -> FloatArray:
     """Return the Gaussian log density (k,) of residuals that are a walk plus white noise.
 
-    Parameters
-    ----------
-    rotated : (k, n, 3) array
-        Residuals along the axes [m, m, rad].
-    variance : (n,) array
-        Variance of the walk with tau = 1.
-    tau : (k, 3) array
-        Standard deviations of the walk in x, y, theta [m, m, rad].
-    white : (3,) array
-        Variances of the white noise.
+    Residuals (k, n, 3) are along the axes [m, m, rad]. The walk has a variance (n,) for tau = 1,
+    and standard deviations tau (k, 3); `white` (3,) are variances of the white noise.
     """
     total = white + variance[:, None] * (tau**2)[:, None, :]
     return np.asarray(

@@ -198,21 +198,9 @@ def indices_of(
 ) -> Indices:
     """Compute Sobol indices of the end of a push, for parameters and errors of the start.
 
-    Parameters
-    ----------
-    ranges : mapping of name to (low, high)
-        Ranges of uniformly distributed parameters.
-    n : int
-        Base samples, a power of two.
-    values : mapping of name to float, optional
-        Parameters without uncertainty.
-    motion, stepper, seed, threads, progress
-        Options of `simulate_starts`.
-
-    Returns
-    -------
-    Indices
-        Indices of the end along and across the nominal way [m], and of the angle [rad].
+    Parameters are uniform in their ranges, and `values` have no uncertainty. `n` is a power of two;
+    other options are those of `simulate_starts`. Indices are of the end along and across the
+    nominal way [m], and of the angle [rad].
     """
     factors = [_ranged(name, *interval) for name, interval in ranges.items()]
     sizes = zip(START, error.size.tolist(), strict=True)

@@ -175,14 +175,10 @@ def expected_shares(
 ) -> FloatArray:
     """Return the share (n_sample,) of the way travelled up to each frame of an experiment.
 
-    It is the mean of the shares of the simulation at nominal values and of the measured poses. The
-    first alone would allow no model error where the object still moves but the simulation is at
-    rest. With the second alone, the prior would depend on the data.
-
-    Parameters
-    ----------
-    path : (n_sample, 3) float64, optional
-        Poses to use instead of the measured ones.
+    It is the mean of the shares of the simulation at nominal values and of the measured poses, or
+    of a `path` (n_sample, 3) instead of these. The first alone would allow no model error where the
+    object still moves but the simulation is at rest. With the second alone, the prior would depend
+    on the data.
     """
     target = comparer.targets[member]
     start = target.case.scene.bodies[0].pose
@@ -202,12 +198,8 @@ def camera_noise(comparer: Comparer, members: Sequence[int], point: FloatArray) 
     """Estimate the noise of the camera from the differences of residuals between frames.
 
     Second differences of white noise have six times its variance; those of a smooth model error are
-    almost zero. The median absolute value ignores frames in which a contact closed or opened.
-
-    Parameters
-    ----------
-    point : (n_free,) float64
-        Fitted values of the free unknowns; a rough fit is sufficient.
+    almost zero. The median absolute value ignores frames in which a contact closed or opened. The
+    residuals are those of a point (n_free,); a rough fit is sufficient.
     """
     series = comparer.residuals_at(members, point)
     rows = [np.diff(one, n=2, axis=0) for one in series if len(one) >= 3]

@@ -37,16 +37,8 @@ def rise_of(least: float, count: float, unknowns: int) -> float:
     """Return the rise of a mean squared error over its minimum that noise explains.
 
     For normal noise of a size estimated by the fit itself, the confidence region contains the
-    points with (E - E_min) / E_min <= n / (N - n) F(n, N - n).
-
-    Parameters
-    ----------
-    least : float
-        Smallest error E_min.
-    count : float
-        Independent measurements N: numbers in the residuals over their correlation time.
-    unknowns : int
-        Number of unknowns n.
+    points with (E - E_min) / E_min <= n / (N - n) F(n, N - n). `least` is E_min, and `unknowns` n.
+    `count` is N, independent measurements: numbers in the residuals over their correlation time.
 
     Source
     ------
@@ -64,16 +56,8 @@ def near_optimal(
 ) -> NearOptimal:
     """Return the points whose error is within a rise of the smallest, and their clusters.
 
-    Parameters
-    ----------
-    points : (k, n) float64
-        All evaluated points of a search.
-    errors : (k,) float64
-        Their errors; inf for failed evaluations.
-    rise : float
-        Allowed rise, in the unit of the errors; see `rise_of`.
-    names : tuple of str
-        Names of the parameters.
+    Points (k, n) are all that a search has evaluated; errors (k,) are inf for failed evaluations.
+    For the rise, see `rise_of`.
     """
     good = np.isfinite(errors)
     if not good.any():

@@ -242,24 +242,14 @@ def sensitivity_of(ensemble: Prediction) -> Sensitivity:
 
 
 def group_outcomes(cloud: FloatArray, floor: float) -> IntArray:
-    """Divide points into groups with gaps between them.
+    """Divide points (n, d) into groups with gaps between them; return the group of each (n,).
 
     Points are projected on their principal axes. In a cloud without a gap, distances between
     neighbours there are exponentially distributed about the local mean. So the widest of n exceeds
     r times the mean of its k = sqrt(n) neighbours with a probability below ``n (1 + r / k)^-k``. A
     gap divides the cloud if it exceeds the r of probability 1e-3 on both sides, is wider than
     `floor`, and has 1 % of the points on each side. The parts are then divided in the same way.
-
-    Parameters
-    ----------
-    cloud : (n, d) float64
-    floor : float
-        Smallest width of a gap.
-
-    Returns
-    -------
-    (n,) int64
-        Number of each point's group; 0 is the largest group.
+    Group 0 is the largest.
     """
     label = np.zeros(len(cloud), np.int64)
     waiting: list[IntArray] = [np.arange(len(cloud))]

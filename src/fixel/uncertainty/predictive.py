@@ -92,18 +92,8 @@ def predictive_of(
 ) -> Predictive:
     """Return the parameters and the error with which to predict pushes that were not recorded.
 
-    Parameters
-    ----------
-    targets : sequence of Target
-        Recorded pushes.
-    space : ParameterSpace
-    motion : AbstractMotionModel
-    best : (n_free,) float64
-        Parameters that fit best.
-    value : (n_free,) float64
-        Calibrated values.
-    points : (n, n_free) float64
-        Samples of the calibration.
+    Parameters (n_free,) that fit best, calibrated values (n_free,) and samples (n, n_free) are
+    those of a calibration with the recorded pushes.
     """
     shrunk = value + SHRINK * (points - value)
     ends = [_end_of(own) for own in targets]
@@ -132,19 +122,8 @@ def check_predictions(
 ) -> tuple[int, int]:
     """Return how many recorded ends are in the regions predicted without them, and of how many.
 
-    Those among fixels are not counted: their ends are not free.
-
-    Parameters
-    ----------
-    predictive : Predictive
-        Of all recorded pushes.
-    targets : sequence of Target
-        Recorded pushes.
-    motion : AbstractMotionModel
-    best : (n_free,) float64
-        Parameters that fit best.
-    moved : (n_target, n_free) float64
-        By how much the fit, and the draws with it, move where one push is left out.
+    Those among fixels are not counted: their ends are not free. `moved` (n_target, n_free) is by
+    how much the best fit, and the draws with it, move where one push is left out.
     """
     space = predictive.space
     free = np.flatnonzero([not own.case.scene.fixels for own in targets])

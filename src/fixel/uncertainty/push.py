@@ -47,12 +47,8 @@ def push_of(
 ) -> Push:
     """Return the push of a scene, or of an experiment up to its last useful pose.
 
-    Parameters
-    ----------
-    model : mapping of str to float or Calibration, optional
-        Parameters; by default the scene's own values.
-    motion : AbstractMotionModel or str, optional
-        Motion model; by default that of a calibration or scene file, else dynamic.
+    Parameters are by default the scene's own values, and the motion model that of a calibration or
+    scene file, else dynamic.
 
     Raises
     ------

@@ -33,18 +33,10 @@ def predict_repetition(
     draws: int = 400,
     seed: int | None = None,
 ) -> Prediction:
-    """Predict a repetition of an experiment from the same measured start.
+    """Predict a repetition of a member of a comparer from the same measured start.
 
-    Parameters
-    ----------
-    member : int
-        Index of the experiment among its targets.
-    posterior : Posterior
-        Posterior of the comparer's space, with the noise of the camera.
-    draws : int
-        Number of draws, at most the number of samples.
-    seed : int, optional
-        By default that of the posterior.
+    The posterior is of the comparer's space, with the noise of the camera, and has at least as many
+    samples as draws. By default the seed is that of the posterior.
     """
     noise, error = posterior.noise, posterior.model_error
     if noise is None:

@@ -273,11 +273,7 @@ class RunToRun:
 def rest_at(rest: FloatArray, turned: FloatArray) -> FloatArray:
     """Return the remaining errors (n, 3) of ends of parts that turned by given angles (n,) [rad].
 
-    Parameters
-    ----------
-    rest : (n, 3) float64
-        Errors of a draw, `RunChanges.rest`.
-    turned : (n,) float64
+    The errors (n, 3) of a draw are `RunChanges.rest`.
     """
     return np.asarray(rest * (np.abs(turned) / TURN)[:, None])
 

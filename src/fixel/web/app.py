@@ -103,21 +103,11 @@ def create_app(
     name: str = "",
     docs: Path = DOCS,
 ) -> FastAPI:
-    """Create the application.
+    """Create the application of at least one page; `/` leads to the first.
 
-    Parameters
-    ----------
-    pages : sequence of Page
-        At least one; `/` leads to the first.
-    gate : Gate
-    hosts : sequence of str
-        Names by which a browser may address the server.
-    api : FastAPI, optional
-        API for programs, mounted at `API`.
-    name : str
-        Name of the project, for all pages.
-    docs : Path
-        Folder of the documentation site. Every page links to it if it was built.
+    A browser may address the server by one of the names in `hosts`. The API for programs is mounted
+    at `API`. Every page has the name of the project, and a link to the folder `docs` of the
+    documentation site if that was built.
     """
     # The pages need no OpenAPI document, and its viewer loads scripts from elsewhere.
     app = FastAPI(title="fixel", docs_url=None, redoc_url=None, openapi_url=None)

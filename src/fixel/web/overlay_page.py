@@ -15,13 +15,7 @@ NOTHING: Final[dict[str, list[str]]] = {"parts": [], "problems": [], "remarks": 
 def overlay_page(view: LiveView, heading: str, path: str = "/overlay") -> Page:
     """Create the page with the live picture, its outlines and the errors of the part.
 
-    Parameters
-    ----------
-    view : LiveView
-        View whose status is a `fixel.workflows.acquisition.overlay.Look.summary()`.
-    heading : str
-        Part to be placed, and its scene.
-    path : str
+    The status of the view is a `fixel.workflows.acquisition.overlay.Look.summary()`.
     """
     return Page(
         path=path,

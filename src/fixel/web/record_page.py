@@ -69,20 +69,9 @@ class RecordPreview:
     ) -> dict[str, Any]:
         """Build the status for the page.
 
-        Parameters
-        ----------
-        elapsed_s : float
-            Time since the first frame [s].
-        frames, lost : int
-            Numbers of stored frames, and of frames known to be missing.
-        reading : int
-            Newest tactile byte; -1 for none.
-        disk_free_bytes, limit_s : float, optional
-            Free space [byte]; time at which the recording ends by itself [s].
-        state : str
-            `waiting`, `recording` or `finished`.
-        problems : sequence of str
-            Problems that need attention now.
+        The newest tactile byte is `reading`; -1 for none. The recording ends by itself after
+        `limit_s`. The state is `waiting`, `recording` or `finished`, and problems need attention
+        now.
         """
         lamps = [
             {"name": name, "on": None if reading < 0 else bool(reading >> bit & 1)}

@@ -109,13 +109,7 @@ class Analysis(_StoredFigure):
 
 
 def analysis_of(kind: str, result: Result, **more: Any) -> Analysis:
-    """Return the analysis with the texts and tables that a result prints.
-
-    Parameters
-    ----------
-    **more
-        Other fields of the analysis, such as `numbers`.
-    """
+    """Return an analysis with the texts and tables that a result prints, and `more` fields."""
     said = result._summary()
     texts = {
         "title": said.heading,
@@ -206,13 +200,7 @@ def store_analysis(
 ) -> StoredAnalysis:
     """Write an analysis into its project; its main file comes last, so it is complete or absent.
 
-    Parameters
-    ----------
-    analysis : Analysis
-        `pictures`, `version` and `created` are filled in here.
-    pictures : iterable of Picture
-        Charts with captions.
-    arrays : mapping of name to array, optional
+    Its `pictures`, `version` and `created` are filled in here.
     """
     folder = project.folder / ANALYSES / _name_of(analysis)
     make_folder(folder)

@@ -101,12 +101,7 @@ def run(
 def call(project: Project, name: str, /, *, progress: ProgressOption = None, **options: Any) -> Any:
     """Run a capability on a project for Python, which may name a program, and return its result.
 
-    Parameters
-    ----------
-    name : str
-        Name of the capability.
-    **options
-        Arguments of its function, as plain values.
+    The options are arguments of its function, as plain values.
     """
     from fixel.simulation.trust import permit
 
@@ -147,14 +142,8 @@ def report_result(
 ) -> StoredAnswer:
     """Report a result; store the report to `keep` it, or unless the request states otherwise.
 
-    Parameters
-    ----------
-    result : object
-        What the function returned.
-    seconds : float
-        Duration of the call, unless the report has another one.
-    plot : Path, optional
-        Folder or file for figures.
+    The call took `seconds`, unless the report has another time. `plot` is a folder or file for
+    figures.
     """
     from fixel.workflows.analysis import StoredAnswer, store_analysis
     from fixel.workflows.figures import write_picture
@@ -218,13 +207,7 @@ class JobRequest(NamedTuple):
 
 
 def request_of(inputs: Path) -> JobRequest:
-    """Return the capability, request and project of a job, for its chunks and for pages.
-
-    Parameters
-    ----------
-    inputs : Path
-        Folder of the inputs of the job.
-    """
+    """Return the capability, request and project of a job, for its chunks and for pages."""
     from fixel.database.project import Project
     from fixel.jobs.folder import read_job
 

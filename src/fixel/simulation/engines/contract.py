@@ -120,14 +120,7 @@ def _value(where: str, text: str, usual: Any) -> Any:
 
 
 def fault(task: PlainTask, pose: object) -> str:
-    """Return why an answer cannot be believed; empty for a good one.
-
-    Parameters
-    ----------
-    task : PlainTask
-    pose : (n, 3) array_like
-        Poses of the body at the times of the task, as an engine gave them.
-    """
+    """Return why poses (n, 3) that an engine gave cannot be believed; empty for good ones."""
     try:
         found = np.array(pose, np.float64)
     except (TypeError, ValueError):
@@ -151,11 +144,7 @@ def fault(task: PlainTask, pose: object) -> str:
 def overlap(task: PlainTask, pose: FloatArray) -> float:
     """Return how far the body enters an obstacle at most [m], more than at the start.
 
-    Parameters
-    ----------
-    task : PlainTask
-    pose : (n, 3) float64
-        Poses at the times of the task; a few are looked at, the last among them.
+    A few of the poses (n, 3) at the times of the task are looked at, the last among them.
     """
     n = len(task.times)
     chosen = np.unique(np.linspace(0, n - 1, JUDGED_SAMPLES).round().astype(int))

@@ -173,18 +173,9 @@ def task_of(
 ) -> tuple[PlainTask, BodyFrames]:
     """Return a scene as a task, and what turns its answer into poses of the scene's body.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene that a task can hold, see `unsupported`.
-    times : (n,) float64
-        Times of the samples [s].
-    values : mapping of name to float
-        Parameters of fixel, which replace values of the scene.
-    own : mapping of name to float
-        Parameters of the engine.
-    fixels : (n_fixel, 3) float64, optional
-        Errors of the poses of the fixels, added to them [m, m, rad].
+    For scenes that a task can hold, see `unsupported`. Parameters of fixel, `values`, replace
+    values of the scene; `own` are those of the engine. Errors of the poses of the fixels
+    (n_fixel, 3) are added to them [m, m, rad].
 
     Raises
     ------

@@ -149,10 +149,7 @@ def begin(context: ProjectContext, capability: Capability, asked: BaseModel) -> 
 def texts_of(capability: Capability, name: str, texts: list[str]) -> list[str]:
     """Return the texts of a posted field, of which a list has one on each line.
 
-    Raises
-    ------
-    InvalidInput
-        The form has no such field.
+    A field that the form does not have raises `InvalidInput`.
     """
     option = capability.shown.get(name)
     if option is None or not option.on_page:

@@ -161,16 +161,10 @@ def find_map(project: Project, name: str) -> StoredAnalysis:
 
 
 def load_view(project: Project, records: Store, name: str, created: str) -> MapView:
-    """Return a stored map; its surface is fitted again if it was too large to be stored.
+    """Return the map stored in the folder of a name.
 
-    Parameters
-    ----------
-    project : Project
-    records : Store
-    name : str
-        Name of its folder.
-    created : str
-        Time of creation, for the cache of this function.
+    Its surface is fitted again if it was too large to be stored. The time of creation is for the
+    cache of this function.
 
     Raises
     ------
@@ -197,10 +191,7 @@ def load_view(project: Project, records: Store, name: str, created: str) -> MapV
 def document(view: MapView, claim: Claim, folder: Path) -> MapDocument:
     """Return a map of the project in a folder at the threshold of a claim.
 
-    Raises
-    ------
-    InvalidInput
-        It has too many cells for a page.
+    A map with too many cells for a page raises `InvalidInput`.
     """
     domain, found = view.domain, view.gathered.found
     cells, groups = domain.cells, domain.groups[:MAX_GROUPS]

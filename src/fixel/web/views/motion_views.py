@@ -142,10 +142,7 @@ def animation_of_scene(
 def animation_of_experiment(experiment: Experiment, motions: Sequence[MotionView]) -> Animation:
     """Put the motions of an experiment together: as measured, and as simulated.
 
-    Raises
-    ------
-    InvalidInput
-        The experiment has no scene, so that its shapes are unknown.
+    An experiment without a scene raises `InvalidInput`, as its shapes are unknown.
     """
     return animation_of_scene(
         scene_of(experiment),

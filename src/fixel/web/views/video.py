@@ -38,12 +38,8 @@ class BrowserVideo(NamedTuple):
 def browser_video(project: Project, video: Path) -> BrowserVideo:
     """Return the video itself if a browser plays it, else a smaller copy in the project's cache.
 
-    The copy has the times of the video. Writing it takes about as long as the video lasts.
-
-    Raises
-    ------
-    InvalidInput
-        The file is no video.
+    The copy has the times of the video. Writing it takes about as long as the video lasts. A file
+    that is no video raises `InvalidInput`.
     """
     with video.open("rb") as stream:
         container = _container(stream.read(16))

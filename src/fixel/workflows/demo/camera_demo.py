@@ -92,20 +92,8 @@ def run_camera_tour(
 
     The camera is a network camera that plays the film; the fixels are read from the real firmware
     in an emulator, where that can be built, through a serial port; the drive is an emulated GRBL
-    controller.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder to create, for films, recordings, the project and the report.
-    pushes : tuple of int
-        Indices of experiments in the plan of the thesis.
-    frames : int, optional
-        Maximum number of frames of each film.
-    notify : callable, optional
-        Called with a sentence before each part of the tour.
-    progress : callable, optional
-        Called as `progress(done, total)` while a film is rendered.
+    controller. Pushes are indices in the plan of the thesis. `notify` is called with a sentence
+    before each part of the tour.
 
     Raises
     ------
@@ -182,13 +170,7 @@ def _begun(folder: Path, asked: dict[str, object]) -> Project:
 
 
 def _tracked(folder: Path, made: Path, firmware: Path | None, notify: Notify) -> TrackAnswer:
-    """Record a film if that has not been done, and track it.
-
-    Raises
-    ------
-    InvalidInput
-        The object was not tracked from its start in any of the recordings.
-    """
+    """Record a film if that has not been done, and track it; raise where the object is lost."""
     name, out = made.name, folder / "recordings" / made.name
     why_not = ""
     for _ in range(ATTEMPTS):
@@ -226,24 +208,11 @@ def _tracked(folder: Path, made: Path, firmware: Path | None, notify: Notify) ->
 def record_film(
     film: Path, out: Path, scene: Scene, lead: float, firmware: Path | None
 ) -> tuple[RecordingSummary, float | None]:
-    """Record a film as if it took place on a bench.
+    """Record a film as if it took place on a bench; return also the position of the drive at its
+    end.
 
-    Parameters
-    ----------
-    film, out : Path
-        Folders of the film and of the recording.
-    scene : Scene
-        Planned scene, from which the drive gets its motion.
-    lead : float
-        Duration of the rest before the motion [s].
-    firmware : Path, optional
-        See `emulated_bench`.
-
-    Returns
-    -------
-    recorded : RecordingSummary
-    position : float or None
-        Position of the drive at the end [m].
+    The drive gets its motion from the planned scene, after a rest of `lead` [s]. For the firmware,
+    see `emulated_bench`.
     """
     with emulated_bench(film, firmware) as bench:
         begun = False
@@ -274,10 +243,7 @@ def _noted(folder: Path) -> dict[str, float | None]:
 def true_twin(tracked: Experiment, film: Path) -> tuple[Experiment, TrackedRun]:
     """Return the experiment with true poses at the frames, and a comparison of both.
 
-    Parameters
-    ----------
-    film : Path
-        Folder of the tracked film, with its ground truth.
+    The folder of the tracked film has the ground truth.
     """
     scene = tracked.scene
     if scene is None:

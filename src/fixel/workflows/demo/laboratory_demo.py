@@ -40,14 +40,8 @@ class Tour(NamedTuple):
 def run_tour(folder: Path, notify: Notify | None = None) -> Tour:
     """Create a project of simulated experiments, calibrate it, and report how reliable it is.
 
-    Experiments that an earlier tour stored are not simulated again.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the project; created if missing.
-    notify : callable, optional
-        Called with a sentence before each part of the tour.
+    Experiments that an earlier tour stored are not simulated again. `notify` is called with a
+    sentence before each part of the tour.
     """
     notify = notify or (lambda _: None)
     project = Project(folder) if (folder / "fixel.yaml").is_file() else Project.create(folder)

@@ -45,17 +45,9 @@ def example_text(name: str) -> str:
 
 
 def run_demo(folder: Path) -> Demo:
-    """Simulate the example grasp; write its scene, picture, film and trajectory.
+    """Simulate the example grasp; write its scene, picture, film and trajectory into a folder.
 
-    Parameters
-    ----------
-    folder : Path
-        Created if missing; files of the same names are replaced.
-
-    Raises
-    ------
-    InvalidInput
-        The folder cannot be created.
+    Files of the same names are replaced.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -87,10 +79,7 @@ class Slip(NamedTuple):
 def motion_events(simulation: Simulation) -> list[MotionEvent]:
     """Return the events of the first body of a scene, in order.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        Simulation with a sample at every step, so that events have the time of their step.
+    A sample at every step of the simulation gives events the time of their step.
     """
     body = simulation.scene.bodies[0].name
     events = [

@@ -52,16 +52,9 @@ class DomainEvidence(NamedTuple):
 
 
 def gather(project: Project, asked: Any, report: ProgressCallback | None = None) -> DomainEvidence:
-    """Compute the held-out errors of the requested experiments, or load them if stored.
+    """Compute the held-out errors of the experiments of a request for a map, or load stored ones.
 
     They are shared by maps of the same experiments with other axes, thresholds and nominals.
-
-    Parameters
-    ----------
-    asked : BaseModel
-        Request for a map.
-    report : callable, optional
-        Progress.
     """
     with project.store() as records:
         of = ProjectRequest(project, records, asked)

@@ -46,13 +46,8 @@ def calibration_model(
 ) -> CalibrationModel:
     """Return the parameters that are fitted without each fold, and the method.
 
-    Parameters
-    ----------
-    fit : Calibration, mapping, sequence of str or None
-        Calibration at which fits start, or parameters as for `fixel.calibrate`.
-    motion : AbstractMotionModel or str, optional
-        Motion model; by default that of the calibration, else dynamic. A program that is named is
-        permitted.
+    They are those of a calibration, at which fits start, or as for `fixel.calibrate`. The motion
+    model is by default that of the calibration, else dynamic. A program that is named is permitted.
     """
     permit(motion)
     error: AbstractError = MeanSquare()
@@ -167,10 +162,7 @@ def fit_store(
 ) -> Finished:
     """Return the cache of fits in a folder; one that stores nothing without a folder.
 
-    Raises
-    ------
-    InvalidInput
-        The folder belongs to a call that needs other fits; the difference is named.
+    A folder of a call that needs other fits raises `InvalidInput` with the difference.
     """
     if folder is None:
         return ResultCache(None).get

@@ -66,10 +66,7 @@ def map_of(
 ) -> tuple[DomainMap, int]:
     """Return the map of some evidence, and the number of experiments left out of it.
 
-    Parameters
-    ----------
-    fitted : mapping of name to array, optional
-        Arrays stored with the same map; with them nothing is fitted.
+    With the arrays that were stored with the same map, nothing is fitted.
 
     Raises
     ------

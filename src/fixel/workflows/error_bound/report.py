@@ -99,15 +99,7 @@ def bound_of(
     store: str | Path | None,
     progress: Reporter,
 ) -> ErrorBound:
-    """Return the error bounds of experiments.
-
-    Parameters
-    ----------
-    asked : BaseModel
-        Request of `error_bound`.
-    store : path, optional
-        Folder for finished fits.
-    """
+    """Return the error bounds of experiments; `store` is a folder for finished fits."""
     features = features_of(targets)
     judged = _first_of_repeated(targets, features)
     least = min_experiments(asked.level)

@@ -73,18 +73,10 @@ def explore(
     command: str = "",
     progress: Reporter | None = None,
 ) -> Exploration:
-    """Explore the domain of applicability as in the thesis.
+    """Explore the domain of applicability as in the thesis, for a request of `grow_stored`.
 
-    Parameters
-    ----------
-    store : Store
-        Store with single calibrations. New means are added to it.
-    asked : BaseModel
-        Request of `grow_stored`.
-    folder : Path
-        Folder of the project, for commands.
-    command : str
-        Command that repeats it.
+    The store has single calibrations, and new means are added to it. `folder`, that of the project,
+    and `command` are for commands that repeat it.
     """
     limits = {**SIZES, **sizes_in(asked.sizes)}
     samples = read_samples(store, asked.shape or None, asked.dataset or None)
@@ -142,15 +134,10 @@ def sizes_in(texts: Sequence[str]) -> dict[str, tuple[int, ...]]:
 
 
 def threshold_in(text: str, unit: str) -> float:
-    """Convert a threshold to the unit of the error.
+    """Convert the text of a threshold to the unit of the error, `"mm^2"` or `"mm"`.
 
-    Parameters
-    ----------
-    text : str
-        A number in that unit, or a root mean square distance with the suffix `mm`: `"2.2mm"` is
-        4.84 for an error in mm^2. Empty for 5 mm^2, as in the thesis.
-    unit : str
-        `"mm^2"` or `"mm"`.
+    The text is a number in that unit, or a root mean square distance with the suffix `mm`:
+    `"2.2mm"` is 4.84 for an error in mm^2. Empty for 5 mm^2, as in the thesis.
     """
     if not text:
         return THRESHOLD if unit == "mm^2" else math.sqrt(THRESHOLD)
@@ -355,14 +342,8 @@ def best_singles(
 ) -> StoredSets:
     """Select the best stored calibration of every single experiment, all of one method.
 
-    Parameters
-    ----------
-    summaries : mapping from int to CalibrationRecord
-        Result of `Store.calibration_summaries`.
-    motion, error : str
-        Use only calibrations made with these.
-    folder : Path
-        Folder of the project, for commands in hints.
+    Only calibrations with this motion model and error are used. `folder`, that of the project, is
+    for commands in hints.
 
     Raises
     ------

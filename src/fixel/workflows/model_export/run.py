@@ -342,14 +342,7 @@ def distances_from_fixel(
 ) -> Distances:
     """Simulate scenes drawn around those of a source by an engine and by fixel, and compare ends.
 
-    Parameters
-    ----------
-    n : int
-        Number of scenes, shared by at most ten cases of the source.
-    seed : int
-        Seed of the start poses.
-    progress : callable, optional
-        Called with the number of scenes done and in all.
+    `n` scenes are shared by at most ten cases of the source; `seed` is that of the start poses.
     """
     cases = _evenly(source.cases, min(MAX_AROUND, n))
     position, angle, failures = [], [], Counter[str]()

@@ -62,12 +62,8 @@ def source_of(
 ) -> ModelSource:
     """Return the source of an export; raise where there is no scene.
 
-    Parameters
-    ----------
-    calibration : int, optional
-        Id of a calibration of a project; by default the newest for several experiments.
-    held_out : iterable of Experiment
-        Experiments that the calibration has not used.
+    The calibration of a project is by default the newest for several experiments. `held_out` are
+    experiments that the calibration has not used.
     """
     if calibration is not None and not isinstance(what, Project):
         raise InvalidInput(
@@ -188,11 +184,6 @@ def urdf(task: PlainTask, name: str) -> tuple[str, Mapping[str, str], list[str]]
     Coefficients of feet are tags of their own: for Drake, which combines them with that of a floor
     by the harmonic mean, they are such that a floor of 1 results in the point's; for Gazebo, which
     takes the smaller of two, they are the point's.
-
-    Parameters
-    ----------
-    name : str
-        Name of the robot.
     """
     # No foot has a torque, as an ellipsoid has.
     own = task.body._replace(friction=task.body.friction * (task.body.arms == 0.0))

@@ -157,12 +157,7 @@ class NextSelection(NamedTuple):
     def around(self, contacts: int, **given: float | None) -> list[Scene]:
         """Return pushes around the outline, as long and as fast as those of the experiments.
 
-        Parameters
-        ----------
-        contacts : int
-            Number of contacts around the outline.
-        **given
-            `travel` [m], `speed` [m/s] and `radius` [m] of the pusher, or None.
+        `travel` [m], `speed` [m/s] and `radius` [m] of the pusher may be given.
         """
         first, experiments = self.scene, [*self.mine, *self.known]
         assert first is not None

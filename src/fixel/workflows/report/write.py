@@ -188,20 +188,11 @@ def gather(
     notify: Notify | None = None,
     engine: str = "",
 ) -> Content:
-    """Collect the content of a report, and draw its figures into a folder.
+    """Collect the content of a report, and draw its figures into an existing folder.
 
-    Parameters
-    ----------
-    number : int, optional
-        Id of the calibration; by default the newest for several experiments.
-    folder : Path
-        Existing folder for figures.
-    title : str
-        Title of the report; an empty one is replaced by one with the project's name.
-    notify : callable, optional
-        Called with a sentence before each part of the work.
-    engine : str
-        Engine that must have simulated, if no id is given.
+    The calibration is by default the newest for several experiments, by `engine` if that is given.
+    An empty title is replaced by one with the project's name. `notify` is called with a sentence
+    before each part of the work.
     """
     tell = notify or (lambda _: None)
     with project.store() as store:
@@ -364,10 +355,7 @@ def _embedded(path: Path) -> dict[str, Any]:
 def results_content(results: Sequence[Result], folder: Path, title: str = "") -> Content:
     """Collect tables and figures of results; the figures are drawn into an existing folder.
 
-    Raises
-    ------
-    InvalidInput
-        There is no result, or another object.
+    No result, or another object, raises `InvalidInput`.
     """
     if not results:
         raise InvalidInput("results", found="none", expected="at least one")

@@ -81,10 +81,7 @@ def next_words(done: StoredAnswer) -> list[str]:
 def store_posterior(project: Project, found: Posterior) -> StoredAnalysis:
     """Store a posterior in a project, with predictions of its experiments and charts.
 
-    Raises
-    ------
-    NotStored
-        The project does not have one of its experiments.
+    An experiment that the project does not have raises `NotStored`.
     """
     report = report_of(predicted_by(project, found))
     mark = {"points": hashlib.sha256(found.points.tobytes()).hexdigest()}

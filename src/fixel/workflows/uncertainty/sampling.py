@@ -160,12 +160,8 @@ def with_predictions(
 ) -> Uncertainty:
     """Predict the experiments of a posterior, and those that are held out.
 
-    Parameters
-    ----------
-    requested : int
-        Number of effective samples that was requested.
-    point : (n_free,) float64, optional
-        Rough fit, for the near-optimal sets of a calibration.
+    The number of effective samples was `requested`. A rough fit `point` (n_free,) is for the
+    near-optimal sets of a calibration.
     """
     predicted = []
     for k, (number, experiment) in enumerate(zip(own.ids, own.experiments, strict=True)):
