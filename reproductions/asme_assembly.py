@@ -41,7 +41,7 @@ from fixel.planning.belief import Belief
 from fixel.planning.looks import looks_of, policy_of
 from fixel.planning.plan import simulator_of
 from fixel.planning.pushes import FreePushes
-from fixel.planning.search import MarginRequest, PlanSearch
+from fixel.planning.search import MarginRequest, PlanSearch, Views
 from fixel.replay.base import Row
 from fixel.sampling.published import PART_LENGTH, PART_MASS, PART_WIDTH, PROBE_SIDE
 from fixel.simulation.ensemble import Ensemble
@@ -263,7 +263,7 @@ def assembled(clearance: int, sets: Sequence[Values], rollouts: int, trees: int)
     except InvalidInput as problem:
         return Assembly(clearance, None, {**row, "found": problem.found})
     simulator = simulator_of(plan.scene, goal, choose, belief, None, None, None)
-    judge = PlanSearch(simulator=simulator, belief=belief, rollouts=rollouts, looks=1)
+    judge = PlanSearch(simulator=simulator, belief=belief, rollouts=rollouts)
     row |= {"found": "a plan", "pushes": len(plan.pushes), **_rates("blind", plan.success)}
     row["nominal"] = plan.nominal_success.mean
     grown = [own for own in (nominal_rrt(simulator, k) for k in range(trees)) if own is not None]
@@ -272,7 +272,7 @@ def assembled(clearance: int, sets: Sequence[Values], rollouts: int, trees: int)
         margins = judge.margins(MarginRequest(grown, draws, 0, draws.worlds))
         row["trees"] = (margins >= 0.0).mean(axis=1).tolist()
     for name, camera in CAMERAS.items():
-        seeing = replace(judge, camera=camera)
+        seeing = replace(judge, views=Views(1, camera))
         first, policy = policy_of(seeing, [choose.numbers(plan.pushes)], None)
         looks, _ = looks_of(policy, judge.fresh_stages, 1)
         row |= {**_rates(name, looks.worth[1]), f"{name}_after": len(first)}

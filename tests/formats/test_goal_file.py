@@ -20,7 +20,7 @@ from fixel.model.goals import (
     Seated,
 )
 from fixel.planning.pushes import FreePushes, RigPushes
-from fixel.uncertainty.starts import RPI_CAMERA
+from fixel.uncertainty.starts import ASME, RPI_CAMERA
 
 FULL = """
 fixel: 1
@@ -45,6 +45,8 @@ choose:
 belief:
   calibration: 7
   start: {preset: rpi-camera}
+  camera: {preset: asme}
+  lost_views: 0.1
   rig: {path_mm: 0.2, heading_deg: 0.3, travel_mm: 0.2, fixels_mm: 0.05}
   run_to_run: none
   conditions: {shape: hex}
@@ -78,6 +80,7 @@ def test_a_goal_file_describes_goal_choice_and_belief(tmp_path: Path):
     assert found.choose.stroke == (0.02, 0.15)
     assert dict(found.choose.fixels or {}) == {"fixel-1": ((-1e-3, 1e-3), (0.0, 2e-3))}
     assert found.belief.start == RPI_CAMERA
+    assert found.views == {"camera": ASME, "lost_views": 0.1}
     assert found.belief.rig is not None
     assert found.belief.rig.fixels == 5e-5
     assert found.belief.conditions == {"shape": "hex"}

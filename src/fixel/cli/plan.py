@@ -228,7 +228,7 @@ class DriveOptions:
             seen=seen,
             notify=notify,
             by=self.by,
-            camera=self.recording,
+            recording=self.recording,
             project=project,
         )
 

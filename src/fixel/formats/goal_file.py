@@ -169,9 +169,9 @@ class GoalFile:
     calibration: int | None = None  # id of the stored calibration whose parameters the belief takes
     # Whether the scatter between runs is learned from the experiments of the calibration.
     run_to_run: bool = False
-    # Error of a pose that is seen between pushes, and share of the looks that see nothing.
-    camera: StartError | None = None
-    lost_views: float = 0.0
+    # Error of a pose that is seen between pushes and share of the looks that see nothing, where the
+    # file states them, by the names that they have in `plan`.
+    views: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     scene: Path | None = None  # scene file
     # Wanted success probability, and confidence level of its bound.
     success: float = 0.95
@@ -207,17 +207,17 @@ def load_goal(path: str | Path) -> GoalFile:
 def goal_file_from_dict(raw: Any, folder: Path | None = None) -> GoalFile:
     """Build a goal file from its content; scene files are searched in `folder`."""
     record = validated(GoalFileRecord, raw, "goal file")
-    known = record.belief
+    known = record.belief or BeliefRecord.model_validate({})
+    views: dict[str, Any] = {"lost_views": known.lost_views}
+    if known.camera is not None:
+        views["camera"] = _error(known.camera, "belief.camera")
     return GoalFile(
         goal=_goal(record.goal, "goal"),
         choose=None if record.choose is None else made(record.choose, "choose"),
-        belief=Belief() if known is None else _belief(known, "belief"),
-        calibration=None if known is None else known.calibration,
-        run_to_run=known is not None and known.run_to_run == "learned",
-        camera=None
-        if known is None or known.camera is None
-        else made(known.camera, "belief.camera"),
-        lost_views=0.0 if known is None else known.lost_views,
+        belief=_belief(known, "belief"),
+        calibration=known.calibration,
+        run_to_run=known.run_to_run == "learned",
+        views=MappingProxyType(views),
         scene=None if record.scene is None else (folder or Path()) / record.scene,
         success=record.want.success,
         confidence=record.want.confidence,
@@ -254,7 +254,7 @@ def _belief(record: BeliefRecord, path: str) -> Belief:
     with within(path, "belief"):
         return Belief(
             parameters=_parameters(record.parameters) or None,
-            start=None if record.start is None else _start(record.start),
+            start=None if record.start is None else _error(record.start, "start"),
             rig=None if record.rig is None else made(record.rig, "rig"),
             run_to_run=None if scatter is None else RunToRun.of_friction(scatter),
             conditions=record.conditions,
@@ -274,11 +274,12 @@ def _parameters(given: Values) -> dict[str, Any]:
     return found
 
 
-def _start(record: Any) -> StartError:
+def _error(record: Any, where: str) -> StartError:
+    """Return the error of a start, or of a seen pose, by its preset or its sizes."""
     if record.preset is None:
-        error: StartError = made(record, "start")
+        error: StartError = made(record, where)
         return error
     if any(own != type(record).model_fields[key].default for key, own in record if key != "preset"):
-        raise InvalidInput("start", found="a preset and sizes", expected="one of them")
-    with within("start"):
+        raise InvalidInput(where, found="a preset and sizes", expected="one of them")
+    with within(where):
         return preset(record.preset)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -106,9 +106,9 @@ def displacements(
 
 def simulator_alone(simulator: PlanSimulator) -> PlanSimulator:
     """Return the simulator of a part at the origin, without fixels and obstacles."""
-    own: Any = simulator.choice
     return replace(
-        simulator, rollouts=0, choice=replace(own, obstacles=()), scene=_alone(simulator.scene),
+        simulator, rollouts=0, choice=replace(simulator.choice, obstacles=()),
+        scene=_alone(simulator.scene),
         simplified=None if simulator.simplified is None else _alone(simulator.simplified),
     )  # fmt: skip
 

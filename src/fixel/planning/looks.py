@@ -11,6 +11,7 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from fixel.errors import InvalidInput
+from fixel.model.fields import instance
 from fixel.model.goals import Beyond, Inside, PoseRegion
 from fixel.planning.belief import Belief, Scenarios
 from fixel.planning.candidates import Numbers
@@ -23,7 +24,7 @@ from fixel.planning.corrections import (
 )
 from fixel.planning.pushes import FreePushes
 from fixel.planning.rollout import CARRIED_OUT, WORST_MARGIN, PlannedMotions, PlanSimulator
-from fixel.planning.search import PlanSearch, SearchStage, stage_scenarios
+from fixel.planning.search import PlanSearch, SearchStage, Views, stage_scenarios
 from fixel.planning.success import SuccessProbability
 from fixel.simulation.vary import composed
 from fixel.typing import FloatArray, IntArray
@@ -116,9 +117,7 @@ class Policy:
     belief: Belief
     planned: PlannedMotions  # of the first pushes
     table: CorrectionTable
-    camera: StartError
-    lost_views: float
-    looks: int
+    views: Views
 
     def walk(self, scenarios: Scenarios, seed: int) -> Walk:
         """Carry out the policy once in each scenario, each with its own errors of the camera."""
@@ -129,12 +128,13 @@ class Policy:
         margins, pushes = [margin], np.full(n, self.planned.start.shape[1])
         before: Before | None = None
         first: tuple[FloatArray, Correction] | None = None
-        for _ in range(self.looks):
-            seen = pose + self.camera.samples(n, int(rng.integers(2**31)))[rng.permutation(n)]
-            lost = rng.random(n) < self.lost_views
+        for _ in range(self.views.looks):
+            error = self.views.camera.samples(n, int(rng.integers(2**31)))
+            seen = pose + error[rng.permutation(n)]
+            lost = rng.random(n) < self.views.lost_views
             weight = self._likely(seen, before)
             weight[lost] = 1.0 if before is None else before[0][lost]
-            found = self.table.chosen(self.simulator, seen, weight, self.camera, self._aims)
+            found = self._chosen(seen, weight)
             found = found._replace(row=np.where(lost, -1, found.row))
             before = weight, *self._expected(seen, found.row)
             first = first or (seen, found)
@@ -165,9 +165,12 @@ class Policy:
         before: Before | None = None
         for pose in np.asarray(seen, np.float64).reshape(-1, 1, 3):
             weight = self._likely(pose, before)
-            found = self.table.chosen(self.simulator, pose, weight, self.camera, self._aims)
+            found = self._chosen(pose, weight)
             before = weight, *self._expected(pose, found.row)
         return found
+
+    def _chosen(self, seen: FloatArray, weight: FloatArray) -> Correction:
+        return self.table.chosen(self.simulator, seen, weight, self.views.camera, self._aims)
 
     @cached_property
     def _aims(self) -> FloatArray:
@@ -185,17 +188,18 @@ class Policy:
     def _likely(self, seen: FloatArray, before: Before | None) -> FloatArray:
         """Return the weights (n, w) of worlds for seen poses, from those before the last push."""
         if before is None:
-            found = likelihoods(seen, self._ends[None], self.camera.deviation, COUNTING)
+            found = likelihoods(seen, self._ends[None], self.views.camera.deviation, COUNTING)
             return np.asarray(found.reshape(len(seen), WORLDS, RUNS).sum(axis=-1) + LEAST)
         weight, ends, deviation = before
         return np.asarray(weight * likelihoods(seen, ends, deviation, COUNTING_WORLDS) + LEAST)
 
     def _expected(self, seen: FloatArray, row: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return the ends (n, w, 3) of chosen pushes in each world, and their deviations."""
-        start = seen[:, None] + self.camera.deviation * self.table.draws[0]
+        deviation = self.views.camera.deviation
+        start = seen[:, None] + deviation * self.table.draws[0]
         ends = composed(start, self.table.moved[row].astype(np.float64))
         ends = np.where((row >= 0)[:, None, None], ends, start)
-        return ends, np.hypot(self.camera.deviation, self.table.deviation(start, ends))
+        return ends, np.hypot(deviation, self.table.deviation(start, ends))
 
 
 def policy_of(
@@ -214,7 +218,7 @@ def policy_of(
         for after in range(min(1, len(plan)), len(plan) + 1):
             policy = Policy(
                 simulator=simulator, belief=belief, planned=simulator.planned(plan[None, :after]),
-                table=table, camera=search.camera, lost_views=search.lost_views, looks=search.looks,
+                table=table, views=search.views,
             )  # fmt: skip
             done = policy.walk(scenarios, seed + CHOICE)
             rank = (int((done.margin[-1] >= 0.0).sum()), -int(done.pushes.sum()))
@@ -235,20 +239,21 @@ def looks_of(policy: Policy, stages: Sequence[SearchStage], seed: int) -> tuple[
     ]
     walk = walks[0]
     looks = Looks(
-        most=policy.looks, camera=policy.camera, lost_views=policy.lost_views, table=policy.table,
-        worth=tuple(worth), pushes=float(walk.pushes.mean()), stops=float(np.mean(walk.row < 0)),
-        walk=walk,
+        most=policy.views.looks, camera=policy.views.camera, lost_views=policy.views.lost_views,
+        table=policy.table, worth=tuple(worth), pushes=float(walk.pushes.mean()),
+        stops=float(np.mean(walk.row < 0)), walk=walk,
     )  # fmt: skip
     return looks, drawn[0]
 
 
 def check_looks(search: PlanSearch) -> None:
     """Raise `InvalidInput` where a search cannot use the looks that it is asked for."""
-    simulator, looks = search.simulator, search.looks
+    simulator, (looks, camera, lost_views) = search.simulator, search.views
+    instance(camera, StartError, "camera", "a StartError")
     if isinstance(looks, bool) or not 0 <= looks <= MOST:
         raise InvalidInput("looks", found=looks, expected=f"a whole number from 0 to {MOST}")
-    if not 0.0 <= search.lost_views < 1.0:
-        raise InvalidInput("lost_views", found=search.lost_views, expected="at least 0 and below 1")
+    if not 0.0 <= lost_views < 1.0:
+        raise InvalidInput("lost_views", found=lost_views, expected="at least 0 and below 1")
     if looks and not isinstance(simulator.choice, FreePushes):
         raise InvalidInput(
             "looks", found="pushes of a rig", expected="FreePushes, which can push from any pose"

@@ -30,8 +30,10 @@ from fixel.planning.pushes import (
 )
 from fixel.planning.rollout import FAILURES, PlannedMotions, PlanSimulator, Runs
 from fixel.planning.search import (
+    UNSEEN,
     PlanSearch,
     Rounds,
+    Views,
     fresh_stages,
     pose_text,
     stage_scenarios,
@@ -44,7 +46,6 @@ from fixel.simulation.stepper import AbstractStepper
 from fixel.simulation.trust import permit
 from fixel.table import Column, Table
 from fixel.typing import FloatArray, IntArray
-from fixel.uncertainty.starts import RPI_CAMERA, StartError
 
 SAMPLES: Final = 12  # poses of each push that goals about the whole motion regard
 MIN_ROLLOUTS: Final = 1000
@@ -55,7 +56,7 @@ MISSED: Final = "misses the goal"
 class PlanCorrection(NamedTuple):
     """Push that is chosen after a look at the part."""
 
-    push: PlanPush | None  # none where no push promises more
+    push: PlanPush | RigPush | None  # none where no push promises more
     scene: Scene | None  # of that push, with the part at its seen pose and the path of the tool
     probability: float  # that the goal is met then, without further looks
 
@@ -317,7 +318,7 @@ class PushPlan(Result):
             raise InvalidInput("plan", found="no looks", expected="a plan with looks", hint=hint)
         return Policy(
             simulator=self._simulator(None), belief=self.belief, planned=self.planned(),
-            table=own.table, camera=own.camera, lost_views=own.lost_views, looks=own.most,
+            table=own.table, views=Views(own.most, own.camera, own.lost_views),
         )  # fmt: skip
 
     def correction(self, *seen: ArrayLike) -> PlanCorrection:
@@ -341,13 +342,12 @@ class PushPlan(Result):
         policy = self.policy
         found = policy.next(poses)
         row, probability = int(found.row[0]), float(found.probability[0])
-        if row < 0 or len(poses) > policy.looks:
+        if row < 0 or len(poses) > policy.views.looks:
             return PlanCorrection(None, None, probability)
         numbers = policy.table.numbers[row][None]
-        choose: Any = self.choose
-        path = choose.motions(self.scene, numbers, poses[-1:]).path[0]
+        path = self.choose.motions(self.scene, numbers, poses[-1:]).path[0]
         return PlanCorrection(
-            choose.pushes(self.scene, numbers)[0],
+            self.choose.pushes(self.scene, numbers)[0],
             scene_of_push(self.scene, poses[-1], path),
             probability,
         )
@@ -507,7 +507,7 @@ def simulator_of(
 def search_of(
     scene: Scene,
     goal: Goal,
-    choose: FreePushes | RigPushes,
+    choose: PushChoice,
     belief: Belief,
     *,
     rollouts: int,
@@ -516,9 +516,7 @@ def search_of(
     motion: AbstractMotionModel | None = None,
     stepper: AbstractStepper | None = None,
     first: Sequence[Sequence[PlanPush | RigPush]] = (),
-    looks: int = 0,
-    camera: StartError | None = None,
-    lost_views: float = 0.0,
+    views: Views = UNSEEN,
     report: Callable[[Progress], None] | None = None,
 ) -> PlanSearch:
     """Return the search for a plan, after checks; parameters as for `fixel.plan`."""
@@ -531,12 +529,10 @@ def search_of(
     check_goal(goal, scene)
     check_centres(belief, scene)
     prepared = choose.prepared(scene)
-    instance(camera, StartError | None, "camera", "a StartError")
     search = PlanSearch(
         simulator=simulator_of(prepared, goal, choose, belief, motion, stepper, threads),
         belief=belief, rollouts=rollouts, seed=seed, report=report,
-        first=[choose.numbers(own) for own in first],
-        looks=looks, camera=camera or RPI_CAMERA, lost_views=lost_views,
+        first=[choose.numbers(own) for own in first], views=views,
     )  # fmt: skip
     check_looks(search)
     return search
@@ -549,7 +545,7 @@ def plan_rounds(search: PlanSearch, *, untrusted: bool = False) -> Rounds[PushPl
     found = yield from search.rounds(partial(_unseen, simulator, belief) if checked else None)
     plan, margins, looks = found.plans[0], found.margins[0][:, 0], None
     success = SuccessProbability.of(found.margins[-1], independent=margins)
-    if search.looks:
+    if search.views.looks:
         trusted = partial(_trusted, simulator, belief, plan) if checked else None
         plan, policy = policy_of(search, found.plans, trusted)
         looks, scenarios = looks_of(policy, search.fresh_stages, 1000 * search.seed)
@@ -557,10 +553,9 @@ def plan_rounds(search: PlanSearch, *, untrusted: bool = False) -> Rounds[PushPl
         why = _why(margin, looks.walk.failure)
         runs = PlanRuns(scenarios, margin, looks.walk.pose, why)
     planned = simulator.planned(plan[None])
-    choose: Any = simulator.choice
     return PushPlan(
-        scene=simulator.scene, goal=simulator.goal, choose=choose, belief=belief,
-        pushes=choose.pushes(simulator.scene, plan),
+        scene=simulator.scene, goal=simulator.goal, choose=simulator.choice, belief=belief,
+        pushes=simulator.choice.pushes(simulator.scene, plan),
         start=planned.start[0], path=planned.path[0], end=planned.nominal.pose[0, -1],
         fixels=None if planned.fixels is None else planned.fixels[0],
         success=success, nominal_success=SuccessProbability.of(found.nominal_margins),

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 from itertools import pairwise
-from typing import Annotated, Any, Final, Literal, NamedTuple, Protocol, final, get_args
+from typing import Annotated, Any, Final, Literal, NamedTuple, final, get_args
 
 import numpy as np
 import shapely
@@ -85,40 +85,6 @@ class PushMotions(NamedTuple):
     start: FloatArray  # (n, 3) planned poses of the part before the push [m, m, rad]
     path: FloatArray  # (n, n_waypoint, 4) time [s] and pose of the tool [m, m, rad]
     fixels: FloatArray | None  # (n, n_fixel, 3) displacements of fixels; None for none
-
-
-class PushChoice(Protocol):
-    """Pushes that a planner may choose: `FreePushes` or `RigPushes`."""
-
-    @property
-    def most(self) -> int:
-        """Largest number of pushes in sequence."""
-
-    @property
-    def cost(self) -> Cost:
-        """Cost by which plans of equal success are ordered."""
-
-    @property
-    def obstacles(self) -> tuple[Polygon, ...]:
-        """Regions that neither part nor tool may touch."""
-
-    def names(self, scene: Scene) -> tuple[str, ...]:
-        """Names of the numbers of one push."""
-
-    def bounds(self, scene: Scene) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper bounds (d,) of these numbers."""
-
-    def prepared(self, scene: Scene) -> Scene:
-        """Scene with the tool."""
-
-    def motions(self, scene: Scene, numbers: FloatArray, before: FloatArray) -> PushMotions:
-        """Motions of pushes (n, d) of parts at planned poses `before` (n, 3)."""
-
-    def pushes(self, scene: Scene, numbers: FloatArray) -> tuple[PlanPush | RigPush, ...]:
-        """Pushes of a plan (k, d)."""
-
-    def numbers(self, pushes: Sequence[PlanPush | RigPush]) -> FloatArray:
-        """Numbers (k, d) of the pushes of a plan."""
 
 
 @final
@@ -392,6 +358,9 @@ class RigPushes:
         for k, name in enumerate(self.fixels):
             found[:, known.index(name), :2] = numbers[:, 4 + 2 * k : 6 + 2 * k]
         return found
+
+
+PushChoice = FreePushes | RigPushes
 
 
 def outline_points(shape: Shape, share: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -110,6 +110,17 @@ class FoundNumbers(NamedTuple):
     nominal_margins: FloatArray
 
 
+class Views(NamedTuple):
+    """Looks at the part after the planned pushes, each followed by a correction."""
+
+    looks: int = 0  # number of times that the part is seen
+    camera: StartError = RPI_CAMERA  # error of a seen pose
+    lost_views: float = 0.0  # share of the looks that see nothing
+
+
+UNSEEN: Final = Views()  # no look
+
+
 @final
 @dataclass(kw_only=True, eq=False)
 class PlanSearch:
@@ -120,9 +131,7 @@ class PlanSearch:
     rollouts: int = ROLLOUTS  # number of simulated pushes that the search should not exceed by much
     seed: int = 0
     first: Sequence[FloatArray] = ()  # plans that are candidates in any case
-    looks: int = 0  # number of times that the part is seen and corrected after the planned pushes
-    camera: StartError = RPI_CAMERA  # error of a seen pose
-    lost_views: float = 0.0  # share of the looks that see nothing
+    views: Views = UNSEEN
     report: Callable[[Progress], None] | None = None
     best: float = 0.0
     done: int = 0

@@ -132,7 +132,7 @@ def test_a_camera_records_the_move_and_sees_the_end(tmp_path: Path):
         SimulatedActuator(speed_ratio=1.0),
         seen=poses("90,0,22.5"),
         notify=lambda _: None,
-        camera=RecordPlan(camera=str(filmed.folder), folder=out, rig="thesis-tags", fast=True),
+        recording=RecordPlan(camera=str(filmed.folder), folder=out, rig="thesis-tags", fast=True),
     )
     np.testing.assert_allclose(done.trials[0].end, plan.end, atol=0.005)
     assert open_recording(out).complete
@@ -143,7 +143,7 @@ def test_a_camera_that_cannot_be_opened_does_not_move_the_drive(tmp_path: Path):
     actuator = SimulatedActuator(clock=Clock())
     camera = RecordPlan(camera=str(tmp_path / "none.mp4"), folder=tmp_path / "out")
     with pytest.raises(InvalidInput):
-        run_on_drive(path, actuator, seen=poses("90,0,22.5"), notify=lambda _: None, camera=camera)
+        run_on_drive(path, actuator, seen=poses("90,0,22.5"), notify=print, recording=camera)
     with actuator:
         assert actuator.position() == 0.0
     assert load_trials(path, load_plan(path)).n == 0

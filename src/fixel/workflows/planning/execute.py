@@ -20,7 +20,6 @@ from fixel.model.goals import BodyTrack
 from fixel.model.trajectory import wrapped
 from fixel.planning.belief import Belief
 from fixel.planning.held_out import HeldSuccess, held_success
-from fixel.planning.looks import Looks
 from fixel.planning.plan import PlanCorrection, PushPlan
 from fixel.planning.pushes import RigPush
 from fixel.planning.seen import is_met, plan_again
@@ -38,7 +37,6 @@ from fixel.workflows.calibration.run import calibrate
 from fixel.workflows.calibration.stored import newest_calibration
 from fixel.workflows.planning.request import (
     FoundPlan,
-    PlanFile,
     add_trials,
     inputs_of,
     load_plan,
@@ -98,30 +96,19 @@ def run_on_testbed(path: str | Path, *, trials: int = 1, seed: int = 1) -> Trial
         ends, failure = done.pose[:, -1], done.failure
     else:
         each = [
-            _with_looks(plan, plan.looks, testbed, start, f"{file.id}-{k}", rng)
+            _with_looks(plan, testbed, start, f"{file.id}-{k}", rng)
             for k, start in enumerate(starts)
         ]
         ends, failure = np.array([end for end, _ in each]), tuple(why for _, why in each)
         track = BodyTrack.of_ends(ends)
     met = plan.goal.met(plan.scene, track) & np.equal(failure, "")
-    now = datetime.now(UTC).isoformat(timespec="seconds")
-    rows = [
-        PlanTrial(
-            time=now,
-            met=bool(ok),
-            failure="" if ok else (why or "missed the goal"),
-            start=tuple(start.tolist()),
-            end=tuple(end.tolist()),
-            by=f"simulated testbed, seed {seed}",
-        )
-        for ok, why, start, end in zip(met, failure, starts, ends, strict=True)
-    ]
-    return add_trials(path, file, *rows)
+    by = f"simulated testbed, seed {seed}"
+    runs = zip(starts, ends, met, failure, strict=True)
+    return add_trials(path, file, *(_trial(*run, by) for run in runs))
 
 
 def _with_looks(
     plan: PushPlan,
-    looks: Looks,
     testbed: SimulatedTestbed,
     pose: FloatArray,
     name: str,
@@ -129,7 +116,9 @@ def _with_looks(
 ) -> tuple[FloatArray, str]:
     """Carry out a plan with looks once; return the end pose (3,) and the reason of a failure."""
     seen: list[FloatArray] = []
-    scenes, left = list(plan.scenes), looks.most
+    scenes, looks = plan.scenes, plan.looks
+    assert looks is not None
+    left = looks.most
     while True:
         for scene in scenes:
             # The conditions of a run depend on its name: they are the same for all its pushes.
@@ -137,7 +126,7 @@ def _with_looks(
             pose = done.pose[0, -1]
             if done.failure[0]:
                 return pose, done.failure[0]
-        scenes = []
+        scenes = ()
         if left == 0:
             return pose, ""
         left -= 1
@@ -147,7 +136,7 @@ def _with_looks(
         push = plan.correction(*seen).scene
         if push is None:
             return pose, ""
-        scenes = [push]
+        scenes = (push,)
 
 
 def run_on_drive(
@@ -157,7 +146,7 @@ def run_on_drive(
     seen: AskPose,
     notify: Notify,
     by: str = "",
-    camera: RecordPlan | None = None,
+    recording: RecordPlan | None = None,
     project: Path | None = None,
 ) -> Trials:
     """Carry out a plan once with a drive that moves along one straight axis, and add the trial.
@@ -173,7 +162,7 @@ def run_on_drive(
         Asks for the pose of the part, such as the one that a camera sees.
     by : str
         Person or program that carries out the plan.
-    camera : RecordPlan, optional
+    recording : RecordPlan, optional
         Recording while the drive moves. With a rig, the end is tracked in it and not asked for.
     project : Path, optional
         Project in which the tracked experiment is stored.
@@ -204,29 +193,31 @@ def run_on_drive(
         begun = actuator.position()
         try:
             back = getattr(plan.choose, "retract", 0.0)
-            with _recording(camera):
+            with _recorded(recording):
                 actuator.move(by=push.stroke, speed=speed)
                 if back:
                     actuator.move(by=-back, speed=speed)
         except (FixelError, KeyboardInterrupt) as problem:
             why = "Ctrl-C" if isinstance(problem, KeyboardInterrupt) else str(problem)
             if _moved(actuator, begun):
-                _add(path, file, start, None, False, f"drive stopped: {why}"[:200], by)
+                why = f"drive stopped: {why}"[:200]
+                add_trials(path, file, _trial(start, None, False, why, by))
             raise
-    if camera is not None and camera.rig is not None:
-        end = _tracked_end(plan, camera, project)
+    if recording is not None and recording.rig is not None:
+        end = _tracked_end(plan, recording, project)
     else:
         end = seen("Enter the pose of the part at its end.")
     # These drives report neither stalls nor forces: the goal is judged by the pose alone.
-    track = BodyTrack(end[None, None], np.array([True]), np.zeros(1), _planned_fixels(plan))
+    fixels = None if plan.fixels is None else plan.fixels[None]
+    track = BodyTrack(end[None, None], np.array([True]), np.zeros(1), fixels)
     met = bool(plan.goal.met(plan.scene, track)[0])
-    return _add(path, file, start, end, met, "" if met else "missed the goal", by)
+    return add_trials(path, file, _trial(start, end, met, "", by))
 
 
 @contextmanager
-def _recording(camera: RecordPlan | None) -> Iterator[None]:
+def _recorded(plan: RecordPlan | None) -> Iterator[None]:
     """Record from before a move until after it; an error of the camera is raised at the end."""
-    if camera is None:
+    if plan is None:
         yield
         return
     begun, ended = threading.Event(), threading.Event()
@@ -235,7 +226,7 @@ def _recording(camera: RecordPlan | None) -> Iterator[None]:
     def work() -> None:
         try:
             record(
-                camera,
+                plan,
                 stop=lambda: "the drive has arrived" if ended.is_set() else "",
                 watch=lambda arrived, status: begun.set(),
             )
@@ -257,11 +248,11 @@ def _recording(camera: RecordPlan | None) -> Iterator[None]:
         raise problems[0]
 
 
-def _tracked_end(plan: PushPlan, camera: RecordPlan, project: Path | None) -> FloatArray:
+def _tracked_end(plan: PushPlan, recording: RecordPlan, project: Path | None) -> FloatArray:
     """Return the last tracked pose (3,) of the part in a recording."""
-    scene = camera.folder / "scene.yaml"
+    scene = recording.folder / "scene.yaml"
     plan.scenes[0].save(scene)
-    tracked = track_film(camera.folder, rig=camera.rig or "", scene=scene, project=project)
+    tracked = track_film(recording.folder, rig=recording.rig or "", scene=scene, project=project)
     return np.asarray(tracked.experiment.trajectory.pose[-1])
 
 
@@ -304,10 +295,6 @@ def _straight(plan: PushPlan) -> RigPush:
     )
 
 
-def _planned_fixels(plan: PushPlan) -> FloatArray | None:
-    return None if plan.fixels is None else plan.fixels[None]
-
-
 def _moved(actuator: AbstractActuator, begun: float) -> bool:
     """Return whether the drive has moved; also where its position is lost."""
     try:
@@ -316,24 +303,17 @@ def _moved(actuator: AbstractActuator, begun: float) -> bool:
         return True
 
 
-def _add(
-    path: Path,
-    file: PlanFile,
-    start: Sequence[float] | FloatArray,
-    end: FloatArray | None,
-    met: bool,
-    failure: str,
-    by: str,
-) -> Trials:
-    trial = PlanTrial(
+def _trial(
+    start: FloatArray, end: FloatArray | None, met: bool, failure: str, by: str
+) -> PlanTrial:
+    return PlanTrial(
         time=datetime.now(UTC).isoformat(timespec="seconds"),
-        met=met,
-        failure=failure,
-        start=tuple(map(float, start)),  # type: ignore[arg-type]
+        met=bool(met),
+        failure="" if met else failure or "missed the goal",
+        start=tuple(start.tolist()),
         end=None if end is None else tuple(end.tolist()),
         by=by,
     )
-    return add_trials(path, file, trial)
 
 
 class CheckedPlan(NamedTuple):

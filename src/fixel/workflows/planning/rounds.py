@@ -17,7 +17,7 @@ from fixel.jobs.folder import read_job
 from fixel.jobs.functions import callable_by_jobs, threads
 from fixel.jobs.work import Answer, Answers, Chunk, Failure, Round
 from fixel.planning.plan import plan_rounds, search_of
-from fixel.planning.search import MarginRequest, PlanSearch, SearchStage
+from fixel.planning.search import MarginRequest, PlanSearch, SearchStage, Views
 from fixel.progress import Progress
 from fixel.typing import FloatArray
 from fixel.workflows.planning.request import (
@@ -76,7 +76,7 @@ def _search(
     )
     search = search_of(
         *own.parts, rollouts=request.rollouts, seed=request.seed, threads=threads(),
-        looks=request.looks, camera=own.file.camera, lost_views=own.file.lost_views, report=report,
+        views=Views(request.looks, **own.file.views), report=report,
     )  # fmt: skip
     return request, own, search
 

@@ -118,11 +118,12 @@ def plan(
     from fixel.planning.belief import Belief
     from fixel.planning.plan import plan_rounds, search_of
     from fixel.planning.pushes import FreePushes
-    from fixel.planning.search import conduct
+    from fixel.planning.search import Views, conduct
     from fixel.progress import show_progress
     from fixel.simulation.motion import motion_model
     from fixel.simulation.simulate import scene_file
     from fixel.simulation.trust import permit
+    from fixel.uncertainty.starts import RPI_CAMERA
     from fixel.workflows.planning.request import answers_in
 
     permit(motion)
@@ -137,7 +138,8 @@ def plan(
                 own, goal, choose or FreePushes(), belief or Belief(),
                 rollouts=rollouts, seed=seed, threads=threads,
                 motion=None if motion is None else motion_model(motion), stepper=stepper,
-                first=first, looks=looks, camera=camera, lost_views=lost_views, report=report.show,
+                first=first, report=report.show,
+                views=Views(looks, RPI_CAMERA if camera is None else camera, lost_views),
             )  # fmt: skip
             return conduct(search, plan_rounds(search, untrusted=untrusted), answers)
         except KeyboardInterrupt:
@@ -197,10 +199,7 @@ def plan_goal(
     if out is not None:
         refuse_unwritable(out)
     own = request.inputs_of(project, content, folder, scene, experiment, calibration)
-    made = plan(
-        *own.parts, camera=own.file.camera, lost_views=own.file.lost_views,
-        **options, progress=progress,
-    )  # fmt: skip
+    made = plan(*own.parts, progress=progress, **{**own.file.views, **options})
     found = request.found_plan(own, made, options)
     if out is not None:
         request.save_plan(found, out)
