@@ -202,4 +202,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__, "datasets", "filter", "units"})
+    return sorted({*__all__, "datasets", "filter", "units"})

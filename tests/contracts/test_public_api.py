@@ -160,9 +160,9 @@ def test_every_public_result_is_in_the_table() -> None:
     assert public == set(CASES)
 
 
-def test_a_star_import_hides_no_built_in() -> None:
+def test_dir_lists_public_names_and_a_star_import_hides_no_built_in() -> None:
     assert "filter" not in fixel.__all__
-    assert set(fixel.__all__) <= set(dir(fixel))
+    assert {*dir(fixel)} == {*fixel.__all__, "datasets", "filter", "units"}
 
 
 def test_unknown_name_is_an_attribute_error() -> None:
