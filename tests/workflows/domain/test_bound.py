@@ -10,6 +10,7 @@ from fixel.errors import InvalidInput
 from fixel.testing.pushes import TRUTH, example_pushes
 from fixel.testing.scenes import grasp
 from fixel.workflows.domain import fits
+from fixel.workflows.error_bound.report import BoundAnswer, report_of
 from fixel.workflows.error_bound.run import error_bound
 
 # Friction alone cannot repair the radius: errors are those of a wrong model.
@@ -70,6 +71,12 @@ def test_coverage_has_an_interval_and_is_printed(found):
     text = repr(found)
     assert "holds for 90 % of new pushes (held out, 2 folds, 14 experiments)" in text
     assert len(found.to_dict()["position_bound"]) == 14
+
+
+def test_a_finding_of_a_report_is_a_sentence(found):
+    (finding,) = report_of(BoundAnswer(found, [], None, {}, True)).analysis.headline
+    assert finding.startswith("The errors of 90 % of new pushes stay within their bounds, at the")
+    assert "(14 experiments, held out)" in finding
 
 
 def test_a_push_unlike_all_others_has_no_data(found):

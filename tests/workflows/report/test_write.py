@@ -23,6 +23,7 @@ from fixel.model.selection import ExperimentQuery
 from fixel.sampling.published import thesis_plan
 from fixel.table import Table
 from fixel.testbed.simulated import SimulatedTestbed
+from fixel.testing.scenes import pushed_square
 from fixel.workflows.analysis import Analysis, store_analysis
 from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.project import stored_calibration
@@ -178,6 +179,13 @@ def test_numbers_of_the_calibration_are_those_stored(project, report):
 def test_a_plain_answer_for_json(report):
     summary = json.loads(json.dumps(report.summary()))
     assert summary["bytes"] == report.size
+
+
+def test_findings_of_results_are_words(tmp_path):
+    runs = fixel.simulate_batch(pushed_square(), {"mu_pusher": [0.2, 0.3]}, duration=0.1)
+    content = fixel.report(runs, tmp_path / "r").content
+    assert content.title == "Batch result"
+    assert content.findings[0].startswith("Batch result: 2 runs")
 
 
 def test_verdicts_become_warnings(project):

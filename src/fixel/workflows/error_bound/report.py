@@ -57,6 +57,7 @@ def report_of(answer: BoundAnswer) -> AnalysisReport:
     """Return headline, warnings, table, chart and numbers of error bounds."""
     bound, n = answer.bound, len(answer.left_out)
     summary = bound._summary()
+    medians = [f"{row[2]:.2g}" for row in summary.tables[0].rows]
     why = next(iter(answer.left_out.values()), "")
     caption = "Held-out errors of end positions against their bounds; those below the line hold."
     banner = "" if answer.is_real else "SIMULATED"
@@ -65,7 +66,11 @@ def report_of(answer: BoundAnswer) -> AnalysisReport:
             kind="error-bound",
             title="Error bounds of untried pushes",
             question={},
-            headline=(summary.heading,),
+            headline=(
+                f"The errors of {100.0 * bound.level:g} % of new pushes stay within their bounds,"
+                f" at the median {medians[0]} mm and {medians[1]} deg ({len(bound.keys)}"
+                " experiments, held out).",
+            ),
             warnings=(f"{n} experiments cannot be compared: {why}",) if n else (),
             tables=tuple(summary.tables),
             notes=tuple(summary.notes),

@@ -40,7 +40,7 @@ def analysis_of(found: FoundPlan) -> Analysis:
         kind="plan",
         title=f"Plan: {plan.goal}",
         question={},
-        headline=(f"Goal: {plan.goal}", *_headline(found)),
+        headline=tuple(_headline(found)),
         warnings=found.warnings,
         tables=(
             _pushes_table(plan),
@@ -100,7 +100,7 @@ def _has_pushes(plan: PushPlan) -> bool:
 def _headline(found: FoundPlan) -> list[str]:
     """Return the main results of a plan in sentences."""
     plan = found.plan
-    lines = [f"{plan.count.capitalize()}: {plan.success.sentence}."]
+    lines = [f"A plan for {plan.goal} needs {plan.count}: {plan.success.sentence}."]
     lines += plan.looks.sentences if plan.looks else []
     lines.append(f"The plan that is best without any error: {plan.nominal_success.sentence}.")
     if plan.belief.error_text:

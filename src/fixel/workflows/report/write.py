@@ -362,13 +362,15 @@ def results_content(results: Sequence[Result], folder: Path, title: str = "") ->
     sections = []
     for k, result in enumerate(results):
         instance(result, Result, f"results[{k}]", "a result, such as a Calibration")
-        summary = result._summary()
+        summary, kind = result._summary(), type(result).__name__
+        words = re.sub("(?<=[a-z])[A-Z]", lambda found: f" {found[0].lower()}", kind)
+        heading = summary.heading.replace(kind, words, 1)
         name = f"result_{k + 1}"
         sections.append(
             Section(
-                title=summary.heading.partition(":")[0],
+                title=heading.partition(":")[0],
                 anchor=name,
-                lead=(summary.heading,),
+                lead=(heading,),
                 tables=tuple(summary.tables),
                 figures=_drawn(result, name, folder),
                 notes=tuple(summary.notes),
