@@ -6,15 +6,15 @@ A recording of a camera becomes an experiment with a scene. Here the recording i
 simulation, so the true motion is known.
 """
 
+import subprocess
 import tempfile
-from pathlib import Path
 
 import fixel
-from fixel.workflows.acquisition.film import FilmSettings, film
 
-folder = Path(tempfile.mkdtemp())
-film(["../scenes/grasp.yaml"], folder / "push", FilmSettings(rate=10, frames=60))
-experiments = fixel.read_experiments(folder / "push")  # finds the tags in every frame
+recording = f"{tempfile.mkdtemp()}/push"
+command = "fixel testbed film ../scenes/grasp.yaml --rate 10 --frames 60 --out"
+subprocess.run([*command.split(), recording], check=True)
+experiments = fixel.read_experiments(recording)  # finds the tags in every frame
 experiments
 
 # %%

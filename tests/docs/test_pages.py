@@ -74,6 +74,12 @@ def test_tutorials_import_public_names_only(page: Path) -> None:
     assert {*re.findall(r"\bfixel\.([a-zA-Z]\w+)\(", text)} <= {*dir(fixel)}
 
 
+def test_the_gallery_imports_nothing_that_belongs_to_commands_or_pages() -> None:
+    for script in sorted((ROOT / "examples/gallery").glob("*.py")):
+        own = re.findall(r"^(?:import|from) fixel\.(\w+)", script.read_text("utf-8"), re.MULTILINE)
+        assert not {*own} & {"workflows", "cli", "web", "capability"}, script.name
+
+
 @pytest.mark.parametrize("page", ALL_PAGES, ids=lambda page: page.stem)
 def test_local_links_lead_somewhere(page: Path) -> None:
     for target, anchor in re.findall(
