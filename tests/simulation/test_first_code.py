@@ -84,6 +84,7 @@ def test_plain_python_answers_with_the_bits_of_compiled_code(tmp_path):
         for name, pose in poses.items():
             assert np.array_equal(pose, run.pose[name])
     assert errors.count("Compiling numerical code in the background") == 1
+    assert "plain Python and take longer" in errors
     assert "Traceback" not in errors
 
 

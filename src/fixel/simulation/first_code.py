@@ -29,7 +29,8 @@ ENTRY: Final = "batch.rollout_batch"
 GLANCE_S: Final = 0.05  # time between two looks at the other processes
 BESIDE: Final = (
     "Compiling numerical code in the background: once for this version, about a minute. Until then "
-    "simulations run as plain Python, with the same results. `fixel compile` does it in advance."
+    "simulations run as plain Python and take longer, with the same results. `fixel compile` does "
+    "it in advance."
 )
 # Where plain Python is known to compute the same bits: arithmetic of IEEE 754 without contraction,
 # and sine, cosine and powers of the same library of C.

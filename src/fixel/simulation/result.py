@@ -157,7 +157,7 @@ class Simulation(Result):
     max_residual : float
         Worst natural-map residual of any step, in the scene's scaled units.
     wall_time_s : float
-        Computing time [s].
+        Computing time [s]; as plain Python until the code is compiled, a hundred times as long.
     version : str
         Version of fixel.
     accuracy : Accuracy or None
