@@ -34,7 +34,7 @@ from fixel.workflows.acquisition.record import RecordPlan, record
 from fixel.workflows.acquisition.track import TrackAnswer, track_film
 from fixel.workflows.analysis import Analysis, store_analysis
 from fixel.workflows.capabilities import call
-from fixel.workflows.demo.laboratory_demo import true_mean
+from fixel.workflows.demo.laboratory_demo import own_folder, true_mean
 from fixel.workflows.figures import Picture
 from fixel.workflows.report.write import Report
 
@@ -101,6 +101,7 @@ def run_camera_tour(
         The folder contains something else, or a run could not be tracked from its start.
     """
     notify = notify or (lambda _: None)
+    folder = own_folder(folder, notify)
     project = _begun(folder, {"pushes": list(pushes), "frames": frames})
     films = _filmed(project, folder, pushes, frames, notify, progress)
     firmware = _firmware(folder, notify)

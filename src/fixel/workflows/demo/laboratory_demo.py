@@ -12,6 +12,8 @@ import numpy as np
 
 from fixel.database.project import Project
 from fixel.database.store import Store
+from fixel.jobs.folder import read_job
+from fixel.jobs.functions import stamp
 from fixel.model import Experiment
 from fixel.model.selection import ExperimentQuery
 from fixel.sampling.published import thesis_plan
@@ -44,6 +46,7 @@ def run_tour(folder: Path, notify: Notify | None = None) -> Tour:
     sentence before each part of the tour.
     """
     notify = notify or (lambda _: None)
+    folder = own_folder(folder, notify)
     project = Project(folder) if (folder / "fixel.yaml").is_file() else Project.create(folder)
     at = f"--project {shlex.quote(str(folder))}"
     notify(f"performing {EXPERIMENTS} experiments on a simulated testbed")
@@ -61,6 +64,16 @@ def run_tour(folder: Path, notify: Notify | None = None) -> Tour:
         folder.parent / "report", calibration=number, command=f"fixel report {at}"
     )
     return Tour(project=folder, report=report, truth=_beside_truth(project, number))
+
+
+def own_folder(folder: Path, notify: Notify) -> Path:
+    """Return the folder of a demo: another one if another version of fixel began a job in it."""
+    jobs = [file.parent for file in folder.rglob("job.json")]
+    if all(read_job(job).stamp == stamp() for job in jobs):
+        return folder
+    own = folder.with_name(f"{folder.name}-{stamp()[-8:]}")
+    notify(f"another version of fixel began {folder}; using {own}")
+    return own
 
 
 def _perform(store: Store) -> None:

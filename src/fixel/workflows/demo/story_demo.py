@@ -34,6 +34,7 @@ from fixel.testbed.simulated import TRUTH, SimulatedTestbed
 from fixel.typing import Notify
 from fixel.units import deg, mm
 from fixel.workflows.capabilities import call
+from fixel.workflows.demo.laboratory_demo import own_folder
 from fixel.workflows.experiments import read_experiments
 from fixel.workflows.report.write import next_command
 
@@ -113,7 +114,8 @@ def tell_story(folder: Path, seed: int = 1, notify: Notify | None = None) -> Ite
     ------
     DemoStep
     """
-    tell, own = notify or (lambda _: None), folder / f"laboratory-{seed}"
+    tell = notify or (lambda _: None)
+    own = own_folder(folder / f"laboratory-{seed}", tell)
     goal, lab = own / "goal.yaml", own / "project"
     at = f"--project {quote(str(lab))}"
     tell(f"performing {3 * CONTACTS} pushes in a simulated laboratory")
