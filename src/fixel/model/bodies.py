@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import KW_ONLY, dataclass, field
 from math import hypot, inf, pi
 from typing import TYPE_CHECKING, Annotated, Final, final
@@ -109,18 +111,12 @@ class Body(Comparable):
     spring: Spring | None = None
 
     def __post_init__(self) -> None:
-        name_of(self.name, "body.name")
-        try:
-            self._check()
-        except InvalidInput as problem:
-            raise problem.within(f"body {self.name!r}") from None
-
-    def _check(self) -> None:
-        instance(self.shape, Shape, "shape", "a Polygon or a Disk")
-        check_fields(self)
-        instance(self.support, Support, "support", "a support, or NoSupport()")
-        instance(self.spring, Spring | None, "spring", "a Spring, or None")
-        _check_balance(self)
+        with _named(self, "body"):
+            check_fields(self)
+            instance(self.support, Support, "support", "a support, or NoSupport()")
+            instance(self.spring, Spring | None, "spring", "a Spring, or None")
+            if not isinstance(self.support, Ellipsoid):  # an impossible one raises here, not later
+                support_points(self.support, self.shape, self.com, self.mass, 1.0)
 
     @property
     def com(self) -> FloatArray:
@@ -133,10 +129,15 @@ class Body(Comparable):
         return self.mass * self.shape.unit_inertia if self.inertia is None else self.inertia
 
 
-def _check_balance(body: Body) -> None:
-    """Compute the loads, so that an impossible support raises here and not later."""
-    if not isinstance(body.support, Ellipsoid):
-        support_points(body.support, body.shape, body.com, body.mass, 1.0)
+@contextmanager
+def _named(thing: Body | Pusher | Fixel, kind: str) -> Iterator[None]:
+    """Check name and shape of a body; its name is part of the errors of the block."""
+    name_of(thing.name, f"{kind}.name")
+    try:
+        instance(thing.shape, Shape, "shape", "a Polygon or a Disk")
+        yield
+    except InvalidInput as problem:
+        raise problem.within(f"{kind} {thing.name!r}") from None
 
 
 @final
@@ -276,13 +277,9 @@ class Pusher(Comparable):
     restitution: Annotated[float, Value(fraction)] = 0.0
 
     def __post_init__(self) -> None:
-        name_of(self.name, "pusher.name")
-        try:
-            instance(self.shape, Shape, "shape", "a Polygon or a Disk")
+        with _named(self, "pusher"):
             settle(self, pose=self._start())
             check_fields(self, leave_out=("pose",))
-        except InvalidInput as problem:
-            raise problem.within(f"pusher {self.name!r}") from None
 
     @property
     def is_template(self) -> bool:
@@ -373,9 +370,5 @@ class Fixel(Comparable):
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        name_of(self.name, "fixel.name")
-        try:
-            instance(self.shape, Shape, "shape", "a Polygon or a Disk")
+        with _named(self, "fixel"):
             check_fields(self)
-        except InvalidInput as problem:
-            raise problem.within(f"fixel {self.name!r}") from None

@@ -77,7 +77,8 @@ def _polygon_cells(polygon: Polygon, n_points: int) -> tuple[FloatArray, FloatAr
     """Cut convex pieces into fans about their centroids, and these triangles into equal ones."""
     points, areas = [], []
     for triangle in _fans(polygon):
-        area = _area(triangle)
+        (ax, ay), (bx, by) = (triangle[1:] - triangle[0]).tolist()
+        area = 0.5 * abs(ax * by - ay * bx)
         per_side = max(1, round((n_points * area / polygon.area) ** 0.5))
         points.append(_similar_cells(per_side) @ triangle)
         areas.append(np.full(per_side**2, area / per_side**2))
@@ -127,11 +128,6 @@ def _similar_cells(per_side: int) -> FloatArray:
     inverted = [(i + 2 / 3, j + 2 / 3) for i in range(per_side) for j in range(per_side - i - 1)]
     first, second = np.array(upright + inverted).T / per_side
     return np.column_stack((1.0 - first - second, first, second))
-
-
-def _area(triangle: FloatArray) -> float:
-    (ax, ay), (bx, by) = (triangle[1:] - triangle[0]).tolist()
-    return 0.5 * float(abs(ax * by - ay * bx))
 
 
 class SupportGrid(NamedTuple):

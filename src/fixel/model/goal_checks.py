@@ -92,17 +92,12 @@ def check_goal(goal: Goal, scene: Scene, field: Polygon | None = None) -> None:
 
 def _check_names(clause: Clause, scene: Scene) -> None:
     body = body_of(scene, clause.body)
-    for name in _fixels(clause):
+    fixels = clause.fixels if isinstance(clause, Seated) else ()
+    for name in (clause.fixel,) if isinstance(clause, Contact) else fixels:
         check_fixel(name, scene)
     if isinstance(clause, PoseRegion):
         _check_symmetry(clause, body)
         _check_fixels_clear(clause, body, scene)
-
-
-def _fixels(clause: Clause) -> tuple[str, ...]:
-    if isinstance(clause, Seated):
-        return clause.fixels
-    return (clause.fixel,) if isinstance(clause, Contact) else ()
 
 
 def _check_symmetry(clause: PoseRegion, body: Body) -> None:

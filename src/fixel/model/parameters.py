@@ -12,9 +12,19 @@ from fixel.errors import InvalidInput, unknown_name
 from fixel.model.engine_parameters import ParameterInfo, engine_parameter
 from fixel.model.fields import finite
 
-_ANY = -math.inf
 _LOADS = "the distribution of the load under the body"
 _CENTRE = "the centre of pressure and the unevenness of the plane"
+
+
+def _signed(unit: str, meaning: str, stands_for: str = "") -> ParameterInfo:
+    """Parameter of any sign."""
+    return ParameterInfo(unit, meaning, -math.inf, stands_for=stands_for)
+
+
+def _load(meaning: str) -> ParameterInfo:
+    """Parameter of any sign that changes how the load is distributed."""
+    return _signed("-", meaning, _LOADS)
+
 
 KNOWN_PARAMETERS: Final[Mapping[str, ParameterInfo]] = MappingProxyType(
     {
@@ -34,56 +44,35 @@ KNOWN_PARAMETERS: Final[Mapping[str, ParameterInfo]] = MappingProxyType(
             "m", "distance of tripod points from the centre of mass", above=True, stands_for=_LOADS
         ),
         **{
-            f"support_{k}_{axis}": ParameterInfo(
-                "m",
-                f"{axis} of the free support point {k}, in the frame of the shape",
-                _ANY,
-                stands_for=_LOADS,
+            f"support_{k}_{axis}": _signed(
+                "m", f"{axis} of the free support point {k}, in the frame of the shape", _LOADS
             )
             for k in (1, 2, 3)
             for axis in "xy"
         },
-        "friction_centre_x": ParameterInfo(
-            "m", "shift of all supports along the body's x", _ANY, stands_for=_CENTRE
-        ),
-        "friction_centre_y": ParameterInfo(
-            "m", "shift of all supports along the body's y", _ANY, stands_for=_CENTRE
-        ),
-        "pressure_spread": ParameterInfo(
-            "-",
+        **{
+            f"friction_centre_{axis}": _signed(
+                "m", f"shift of all supports along the body's {axis}", _CENTRE
+            )
+            for axis in "xy"
+        },
+        "pressure_spread": _load(
             "pressure under the whole body instead of the support of the scene: uniform at 0, "
-            "larger towards the rim above 0, towards the middle below 0",
-            _ANY,
-            stands_for=_LOADS,
+            "larger towards the rim above 0, towards the middle below 0"
         ),
-        "pressure_rim": ParameterInfo(
-            "-",
+        "pressure_rim": _load(
             "balanced loads on a net of points instead of the support of the scene: equal at 0, "
-            "larger towards the rim above 0",
-            _ANY,
-            stands_for=_LOADS,
+            "larger towards the rim above 0"
         ),
-        "pressure_corner": ParameterInfo(
-            "-", "the same, larger at corners above 0", _ANY, stands_for=_LOADS
+        "pressure_corner": _load("the same, larger at corners above 0"),
+        "pressure_xy": _load(
+            "the same, larger far along the body's x and smaller far along its y above 0"
         ),
-        "pressure_xy": ParameterInfo(
-            "-",
-            "the same, larger far along the body's x and smaller far along its y above 0",
-            _ANY,
-            stands_for=_LOADS,
+        "pressure_diagonal": _load("the same, between the diagonals of the body's x and y"),
+        "pressure_tilt_x": _load(
+            "the same, larger towards the body's x than the balance at the centre of mass needs"
         ),
-        "pressure_diagonal": ParameterInfo(
-            "-", "the same, between the diagonals of the body's x and y", _ANY, stands_for=_LOADS
-        ),
-        "pressure_tilt_x": ParameterInfo(
-            "-",
-            "the same, larger towards the body's x than the balance at the centre of mass needs",
-            _ANY,
-            stands_for=_LOADS,
-        ),
-        "pressure_tilt_y": ParameterInfo(
-            "-", "the same, towards the body's y", _ANY, stands_for=_LOADS
-        ),
+        "pressure_tilt_y": _load("the same, towards the body's y"),
         "ellipsoid_force": ParameterInfo(
             "N", "largest friction force of an ellipsoid", above=True, stands_for=_LOADS
         ),
@@ -99,48 +88,29 @@ KNOWN_PARAMETERS: Final[Mapping[str, ParameterInfo]] = MappingProxyType(
             "along the other below it",
             -0.9,
         ),
-        "table_bend": ParameterInfo(
-            "-",
-            "extra load far from the centroid, on a table that is not flat",
-            _ANY,
-            stands_for=_LOADS,
+        "table_bend": _load("extra load far from the centroid, on a table that is not flat"),
+        "table_bend_xy": _load(
+            "extra load far along world x and reduced load far along y, on a table that is not flat"
         ),
-        "table_bend_xy": ParameterInfo(
-            "-",
-            "extra load far along world x and reduced load far along y, on a table that is not "
-            "flat",
-            _ANY,
-            stands_for=_LOADS,
+        "table_bend_diagonal": _load(
+            "extra load far along the diagonals of world x and y, on a table that is not flat"
         ),
-        "table_bend_diagonal": ParameterInfo(
-            "-",
-            "extra load far along the diagonals of world x and y, on a table that is not flat",
-            _ANY,
-            stands_for=_LOADS,
+        "table_slope_x": _load("extra load towards larger world x, on a table that is not flat"),
+        "table_slope_y": _load("the same along world y"),
+        "registration_x": _signed(
+            "m", "shift along world x from the recorded to the true position of the pusher"
         ),
-        "table_slope_x": ParameterInfo(
-            "-",
-            "extra load towards larger world x, on a table that is not flat",
-            _ANY,
-            stands_for=_LOADS,
+        "registration_y": _signed("m", "the same along world y"),
+        "registration_theta": _signed(
+            "rad", "rotation of the recorded path of the pusher about the origin of the world"
         ),
-        "table_slope_y": ParameterInfo("-", "the same along world y", _ANY, stands_for=_LOADS),
-        "registration_x": ParameterInfo(
-            "m", "shift along world x from the recorded to the true position of the pusher", _ANY
-        ),
-        "registration_y": ParameterInfo("m", "the same along world y", _ANY),
-        "registration_theta": ParameterInfo(
-            "rad", "rotation of the recorded path of the pusher about the origin of the world", _ANY
-        ),
-        "start_x": ParameterInfo("m", "error of the measured start pose along world x", _ANY),
-        "start_y": ParameterInfo("m", "the same along world y", _ANY),
-        "start_theta": ParameterInfo("rad", "error of the measured start angle", _ANY),
-        "outline_x": ParameterInfo(
-            "m", "x of the outline in the frame whose pose was measured", _ANY
-        ),
-        "outline_y": ParameterInfo("m", "y of the outline in that frame", _ANY),
-        "outline_theta": ParameterInfo("rad", "angle of the outline in that frame", _ANY),
-        "contact_offset": ParameterInfo("m", "increase of the radius of a round pusher", _ANY),
+        "start_x": _signed("m", "error of the measured start pose along world x"),
+        "start_y": _signed("m", "the same along world y"),
+        "start_theta": _signed("rad", "error of the measured start angle"),
+        "outline_x": _signed("m", "x of the outline in the frame whose pose was measured"),
+        "outline_y": _signed("m", "y of the outline in that frame"),
+        "outline_theta": _signed("rad", "angle of the outline in that frame"),
+        "contact_offset": _signed("m", "increase of the radius of a round pusher"),
     }
 )
 

@@ -14,7 +14,6 @@ from fixel.model.fields import (
     Value,
     check_fields,
     finite,
-    frozen,
     instance,
     settle,
     table,
@@ -47,7 +46,15 @@ class FrictionMap(Comparable):
     def __post_init__(self) -> None:
         check_fields(self, "friction_map")
         _check_cell(self.cell, "friction_map.cell")
-        settle(self, factor=_positive_grid(self.factor))
+        factor = _grid(self.factor, "friction_map.factor", "factor")
+        if (factor <= 0.0).any():
+            row, column = np.argwhere(factor <= 0.0)[0].tolist()
+            raise InvalidInput(
+                f"friction_map.factor[{row}][{column}]",
+                found=float(factor[row, column]),
+                expected="a factor greater than 0",
+            )
+        settle(self, factor=factor)
 
     def at(self, position: ArrayLike) -> FloatArray:
         """Interpolate the multipliers (...) at world positions (..., 2) [m]."""
@@ -87,7 +94,7 @@ class LoadMap(Comparable):
     def __post_init__(self) -> None:
         check_fields(self, "load_map")
         _check_cell(self.cell, "load_map.cell")
-        settle(self, log_load=frozen(_grid(self.log_load, "load_map.log_load", "log_load")))
+        settle(self, log_load=_grid(self.log_load, "load_map.log_load", "log_load"))
 
     def at(self, position: ArrayLike) -> FloatArray:
         """Interpolate the logarithms (...) at world positions (..., 2) [m]."""
@@ -135,19 +142,6 @@ class Plane(Comparable):
 def _check_cell(cell: FloatArray, where: str) -> None:
     if (cell <= 0.0).any():
         raise InvalidInput(where, found=cell.tolist(), expected="numbers greater than 0 [m]")
-
-
-def _positive_grid(factor: ArrayLike) -> FloatArray:
-    where = "friction_map.factor"
-    grid = _grid(factor, where, "factor")
-    if (grid <= 0.0).any():
-        row, column = np.argwhere(grid <= 0.0)[0].tolist()
-        raise InvalidInput(
-            f"{where}[{row}][{column}]",
-            found=float(grid[row, column]),
-            expected="a factor greater than 0",
-        )
-    return frozen(grid)
 
 
 def _grid(values: ArrayLike, where: str, name: str) -> FloatArray:

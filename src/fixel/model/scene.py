@@ -179,14 +179,16 @@ class Scene(Comparable):
         _check_directions(self.support_directions)
         _check_unique_names(self.names)
         for index, entry in enumerate(self.contact_friction):
-            _check_known_names(entry, self.names, f"contact_friction[{index}].pair")
+            for name in entry.pair:
+                if not _is_pattern(name) and name not in self.names:
+                    raise unknown_name(f"contact_friction[{index}].pair", name, self.names)
         _check_friction(self)
         _check_overlaps(self)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the bodies, then the pushers, then the fixels."""
-        return tuple(thing.name for thing in self._things())
+        return tuple(thing.name for thing in (*self.bodies, *self.pushers, *self.fixels))
 
     def save(self, path: str | Path) -> Path:
         """Write the scene to a file, which `fixel.load_scene` reads.
@@ -225,9 +227,6 @@ class Scene(Comparable):
                 " from measurements",
             )
         return self
-
-    def _things(self) -> tuple[Body | Pusher | Fixel, ...]:
-        return (*self.bodies, *self.pushers, *self.fixels)
 
     def friction(self, a: str, b: str) -> float:
         """Coefficient of friction between two named bodies, one of them free at least [-]."""
@@ -303,12 +302,6 @@ def _check_unique_names(names: Sequence[str]) -> None:
                 expected="different names for all bodies, pushers and fixels",
             )
         seen.add(name)
-
-
-def _check_known_names(entry: PairFriction, names: Sequence[str], where: str) -> None:
-    for name in entry.pair:
-        if not _is_pattern(name) and name not in names:
-            raise unknown_name(where, name, names)
 
 
 def _check_friction(scene: Scene) -> None:

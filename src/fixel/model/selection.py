@@ -162,10 +162,11 @@ def parse_filter(*filters: str, **options: Any) -> ExperimentQuery:
     marks: list[str] = []
     for token in (token for text in filters for token in _tokens(text)):
         head, colon, rest = token.partition(":")
-        if colon and head == "is":
-            marks.append(_mark(rest))
-        elif token in MARKS:
-            marks.append(token)
+        if token in MARKS or (colon and head == "is"):
+            marks.append(mark := rest if colon else token)
+            if mark not in MARKS:
+                expected = "one of " + ", ".join(MARKS)
+                raise InvalidInput("filter: is:", found=repr(mark), expected=expected)
         elif colon and head == "flag" and rest:
             flags.append(rest)
         elif colon and head == "dataset" and rest:
@@ -201,12 +202,6 @@ def _tokens(text: str) -> list[str]:
         return list(reader)
     except ValueError:
         raise InvalidInput("filter", found="a quote that does not end", expected='"..."') from None
-
-
-def _mark(name: str) -> str:
-    if name not in MARKS:
-        raise InvalidInput("filter: is:", found=repr(name), expected="one of " + ", ".join(MARKS))
-    return name
 
 
 def _bound(name: str, relation: str, typed: str) -> Bound:

@@ -66,10 +66,7 @@ class Parameter:
 
     def __post_init__(self) -> None:
         low, high = finite(self.low, "parameter.low"), finite(self.high, "parameter.high")
-        if not low < high:
-            raise InvalidInput(
-                "parameter", found=f"bounds {low:g} to {high:g}", expected="the lower bound first"
-            )
+        _check_bounds(low, high, "parameter")
         start = None if self.start is None else finite(self.start, "parameter.start")
         prior = self.prior
         if prior is not None:
@@ -132,12 +129,7 @@ class Unknown(Comparable):
         low = finite(self.low, f"{self.name}.low", unit)
         high = finite(self.high, f"{self.name}.high", unit)
         nominal = finite(self.nominal, f"{self.name}.nominal", unit)
-        if not low < high:
-            raise InvalidInput(
-                f"{self.name}",
-                found=f"bounds {low:g} to {high:g}",
-                expected="the lower bound first",
-            )
+        _check_bounds(low, high, self.name)
         if not low <= nominal <= high:
             raise InvalidInput(
                 f"{self.name}.nominal",
@@ -187,6 +179,12 @@ class Unknown(Comparable):
     def covers(self, conditions: Mapping[str, str | float]) -> bool:
         """Whether the value applies to an experiment under these conditions."""
         return all(conditions.get(k) == v for k, v in self.where.items())
+
+
+def _check_bounds(low: float, high: float, where: str) -> None:
+    if not low < high:
+        found = f"bounds {low:g} to {high:g}"
+        raise InvalidInput(where, found=found, expected="the lower bound first")
 
 
 def split_label(label: str) -> tuple[str, dict[str, str]]:
