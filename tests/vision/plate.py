@@ -8,9 +8,9 @@ import numpy as np
 from fixel.model import Disk, placed
 from fixel.vision.camera import Camera
 from fixel.vision.lens import Lens
-from fixel.vision.marks import MarkedPart, Rig, Tag
+from fixel.vision.marks import MarkedPart, Rig, Tag, dictionary_of
 from fixel.vision.outlines import outline_pixels
-from fixel.vision.tracking.tag_reader import CORNERS, DICTIONARIES
+from fixel.vision.tracking.tag_reader import CORNERS
 
 FINE = 4  # subpixels along a side
 CELLS = 10  # of a tag of 36h11, its white border included; 8 without
@@ -54,7 +54,7 @@ def plate_picture(rig: Rig, poses: dict[str, tuple[float, float, float]], tops=(
 
 
 def _lay(fine: np.ndarray, rig: Rig, tag: Tag, pose) -> None:
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARIES[tag.family]))
+    dictionary = dictionary_of(tag.family)
     side = 30 * CELLS
     card = np.full((side, side), 255, dtype=np.uint8)
     card[30:-30, 30:-30] = cv2.aruco.generateImageMarker(dictionary, tag.id, side - 60)

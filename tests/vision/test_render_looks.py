@@ -9,7 +9,7 @@ from tests.vision.rendered import AWAY, bare_scene, small_rig, still
 from fixel.errors import InvalidInput
 from fixel.model import Trajectory
 from fixel.vision.render import CameraEffects, changed, film_scene, frame_times, looks_named
-from fixel.vision.render.film import occlusion_of
+from fixel.vision.render.film import Occlusion
 from fixel.vision.render.looks import PRESETS, light
 from fixel.vision.render.virtual_camera import Sensor
 
@@ -146,7 +146,7 @@ def test_corners_are_darker_by_the_vignetting():
 def test_the_hand_covers_the_share_it_should_for_as_long_as_it_should():
     looks = CameraEffects(occlusion=2.0, occluded=0.5)
     scene, rig = bare_scene(), small_rig()
-    occlusion = occlusion_of(scene, rig, looks, TIMES, 1)
+    occlusion = Occlusion(scene, rig, looks, TIMES, 1)
     begins, ends = occlusion.interval
     covered = np.array([occlusion.share(occlusion.pose(t, POSE), POSE) for t in TIMES[::3]])
     there = (TIMES[::3] >= begins) & (TIMES[::3] <= ends)
@@ -164,7 +164,7 @@ def test_the_hand_covers_the_share_it_should_for_as_long_as_it_should():
 
 
 def test_no_hand_where_none_is_asked_for():
-    occlusion = occlusion_of(bare_scene(), small_rig(), CameraEffects(), TIMES, 1)
+    occlusion = Occlusion(bare_scene(), small_rig(), CameraEffects(), TIMES, 1)
 
     assert occlusion.interval == (0.0, 0.0)
     assert occlusion.pose(3.0, POSE) is None

@@ -12,8 +12,7 @@ from fixel.drawing.chart import refuse_ending
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray
 from fixel.vision.frame import opencv
-from fixel.vision.marks import Board, Tag
-from fixel.vision.tracking.tag_reader import dictionary_of
+from fixel.vision.marks import Board, Tag, dictionary_of
 
 if TYPE_CHECKING:
     from PIL.Image import Image

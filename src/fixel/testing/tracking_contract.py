@@ -26,10 +26,9 @@ from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Picture, opencv
 from fixel.vision.lens import Lens
-from fixel.vision.marks import MarkedPart, Rig, Sticker, Tag
+from fixel.vision.marks import MarkedPart, Rig, Sticker, Tag, cells
 from fixel.vision.tracking.base import AbstractTracking
 from fixel.vision.tracking.follow import track
-from fixel.vision.tracking.tag_reader import cells
 
 POSITION, ANGLE = 0.15e-3, 0.0026  # [m], [rad], accuracy required for the thesis's testbed
 FRAMES = 6

@@ -116,10 +116,6 @@ class Camera(Comparable):
         x, y = vector(above, "above", "x [m], y [m]")
         return cls(lens=lens, rotation=rotation, translation=-rotation @ [x, y, height])
 
-    def for_pictures_of(self, size: tuple[int, int], *, rescale: bool = False) -> Camera:
-        """Return the camera if its lens is for pictures of this size; see `Lens`."""
-        return replace(self, lens=self.lens.for_pictures_of(size, rescale=rescale))
-
     @property
     def position(self) -> FloatArray:
         """Position (3,) of the camera in the world [m]."""

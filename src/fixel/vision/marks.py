@@ -10,9 +10,11 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Annotated, Any, Final, NamedTuple, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fixel.errors import InvalidInput
 from fixel.model.bodies import POSE
@@ -27,14 +29,27 @@ from fixel.model.fields import (
     settle,
     vector,
 )
-from fixel.typing import FloatArray
+from fixel.typing import BoolArray, FloatArray
 from fixel.vision.camera import Camera, MeasuredCamera
 from fixel.vision.frame import Gray, Picture, opencv
 
 # Bit 0 is the blue coil, 1 the red, 2 the green one. The thesis's contact mode has the reverse
 # order: 4 for the first fixel, 2 for the second, 1 for the third.
 THESIS_BITS: Final = ("fixel-3", "fixel-2", "fixel-1")
-FAMILIES: Final = ("apriltag-36h11", "aruco-4x4-50", "aruco-5x5-100")
+# OpenCV's names of families of tags.
+_FAMILIES: Final = {
+    "apriltag-36h11": "DICT_APRILTAG_36h11",
+    "aruco-4x4-50": "DICT_4X4_50",
+    "aruco-5x5-100": "DICT_5X5_100",
+}
+FAMILIES: Final = tuple(_FAMILIES)
+# With families in common use, to name tags that do not belong to the rig.
+KNOWN_FAMILIES: Final = _FAMILIES | {
+    "aruco-6x6-250": "DICT_6X6_250",
+    "aruco-7x7-250": "DICT_7X7_250",
+    "apriltag-25h9": "DICT_APRILTAG_25h9",
+    "apriltag-36h10": "DICT_APRILTAG_36h10",
+}
 COLOURS: Final = ("red", "orange", "yellow", "green", "cyan", "blue", "magenta")
 
 
@@ -332,8 +347,8 @@ class Board:
         aruco = opencv().aruco
         counts = {}
         for name, size in DICTIONARIES.items():
-            tags = aruco.getPredefinedDictionary(getattr(aruco, f"DICT_{name.upper()}_{size}"))
-            ids = aruco.ArucoDetector(tags).detectMarkers(gray)[1]
+            tags = f"DICT_{name.upper()}_{size}"
+            ids = aruco.ArucoDetector(predefined(tags)).detectMarkers(gray)[1]
             counts[name] = 0 if ids is None else len(ids)
         most = max(counts, key=lambda name: counts[name])
         return most if most != self.dictionary and counts[most] > MIN_OTHERS else ""
@@ -388,12 +403,40 @@ class Board:
 
     def of_opencv(self) -> Any:
         """Return the OpenCV object of a board with tags."""
-        aruco = opencv().aruco
-        tags = f"DICT_{self.dictionary.upper()}_{DICTIONARIES[self.dictionary]}"
-        dictionary = aruco.getPredefinedDictionary(getattr(aruco, tags))
-        return aruco.CharucoBoard(
-            (self.columns, self.rows), float(self.square), float(self.marker or 0.0), dictionary
-        )
+        tags = predefined(f"DICT_{self.dictionary.upper()}_{DICTIONARIES[self.dictionary]}")
+        squares, side, marker = (self.columns, self.rows), float(self.square), self.marker or 0.0
+        return opencv().aruco.CharucoBoard(squares, side, float(marker), tags)
+
+
+def predefined(name: str) -> Any:
+    """Return a dictionary of tags by OpenCV's name for it."""
+    aruco = opencv().aruco
+    return aruco.getPredefinedDictionary(getattr(aruco, name))
+
+
+@cache
+def cells(family: str, id_: int) -> tuple[FloatArray, BoolArray]:
+    """Middles (n, 2) of the cells of a tag of side 1, with its border, and which are white.
+
+    Cells are in rows from the upper side down.
+    """
+    dictionary = dictionary_of(family, id_)
+    size = dictionary.markerSize
+    inner = dictionary.getBitsFromByteList(dictionary.bytesList[id_ : id_ + 1], size)
+    white: NDArray[np.bool_] = np.pad(np.asarray(inner).reshape(size, size) > 0, 1)
+    middle = (np.arange(size + 2) + 0.5) / (size + 2) - 0.5
+    x, y = np.meshgrid(middle, -middle)
+    return np.column_stack((x.ravel(), y.ravel())), white.ravel()
+
+
+@cache
+def dictionary_of(family: str, id_: int = 0) -> Any:
+    """Return OpenCV's dictionary of a family; raise where it has no tag of this number."""
+    dictionary = predefined(KNOWN_FAMILIES[family])
+    count = len(dictionary.bytesList)
+    if id_ >= count:
+        raise InvalidInput("tag.id", found=id_, expected=f"0 to {count - 1} of {family}")
+    return dictionary
 
 
 def board_of(text: str) -> Board:

@@ -58,7 +58,7 @@ def place_by_board(
     height : float
         Height of its upper face above the plate [m].
     """
-    _refuse_size(measured.lens, picture)
+    measured.lens.for_pictures_of((picture.shape[1], picture.shape[0]))
     corners = board.find(picture)
     x, y, angle = vector(pose, "board.pose", "x [m], y [m], angle [rad]")
     c, s = np.cos(angle), np.sin(angle)
@@ -70,7 +70,7 @@ def place_by_board(
 
 def place_by_tags(measured: MeasuredCamera, picture: Picture, tags: Sequence[Tag]) -> Placement:
     """Determine the place of a camera from tags fixed to the plate, at known poses."""
-    _refuse_size(measured.lens, picture)
+    measured.lens.for_pictures_of((picture.shape[1], picture.shape[0]))
     found = find_tags(picture, tags)
     if len(found) < MIN_TAGS:
         seen = ", ".join(str(tags[k].id) for k in found) or "none"
@@ -187,11 +187,6 @@ def _in_step(slopes: FloatArray) -> FloatArray:
     shift = np.tile(np.eye(2), (len(slopes) // 2, 1))
     moved = np.linalg.lstsq(slopes, shift, rcond=None)[0]
     return np.asarray(moved @ moved.T)
-
-
-def _refuse_size(lens: Lens, picture: Picture) -> None:
-    height, width = picture.shape[:2]
-    lens.for_pictures_of((width, height))
 
 
 def _refuse_misfit(misfit: FloatArray, rms: float, names: Sequence[str]) -> None:

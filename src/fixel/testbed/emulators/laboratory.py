@@ -36,8 +36,8 @@ from fixel.vision.render.bodies import direction_of
 from fixel.vision.render.canvas import FloatPicture
 from fixel.vision.render.film import (
     BrightField,
+    Occlusion,
     exposure_times,
-    occlusion_of,
     poses_at,
     view_of,
 )
@@ -230,7 +230,7 @@ class EmulatedLaboratory:
             self._pushing, self._jam = False, math.inf
             self._commanded = self.drive.place()
             self._head = np.append(self._commanded, head.pose[2])
-            self._hand = occlusion_of(scene, self.rig, self._looks, np.zeros(1), self._seed)
+            self._hand = Occlusion(scene, self.rig, self._looks, np.zeros(1), self._seed)
             self._view = view_of(scene, self.rig, self._looks, self._seed, self._view)
             self._place(self._faults.placement)
 
@@ -338,7 +338,7 @@ class EmulatedLaboratory:
         if name in faults.hidden and not done:
             looks = replace(self._looks, occlusion=faults.hand)
             times = self._now + np.array([0.0, seconds])
-            self._hand = occlusion_of(self._scene, self.rig, looks, times, self._seed)
+            self._hand = Occlusion(self._scene, self.rig, looks, times, self._seed)
 
     # --- picture and fixels -----------------------------------------------------------------------
 

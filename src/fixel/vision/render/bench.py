@@ -66,7 +66,7 @@ class RenderedBench:
     ) -> None:
         self._rig, self._looks = rig, looks
         self._eye = Projection(rig.camera)
-        self._size = self._eye.size
+        self.size = self._eye.size  # width and height [px]
         pixel = pixel_of(rig)
         dull, turned = grain(seed, "plastic", 0.03), grain(seed, "milled", 0.02)
         self._moving: list[tuple[str, Solid]] = [
@@ -83,12 +83,7 @@ class RenderedBench:
         self._resting = [place(solid, pose, self._eye) for solid, pose in resting]
         self._plate: FloatPicture = backdrop(rig, self._eye, seed) if like is None else like._plate
         self._falloff = falloff(self._eye, looks.vignetting)
-        self._still = self._developed(PictureWindow(0, 0, *self._size), self._painted([]))
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height [px]."""
-        return self._size
+        self._still = self._developed(PictureWindow(0, 0, *self.size), self._painted([]))
 
     def light(self, instants: Sequence[Poses]) -> FloatPicture:
         """Render the light on the sensor (h, w, 3) float32 [grey levels].
@@ -106,7 +101,7 @@ class RenderedBench:
                 window = window.joined(thing.window)
             window = window.joined(shadow_window(moving, self._eye))
         margin = int(np.ceil(3.0 * self._looks.blur)) + 1
-        window = window.grown(margin, self._size)
+        window = window.grown(margin, self.size)
         picture = self._still.copy()
         if window.width and window.height:
             light = self._painted(placed[0], window)
@@ -127,7 +122,7 @@ class RenderedBench:
         self, moving: Sequence[PlacedSolid], window: PictureWindow | None = None
     ) -> FloatPicture:
         """Paint resting and moving things in a window, without blur."""
-        window = window or PictureWindow(0, 0, *self._size)
+        window = window or PictureWindow(0, 0, *self.size)
         depth, eye = self._looks.shadows, self._eye
         things = [*self._resting, *moving]
         picture = self._plate[window.slices].copy()
@@ -170,11 +165,11 @@ class RenderedBench:
         right, bottom = window.left + window.width, window.top + window.height
         rows = slice(
             margin if window.top > 0 else 0,
-            window.height - (margin if bottom < self._size[1] else 0),
+            window.height - (margin if bottom < self.size[1] else 0),
         )
         columns = slice(
             margin if window.left > 0 else 0,
-            window.width - (margin if right < self._size[0] else 0),
+            window.width - (margin if right < self.size[0] else 0),
         )
         picture[window.slices][rows, columns] = self._developed(window, light)[rows, columns]
 

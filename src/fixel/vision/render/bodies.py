@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -14,16 +14,11 @@ from fixel.model.probability import stream
 from fixel.model.shape import placed
 from fixel.typing import FloatArray
 from fixel.vision.frame import opencv
-from fixel.vision.marks import Mark, Rig, Tag
+from fixel.vision.marks import Mark, Rig, Tag, cells
 from fixel.vision.render.canvas import Canvas, FilledPolygons, FloatPicture, PictureWindow
 from fixel.vision.render.solids import Marking, Slab, Solid, circle, outline_of, polygon
 from fixel.vision.render.virtual_camera import Projection
 
-DICTIONARIES: Final = {
-    "apriltag-36h11": "DICT_APRILTAG_36h11",
-    "aruco-4x4-50": "DICT_4X4_50",
-    "aruco-5x5-100": "DICT_5X5_100",
-}
 QUIET: Final = 1.0  # width of the white margin in cells, which detectors need
 
 PAPER: Final = np.array([222.0, 226.0, 228.0])
@@ -64,30 +59,21 @@ def markings(mark: Mark, pixel: float) -> tuple[Marking, ...]:
     return (Marking(ring, np.array([0, len(ring)]), mark.height, colour),)
 
 
-@cache
-def tag_cells(family: str, number: int) -> NDArray[np.bool_]:
-    """Return (n, n) bool: black cells of a tag with its border; rows from the upper side down."""
-    cv2 = opencv()
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARIES[family]))
-    side = int(dictionary.markerSize) + 2
-    return np.asarray(cv2.aruco.generateImageMarker(dictionary, number, side) < 128)
-
-
 def _tag(tag: Tag, pixel: float) -> tuple[Marking, Marking]:
-    black = tag_cells(tag.family, tag.id)
-    n = len(black)
+    white = cells(tag.family, tag.id)[1]
+    n = math.isqrt(len(white))
     cell = tag.size / n
     half = 0.5 * tag.size + QUIET * cell
     corners = np.array([[-half, -half], [half, -half], [half, half], [-half, half]])
     paper = polygon(corners, pixel).points
-    row, column = np.nonzero(black)
+    row, column = np.nonzero(~white.reshape(n, n))
     # Neighbours share their edges exactly, so that no paper is visible between them.
     left, top = cell * column - 0.5 * tag.size, 0.5 * tag.size - cell * row
     square = cell * np.array([[0.0, -1.0], [1.0, -1.0], [1.0, 0.0], [0.0, 0.0]])
-    cells = (np.column_stack((left, top))[:, None] + square).reshape(-1, 2)
+    ink = (np.column_stack((left, top))[:, None] + square).reshape(-1, 2)
     return (
         _ink(paper, np.array([0, len(paper)]), tag, PAPER),
-        _ink(cells, np.arange(0, len(cells) + 1, 4), tag, TONER),
+        _ink(ink, np.arange(0, len(ink) + 1, 4), tag, TONER),
     )
 
 
@@ -276,7 +262,7 @@ def backdrop(rig: Rig, eye: Projection, seed: int) -> FloatPicture:
     for stroke in (*_holes(eye, middle), *_scratches(eye, middle, seed)):
         canvas.paint(stroke, light)
     for tag in rig.plate:
-        for ink in markings(tag, eye.pixel_size()):
+        for ink in markings(tag, eye.camera.metres_per_pixel()):
             canvas.paint(eye.polygons(ink.points, ink.height, ink.colour, ink.starts), light)
     return picture
 
@@ -302,7 +288,7 @@ def _corners(middle: FloatArray) -> FloatArray:
 
 def _plate_strokes(eye: Projection, middle: FloatArray) -> Iterator[FilledPolygons]:
     """Yield the shadow line under the plate, and its milled edge."""
-    pixel = eye.pixel_size()
+    pixel = eye.camera.metres_per_pixel()
     for grown, colour in ((0.006, 0.45 * WOOD), (0.0015, 0.6 * METAL)):
         corners = middle + (_corners(middle) - middle) * (1.0 + grown / HALF)
         yield eye.polygons(polygon(corners, pixel).points, 0.0, colour)
@@ -311,7 +297,7 @@ def _plate_strokes(eye: Projection, middle: FloatArray) -> Iterator[FilledPolygo
 def _plate_share(eye: Projection, middle: FloatArray) -> FloatPicture:
     size = eye.size
     share = np.zeros((size[1], size[0], 3), np.float32)
-    outline = polygon(_corners(middle), eye.pixel_size()).points
+    outline = polygon(_corners(middle), eye.camera.metres_per_pixel()).points
     canvas = Canvas(PictureWindow(0, 0, *size), share)
     canvas.paint(eye.polygons(outline, 0.0, np.ones(3)), np.ones(share.shape[:2], np.float32))
     return share
@@ -319,7 +305,7 @@ def _plate_share(eye: Projection, middle: FloatArray) -> FloatPicture:
 
 def _holes(eye: Projection, middle: FloatArray) -> Iterator[FilledPolygons]:
     """Yield threaded holes with a countersink, bright on one side."""
-    pixel = eye.pixel_size()
+    pixel = eye.camera.metres_per_pixel()
     reach = int((HALF - 0.012) / PITCH)
     rings = (
         (1.45 * HOLE, (0.0, 0.0), 0.80 * METAL),

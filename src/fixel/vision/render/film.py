@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.model import Body, Disk, Pusher, Scene, Shape, Trajectory
+from fixel.model import Body, Disk, Pusher, Scene, Trajectory
 from fixel.model.fields import frozen
 from fixel.model.probability import stream
 from fixel.model.shape import placed
@@ -37,22 +37,20 @@ class Occlusion:
 
     Parameters
     ----------
+    scene : Scene
+        Scene whose first body the hand covers.
+    rig : Rig
     looks : CameraEffects
         Duration of the occlusion, and covered share of the object.
-    name : str
-        Name of the object.
-    shape : Shape
-        Shape of the object.
-    rig : Rig
     times : (n,) float64
         Times of the film's frames [s].
     seed : int
     """
 
     def __init__(
-        self, looks: CameraEffects, name: str, shape: Shape, rig: Rig, times: FloatArray, seed: int
+        self, scene: Scene, rig: Rig, looks: CameraEffects, times: FloatArray, seed: int
     ) -> None:
-        self._looks, self._name, self._rig = looks, name, rig
+        self._looks, self._rig, self._body = looks, rig, scene.bodies[0]
         self._eye = Projection(rig.camera)
         random = stream(seed, "film", "hand")
         first, last = float(times[0]), float(times[-1])
@@ -62,7 +60,7 @@ class Occlusion:
         self._heading = 0.5 * np.pi + random.uniform(-0.35, 0.35)
         pixel = pixel_of(rig)
         self._hand = hand_solid(4.0 * pixel)
-        self._outline = outline_of(shape, 2.0 * pixel).points
+        self._outline = outline_of(self._body.shape, 2.0 * pixel).points
         self._ahead: float | None = None
 
     @property
@@ -86,7 +84,7 @@ class Occlusion:
         """Share of the object's upper face that a hand at this pose covers [-]."""
         if hand is None:
             return 0.0
-        part = self._rig.parts.get(self._name)
+        part = self._rig.parts.get(self._body.name)
         height = part.height if part else OBJECT_HEIGHT
         face = self._eye.project_at(placed(self._outline, object_pose), height)
         low = np.floor(face.min(axis=0))
@@ -159,7 +157,7 @@ def film_scene(
     view = view_of(scene, rig, looks, seed)
     sensor = Sensor(looks, view.size, seed)
     factors = light(looks, times, seed)
-    occlusion = occlusion_of(scene, rig, looks, times, seed)
+    occlusion = Occlusion(scene, rig, looks, times, seed)
     pixel = rig.camera.metres_per_pixel()
     for number, time in enumerate(times.tolist()):
         instants = [
@@ -182,14 +180,6 @@ def tracks_of(scene: Scene, motion: Motion) -> dict[str, Trajectory]:
             expected="trajectories of all moving bodies",
         )
     return {name: motion[name] for name in names}
-
-
-def occlusion_of(
-    scene: Scene, rig: Rig, looks: CameraEffects, times: FloatArray, seed: int
-) -> Occlusion:
-    """Create the hand of a film, over the scene's first body."""
-    body = scene.bodies[0]
-    return Occlusion(looks, body.name, body.shape, rig, times, seed)
 
 
 def poses_at(
@@ -238,8 +228,8 @@ class BrightField:
 
     def __init__(self, scene: Scene, rig: Rig, looks: CameraEffects, seed: int) -> None:
         self._eye, self._looks = Projection(rig.camera), looks
-        self._size = self._eye.size
-        pixel = self._eye.pixel_size()
+        self.size = self._eye.size  # width and height [px]
+        pixel = rig.camera.metres_per_pixel()
         self._outlines: list[tuple[str, FloatArray, float]] = []
         for body in scene.bodies:
             self._add(rig, body.name, part_outline(body, looks.tab, pixel))
@@ -248,13 +238,8 @@ class BrightField:
             self._add(rig, pusher.name, outline_of(pusher.shape, pixel).points)
         for fixel in scene.fixels:
             self._add(rig, fixel.name, placed(outline_of(fixel.shape, pixel).points, fixel.pose))
-        self._ground = _ground(self._size, seed, clean=looks.read_noise == 0.0)
+        self._ground = _ground(self.size, seed, clean=looks.read_noise == 0.0)
         self._falloff = falloff(self._eye, looks.vignetting)[..., None]
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height [px]."""
-        return self._size
 
     def light(self, instants: Sequence[Poses]) -> FloatPicture:
         """Render the light on the sensor (h, w, 3) float32 over an exposure [grey levels]."""
@@ -273,7 +258,7 @@ class BrightField:
 
     def _sharp(self, poses: Poses) -> FloatPicture:
         picture = self._ground.copy()
-        canvas = Canvas(PictureWindow(0, 0, *self._size), picture)
+        canvas = Canvas(PictureWindow(0, 0, *self.size), picture)
         full = np.ones(picture.shape[:2], np.float32)
         still = np.zeros(3)
         for name, outline, height in self._outlines:

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Final, final
+from typing import Annotated, Final, final
 
 import numpy as np
 
 from fixel.errors import InvalidInput, unknown_name
-from fixel.model.fields import fraction, non_negative, settle
+from fixel.model.fields import Value, check_fields, field_types, fraction, non_negative, settle
 from fixel.model.probability import stream
 from fixel.typing import FloatArray
 
 LIGHTINGS: Final = ("above", "through")
+
+Pixels = Annotated[float, Value(non_negative, "px")]
+Seconds = Annotated[float, Value(non_negative, "s")]
+Levels = Annotated[float, Value(non_negative, "grey levels")]
+Share = Annotated[float, Value(fraction)]
+Ratio = Annotated[float, Value(non_negative)]
 
 # Pixels smaller than this belong to a microscope, larger ones to a camera over the testbed.
 MICROSCOPE: Final = 5e-5  # [m/px]
@@ -30,22 +36,22 @@ class CameraEffects:
 
     # `"above"`: a testbed under a lamp. `"through"`: a microscope's bright field.
     lighting: str = "above"
-    exposure: float = 0.0  # exposure time of a frame, whose time stamp is its middle [s]
-    blur: float = 0.0  # standard deviation of the lens's blur [px]
-    vignetting: float = 0.0  # share of the light that is missing in the corners of the picture [-]
-    shadows: float = 0.5  # share of the light that is missing in a full shadow [-]
-    read_noise: float = 0.0  # standard deviation of the noise in the dark [grey levels of 255]
+    exposure: Seconds = 0.0  # exposure time of a frame, whose time stamp is its middle [s]
+    blur: Pixels = 0.0  # standard deviation of the lens's blur [px]
+    vignetting: Share = 0.0  # share of the light that is missing in the corners of the picture [-]
+    shadows: Share = 0.5  # share of the light that is missing in a full shadow [-]
+    read_noise: Levels = 0.0  # standard deviation of the noise in the dark [grey levels of 255]
     # Standard deviation of the photon noise at full white [grey levels]; it grows with the root of
     # the light.
-    shot_noise: float = 0.0
-    drift: float = 0.0  # standard deviation of slow changes of the brightness, as a share [-]
+    shot_noise: Levels = 0.0
+    drift: Ratio = 0.0  # standard deviation of slow changes of the brightness, as a share [-]
     # Share of the light that is missing for a while in the middle of the film [-].
-    light_change: float = 0.0
-    colour_change: float = 0.0  # relative increase of red and decrease of blue at the same time [-]
-    occlusion: float = 0.0  # duration for which a hand lies over the object [s]
-    occluded: float = 0.5  # share of the object's upper face that the hand covers [-]
-    dropped: float = 0.0  # probability that a frame is lost [-]
-    jitter: float = 0.0  # standard deviation of frame times, as a share of the interval [-]
+    light_change: Share = 0.0
+    colour_change: Share = 0.0  # relative increase of red and decrease of blue at the same time [-]
+    occlusion: Seconds = 0.0  # duration for which a hand lies over the object [s]
+    occluded: Share = 0.5  # share of the object's upper face that the hand covers [-]
+    dropped: Share = 0.0  # probability that a frame is lost [-]
+    jitter: Ratio = 0.0  # standard deviation of frame times, as a share of the interval [-]
     # Width and length of the rest of the lead on a short side of a part under the microscope [m].
     tab: tuple[float, float] = (0.0, 0.0)
 
@@ -54,26 +60,12 @@ class CameraEffects:
             raise InvalidInput(
                 "looks.lighting", found=repr(self.lighting), expected=" or ".join(LIGHTINGS)
             )
-        for name, unit in _NOT_NEGATIVE.items():
-            settle(self, **{name: non_negative(getattr(self, name), f"looks.{name}", unit)})
-        for name in _SHARES:
-            settle(self, **{name: fraction(getattr(self, name), f"looks.{name}")})
+        check_fields(self, "looks")
         width, length = (non_negative(side, "looks.tab", "m") for side in self.tab)
         settle(self, tab=(width, length))
 
 
-_NOT_NEGATIVE = {
-    "exposure": "s",
-    "blur": "px",
-    "read_noise": "grey levels",
-    "shot_noise": "grey levels",
-    "drift": "",
-    "occlusion": "s",
-    "jitter": "",
-}
-_SHARES = ("vignetting", "shadows", "light_change", "colour_change", "occluded", "dropped")
-
-_NUMBERS: Final = (*_NOT_NEGATIVE, *_SHARES)
+_NUMBERS: Final = tuple(name for name, own in field_types(CameraEffects).items() if own.value)
 
 _THESIS: Final = CameraEffects(
     exposure=1.0 / 100.0,
@@ -114,26 +106,14 @@ PRESETS: Final[dict[str, CameraEffects]] = {
 
 
 def looks_named(name: str) -> CameraEffects:
-    """Return the preset with a name.
-
-    Raises
-    ------
-    InvalidInput
-        There is no preset with this name.
-    """
+    """Return the preset with a name; raise `InvalidInput` if there is none."""
     if name in PRESETS:
         return PRESETS[name]
     raise unknown_name("looks", name, PRESETS)
 
 
 def changed(looks: CameraEffects, changes: Iterable[str]) -> CameraEffects:
-    """Return looks with some numbers changed, each given as `NAME=VALUE`.
-
-    Raises
-    ------
-    InvalidInput
-        A name is unknown, or a value is no number.
-    """
+    """Return looks with some numbers changed, each given as `NAME=VALUE`."""
     for text in changes:
         name, equals, value = text.partition("=")
         if name not in _NUMBERS or not equals:

@@ -61,10 +61,6 @@ class Projection:
         """Project polygons at a height above the plane [m], see `filled_polygons`."""
         return filled_polygons(self.project_at(places, height), colour, self.size, starts)
 
-    def pixel_size(self, height: float = 0.0) -> float:
-        """Scale in the middle of the picture at a height [m/px]."""
-        return self.camera.metres_per_pixel(height)
-
     def _holds(self, limit: float) -> bool:
         """Whether distortion is monotonic up to this direction [-]."""
         r = np.linspace(0.0, limit, 64)

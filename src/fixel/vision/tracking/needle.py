@@ -99,7 +99,7 @@ class NeedleFollower:
         if residual > MAX_RESIDUAL:
             return PartObservation(reason=f"sides of the needle scatter by {residual:.2f} px")
         scale = self.camera.metres_per_pixel(self.height)
-        pose = self._pose_of(tip, needle)
+        pose = np.append(self.camera.on_plane(tip, self.height) - self._ahead(needle, tip), 0.0)
         self._prediction.seen(frame.time, pose)
         self._needle = needle
         return PartObservation(
@@ -127,10 +127,6 @@ class NeedleFollower:
         outline = np.column_stack((self.shape.outline @ along, self.shape.outline @ aside)) / scale
         outline[:, 0] -= outline[:, 0].max()
         return np.asarray(outline[outline[:, 0] > -0.5 * np.ptp(outline[:, 1])])
-
-    def _pose_of(self, tip: FloatArray, needle: NeedleShape) -> FloatArray:
-        place = self.camera.on_plane(tip, self.height) - self._ahead(needle, tip)
-        return np.append(place, 0.0)
 
     def _tip_of(self, pose: FloatArray) -> FloatArray:
         assert self._needle is not None

@@ -122,7 +122,9 @@ class _StickeredPart(PartFollower):
         off = np.hypot(*(placed(own, pose) - seen).T) / self._scale
         return PartObservation(
             pose=pose,
-            residual=max(_rms(off), float(np.mean([fit.residual for _, fit in good]))),
+            residual=max(
+                float(np.sqrt(np.mean(off**2))), float(np.mean([fit.residual for _, fit in good]))
+            ),
             scale=self._scale,
             sd=sd,
             marks=len(good),
@@ -178,10 +180,6 @@ class _StickeredPart(PartFollower):
         low = np.maximum(pixel.min(0).astype(int) - margin, 0)
         high = np.minimum(pixel.max(0).astype(int) + margin, (width, height))
         return slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def spread_of(seen: FloatArray, covariances: Sequence[FloatArray]) -> FloatArray:

@@ -7,26 +7,13 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fixel.errors import InvalidInput
-from fixel.typing import BoolArray, FloatArray
+from fixel.typing import FloatArray
 from fixel.vision.frame import Gray, Picture, opencv
-from fixel.vision.marks import Tag, gray_of
+from fixel.vision.marks import KNOWN_FAMILIES, Tag, dictionary_of, gray_of
 from fixel.vision.tracking.loops import find_edges
 
-DICTIONARIES: Final = {
-    "apriltag-36h11": "DICT_APRILTAG_36h11",
-    "aruco-4x4-50": "DICT_4X4_50",
-    "aruco-5x5-100": "DICT_5X5_100",
-}
-# With families in common use, to name tags that do not belong to the rig.
-KNOWN: Final = DICTIONARIES | {
-    "aruco-6x6-250": "DICT_6X6_250",
-    "aruco-7x7-250": "DICT_7X7_250",
-    "apriltag-25h9": "DICT_APRILTAG_25h9",
-    "apriltag-36h10": "DICT_APRILTAG_36h10",
-}
 MAX_NAMED: Final = 6  # tags per family
 # Corners of a tag of side 1, in OpenCV's order: clockwise in the picture from the upper left.
 CORNERS: Final = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
@@ -57,7 +44,7 @@ def read_tags(picture: Gray, families: set[str]) -> dict[TagName, list[FloatArra
 
 def other_families(picture: Gray, families: set[str]) -> str:
     """Describe tags of other families in a picture; empty where there are none."""
-    found = read_tags(picture, set(KNOWN) - families)
+    found = read_tags(picture, set(KNOWN_FAMILIES) - families)
     by_family: dict[str, list[int]] = {}
     for family, id_ in sorted(found):
         by_family.setdefault(family, []).append(id_)
@@ -73,29 +60,6 @@ def _detector(family: str) -> Any:
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
     return cv2.aruco.ArucoDetector(dictionary_of(family), parameters)
-
-
-@functools.cache
-def dictionary_of(family: str, id_: int = 0) -> Any:
-    """Return OpenCV's dictionary of a family; raise where it has no tag of this number."""
-    aruco = opencv().aruco
-    dictionary = aruco.getPredefinedDictionary(getattr(aruco, KNOWN[family]))
-    count = len(dictionary.bytesList)
-    if id_ >= count:
-        raise InvalidInput("tag.id", found=id_, expected=f"0 to {count - 1} of {family}")
-    return dictionary
-
-
-@functools.cache
-def cells(family: str, id_: int) -> tuple[FloatArray, BoolArray]:
-    """Middles (n, 2) of the cells of a tag of side 1, with its border, and which are white."""
-    dictionary = dictionary_of(family, id_)
-    size = dictionary.markerSize
-    inner = dictionary.getBitsFromByteList(dictionary.bytesList[id_ : id_ + 1], size)
-    white: NDArray[np.bool_] = np.pad(np.asarray(inner).reshape(size, size) > 0, 1)
-    middle = (np.arange(size + 2) + 0.5) / (size + 2) - 0.5
-    x, y = np.meshgrid(middle, -middle)
-    return np.column_stack((x.ravel(), y.ravel())), white.ravel()
 
 
 def tag_corners(tag: Tag) -> FloatArray:

@@ -14,7 +14,7 @@ from fixel.model.shape import placed
 from fixel.typing import BoolArray, FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Gray
-from fixel.vision.marks import Rig, Tag
+from fixel.vision.marks import Rig, Tag, cells
 from fixel.vision.tracking.base import (
     MARGIN,
     AbstractFollower,
@@ -27,7 +27,7 @@ from fixel.vision.tracking.base import (
 )
 from fixel.vision.tracking.loops import cells_right, cells_shown, optics_of
 from fixel.vision.tracking.outline import OutlineEdges, PoseFit, fit_spread, window_of
-from fixel.vision.tracking.tag_reader import CORNERS, TagName, cells, on_tag, read_tags, tag_corners
+from fixel.vision.tracking.tag_reader import CORNERS, TagName, on_tag, read_tags, tag_corners
 
 POINTS: Final = 12  # on each side of a tag
 FROM_CORNERS: Final = 0.08  # of a side, left out at either end: corners are rounded

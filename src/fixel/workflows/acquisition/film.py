@@ -39,7 +39,7 @@ from fixel.vision.render import (
     looks_named,
 )
 from fixel.vision.render.bench import HAND
-from fixel.vision.render.film import occlusion_of, poses_at
+from fixel.vision.render.film import Occlusion, poses_at
 from fixel.vision.render.looks import light
 from fixel.workflows.compilation import get_ready
 
@@ -254,7 +254,7 @@ def truth_of(
 ) -> Truth:
     """Compute the ground truth of a film at its frame times (n,) [s]."""
     tracks = tracks_of(subject, lead)
-    occlusion = occlusion_of(subject.scene, rig, looks, times, seed)
+    occlusion = Occlusion(subject.scene, rig, looks, times, seed)
     name = subject.scene.bodies[0].name
     covered = []
     for time in times.tolist():
