@@ -104,23 +104,14 @@ class ImportPlan:
                 first = first or problem
                 self.problems[name] = problem
                 continue
-            self._add_simulation(k, experiment)
+            with collected(self.problems, f"simulation of {experiment.key}", self.source.name):
+                found = self.simulate(k, experiment) if self.simulate else None
+                if found is not None:
+                    self.simulations[experiment.key] = found
             sound = True
             yield experiment
         if first is not None and not sound:
             raise first
-
-    def _add_simulation(self, k: int, experiment: Experiment) -> None:
-        if self.simulate is None:
-            return
-        try:
-            with guarded(self.source.name):
-                found = self.simulate(k, experiment)
-        except FixelError as problem:
-            self.problems[f"simulation of {experiment.key}"] = problem
-            return
-        if found is not None:
-            self.simulations[experiment.key] = found
 
 
 def named(dataset: str, problems: Problems) -> Problems:
@@ -192,6 +183,16 @@ def guarded(source: str) -> Iterator[None]:
             found=f"an error ({type(problem).__name__}: {problem})"[:200],
             expected="data in the format of this importer",
         ) from problem
+
+
+@contextmanager
+def collected(problems: Problems, name: str, source: str) -> Iterator[None]:
+    """Add an error of the block to problems, unless one of this name is known; see `guarded`."""
+    try:
+        with guarded(source):
+            yield
+    except FixelError as problem:
+        problems.setdefault(name, problem)
 
 
 def trajectory_of(time: FloatArray, pose: FloatArray) -> Trajectory:

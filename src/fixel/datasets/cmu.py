@@ -3,7 +3,7 @@ pushed again and again by two fingers."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple, final
@@ -11,13 +11,22 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.datasets.base import Importer, ImportPlan, Origin, guarded, named, remark, trajectory_of
+from fixel.datasets.base import (
+    Importer,
+    ImportPlan,
+    Origin,
+    collected,
+    named,
+    remark,
+    trajectory_of,
+)
 from fixel.datasets.contact import pushed_scene
 from fixel.datasets.files import (
     MM,
     CsvRows,
     Problems,
     advancing,
+    has_files,
     member,
     missing_rows,
     only_file,
@@ -26,7 +35,7 @@ from fixel.datasets.files import (
     read_table,
     rows_of,
 )
-from fixel.errors import FixelError, InvalidInput
+from fixel.errors import InvalidInput
 from fixel.model import (
     Body,
     Channel,
@@ -77,8 +86,7 @@ class CmuTripod(Importer):
 
     def recognised(self, source: Path) -> bool:
         """Whether a folder has pushes.csv, setup.json, and tables of force and robot."""
-        groups = ((PUSHES,), (SETUP,), FORCE, ROBOT)
-        return all(any((source / name).is_file() for name in names) for names in groups)
+        return has_files(source, (PUSHES,), (SETUP,), FORCE, ROBOT)
 
     def _plan(self, source: Path, options: Mapping[str, object]) -> ImportPlan:
         data = _read(source)
@@ -109,15 +117,12 @@ class CmuTripod(Importer):
 
 
 class _TripodData(NamedTuple):
-    """Content of all files of the folder, as numbers."""
+    """Content of all files of the folder."""
 
-    table: CsvRows
-    names: list[str]
+    table: CsvRows  # of the pushes
+    names: Sequence[str]
     poses: FloatArray  # (n, 6) before and after [m, m, rad]
     gaps: FloatArray  # (n, 2) at start and end [m]
-    surface: list[str]
-    support: list[str]
-    log: list[str]
     force: Mapping[str, FloatArray]  # (n, 3) of each push [s, N, N]
     robot: Mapping[str, FloatArray]  # (n, 4) of each push [s, m, m, rad]
     bodies: Mapping[tuple[str, str], Body]
@@ -141,18 +146,17 @@ def _read(folder: Path) -> _TripodData:
     bodies: dict[tuple[str, str], Body] = {}
     for name, *key in zip(*(table.columns[c] for c in (PUSH, "surface", "support")), strict=True):
         kind = (key[0], key[1])
-        try:
+        with collected(problems, name, SETUP):
             if kind not in bodies:
-                with guarded(SETUP):
-                    bodies[kind] = _body(setup, *kind)
-        except FixelError as problem:
-            problems.setdefault(name, problem)
+                bodies[kind] = _body(setup, *kind)
     kept = [row for row, name in enumerate(table.columns[PUSH]) if name not in problems]
     if not kept:
         raise next(iter(problems.values()))
     table = table.only(kept)
-    names = list(table.columns[PUSH])
-    values = series[0].stacked(*FORCES), _finger_path(series[1])
+    names, finger = table.columns[PUSH], series[1]
+    angle = 2.0 * np.arctan2(finger.numbers("qz"), finger.numbers("qw"))
+    path = np.column_stack((finger.numbers("t"), finger.stacked("x_mm", "y_mm") * MM, angle))
+    values = series[0].stacked(*FORCES), path
     force, robot = (
         {name: all_rows[own[name]] for name in names}
         for all_rows, own in zip(values, rows, strict=True)
@@ -162,20 +166,12 @@ def _read(folder: Path) -> _TripodData:
         names=names,
         poses=table.stacked(*POSES),
         gaps=table.stacked(*GAPS) * MM,
-        surface=list(table.columns["surface"]),
-        support=list(table.columns["support"]),
-        log=list(table.columns["source_log"]),
         force=force,
         robot=robot,
         bodies=bodies,
         finger=Disk(member(setup, "pusher.radius_m_assumed_by_authors", SETUP)),
         problems=problems,
     )
-
-
-def _finger_path(robot: CsvRows) -> FloatArray:
-    angle = 2.0 * np.arctan2(robot.numbers("qz"), robot.numbers("qw"))
-    return np.column_stack((robot.numbers("t"), robot.stacked("x_mm", "y_mm") * MM, angle))
 
 
 def _body(setup: dict[str, Any], surface: str, support: str) -> Body:
@@ -200,7 +196,8 @@ def _body(setup: dict[str, Any], surface: str, support: str) -> Body:
 
 
 def _push(data: _TripodData, row: int, provenance: Provenance) -> Experiment:
-    name = data.names[row]
+    name, columns = data.names[row], data.table.columns
+    surface, support, log = (columns[c][row] for c in ("surface", "support", "source_log"))
     force, path = data.force[name], data.robot[name]
     good = advancing(path[:, 0])
     path = path[good]
@@ -209,7 +206,7 @@ def _push(data: _TripodData, row: int, provenance: Provenance) -> Experiment:
     end = float(max(force[-1, 0], path[-1, 0]))
     pose = data.poses[row].reshape(2, 3)
     scene, flags = pushed_scene(
-        replace(data.bodies[data.surface[row], data.support[row]], pose=pose[0]),
+        replace(data.bodies[surface, support], pose=pose[0]),
         data.finger,
         path,
         friction=MU_FINGER,
@@ -231,9 +228,9 @@ def _push(data: _TripodData, row: int, provenance: Provenance) -> Experiment:
         ),
         effective=(0.0, end),
         conditions={
-            "surface": data.surface[row],
-            "support": data.support[row],
-            "log": data.log[row],
+            "surface": surface,
+            "support": support,
+            "log": log,
             "gap0_m": float(data.gaps[row, 0]),
             "gap1_m": float(data.gaps[row, 1]),
         },
@@ -246,7 +243,7 @@ def _doubts(data: _TripodData, row: int, dropped: int) -> Iterator[Flag]:
     gap = float(data.gaps[row, 1])
     if abs(gap) > LARGEST_GAP:
         yield Flag("tip-gap", f"the finger ends {gap / MM:.3g} mm from the outline")
-    if "mixed" in data.log[row]:
+    if "mixed" in data.table.columns["source_log"][row]:
         yield remark("joined-sessions", "the log was combined from two sessions")
     if dropped:
         yield remark("repeated-times", f"{dropped} rows of the finger dropped")
@@ -281,7 +278,7 @@ class CmuTwoPoint(Importer):
 
     def recognised(self, source: Path) -> bool:
         """Whether a folder has runs.csv and poses.csv.gz or poses.csv."""
-        return (source / RUNS).is_file() and any((source / name).is_file() for name in POSE_FILES)
+        return has_files(source, (RUNS,), POSE_FILES)
 
     def _plan(self, source: Path, options: Mapping[str, object]) -> ImportPlan:
         runs, problems = read_table(only_file(source, RUNS), torn=True).sound(

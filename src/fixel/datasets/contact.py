@@ -24,27 +24,9 @@ CLEARANCE: Final = 1e-9
 def moved_to_contact(
     shape: Shape, radius: float, pose: FloatArray, tip: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Compute the shift along the normal that moves a round tip out of an outline.
+    """Return gaps (n,) as `gaps_and_normals`, and shifts (n, 2) that move tips out of the outline.
 
-    Exact for convex outlines.
-
-    Parameters
-    ----------
-    shape : Shape
-        Outline of the object.
-    radius : float
-        Radius of the tip [m].
-    pose : (n, 3) float64
-        Pose of the object [m, m, rad].
-    tip : (n, 2) float64
-        Centre of the tip [m].
-
-    Returns
-    -------
-    gap : (n,) float64
-        Measured gap from the surface of the tip to the outline, negative in overlap [m].
-    offset : (n, 2) float64
-        Shift in the world [m]; zero for tips outside.
+    Shifts are along the normal [m], zero for tips outside. They are exact for convex outlines.
     """
     gap, outward = gaps_and_normals(shape, radius, pose, tip)
     length = np.where(gap < 0.0, CLEARANCE - gap, 0.0)

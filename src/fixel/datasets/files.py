@@ -320,6 +320,11 @@ def member(content: Mapping[str, Any], path: str, source: str) -> Any:
     return value
 
 
+def has_files(folder: Path, *groups: Sequence[str]) -> bool:
+    """Whether a folder has a file of each group of names."""
+    return all(any((folder / name).is_file() for name in names) for names in groups)
+
+
 def only_file(folder: Path, *names: str) -> Path:
     """Path of the first of these files that exists in a folder; raise if none does."""
     for name in names:

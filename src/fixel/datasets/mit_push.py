@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fixel.datasets.base import Importer, ImportPlan, Origin, guarded, named
 from fixel.datasets.contact import MAX_CORRECTION, moved_to_contact, pushed_scene
-from fixel.datasets.files import MM, Problems, only_file, read_json, read_table
+from fixel.datasets.files import MM, Problems, has_files, only_file, read_json, read_table
 from fixel.datasets.mit_push_records import (
     DATASET,
     MU_PUSHER,
@@ -85,7 +85,7 @@ class MitPush(Importer):
 
 def has_pushes(folder: Path) -> bool:
     """Whether a folder contains the end-point set."""
-    return any((folder / name).is_file() for name in TABLES) and (folder / SHAPES).is_file()
+    return has_files(folder, TABLES, (SHAPES,))
 
 
 @final

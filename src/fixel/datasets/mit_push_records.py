@@ -15,10 +15,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from fixel.datasets.base import ImportPlan, Origin, guarded, remark
+from fixel.datasets.base import ImportPlan, Origin, collected, remark
 from fixel.datasets.contact import pushed_scene
 from fixel.datasets.files import LARGEST_NUMBER, MM, Problems, advancing, member, read_json
-from fixel.errors import DatasetMissing, FixelError, InvalidInput
+from fixel.errors import DatasetMissing, InvalidInput
 from fixel.model import (
     Body,
     Channel,
@@ -69,13 +69,13 @@ def plan_of_records(source: Path, shapes_file: Path | None) -> ImportPlan:
             source, "pushes.csv.gz and shapes.json, or files " + " or ".join(RECORDS)
         )
     problems: Problems = {}
-    stems = Counter(map(_stem, files))
+    stems = Counter(path.stem for path in files)
     for stem, n in stems.items():
         if n > 1:
             found, expected = f"{n} files of this name", "each name once"
             problems[f"{DATASET}/{stem}"] = InvalidInput(stem, found=found, expected=expected)
     shapes, damaged = _shapes_near(files[0], shapes_file)
-    files = [path for path in files if stems[_stem(path)] == 1]
+    files = [path for path in files if stems[path.stem] == 1]
     problems |= {f"{SHAPES}: {name}": problem for name, problem in damaged.items()}
     origin = Origin()
     known = "outlines from shapes.json" if shapes else "no shapes.json found: no scenes (no-shape)"
@@ -91,7 +91,7 @@ def plan_of_records(source: Path, shapes_file: Path | None) -> ImportPlan:
             " plane.",
             "Rows whose time does not advance are dropped, with a flag (repeated-times).",
         ),
-        [f"{DATASET}/{_stem(path)}" for path in files],
+        [f"{DATASET}/{path.stem}" for path in files],
         lambda k: _experiment_of(files[k], shapes, origin),
         problems,
     )
@@ -102,10 +102,6 @@ def _record_files(source: Path) -> list[Path]:
         return [source] if source.suffix in (".h5", ".json") else []
     masks = [f"{folder}{name}" for folder in ("", "*/", "*/*/") for name in RECORDS]
     return sorted({path for mask in masks for path in source.glob(mask)})
-
-
-def _stem(path: Path) -> str:
-    return path.name.removesuffix(path.suffix)
 
 
 def _shapes_near(path: Path, given: Path | None) -> tuple[dict[str, Shape], Problems]:
@@ -143,7 +139,7 @@ def _experiment_of(path: Path, shapes: dict[str, Shape], origin: Origin) -> Expe
     speed = float(conditions.get("speed_m_s", 0.0))
     return Experiment(
         dataset=DATASET,
-        name=_stem(path),
+        name=path.stem,
         real=True,
         provenance=origin.of(path),
         object_name=OBJECT,
@@ -247,7 +243,7 @@ def _rows(path: Path, key: str, given: Any) -> FloatArray:
 
 def _conditions(path: Path, about: Mapping[str, Any]) -> dict[str, str | float]:
     """Conditions of a push from its file, or else from the file name."""
-    match = _IN_NAME.match(_stem(path))
+    match = _IN_NAME.match(path.stem)
     named = {key: value for key, value in (match.groupdict() if match else {}).items() if value}
     surface, shape = about.get("surface", named.get("surface")), about.get("shape")
     shape = shape or named.get("shape")
@@ -313,11 +309,8 @@ def shapes_of(content: Mapping[str, Any]) -> tuple[dict[str, Shape], Problems]:
     shapes: dict[str, Shape] = {}
     problems: Problems = {}
     for name, value in content.items():
-        try:
-            with guarded(f"{SHAPES}: {name}"):
-                shapes[name] = _shape(f"{SHAPES}: {name}", value)
-        except FixelError as problem:
-            problems[name] = problem
+        with collected(problems, name, where := f"{SHAPES}: {name}"):
+            shapes[name] = _shape(where, value)
     return shapes, problems
 
 

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from fixel.datasets.base import Importer, ImportPlan, Origin, guarded, remark, trajectory_of
+from fixel.datasets.base import Importer, ImportPlan, Origin, collected, remark, trajectory_of
 from fixel.datasets.contact import pushed_scene
 from fixel.datasets.files import (
     MM,
@@ -23,7 +23,7 @@ from fixel.datasets.files import (
     read_json,
     read_table,
 )
-from fixel.errors import DatasetMissing, FixelError, InvalidInput
+from fixel.errors import DatasetMissing, InvalidInput
 from fixel.model import Body, Channel, Disk, Experiment, Flag, Polygon, Trajectory, UniformPressure
 from fixel.typing import BoolArray, FloatArray
 
@@ -78,11 +78,8 @@ class MitPusherSlider(Importer):
         runs: list[_Run] = []
         problems: Problems = {}
         for path in files:
-            try:
-                with guarded(path.name):
-                    runs.append(_read(path))
-            except FixelError as problem:
-                problems[f"{DATASET}/{_stem(path)}"] = problem
+            with collected(problems, f"{DATASET}/{_stem(path)}", path.name):
+                runs.append(_read(path))
         if not runs:
             raise next(iter(problems.values()))
         origin = Origin()
@@ -188,21 +185,14 @@ def _experiment(run: _Run, shape: Polygon, tip: Disk, origin: Origin) -> Experim
 
 
 def _channels(rows: CsvRows, time: FloatArray) -> Iterator[Channel]:
-    if {"pusher_cmd_x", "pusher_cmd_y"} <= set(rows.columns):
-        yield Channel(
-            name="commanded",
-            time=time,
-            columns=("x_m", "y_m"),
-            values=rows.stacked("pusher_cmd_x", "pusher_cmd_y", blank=True),
-        )
-    if {"u0", "u1"} <= set(rows.columns):
+    for name, titles, columns in (
+        ("commanded", ("pusher_cmd_x", "pusher_cmd_y"), ("x_m", "y_m")),
         # The meaning of the two outputs, and so their unit, was not documented.
-        yield Channel(
-            name="controller",
-            time=time,
-            columns=("u0_ratio", "u1_ratio"),
-            values=rows.stacked("u0", "u1", blank=True),
-        )
+        ("controller", ("u0", "u1"), ("u0_ratio", "u1_ratio")),
+    ):
+        if {*titles} <= {*rows.columns}:
+            values = rows.stacked(*titles, blank=True)
+            yield Channel(name=name, time=time, columns=columns, values=values)
 
 
 def _dropouts(run: _Run) -> Iterator[Flag]:

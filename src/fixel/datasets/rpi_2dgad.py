@@ -19,6 +19,7 @@ from fixel.datasets.base import (
     Importer,
     ImportPlan,
     Origin,
+    collected,
     guarded,
     named,
     remark,
@@ -29,6 +30,7 @@ from fixel.datasets.files import (
     MM,
     CsvRows,
     Problems,
+    has_files,
     increasing,
     member,
     missing_rows,
@@ -37,7 +39,7 @@ from fixel.datasets.files import (
     read_table,
     rows_of,
 )
-from fixel.errors import DatasetMissing, FixelError, InvalidInput
+from fixel.errors import FixelError, InvalidInput
 from fixel.model import (
     Body,
     Channel,
@@ -48,7 +50,6 @@ from fixel.model import (
     Parameters,
     PathDrive,
     Polygon,
-    Provenance,
     Pusher,
     Scene,
     Trajectory,
@@ -94,8 +95,7 @@ class Rpi2dgad(Importer):
 
     def recognised(self, source: Path) -> bool:
         """Whether a folder has experiments.csv and a table of the tracked object."""
-        tracked = any((source / name).is_file() for name in TRACKS)
-        return tracked and (source / EXPERIMENTS).is_file()
+        return has_files(source, TRACKS, (EXPERIMENTS,))
 
     def _plan(self, source: Path, options: Mapping[str, object]) -> ImportPlan:
         listed, unread = read_table(only_file(source, EXPERIMENTS), torn=True).sound(
@@ -207,10 +207,8 @@ def _read(source: Path, listed: CsvRows) -> tuple[_Folder, Problems]:
     file = next((source / name for name in SIMULATED if (source / name).is_file()), None)
     simulated = _no_tracks(source)
     if file is not None:
-        try:
+        with collected(problems, file.name, file.name):
             simulated = _tracks(file)
-        except FixelError as problem:
-            problems[file.name] = problem
     return _Folder(
         source, listed, complete, broken, tracks, untracked, simulated, Origin()
     ), problems
@@ -241,18 +239,15 @@ def _complete(folder: Path) -> tuple[dict[str, _Trial], Problems, Problems]:
                 path.name, found="a name without a number", expected=expected
             )
             continue
-        try:
-            with guarded(path.name):
-                trials[match[1]] = _trial(folder, int(match[1]))
-        except FixelError as problem:
-            broken[match[1]] = problem
+        with collected(broken, match[1], path.name):
+            trials[match[1]] = _trial(folder, int(match[1]))
     return trials, broken, strange
 
 
 def _trial(folder: Path, number: int) -> _Trial:
     setup_file = f"exp{number}_setup.json"
     setup = read_json(folder / setup_file)
-    frames = _frames(folder, number)
+    frames = read_table(only_file(folder, f"exp{number}_frames.csv"))
     increasing(frames.numbers("time_s"), frames.source)
     fixels = _points(member(setup, "fixel_positions_mm", setup_file), setup_file)
     tactile = frames.stacked(*(f"tactile_{k + 1}" for k in range(len(fixels))))
@@ -267,13 +262,6 @@ def _trial(folder: Path, number: int) -> _Trial:
         tactile=(tactile > 0.5).astype(np.float64),
         fixels=fixels,
     )
-
-
-def _frames(folder: Path, number: int) -> CsvRows:
-    name = f"exp{number}_frames.csv"
-    if not (folder / name).is_file():
-        raise DatasetMissing(folder, name)
-    return read_table(folder / name)
 
 
 def _poses(table: CsvRows, *columns: str) -> FloatArray:
@@ -300,7 +288,8 @@ def lab_simulation(folder: Path, number: int) -> LabSimulation | None:
     path = folder / _lab_file(number)
     if not path.is_file():
         return None
-    first = int(_frames(folder, number).whole_numbers("frame")[0])
+    frames = read_table(only_file(folder, f"exp{number}_frames.csv"))
+    first = int(frames.whole_numbers("frame")[0])
     rows = read_table(path)
     return LabSimulation(
         _time(rows.whole_numbers("frame"), first),
@@ -315,12 +304,8 @@ def _lab_file(number: int) -> str:
 
 def _experiment(folder: _Folder, row: int) -> Experiment:
     """Build the experiment in a row of the list."""
-    name = folder.listed.columns[ID][row]
-    if name in folder.complete:
-        trial = folder.complete[name]
-        origin = folder.origin.of(folder.path / trial.source)
-        return _whole(int(name), trial, folder.listed, row, origin)
-    return _track(folder, row)
+    trial = folder.complete.get(folder.listed.columns[ID][row])
+    return _track(folder, row) if trial is None else _whole(folder, row, trial)
 
 
 def _simulation(folder: _Folder, row: int, experiment: Experiment) -> SimulationRecord | None:
@@ -336,7 +321,9 @@ def _simulation(folder: _Folder, row: int, experiment: Experiment) -> Simulation
         raise folder.simulated.problems[name]
     elif name in folder.simulated.rows:
         own, path = folder.simulated.rows[name], folder.simulated.path
-        first = _first_frame(folder, name)
+        trial = folder.complete.get(name)
+        frames = folder.tracks.frame[folder.tracks.rows[name]] if trial is None else trial.frame
+        first = int(frames[0])
         trajectory = trajectory_of(
             _time(folder.simulated.frame[own], first), folder.simulated.poses[own, :3]
         )
@@ -353,13 +340,6 @@ def _simulation(folder: _Folder, row: int, experiment: Experiment) -> Simulation
         contact_mode=_mode(int(modes[row]))[0] if modes and modes[row].isdecimal() else "",
         error_mm2=squared_error(*errors_of(experiment, trajectory)[1:]),
     )
-
-
-def _first_frame(folder: _Folder, name: str) -> int:
-    """Frame at which the clock of an experiment starts."""
-    if name in folder.complete:
-        return int(folder.complete[name].frame[0])
-    return int(folder.tracks.frame[folder.tracks.rows[name][0]])
 
 
 def _track(folder: _Folder, row: int) -> Experiment:
@@ -391,9 +371,7 @@ def _track(folder: _Folder, row: int) -> Experiment:
     )
 
 
-def _whole(
-    number: int, trial: _Trial, listed: CsvRows, row: int, provenance: Provenance
-) -> Experiment:
+def _whole(folder: _Folder, row: int, trial: _Trial) -> Experiment:
     """Build an experiment with actuator, fixels and tactile signals."""
     digits, flags = _mode(trial.value("final_contact_mode"))
     first = int(trial.frame[0])
@@ -406,9 +384,9 @@ def _whole(
     n_fixel = len(trial.fixels)
     return Experiment(
         dataset=DATASET,
-        name=str(number),
+        name=str(int(folder.listed.columns[ID][row])),
         real=True,
-        provenance=provenance,
+        provenance=folder.origin.of(folder.path / trial.source),
         object_name=OBJECT,
         trajectory=trajectory_of(time, trial.pose),
         pusher=Trajectory(time=time, pose=marker[:, 1:]),
@@ -429,7 +407,7 @@ def _whole(
         ),
         contact_mode=digits if not digits or n_fixel == N_FIXEL else "",
         effective=effective,
-        conditions={"object_id": float(listed.whole_numbers("object_id")[row])},
+        conditions={"object_id": float(folder.listed.whole_numbers("object_id")[row])},
         flags=(
             *flags,
             *why_not,

@@ -200,11 +200,7 @@ def matching(
         cells = [str(cell) for cell in columns[name]]
         for value in values:
             if not any(_same(cell, value) for cell in set(cells)):
-                raise InvalidInput(
-                    f"--select {name}",
-                    found=repr(value),
-                    expected="one of " + _shortened(sorted(set(cells))),
-                )
+                raise unknown_name(f"--select {name}", value, sorted(set(cells)))
         chosen = {cell for cell in set(cells) if any(_same(cell, value) for value in values)}
         fits &= np.array([cell in chosen for cell in cells], dtype=bool)
     if not fits.any():
@@ -214,6 +210,12 @@ def matching(
             expected="values that occur together in at least one record",
         )
     return fits
+
+
+def only_doubtful(what: str) -> InvalidInput:
+    """Return the error for a selection in which all pushes or windows are doubtful."""
+    found = f"only {what} of doubtful quality"
+    return InvalidInput("--select", found=found, expected="others", hint="try --all")
 
 
 def spread(n: int, limit: int | None) -> NDArray[np.intp]:
@@ -245,11 +247,6 @@ def _same(cell: str, value: str) -> bool:
         return cell == value or float(cell) == float(value)
     except ValueError:
         return False
-
-
-def _shortened(values: Sequence[str], most: int = 12) -> str:
-    more = f", ... ({len(values)} in all)" if len(values) > most else ""
-    return ", ".join(values[:most]) + more
 
 
 def errors_in_mm_and_deg(

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from fixel.datasets.mit_push import NOMINAL, STROKE, read_mit_pushes
 from fixel.datasets.mit_push_records import TIP
-from fixel.errors import InvalidInput
 from fixel.model import Scene
 from fixel.replay.base import (
     AbstractReplay,
@@ -23,6 +22,7 @@ from fixel.replay.base import (
     errors_in_mm_and_deg,
     matching,
     mean_and_median,
+    only_doubtful,
     pushes_figure,
     settings_from,
     spread,
@@ -50,12 +50,12 @@ class PushReplay(AbstractReplay):
         self.motion = motion_model(request.motion or "quasistatic")
         self.chosen, self.left_out = self._usable(request)
         self.groups = self._groups()
-        self.parts = [
-            ReplayPart(
-                f"{surface} {shape} {speed:g} mm/s", len(rows), (rows, self._scene(shape, speed))
-            )
-            for (surface, shape, speed), rows in self.groups.items()
-        ]
+        self.parts = []
+        for (surface, shape, speed), rows in self.groups.items():
+            pace = speed * 1e-3  # [m/s]
+            scene = template(self.data.bodies[shape], TIP, self.settings, pace, STROKE / pace)
+            name = f"{surface} {shape} {speed:g} mm/s"
+            self.parts.append(ReplayPart(name, len(rows), (rows, scene)))
 
     def simulate(self, item: tuple[IntArray, Scene]) -> BatchResult:
         """Simulate pushes that share a scene, in one compiled call."""
@@ -64,10 +64,8 @@ class PushReplay(AbstractReplay):
         waypoints[:, 1, 0] = scene.duration
         waypoints[:, 0, 1:3] = self.data.tip_start[rows]
         waypoints[:, 1, 1:3] = self.data.tip_end[rows]
-        result = simulate_batch(
-            scene, start=self.data.start[rows], waypoints=waypoints, motion=self.motion
-        )
-        return result
+        start = self.data.start[rows]
+        return simulate_batch(scene, start=start, waypoints=waypoints, motion=self.motion)
 
     def result(self, outcomes: list[BatchResult]) -> Replay:
         """Compare simulated and published ends with the measured ones."""
@@ -110,12 +108,7 @@ class PushReplay(AbstractReplay):
             fits &= ~data.astray & ~data.short
         rows = np.flatnonzero(fits)
         if not len(rows):
-            raise InvalidInput(
-                "--select",
-                found="only pushes of doubtful quality",
-                expected="others",
-                hint="try --all",
-            )
+            raise only_doubtful("pushes")
         return rows[spread(len(rows), request.limit)], {k: n for k, n in left_out.items() if n}
 
     def _groups(self) -> dict[Group, IntArray]:
@@ -126,11 +119,6 @@ class PushReplay(AbstractReplay):
             key: np.array([row for row in self.chosen.tolist() if keys[row] == key], dtype=np.intp)
             for key in sorted({keys[row] for row in self.chosen.tolist()})
         }
-
-    def _scene(self, shape: str, speed: float) -> Scene:
-        """Template scene of one shape and speed [mm/s]; starts and strokes vary."""
-        body = self.data.bodies[shape]
-        return template(body, TIP, self.settings, speed * 1e-3, STROKE / (speed * 1e-3))
 
     def _rows(self, status: NDArray[np.object_], end: FloatArray, errors: Errors) -> list[Row]:
         data = self.data

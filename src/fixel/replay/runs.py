@@ -28,6 +28,7 @@ from fixel.replay.base import (
     hide_spines,
     matching,
     mean_and_median,
+    only_doubtful,
     rms,
     settings_from,
     spread,
@@ -113,12 +114,7 @@ class RunReplay(AbstractReplay):
         windows = [w for w, reason in zip(windows, reasons, strict=True) if not reason]
         windows = [windows[k] for k in spread(len(windows), request.limit)]
         if not windows:
-            raise InvalidInput(
-                "--select",
-                found="only windows of doubtful quality",
-                expected="others",
-                hint="try --all",
-            )
+            raise only_doubtful("windows")
         self.parts = [ReplayPart(window.run.name, 1, window) for window in windows]
 
     def simulate(self, item: RunWindow) -> WindowOutcome:
