@@ -244,11 +244,11 @@ def dies_twice(folder):
 def test_a_calculation_whose_process_was_killed_is_repeated(tmp_path, monkeypatch):
     answers = queue.Queue()
     with closing(Background(dies_twice)) as background:
-        background.call(tmp_path, answers.put)
+        background.call(answers.put, tmp_path)
         assert answers.get(timeout=120.0) == "done"
     monkeypatch.setattr(loop_module, "TRIES", 1)
     with closing(Background(os._exit)) as background:
-        background.call(1, answers.put)
+        background.call(answers.put, 1)
         assert isinstance(answers.get(timeout=300.0), JobRefused)
 
 

@@ -33,10 +33,14 @@ def chosen_actuator(
     axes: str = "X",
     notify: Notify = print,
     dead_man: float | None = None,
+    keys: bool = True,
 ) -> AbstractActuator:
-    """Create the driver called `grbl`, `manual` or `simulated`, for axes such as `XY`."""
+    """Create the driver called `grbl`, `manual` or `simulated`, for axes such as `XY`.
+
+    With `keys`, any key on the terminal stops a drive with a controller.
+    """
     if driver == GrblActuator.name:
-        return GrblActuator(port, axes=axes, keys=True, dead_man=dead_man)
+        return GrblActuator(port, axes=axes, keys=keys, dead_man=dead_man)
     if driver == ManualActuator.name:
         if len(axes) > 1:
             raise InvalidInput("--axes", found=axes, expected="one axis with --driver manual")

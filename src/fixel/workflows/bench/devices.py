@@ -8,28 +8,29 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
+import shapely
 
 from fixel.errors import InvalidInput, unknown_name
 from fixel.formats.rig_file import rig_of
 from fixel.model import LineDrive, PlannedExperiment, Scene, placed
 from fixel.testbed.motion import AbstractActuator
-from fixel.testbed.motion_grbl import GrblActuator
 from fixel.testbed.open_source import check_size, source_of
 from fixel.testbed.recorder import TouchReader
 from fixel.testbed.shared_camera import SharedCamera
 from fixel.typing import FloatArray, Notify
 from fixel.vision.marks import Rig
 from fixel.workflows.acquisition.devices import chosen_actuator
-from fixel.workflows.bench.way import clear_way
 
 if TYPE_CHECKING:
     from fixel.testbed.emulators.laboratory import EmulatedLaboratory
 
 FAST: Final = 0.05  # [m/s] of the head on its way to a start, if its drive can do that
 CLEAR: Final = 0.05  # of the radius of the part: between it and the head on its ways
+AROUND: Final = 12  # places about the part through which a way may lead
 BEHIND: Final = 0.5  # of the radius of the part: from the start of a push to the head after it
 SMALLER: Final = 0.75  # pictures of the emulated laboratory: fixels are still found in them
 # Rows of the emulated laboratory in which a hand hides a marker, and in which the head jams.
@@ -197,6 +198,58 @@ def inside(frame: FloatArray, place: FloatArray) -> FloatArray:
     return np.asarray(np.array([[c, s], [-s, c]]) @ (place - frame[:2]))
 
 
+def clear_way(
+    outline: FloatArray, here: FloatArray, there: FloatArray, room: float
+) -> list[FloatArray] | None:
+    """Return places on a way that stays clear of a part.
+
+    Parameters
+    ----------
+    outline : (n, 2) float64
+        Outline of the part where it lies [m].
+    here, there : (2,) float64
+        Beginning and end of the way [m]. Either may be nearer to the part than `room`; the way does
+        not come nearer than they are.
+    room : float
+        Distance between way and part [m].
+
+    Returns
+    -------
+    list of (2,) float64, or None
+        The places after `here`, of which `there` is the last; None if no way was found.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    >>> way = clear_way(square, np.array([-3.0, 0.0]), np.array([3.0, 0.0]), 0.5)
+    >>> len(way) > 1
+    True
+    >>> len(clear_way(square, np.array([-3.0, 0.0]), np.array([-3.0, 2.0]), 0.5))
+    1
+    """
+    part = shapely.Polygon(outline)
+    middle = outline.mean(axis=0)
+    # Chords of the ring keep their distance too.
+    radius = (float(np.hypot(*(outline - middle).T).max()) + room) / math.cos(math.pi / AROUND)
+    turns = np.linspace(0.0, 2.0 * math.pi, AROUND, endpoint=False)
+    ring = middle + 1.01 * radius * np.column_stack((np.cos(turns), np.sin(turns)))
+    first = int(np.argmin(np.hypot(*(ring - here).T)))
+    ways = [[there]]
+    for n in range(1, AROUND // 2 + 2):
+        for step in (1, -1):
+            ways.append([*(ring[(first + step * k) % AROUND] for k in range(n)), there])
+    return next((way for way in ways if _is_clear(part, [here, *way], room)), None)
+
+
+def _is_clear(part: shapely.Polygon, places: list[FloatArray], room: float) -> bool:
+    near = [float(part.distance(shapely.Point(place))) for place in places]
+    legs = [shapely.LineString(pair) for pair in pairwise(places)]
+    return all(
+        part.distance(leg) >= min(room, near[k], near[k + 1]) - 1e-9 for k, leg in enumerate(legs)
+    )
+
+
 def settings_of(stored: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings of a bench: those given, else those of the project, else the defaults.
 
@@ -255,14 +308,13 @@ def open_devices(settings: Mapping[str, Any], *, notify: Notify = print) -> Iter
             from fixel.testbed.tactile import TactileReader
 
             tactile = stack.enter_context(TactileReader(settings["tactile"]))
-        drive = stack.enter_context(_drive(settings, notify))
+        drive = stack.enter_context(
+            chosen_actuator(
+                settings["driver"], settings["port"] or None, axes=settings["axes"],
+                notify=notify, keys=False,
+            )
+        )  # fmt: skip
         yield BenchDevices(camera, rig, tactile, drive, _frame(settings["drive_pose"], drive))
-
-
-def _drive(settings: Mapping[str, Any], notify: Notify) -> AbstractActuator:
-    if settings["driver"] != GrblActuator.name:
-        return chosen_actuator(settings["driver"], None, notify=notify)
-    return GrblActuator(settings["port"] or None, axes=settings["axes"])  # the bench reads keys
 
 
 def _frame(text: str, drive: AbstractActuator) -> FloatArray | None:
@@ -295,13 +347,9 @@ def emulated_devices(
     extent = float(np.ptp(rows[0].scene.bodies[0].shape.outline, axis=0).max())
     scale = min(1.0, extent / USUAL_SIZE)
     x, y = usual.centre_of_pressure
-    truth = replace(
-        usual,
-        centre_of_pressure=(scale * x, scale * y),
-        centre_of_pressure_spread=scale * usual.centre_of_pressure_spread,
-        plate_grain=scale * usual.plate_grain,
-        position_noise=scale * usual.position_noise,
-    )
+    lengths = ("centre_of_pressure_spread", "plate_grain", "position_noise")
+    scaled: Any = {name: scale * getattr(usual, name) for name in lengths}
+    truth = replace(usual, centre_of_pressure=(scale * x, scale * y), **scaled)
     faults = Faults(
         placement=(scale * faults.placement[0], faults.placement[1]),
         corrected=(scale * faults.corrected[0], faults.corrected[1]),
@@ -316,13 +364,8 @@ def emulated_devices(
     try:
         with laboratory.drive as drive:
             yield BenchDevices(
-                camera,
-                laboratory.rig,
-                laboratory.tactile,
-                drive,
-                np.zeros(3),
-                laboratory.clock,
+                camera, laboratory.rig, laboratory.tactile, drive, np.zeros(3), laboratory.clock,
                 laboratory,
-            )
+            )  # fmt: skip
     finally:
         camera.close()

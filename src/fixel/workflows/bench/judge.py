@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -23,40 +22,30 @@ MOVED: Final = 0.3e-3  # [m] in that time that counts as motion
 SHORT: Final = 0.97  # share of the planned travel below which the drive was overloaded
 
 
-class TrackRequest(NamedTuple):
-    """Attempt to track."""
-
-    folder: Path  # its recording, with rig and scene
-    row: PlannedExperiment
-    number: int  # number of the attempt
-    dataset: str
-    tolerance: Tolerance  # largest allowed deviation of the start
-
-
 class TrackedAttempt(NamedTuple):
     """Experiment of an attempt, and reasons to repeat it."""
 
     experiment: Experiment
     reasons: tuple[str, ...]
-    seconds: float  # duration of tracking [s]
 
 
-def track_attempt(request: TrackRequest) -> TrackedAttempt:
-    """Track the recording of an attempt and judge it.
+def track_attempt(
+    folder: Path, row: PlannedExperiment, number: int, dataset: str, tolerance: Tolerance
+) -> TrackedAttempt:
+    """Track the recording of an attempt with its rig and scene, and judge it.
+
+    `tolerance` is the largest allowed deviation of the start.
 
     Raises
     ------
     InvalidInput
         A recording that cannot be tracked; with the reason.
     """
-    begun = time.monotonic()
-    row = request.row
-    found = track_film(request.folder, dataset=request.dataset, name=row.name).experiment
-    conditions = {**row.conditions, **found.conditions, "attempt": float(request.number)}
+    found = track_film(folder, dataset=dataset, name=row.name).experiment
+    conditions = {**row.conditions, **found.conditions, "attempt": float(number)}
     experiment = replace(found, conditions=conditions)
-    planned = load_scene(request.folder / SCENE_FILE).scene
-    reasons = tuple(_reasons(experiment, planned, request.folder, request.tolerance))
-    return TrackedAttempt(experiment, reasons, time.monotonic() - begun)
+    planned = load_scene(folder / SCENE_FILE).scene
+    return TrackedAttempt(experiment, tuple(_reasons(experiment, planned, folder, tolerance)))
 
 
 def _reasons(
@@ -68,7 +57,7 @@ def _reasons(
     elif end.lost:
         yield f"{end.lost} frames were lost"
     yield from (f"{flag.name}: {flag.detail}" for flag in experiment.flags if flag.fault)
-    track = experiment.trajectory
+    track, drive = experiment.trajectory, planned.pushers[0].drive
     last = track.pose[track.time >= track.time[-1] - REST, :2]
     moved = float(np.hypot(*np.ptp(last, axis=0)))
     if moved > MOVED:
@@ -79,14 +68,9 @@ def _reasons(
         yield f"the part began {1e3 * apart:.1f} mm and {math.degrees(turned):.1f} deg off"
     if experiment.effective is None:
         yield "the head did not move"
-    elif "1" not in experiment.contact_mode and (wanted := planned_travel(planned)):
+    elif "1" not in experiment.contact_mode and isinstance(drive, LineDrive):
         # A head that holds a part against a fixel stops early.
+        wanted = drive.distance(planned.duration)
         travel = float(experiment.conditions.get("travel_m", wanted))
         if travel < SHORT * wanted:
             yield f"the head moved {1e3 * travel:.1f} of {1e3 * wanted:.1f} mm: overload"
-
-
-def planned_travel(scene: Scene) -> float:
-    """Return the distance that the head of a scene moves [m]; 0 for a path."""
-    drive = scene.pushers[0].drive
-    return drive.distance(scene.duration) if isinstance(drive, LineDrive) else 0.0

@@ -19,18 +19,6 @@ from fixel.workflows.calibration.parameter_options import searched_unknowns
 AHEAD: Final = 5  # rows after which the intervals are predicted
 
 
-class LiveRequest(NamedTuple):
-    """Experiments so far, and what is asked about them."""
-
-    experiments: Sequence[Experiment]
-    space: Space
-    motion: str
-    until: str  # intervals that are wanted, as text; empty for none
-    left: Sequence[PlannedExperiment]  # rows that are left, in the order of the plan
-    choose: bool  # whether to choose one of them
-    previous: LiveEstimates | None
-
-
 class LiveAnswer(NamedTuple):
     """Estimates so far, and the row to perform next."""
 
@@ -53,8 +41,18 @@ def check_wishes(
             raise unknown_name("until", label, names)
 
 
-def estimate_rows(request: LiveRequest) -> LiveAnswer:
-    """Calibrate the experiments so far, and choose the next row if asked.
+def estimate_rows(
+    experiments: Sequence[Experiment],
+    space: Space,
+    motion: str,
+    until: str,
+    left: Sequence[PlannedExperiment],
+    choosing: bool,
+    previous: LiveEstimates | None,
+) -> LiveAnswer:
+    """Calibrate the experiments so far, and choose the next of the rows that are left if asked.
+
+    `until` has the wanted intervals as text, or is empty.
 
     Raises
     ------
@@ -62,27 +60,26 @@ def estimate_rows(request: LiveRequest) -> LiveAnswer:
         No experiment informs the parameters.
     """
     begun = time.monotonic()
-    until = Until.parse(request.until) if request.until else None
-    previous, experiments = request.previous, request.experiments
-    if until is not None and previous is None and len(experiments) > 1:
+    aims = Until.parse(until) if until else None
+    if aims is not None and previous is None and len(experiments) > 1:
         # Intervals must be narrow twice in a row, also after a pause of the campaign.
-        previous = estimate(experiments[:-1], request.space, motion=request.motion)
-    known = estimate(experiments, request.space, motion=request.motion, previous=previous)
-    wanted: Mapping[str, float] = {} if until is None else until.wanted
-    finish = until.words(known) if until is not None and until.met(known) else ""
+        previous = estimate(experiments[:-1], space, motion=motion)
+    known = estimate(experiments, space, motion=motion, previous=previous)
+    wanted: Mapping[str, float] = {} if aims is None else aims.wanted
+    finish = aims.words(known) if aims is not None and aims.met(known) else ""
     words = [
         f"Error of experiments predicted from the others: {1e3 * known.held_out_error:.2f} mm."
     ]
     chosen = ""
-    if request.choose and request.left and not finish:
-        choice = choose(known, request.left, wanted)
+    if choosing and left and not finish:
+        choice = choose(known, left, wanted)
         words.append(choice.reason)
         if choice.index is None:
             finish = choice.reason
         else:
-            chosen = request.left[choice.index].name
-    ahead = known.ahead(request.left, AHEAD)
-    table = _table(known, wanted, ahead, min(AHEAD, len(request.left)))
+            chosen = left[choice.index].name
+    ahead = known.ahead(left, AHEAD)
+    table = _table(known, wanted, ahead, min(AHEAD, len(left)))
     return LiveAnswer(known, table, chosen, tuple(words), finish, time.monotonic() - begun)
 
 

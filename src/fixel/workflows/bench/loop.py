@@ -31,8 +31,8 @@ from fixel.workflows.acquisition.track import RIG_FILE, SCENE_FILE
 from fixel.workflows.bench.acceptance import BenchFigure, BenchRun, measure_bench
 from fixel.workflows.bench.campaign import Attempt, Campaign
 from fixel.workflows.bench.devices import BenchDevices
-from fixel.workflows.bench.judge import TrackedAttempt, TrackRequest, track_attempt
-from fixel.workflows.bench.live import LiveAnswer, LiveRequest, estimate_rows
+from fixel.workflows.bench.judge import TrackedAttempt, track_attempt
+from fixel.workflows.bench.live import LiveAnswer, estimate_rows
 from fixel.workflows.calibration.parameter_options import searched_unknowns
 
 LEAD: Final = 0.5  # [s] of recording before the push
@@ -51,44 +51,22 @@ Phase = Literal["placing", "moving", "pushing", "waiting", "trouble", "finished"
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopOptions:
-    """Options of a loop.
+    """Options of a loop; `open_bench` has the same with their meanings.
 
-    Attributes
-    ----------
-    auto : bool
-        Whether it pushes as soon as the part is in place, accepts attempts without a fault, and
-        repeats others up to `MAX_ATTEMPTS` times.
-    limit : int, optional
-        Number of experiments at which the campaign ends.
-    dataset : str
-        Dataset of the experiments.
-    tolerance, tolerance_angle : float, optional
-        Largest deviation of a part in place [m, rad]; by default those of the rig.
-    fit : tuple of str
-        Parameters to calibrate, as for `fixel calibrate --fit`.
-    motion : str
-        Motion model of the calibration.
-    choose : bool
-        Whether the next row is the one that narrows the widest interval most.
-    until : str
-        Intervals at which the campaign ends, such as `mu_pusher=0.02`.
-    dry_run : bool
-        Whether to perform nothing.
-    check : bool
-        Whether to measure the bench, and to perform nothing.
+    Without being asked, a row with faults is repeated up to `MAX_ATTEMPTS` times.
     """
 
-    auto: bool = False
-    limit: int | None = None
-    dataset: str = "bench"
-    tolerance: float | None = None
-    tolerance_angle: float | None = None
-    fit: tuple[str, ...] = ()
-    motion: str = "quasistatic"
-    choose: bool = False
-    until: str = ""
-    dry_run: bool = False
-    check: bool = False
+    auto: bool
+    limit: int | None
+    dataset: str  # that of the experiments, which is the name of the campaign
+    tolerance: float | None
+    tolerance_angle: float | None
+    fit: tuple[str, ...]
+    motion: str
+    choose: bool
+    until: str
+    dry_run: bool
+    check: bool
 
 
 class BenchCheck(NamedTuple):
@@ -103,8 +81,8 @@ class BenchCheck(NamedTuple):
 class Background:
     """Calls of a function in a process of its own, one after the other, without waiting."""
 
-    def __init__(self, function: Callable[[Any], Any]) -> None:
-        self._process = WorkerProcess(function, limit=LIMIT)
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._process = WorkerProcess(partial(_called, function), limit=LIMIT)
         self._pool = ThreadPoolExecutor(1)
         self._closed = False
         self._calls: list[Future[None]] = []
@@ -115,16 +93,16 @@ class Background:
         self._calls = [own for own in self._calls if not own.done()]
         return len(self._calls)
 
-    def call(self, argument: Any, done: Callable[[Any], None]) -> None:
+    def call(self, done: Callable[[Any], None], *arguments: Any) -> None:
         """Call the function; `done` gets its answer or its error, in another thread."""
-        self._calls.append(self._pool.submit(lambda: done(self._answer(argument))))
+        self._calls.append(self._pool.submit(lambda: done(self._answer(arguments))))
 
-    def _answer(self, argument: Any) -> Any:
+    def _answer(self, arguments: tuple[Any, ...]) -> Any:
         """Return the answer or the error of a call, again if its process died."""
         begun, deaths = time.monotonic(), 0
         while True:
             try:
-                return self._process.call(argument, lambda: self._closed)
+                return self._process.call(arguments, lambda: self._closed)
             except JobRefused as death:
                 deaths += 1
                 if deaths == TRIES or time.monotonic() - begun > LIMIT:
@@ -137,6 +115,10 @@ class Background:
         self._closed = True
         self._pool.shutdown(cancel_futures=True)
         self._process.close()
+
+
+def _called(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+    return function(*arguments)
 
 
 @final
@@ -550,15 +532,11 @@ class BenchLoop:
 
     def _track(self, attempt: Attempt) -> None:
         """Track a recorded attempt in another process."""
-        request = TrackRequest(
-            self.campaign.recording(attempt),
-            self.campaign.by_name[attempt.row],
-            attempt.number,
-            self.options.dataset,
-            self.tolerance,
-        )
-        tell = partial(self._tracked, attempt)
-        self._tracker.call(request, lambda found: self._events.put(lambda: tell(found)))
+        self._tracker.call(
+            lambda found: self._events.put(partial(self._tracked, attempt, found)),
+            self.campaign.recording(attempt), self.campaign.by_name[attempt.row], attempt.number,
+            self.options.dataset, self.tolerance,
+        )  # fmt: skip
 
     def _tracked(self, attempt: Attempt, found: TrackedAttempt | Exception) -> None:
         """Take a tracked attempt, which is accepted if nothing speaks against it."""
@@ -596,16 +574,12 @@ class BenchLoop:
             experiments = [store.experiment(number) for number in ids]
         scenes = [own.scene for own in experiments if own.scene is not None]
         fit = searched_unknowns(self.options.fit, scenes)
-        request = LiveRequest(
-            experiments,
-            ParameterSpace(unknowns=tuple(fit)) if fit else None,
-            self.options.motion,
-            self.options.until,
-            self.campaign.left,
-            self.options.choose,
+        self._estimator.call(
+            lambda found: self._events.put(partial(self._learned, found)),
+            experiments, ParameterSpace(unknowns=tuple(fit)) if fit else None, self.options.motion,
+            self.options.until, self.campaign.left, self.options.choose,
             None if self.live is None else self.live.estimates,
-        )
-        self._estimator.call(request, lambda found: self._events.put(lambda: self._learned(found)))
+        )  # fmt: skip
 
     def _learned(self, found: LiveAnswer | Exception) -> None:
         if self._outdated:
@@ -651,7 +625,6 @@ class BenchLoop:
             "campaign": campaign.folder.name,
             "phase": phase,
             "emulated": self.devices.laboratory is not None,
-            "auto": self.options.auto,
             "rows": len(campaign.rows),
             "row": "" if self._row is None else self._row.name,
             "number": number,
@@ -675,7 +648,6 @@ class BenchLoop:
                 "seconds": round(live.seconds, 2),
                 "experiments": len(live.estimates.held_out),
             },
-            "calibrating": self._estimator.waiting,
             "recording": None
             if recording is None
             else recording._asdict() | {"seconds": round(recording.seconds, 2)},

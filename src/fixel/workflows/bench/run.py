@@ -138,18 +138,10 @@ def open_bench(
     settings = settings_of(project.settings.bench, given)
     devices = emulated_devices(rows, seed, rig or "") if emulated else open_devices(settings)
     options = LoopOptions(
-        auto=auto,
-        limit=limit,
-        dataset=name or ("thesis" if plan is None else plan.stem),
-        tolerance=tolerance,
-        tolerance_angle=tolerance_angle,
-        fit=fit,
-        motion=motion,
-        choose=choose,
-        until=until,
-        dry_run=dry_run,
-        check=check,
-    )
+        auto=auto, limit=limit, dataset=name or ("thesis" if plan is None else plan.stem),
+        tolerance=tolerance, tolerance_angle=tolerance_angle, fit=fit, motion=motion,
+        choose=choose, until=until, dry_run=dry_run, check=check,
+    )  # fmt: skip
     return _opened(project, rows, devices, options)
 
 
