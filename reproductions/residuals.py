@@ -14,7 +14,6 @@ from fixel.domain.features import (
     PLACE,
     Features,
     configuration_features,
-    neighbour_features,
     scaled,
     simulated_features,
 )
@@ -240,3 +239,51 @@ def _near(group: PushGroup, split: Split, place: Features, residual: FloatArray)
     common = np.median(np.linalg.norm(residual[split.train], axis=1))
     found = neighbour_features(table, table[split.train], residual[split.train], 8, itself)
     return found.with_more(("group_error",), np.full((len(group), 1), common))
+
+
+def neighbour_features(
+    place: FloatArray,
+    known_place: FloatArray,
+    known_residual: FloatArray,
+    groups: int = 8,
+    itself: IntArray | None = None,
+) -> Features:
+    """Return features from the nearest configurations with known outcomes: their distances, the
+    errors of the simulator there, and the part of these errors in a common direction.
+
+    Parameters
+    ----------
+    place : (n, f) float64
+        Coordinates of configurations; all columns have the same weight.
+    known_place : (m, f) float64
+    known_residual : (m, 3) float64
+        Measured minus simulated, along the axes of the object [m, m, m at 35 mm/rad].
+    groups : int
+        Maximum number of neighbours.
+    itself : (n,) int, optional
+        Row of the known ones that is the configuration itself, which is skipped; -1 for none.
+    """
+    if len(known_place) < 2 or len(known_place) != len(known_residual):
+        raise InvalidInput(
+            "neighbours",
+            found=f"{len(known_place)} places and {len(known_residual)} residuals",
+            expected="equal numbers of both, at least two",
+        )
+    away = np.linalg.norm(place[:, None] - known_place[None], axis=2)
+    if itself is not None:
+        own = np.flatnonzero(itself >= 0)
+        away[own, itself[own]] = np.inf
+    k = min(groups, len(known_place) - 1)
+    near = np.argsort(away, axis=1, kind="stable")[:, :k]
+    distance = np.take_along_axis(away, near, axis=1)
+    residual = known_residual[near]
+    size = np.linalg.norm(residual, axis=2)
+    weight = 1.0 / (distance + 0.5 * np.median(distance, axis=1, keepdims=True) + 1e-9)
+    weight /= weight.sum(axis=1, keepdims=True)
+    mean = (weight[:, :, None] * residual).sum(axis=1)
+    table = np.column_stack(
+        (distance[:, 0], distance.mean(axis=1), (weight * size).sum(axis=1), size.max(axis=1),
+         np.median(size, axis=1), size[:, 0], np.linalg.norm(mean, axis=1))
+    )  # fmt: skip
+    names = ("nearest", "near", "near_error", "near_worst", "near_median", "nearest_error")
+    return Features((*names, "near_common"), table)

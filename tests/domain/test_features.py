@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 
 import numpy as np
-import pytest
 
 from fixel.calibration.contacts import Configurations
 from fixel.domain.features import (
@@ -11,10 +10,8 @@ from fixel.domain.features import (
     SIDEWAYS,
     configuration_features,
     corner_distance,
-    neighbour_features,
     simulated_features,
 )
-from fixel.errors import InvalidInput
 from fixel.model import Disk, Polygon
 from fixel.typing import BoolArray, FloatArray, IntArray
 
@@ -84,27 +81,3 @@ def test_corners_of_polygons_and_of_round_things() -> None:
     turn = np.linspace(0.0, 2.0 * np.pi, 65)[:-1]
     smooth = Polygon(0.03 * np.column_stack((np.cos(turn), np.sin(turn))))
     assert (corner_distance(smooth, points, RADIUS) > 0.1).all()
-
-
-def test_neighbours_tell_how_far_off_they_were_and_whether_they_agree() -> None:
-    place = np.array([[0.0], [1.0], [2.0], [10.0]])
-    same = np.tile([1e-3, 0.0, 0.0], (4, 1))
-    mixed = same * np.array([[1.0], [-1.0], [1.0], [-1.0]])
-    names = ("nearest", "near_error", "near_common")
-    agree = neighbour_features(place[:1] + 0.5, place, same, 2).columns(names)
-    np.testing.assert_allclose(agree, [[0.5, 1e-3, 1e-3]])
-    differ = neighbour_features(place[:1] + 0.5, place, mixed, 2).columns(names)
-    np.testing.assert_allclose(differ, [[0.5, 1e-3, 0.0]], atol=1e-12)
-
-
-def test_nobody_is_a_neighbour_of_itself() -> None:
-    place = np.arange(4.0)[:, None]
-    residual = np.diag([5e-3, 1e-3, 1e-3])[[0, 1, 2, 2]]
-    itself = np.array([0, -1, -1, -1])
-    found = neighbour_features(place, place, residual, 1, itself).columns(
-        ("nearest", "nearest_error")
-    )
-    np.testing.assert_allclose(found[0], [1.0, 1e-3])
-    np.testing.assert_allclose(found[1], [0.0, 1e-3])
-    with pytest.raises(InvalidInput, match="at least two"):
-        neighbour_features(place, place[:1], residual[:1])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -419,8 +418,3 @@ def shorten(text: str, most: int) -> str:
     if len(text) > most:
         text = text.partition("/")[2] or text
     return text if len(text) <= most else "…" + text[1 - most :]
-
-
-def finite_list(values: FloatArray) -> list[float | None]:
-    """Convert an array to a list, with None for numbers that are not finite."""
-    return [value if math.isfinite(value) else None for value in values.tolist()]

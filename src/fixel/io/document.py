@@ -103,7 +103,9 @@ def yaml_text(content: Any) -> str:
 
 
 def plain_numbers(value: Any) -> Any:
-    """Convert a value for strict JSON: numbers that are not finite become None."""
+    """Convert a value for strict JSON: arrays to lists, numbers that are not finite to None."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
     if isinstance(value, dict):
         return {key: plain_numbers(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -24,6 +24,7 @@ from fixel.errors import FixelError
 from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.io.atomic import written_whole
 from fixel.io.damaged_files import each_readable, readable
+from fixel.io.document import plain_numbers
 from fixel.results import Result
 from fixel.table import Table
 from fixel.typing import FloatArray
@@ -84,8 +85,8 @@ class Analysis(_StoredFigure):
     notes: tuple[str, ...] = ()  # further sentences, such as the effort
     methods: tuple[str, ...] = ()  # sentences for the methods section of a paper
     references: tuple[str, ...] = ()  # keys of the bibliography (`workflows/report`)
-    # Results as plain values in SI units, for `--json`; None for missing ones.
-    numbers: dict[str, Any] = {}
+    # Results as plain values in SI units, for `--json`; None for missing or infinite ones.
+    numbers: Annotated[dict[str, Any], BeforeValidator(plain_numbers)] = {}
     # Ids of the calibrations and experiments used.
     calibrations: tuple[int, ...] = ()
     experiments: tuple[int, ...] = ()

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from fixel.drawing.chart import Chart, draw_chart
 from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
+from fixel.model import Experiment
 
 ENDINGS: Final = ("png", "pdf", "csv")
 MAX_BANNER: Final = 80  # characters of a banner that fit across a chart one column wide
@@ -30,6 +31,13 @@ def banner_of(banners: Sequence[str]) -> str:
         joined = " and ".join(dict.fromkeys(some))
         return joined if len(joined) <= MAX_BANNER else f"SIMULATED: all {len(some)} experiments"
     return f"{len(some)} of {len(banners)} experiments SIMULATED"
+
+
+def banner_over(experiments: Iterable[Experiment]) -> str:
+    """Return the banner over charts of experiments; empty if all are real."""
+    return banner_of(
+        ["" if one.real else f"SIMULATED by {one.simulated_by}" for one in experiments]
+    )
 
 
 def make_folder(folder: Path) -> None:

@@ -83,16 +83,7 @@ def part_model(
     >>> round(model.proved_level, 2)
     0.75
     """
-    used = tuple(own for own in experiments if own.scene is not None)
-    if not used:
-        raise InvalidInput(
-            "experiments",
-            found="none with a scene",
-            expected="pushes of parts",
-            hint="fixel.read_experiments(folder) reads them",
-        )
-    part = part or condition_of(used, PARTS, "part")
-    surface = surface or condition_of(used, SURFACES, "")
+    used, part, surface = pushes_of_parts(experiments, part, surface)
     targets = [target_of(own) for own in used]
     named = [own._replace(conditions={part: "", surface: "", **own.conditions}) for own in targets]
     groups = grouped(named, surface, part, threads)
@@ -118,6 +109,21 @@ def part_model(
     )
 
 
+def pushes_of_parts(
+    experiments: Iterable[Experiment], part: str | None, surface: str | None
+) -> tuple[tuple[Experiment, ...], str, str]:
+    """Return experiments with a scene, and the conditions that name their part and surface."""
+    used = tuple(own for own in experiments if own.scene is not None)
+    if not used:
+        raise InvalidInput(
+            "experiments",
+            found="none with a scene",
+            expected="pushes of parts",
+            hint="fixel.read_experiments(folder) reads them",
+        )
+    return used, part or _condition(used, PARTS, "part"), surface or _condition(used, SURFACES, "")
+
+
 def fitted_values(group: PartPushes, seed: int, cache: ResultCache, name: str) -> np.ndarray:
     """Return the values fitted to a part on a surface."""
     which = np.sort(np.random.default_rng(seed).permutation(len(group))[:MAX_FIT])
@@ -134,7 +140,7 @@ def fitted_values(group: PartPushes, seed: int, cache: ResultCache, name: str) -
     return np.array(found["values"], np.float64)
 
 
-def condition_of(experiments: tuple[Experiment, ...], names: tuple[str, ...], needed: str) -> str:
+def _condition(experiments: tuple[Experiment, ...], names: tuple[str, ...], needed: str) -> str:
     """Return the first name that all experiments have among their conditions."""
     for name in names:
         if all(name in own.conditions for own in experiments):

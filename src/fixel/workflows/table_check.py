@@ -121,14 +121,13 @@ def check_stored(
 def report_of(check: TableCheck) -> AnalysisReport:
     """Return verdict, tables, notes, figure and numbers of a checked table."""
     from fixel.drawing.parts import table_chart
-    from fixel.io.document import plain_numbers
     from fixel.workflows.analysis import AnalysisReport, analysis_of
     from fixel.workflows.figures import Picture
 
     names = ("name", "position_m", "angle_rad", "within", "pairs")
     effects = [dict(zip(names, own, strict=True)) for own in check.effects]
     numbers = {"verdict": check.verdict, "loss": check.loss, "session": check.session}
-    numbers = plain_numbers({**numbers, "effects": effects})
+    numbers |= {"effects": effects}
     analysis = analysis_of("table-check", check, title="Check of a table", numbers=numbers)
     caption = "Differences of equal pushes by the distance and turn between them, with means."
     banner = "" if check.real else "SIMULATED"

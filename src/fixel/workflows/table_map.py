@@ -86,18 +86,13 @@ def table_map(
     >>> table.name, table.frame
     ('board', ('example',))
     """
-    from fixel.calibration.known_pushes import PARTS, SURFACES
     from fixel.io.array_bytes import ResultCache
     from fixel.parts.fit import NAMES
     from fixel.parts.table_map import TableMap, by_part, fitted_map
     from fixel.progress import show_progress
-    from fixel.workflows.parts import condition_of, fitted_values
+    from fixel.workflows.parts import fitted_values, pushes_of_parts
 
-    used = tuple(own for own in experiments if own.scene is not None)
-    if not used:
-        raise InvalidInput("experiments", found="none with a scene", expected="pushes of parts")
-    part = part or condition_of(used, PARTS, "part")
-    surface = surface or condition_of(used, SURFACES, "")
+    used, part, surface = pushes_of_parts(experiments, part, surface)
     names = sorted({str(own.conditions.get(surface, "")) for own in used})
     if len(names) > 1:
         raise InvalidInput(

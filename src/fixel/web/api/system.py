@@ -174,16 +174,9 @@ def self_test(context: Context) -> SelfTest:
 def check(context: Context) -> DatabaseCheck:
     with _only_one(context, "the check"):
         found = maintenance.check(context.project)
-    context.newest["check"] = answer = DatabaseCheck(
-        ok=not found.troubles,
-        engine=found.engine,
-        version=found.version,
-        counts=found.counts,
-        media_files=found.media_files,
-        unused_files=found.unused_files,
-        troubles=[TroubleText.model_validate(one) for one in found.troubles[:MAX_TROUBLES]],
-        n_trouble=len(found.troubles),
-    )
+    troubles = found.summary()["troubles"]
+    listed = {"troubles": troubles[:MAX_TROUBLES], "n_trouble": len(troubles)}
+    context.newest["check"] = answer = DatabaseCheck(**found.summary() | listed)
     return answer
 
 

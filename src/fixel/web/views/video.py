@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from fixel.database.project import Project
+from fixel.drawing.view import evenly
 from fixel.errors import FixelError
 from fixel.formats.rig_file import EXAMPLES, load_rig, rig_of
 from fixel.formats.video_file import VideoWriter, open_video
@@ -116,8 +117,7 @@ def outlines_in_video(project: Project, experiment: Experiment) -> VideoOutlines
         return None
     shape = next(b.shape for b in scene.bodies if b.name == experiment.object_name)
     track = experiment.trajectory
-    n = len(track.time)
-    chosen = np.unique(np.linspace(0, n - 1, min(n, MAX_OUTLINES)).round().astype(np.int64))
+    chosen = evenly(len(track.time), MAX_OUTLINES)
     lines = [outline_pixels(rig.camera, shape, pose, height) for pose in track.pose[chosen]]
     return VideoOutlines(
         size=rig.camera.lens.image_size, time=track.time[chosen], outline=np.stack(lines)

@@ -178,10 +178,10 @@ def _numbers(
                 "group": group,
                 "cell": domain.cells.text(c),
                 "place": domain.cells.values(c),
-                "members": int(domain.counts[g, c]),
-                "error": _finite(seen[g, c]),
-                "confidence": _finite(verdict.confidence),
-                "promised_mm": None if bound is None else _finite(bound[g, c]),
+                "members": domain.counts[g, c],
+                "error": seen[g, c],
+                "confidence": verdict.confidence,
+                "promised_mm": None if bound is None else bound[g, c],
                 "colour": verdict.colour,
                 "in_domain": c in inside[g],
                 "reason": verdict.reason,
@@ -189,7 +189,7 @@ def _numbers(
             for g, group in enumerate(domain.groups)
             for c, verdict in enumerate(verdicts[g])
         ],
-        "surface": dict(zip(NAMES, domain.surface.values.tolist(), strict=True)),
+        "surface": dict(zip(NAMES, domain.surface.values, strict=True)),
         "next": [
             {"group": p.group, "cell": p.where, "bits": p.bits, "reason": p.reason} for p in found
         ],
@@ -212,10 +212,6 @@ def _bound_table(domain: DomainMap, claim: Claim) -> list[Table]:
     likely = f"{100.0 * claim.level:g} %"
     title = f"Error bounds of new experiments in these cells, each with a probability of {likely}"
     return [Table(head, rows, title=title)]
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def _pictures(

@@ -17,7 +17,6 @@ from fixel.domain.held_out import Apart, CalibrationModel, end_errors, held_out,
 from fixel.domain.push_bound import ErrorBound, LeftOutErrors, features_of
 from fixel.drawing.domain import bound_chart
 from fixel.errors import InvalidInput
-from fixel.io.document import plain_numbers
 from fixel.progress import Reporter
 from fixel.typing import FloatArray, IntArray
 from fixel.workflows.analysis import Analysis, AnalysisReport, StoredAnswer
@@ -75,13 +74,11 @@ def report_of(answer: BoundAnswer) -> AnalysisReport:
             tables=tuple(summary.tables),
             notes=tuple(summary.notes),
             references=("vovk2005", "barber2021", "dunn2022", "lee2023"),
-            numbers=plain_numbers(
-                {
-                    "level": bound.level,
-                    "coverage": {name: [*share] for name, share in bound.coverage.items()},
-                    "experiments": bound.to_dict(),
-                }
-            ),
+            numbers={
+                "level": bound.level,
+                "coverage": {name: [*share] for name, share in bound.coverage.items()},
+                "experiments": bound.to_dict(),
+            },
             calibrations=() if answer.calibration is None else (answer.calibration,),
             experiments=tuple(answer.experiments),
         ),

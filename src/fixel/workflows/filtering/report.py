@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from importlib.metadata import version
 from math import degrees
 from pathlib import Path
@@ -77,6 +78,7 @@ def next_words(done: StoredAnswer) -> list[str]:
 def _numbers(answer: FilterAnswer) -> dict[str, Any]:
     """Return all results as plain values, for `--json`."""
     found, experiment = answer.estimates, answer.estimates.experiment
+    misfit = found.misfit
     return {
         "experiment": experiment.key,
         "experiment_id": answer.experiment_id,
@@ -97,14 +99,7 @@ def _numbers(answer: FilterAnswer) -> dict[str, Any]:
             "estimated": found.contact_mode,
             "touch_probability": found.touch[-1].tolist(),
         },
-        "misfit": {
-            "residual_m": found.misfit.residual_m,
-            "residual_rad": found.misfit.residual_rad,
-            "noise_m": found.misfit.noise_m,
-            "noise_rad": found.misfit.noise_rad,
-            "ratio": found.misfit.ratio,
-            "warns": found.misfit.warns,
-        },
+        "misfit": asdict(misfit) | {"ratio": misfit.ratio, "warns": misfit.warns},
         "mean_surprise": _mean(found.surprise[1:][found.seen[1:]]),
         "calibrations": _compared(answer),
         "recovered_frames": int(found.recovered.sum()),
@@ -123,12 +118,7 @@ def _compared(answer: FilterAnswer) -> dict[str, dict[str, dict[str, Any]]]:
     names = answer.estimates.prior.names
     return {
         str(number): {
-            one.label: {
-                "value": one.value,
-                "low": one.low,
-                "high": one.high,
-                "verdict": one.verdict,
-            }
+            one.label: {name: getattr(one, name) for name in ("value", "low", "high", "verdict")}
             for one in record.estimates
             if one.label in names
         }

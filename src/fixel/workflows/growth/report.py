@@ -11,7 +11,7 @@ import numpy as np
 
 from fixel.domain.along_axis import AxisEdges, AxisStudy
 from fixel.domain.growth import AVERAGED, STORED
-from fixel.drawing.chart import display_unit, finite_list, unit_text
+from fixel.drawing.chart import display_unit, unit_text
 from fixel.drawing.growth import axis_chart, error_matrix, growth_matrix, growth_steps
 from fixel.table import Table
 from fixel.typing import FloatArray
@@ -256,8 +256,8 @@ def numbers(found: Exploration) -> dict[str, Any]:
                         "source": step.used.source,
                         "calibration": step.used.calibration,
                         "experiments": [ids[m] for m in step.used.members],
-                        "values": None if step.used.point is None else step.used.point.tolist(),
-                        "errors": finite_list(step.errors),
+                        "values": step.used.point,
+                        "errors": step.errors,
                     }
                     for step in row
                 ],
@@ -275,16 +275,16 @@ def _axis_numbers(found: Exploration, study: AxisStudy) -> dict[str, Any]:
         "axis": study.axis,
         "size": study.size,
         "interval": list(study.interval),
-        "steps": study.steps.tolist(),
+        "steps": study.steps,
         "layouts": list(study.layouts),
-        "layouts_counted": study.counted().tolist(),
-        "average": finite_list(study.average),
-        "own_average": finite_list(study.own_average),
-        "relative": finite_list(study.average_excess),
-        "ratio": finite_list(study.ratio),
-        "error": [finite_list(row) for row in study.error],
-        "own_error": [finite_list(row) for row in study.own],
-        "sets": [None if one.point is None else one.point.tolist() for one in study.sets],
+        "layouts_counted": study.counted(),
+        "average": study.average,
+        "own_average": study.own_average,
+        "relative": study.average_excess,
+        "ratio": study.ratio,
+        "error": study.error,
+        "own_error": study.own,
+        "sets": [one.point for one in study.sets],
         "reasons": [one.reason for one in study.sets],
         "edges": study.edges(found.threshold)._asdict(),
         "relative_edges": study.relative_edges(found.threshold)._asdict(),

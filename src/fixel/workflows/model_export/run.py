@@ -16,6 +16,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from fixel.drawing.view import evenly
 from fixel.errors import InvalidInput, unknown_name
 from fixel.formats.frames_file import folder_whole, refuse_folder
 from fixel.model import Experiment, Scene, pose_error
@@ -41,6 +42,8 @@ MODELS: Final[Mapping[str, Callable[[PlainTask, Any], Mapping[str, str]]]] = {
     "mujoco": lambda task, engine: {"model.xml": mjcf(task, engine)},
     "drake": sdf,
 }
+# Fields of an estimate in a card.
+STATED: Final = ("unit", "value", "best_fit", "low", "high", "level", "verdict")
 _SCRIPTS: Final = "fixel.workflows.model_export.scripts"
 
 
@@ -129,14 +132,13 @@ def export_model(
     exported, recorded = source.cases[0], wanted.name in WRITERS
     if not recorded and (source.runs or (found := unsupported(exported.scene))):
         raise _refused(wanted.name, f"a {source.kind}" if source.runs else found)
+    # A recording, and a description of a body, have no motion of their own to compare.
+    stated, judged = wanted.name, {"to": wanted.name, "distance_from_fixel": None}
     motion = motion_of(source) if recorded else None
     if motion is not None:
         model = _ModelFiles({}, motion.lost)
-        stated, judged = wanted.name, {"to": wanted.name, "distance_from_fixel": None}
     elif wanted.name == "urdf":
         model = _urdf(exported)
-        # A description of a body has no motion of its own.
-        stated, judged = "urdf", {"to": "urdf", "distance_from_fixel": None}
     else:
         engine = _engine(wanted, exported)
         model = _model(engine, exported)
@@ -240,16 +242,7 @@ def _head(source: ModelSource) -> dict[str, Any]:
             "experiments": sum(case.measured is not None for case in source.cases),
         },
         "parameters": [
-            {
-                "name": own.label,
-                "unit": own.unit,
-                "value": own.value,
-                "best_fit": own.best_fit,
-                "low": own.low,
-                "high": own.high,
-                "level": own.level,
-                "verdict": own.verdict,
-            }
+            {"name": own.label, **{name: getattr(own, name) for name in STATED}}
             for own in source.estimates
         ],
         "exported_values": dict(source.cases[0].values),
@@ -344,20 +337,20 @@ def distances_from_fixel(
 
     `n` scenes are shared by at most ten cases of the source; `seed` is that of the start poses.
     """
-    cases = _evenly(source.cases, min(MAX_AROUND, n))
+    cases = [source.cases[k] for k in evenly(len(source.cases), min(MAX_AROUND, n))]
     position, angle, failures = [], [], Counter[str]()
     done = 0
     for k, case in enumerate(cases):
         count = n // len(cases) + (k < n % len(cases))
         drawn = start_error_of(case.scene).samples(count, seed + k)
-        ends = [_ends(case, drawn, source.motion, source.stepper), _ends(case, drawn, engine, None)]
-        good = ~np.isnan(ends[0].pose[:, 0]) & ~np.isnan(ends[1].pose[:, 0])
-        apart = pose_error(ends[0].pose[good], ends[1].pose[good])
+        own, why_own = _ends(case, drawn, source.motion, source.stepper)
+        other, why_other = _ends(case, drawn, engine, None)
+        good = ~np.isnan(own[:, 0]) & ~np.isnan(other[:, 0])
+        apart = pose_error(own[good], other[good])
         position.append(apart[0])
         angle.append(np.abs(apart[1]))
         for row in np.flatnonzero(~good).tolist():
-            reasons = (f"fixel: {ends[0].reasons[row]}", ends[1].reasons[row])
-            failures[reasons[0] if ends[0].reasons[row] else reasons[1]] += 1
+            failures[f"fixel: {why_own[row]}" if why_own[row] else why_other[row]] += 1
         done += count
         if progress is not None:
             progress(done, n)
@@ -369,7 +362,7 @@ def errors_on(
 ) -> Distances:
     """Return the distances of simulated end poses from the measured ones."""
     position, angle, failures = [], [], Counter[str]()
-    for case in _evenly(cases, MAX_JUDGED):
+    for case in (cases[k] for k in evenly(len(cases), MAX_JUDGED)):
         if case.measured is None:
             continue
         values = {k: np.array([v]) for k, v in _own(case.values, motion).items()}
@@ -384,17 +377,13 @@ def errors_on(
     return Distances(np.array(position), np.array(angle), failures)
 
 
-class _EndPoses(NamedTuple):
-    pose: FloatArray  # (n, 3) nan without an end
-    reasons: Sequence[str]
-
-
 def _ends(
     case: SourceCase,
     drawn: FloatArray,
     motion: AbstractMotionModel,
     stepper: AbstractStepper | None,
-) -> _EndPoses:
+) -> tuple[FloatArray, Sequence[str]]:
+    """Return the end poses (n, 3) from drawn starts, NaN without an end, and the reasons."""
     error, values = start_error_of(case.scene), _own(case.values, motion)
     try:
         found = simulate_starts(
@@ -407,10 +396,10 @@ def _ends(
             stepper=stepper,
         )
     except InvalidInput as problem:
-        return _EndPoses(np.full((len(drawn), 3), np.nan), [str(problem)] * len(drawn))
+        return np.full((len(drawn), 3), np.nan), [str(problem)] * len(drawn)
     # A jam is an end for fixel, and a failure here: no other engine stops there.
     good = found.ended & np.array([not reason for reason in found.reasons])
-    return _EndPoses(np.where(good[:, None], found.pose[:, -1], np.nan), found.reasons)
+    return np.where(good[:, None], found.pose[:, -1], np.nan), found.reasons
 
 
 def _own(values: Mapping[str, float], motion: AbstractMotionModel) -> dict[str, float]:
@@ -421,11 +410,6 @@ def _own(values: Mapping[str, float], motion: AbstractMotionModel) -> dict[str, 
         for name, value in values.items()
         if "." not in name or name.partition(".")[0] == engine
     }
-
-
-def _evenly(cases: Sequence[SourceCase], most: int) -> list[SourceCase]:
-    chosen = np.linspace(0, len(cases) - 1, min(most, len(cases))).round().astype(int)
-    return [cases[k] for k in chosen.tolist()]
 
 
 def _statistics(values: FloatArray) -> dict[str, float] | None:

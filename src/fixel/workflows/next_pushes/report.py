@@ -28,7 +28,7 @@ from fixel.sampling import FixelLayout, Plan, PlannedShape, SamplingRig
 from fixel.sampling.offsets import Offset, OffsetList
 from fixel.sampling.plan import object_pose
 from fixel.workflows.analysis import Analysis, AnalysisReport
-from fixel.workflows.figures import Picture, banner_of
+from fixel.workflows.figures import Picture, banner_over
 
 if TYPE_CHECKING:
     from fixel.workflows.analysis import StoredAnswer
@@ -42,9 +42,6 @@ def report_of(found: PushProposal) -> AnalysisReport:
     where = " on ".join(
         x for x in (own.part.value or "the part of the scene", own.surface.value) if x
     )
-    simulated = [
-        "" if one.real else f"SIMULATED by {one.simulated_by}" for one in model.experiments
-    ]
     chart = next_pushes_chart(pushes, f"Next pushes of {where}")
     caption = "Outline of the part with the proposed pushes, the best first."
     parts = {own.part.name and str(one.conditions[own.part.name]) for one in own.known}
@@ -69,7 +66,8 @@ def report_of(found: PushProposal) -> AnalysisReport:
         notes=(pushes.notes[0], f"learned from {len(own.known)} pushes of {len(parts)} parts"),
         numbers=_numbers(found),
     )
-    return AnalysisReport(analysis, [Picture("pushes", chart, banner_of(simulated), caption)])
+    banner = banner_over(model.experiments)
+    return AnalysisReport(analysis, [Picture("pushes", chart, banner, caption)])
 
 
 def next_words(done: StoredAnswer) -> list[object]:
@@ -92,10 +90,6 @@ def _headline(pushes: NextPushes) -> str:
 def _numbers(found: PushProposal) -> dict[str, Any]:
     """Return a proposal as plain values in SI units, for `--json` and the page."""
     own, selected = found.pushes, found.selection
-
-    def finite(values: np.ndarray) -> list[float | None]:
-        return [float(x) if math.isfinite(x) else None for x in values]
-
     return {
         "unseen": list(own.unseen),
         "part": selected.part.value,
@@ -103,21 +97,21 @@ def _numbers(found: PushProposal) -> dict[str, Any]:
         "pushes_made": own.pushes,
         "candidates": own.candidates,
         "left_out_candidates": own.idle,
-        "now": {"position_m": finite(own.position), "angle_rad": finite(own.angle)},
+        "now": {"position_m": own.position, "angle_rad": own.angle},
         "without_bound": {"pushes": own.bounded[1] - own.bounded[0], "reasons": list(own.reasons)},
         "pushes": [
             {
                 "candidate": own.order[k],
                 "name": own.name_of(k),
-                "start_m": own.start[k].tolist(),
-                "end_m": own.end[k].tolist(),
+                "start_m": own.start[k],
+                "end_m": own.end[k],
                 "expected_ratio": ratio,
-                "position_m": finite(ratio * own.position),
-                "angle_rad": finite(ratio * own.angle),
+                "position_m": ratio * own.position,
+                "angle_rad": ratio * own.angle,
             }
             for k, ratio in enumerate(own.shrinking.tolist())
         ],
-        "outline_m": own.outline.tolist(),
+        "outline_m": own.outline,
         "radius_m": own.radius,
         "known_parts": list(found.model.parts),
         "level": found.model.level,

@@ -300,12 +300,18 @@ def _facts(
         ("seed", seed),
         ("experiments", str(len(data.summaries))),
         ("checksum of the data", checksum[:16]),
-        ("fixel", version("fixel")),
         ("fixel version of the calibration", made.version),
+        *_machine(),
+    )
+    return tuple((name, value) for name, value in facts if value)
+
+
+def _machine() -> tuple[tuple[str, str], ...]:
+    return (
+        ("fixel", version("fixel")),
         ("Python", platform.python_version()),
         ("machine", f"{platform.system()}, {platform.machine()}"),
     )
-    return tuple((name, value) for name, value in facts if value)
 
 
 def _methods(fit: Calibration, data: ReportData, analyses: Sequence[StoredAnalysis]) -> list[str]:
@@ -376,18 +382,12 @@ def results_content(results: Sequence[Result], folder: Path, title: str = "") ->
                 notes=tuple(summary.notes),
             )
         )
-    facts = (
-        ("fixel", version("fixel")),
-        ("Python", platform.python_version()),
-        ("machine", f"{platform.system()}, {platform.machine()}"),
-    )
-    findings = tuple(section.lead[0] for section in sections)
     return Content(
         title=title or sections[0].title,
         banner="",
-        facts=facts,
+        facts=_machine(),
         warnings=(),
-        findings=findings,
+        findings=tuple(section.lead[0] for section in sections),
         sections=tuple(sections),
         methods=(),
     )

@@ -37,7 +37,7 @@ from fixel.workflows.analysis import (
     store_analysis,
 )
 from fixel.workflows.calibration.stored import CalibratedValues, load_values, newest_calibration
-from fixel.workflows.figures import Picture
+from fixel.workflows.figures import Picture, banner_over
 from fixel.workflows.sentences import rounded, sentences
 
 JSON: Final = ("headline", "warnings", "folder", "files")  # what `--json` has besides numbers
@@ -340,8 +340,8 @@ def _of_experiment(
     target = target_of(experiment)
     scene = replace(target.case.scene, duration=float(target.case.times[-1]))
     values = {} if model is None else model.values(target.conditions)
-    banner = "" if experiment.real else f"SIMULATED by {experiment.simulated_by}"
-    return _subject(experiment.key, scene, own, model, values)._replace(id=number, banner=banner)
+    found = _subject(experiment.key, scene, own, model, values)
+    return found._replace(id=number, banner=banner_over([experiment]))
 
 
 def _subject(

@@ -35,7 +35,7 @@ from fixel.workflows.analysis import (
     store_analysis,
 )
 from fixel.workflows.calibration.stored import CalibratedValues, misfit_of
-from fixel.workflows.figures import Picture, banner_of
+from fixel.workflows.figures import Picture, banner_over
 from fixel.workflows.sentences import rounded, sentences
 from fixel.workflows.uncertainty.sampling import ExperimentPrediction, Uncertainty, predicted_by
 
@@ -109,17 +109,16 @@ def numbers_of(found: Uncertainty) -> dict[str, Any]:
         "parameters": {
             label: {
                 "unit": posterior.units[k],
-                "low": float(low[k]),
-                "median": float(middle[k]),
-                "high": float(high[k]),
-                "best": float(posterior.best[k]),
-                "prior": [float(posterior.low[k]), float(posterior.high[k])],
+                "low": low[k],
+                "median": middle[k],
+                "high": high[k],
+                "best": posterior.best[k],
+                "prior": [posterior.low[k], posterior.high[k]],
             }
             for k, label in enumerate(posterior.labels)
         },
         "modes": [
-            {"weight": mode.weight, "best": dict(zip(posterior.labels, mode.best.tolist(),
-                                                     strict=True))}
+            {"weight": mode.weight, "best": dict(zip(posterior.labels, mode.best, strict=True))}
             for mode in posterior.modes
         ],
         "log_evidence": posterior.log_evidence,
@@ -141,16 +140,16 @@ def _final(one: ExperimentPrediction) -> dict[str, Any]:
     shares = one.prediction.shares
     return {
         "experiment": one.experiment.key,
-        "unseen": list(one.prediction.unseen),
+        "unseen": one.prediction.unseen,
         "held_out": one.held_out,
-        "measured": one.target.pose[-1].tolist(),
-        "centre_m": bounds.position.centre.tolist(),
-        "radii_90_m": bounds.position.radii.tolist(),
+        "measured": one.target.pose[-1],
+        "centre_m": bounds.position.centre,
+        "radii_90_m": bounds.position.radii,
         "turn_rad": bounds.position.angle,
-        "angle_90_rad": list(bounds.angle),
+        "angle_90_rad": bounds.angle,
         "level_of_position": one.levels[0],
         "level_of_angle": one.levels[1],
-        "standard_deviations": {name: value.tolist() for name, value in shares.items()},
+        "standard_deviations": dict(shares),
         "failed_draws": one.prediction.failed,
     }
 
@@ -161,9 +160,9 @@ def _coverage(found: Uncertainty) -> dict[str, Any] | None:
         return None
     position, angle = both
     return {
-        "levels": position.levels.tolist(),
-        "position_held": position.held.tolist(),
-        "angle_held": angle.held.tolist(),
+        "levels": position.levels,
+        "position_held": position.held,
+        "angle_held": angle.held,
         "outcomes": position.outcomes,
     }
 
@@ -173,7 +172,7 @@ def _near(near: NearOptimal | None) -> dict[str, Any] | None:
         return None
 
     def named(values: FloatArray) -> dict[str, float]:
-        return dict(zip(near.names, values.tolist(), strict=True))
+        return dict(zip(near.names, values, strict=True))
 
     return {
         "least_mm2": near.least,
@@ -392,8 +391,7 @@ def _curve_picture(found: Uncertainty, both: tuple[CoverageCurve, CoverageCurve]
 
 
 def _banner(predicted: tuple[ExperimentPrediction, ...]) -> str:
-    every = [one.experiment for one in predicted]
-    return banner_of(["" if one.real else f"SIMULATED by {one.simulated_by}" for one in every])
+    return banner_over(one.experiment for one in predicted)
 
 
 def what_of(found: Uncertainty) -> str:
