@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-import sys
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from string import hexdigits
@@ -16,6 +16,7 @@ import sqlalchemy as sa
 
 from fixel.database.tables import MEDIA_BYTES, series
 from fixel.errors import StoreRefused, os_reason
+from fixel.io.atomic import sync_folder
 from fixel.typing import FloatArray
 
 
@@ -29,23 +30,22 @@ def array_of(data: bytes, n_row: int, n_column: int) -> FloatArray:
     return np.frombuffer(data, dtype="<f8").reshape(n_row, n_column).astype(np.float64)
 
 
-def row_of(
-    owner: str, place: int, name: str, columns: tuple[str, ...], values: FloatArray, media: Path
-) -> dict[str, Any]:
-    """Row of `series` without its owner's id; values above `MEDIA_BYTES` are written to a file."""
-    data = bytes_of(values)
-    row = {
-        "owner": owner,
-        "place": place,
-        "name": name,
-        "columns": list(columns),
-        "n_row": len(values),
-        "data": data,
-        "media_sha256": None,
-    }
-    if len(data) > MEDIA_BYTES:
-        row |= {"data": None, "media_sha256": keep(data, media)}
-    return row
+def rows_of(
+    owner: str, several: Iterable[tuple[str, tuple[str, ...], FloatArray]], media: Path
+) -> list[dict[str, Any]]:
+    """Rows of `series` without their owner's id; data above `MEDIA_BYTES` are written to files.
+
+    Each series has a name, columns and values (n, n_column).
+    """
+    found = []
+    for place, (name, columns, values) in enumerate(several):
+        data = bytes_of(values)
+        kept = {"data": data, "media_sha256": None}
+        if len(data) > MEDIA_BYTES:
+            kept = {"data": None, "media_sha256": keep(data, media)}
+        about = {"owner": owner, "place": place, "name": name, "columns": list(columns)}
+        found.append(about | {"n_row": len(values)} | kept)
+    return found
 
 
 def read_all(
@@ -85,27 +85,14 @@ def keep(data: bytes, media: Path) -> str:
             stream.flush()
             os.fsync(stream.fileno())
         os.replace(temporary, path)
-        _settle_folder(path.parent)
+        sync_folder(path.parent)
     except OSError as problem:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
-        reason = os_reason(problem)
-        raise StoreRefused(
-            f"{media} cannot be written to: {reason}",
-            hint="make the folder writable, or free disk space",
-        ) from None
+        refused = f"{media} cannot be written to: {os_reason(problem)}"
+        hint = "make the folder writable, or free disk space"
+        raise StoreRefused(refused, hint) from None
     return digest
-
-
-def _settle_folder(folder: Path) -> None:
-    """Flush the entries of a folder to disk, so that they survive a power cut; POSIX only."""
-    if sys.platform == "win32":
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def fetch(digest: str, media: Path) -> bytes:

@@ -101,7 +101,8 @@ def browse(
     more = []
     if details:
         ids = [row.id for row in rows]
-        marked, notes = _flags(connection, ids), _notes(connection, ids)
+        marked = _by(connection, ids, flag, flag.c.name, flag.c.detail, flag.c.is_fault)
+        notes = _by(connection, ids, note, note.c.text)
         more = [
             ExperimentDetails(
                 content_sha256=row.content_sha256,
@@ -109,8 +110,8 @@ def browse(
                 before_mm2=row.before_mm2,
                 after_mm2=row.after_mm2,
                 has_scene=row.has_scene,
-                flags=marked.get(row.id, ()),
-                notes=notes.get(row.id, ()),
+                flags=[Flag(*own) for own in marked.get(row.id, ())],
+                notes=[text for (text,) in notes.get(row.id, ())],
             )
             for row in found
         ]
@@ -246,18 +247,9 @@ def _each_condition(connection: sa.Connection) -> sa.Subquery:
     )
 
 
-def _flags(connection: sa.Connection, ids: Sequence[int]) -> dict[int, list[Flag]]:
-    columns = (flag.c.name, flag.c.detail, flag.c.is_fault)
-    return {owner: [Flag(*f) for f in own] for owner, own in _by(connection, ids, flag, *columns)}
-
-
-def _notes(connection: sa.Connection, ids: Sequence[int]) -> dict[int, list[str]]:
-    return {owner: [t for (t,) in own] for owner, own in _by(connection, ids, note, note.c.text)}
-
-
 def _by(
     connection: sa.Connection, ids: Sequence[int], table: sa.Table, *columns: sa.Column[Any]
-) -> Iterable[tuple[int, list[Sequence[Any]]]]:
+) -> dict[int, list[Sequence[Any]]]:
     """Return the rows of a table that belong to experiments, by experiment, oldest first."""
     found: dict[int, list[Sequence[Any]]] = {}
     for first in range(0, len(ids), MAX_IDS):
@@ -269,4 +261,4 @@ def _by(
         )
         for owner, *row in connection.execute(wanted):
             found.setdefault(owner, []).append(row)
-    return found.items()
+    return found

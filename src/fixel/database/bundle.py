@@ -38,7 +38,7 @@ from fixel.database.engine import reading, translated, writing
 from fixel.database.project import ANALYSES, DATABASE, MEDIA
 from fixel.database.query import ALL_EXPERIMENTS
 from fixel.database.store import Store
-from fixel.io.atomic import written_whole
+from fixel.io.atomic import write_whole, written_whole
 from fixel.io.damaged_files import INVALID_CONTENT
 from fixel.model import Experiment, Flag
 from fixel.model.records import SimulationRecord
@@ -258,7 +258,7 @@ class _Copy:
             (tables.filter_parameters, self._source.filter_parameters),
             (tables.filter_run, self._source.filter_run),
         ):
-            for number in _ids(self._source, table):
+            for number in self._source._ids(table):
                 load(number)
         heads = []
         for number in experiment_ids:
@@ -311,18 +311,12 @@ class _Copy:
     def _experiment(self, number: int, outdated: bool) -> int:
         """Copy an experiment, its flags and its notes; return its id in the target."""
         experiment, flags = self._original(number)
-        notes = [
-            row
-            for row in _rows_of(self._source, tables.note, number)
-            if row["deleted_at_utc"] is None
-        ]
+        every = _rows_of(self._source, tables.note, number)
+        notes = [row for row in every if row["deleted_at_utc"] is None]
         if experiment.video:
             self._add_video(experiment.video)
         row = rows.experiment_row(experiment)
-        series = [
-            arrays.row_of("experiment", place, *one, self._target.media)
-            for place, one in enumerate(rows.series_of(experiment))
-        ]
+        series = arrays.rows_of("experiment", rows.series_of(experiment), self._target.media)
         with writing(self._target._engine) as connection:
             copied = self._target._known(connection, row["content_sha256"])
             is_new = copied is None
@@ -346,7 +340,7 @@ class _Copy:
 
     def _simulations(self) -> None:
         known: dict[int, set[SimulationRecord]] = {}
-        for number in _ids(self._source, tables.simulation):
+        for number in self._source._ids(tables.simulation):
             record = self._source.simulation(number)
             if record.experiment_id not in self._ids:
                 continue
@@ -360,9 +354,9 @@ class _Copy:
                 self.new["simulations"] += 1
 
     def _calibrations(self, whole: bool) -> None:
-        stored = _ids(self._target, tables.calibration, deleted=True)
+        stored = self._target._ids(tables.calibration, deleted=True)
         known = {self._target.calibration(k): k for k in stored}
-        for number in _ids(self._source, tables.calibration):
+        for number in self._source._ids(tables.calibration):
             record = self._source.calibration(number)
             here = [member.experiment_id in self._ids for member in record.members]
             if not all(here):
@@ -380,12 +374,12 @@ class _Copy:
 
     def _filter_runs(self, whole: bool) -> None:
         """Copy runs of filters, and their settings; all settings if `whole`."""
-        every = map(self._source.filter_run, _ids(self._source, tables.filter_run))
+        every = map(self._source.filter_run, self._source._ids(tables.filter_run))
         runs = [run for run in every if run.experiment_id in self._ids]
         settings = self._filter_parameters(
             None if whole else {r.filter_parameters_id for r in runs}
         )
-        stored = _ids(self._target, tables.filter_run, deleted=True)
+        stored = self._target._ids(tables.filter_run, deleted=True)
         known = {self._target.filter_run(k) for k in stored}
         for run in runs:
             record = dataclasses.replace(
@@ -414,16 +408,15 @@ class _Copy:
             for other in sorted(file.parent.iterdir()):
                 if ANALYSIS_FILE.fullmatch(other.name) and other != file:
                     shutil.copyfile(other, place / other.name)
-            with written_whole(place / file.name) as unfinished:  # last: it makes the analysis
-                unfinished.write_text(json.dumps(content | own, indent=1), encoding="utf-8")
+            write_whole(place / file.name, json.dumps(content | own, indent=1))  # last, as a mark
             self.new["analyses"] += 1
 
     def _filter_parameters(self, used: set[int] | None) -> dict[int, int]:
         """Copy settings of filters; return their ids in the target by those in the source."""
-        stored = _ids(self._target, tables.filter_parameters, deleted=True)
+        stored = self._target._ids(tables.filter_parameters, deleted=True)
         known = {self._target.filter_parameters(k): k for k in reversed(stored)}
         copied = {}
-        for number in _ids(self._source, tables.filter_parameters):
+        for number in self._source._ids(tables.filter_parameters):
             if used is not None and number not in used:
                 continue
             record = self._source.filter_parameters(number)
@@ -432,14 +425,6 @@ class _Copy:
                 self.new["filter_parameters"] += 1
             copied[number] = known[record]
         return copied
-
-
-def _ids(store: Store, table: sa.Table, *, deleted: bool = False) -> list[int]:
-    """Ids of the rows of a table, without deleted ones unless requested."""
-    wanted = sa.select(table.c.id).order_by(table.c.id)
-    with reading(store._engine) as connection:
-        clauses = () if deleted else (table.c.deleted_at_utc.is_(None),)
-        return list(connection.scalars(wanted.where(*clauses)))
 
 
 def _rows_of(store: Store, table: sa.Table, experiment_id: int) -> list[dict[str, Any]]:

@@ -27,7 +27,7 @@ from fixel.database.engine import reading
 from fixel.database.project import ANALYSES, DATABASE, MEDIA
 from fixel.database.store import Store
 from fixel.errors import InvalidInput, StoreRefused
-from fixel.io.damaged_files import INVALID_CONTENT
+from fixel.io.damaged_files import INVALID_CONTENT, one_line
 from fixel.model.records import Estimate
 
 CHUNK: Final = 1 << 20  # [bytes]
@@ -93,8 +93,7 @@ def damage_refused(path: Path) -> Iterator[None]:
     except StoreRefused as problem:
         raise _refused(path, problem.reason, "complete records of a project") from None
     except (*INVALID_CONTENT, sa.exc.SQLAlchemyError) as problem:
-        found = " ".join(str(problem).split())[:200] or type(problem).__name__
-        raise _refused(path, found, "complete records of a project") from None
+        raise _refused(path, one_line(problem), "complete records of a project") from None
 
 
 def _refused(path: Path, found: str, expected: str, hint: str | None = None) -> InvalidInput:

@@ -28,10 +28,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from fixel.database.store import ExperimentView, Store
 from fixel.datasets.experiments import ExperimentEntry, Experiments
 from fixel.errors import InvalidInput, StoreRefused, machine_failure
-from fixel.io.atomic import written_whole
+from fixel.io.atomic import write_whole
 from fixel.io.document import read_document
 from fixel.model import Experiment
-from fixel.model.fields import instance
+from fixel.model.fields import instance, settle
 from fixel.model.records import CalibrationRecord, SimulationRecord
 from fixel.model.selection import ExperimentQuery, KnownNames, parse_filter, refuse_unknown
 from fixel.progress import ProgressOption, show_progress
@@ -116,7 +116,8 @@ class Project:
 
     def __init__(self, place: str | os.PathLike[str], *, media: Path | None = None) -> None:
         if "://" in str(place):
-            _settle(self, *_server(str(place), media))
+            folder, settings = _server(str(place), media)
+            settle(self, folder=folder, settings=settings)
             return
         folder = Path(place)
         path = folder / SETTINGS
@@ -129,7 +130,7 @@ class Project:
             )
         content = read_document(path)
         try:
-            _settle(self, folder, ProjectSettings.model_validate(content))
+            settle(self, folder=folder, settings=ProjectSettings.model_validate(content))
         except ValidationError as problem:
             first = problem.errors()[0]
             raise InvalidInput(
@@ -142,7 +143,7 @@ class Project:
     def seen_through(self, view: ExperimentView | None) -> Project:
         """Return the project with experiments that a function changes when they are loaded."""
         found = copy.copy(self)
-        object.__setattr__(found, "view", view)
+        settle(found, view=view)
         return found
 
     @classmethod
@@ -171,14 +172,13 @@ class Project:
             raise InvalidInput(str(folder), found="other files", expected="a new or empty folder")
         name = folder.resolve().name[:MAX_NAME] or "project"
         project = object.__new__(cls)
-        _settle(project, folder, ProjectSettings(name=name, database=database))
+        settle(project, folder=folder, settings=ProjectSettings(name=name, database=database))
         try:
             (folder / MEDIA).mkdir(parents=True, exist_ok=True)
             with Store(project.url, project.media) as store:
                 store.upgrade()
             # Last, since this file makes the folder a project.
-            with written_whole(folder / SETTINGS) as path:
-                path.write_text(_settings_text(project.settings), encoding="utf-8")
+            write_whole(folder / SETTINGS, _settings_text(project.settings))
         except BaseException as problem:
             _clear(folder, keep=was_there)
             if isinstance(problem, OSError) and (failure := machine_failure(problem)) is not None:
@@ -428,11 +428,6 @@ class Project:
             store.close()
             raise
         return store
-
-
-def _settle(project: Project, folder: Path, settings: ProjectSettings) -> None:
-    object.__setattr__(project, "folder", folder)
-    object.__setattr__(project, "settings", settings)
 
 
 def _server(url: str, media: Path | None) -> tuple[Path, ProjectSettings]:

@@ -104,9 +104,15 @@ def freeze(table: str) -> None:
     columns = [column["name"] for column in sa.inspect(connection).get_columns(table)]
     frozen = ", ".join(f'"{name}"' for name in columns if name != "deleted_at_utc")
     if connection.dialect.name == "sqlite":
-        _freeze_in_sqlite(table, frozen)
+        refuse = f"BEGIN SELECT RAISE(ABORT, '{FROZEN}'); END"
     else:
-        _freeze_in_postgresql(table, frozen)
+        refuse = "FOR EACH ROW EXECUTE FUNCTION fixel_refuse()"
+        op.execute(
+            "CREATE OR REPLACE FUNCTION fixel_refuse() RETURNS trigger LANGUAGE plpgsql AS "
+            f"$$ BEGIN RAISE EXCEPTION '{FROZEN}'; END $$"
+        )
+    op.execute(f'CREATE TRIGGER "{table}_frozen" BEFORE UPDATE OF {frozen} ON "{table}" {refuse}')
+    op.execute(f'CREATE TRIGGER "{table}_kept" BEFORE DELETE ON "{table}" {refuse}')
 
 
 def unfreeze(table: str) -> None:
@@ -114,24 +120,3 @@ def unfreeze(table: str) -> None:
     on = "" if op.get_bind().dialect.name == "sqlite" else f' ON "{table}"'
     for kind in ("frozen", "kept"):
         op.execute(f'DROP TRIGGER "{table}_{kind}"{on}')
-
-
-def _freeze_in_sqlite(table: str, frozen: str) -> None:
-    refuse = f"BEGIN SELECT RAISE(ABORT, '{FROZEN}'); END"
-    op.execute(f'CREATE TRIGGER "{table}_frozen" BEFORE UPDATE OF {frozen} ON "{table}" {refuse}')
-    op.execute(f'CREATE TRIGGER "{table}_kept" BEFORE DELETE ON "{table}" {refuse}')
-
-
-def _freeze_in_postgresql(table: str, frozen: str) -> None:
-    op.execute(
-        "CREATE OR REPLACE FUNCTION fixel_refuse() RETURNS trigger LANGUAGE plpgsql AS "
-        f"$$ BEGIN RAISE EXCEPTION '{FROZEN}'; END $$"
-    )
-    op.execute(
-        f'CREATE TRIGGER "{table}_frozen" BEFORE UPDATE OF {frozen} ON "{table}" '
-        "FOR EACH ROW EXECUTE FUNCTION fixel_refuse()"
-    )
-    op.execute(
-        f'CREATE TRIGGER "{table}_kept" BEFORE DELETE ON "{table}" '
-        "FOR EACH ROW EXECUTE FUNCTION fixel_refuse()"
-    )

@@ -16,7 +16,7 @@ from fixel.database import arrays, browsing, marks, rows, schema, tables
 from fixel.database.engine import open_engine, reading, set_journal, writing
 from fixel.database.query import LIVE
 from fixel.errors import InvalidInput, NotStored, StoreRefused, closest
-from fixel.io.damaged_files import INVALID_CONTENT
+from fixel.io.damaged_files import INVALID_CONTENT, one_line
 from fixel.model import Experiment, Flag
 from fixel.model.records import (
     CalibrationRecord,
@@ -44,10 +44,10 @@ def _damage_named(
             except NotStored:
                 raise
             except INVALID_CONTENT as problem:
-                said = " ".join(str(problem).split())[:200] or type(problem).__name__
                 number = f" {given[0]}" if given and isinstance(given[0], int) else ""
                 raise StoreRefused(
-                    f"{what}{number} is damaged: {said}", hint="list all errors: fixel db check"
+                    f"{what}{number} is damaged: {one_line(problem)}",
+                    hint="list all errors: fixel db check",
                 ) from problem
 
         return read_or_refuse
@@ -153,10 +153,7 @@ class Store:
         If its dataset and name are taken, it replaces the newest experiment of that name.
         """
         row = rows.experiment_row(experiment)
-        measured = [
-            arrays.row_of("experiment", place, *series, self.media)
-            for place, series in enumerate(rows.series_of(experiment))
-        ]
+        measured = arrays.rows_of("experiment", rows.series_of(experiment), self.media)
         with writing(self._engine) as connection:
             known = self._known(connection, row["content_sha256"])
             if known is not None:
@@ -271,12 +268,9 @@ class Store:
         return meant and f"did you mean {known[meant]!r}? fixel list shows all experiments"
 
     def _has(self, experiment_id: int) -> bool:
+        key = tables.experiment.c.id
         with reading(self._engine) as connection:
-            table = tables.experiment
-            return (
-                connection.scalar(sa.select(table.c.id).where(table.c.id == experiment_id))
-                is not None
-            )
+            return connection.scalar(sa.select(key).where(key == experiment_id)) is not None
 
     experiments = _method(browsing.browse)
     experiment_ids = _method(browsing.ids)
@@ -295,15 +289,15 @@ class Store:
 
     def content(self, experiment_id: int) -> str:
         """Checksum of an experiment's content; equal only for equal experiments."""
-        with reading(self._engine) as connection:
-            row = _row(connection, tables.experiment, experiment_id, "experiment")
-        return str(row.content_sha256)
+        return str(self._experiment_row(experiment_id).content_sha256)
 
     def deleted(self, experiment_id: int) -> bool:
         """Whether an experiment is deleted."""
+        return self._experiment_row(experiment_id).deleted_at_utc is not None
+
+    def _experiment_row(self, experiment_id: int) -> sa.Row[Any]:
         with reading(self._engine) as connection:
-            row = _row(connection, tables.experiment, experiment_id, "experiment")
-        return row.deleted_at_utc is not None
+            return _row(connection, tables.experiment, experiment_id, "experiment")
 
     def _require(self, experiment_id: int) -> None:
         if not self._has(experiment_id):
@@ -320,9 +314,8 @@ class Store:
 
     def video(self, experiment_id: int) -> Path | None:
         """Path of an experiment's video; None if it has none."""
-        with reading(self._engine) as connection:
-            row = _row(connection, tables.experiment, experiment_id, "experiment")
-        return arrays.media_path(row.video_sha256, self.media) if row.video_sha256 else None
+        digest = self._experiment_row(experiment_id).video_sha256
+        return arrays.media_path(digest, self.media) if digest else None
 
     # --- results --------------------------------------------------------------------------------
 
@@ -469,22 +462,20 @@ class Store:
             estimates=estimates,
         )
 
-    def _ids(self, table: sa.Table, *where: sa.ColumnElement[bool]) -> list[int]:
-        """Ids of the rows of a table that are not deleted, oldest first."""
-        wanted = sa.select(table.c.id).where(table.c.deleted_at_utc.is_(None), *where)
+    def _ids(
+        self, table: sa.Table, *where: sa.ColumnElement[bool], deleted: bool = False
+    ) -> list[int]:
+        """Ids of the rows of a table, oldest first, without deleted ones unless requested."""
+        live = () if deleted else (table.c.deleted_at_utc.is_(None),)
         with reading(self._engine) as connection:
+            wanted = sa.select(table.c.id).where(*live, *where)
             return list(connection.scalars(wanted.order_by(table.c.id)))
 
     def _add_series(
         self, connection: sa.Connection, owner: str, number: int, series: list[rows.Measured]
     ) -> None:
-        connection.execute(
-            sa.insert(tables.series),
-            [
-                arrays.row_of(owner, place, *one, self.media) | {"owner_id": number}
-                for place, one in enumerate(series)
-            ],
-        )
+        found = arrays.rows_of(owner, series, self.media)
+        connection.execute(sa.insert(tables.series), [one | {"owner_id": number} for one in found])
 
 
 def _calibrations(

@@ -11,7 +11,7 @@ import sqlalchemy as sa
 
 from fixel.database import arrays, rows, tables
 from fixel.errors import FixelError, StoreRefused
-from fixel.io.damaged_files import INVALID_CONTENT
+from fixel.io.damaged_files import INVALID_CONTENT, one_line
 
 RESTORE: Final = "replace experiments.db with a backup, which fixel db backup wrote"
 ADVICE: Final = "copy the experiments into a new project with: fixel export"
@@ -122,13 +122,9 @@ def content_troubles(connection: sa.Connection, media: Path) -> Iterator[Trouble
             except StoreRefused:
                 continue  # a file that is missing or has changed, which is reported with its series
             except (FixelError, sa.exc.NoResultFound, *INVALID_CONTENT) as problem:
-                sentence = f"cannot be read: {_short(problem)}"
+                sentence = f"cannot be read: {one_line(problem)}"
             if sentence is not None:
                 yield Trouble(f"{table.name} {number}", sentence, RESTORE)
-
-
-def _short(problem: Exception) -> str:
-    return " ".join(str(problem).split())[:200] or type(problem).__name__
 
 
 def _experiment(connection: sa.Connection, row: sa.Row[Any], media: Path) -> str | None:

@@ -20,7 +20,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fixel.datasets.files import bounded_lines
-from fixel.errors import DatasetMissing, FixelError, InvalidInput, require
+from fixel.errors import DatasetMissing, InvalidInput, require
+from fixel.io.damaged_files import parsed
 from fixel.typing import FloatArray
 
 MAX_CHUNK = 256_000_000  # [bytes] of one record, unpacked
@@ -143,21 +144,13 @@ def read_bag(source: Path) -> Bag:
     if not (files := bag_files(source)):
         raise DatasetMissing(source, f"a file that ends in {', '.join(readers)}")
     for path in files:
-        try:
+        hint = "mcap recover FILE saves what is left of a torn MCAP file"
+        with parsed(path, hint if path.suffix == ".mcap" else None):
             for message in readers[path.suffix.lower()](path):
                 bag.add(message)
                 n += 1
                 if n > MAX_POSES:
                     raise InvalidInput(path.name, found="more", expected=f"{MAX_POSES} messages")
-        except FixelError:
-            raise
-        except Exception as problem:  # parsers raise anything on damaged files
-            found = f"{type(problem).__name__}: {problem}"[:200]
-            kind, hint = path.suffix[1:], "mcap recover FILE saves what is left of a torn MCAP file"
-            expected = f"a readable {kind.upper()} file"
-            raise InvalidInput(
-                path.name, found=found, expected=expected, hint=hint if kind == "mcap" else None
-            ) from problem
     for name, track in bag.tracks.items():
         track.finish(name)
     return bag

@@ -18,6 +18,7 @@ import numpy as np
 from fixel.errors import InvalidInput
 from fixel.formats.camera_opencv import check_plausible, lens_of, opencv_camera, placed_above
 from fixel.formats.records import within
+from fixel.io.atomic import read_bounded
 from fixel.io.document import MAX_BYTES, read_document
 from fixel.typing import FloatArray
 from fixel.vision.camera import Camera, MeasuredCamera, turned
@@ -119,16 +120,7 @@ def _kind_of(path: Path) -> str:
 
 
 def _head(path: Path) -> bytes:
-    try:
-        if not path.is_file():
-            raise InvalidInput(str(path), found="no such file", expected="a camera file")
-        if path.stat().st_size > MAX_BYTES:
-            raise InvalidInput(
-                str(path), found="a file larger than 10 MB", expected="a camera file of some kB"
-            )
-        return path.read_bytes()
-    except OSError as problem:
-        raise InvalidInput(str(path), found=problem, expected="a file that can be read") from None
+    return read_bounded(path, "a camera file", MAX_BYTES)
 
 
 def _kalibr(path: Path, which: str) -> Lens:

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.io.atomic import written_whole
+from fixel.io.atomic import write_whole, written_whole
 from fixel.io.document import yaml_text
 from fixel.typing import FloatArray
 from fixel.vision.camera import Camera, MeasuredCamera
@@ -123,8 +123,7 @@ def opencv_camera(path: Path, size: tuple[int, int] | None) -> MeasuredCamera:
 
 def save_opencv(lens: Lens, path: str | Path) -> None:
     """Write a lens in the format of OpenCV's calibration program."""
-    _refuse_ending(path, "opencv")
-    _refuse_skew(lens)
+    _check_export(lens, path, "opencv")
     cv2 = opencv()
     with written_whole(path) as unfinished:
         storage = cv2.FileStorage(str(unfinished), cv2.FILE_STORAGE_WRITE)
@@ -141,8 +140,7 @@ def save_opencv(lens: Lens, path: str | Path) -> None:
 
 def save_ros(lens: Lens, path: str | Path, name: str = "camera") -> None:
     """Write a lens as a ROS camera_info file."""
-    _refuse_ending(path, "ros")
-    _refuse_skew(lens)
+    _check_export(lens, path, "ros")
     width, height = lens.image_size
     matrix = matrix_of(lens)
     model, count = "equidistant", 4
@@ -159,19 +157,15 @@ def save_ros(lens: Lens, path: str | Path, name: str = "camera") -> None:
         "rectification_matrix": _ros_matrix(np.eye(3)),
         "projection_matrix": _ros_matrix(np.column_stack([matrix, np.zeros(3)])),
     }
-    with written_whole(path) as unfinished:
-        unfinished.write_text(yaml_text(content), encoding="utf-8")
+    write_whole(path, yaml_text(content))
 
 
 def _read(storage: Any, size: tuple[int, int] | None) -> MeasuredCamera:
     matrix = _matrix(storage, MATRIX, "the camera matrix")
     distortion = _matrix(storage, DISTORTION, "the distortion coefficients")
     width, height = _number(storage, WIDTH), _number(storage, HEIGHT)
-    if width and height:
-        said: tuple[int, int] | None = (int(width), int(height))
-    else:
-        node = storage.getNode("image_size")
-        said = _pair(node) or size
+    stated = (int(width), int(height)) if width and height else None
+    said = stated or _pair(storage.getNode("image_size")) or size
     if said is None:
         raise InvalidInput(
             "image_width",
@@ -213,7 +207,13 @@ def _ros_matrix(matrix: FloatArray) -> dict[str, Any]:
     return {"rows": rows, "cols": cols, "data": matrix.ravel().tolist()}
 
 
-def _refuse_skew(lens: Lens) -> None:
+def _check_export(lens: Lens, path: str | Path, format: str) -> None:
+    if Path(path).suffix.lower() not in ENDINGS[format]:
+        raise InvalidInput(
+            str(path),
+            found=f"the ending {Path(path).suffix!r}",
+            expected="a file that ends with " + ", ".join(ENDINGS[format]),
+        )
     if lens.skew and not lens.fisheye:
         width = lens.skew * lens.image_size[1] / 2.0
         raise InvalidInput(
@@ -221,13 +221,4 @@ def _refuse_skew(lens: Lens) -> None:
             found=f"a skew of {lens.skew:g}",
             expected="no skew: OpenCV and ROS ignore it in projections",
             hint=f"positions at the edge would be {abs(width):.2f} px wrong",
-        )
-
-
-def _refuse_ending(path: str | Path, format: str) -> None:
-    if Path(path).suffix.lower() not in ENDINGS[format]:
-        raise InvalidInput(
-            str(path),
-            found=f"the ending {Path(path).suffix!r}",
-            expected="a file that ends with " + ", ".join(ENDINGS[format]),
         )

@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from fixel.calibration.pattern_search import PatternSearch
 from fixel.errors import InvalidInput, did_you_mean, unknown_name
+from fixel.io.atomic import read_bounded
 from fixel.model.parameters import KNOWN_PARAMETERS, is_parameter
 from fixel.model.space import ParameterSpace, Unknown
 
@@ -131,20 +133,11 @@ def load_dakota(path: str | Path) -> DakotaFile:
     InvalidInput
         The first error, or keyword that fixel's search does not support, with its line.
     """
-    file = Path(path)
+    data = read_bounded(Path(path), "a Dakota input file", MAX_BYTES)
     try:
-        if file.stat().st_size > MAX_BYTES:
-            raise InvalidInput(
-                str(file), found="more than 1 MB", expected="a Dakota input file of a few lines"
-            )
-        text = file.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InvalidInput(
-            str(file), found="no such file", expected="a Dakota input file"
-        ) from None
-    except (OSError, UnicodeDecodeError) as problem:
-        raise InvalidInput(str(file), found=problem, expected="a text file") from None
-    return dakota_from_text(text, str(file))
+        return dakota_from_text(data.decode("utf-8-sig"), str(path))
+    except UnicodeDecodeError as problem:
+        raise InvalidInput(str(path), found=problem, expected="a text file") from None
 
 
 def dakota_from_text(text: str, where: str = "dakota") -> DakotaFile:
@@ -158,15 +151,15 @@ def dakota_from_text(text: str, where: str = "dakota") -> DakotaFile:
 # --- from text to keywords ------------------------------------------------------------------------
 
 
+@dataclass
 class _Block:
     """Keywords of one block, with their values and lines."""
 
-    def __init__(self, name: str, where: str, line: int) -> None:
-        self.name = name
-        self.where = where
-        self.line = line
-        self.values: dict[str, Any] = {}
-        self.lines: dict[str, int] = {}
+    name: str
+    where: str
+    line: int
+    values: dict[str, Any] = field(default_factory=dict)
+    lines: dict[str, int] = field(default_factory=dict)
 
     def at(self, keyword: str) -> str:
         return f"{self.where}, line {self.lines.get(keyword, self.line)}"

@@ -15,7 +15,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from fixel.errors import FixelError, InvalidInput, require, unknown_name
+from fixel.errors import InvalidInput, require, unknown_name
+from fixel.io.damaged_files import parsed
 from fixel.typing import FloatArray
 
 UNITS: Final = {
@@ -52,16 +53,10 @@ def read_outline(
         raise unknown_name("unit", unit, UNITS)
     if not tolerance >= FINEST:
         raise InvalidInput("tolerance", found=tolerance, expected=f"at least {FINEST:g} m")
-    try:
+    with parsed(path):
         _refuse_more(path.name, path.stat().st_size, MAX_BYTES, "bytes")
         region = _READERS[path.suffix.lower()](_OutlineSource(path, unit, tolerance, part))
         return _outline(region, path.name, tolerance, fill_holes)
-    except FixelError:
-        raise
-    except Exception as problem:  # parsers raise anything on damaged files
-        found = f"{type(problem).__name__}: {problem}"[:200]
-        expected = f"a readable {path.suffix[1:].upper()} file"
-        raise InvalidInput(path.name, found=found, expected=expected) from problem
 
 
 class _OutlineSource(NamedTuple):

@@ -61,8 +61,6 @@ __all__ = [
     "repair_recording",
 ]
 
-NO_READING: Final = -1
-
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -208,8 +206,7 @@ def _checked(folder: Path) -> _Agreement:
     rows = read_rows(folder / ROWS)
     matched = seen = 0
     for seen, packet in enumerate(packets(folder / VIDEO), 1):
-        fits = seen <= len(rows.rows) and _belong(rows.rows[seen - 1], *packet)
-        matched += fits and matched == seen - 1
+        matched += matched == seen - 1 < len(rows.rows) and _belong(rows.rows[matched], *packet)
     strangers = min(seen, len(rows.rows)) - matched
     # Only the picture that was being written at the crash can be torn; more indicate other damage.
     if strangers > 1 or (strangers == 1 and seen > len(rows.rows)):
@@ -343,8 +340,7 @@ class RecordingWriter:
                 found=f"a picture of shape {frame.picture.shape}, {frame.picture.dtype}",
                 expected=f"({height}, {width}, 3), uint8",
             )
-        time_us = self._micro(frame.time)
-        self._check_reading(reading)
+        time_us = self._checked_time(frame.time, reading)
         written = self._video.append_picture(time_us, frame.picture)
         self._note(time_us, reading, reading_time, written)
 
@@ -362,8 +358,7 @@ class RecordingWriter:
             )
         if not jpeg:  # the video would omit it, and its row would have no picture
             raise InvalidInput(f"frame {self.frames}", found="no bytes", expected="a JPEG picture")
-        time_us = self._micro(time)
-        self._check_reading(reading)
+        time_us = self._checked_time(time, reading)
         written = self._video.append_jpeg(time_us, jpeg)
         self._note(time_us, reading, reading_time, written)
 
@@ -417,20 +412,18 @@ class RecordingWriter:
         self._rows_end += len(text)
         self._last_us = time_us
 
-    def _micro(self, time: float) -> int:
-        """Convert a time to microseconds; raise if it does not increase."""
+    def _checked_time(self, time: float, reading: int | None) -> int:
+        """Convert a time to microseconds; raise unless it increases and a reading is a byte."""
         if not math.isfinite(time) or time < 0.0 or (micro := round(time * MICRO)) <= self._last_us:
             raise InvalidInput(
                 f"frame {self.frames}",
                 found=f"time {time} s after {self.seconds:.6f} s",
                 expected="increasing times from 0",
             )
-        return micro
-
-    def _check_reading(self, reading: int | None) -> None:
         if reading is not None and not 0 <= reading <= MAX_READING:
             found = f"the reading {reading!r}"
             raise InvalidInput(f"frame {self.frames}", found=found, expected="a byte or None")
+        return micro
 
     def _let_go(self) -> None:
         self._closed = True

@@ -19,7 +19,7 @@ from types import MappingProxyType
 from typing import Any, Final, NamedTuple, final
 
 from fixel.errors import InvalidInput
-from fixel.io.atomic import written_whole
+from fixel.io.atomic import write_whole
 from fixel.model.fields import name_of, settle
 
 VERSION: Final = 1
@@ -128,11 +128,7 @@ def read_end(folder: Path) -> RecordingEnd | None:
 
 
 def _write(path: Path, content: dict[str, Any]) -> None:
-    with written_whole(path) as unfinished:
-        unfinished.write_text(
-            json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False) + "\n",
-            encoding="utf-8",
-        )
+    write_whole(path, json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False) + "\n")
 
 
 def _read(path: Path) -> dict[str, Any] | None:
@@ -190,16 +186,12 @@ def read_rows(path: Path) -> RecordingRows:
     except OSError as problem:
         raise InvalidInput(str(path), found=problem, expected="the rows of a recording") from None
     if not lines or lines[0] != HEAD.encode("ascii"):
-        found = (
-            "an unexpected first line"
-            if lines and lines[0].endswith(b"\n")
-            else "an incomplete first line"
-        )
-        raise InvalidInput(str(path), found=found, expected=f"the header {HEAD.strip()}")
+        state = "unexpected" if lines and lines[0].endswith(b"\n") else "incomplete"
+        found, expected = f"an {state} first line", f"the header {HEAD.strip()}"
+        raise InvalidInput(str(path), found=found, expected=expected)
     rows: list[RecordingRow] = []
     ends: list[int] = []
-    end = len(lines[0])
-    broken = 0
+    end, broken = len(lines[0]), 0
     for number, line in enumerate(lines[1:], 2):
         end += len(line)
         row = _row(line)

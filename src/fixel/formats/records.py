@@ -375,16 +375,13 @@ def only_form(record: FileRecord, path: str, forms: Sequence[str] = ()) -> str:
     forms = forms or list(type(record).model_fields)
     given = [form for form in forms if getattr(record, form) is not None]
     # In YAML, `none:` has no value.
-    given = given or [form for form in record.model_fields_set if not _takes_value(record, form)]
+    valueless = (form for form, kind in record.forms.items() if not fields(kind))
+    given = given or [form for form in valueless if form in record.model_fields_set]
     if len(given) != 1:
         raise InvalidInput(
             path, found=" and ".join(given) or None, expected="exactly one of " + ", ".join(forms)
         )
     return given[0]
-
-
-def _takes_value(record: FileRecord, form: str) -> bool:
-    return form not in record.forms or bool(fields(record.forms[form]))
 
 
 @contextmanager

@@ -31,7 +31,7 @@ from fixel.formats.records import (
     validated,
     within,
 )
-from fixel.io.atomic import written_whole
+from fixel.io.atomic import write_whole
 from fixel.io.document import read_document, yaml_text
 from fixel.vision.camera import Camera, MeasuredCamera
 from fixel.vision.lens import Lens
@@ -152,8 +152,7 @@ def camera_dict(camera: MeasuredCamera) -> dict[str, Any]:
 
 def save_camera(camera: MeasuredCamera, path: str | Path) -> None:
     """Write a camera file."""
-    with written_whole(path) as unfinished:
-        unfinished.write_text(yaml_text(camera_dict(camera)), encoding="utf-8")
+    write_whole(path, yaml_text(camera_dict(camera)))
 
 
 def _camera(lens: Lens, record: PlaceRecord | None) -> Camera | None:
@@ -288,8 +287,7 @@ def rig_dict(rig: Rig) -> dict[str, Any]:
 
 def save_rig(rig: Rig, path: str | Path) -> None:
     """Write a self-contained rig file, including the camera."""
-    with written_whole(path) as unfinished:
-        unfinished.write_text(yaml_text(rig_dict(rig)), encoding="utf-8")
+    write_whole(path, yaml_text(rig_dict(rig)))
 
 
 def _camera_of(raw: Any, folder: Path | None) -> MeasuredCamera:

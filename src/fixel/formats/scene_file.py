@@ -32,7 +32,7 @@ from fixel.formats.records import (
     validated,
     written,
 )
-from fixel.io.atomic import written_whole
+from fixel.io.atomic import write_whole
 from fixel.io.document import parse_yaml, read_document, yaml_text
 from fixel.model import (
     Body,
@@ -313,8 +313,7 @@ def save_scene(scene_file: SceneFile, path: str | Path) -> None:
         text = json.dumps(content, indent=2, allow_nan=False) + "\n"
     else:
         text = yaml_text(content)
-    with written_whole(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_whole(path, text)
 
 
 def scene_json_schema() -> dict[str, Any]:

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from fixel.errors import InvalidInput
-from fixel.io.atomic import written_whole
+from fixel.io.atomic import read_bounded, written_whole
 from fixel.io.lock import FileLock
 from fixel.planning.trials import PlanTrial, Trials
 
@@ -147,12 +147,7 @@ def read_trials(path: str | Path, *, plan: str | None = None) -> Trials:
 
 def _lines(path: Path) -> list[str]:
     """Return the complete lines of a file."""
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise InvalidInput(str(path), found="more than 50 MB", expected=_EXPECTED)
-        data = path.read_bytes()
-    except OSError as problem:
-        raise InvalidInput(str(path), found=problem, expected=_EXPECTED) from None
+    data = read_bounded(path, _EXPECTED, MAX_BYTES)
     try:
         text = data[: data.rfind(b"\n") + 1].decode()
     except UnicodeDecodeError:

@@ -281,7 +281,6 @@ class _Spoilt:
         self.packets = 0
         self._since = 0  # damaged packets since the last good frame
         self._last: float | None = None
-        self._before: float = 0.0
 
     def packet(self) -> None:
         self.packets += 1

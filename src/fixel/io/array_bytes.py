@@ -17,7 +17,7 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fixel.io.atomic import written_whole
+from fixel.io.atomic import write_whole
 from fixel.typing import FloatArray
 
 SMALL: Final = 64_000_000  # [bytes] that any file may unpack to
@@ -99,8 +99,7 @@ class ResultCache:
         if kept is not None and kept.get("of") == mark:
             return dict(kept["answer"])
         answer = compute()
-        with written_whole(path) as beside:
-            beside.write_text(json.dumps({"of": mark, "answer": answer}), encoding="utf-8")
+        write_whole(path, json.dumps({"of": mark, "answer": answer}))
         return answer
 
 

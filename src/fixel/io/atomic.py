@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -52,6 +53,46 @@ def written_whole(path: str | Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def write_whole(path: str | Path, text: str) -> None:
+    """Write a text file, whole or not at all; see `written_whole`."""
+    with written_whole(path) as unfinished:
+        unfinished.write_text(text, encoding="utf-8")
+
+
+def read_bounded(path: Path, kind: str, most: int, hint: str | None = None) -> bytes:
+    """Load a file of at most `most` bytes; errors describe it as `kind`, such as "a plan file".
+
+    `hint` is for a larger file.
+    """
+    where = str(path)
+    try:
+        if path.exists() and not path.is_file():
+            raise InvalidInput(where, found="a folder or a device", expected=kind)
+        with path.open("rb") as stream:
+            data = stream.read(most + 1) if path.stat().st_size <= most else None
+    except FileNotFoundError:
+        raise InvalidInput(where, found="no such file", expected=kind) from None
+    except (OSError, ValueError) as problem:
+        if isinstance(problem, InvalidInput):
+            raise
+        raise InvalidInput(where, found=problem, expected="a file that can be read") from None
+    if data is None or len(data) > most:
+        found, expected = f"more than {most // 1_000_000} MB", f"{kind} of at most that size"
+        raise InvalidInput(where, found=found, expected=expected, hint=hint)
+    return data
+
+
+def sync_folder(folder: Path) -> None:
+    """Make the names of new files durable, so that they survive a power cut; POSIX only."""
+    if sys.platform == "win32":
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def _unwritable(path: Path, problem: OSError) -> InvalidInput:

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final, TypeVar
 
-from fixel.errors import FixelError, StoreRefused, machine_failure
+from fixel.errors import FixelError, InvalidInput, StoreRefused, machine_failure
 
 A = TypeVar("A")
 T = TypeVar("T")
@@ -53,6 +53,24 @@ def readable(path: Path, hint: str = "") -> Iterator[None]:
             f"{path} cannot be read: it is damaged, truncated or not a file of fixel",
             hint=hint or f"restore it from a copy, or delete the folder {path.parent}",
         ) from problem
+
+
+@contextmanager
+def parsed(path: Path, hint: str | None = None) -> Iterator[None]:
+    """Raise `InvalidInput` for whatever the parser of another package raises on a damaged file."""
+    try:
+        yield
+    except FixelError:
+        raise
+    except Exception as problem:
+        found = f"{type(problem).__name__}: {problem}"[:200]
+        expected = f"a readable {path.suffix[1:].upper()} file"
+        raise InvalidInput(path.name, found=found, expected=expected, hint=hint) from problem
+
+
+def one_line(problem: Exception, most: int = 200) -> str:
+    """Return the text of an error on one line, or else its type."""
+    return " ".join(str(problem).split())[:most] or type(problem).__name__
 
 
 def each_readable(read: Callable[[A], T], every: Iterable[A]) -> tuple[list[T], list[FixelError]]:

@@ -19,6 +19,7 @@ from typing import Any
 import yaml
 
 from fixel.errors import InvalidInput
+from fixel.io.atomic import read_bounded
 
 # [bytes] Scene files have some kilobytes; a measured path of an hour at 100 Hz has about 10 MB.
 MAX_BYTES = 10_000_000
@@ -125,30 +126,12 @@ def plain_scalar(text: str) -> Any:
 
 
 def _text(path: Path) -> str:
-    where = str(path)
-    try:
-        if path.exists() and not path.is_file():
-            raise InvalidInput(where, found="a folder or a device", expected="a file")
-        with path.open("rb") as stream:
-            data = stream.read(MAX_BYTES + 1) if path.stat().st_size <= MAX_BYTES else None
-    except FileNotFoundError:
-        raise InvalidInput(where, found="no such file", expected="a YAML or JSON file") from None
-    except (OSError, ValueError) as problem:
-        if isinstance(problem, InvalidInput):
-            raise
-        raise InvalidInput(where, found=problem, expected="a file that can be read") from None
-    if data is None or len(data) > MAX_BYTES:
-        raise InvalidInput(
-            where,
-            found=f"more than {MAX_BYTES // 1_000_000} MB",
-            expected="a smaller file",
-            hint="resample measured paths",
-        )
+    data = read_bounded(path, "a YAML or JSON file", MAX_BYTES, "resample measured paths")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as problem:
         found = f"a byte that is not UTF-8 at position {problem.start}"
-        raise InvalidInput(where, found=found, expected="text in UTF-8") from None
+        raise InvalidInput(str(path), found=found, expected="text in UTF-8") from None
 
 
 class _Open:

@@ -16,11 +16,12 @@ import os
 import struct
 import zlib
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple, Self, final
 
 from fixel.errors import InvalidInput, JobRefused, os_reason
-from fixel.io.atomic import written_whole
+from fixel.io.atomic import sync_folder, written_whole
 from fixel.io.lock import FileLock, Owner, holder
 
 MAGIC: Final = b"fixel journal 1\n"
@@ -209,21 +210,8 @@ def _begin(stream: BinaryIO, path: Path) -> None:
     stream.truncate()
     stream.write(MAGIC + os.urandom(_MARK))
     os.fsync(stream.fileno())
-    _sync_folder(path.parent)
-
-
-def _sync_folder(folder: Path) -> None:
-    """Make the name of a new file durable, on systems where that is possible."""
-    try:
-        descriptor = os.open(folder, os.O_RDONLY)
-    except OSError:
-        return
-    try:
-        os.fsync(descriptor)
-    except OSError:
-        pass
-    finally:
-        os.close(descriptor)
+    with suppress(OSError):  # not every file system can
+        sync_folder(path.parent)
 
 
 def _framed(mark: bytes, name: str, data: bytes) -> bytes:

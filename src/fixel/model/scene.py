@@ -188,7 +188,8 @@ class Scene(Comparable):
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the bodies, then the pushers, then the fixels."""
-        return tuple(thing.name for thing in (*self.bodies, *self.pushers, *self.fixels))
+        things: tuple[Body | Pusher | Fixel, ...] = (*self.bodies, *self.pushers, *self.fixels)
+        return tuple(thing.name for thing in things)
 
     def save(self, path: str | Path) -> Path:
         """Write the scene to a file, which `fixel.load_scene` reads.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from typing import Any, Final, final
 
@@ -62,9 +62,7 @@ class PathComparison:
     @property
     def error_mm2(self) -> float | None:
         """E of the thesis: mean of squared errors [mm^2]; None if the simulation stopped early."""
-        if not self.complete:
-            return None
-        return squared_error(self.position, self.angle)
+        return squared_error(self.position, self.angle) if self.complete else None
 
     @property
     def same_contact_mode(self) -> bool | None:
@@ -262,6 +260,7 @@ def summary(experiment: Experiment) -> dict[str, Any]:
     """Return an experiment's numbers as plain values, for `--json`: metres, radians, seconds."""
     track = experiment.trajectory
     pose = track.pose
+    flags = [({"name": f.name, "detail": f.detail}, f.fault) for f in experiment.flags]
     return {
         "dataset": experiment.dataset,
         "name": experiment.name,
@@ -280,9 +279,9 @@ def summary(experiment: Experiment) -> dict[str, Any]:
         "has_scene": experiment.scene is not None,
         "has_pusher": experiment.pusher is not None,
         "conditions": dict(experiment.conditions),
-        "flags": [_flag(flag.name, flag.detail) for flag in experiment.flags if flag.fault],
-        "remarks": [_flag(flag.name, flag.detail) for flag in experiment.flags if not flag.fault],
-        "provenance": _provenance(experiment.provenance),
+        "flags": [marked for marked, fault in flags if fault],
+        "remarks": [marked for marked, fault in flags if not fault],
+        "provenance": asdict(experiment.provenance),
         "channels": [_channel(channel) for channel in experiment.channels],
         "video": experiment.video,
     }
@@ -316,14 +315,6 @@ def travelled(track: Trajectory, noise: float = NOISE) -> float:
         if stride >= noise:
             here, length = place, length + stride
     return length + float(np.hypot(*(track.pose[-1, :2] - here)))
-
-
-def _flag(name: str, detail: str) -> dict[str, str]:
-    return {"name": name, "detail": detail}
-
-
-def _provenance(provenance: Provenance) -> dict[str, Any]:
-    return {name: getattr(provenance, name) for name in Provenance.__dataclass_fields__}
 
 
 def _channel(channel: Channel) -> dict[str, Any]:

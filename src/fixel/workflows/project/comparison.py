@@ -121,7 +121,8 @@ class Comparison(Result):
 
     def _summary(self) -> Summary:
         keys = dict.fromkeys(row.run.experiment.key for row in self.rows)
-        heading = f"Comparison of {len(keys)} experiments with {_some(len(self.models), 'model')}"
+        n = len(self.models)
+        heading = f"Comparison of {len(keys)} experiments with {n} model{'s' * (n != 1)}"
         unseen = self._unseen()
         if len(keys) == 1:
             title = f"Comparison of experiment {next(iter(keys))}"
@@ -202,10 +203,6 @@ class Comparison(Result):
 
 def _positions(run: PathComparison) -> tuple[float | None, float | None]:
     return run.position_rms, run.final_position
-
-
-def _some(n: int, what: str) -> str:
-    return f"{n} {what}" + ("" if n == 1 else "s")
 
 
 def compare(

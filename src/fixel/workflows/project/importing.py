@@ -6,7 +6,7 @@ import hashlib
 import re
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from urllib.parse import urlsplit
 
 from fixel.database.browsing import ExperimentPage
@@ -17,6 +17,7 @@ from fixel.datasets.bag import DATASET as BAG
 from fixel.datasets.own_scene import template_text
 from fixel.datasets.table import DATASET as TABLE
 from fixel.errors import InvalidInput, StoreRefused
+from fixel.io.damaged_files import one_line
 from fixel.model.selection import ExperimentQuery
 from fixel.typing import ProgressCallback
 from fixel.workflows.project.filters import check_known_names
@@ -151,16 +152,9 @@ class DownloadedFile(NamedTuple):
 
 def datasets() -> list[dict[str, str]]:
     """Return name, title, licence and citation of every dataset that can be imported."""
-    return [
-        {
-            "name": importer.name,
-            "title": importer.title,
-            "licence": importer.licence,
-            "citation": importer.citation,
-        }
-        for importer in IMPORTERS.values()
-        if importer.citation
-    ]
+    shown = ("name", "title", "licence", "citation")
+    public = [importer for importer in IMPORTERS.values() if importer.citation]
+    return [{name: getattr(importer, name) for name in shown} for importer in public]
 
 
 def fetch(url: str, folder: Path, sha256: str | None = None) -> DownloadedFile:
@@ -193,14 +187,14 @@ def fetch(url: str, folder: Path, sha256: str | None = None) -> DownloadedFile:
         path = Path(pooch.retrieve(url, wanted, fname=name, path=folder))
     except ValueError as problem:
         raise StoreRefused(
-            f"{url} is not the requested file: {_one_line(problem)}",
+            f"{url} is not the requested file: {one_line(problem, 300)}",
             hint="check the URL and the checksum; nothing was stored",
         ) from None
     except Exception as problem:  # whatever the network library under pooch raises
         if (answer := getattr(problem, "response", None)) is not None:
             answer.close()  # pooch leaves the connection of a failed request open
         raise StoreRefused(
-            f"{url} could not be downloaded: {_one_line(problem)}",
+            f"{url} could not be downloaded: {one_line(problem, 300)}",
             hint="check the URL and the network",
         ) from None
     with path.open("rb") as stream:
@@ -215,7 +209,3 @@ def _name(url: str) -> str:
     if parts.scheme not in ("http", "https", "ftp") or not name or name.startswith("."):
         raise InvalidInput("URL", found=url, expected="http(s)://HOST/.../FILE")
     return name
-
-
-def _one_line(problem: Any) -> str:
-    return " ".join(str(problem).split())[:300]

@@ -130,7 +130,9 @@ def _copy(database: Path, path: Path) -> None:
     """Copy one consistent state of a database, pages and journal together, as a single file."""
     try:
         with (
-            contextlib.closing(sqlite3.connect(_read_only(database), uri=True)) as source,
+            contextlib.closing(
+                sqlite3.connect(f"{database.resolve().as_uri()}?mode=ro", uri=True)
+            ) as source,
             contextlib.closing(sqlite3.connect(path)) as target,
         ):
             source.backup(target)
@@ -143,10 +145,6 @@ def _copy(database: Path, path: Path) -> None:
         ) from None
     if said != ["ok"]:
         raise StoreRefused(f"{database} is damaged: {said[0]}", hint=SEE)
-
-
-def _read_only(file: Path) -> str:
-    return f"{file.resolve().as_uri()}?mode=ro"
 
 
 # --- check --------------------------------------------------------------------------------------
