@@ -10,6 +10,7 @@ import contextlib
 import hashlib
 import io
 import json
+import logging
 import os
 import random
 import shutil
@@ -24,8 +25,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.datasets.test_bag import TIME, matrices, part_at, two_topics, write_bag
 from tests.fixtures import project_of
 from tests.formats.test_goal_file import FULL
+from tests.formats.test_outline_file import dxf, slot, svg, trimesh
 
 import fixel
 from fixel.database.bundle import export_bundle, import_bundle
@@ -149,9 +152,28 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     head = "time_s,x_mm,y_mm,theta_deg,pusher_x_mm,pusher_y_mm,fx_n\n"
     (folder / "table.csv").write_text(head + "".join(rows))
     ResultCache(folder).get("cache", 1, lambda: {"value": 0.5, "table": [[1.0, 2.0]]})
+    write_field_files(folder)
     entry = {"command": ["/opt/sim/run", "fast"], "sha256": {}}
     (folder / "trusted.json").write_text(json.dumps(entry))
     return folder
+
+
+def write_field_files(folder: Path) -> None:
+    """Write drawings, meshes and recordings with libraries of these kinds."""
+    bend = "M 10 10 h 40 a 5 5 0 0 1 5 5 v 20 c 0 5 -5 5 -10 5 h -35 z"
+    svg(folder / "part.svg", f'<path d="{bend}"/>')
+    dxf(folder / "part.dxf", slot)
+    box = trimesh.creation.box((0.04, 0.03, 0.01))
+    box.export(folder / "part.stl")
+    box.export(folder / "text.stl", file_type="stl_ascii")
+    write_bag(folder / "bag", two_topics())
+    (mcap,) = write_bag(folder / "other", two_topics(), "mcap").glob("*.mcap")
+    shutil.copyfile(mcap, folder / "push.mcap")
+    log = [
+        {"time_s": t, "tag_id": 3, "pose_t": m[:3, 3].tolist(), "pose_R": m[:3, :3].tolist()}
+        for t, m in zip(TIME.tolist(), matrices(part_at(TIME)), strict=True)
+    ]
+    (folder / "tags.jsonl").write_text("\n".join(map(json.dumps, log)))
 
 
 def _scene_content() -> dict[str, Any]:
@@ -209,6 +231,15 @@ def read_cache(file: Path) -> None:
     assert isinstance(answer, dict)
 
 
+def read_drawing(file: Path) -> None:
+    repr(fixel.Polygon.from_file(file, unit="m" if file.suffix == ".stl" else None))
+
+
+def read_recording(file: Path) -> None:
+    columns = {} if file.suffix == ".jsonl" else {"part": "/part", "pusher": "/tip"}
+    str(fixel.read_experiments(file, columns=columns, progress=False))
+
+
 @dataclass(frozen=True)
 class Kind:
     """Name of a valid file in the laboratory, and the function that reads it."""
@@ -225,6 +256,13 @@ KINDS = {
     "plan": Kind("plan.yaml", lambda path: repr(load_plan(path))),
     "site": Kind("site.yaml", lambda path: repr(load_site(path))),
     "table": Kind("table.csv", lambda path: str(fixel.read_experiments(path, progress=False))),
+    "drawing in SVG": Kind("part.svg", read_drawing),
+    "drawing in DXF": Kind("part.dxf", read_drawing),
+    "mesh": Kind("part.stl", read_drawing),
+    "mesh as text": Kind("text.stl", read_drawing),
+    "MCAP": Kind("push.mcap", read_recording),
+    "bag": Kind("bag", read_recording, folder=True),
+    "tags": Kind("tags.jsonl", read_recording),
     "bundle": Kind("bundle.zip", read_bundle),
     "project": Kind("lab", read_project, folder=True),
     "job": Kind("job.zip", read_job),
@@ -322,8 +360,18 @@ def attack(name: str, lab: Path, place: Path, n: int) -> dict[str, int]:
 
 
 @kinds
-def test_changed_files_are_read_or_refused(name: str, lab: Path, place: Path) -> None:
-    tally = attack(name, lab, place, 25)
+def test_changed_files_are_read_or_refused(
+    name: str,
+    lab: Path,
+    place: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """What a parser logs of a file does not reach the terminal."""
+    with monkeypatch.context() as terminal:
+        terminal.setattr(logging.getLogger(), "handlers", [])
+        tally = attack(name, lab, place, 40)
+    assert capsys.readouterr().err == ""
     assert tally["refused"] > 0 or name in ("trusted program", "result cache")
 
 

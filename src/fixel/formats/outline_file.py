@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 import re
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -34,6 +35,10 @@ SMALLEST, LARGEST, FAR = 1e-4, 5.0, 100.0
 FINEST: Final = 1e-6  # [m] smallest tolerance
 MAX_BYTES, MAX_CURVES, MAX_RINGS, MAX_TRIANGLES = 100_000_000, 20_000, 500, 500_000
 MAX_STEPS: Final = 4096  # of one curve
+
+# They would print what they skip in a damaged file, with tracebacks and text of that file.
+for _parser in ("ezdxf", "trimesh"):
+    logging.getLogger(_parser).addHandler(logging.NullHandler())
 
 
 def read_outline(
