@@ -38,3 +38,13 @@ def collect(project, folder, command, left_out):
     plan = replace(plans.plan_in(folder), left_out=left_out)
     found = calibration.collect(plan, folder)
     return add_to_project(project, replace(found, command=command))
+
+
+def alone(run):
+    """Return the sets of a run for single experiments."""
+    return [one for one in run.outcome.found if one.how.is_single]
+
+
+def together(run):
+    """Return the sets of a run for all experiments together."""
+    return [one for one in run.outcome.found if not one.how.is_single]

@@ -82,14 +82,14 @@ def test_of_each_experiment_by_itself(lab, tmp_path):
     assert sorted(path.suffix for path in folder.iterdir()).count(".csv") == 11
 
     after = {row["experiment"]: float(row["after_mm"]) for row in _rows(folder / "errors.csv")}
-    alone = done.outcome.alone
+    alone = run.alone(done)
     assert after == pytest.approx(
         {done.outcome.keys[o.members[0]]: o.errors[0] ** 0.5 for o in alone}
     )
     offsets = _rows(folder / "parameters_by_offset.csv")
     assert {(row["axis"], row["offset_unit"]) for row in offsets} == {("x", "m"), ("y", "m")}
     radius = {row["experiment"]: float(row["tripod_radius [m]"]) for row in offsets}
-    assert radius[done.outcome.keys[0]] == done.outcome.alone[0].point[1]
+    assert radius[done.outcome.keys[0]] == run.alone(done)[0].point[1]
 
 
 def test_of_one_set_for_all(lab, tmp_path):
@@ -117,7 +117,7 @@ def test_of_a_campaign(lab, tmp_path):
     assert "iteration" in _rows(tmp_path / "search.csv")[0]
     assert {row["iteration"] for row in _rows(tmp_path / "search.csv")} > {"0", "1", "2"}
     row = _rows(tmp_path / "parameters.csv")[0]
-    ways = {one.how: one for one in done.outcome.together}
+    ways = {one.how: one for one in run.together(done)}
     assert float(row["value"]) == ways["direct minimisation"].point[0]
     assert float(row["weighted mean of a subset"]) == ways["weighted mean of a subset"].point[0]
     errors = _rows(tmp_path / "errors.csv")

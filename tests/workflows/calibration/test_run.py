@@ -82,8 +82,8 @@ def _done(project, chosen, request):
 def test_each_experiment_by_itself(project, chosen):
     done = _done(project, chosen, _request(chosen, mode="each"))
     assert done.outcome.keys == tuple(target.key for target in chosen.targets)
-    assert [one.members for one in done.outcome.alone] == [(0,), (1,), (2,), (3,)]
-    for one in done.outcome.alone:
+    assert [one.members for one in run.alone(done)] == [(0,), (1,), (2,), (3,)]
+    for one in run.alone(done):
         assert one.errors[0] < done.outcome.nominal[one.members[0]]
         assert one.trace.errors.min() == one.errors[0]
     with project.store() as store:
@@ -96,9 +96,9 @@ def test_each_experiment_by_itself(project, chosen):
 
 def test_a_campaign_is_all_the_ways_of_the_thesis(project, chosen):
     done = _done(project, chosen, _request(chosen, mode="campaign"))
-    ways = [one.how for one in done.outcome.together]
+    ways = [one.how for one in run.together(done)]
     assert ways == ["weighted mean", "weighted mean of a subset", "direct minimisation"]
-    totals = [one.errors.sum() for one in done.outcome.together]
+    totals = [one.errors.sum() for one in run.together(done)]
     assert totals[1] <= totals[0]
     assert totals[2] <= totals[1]
     assert totals[2] < done.outcome.nominal.sum()
@@ -148,7 +148,7 @@ def test_the_box_that_was_searched_outlives_its_job(project, chosen):
 def test_verdicts_and_what_they_stand_on(project, chosen):
     few = replace(chosen, ids=chosen.ids[:1], targets=chosen.targets[:1])
     request = _request(few, mode="each", verdicts=True, noise_position=5e-5, noise_angle=2e-3)
-    one = _done(project, few, request).outcome.alone[0]
+    one = run.alone(_done(project, few, request))[0]
     words = {e.label: e.verdict for e in one.estimates}
     assert set(words) == {"mu_pusher", "tripod_radius"}
     assert all(words.values())
@@ -253,15 +253,15 @@ jobs.run_here(Path({str(folder)!r}))
     run.run(folder)
     assert len(computed) == 1
     done = run.collect(project, folder, "test", {})
-    assert [one.members for one in done.outcome.alone] == [(0,), (1,), (2,), (3,)]
-    assert all(one.estimates for one in done.outcome.alone)
+    assert [one.members for one in run.alone(done)] == [(0,), (1,), (2,), (3,)]
+    assert all(one.estimates for one in run.alone(done))
 
 
 def test_errors_are_stored_in_the_unit_that_their_names_say(project, chosen):
     """A root mean square is kept as its square, and shown in mm."""
     request = _request(chosen, mode="joint", error=NamedOptions(name="root-mean-square"))
     done = _done(project, chosen, request)
-    (one,) = done.outcome.together
+    (one,) = run.together(done)
     with project.store() as store:
         record = store.calibration(done.ids[0])
         (shown,) = (row for row in list_calibrations(store) if row.id == done.ids[0])
@@ -355,7 +355,7 @@ def test_a_budget_ends_a_search_at_the_same_place_after_an_interruption(project,
     with pytest.raises(KeyboardInterrupt):
         run.run(folder, progress=stop_soon)
     run.run(folder)
-    (one,) = run.collect(project, folder, "test", {}).outcome.together
+    (one,) = run.together(run.collect(project, folder, "test", {}))
     assert one.trace.ended == "the budget is used up"
     assert np.isfinite(one.errors).all()
     assert "budget" in one.note

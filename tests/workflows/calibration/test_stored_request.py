@@ -147,6 +147,15 @@ def test_every_option_is_stored_and_loaded(option, project, fit):
     assert repr(found) == repr(run[0])
 
 
+def test_a_stored_calibration_equals_the_computed_one(project, fit):
+    assert stored_calibration(project, fit.run.ids[0]) == fit
+    by_squares = fixel.calibrate(
+        project.experiments(), {"mu_pusher": (0, 1), "tripod_radius": 0.03},
+        optimiser="least-squares", verdicts=False, store=project, progress=False, threads=1,
+    )  # fmt: skip
+    assert stored_calibration(project, by_squares.run.ids[0]) == by_squares
+
+
 @pytest.mark.system
 @pytest.mark.usefixtures("blank")
 def test_what_was_printed_is_printed_again(project, fit, tmp_path, capsys):

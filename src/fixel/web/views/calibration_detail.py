@@ -238,9 +238,7 @@ def _of_record(record: CalibrationRecord) -> list[Estimate]:
 
 
 def _residuals(store: Store, record: CalibrationRecord, fit: Calibration | None) -> list[Residual]:
-    before: list[float] = [math.nan] * len(record.members)
-    if fit is not None:
-        before = fit.run.outcome.nominal[list(fit.found.members)].tolist()
+    before = [math.nan] * len(record.members) if fit is None else fit.nominal_errors.tolist()
     keys = {row.id: row.key for row in store.experiments(ALL_EXPERIMENTS).rows}
     ids = [member.experiment_id for member in record.members]
     found = [

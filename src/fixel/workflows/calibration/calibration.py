@@ -251,10 +251,15 @@ class Calibration(Result, Mapping[str, float]):
         radian, whatever was minimised."""
         return self._rms(self.found.errors, self.found.point)
 
+    @property
+    def nominal_errors(self) -> FloatArray:
+        """Errors (n,) of the experiments before calibration, in the unit of `objective`."""
+        return self.run.outcome.nominal[list(self.found.members)]
+
     @cached_property
     def nominal_rms_error(self) -> float:
         """The same error with the start values, before calibration [m]."""
-        return self._rms(self.run.outcome.nominal[list(self.found.members)], self.space.nominal)
+        return self._rms(self.nominal_errors, self.space.nominal)
 
     def _rms(self, errors: FloatArray, point: FloatArray) -> float:
         error = self.request.made_error
@@ -303,8 +308,8 @@ class Calibration(Result, Mapping[str, float]):
         """Errors of the experiments before and after the calibration, one row for each."""
         unit = self.request.made_error.unit
         head = ("experiment", Column("nominal", unit, ".4g"), Column("calibrated", unit, ".4g"))
-        before = self.run.outcome.nominal[list(self.found.members)].tolist()
-        rows = zip(self.keys_of_experiments, before, self.found.errors.tolist(), strict=True)
+        before, after = self.nominal_errors.tolist(), self.found.errors.tolist()
+        rows = zip(self.keys_of_experiments, before, after, strict=True)
         return Table(head, rows)
 
     def values_for(
@@ -510,7 +515,7 @@ class Calibration(Result, Mapping[str, float]):
 
     def _error_note(self) -> str:
         unit, errors = self.request.made_error.unit, self.found.errors
-        before = root_mean(self.run.outcome.nominal[list(self.found.members)], unit)
+        before = root_mean(self.nominal_errors, unit)
         begin = "" if math.isnan(before) else f"{before:.3g} mm before, "
         how = "root mean square" if self.request.error.name != "end-pose" else "end pose"
         if self.request.error.name == "robust":
@@ -725,7 +730,7 @@ class Calibrations(CalibrationPlan, Result, Sequence[Calibration]):
                 one.keys_of_experiments[0]
                 if len(one.found.members) == 1
                 else f"{len(one.found.members)} experiments, {one.found.how}",
-                root_mean(self.outcome.nominal[list(one.found.members)], unit),
+                root_mean(one.nominal_errors, unit),
                 root_mean(one.found.errors, unit),
                 *(one.estimates[u.label].value_text for u in free),
             )

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from fixel.calibration.objective import lengths_of
 from fixel.calibration.study import NOMINAL
 from fixel.calibration.target import Target
 from fixel.database.project import Project
@@ -29,12 +28,11 @@ from fixel.drawing.profiles import parameters_chart, profiles_chart
 from fixel.drawing.searches import SearchPanel, search_chart, starts_chart
 from fixel.errors import InvalidInput
 from fixel.model import Parameters, placed
-from fixel.model.records import Estimate
 from fixel.simulation import Simulation, simulate
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration, Calibrations
 from fixel.workflows.calibration.job import NEARLY
-from fixel.workflows.calibration.result import FitKind, ParameterSet
+from fixel.workflows.calibration.result import FitKind
 from fixel.workflows.figures import Picture, banner_of
 
 if TYPE_CHECKING:
@@ -44,64 +42,44 @@ SAMPLES: Final = 200  # minimum number of samples of a simulation
 MAX_OTHERS: Final = 3
 MAX_ROWS: Final = 20  # calibrations in a drawing of all
 
-
 Pictures = Iterator[Picture]
+NamedCharts = Iterator[tuple[str, Chart]]
+Picks = list[tuple[str, Calibration]]  # each with the word for it, such as "best"
 
 # Axes of a sampling plan, with the units of their offsets among an experiment's conditions.
 OFFSETS: Final = {"x": "m", "y": "m", "theta": "rad"}
 
 
 class _ChartData:
-    """Cached data of a calibration.
+    """Cached data of the calibrations of a run.
 
     Parameters
     ----------
-    calibration : Calibrations
+    run : Calibrations
     project : Project, optional
         Project that contains the experiments; by default that of the job's folder.
     """
 
-    def __init__(self, calibration: Calibrations, project: Project | None = None) -> None:
-        self.calibration = calibration
+    def __init__(self, run: Calibrations, project: Project | None = None) -> None:
+        self.run, self.together = run, run.joint
         self._project = project
-        self.request, self.outcome = calibration.request, calibration.outcome
-        self.space, self.unit = self.request.space, self.request.made_error.unit
-        self.keys, self.targets = self.outcome.keys, calibration.targets
-
-    def lengths(self, errors: FloatArray, members: int = 1) -> FloatArray:
-        """Convert errors to lengths [mm], the unit of all charts and tables.
-
-        Parameters
-        ----------
-        errors : array
-            Errors in the unit of the calibration.
-        members : int
-            Number of experiments in each error; a sum is divided by it.
-        """
-        shared = self.request.error_of_one(errors, members)
-        return lengths_of(shared, self.unit)
+        self.keys = run.outcome.keys
 
     @cached_property
-    def alone(self) -> list[ParameterSet]:
-        """Best set of each single experiment: its own, or a neighbour's."""
-        return sorted((one.found for one in self.calibration.each), key=lambda one: one.members)
+    def alone(self) -> list[Calibration]:
+        """Best calibration of each single experiment: its own, or a neighbour's."""
+        return sorted(self.run.each, key=lambda fit: fit.found.members)
 
     @cached_property
-    def searched(self) -> list[ParameterSet]:
-        """Sets for single experiments that were searched for."""
-        return [one for one in self.outcome.alone if one.trace is not None]
-
-    @cached_property
-    def together(self) -> ParameterSet | None:
-        """Best set for all experiments."""
-        joint = self.calibration.joint
-        return None if joint is None else joint.found
+    def searched(self) -> list[Calibration]:
+        """Calibrations of single experiments that were searched for."""
+        return [fit for fit in self.run if fit.found.how.is_single and fit.found.trace is not None]
 
     @cached_property
     def banners(self) -> list[str]:
         """Banner over charts of each experiment; empty for real ones."""
-        folder, project = self.calibration.folder, self._project
-        if project is None and folder is not None and self.calibration.ids:
+        folder, project = self.run.folder, self._project
+        if project is None and folder is not None and self.run.ids:
             project = Project(folder.parents[1])
         if project is None:
             return [""] * len(self.keys)
@@ -118,18 +96,30 @@ class _ChartData:
         return banner_of(self.banners)
 
     @cached_property
-    def groups(self) -> list[str]:
-        """Shape and layout of each experiment."""
-        return [
-            " ".join(str(own[name]) for name in ("shape", "layout") if name in own)
-            for own in (target.conditions for target in self.targets)
-        ]
+    def errors(self) -> dict[str, FloatArray]:
+        """Errors of all experiments [mm] by the set used; the last is the requested result."""
+        series = {BEFORE: self.run.outcome.nominal}
+        if self.alone:
+            name = "after" if self.together is None else "each alone"
+            series[name] = self.column([fit.found.errors[0] for fit in self.alone])
+        if self.together is not None:
+            name = "after" if not self.alone else "one set for all"
+            series[name] = self.together.found.errors
+        return {name: self.run.request.lengths(errors) for name, errors in series.items()}
+
+    def column(self, values: list[float]) -> FloatArray:
+        """Arrange values of the single calibrations by experiment; nan where one has none."""
+        column = np.full(len(self.keys), np.nan)
+        for fit, value in zip(self.alone, values, strict=True):
+            if math.isfinite(fit.found.errors[0]):
+                column[fit.found.members[0]] = value
+        return column
 
     @cached_property
     def offset_axes(self) -> list[OffsetSeries]:
         """Axes along which experiments were offset; each contains the nominal ones."""
         found = []
-        conditions = [target.conditions for target in self.targets]
+        conditions = [target.conditions for target in self.run.targets]
         for name, unit in OFFSETS.items():
             offset = f"offset_{name}_{unit}"
             members = [
@@ -141,19 +131,17 @@ class _ChartData:
                 found.append(OffsetSeries(name, unit, np.array(members), values))
         return found
 
-    def estimates(self, one: ParameterSet) -> list[Estimate]:
-        """Return the estimates of the free parameters of a set, with the bounds of the search."""
-        number = next(k for k, own in enumerate(self.outcome.found) if own is one)
-        known = self.calibration[number].estimates.values()
-        return [estimate for estimate in known if estimate.bounds is not None]
+    def name(self, stem: str, word: str) -> str:
+        """Return a name with a word such as "best", unless there is only one experiment."""
+        return f"{stem}_{word}" if word and len(self.keys) > 1 else stem
 
 
-def _title_of(data: _ChartData, one: ParameterSet, word: str = "") -> str:
-    """Title of a set: its experiments, and why it was selected."""
-    if len(one.members) > 1:
-        return f"{len(one.members)} experiments, {one.how}"
-    name = data.keys[one.members[0]]
-    return f"{name} ({word})" if word else name
+def _title_of(fit: Calibration, word: str = "") -> str:
+    """Title of a calibration: its experiments, and why it was selected."""
+    keys = fit.keys_of_experiments
+    if len(keys) > 1:
+        return f"{len(keys)} experiments, {fit.found.how}"
+    return f"{keys[0]} ({word})" if word else keys[0]
 
 
 # --- plots of a single result -------------------------------------------------------------------
@@ -161,23 +149,18 @@ def _title_of(data: _ChartData, one: ParameterSet, word: str = "") -> str:
 
 def plot_parameters(fit: Calibration, ax: Axes | None = None) -> Any:
     """Draw values and intervals, each between the bounds of its search; return the axes."""
-    return plot_axes(_parameters_chart(_data(fit), "", fit.found).figure, ax)
+    return plot_axes(_parameters_chart(fit).figure, ax)
 
 
 def plot_each(fits: Calibrations, ax: Axes | None = None) -> Any:
     """Draw values and intervals of all calibrations of a run, by parameter; return the axes."""
-    many = fits[:MAX_ROWS]
-    named = [_title_of(_data(fit), fit.found, "") if len(fit.found.members) > 1
-             else fit.keys_of_experiments[0] for fit in many]  # fmt: skip
     rows = [
-        replace(fit.estimates[unknown.label], label=f"{unknown.label} {name}")
+        replace(fit.estimates[unknown.label], label=f"{unknown.label} {_title_of(fit)}")
         for unknown in fits.request.space.free
-        for fit, name in zip(many, named, strict=True)
+        for fit in fits[:MAX_ROWS]
     ]
     of = f"the first {MAX_ROWS} of {len(fits)}" if len(fits) > MAX_ROWS else f"{len(fits)}"
-    chart = parameters_chart(
-        title=f"Parameters of {of} calibrations", rows=rows, level=fits.request.level
-    )
+    chart = parameters_chart(f"Parameters of {of} calibrations", rows, None, fits.request.level)
     return plot_axes(chart.figure, ax)
 
 
@@ -190,37 +173,31 @@ def plot_profiles(fit: Calibration, ax: Axes | None = None) -> Any:
             expected="one with verdicts",
             hint=fit.found.note or "calibrate with verdicts=True",
         )
-    return plot_axes(_profiles_chart(_data(fit), "", fit.found).figure, ax)
+    return plot_axes(_profiles_chart(fit).figure, ax)
 
 
 def plot_search(fit: Calibration, ax: Axes | None = None) -> Any:
     """Draw the error against the evaluation, with the best so far; return the axes."""
     if fit.found.trace is None:
         raise InvalidInput("kind", found="a result without a search", expected="one with a search")
-    return plot_axes(_search_chart(_data(fit), [("", fit.found)]).figure, ax)
+    return plot_axes(_search_chart([("", fit)]).figure, ax)
 
 
 def plot_starts(fit: Calibration, ax: Axes | None = None) -> Any:
     """Draw the results of the searches from several starts; return the axes."""
-    found = next(_starts(_data(fit), "", fit.found), None)
-    if found is None:
+    chart = _starts_chart(fit)
+    if chart is None:
         raise InvalidInput(
             "kind", found="'starts' of a single search", expected="one with several starts"
         )
-    return plot_axes(found.chart.figure, ax)
+    return plot_axes(chart.figure, ax)
 
 
 def plot_errors(fit: Calibration, ax: Axes | None = None) -> Any:
     """Draw the error of every experiment before and after the calibration; return the axes."""
-    lengths = _data(fit).lengths
-    before = fit.run.outcome.nominal[list(fit.found.members)]
-    series = {BEFORE: lengths(before), "after": lengths(fit.found.errors)}
-    chart = errors_chart(fit.keys_of_experiments, series, "mm")
-    return plot_axes(chart.figure, ax)
-
-
-def _data(fit: Calibration) -> _ChartData:
-    return _ChartData(fit.run)
+    errors = {BEFORE: fit.nominal_errors, "after": fit.found.errors}
+    series = {name: fit.request.lengths(own) for name, own in errors.items()}
+    return plot_axes(errors_chart(fit.keys_of_experiments, series, "mm").figure, ax)
 
 
 # --- which pictures -----------------------------------------------------------------------------
@@ -246,19 +223,22 @@ CAPTIONS: Final = {
 }
 
 
-def pictures_of(calibration: Calibrations, project: Project | None = None) -> Pictures:
-    """Yield the charts of a calibration, with captions.
+def pictures_of(run: Calibrations, project: Project | None = None) -> Pictures:
+    """Yield the charts of a run, with captions.
 
     Parameters
     ----------
-    calibration : Calibrations
+    run : Calibrations
     project : Project, optional
         Project that contains the experiments; by default that of the job's folder.
     """
-    data = _ChartData(calibration, project)
-    for parts in (_of_searches, _of_parameters, _of_experiments, _overlays):
-        for picture in parts(data):
-            yield picture._replace(caption=_caption(picture.name))
+    data = _ChartData(run, project)
+    for parts in (_of_searches, _of_parameters, _of_experiments):
+        for name, chart in parts(data):
+            yield Picture(name, chart, data.banner, _caption(name))
+    for word, member in _three(list(data.errors.values())[-1]):
+        name, chart = data.name("overlay", word), _overlay_chart(data, word, member)
+        yield Picture(name, chart, data.banners[member], _caption(name))
 
 
 def _caption(name: str) -> str:
@@ -267,79 +247,56 @@ def _caption(name: str) -> str:
     return CAPTIONS[stem] + (f" Here the {which}." if stem == "overlay" and which else "")
 
 
-def _of_searches(data: _ChartData) -> Pictures:
+def _of_searches(data: _ChartData) -> NamedCharts:
     """Charts of the search for all experiments, of three single searches, and of all durations."""
     together, searched = data.together, data.searched
-    if together is not None and together.trace is not None:
-        yield Picture("search", _search_chart(data, [("", together)]), data.banner)
-        yield from _starts(data, "", together)
+    if together is not None and together.found.trace is not None:
+        yield "search", _search_chart([("", together)])
+        if chart := _starts_chart(together):
+            yield "starts", chart
     picks = _picks(searched)
     if picks:
-        name = "search" if together is None else "search_alone"
-        yield Picture(name, _search_chart(data, picks), data.banner)
-    for word, one in picks:
-        yield from _starts(data, word, one)
+        named = [(f"{word} of {len(searched)}\n" if word else "", fit) for word, fit in picks]
+        yield "search" if together is None else "search_alone", _search_chart(named)
+    for word, fit in picks:
+        if chart := _starts_chart(fit):
+            yield data.name("starts", word), chart
     if len(searched) > 1:
-        counts = [0 if one.trace is None else len(one.trace.errors) for one in searched]
-        seconds = np.array([one.seconds for one in searched])
-        keys = [data.keys[one.members[0]] for one in searched]
-        yield Picture("seconds", seconds_chart(keys, seconds, counts), data.banner)
+        seconds = np.array([fit.found.seconds for fit in searched])
+        keys = [fit.keys_of_experiments[0] for fit in searched]
+        yield "seconds", seconds_chart(keys, seconds, [fit.evaluations for fit in searched])
 
 
-def _of_parameters(data: _ChartData) -> Pictures:
+def _of_parameters(data: _ChartData) -> NamedCharts:
     """Charts of the set for all experiments, or of single ones if there is no such set."""
     together = data.together
-    sets = [("", together)] if together is not None else _picks(data.searched)
-    for word, one in sets:
-        yield Picture(
-            _named("parameters", word, data), _parameters_chart(data, word, one), data.banner
-        )
-        if one.profiles:
-            profiles = _profiles_chart(data, word, one)
-            yield Picture(_named("profiles", word, data), profiles, data.banner)
+    for word, fit in _picks(data.searched) if together is None else [("", together)]:
+        yield data.name("parameters", word), _parameters_chart(fit, word)
+        if fit.found.profiles:
+            yield data.name("profiles", word), _profiles_chart(fit, word)
     if len(data.alone) > 1:
         quantities = [
             Quantity(
                 unknown.label,
                 unknown.unit,
-                _column(data, [one.point[k] for one in data.alone]),
+                data.column([fit.found.point[k] for fit in data.alone]),
                 bounds=(unknown.low, unknown.high),
             )
-            for k, unknown in enumerate(data.space.free)
+            for k, unknown in enumerate(data.run.request.space.free)
         ]
-        chart = _offsets_chart(data, "Parameters, each experiment by itself", quantities)
-        yield Picture("parameters_by_offset", chart, data.banner)
+        title = "Parameters, each experiment by itself"
+        yield "parameters_by_offset", _offsets_chart(data, title, quantities)
 
 
-def _of_experiments(data: _ChartData) -> Pictures:
+def _of_experiments(data: _ChartData) -> NamedCharts:
     """Charts of the errors of all experiments, before and after."""
     if len(data.keys) == 1:  # the overlay shows it
         return
-    series = {name: data.lengths(errors) for name, errors in _series(data).items()}
-    yield Picture("errors", errors_chart(data.keys, series, "mm"), data.banner)
+    yield "errors", errors_chart(data.keys, data.errors, "mm")
     if data.offset_axes:
-        name = "each alone" if "each alone" in series else list(series)[-1]
-        error = Quantity("error", "mm", series[name], log=True)
-        chart = _offsets_chart(data, f"Error, {name}", [error])
-        yield Picture("errors_by_offset", chart, data.banner)
-
-
-def _overlays(data: _ChartData) -> Pictures:
-    """Overlays of the best, the median and the worst experiment, before and after."""
-    together, alone = data.together, {one.members[0]: one for one in data.alone}
-    after = list(_series(data).values())[-1]
-    for word, member in _three(after):
-        one = together if together is not None else alone[member]
-        chart = _overlay_chart(data, word, member, one.point, float(after[member]))
-        yield Picture(_named("overlay", word, data), chart, data.banners[member])
-
-
-# --- choices ------------------------------------------------------------------------------------
-
-
-def _named(stem: str, word: str, data: _ChartData) -> str:
-    """Add a word such as "best" to a name, unless there is only one experiment."""
-    return f"{stem}_{word}" if word and len(data.keys) > 1 else stem
+        name = "each alone" if "each alone" in data.errors else list(data.errors)[-1]
+        error = Quantity("error", "mm", data.errors[name], log=True)
+        yield "errors_by_offset", _offsets_chart(data, f"Error, {name}", [error])
 
 
 def _three(errors: FloatArray) -> list[tuple[str, int]]:
@@ -351,134 +308,104 @@ def _three(errors: FloatArray) -> list[tuple[str, int]]:
     return [("best", order[0]), *middle, ("worst", order[-1])]
 
 
-def _picks(found: list[ParameterSet]) -> list[tuple[str, ParameterSet]]:
+def _picks(fits: list[Calibration]) -> Picks:
     """Select the best, the median and the worst single calibration."""
-    if not found:
-        return []
-    errors = np.array([one.errors[0] for one in found])
-    return [(word, found[k]) for word, k in _three(errors)]
-
-
-def _series(data: _ChartData) -> dict[str, FloatArray]:
-    """Errors of all experiments by the set used; the last is the requested result."""
-    series = {BEFORE: data.outcome.nominal}
-    if data.alone:
-        name = "after" if data.together is None else "each alone"
-        series[name] = _column(data, [one.errors[0] for one in data.alone])
-    if data.together is not None:
-        series["after" if not data.alone else "one set for all"] = data.together.errors
-    return series
-
-
-def _column(data: _ChartData, values: list[float]) -> FloatArray:
-    """Arrange values of the single calibrations by experiment; nan where one has none."""
-    column = np.full(len(data.keys), np.nan)
-    for one, value in zip(data.alone, values, strict=True):
-        column[one.members[0]] = value if math.isfinite(one.errors[0]) else np.nan
-    return column
+    errors = np.array([fit.found.errors[0] for fit in fits])
+    return [(word, fits[k]) for word, k in _three(errors)] if fits else []
 
 
 # --- charts -------------------------------------------------------------------------------------
 
 
-def _search_chart(data: _ChartData, picks: list[tuple[str, ParameterSet]]) -> Chart:
-    panels = []
-    for word, one in picks:
-        assert one.trace is not None
-        title = _title_of(data, one)
-        if word:
-            title = f"{word} of {len(data.searched)}\n{title}"
-        panels.append(
-            SearchPanel(title, data.lengths(one.trace.errors, len(one.members)), one.trace.begins)
+def _search_chart(picks: Picks) -> Chart:
+    panels = [
+        SearchPanel(
+            word + _title_of(fit),
+            fit.request.lengths(fit.found.trace.errors, len(fit.found.members)),
+            fit.found.trace.begins,
         )
-    return search_chart(panels, unit="mm", what=_what(data, picks[0][1]))
+        for word, fit in picks
+        if fit.found.trace is not None
+    ]
+    return search_chart(panels, unit="mm", what=_what(picks[0][1]))
 
 
-def _what(data: _ChartData, one: ParameterSet) -> str:
+def _what(fit: Calibration) -> str:
     """Name of the number that a search minimised."""
-    if len(one.members) == 1:
-        return "RMS error"
-    return "largest RMS error" if data.request.combine == "largest" else "RMS error"
+    largest = len(fit.found.members) > 1 and fit.request.combine == "largest"
+    return "largest RMS error" if largest else "RMS error"
 
 
-def _starts(data: _ChartData, word: str, one: ParameterSet) -> Pictures:
+def _starts_chart(fit: Calibration) -> Chart | None:
     """Chart of the ends of all starts, if there were several."""
-    if data.request.starts == 1 or one.trace is None:
-        return
-    ends = one.trace.ends()
-    if len(ends) < 2:
-        return
-    chart = starts_chart(
-        title=f"{len(ends)} starts: {_title_of(data, one)}",
+    trace = fit.found.trace
+    ends = [] if fit.request.starts == 1 or trace is None else trace.ends()
+    if trace is None or len(ends) < 2:
+        return None
+    errors = np.array([end.error for end in ends])
+    return starts_chart(
+        title=f"{len(ends)} starts: {_title_of(fit)}",
         unit="mm",
-        errors=data.lengths(np.array([end.error for end in ends]), len(one.members)),
+        errors=fit.request.lengths(errors, len(fit.found.members)),
         points=np.array([end.point for end in ends]),
-        unknowns=data.space.free,
-        evaluations=np.bincount(one.trace.starts).tolist(),
-        nearly=NEARLY if data.unit == "mm" else 0.5 * NEARLY,
-        what=_what(data, one),
-    )
-    yield Picture(_named("starts", word, data), chart, data.banner)
-
-
-def _parameters_chart(data: _ChartData, word: str, one: ParameterSet) -> Chart:
-    return parameters_chart(
-        title=_title_of(data, one, word),
-        rows=data.estimates(one),
-        others={name: point.tolist() for name, point in _other_sets(data, one).items()},
-        level=data.request.level,
+        unknowns=fit.space.free,
+        evaluations=np.bincount(trace.starts).tolist(),
+        nearly=NEARLY if fit.request.made_error.unit == "mm" else 0.5 * NEARLY,
+        what=_what(fit),
     )
 
 
-def _other_sets(data: _ChartData, one: ParameterSet) -> dict[str, FloatArray]:
+def _parameters_chart(fit: Calibration, word: str = "") -> Chart:
+    rows = [estimate for estimate in fit.estimates.values() if estimate.bounds is not None]
+    others = {name: point.tolist() for name, point in _other_sets(fit).items()}
+    return parameters_chart(_title_of(fit, word), rows, others, fit.level)
+
+
+def _other_sets(fit: Calibration) -> dict[str, FloatArray]:
     """Other sets for the same experiments, and distinct solutions that are nearly as good."""
     found = {
-        str(o.how): o.point
-        for o in data.outcome.together
-        if o is not one and one.how == FitKind.DIRECT
+        str(other.how): other.point
+        for other in fit.run.outcome.found
+        if fit.found.how == FitKind.DIRECT and other is not fit.found and not other.how.is_single
     }
-    for k, point in enumerate(one.solutions[1:], 2):
+    for k, point in enumerate(fit.found.solutions[1:], 2):
         found[f"solution {k}, nearly as good"] = point
     return dict(list(found.items())[:MAX_OTHERS])
 
 
-def _profiles_chart(data: _ChartData, word: str, one: ParameterSet) -> Chart:
-    return profiles_chart(
-        title=_title_of(data, one, word),
-        profiles=one.profiles,
-        estimates={estimate.label: estimate for estimate in one.estimates},
-        level=data.request.level,
-    )
+def _profiles_chart(fit: Calibration, word: str = "") -> Chart:
+    estimates = {estimate.label: estimate for estimate in fit.found.estimates}
+    return profiles_chart(_title_of(fit, word), fit.found.profiles, estimates, fit.level)
 
 
 def _offsets_chart(data: _ChartData, title: str, quantities: list[Quantity]) -> Chart:
-    return offsets_chart(
-        title=title,
-        keys=data.keys,
-        groups=data.groups,
-        axes=data.offset_axes,
-        quantities=quantities,
-    )
+    groups = [
+        " ".join(str(own[name]) for name in ("shape", "layout") if name in own)
+        for own in (target.conditions for target in data.run.targets)
+    ]
+    return offsets_chart(title, data.keys, groups, data.offset_axes, quantities)
 
 
 # --- one experiment -----------------------------------------------------------------------------
 
 
-def _overlay_chart(
-    data: _ChartData, word: str, member: int, point: FloatArray, error: float
-) -> Chart:
-    target = data.targets[member]
+def _overlay_chart(data: _ChartData, word: str, member: int) -> Chart:
+    """Draw the measured motion of an experiment and those of the set used, before and after."""
+    fit, target = data.together, data.run.targets[member]
+    if fit is None:
+        fit = next(one for one in data.alone if one.found.members[0] == member)
     scene = target.case.scene
-    before, after = (_simulated(data, target, p) for p in (data.space.nominal, point))
+    points = (fit.space.nominal, fit.found.point)
+    before, after = (_simulated(fit, target, point) for point in points)
     body = scene.bodies[0]
-    nominal = float(data.lengths(data.outcome.nominal[member]))
+    errors = [float(own[member]) for own in data.errors.values()]
     start = np.concatenate(([0.0], target.case.times))
     title = target.key if not word else f"{target.key}: the {word} of {len(data.keys)}"
     own = OverlayMotions(
         outline=body.shape.outline,
         measured=Track(start, np.vstack((body.pose, target.pose))),
-        before=_track(before, nominal),
-        after=_track(after, float(data.lengths(np.asarray(error)))),
+        before=_track(before, errors[0]),
+        after=_track(after, errors[-1]),
         real=not data.banners[member],
         fixels=[placed(fixel.shape.outline, fixel.pose) for fixel in scene.fixels],
         pusher=_pusher(after),
@@ -487,13 +414,13 @@ def _overlay_chart(
     return overlay_chart(title, own)
 
 
-def _simulated(data: _ChartData, target: Target, point: FloatArray) -> Simulation:
-    columns = data.space.columns(point[None], target.conditions)
+def _simulated(fit: Calibration, target: Target, point: FloatArray) -> Simulation:
+    columns = fit.space.columns(point[None], target.conditions)
     duration = float(target.case.times[-1])
     return simulate(
         target.case.scene,
         Parameters({name: float(values[0]) for name, values in columns.items()}),
-        motion=data.request.made_motion,
+        motion=fit.motion,
         duration=duration,
         output_interval=duration / max(SAMPLES, len(target.pose)),
     )

@@ -28,7 +28,7 @@ from fixel.calibration.assess import (
 from fixel.calibration.cost import NormalPrior
 from fixel.calibration.joint import draw_joint, linear_fit, quoted
 from fixel.calibration.noise import Noise
-from fixel.calibration.objective import Comparer, Evaluation, Objective, lengths_of
+from fixel.calibration.objective import Comparer, Evaluation, Objective
 from fixel.calibration.optimiser import Best
 from fixel.calibration.solutions import find_solutions
 from fixel.calibration.study import (
@@ -239,10 +239,8 @@ class CalibrationSearch:
                     combined = objective.combined(table)
                     self.record(ask.points[:: table.shape[1]], combined)
                     best = min(best, float(combined.min()))
-                    shared = best / len(objective.members) if objective.combine == "sum" else best
-                    shown = 1e-3 * float(
-                        lengths_of(np.asarray(shared), objective.comparer.error.unit)
-                    )
+                    lengths = self.request.lengths(np.array([best]), len(objective.members))
+                    shown = 1e-3 * float(lengths[0])
                 reasons = [reason for part in parts for reason in part.reasons]
                 ask = study.send(Evaluation(errors, reasons))
         except StopIteration as end:

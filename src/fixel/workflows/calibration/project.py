@@ -267,8 +267,9 @@ def stored_calibration(project: Project, number: int) -> Calibration:
     Returns
     -------
     Calibration
-        The same as when it was stored. If an earlier version stored it and its job is gone, the
-        level of its intervals, its noise and its profiles are unknown.
+        Equal to the one that was stored, if its run has no other; else the only one of its run. If
+        an earlier version stored it and its job is gone, the level of its intervals, its noise and
+        its profiles are unknown.
     """
     with project.store() as store:
         record = store.calibration(number)
@@ -294,7 +295,7 @@ def _from_records(store: Store, records: Mapping[int, CalibrationRecord]) -> Cal
             for on, own in (record.result or {}).get("load_maps", ())
             for k in on
         }
-        targets = tuple(_on_map(target_of(store.experiment(k)), maps.get(k)) for k in members)
+        targets = [_on_map(target_of(store.experiment(k)), maps.get(k)) for k in members]
         nominal = np.full(len(targets), math.nan)
         sets = []
         for record in ordered:

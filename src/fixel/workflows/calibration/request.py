@@ -14,7 +14,14 @@ from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, PlainValidat
 from fixel.calibration import OPTIMISERS, AbstractOptimiser, MultiStart, PatternSearch
 from fixel.calibration.least_squares import LeastSquares
 from fixel.calibration.noise import Noise
-from fixel.calibration.objective import ERRORS, AbstractError, EndPose, Robust, RootMeanSquare
+from fixel.calibration.objective import (
+    ERRORS,
+    AbstractError,
+    EndPose,
+    Robust,
+    RootMeanSquare,
+    lengths_of,
+)
 from fixel.calibration.target import Target
 from fixel.errors import InvalidInput, unknown_name
 from fixel.formats.scene_file import SceneRecord, scene_content, scene_of
@@ -202,6 +209,10 @@ class CalibrationRequest(_Fields):
     def error_of_one(self, error: Error, n: int) -> Error:
         """Return the share of one of n experiments in a combined error, where that is a sum."""
         return error / n if self.combine == "sum" else error
+
+    def lengths(self, errors: FloatArray, n: int = 1) -> FloatArray:
+        """Return combined errors of n experiments as lengths of one [mm], for charts and tables."""
+        return lengths_of(self.error_of_one(errors, n), self.made_error.unit)
 
     def listed(self) -> dict[str, str | float]:
         """Return the values that records have for lists, by name; without the parameters."""

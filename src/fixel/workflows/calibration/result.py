@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from typing import Any, Final, final
 
@@ -92,7 +92,14 @@ class ParameterSet:
     note: str = ""
 
     def __post_init__(self) -> None:
-        settle(self, how=FitKind(self.how))
+        settle(
+            self,
+            how=FitKind(self.how),
+            members=tuple(self.members),
+            misfit=tuple(self.misfit),
+            solutions=self.solutions.reshape(len(self.solutions), len(self.point)),
+            prediction_check=self.prediction_check and tuple(self.prediction_check),
+        )
 
     def values(self, labels: Sequence[str]) -> FloatArray:
         """Return the values (n_free,) to quote of the free parameters, each inside its interval;
@@ -123,16 +130,6 @@ class CalibrationResult:
     nominal: FloatArray
     found: tuple[ParameterSet, ...]
 
-    @property
-    def alone(self) -> list[ParameterSet]:
-        """Sets for single experiments."""
-        return [one for one in self.found if len(one.members) == 1 and one.how.is_single]
-
-    @property
-    def together(self) -> list[ParameterSet]:
-        """Sets for all experiments together."""
-        return [one for one in self.found if not one.how.is_single]
-
 
 def outcome_bytes(outcome: CalibrationResult) -> bytes:
     """Serialise the result of a calibration."""
@@ -156,6 +153,13 @@ def outcome_of(data: bytes) -> CalibrationResult:
 
 
 CURVE: Final = ("values", "deviances", "slice_values", "slice_deviances")
+CURVE_ENDS: Final = ("label", "low", "high", "threshold")
+# Fields that are no arrays, in the order of their JSON.
+PLAIN: Final = [
+    own.name
+    for own in fields(ParameterSet)
+    if own.name not in ("point", "errors", "trace", "solutions")
+]
 
 
 def found_arrays(found: Sequence[ParameterSet]) -> dict[str, Any]:
@@ -163,62 +167,42 @@ def found_arrays(found: Sequence[ParameterSet]) -> dict[str, Any]:
     plain: list[dict[str, Any]] = []
     arrays: dict[str, Any] = {}
     for k, one in enumerate(found):
-        arrays[f"point_{k}"], arrays[f"errors_{k}"] = one.point, one.errors
-        arrays[f"solutions_{k}"] = one.solutions
+        trace = one.trace
+        own: dict[str, Any] = {name: getattr(one, name) for name in PLAIN}
+        own |= {
+            "estimates": [estimate.stored() for estimate in one.estimates],
+            "profiles": [{x: getattr(curve, x) for x in CURVE_ENDS} for curve in one.profiles],
+            "misfit_ratio": None if math.isnan(one.misfit_ratio) else one.misfit_ratio,
+            "ended": None,
+            "reasons": {},
+        }
+        arrays |= {f"{name}_{k}": getattr(one, name) for name in ("point", "errors", "solutions")}
         for j, curve in enumerate(one.profiles):
-            for name in CURVE:
-                arrays[f"{name}_{k}_{j}"] = getattr(curve, name)
-        if one.trace is not None:
-            arrays[f"points_{k}"], arrays[f"tried_{k}"] = one.trace.points, one.trace.errors
-            arrays |= {f"iterations_{k}": one.trace.iterations, f"starts_{k}": one.trace.starts}
-        plain.append(
-            {
-                "how": one.how,
-                "members": list(one.members),
-                "estimates": [estimate.stored() for estimate in one.estimates],
-                "profiles": [
-                    {name: getattr(curve, name) for name in ("label", "low", "high", "threshold")}
-                    for curve in one.profiles
-                ],
-                "noise": one.noise,
-                "misfit": list(one.misfit),
-                "misfit_ratio": None if math.isnan(one.misfit_ratio) else one.misfit_ratio,
-                "prediction_check": one.prediction_check,
-                "seconds": one.seconds,
-                "note": one.note,
-                "ended": None if one.trace is None else one.trace.ended,
-                "reasons": {}
-                if one.trace is None
-                else {str(n): reason for n, reason in enumerate(one.trace.reasons) if reason},
-            }
-        )
+            arrays |= {f"{name}_{k}_{j}": getattr(curve, name) for name in CURVE}
+        if trace is not None:
+            own["ended"] = trace.ended
+            own["reasons"] = {str(n): reason for n, reason in enumerate(trace.reasons) if reason}
+            arrays |= {f"points_{k}": trace.points, f"tried_{k}": trace.errors}
+            arrays |= {f"iterations_{k}": trace.iterations, f"starts_{k}": trace.starts}
+        plain.append(own)
     return {"found": _text(plain), **arrays}
 
 
 def found_of(arrays: dict[str, Any]) -> list[ParameterSet]:
     """Load sets of parameters; inverse of `found_arrays`."""
-    return [
-        ParameterSet(
-            how=FitKind(entry["how"]),
-            members=tuple(entry["members"]),
-            point=arrays[f"point_{k}"],
-            errors=arrays[f"errors_{k}"],
-            trace=None if entry["ended"] is None else _trace(entry, arrays, k),
-            estimates=tuple(Estimate(**estimate) for estimate in entry["estimates"]),
-            profiles=tuple(
-                ProfileRecord(**curve, **{name: arrays[f"{name}_{k}_{j}"] for name in CURVE})
-                for j, curve in enumerate(entry["profiles"])
-            ),
-            noise=entry["noise"],
-            misfit=tuple(entry.get("misfit", ())),
-            misfit_ratio=math.nan if entry.get("misfit_ratio") is None else entry["misfit_ratio"],
-            solutions=arrays[f"solutions_{k}"],
-            prediction_check=entry.get("prediction_check") and tuple(entry["prediction_check"]),
-            seconds=entry["seconds"],
-            note=entry["note"],
+    found = []
+    for k, entry in enumerate(_plain(arrays["found"])):
+        own = {name: entry[name] for name in PLAIN if entry.get(name) is not None}
+        own |= {name: arrays[f"{name}_{k}"] for name in ("point", "errors", "solutions")}
+        own["estimates"] = tuple(Estimate(**estimate) for estimate in entry["estimates"])
+        own["profiles"] = tuple(
+            ProfileRecord(**curve, **{name: arrays[f"{name}_{k}_{j}"] for name in CURVE})
+            for j, curve in enumerate(entry["profiles"])
         )
-        for k, entry in enumerate(_plain(arrays["found"]))
-    ]
+        if entry["ended"] is not None:
+            own["trace"] = _trace(entry, arrays, k)
+        found.append(ParameterSet(**own))
+    return found
 
 
 OF_SEARCH: Final = ("points_0", "tried_0")  # which a record has as its evaluations
