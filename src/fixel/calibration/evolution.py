@@ -7,23 +7,26 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
-from typing import Any, ClassVar, final
+from typing import Annotated, Any, ClassVar, final
 
 import numpy as np
 
 from fixel.calibration.optimiser import (
     AbstractOptimiser,
+    Count,
+    CountOrZero,
     Feasible,
     GeneratorSearch,
     Moves,
     Search,
     SearchBox,
+    Size,
     feasible_points,
-    positive,
-    settle,
     whole,
 )
+from fixel.model.fields import Value, check_fields
 from fixel.typing import FloatArray
 
 _MORE_WORDS = {
@@ -69,22 +72,14 @@ class CmaEs(AbstractOptimiser):
     """
 
     name: ClassVar[str] = "cma-es"
-    sigma: float = 2.0
-    population: int | None = None
-    tolerance: float = 1e-4
-    restarts: int = 0
-    max_evaluations: int = 20_000
+    sigma: Size = 2.0
+    population: Annotated[int | None, Value(partial(whole, least=3))] = None
+    tolerance: Size = 1e-4
+    restarts: CountOrZero = 0
+    max_evaluations: Count = 20_000
 
     def __post_init__(self) -> None:
-        population = self.population
-        settle(
-            self,
-            sigma=positive(self.sigma, "CmaEs.sigma"),
-            population=None if population is None else whole(population, "CmaEs.population", 3),
-            tolerance=positive(self.tolerance, "CmaEs.tolerance"),
-            restarts=whole(self.restarts, "CmaEs.restarts", 0),
-            max_evaluations=whole(self.max_evaluations, "CmaEs.max_evaluations"),
-        )
+        check_fields(self, "CmaEs")
 
     def start(self, box: SearchBox, seed: int = 0, feasible: Feasible | None = None) -> Search:
         starts = box.start[None]

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, Literal, NamedTuple, final, get_args
+from typing import Annotated, Final, Literal, NamedTuple, final, get_args
 
 import numpy as np
 
 from fixel.calibration.cost import LOSSES, Cost, Loss, NormalPrior, Quadratic, Residuals
 from fixel.calibration.differences import Differences
-from fixel.calibration.optimiser import Best, Feasible, SearchBox, feasible_points, whole
+from fixel.calibration.optimiser import Best, Count, Feasible, SearchBox, Size, feasible_points
 from fixel.errors import InvalidInput
-from fixel.model.fields import non_negative, positive, settle
+from fixel.model.fields import Value, check_fields, non_negative
 from fixel.typing import BoolArray, FloatArray
 
 DifferenceKind = Literal["one-sided", "central", "auto"]
+
+Share = Annotated[float, Value(non_negative)]
 
 DIFFERENCE_KINDS: Final[tuple[DifferenceKind, ...]] = get_args(DifferenceKind)
 
@@ -89,16 +91,16 @@ class LeastSquares:
     """
 
     loss: Loss = "squares"
-    width: float = 1.0
-    starts: int = 1
+    width: Size = 1.0
+    starts: Count = 1
     differences: DifferenceKind = "auto"
-    difference: float = 1e-2
-    largest_difference: float = 0.3
-    roughness: float = 1e-2
-    trials: int = 5
-    tolerance: float = 1e-8
-    enough: float = 1e-8
-    most_iterations: int = 60
+    difference: Size = 1e-2
+    largest_difference: Size = 0.3
+    roughness: Share = 1e-2
+    trials: Count = 5
+    tolerance: Share = 1e-8
+    enough: Share = 1e-8
+    most_iterations: Count = 60
     secant: bool = False
 
     def __post_init__(self) -> None:
@@ -106,12 +108,7 @@ class LeastSquares:
             if getattr(self, name) not in kinds:
                 found, expected = repr(getattr(self, name)), "one of " + ", ".join(kinds)
                 raise InvalidInput(f"LeastSquares.{name}", found=found, expected=expected)
-        for name in ("starts", "trials", "most_iterations"):
-            settle(self, **{name: whole(getattr(self, name), f"LeastSquares.{name}")})
-        for name in ("width", "difference", "largest_difference"):
-            settle(self, **{name: positive(getattr(self, name), f"LeastSquares.{name}")})
-        for name in ("roughness", "tolerance", "enough"):
-            settle(self, **{name: non_negative(getattr(self, name), f"LeastSquares.{name}")})
+        check_fields(self, "LeastSquares")
 
     def cost(self, prior: NormalPrior | None = None) -> Cost:
         """Return the cost that the method minimises."""

@@ -17,16 +17,9 @@ from typing import IO, Any, ClassVar, Final, final
 import numpy as np
 
 from fixel.calibration import mads_child
-from fixel.calibration.optimiser import (
-    AbstractOptimiser,
-    Feasible,
-    Search,
-    SearchBox,
-    positive,
-    settle,
-    whole,
-)
+from fixel.calibration.optimiser import AbstractOptimiser, Count, Feasible, Search, SearchBox, Size
 from fixel.errors import InvalidInput
+from fixel.model.fields import check_fields
 from fixel.typing import FloatArray
 
 THINKS_WITHIN: Final = 600.0  # [s] limit for the next points; usually milliseconds
@@ -67,17 +60,12 @@ class Mads(AbstractOptimiser):
     """
 
     name: ClassVar[str] = "mads"
-    initial_frame: float = 1.0
-    threshold: float = 1e-6
-    max_evaluations: int = 20_000
+    initial_frame: Size = 1.0
+    threshold: Size = 1e-6
+    max_evaluations: Count = 20_000
 
     def __post_init__(self) -> None:
-        settle(
-            self,
-            initial_frame=positive(self.initial_frame, "Mads.initial_frame"),
-            threshold=positive(self.threshold, "Mads.threshold"),
-            max_evaluations=whole(self.max_evaluations, "Mads.max_evaluations"),
-        )
+        check_fields(self, "Mads")
 
     def start(self, box: SearchBox, seed: int = 0, feasible: Feasible | None = None) -> Search:
         if find_spec("PyNomad") is None:

@@ -11,16 +11,17 @@ import numpy as np
 
 from fixel.calibration.optimiser import (
     AbstractOptimiser,
+    Count,
+    CountOrZero,
     Feasible,
     GeneratorSearch,
     Moves,
     SearchBox,
+    Size,
     feasible_points,
     inside,
-    positive,
-    settle,
-    whole,
 )
+from fixel.model.fields import check_fields
 from fixel.typing import FloatArray
 
 # Distances of the trials beyond the centre of the other vertices, over that of the worst vertex.
@@ -67,21 +68,15 @@ class NelderMead(AbstractOptimiser):
     """
 
     name: ClassVar[str] = "nelder-mead"
-    size: float = 1e-4
-    step: float = 1.0
+    size: Size = 1e-4
+    step: Size = 1.0
     random_simplex: bool = False
     speculative: bool = True
-    restarts: int = 0
-    max_evaluations: int = 20_000
+    restarts: CountOrZero = 0
+    max_evaluations: Count = 20_000
 
     def __post_init__(self) -> None:
-        settle(
-            self,
-            size=positive(self.size, "NelderMead.size"),
-            step=positive(self.step, "NelderMead.step"),
-            restarts=whole(self.restarts, "NelderMead.restarts", 0),
-            max_evaluations=whole(self.max_evaluations, "NelderMead.max_evaluations"),
-        )
+        check_fields(self, "NelderMead")
 
     def start(
         self, box: SearchBox, seed: int = 0, feasible: Feasible | None = None

@@ -12,12 +12,13 @@ import math
 import operator
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple, final
+from functools import partial
+from typing import Annotated, ClassVar, NamedTuple, final
 
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import fraction, positive, settle
+from fixel.model.fields import Value, positive, settle
 from fixel.typing import FloatArray, IntArray
 
 
@@ -129,9 +130,6 @@ class AbstractOptimiser(abc.ABC):
         """
 
 
-__all__ = ["between", "fraction", "positive", "settle", "whole"]
-
-
 def whole(value: object, where: str, least: int = 1) -> int:
     """Return a whole number of at least `least`, or raise `InvalidInput`."""
     try:
@@ -150,6 +148,11 @@ def between(value: object, where: str) -> float:
         raise InvalidInput(where, found=number, expected="a number between 0 and 1")
     return number
 
+
+# Types of options, whose values `check_fields` checks.
+Size = Annotated[float, Value(positive)]
+Count = Annotated[int, Value(whole)]
+CountOrZero = Annotated[int, Value(partial(whole, least=0))]
 
 Moves = Generator[FloatArray, FloatArray, str]
 """Yields points (k, n), is sent their errors (k,), returns why it ended."""

@@ -5,25 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, final
+from typing import Annotated, ClassVar, final
 
 import numpy as np
 
 from fixel.calibration.optimiser import (
     AbstractOptimiser,
+    Count,
     Feasible,
     GeneratorSearch,
     Moves,
     Search,
     SearchBox,
+    Size,
     between,
     inside,
-    positive,
-    settle,
     whole,
 )
 from fixel.errors import InvalidInput
-from fixel.model.fields import finite, non_negative
+from fixel.model.fields import Value, check_fields, finite, non_negative, positive
 from fixel.typing import FloatArray
 
 
@@ -69,37 +69,19 @@ class PatternSearch(AbstractOptimiser):
     """
 
     name: ClassVar[str] = "pattern-search"
-    initial_delta: float = 0.5
-    threshold_delta: float = 1e-6
-    contraction_factor: float = 0.9
-    expand_after: int | None = 5
-    sufficient_decrease: float = 0.01
-    resolution: float = 3e-7
-    solution_accuracy: float | None = 1e-6
-    max_iterations: int = 10_000
-    max_function_evaluations: int = 20_000
+    initial_delta: Size = 0.5
+    threshold_delta: Size = 1e-6
+    contraction_factor: Annotated[float, Value(between)] = 0.9
+    expand_after: Annotated[int | None, Value(whole)] = 5
+    sufficient_decrease: Annotated[float, Value(non_negative)] = 0.01
+    resolution: Annotated[float, Value(non_negative)] = 3e-7
+    solution_accuracy: Annotated[float | None, Value(finite)] = 1e-6
+    max_iterations: Count = 10_000
+    max_function_evaluations: Count = 20_000
     contract_always: bool = False
 
     def __post_init__(self) -> None:
-        expand, accuracy = self.expand_after, self.solution_accuracy
-        settle(
-            self,
-            initial_delta=positive(self.initial_delta, "PatternSearch.initial_delta"),
-            threshold_delta=positive(self.threshold_delta, "PatternSearch.threshold_delta"),
-            contraction_factor=between(self.contraction_factor, "PatternSearch.contraction_factor"),
-            expand_after=None if expand is None else whole(expand, "PatternSearch.expand_after"),
-            sufficient_decrease=non_negative(
-                self.sufficient_decrease, "PatternSearch.sufficient_decrease"
-            ),
-            resolution=non_negative(self.resolution, "PatternSearch.resolution"),
-            solution_accuracy=None
-            if accuracy is None
-            else finite(accuracy, "PatternSearch.solution_accuracy"),
-            max_iterations=whole(self.max_iterations, "PatternSearch.max_iterations"),
-            max_function_evaluations=whole(
-                self.max_function_evaluations, "PatternSearch.max_function_evaluations"
-            ),
-        )
+        check_fields(self, "PatternSearch")
 
     def start(
         self, box: SearchBox, seed: int = 0, feasible: Feasible | None = None
@@ -169,6 +151,10 @@ class PatternSearchSearch(GeneratorSearch):
         return ""
 
 
+def _steps(value: Sequence[float], where: str) -> tuple[float, ...]:
+    return tuple(positive(step, f"{where}[{i}]") for i, step in enumerate(value))
+
+
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FixedStepSearch(AbstractOptimiser):
@@ -197,20 +183,12 @@ class FixedStepSearch(AbstractOptimiser):
     """
 
     name: ClassVar[str] = "fixed-step"
-    step: float = 0.5
-    steps: Sequence[float] | None = None
-    rounds: int = 10
+    step: Size = 0.5
+    steps: Annotated[Sequence[float] | None, Value(_steps)] = None
+    rounds: Count = 10
 
     def __post_init__(self) -> None:
-        steps = self.steps
-        settle(
-            self,
-            step=positive(self.step, "FixedStepSearch.step"),
-            steps=None
-            if steps is None
-            else tuple(positive(h, f"FixedStepSearch.steps[{i}]") for i, h in enumerate(steps)),
-            rounds=whole(self.rounds, "FixedStepSearch.rounds"),
-        )
+        check_fields(self, "FixedStepSearch")
 
     def start(self, box: SearchBox, seed: int = 0, feasible: Feasible | None = None) -> Search:
         if self.steps is not None and len(self.steps) != box.n:

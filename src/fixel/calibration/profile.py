@@ -17,10 +17,10 @@ from fixel.calibration.least_squares import (
     LeastSquaresFit,
     checked_residuals,
 )
-from fixel.calibration.optimiser import Best, SearchBox, whole
+from fixel.calibration.optimiser import Best, Count, CountOrZero, SearchBox
 from fixel.calibration.profile_branch import Node, ProfileBranch, Slice, Slicer
 from fixel.errors import InvalidInput
-from fixel.model.fields import positive, settle
+from fixel.model.fields import check_fields, positive
 from fixel.model.records import ProfileRecord
 from fixel.typing import FloatArray
 
@@ -134,16 +134,14 @@ class ProfileLikelihood:
 
     # Fits the others. Its loss and roughness count; when it ends is set here.
     descent: LeastSquares = field(default_factory=LeastSquares)
-    most_iterations: int = 20  # steps of one fit
+    most_iterations: Count = 20  # steps of one fit
     # Values between the crossing and the bound that are fitted too, on each side: they show on a
     # plot, and may find a second minimum.
-    scan: int = 1
-    batch: int = 512  # points of one ask, about
+    scan: CountOrZero = 1
+    batch: Count = 512  # points of one ask, about
 
     def __post_init__(self) -> None:
-        for name, least in (("most_iterations", 1), ("scan", 0), ("batch", 1)):
-            where = f"ProfileLikelihood.{name}"
-            settle(self, **{name: whole(getattr(self, name), where, least)})
+        check_fields(self, "ProfileLikelihood")
 
     def start(
         self,
