@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from fixel.errors import InvalidInput
-from fixel.jobs.site import TEMPLATE, Site, load_site, site_of, site_text
+from fixel.io.document import yaml_text
+from fixel.jobs.site import TEMPLATE, Site, load_site, site_of
 
 
 def test_the_template_is_one(tmp_path):
@@ -35,7 +36,7 @@ def test_the_examples_are_sites(name):
 def test_a_site_is_read_back(tmp_path):
     site = Site(queue="a", walltime="2-00:00:00", prologue=["source x"], memory="1.5 GiB")
     path = tmp_path / "site.yaml"
-    path.write_text(site_text(site))
+    path.write_text(yaml_text(site.model_dump(exclude_none=True)))
     assert load_site(path) == site
 
 

@@ -16,7 +16,7 @@ from fixel.jobs import link
 from fixel.jobs.engine import OTHER_VERSION, run_chunk
 from fixel.jobs.functions import stamp
 from fixel.jobs.scheduler import CONFIG
-from fixel.jobs.work import Answer, unframed
+from fixel.jobs.work import Answer, Chunk, unframed
 
 MAX_STRANGE: Final = 20  # lost answers in a row, although no worker died
 START_S: Final = 60.0  # [s] for a scheduler to listen; a cold file system is slow
@@ -28,16 +28,6 @@ END_S: Final = 0.2  # [s] from the end of connections to that of their process
 
 class ClusterLost(Exception):
     """Exception raised when the scheduler has ended or does not answer."""
-
-
-class Task(NamedTuple):
-    """Chunk that is sent to a worker."""
-
-    name: str
-    function: str
-    inputs: Path
-    block: str
-    payload: bytes
 
 
 class WorkerKilled(NamedTuple):
@@ -125,7 +115,7 @@ class Cluster:
         except Exception as problem:  # what Dask raises here depends on what broke
             raise self._lost("the scheduler does not answer", problem) from None
 
-    def submit(self, task: Task) -> Any:
+    def submit(self, chunk: Chunk, function: str, inputs: Path, block: str) -> Any:
         """Send a chunk to a free worker; the caller must store the future until it is done."""
         self._count += 1
         try:
@@ -133,15 +123,15 @@ class Cluster:
                 run_chunk,
                 stamp(),
                 str(self._folder.resolve()),
-                str(task.inputs.resolve()),
-                task.function,
-                task.block,
-                task.payload,
+                str(inputs.resolve()),
+                function,
+                block,
+                chunk.payload,
                 self._lease_s,
                 key=f"chunk-{self._count}",
                 pure=False,
             )
-            future.add_done_callback(lambda done: self._events.put(ChunkReturn(task.name, done)))
+            future.add_done_callback(lambda done: self._events.put(ChunkReturn(chunk.name, done)))
         except Exception as problem:
             raise self._lost("the scheduler accepts no work", problem) from None
         return future

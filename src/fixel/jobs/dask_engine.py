@@ -23,7 +23,6 @@ from fixel.jobs.cluster import (
     ClusterLost,
     OtherVersion,
     Outcome,
-    Task,
     WorkerKilled,
 )
 from fixel.jobs.functions import stamp
@@ -228,9 +227,8 @@ class _RoundState:
         while self._waiting and len(self._flying) < capacity:
             name = self._waiting.popleft()
             if name in self.open:
-                chunk = self.open[name]
                 self._flying[name] = cluster.submit(
-                    Task(name, self._function, self._inputs, self._blocks[name], chunk.payload)
+                    self.open[name], self._function, self._inputs, self._blocks[name]
                 )
 
     def lands(self, name: str, future: Any) -> bool:

@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Final, Self, final
+from typing import Final, final
 
 from fixel.jobs import link
 from fixel.jobs.functions import chunk_function, stamp
@@ -31,12 +31,6 @@ class LocalEngine(AbstractEngine):
         call = chunk_function(function)
         for chunk in chunks:
             yield [(chunk.name, answer_of(call, inputs, chunk.payload))]
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
 
 
 def run_chunk(

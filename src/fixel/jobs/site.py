@@ -9,7 +9,7 @@ from typing import Annotated, Final, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fixel.errors import InvalidInput
-from fixel.io.document import read_document, yaml_text
+from fixel.io.document import read_document
 from fixel.simulation.trust import is_trusted, trust
 
 # One directive, one line: a value in a template cannot add other lines to the script.
@@ -125,11 +125,6 @@ def check_site(site: Site) -> None:
             expected="the lines of a site template of yours",
             hint="read them, and name the template again: fixel jobs resume FOLDER --site FILE",
         )
-
-
-def site_text(site: Site) -> str:
-    """Return a site as YAML."""
-    return yaml_text(site.model_dump(exclude_none=True))
 
 
 def _refused(problem: ValidationError, where: str) -> InvalidInput:

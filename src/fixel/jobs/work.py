@@ -126,11 +126,11 @@ class AbstractEngine(abc.ABC):
         something else, such as stop.
         """
 
-    @abc.abstractmethod
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        return self
 
-    @abc.abstractmethod
-    def __exit__(self, *_: object) -> None: ...
+    def __exit__(self, *_: object) -> None:  # noqa: B027 - most have nothing to end
+        """End the processes that the engine has started."""
 
 
 class StopRequest(Exception):

@@ -474,7 +474,7 @@ class Calibration(Result, Mapping[str, float]):
         run, others = self.run, [note for note in self.warnings if note not in found.misfit]
         return Analysis(
             kind="calibrate",
-            title=f"Calibration of {self._subject}",
+            title=f"Calibration of {self.subject}",
             question={},
             headline=(
                 self._heading(),
@@ -498,7 +498,8 @@ class Calibration(Result, Mapping[str, float]):
         return Summary(own.headline[0], own.tables, notes, self.details)
 
     @property
-    def _subject(self) -> str:
+    def subject(self) -> str:
+        """Name of the experiment, or number of several."""
         n = len(self.found.members)
         return self.keys_of_experiments[0] if n == 1 else f"{n} experiments"
 
@@ -510,7 +511,7 @@ class Calibration(Result, Mapping[str, float]):
             "failed": "failed",
         }[self.status]
         engine = EngineName.of(self.request.motion).short
-        of = f"Calibration of {self._subject} ({engine})"
+        of = f"Calibration of {self.subject} ({engine})"
         return f"{of}: {how} after {self.evaluations} evaluations"
 
     def _error_note(self) -> str:
@@ -695,11 +696,8 @@ class Calibrations(CalibrationPlan, Result, Sequence[Calibration]):
             "sample_of": self.request.sample_of,
             "error": self.request.error.name,
             "unit": self.request.made_error.unit,
-            "nominal_error": [_finite(error) for error in outcome.nominal.tolist()],
-            "found": [
-                _plain(one, number, outcome)
-                for one, number in zip(outcome.found, self.ids, strict=True)
-            ],
+            "nominal_error": [finite(error) for error in outcome.nominal.tolist()],
+            "found": [_plain(fit, number) for fit, number in zip(self, self.ids, strict=True)],
         }
 
     @property
@@ -838,29 +836,28 @@ def values_under(
     return found
 
 
-def _plain(
-    one: ParameterSet, calibration_id: int | None, outcome: CalibrationResult
-) -> dict[str, Any]:
+def _plain(fit: Calibration, calibration_id: int | None) -> dict[str, Any]:
+    one, labels = fit.found, fit.run.outcome.labels
     return {
         "calibration": calibration_id,
         "how": one.how,
-        "experiments": [outcome.keys[m] for m in one.members],
+        "experiments": list(fit.keys_of_experiments),
         "misfit": list(one.misfit),
-        "misfit_ratio": _finite(one.misfit_ratio),
-        "parameters": dict(zip(outcome.labels, one.values(outcome.labels).tolist(), strict=True)),
-        "best_fit": dict(zip(outcome.labels, one.point.tolist(), strict=True)),
-        "errors": [_finite(error) for error in one.errors.tolist()],
-        "evaluations": 0 if one.trace is None else len(one.trace.errors),
+        "misfit_ratio": finite(one.misfit_ratio),
+        "parameters": dict(zip(labels, one.values(labels).tolist(), strict=True)),
+        "best_fit": dict(zip(labels, one.point.tolist(), strict=True)),
+        "errors": [finite(error) for error in one.errors.tolist()],
+        "evaluations": fit.evaluations,
         "ended": "" if one.trace is None else one.trace.ended,
         "seconds": one.seconds,
         "note": one.note,
         "noise": one.noise,
-        "prediction_check": one.prediction_check
-        and PredictionCheck(*one.prediction_check)._asdict(),
-        "solutions": [dict(zip(outcome.labels, s, strict=True)) for s in one.solutions.tolist()],
+        "prediction_check": fit.prediction_check and fit.prediction_check._asdict(),
+        "solutions": [dict(zip(labels, s, strict=True)) for s in one.solutions.tolist()],
         "estimates": [estimate.stored() for estimate in one.estimates],
     }
 
 
-def _finite(error: float) -> float | None:
+def finite(error: float) -> float | None:
+    """Return a number for JSON, which has none that is infinite."""
     return error if math.isfinite(error) else None

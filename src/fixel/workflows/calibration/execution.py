@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final
 
 from fixel.calibration.objective import Comparer
 from fixel.calibration.study import at_points, run_study
@@ -163,12 +163,6 @@ class DirectEngine(AbstractEngine):
                 self.alone.append(answer)
             yield [(chunk.name, answer)]
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
 
 def _best_so_far(
     plan: CalibrationPlan, search: CalibrationSearch, alone: Sequence[bytes] = ()
@@ -207,16 +201,9 @@ def _best_so_far(
 def _reporting(report: Reporter) -> Show:
     """Return a callback that reports the progress of rounds."""
 
-    def show(progress: JobProgress) -> None:
-        report.show(
-            Progress(
-                stage=progress.note or report.stage,
-                done=progress.done,
-                total=None if progress.share is None else progress.total,
-                best=progress.best,
-                left=progress.left_s,
-            )
-        )
+    def show(now: JobProgress) -> None:
+        total = None if now.share is None else now.total
+        report.show(Progress(now.note or report.stage, now.done, total, now.best, left=now.left_s))
 
     return show
 

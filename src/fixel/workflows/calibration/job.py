@@ -54,7 +54,7 @@ from fixel.calibration.target import Target
 from fixel.errors import InvalidInput
 from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.jobs.functions import callable_by_jobs, threads
-from fixel.jobs.work import Answers, Chunk, Failure, Round, Work
+from fixel.jobs.work import Answer, Answers, Chunk, Failure, Round, Work
 from fixel.kernels import codes
 from fixel.model.records import Estimate
 from fixel.typing import FloatArray
@@ -124,6 +124,7 @@ class CalibrationSearch:
 
     def __init__(self, request: CalibrationRequest, comparer: Comparer) -> None:
         self.request, self.comparer = request, comparer
+        self.objective = Objective(comparer, combine=request.combine)
         self.members = range(len(comparer.targets))
         self._spent = 0.0
         self._points: list[FloatArray] = []
@@ -131,10 +132,10 @@ class CalibrationSearch:
         self.best = Best(request.space.nominal, math.inf)
         self.found: list[ParameterSet] = []  # complete sets
 
-    def add(self, answers: Answers) -> None:
+    def add(self, answers: Sequence[Answer]) -> None:
         """Count the time of a round."""
         if self.request.budget is not None:
-            good = (one for one in answers.values() if not isinstance(one, Failure))
+            good = (one for one in answers if not isinstance(one, Failure))
             self._spent += sum(float(arrays_of(one)[TIME]) for one in good)
 
     def record(self, points: FloatArray, errors: FloatArray) -> None:
@@ -160,8 +161,7 @@ class CalibrationSearch:
     @property
     def is_over(self) -> bool:
         """Whether the budget of the whole calibration is used up."""
-        budget: float | None = self.request.budget
-        return budget is not None and self._spent > budget
+        return self.request.budget is not None and bool(self._spent > self.request.budget)
 
     @property
     def search_end(self) -> str:
@@ -207,40 +207,45 @@ class CalibrationSearch:
             )
         )
 
-    def _evaluate(
-        self, study: Study[T], stage: str, objective: Objective | None = None
-    ) -> Rounds[T]:
-        """Answer a study in rounds of chunks; those with an objective count, and show its best."""
+    def _ask(
+        self,
+        function: str,
+        pieces: Mapping[str, Mapping[str, Any]],
+        note: str,
+        left: int | None = None,
+        best: float | None = None,
+    ) -> Rounds[list[Answer]]:
+        """Let chunks answer for arrays by the name of a chunk; return the answers in order."""
+        chunks = [Chunk(name, bytes_of(**arrays)) for name, arrays in pieces.items()]
+        answers = yield Round(f"calibration:{function}", chunks, note, left, best)
+        return [answers[name] for name in pieces]
+
+    def _evaluate(self, study: Study[T], stage: str, *, searches: bool = False) -> Rounds[T]:
+        """Answer a study in rounds of chunks; those of a search count, and show its best."""
         best, shown = math.inf, None
         try:
             ask = next(study)
             while True:
-                starts = range(0, len(ask.which), ROLLOUTS_A_CHUNK)
-                chunks = [
-                    Chunk(
-                        f"{stage}/{k}",
-                        bytes_of(
-                            which=ask.which[at : at + ROLLOUTS_A_CHUNK],
-                            points=ask.points[at : at + ROLLOUTS_A_CHUNK],
-                        ),
-                    )
-                    for k, at in enumerate(starts)
-                ]
-                answers = yield Round("calibration:evaluate", chunks, stage, best=shown)
-                if objective is not None:
-                    self.add(answers)
+                pieces = {
+                    f"{stage}/{k}": {
+                        "which": ask.which[at : at + ROLLOUTS_A_CHUNK],
+                        "points": ask.points[at : at + ROLLOUTS_A_CHUNK],
+                    }
+                    for k, at in enumerate(range(0, len(ask.which), ROLLOUTS_A_CHUNK))
+                }
+                answers = yield from self._ask("evaluate", pieces, stage, best=shown)
                 parts = [
-                    _evaluated(answers[chunk.name], len(ask.which[at : at + ROLLOUTS_A_CHUNK]))
-                    for chunk, at in zip(chunks, starts, strict=True)
+                    _evaluated(data, len(own["which"]))
+                    for data, own in zip(answers, pieces.values(), strict=True)
                 ]
                 errors = np.concatenate([part.error for part in parts])
-                if objective is not None:
-                    table = errors.reshape(-1, len(objective.members))
-                    combined = objective.combined(table)
-                    self.record(ask.points[:: table.shape[1]], combined)
+                if searches:
+                    self.add(answers)
+                    n = len(self.members)
+                    combined = self.objective.combined(errors.reshape(-1, n))
+                    self.record(ask.points[::n], combined)
                     best = min(best, float(combined.min()))
-                    lengths = self.request.lengths(np.array([best]), len(objective.members))
-                    shown = 1e-3 * float(lengths[0])
+                    shown = 1e-3 * float(self.request.lengths(np.array(best), n))
                 reasons = [reason for part in parts for reason in part.reasons]
                 ask = study.send(Evaluation(errors, reasons))
         except StopIteration as end:
@@ -250,29 +255,26 @@ class CalibrationSearch:
     def _alone(self) -> Rounds[list[ParameterSet]]:
         n = len(self.members)
         size = max(MEMBERS_A_CHUNK, min(MAX_MEMBERS_A_CHUNK, n // CHUNKS_FOR_WORKERS))
-        chunks = [
-            Chunk(f"alone/{at}", bytes_of(members=np.arange(at, min(n, at + size))))
-            for at in range(0, n, size)
-        ]
+        pieces = {
+            f"alone/{at}": {"members": np.arange(at, min(n, at + size))} for at in range(0, n, size)
+        }
         left = 0 if self.request.mode == "each" else None
-        answers = yield Round(
-            "calibration:calibrate_alone", chunks, note="each experiment", left=left
-        )
+        answers = yield from self._ask("calibrate_alone", pieces, "each experiment", left)
         found: list[ParameterSet] = []
-        for chunk in chunks:
-            answer = answers[chunk.name]
-            if isinstance(answer, Failure):
-                nothing = ParameterSet(
+        for data, own in zip(answers, pieces.values(), strict=True):
+            if not isinstance(data, Failure):
+                found += found_of(arrays_of(data))
+                continue
+            found += [
+                ParameterSet(
                     how=FitKind.ALONE,
-                    members=(),
+                    members=(m,),
                     point=self.comparer.space.nominal,
                     errors=np.array([math.inf]),
-                    note=answer.reason,
+                    note=data.reason,
                 )
-                members = arrays_of(chunk.payload)["members"].tolist()
-                found += [dataclasses.replace(nothing, members=(m,)) for m in members]
-            else:
-                found += found_of(arrays_of(answer))
+                for m in own["members"].tolist()
+            ]
         return found
 
     def _campaign(self, alone: list[ParameterSet]) -> Rounds[list[ParameterSet]]:
@@ -284,8 +286,7 @@ class CalibrationSearch:
         better, least = yield from self._evaluate(
             exchange_with_neighbours(points, errors, groups), "neighbours"
         )
-        combine = Objective(comparer, combine=request.combine).combined
-        free = comparer.space.free
+        combine, free = self.objective.combined, comparer.space.free
         informed = np.array([[u.covers(t.conditions) for u in free] for t in comparer.targets])
         pooled = yield from self._evaluate(
             weighted(members, better, least, informed), "weighted mean"
@@ -304,21 +305,20 @@ class CalibrationSearch:
 
     def _direct(self, start: FloatArray) -> Rounds[ParameterSet]:
         request, comparer = self.request, self.comparer
-        objective = Objective(comparer, combine=request.combine)
         begun = time.perf_counter()
         trace, _ = yield from self._evaluate(
             calibrate_joint(
                 self.members,
                 box_of(comparer.space.started_at(start)),
                 request.made_optimiser,
-                objective.combined,
+                self.objective.combined,
                 request.seed,
                 comparer.feasible,
                 lambda: self.search_end,
                 request.max_evaluations or math.inf,
             ),
             "all together",
-            objective,
+            searches=True,
         )
         solutions = _distinct_solutions(comparer, trace)
         return (yield from self._searched(trace, begun, solutions=solutions))
@@ -406,19 +406,18 @@ class CalibrationSearch:
             What a chunk receives with its points.
         """
         size = max(1, ROLLOUTS_A_CHUNK // len(self.members))
-        chunks = [
-            Chunk(f"{stage}/{k}", bytes_of(**arrays, points=points[at : at + size]))
+        pieces = {
+            f"{stage}/{k}": {**arrays, "points": points[at : at + size]}
             for k, at in enumerate(range(0, len(points), size))
-        ]
+        }
         rounds = None if left is None else math.ceil(left / size)
-        answers = yield Round(f"calibration:{function}", chunks, note, rounds, best)
+        answers = yield from self._ask(function, pieces, note, rounds, best)
         self.add(answers)
         tables: list[FloatArray] = []
-        for chunk in chunks:
-            answer = answers[chunk.name]
-            if isinstance(answer, Failure):
-                raise InvalidInput(chunk.name, found=f"none ({answer.reason})", expected="runs")
-            tables.append(arrays_of(answer)["table"])
+        for name, data in zip(pieces, answers, strict=True):
+            if isinstance(data, Failure):
+                raise InvalidInput(name, found=f"none ({data.reason})", expected="runs")
+            tables.append(arrays_of(data)["table"])
         return np.concatenate(tables)
 
     def _with_verdicts(self, one: ParameterSet) -> Rounds[ParameterSet]:
@@ -454,12 +453,11 @@ class CalibrationSearch:
         count = [0, 0]
         if len(one.members) >= LEAST:
             value, sd = quoted(one.estimates, self.comparer.space.labels, self.request.level)
-            chunk = Chunk("check", bytes_of(point=one.point, value=value, sd=sd))
-            answers = yield Round("calibration:check_ends", [chunk], "predictions", left=0)
-            answer = answers[chunk.name]
-            if isinstance(answer, Failure):
+            check = {"check": {"point": one.point, "value": value, "sd": sd}}
+            (data,) = yield from self._ask("check_ends", check, "predictions", 0)
+            if isinstance(data, Failure):
                 return one
-            count = arrays_of(answer)["count"].tolist()
+            count = arrays_of(data)["count"].tolist()
         return dataclasses.replace(one, prediction_check=(count[0], count[1]))
 
 
@@ -673,7 +671,7 @@ def comparer_of(
 ) -> Comparer:
     """Return the comparison of the experiments of a calibration with simulations."""
     space, error, motion = request.space, request.made_error, request.made_motion
-    return Comparer(targets, space, error, motion, threads=n_threads)
+    return Comparer(targets, space, error, motion, None, n_threads)
 
 
 def _load_job(inputs: Path) -> tuple[CalibrationRequest, Comparer]:

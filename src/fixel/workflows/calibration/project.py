@@ -30,7 +30,7 @@ from fixel.model.selection import ExperimentQuery
 from fixel.model.space import ParameterSpace
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
-from fixel.workflows.calibration.calibration import Calibration, Calibrations, collect
+from fixel.workflows.calibration.calibration import Calibration, Calibrations, collect, finite
 from fixel.workflows.calibration.parameter_options import command_of, options_of
 from fixel.workflows.calibration.plan import job_of, plan_in
 from fixel.workflows.calibration.request import TARGETS
@@ -417,23 +417,19 @@ def _records(run: Calibrations, experiments: Sequence[int]) -> Iterator[Calibrat
     request, outcome, unit = run.request, run.outcome, run.request.made_error.unit
     plain = request.model_dump_json()
     checksum = hashlib.sha256(plain.encode() + outcome_bytes(outcome)).hexdigest()[:16]
-    for place, one in enumerate(outcome.found):
-        keys = [outcome.keys[m] for m in one.members]
-        title = keys[0] if len(keys) == 1 else f"{len(keys)} experiments"
-        values = request.space.values(one.point)
+    for place, fit in enumerate(run):
+        one, trace = fit.found, fit.found.trace
         # Values that all members share; the others are among the estimates.
-        shared = {u.name: values[u.label] for u in request.space.unknowns if not u.where}
-        before = outcome.nominal[list(one.members)].tolist()
-        trace = one.trace
+        shared = {u.name: fit[u.label] for u in request.space.unknowns if not u.where}
         yield CalibrationRecord(
-            name=f"{request.name}: {title}, {one.how}",
+            name=f"{request.name}: {fit.subject}, {one.how}",
             parameters=Parameters(shared),
             members=tuple(
                 Member.of(experiments[m], 1.0, error, unit)
                 for m, error in zip(one.members, one.errors.tolist(), strict=True)
             ),
             provenance=Provenance(version=version("fixel"), command=run.command, seed=request.seed),
-            method={**_method(run, one), RUN: checksum},
+            method={**_method(fit), RUN: checksum},
             evaluations=None
             if trace is None
             else Evaluations(
@@ -448,11 +444,11 @@ def _records(run: Calibrations, experiments: Sequence[int]) -> Iterator[Calibrat
             result={
                 "place": place,
                 "set": set_content(replace(one, members=tuple(range(len(one.members))))),
-                "nominal": [error if math.isfinite(error) else None for error in before],
+                "nominal": [finite(error) for error in fit.nominal_errors.tolist()],
                 "source": run.source,
                 "asked": dict(run.asked),
                 "left_out": dict(run.left_out),
-                **_load_maps([run.targets[m] for m in one.members]),
+                **_load_maps(fit.targets),
             },
         )
 
@@ -478,17 +474,17 @@ def _on_map(target: Target, load_map: LoadMap | None) -> Target:
     return target._replace(case=target.case._replace(scene=scene))
 
 
-def _method(run: Calibrations, one: ParameterSet) -> dict[str, str | float]:
+def _method(fit: Calibration) -> dict[str, str | float]:
     """Return the method for lists; everything about it is in the request."""
-    nominal = run.outcome.nominal[list(one.members)]
+    one, folder = fit.found, fit.run.folder
     return {
         "how": one.how,
-        "error_unit": run.request.made_error.unit,
+        "error_unit": fit.request.made_error.unit,
         "seconds": one.seconds,
-        "nominal_error": float(nominal.mean()),
+        "nominal_error": float(fit.nominal_errors.mean()),
         "ended": "" if one.trace is None else one.trace.ended,
-        **({} if run.folder is None else {"job": run.folder.name}),
+        **({} if folder is None else {"job": folder.name}),
         **({"misfit": "\n".join(one.misfit)} if one.misfit else {}),
         **({"misfit_ratio": one.misfit_ratio} if math.isfinite(one.misfit_ratio) else {}),
-        **run.request.listed(),
+        **fit.request.listed(),
     }
