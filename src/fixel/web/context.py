@@ -12,7 +12,7 @@ from fixel.database.project import Project
 from fixel.drawing.thumbnail import thumbnail
 from fixel.model.selection import ExperimentQuery
 from fixel.web.bench_session import BenchSession
-from fixel.web.views.calibration_detail import CalibrationDetail, load_detail, plot
+from fixel.web.views.calibration_detail import StoredCalibration, load_detail, plot
 from fixel.web.views.calibration_progress import ProgressReader
 from fixel.web.views.domain_views import load_view
 from fixel.web.views.live_comparison import LiveComparison
@@ -71,10 +71,10 @@ class ProjectContext:
         """Absolute folder of the project, for commands that are typed elsewhere."""
         return self.project.folder.resolve()
 
-    def calibration_detail(self, number: int) -> CalibrationDetail:
+    def calibration_detail(self, number: int) -> StoredCalibration:
         """Return everything about a stored calibration, and remember some: what is stored stays."""
         found = self._details(number)
-        if not found.answer.complete:
+        if not found.complete:
             self._details.cache_clear()  # its job may be restored
         return found
 

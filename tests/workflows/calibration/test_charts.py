@@ -221,9 +221,9 @@ def test_results_without_the_ends_of_their_searches_are_explained(lab, monkeypat
     old = replace(one, trace=one.trace._replace(starts=np.zeros(0, np.int64)))
     earlier = replace(done, outcome=replace(done.outcome, found=(old,)))
     with lab[0].store() as store:
-        assert calibration_detail.load_detail(lab[0], store, done.ids[0]).answer.starts
+        assert calibration_detail.load_detail(lab[0], store, done.ids[0]).starts
         monkeypatch.setattr(calibration_detail, "stored_run", lambda *_: earlier)
-        detail = calibration_detail.load_detail(lab[0], store, done.ids[0]).answer
+        detail = calibration_detail.load_detail(lab[0], store, done.ids[0])
     assert detail.starts == []
     assert "earlier version" in detail.note
 

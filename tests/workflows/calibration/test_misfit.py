@@ -59,7 +59,7 @@ def test_misfit_is_said_before_anything_else(found):
     assert float(done.outcome.found[-1].misfit_ratio) > 10.0
     assert any(line.startswith("a larger model may fit better: fixel calibrate") for line in lines)
     with project.store() as store:
-        told = load_detail(project, store, done.ids[-1]).answer
+        told = load_detail(project, store, done.ids[-1])
     assert calibration_warnings(done.joint)[0] == misfit[0] == told.misfit[0]
     summary = json.loads(json.dumps(done.summary()))["found"][-1]
     assert summary["misfit"] == [*misfit]
@@ -80,7 +80,7 @@ def test_the_check_of_predictions_is_one_sentence_wherever_one_looks(found):
 def test_one_value_inside_its_interval_wherever_one_looks(found):
     project, done = found
     with project.store() as store:
-        told = load_detail(project, store, done.ids[-1]).answer
+        told = load_detail(project, store, done.ids[-1])
         one = load_values(store, done.ids[-1])
     summary = done.summary()["found"][-1]
     charts = {p.name: p.chart for p in pictures_of(done)}

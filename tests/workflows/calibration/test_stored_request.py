@@ -103,7 +103,7 @@ def texts(folder, number, capsys):
         run_command(["calibrations", str(number), "-p", str(folder)])
     assert not end.value.code
     with project.store() as store:
-        page = load_detail(project, store, number).answer
+        page = load_detail(project, store, number)
     written = report(project, folder.parent / "report", calibration=number)
     content = written.content
     return {
@@ -239,7 +239,7 @@ def test_a_record_of_an_earlier_version_states_what_is_unknown(project, fit):
     with pytest.raises(InvalidInput, match="level"):
         found.samples(3)
     with project.store() as store:
-        page = load_detail(project, store, found.run.ids[0]).answer
+        page = load_detail(project, store, found.run.ids[0])
     assert page.level is None
     assert page.noise == ""
 

@@ -55,7 +55,7 @@ def live(context: Context, name: str) -> LiveProgress:
 
 @router.get("/{number}", summary="Get a calibration")
 def calibration(context: Context, number: Id) -> StoredCalibration:
-    return context.calibration_detail(number).answer
+    return context.calibration_detail(number)
 
 
 @router.get(

@@ -45,16 +45,16 @@ def stored_page(context: ProjectContext, request: Request) -> dict[str, Any]:
     """Fill the page of a stored calibration."""
     number = number_in(request, "calibration", "the page Calibrations lists all")
     record = context.store.calibration(number)
-    one, analysis, facts = context.calibration_detail(number)
+    one = context.calibration_detail(number)
     ids = [sibling.id for sibling in one.siblings]
     place = ids.index(number) if number in ids else 0
     return {
         "title": record.name,
         "number": number,
         "one": one,
-        "analysis": analysis,
+        "analysis": one.analysis,
         "engine": engine_of(record),
-        "facts": [Fact(name, value) for name, value in facts.items()],
+        "facts": [Fact(name, value) for name, value in one.facts.items()],
         "errors": [
             row.model_copy(update={k: rms(getattr(row, k), one.unit) for k in ("before", "after")})
             for row in one.residuals

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from io import BytesIO
-from typing import Annotated, Final, NamedTuple
+from typing import Annotated, Any, Final
 
 import numpy as np
 from pydantic import BeforeValidator, Field
@@ -92,82 +93,92 @@ class StoredCalibration(Answer):
     name: str
     unit: str = Field(description="unit of the errors: mm^2 or mm")
     level: float | None = Field(
-        description="confidence level of the intervals; null if it was not stored"
+        default=None, description="confidence level of the intervals; null if it was not stored"
     )
     parameters: list[Estimate]
     residuals: list[Residual] = Field(description="errors of the experiments, the largest first")
     worst: list[Residual]
     objective: Array | None = Field(description="mean error of each evaluation; inf if it failed")
     starts: list[Start] = Field(
-        description="results of the starts, the smallest error first; empty if there was one start"
+        default=[],
+        description="results of the starts, the smallest error first; empty if there was one start",
     )
-    curves: list[ProfileCurve]
+    curves: list[ProfileCurve] = Field(default=[])
     misfit: list[str] = Field(description="warning that the model is wrong by more than the noise")
-    noise: str
-    note: str
+    noise: str = ""
+    note: str = ""
     ended: str
     method: dict[str, str | float]
-    siblings: list[Sibling]
+    siblings: list[Sibling] = Field(default=[])
     complete: bool = Field(description="whether profiles and starts were stored with it")
     command: str
     python: str
+    # For the page only: its report, and its method and origin by name.
+    analysis: Analysis = Field(exclude=True)
+    facts: dict[str, str] = Field(exclude=True)
 
 
-class CalibrationDetail(NamedTuple):
-    """Everything about a stored calibration: values for programs, and its report for people."""
-
-    answer: StoredCalibration
-    analysis: Analysis
-    facts: Mapping[str, str]  # method and origin, by name
-
-
-def load_detail(project: Project, store: Store, calibration_id: int) -> CalibrationDetail:
+def load_detail(project: Project, store: Store, calibration_id: int) -> StoredCalibration:
     """Load everything about a stored calibration."""
     record = store.calibration(calibration_id)
-    fit, note = None, ""
-    starts: list[Start] = []
+    origin, misfit = record.provenance, misfit_of(record)
+    known: dict[str, Any] = {}
     try:
-        run = stored_run(project, calibration_id, record)
-        if run is not None and calibration_id in run.ids:
-            fit = run[run.ids.index(calibration_id)]
-            starts = starts_of(fit)
-            note = fit.found.note if starts or not _lacks_starts(fit) else EARLIER
+        fit = _fit_of(project, calibration_id, record)
+        if fit is not None:
+            known = _of_fit(fit, store)
     except FixelError as problem:  # what is stored can be shown all the same
-        fit, note = None, str(problem)
-    known = _of_record(record) if fit is None else fit.estimates.values()
-    estimates = [one for one in known if fit is None or one.bounds is not None]
-    residuals = _residuals(store, record, fit)
-    answer = StoredCalibration(
-        id=calibration_id,
-        name=record.name,
-        unit=record.error_unit,
-        level=None if fit is None else fit.level,
-        parameters=estimates,
-        residuals=residuals,
-        worst=residuals[:WORST],
-        objective=_objective(record),
-        starts=starts,
-        curves=[]
-        if fit is None
-        else [ProfileCurve.model_validate(one) for one in fit.found.profiles],
-        misfit=misfit_of(record),
-        noise="" if fit is None else fit.found.noise,
-        note=note,
-        ended=str(record.method.get("ended", "")),
-        method={k: v for k, v in record.method.items() if v == v and v not in (math.inf,)},
-        siblings=[] if fit is None else _siblings(fit, store),
-        complete=fit is not None,
-        command=record.provenance.command,
-        python=PYTHON.format(folder=str(project.folder.resolve()), number=calibration_id),
-    )
-    origin, facts = record.provenance, {} if fit is None else fit.details
-    facts = {k: v for k, v in facts.items() if k not in ("call", "command")} | {
+        fit, known = None, {"note": str(problem)}
+    if fit is None:
+        known |= {"parameters": _of_record(record), "facts": {}}
+        known["analysis"] = _short_analysis(record, known["parameters"], known.get("note", ""))
+    known["facts"] |= {
         "stored": f"{origin.created[:10]} {origin.created[11:16]} UTC",
         "fixel": origin.version,
         "job": str(record.method.get("job", "none")),
     }
-    analysis = _analysis_of(answer) if fit is None else fit.analysis
-    return CalibrationDetail(answer, analysis, facts)
+    residuals = _residuals(store, record, fit)
+    return StoredCalibration(
+        id=calibration_id,
+        name=record.name,
+        unit=record.error_unit,
+        residuals=residuals,
+        worst=residuals[:WORST],
+        objective=_objective(record),
+        misfit=misfit,
+        ended=str(record.method.get("ended", "")),
+        method={k: v for k, v in record.method.items() if v == v and v not in (math.inf,)},
+        complete=fit is not None,
+        command=origin.command,
+        python=PYTHON.format(folder=str(project.folder.resolve()), number=calibration_id),
+        **known,
+    )
+
+
+def _fit_of(project: Project, calibration_id: int, record: CalibrationRecord) -> Calibration | None:
+    """Load a calibration with its run; None if only its record is left."""
+    run = stored_run(project, calibration_id, record)
+    known = run is not None and calibration_id in run.ids
+    return run[run.ids.index(calibration_id)] if run is not None and known else None
+
+
+def _of_fit(fit: Calibration, store: Store) -> dict[str, Any]:
+    """Return the fields that a record alone does not have."""
+    found, trace, names = fit.found, fit.found.trace, store.calibration_summaries()
+    # An earlier version stored the evaluations of several searches as one list.
+    lacks_starts = fit.request.starts > 1 and trace is not None and not len(trace.starts)
+    hidden = ("call", "command")  # the page has buttons for them
+    return {
+        "level": fit.level,
+        "parameters": [one for one in fit.estimates.values() if one.bounds is not None],
+        "starts": _ends_of(fit),
+        "curves": found.profiles,
+        "noise": found.noise,
+        "note": EARLIER if lacks_starts else found.note,
+        "siblings": [Sibling(id=k, name=names[k].name) for k in fit.run.ids if k in names],
+        "analysis": fit.analysis,
+        "facts": {k: v for k, v in fit.details.items() if k not in hidden},
+    }
 
 
 def plot(project: Project, store: Store, calibration_id: int, kind: str) -> bytes:
@@ -178,53 +189,47 @@ def plot(project: Project, store: Store, calibration_id: int, kind: str) -> byte
     NotStored
         The calibration has no such plot.
     """
-    run = stored_run(project, calibration_id, store.calibration(calibration_id))
-    if kind not in PLOTS or run is None or calibration_id not in run.ids:
+    fit = _fit_of(project, calibration_id, store.calibration(calibration_id))
+    if kind not in PLOTS or fit is None:
         raise NotStored(f"plot {kind!r} of calibration {calibration_id}")
     picture = BytesIO()
     with _drawing:  # Matplotlib draws in one thread
-        axes = run[run.ids.index(calibration_id)].plot(kind)
-        np.ravel(axes)[0].figure.savefig(picture, format="png", dpi=150)
+        np.ravel(fit.plot(kind))[0].figure.savefig(picture, format="png", dpi=150)
     return picture.getvalue()
 
 
-def _analysis_of(answer: StoredCalibration) -> Analysis:
+def _short_analysis(
+    record: CalibrationRecord, estimates: Sequence[Estimate], note: str
+) -> Analysis:
     """Report of a calibration whose experiments or job cannot be read."""
     return Analysis(
         kind="calibrate",
-        title=answer.name,
+        title=record.name,
         question={},
-        headline=(answer.name,),
-        warnings=(*answer.misfit, answer.note),
-        tables=(estimate_table(answer.parameters, None),),
-        notes=tuple(f"{own.label}: {own.reason}" for own in answer.parameters if own.reason),
+        headline=(record.name,),
+        warnings=(*misfit_of(record), note),
+        tables=(estimate_table(estimates, None),),
+        notes=tuple(f"{own.label}: {own.reason}" for own in estimates if own.reason),
     )
 
 
-def _lacks_starts(fit: Calibration) -> bool:
-    """Return whether an earlier version stored the evaluations of several searches as one list."""
-    trace = fit.found.trace
-    return fit.request.starts > 1 and trace is not None and not len(trace.starts)
-
-
-def starts_of(fit: Calibration) -> list[Start]:
+def _ends_of(fit: Calibration) -> list[Start]:
     """Return the ends of several searches, best first; empty for a single search."""
     one = fit.found
     if fit.request.starts == 1 or one.trace is None:
         return []
     ends = one.trace.ends()
     best = min((end.error for end in ends), default=math.inf)
-    evaluations = np.bincount(one.trace.starts, minlength=len(ends)).tolist()
-    found = [
+    counts = np.bincount(one.trace.starts, minlength=len(ends)).tolist()
+    return [
         Start(
             error=fit.request.error_of_one(end.error, len(one.members)),
             point=end.point.tolist(),
             evaluations=count,
             good=math.isfinite(end.error) and end.error <= best * (1.0 + NEARLY),
         )
-        for end, count in zip(ends, evaluations, strict=True)
+        for end, count in sorted(zip(ends, counts, strict=True), key=lambda pair: pair[0].error)
     ]
-    return sorted(found, key=lambda start: math.inf if start.error is None else start.error)
 
 
 def _of_record(record: CalibrationRecord) -> list[Estimate]:
@@ -253,14 +258,6 @@ def _objective(record: CalibrationRecord) -> FloatArray | None:
         return None
     share = len(record.members) if record.method.get("combine") == "sum" else 1
     return np.asarray(record.evaluations.error / share)
-
-
-def _siblings(fit: Calibration, store: Store) -> list[Sibling]:
-    names = {
-        calibration_id: record.name
-        for calibration_id, record in store.calibration_summaries().items()
-    }
-    return [Sibling(id=id_, name=names[id_]) for id_ in fit.run.ids if id_ in names]
 
 
 class CalibrationSummary(Answer):
@@ -303,16 +300,11 @@ def _listed(sets: list[tuple[int, CalibrationRecord]]) -> CalibrationSummary:
     shown = [record] if together else [one for _, one in sets]
     before = [float(one.method.get("nominal_error", math.nan)) for one in shown]
     after = [float(np.mean(one.errors)) for one in shown]
-    verdicts: dict[str, int] = {}
-    for estimate in record.estimates:
-        if estimate.verdict:
-            verdicts[estimate.word] = verdicts.get(estimate.word, 0) + 1
+    counts = Counter(own.word for own in record.estimates if own.verdict)
     return CalibrationSummary(
         id=calibration_id,
         name=record.name.partition(":")[0],
-        how=str(record.method.get("how", "")),
-        mode=str(record.method.get("mode", "")),
-        optimiser=str(record.method.get("optimiser", "")),
+        **{k: str(record.method.get(k, "")) for k in ("how", "mode", "optimiser")},
         engine=engine_of(record),
         unit=record.error_unit,
         created_utc=record.provenance.created,
@@ -320,5 +312,5 @@ def _listed(sets: list[tuple[int, CalibrationRecord]]) -> CalibrationSummary:
         experiments=len({m.experiment_id for _, one in sets for m in one.members}),
         before=float(np.mean(before)),
         after=float(np.mean(after)),
-        verdicts=verdicts if together or len(sets) == 1 else {},
+        verdicts=counts if together or len(sets) == 1 else {},
     )

@@ -34,6 +34,7 @@ SEARCHES: Final = ("all together", "squares")  # stages whose errors are the obj
 # Options by which searches limit their evaluations.
 LIMITS: Final = ("max_function_evaluations", "max_evaluations")
 ALONE: Final = "alone"
+OF_JOB: Final = ("state", "ended", "reason", "share", "started_utc")  # as the status has them
 NOMINAL: Final = "nominal"
 RATE_WINDOW_S: Final = 30.0
 
@@ -211,21 +212,16 @@ class ProgressReader:
             experiments=len(ids),
             unknowns=list(request.space.labels),
             unit=request.made_error.unit,
-            state=status.state,
-            ended=status.ended,
-            reason=status.reason,
             stage=read.stage,
             evaluations=len(objective),
             most=most,
             rate=rate,
             left_s=None if status.ended or left is None else max(0.0, left),
             at_most=at_most,
-            share=status.share,
             best=min((e for e in objective if math.isfinite(e)), default=None),
             start=next(filter(math.isfinite, read.shares(np.array([nominal]))), None)
             if nominal
             else None,
-            started_utc=status.started_utc,
             stored=stored,
             command=command_of(
                 options_of(request, [str(id_) for id_ in ids])
@@ -238,6 +234,7 @@ class ProgressReader:
                 )
                 for k, error in sorted(read.alone.items())
             ],
+            **{name: getattr(status, name) for name in OF_JOB},
         )
 
     def _collected(self, folder: Path) -> list[int]:

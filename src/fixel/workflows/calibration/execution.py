@@ -182,7 +182,7 @@ def _best_so_far(
     if not search.found and math.isfinite(search.best.error):
         point = search.best.point
         errors, _ = run_study(at_points(members, point[None]), here)
-        how, trace = FitKind.DIRECT, search.trace
+        how, trace = FitKind.DIRECT, search.trace()
         found.append(
             ParameterSet(how=how, members=members, point=point, errors=errors[0], trace=trace)
         )

@@ -147,16 +147,21 @@ class CalibrationSearch:
             self.best = Best(points[k], float(errors[k]))
 
     @property
+    def shown(self) -> float | None:
+        """Smallest error so far, as a length of one experiment [m]; None without any."""
+        lengths = self.request.lengths(np.array(self.best.error), len(self.members))
+        return 1e-3 * float(lengths) if self._points else None
+
+    @property
     def evaluations(self) -> int:
         """Number of points that a search evaluated."""
         return sum(map(len, self._points))
 
-    @property
-    def trace(self) -> Trace:
-        """Evaluations so far, for an interrupted search."""
-        errors = np.concatenate(self._errors)
-        points, reasons = np.concatenate(self._points), [""] * len(errors)
-        return Trace(*self.best, points, errors, reasons, "it was interrupted")
+    def trace(self, best: Best | None = None, ended: str = "it was interrupted") -> Trace:
+        """Return the evaluations so far, with another best point if the search has one."""
+        points = np.concatenate([np.zeros((0, len(self.best.point))), *self._points])
+        errors = np.concatenate([np.zeros(0), *self._errors])
+        return Trace(*(best or self.best), points, errors, [""] * len(errors), ended)
 
     @property
     def is_over(self) -> bool:
@@ -222,7 +227,6 @@ class CalibrationSearch:
 
     def _evaluate(self, study: Study[T], stage: str, *, searches: bool = False) -> Rounds[T]:
         """Answer a study in rounds of chunks; those of a search count, and show its best."""
-        best, shown = math.inf, None
         try:
             ask = next(study)
             while True:
@@ -233,7 +237,8 @@ class CalibrationSearch:
                     }
                     for k, at in enumerate(range(0, len(ask.which), ROLLOUTS_A_CHUNK))
                 }
-                answers = yield from self._ask("evaluate", pieces, stage, best=shown)
+                best = self.shown if searches else None
+                answers = yield from self._ask("evaluate", pieces, stage, best=best)
                 parts = [
                     _evaluated(data, len(own["which"]))
                     for data, own in zip(answers, pieces.values(), strict=True)
@@ -244,8 +249,6 @@ class CalibrationSearch:
                     n = len(self.members)
                     combined = self.objective.combined(errors.reshape(-1, n))
                     self.record(ask.points[::n], combined)
-                    best = min(best, float(combined.min()))
-                    shown = 1e-3 * float(self.request.lengths(np.array(best), n))
                 reasons = [reason for part in parts for reason in part.reasons]
                 ask = study.send(Evaluation(errors, reasons))
         except StopIteration as end:
@@ -325,42 +328,28 @@ class CalibrationSearch:
 
     def _by_squares(self) -> Rounds[ParameterSet]:
         """Search one set for all by least squares, with tens of evaluations an unknown."""
-        request, comparer, members = self.request, self.comparer, self.members
+        request, comparer, space = self.request, self.comparer, self.comparer.space
         options = request.least_squares
         assert options is not None
         begun = time.perf_counter()
-        box = box_of(comparer.space)
-        search = options.start(box, request.seed, comparer.feasible, NormalPrior.of(comparer.space))
-        tried, errors = [np.zeros((0, box.n))], [np.zeros(0)]
-        best = math.inf
+        prior = NormalPrior.of(space)
+        search = options.start(box_of(space), request.seed, comparer.feasible, prior)
         ended = ""
-        divisor = len(members) if request.combine == "sum" else 1
         while not search.done:
             wanted = search.ask()
             points = wanted[
                 : request.max_evaluations and request.max_evaluations - self.evaluations
             ]
-            shown = 1e-3 * math.sqrt(best / divisor) if tried[1:] else None
             table = yield from self._rows(
-                "residuals", "squares", points, note="least squares", best=shown
+                "residuals", "squares", points, note="least squares", best=self.shown
             )
             if len(points) == len(wanted):
                 search.tell(table)
-            tried.append(points)
-            errors.append(np.einsum("km,km->k", table, table))
-            self.record(points, errors[-1])
-            best = min(best, float(errors[-1].min()))
+            self.record(points, np.einsum("km,km->k", table, table))
             if (ended := self.search_end) and not search.done:
                 break
-        trace = Trace(
-            better_of(search.best, tried, errors).point,
-            best,
-            np.concatenate(tried),
-            np.concatenate(errors),
-            [""] * sum(map(len, errors)),
-            search.reason or ended,
-        )
-        return (yield from self._searched(trace, begun))
+        best = better_of(search.best, self._points, self._errors)._replace(error=self.best.error)
+        return (yield from self._searched(self.trace(best, search.reason or ended), begun))
 
     def _searched(self, trace: Trace, begun: float, **more: Any) -> Rounds[ParameterSet]:
         """Return the best point of a search, with its error for each experiment."""
