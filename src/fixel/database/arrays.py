@@ -40,11 +40,14 @@ def rows_of(
     found = []
     for place, (name, columns, values) in enumerate(several):
         data = bytes_of(values)
-        kept = {"data": data, "media_sha256": None}
-        if len(data) > MEDIA_BYTES:
-            kept = {"data": None, "media_sha256": keep(data, media)}
-        about = {"owner": owner, "place": place, "name": name, "columns": list(columns)}
-        found.append(about | {"n_row": len(values)} | kept)
+        is_long = len(data) > MEDIA_BYTES
+        found.append(
+            {
+                **{"owner": owner, "place": place, "name": name, "columns": list(columns)},
+                **{"n_row": len(values), "data": None if is_long else data},
+                "media_sha256": keep(data, media) if is_long else None,
+            }
+        )
     return found
 
 
