@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
@@ -57,7 +58,9 @@ def _curves(axes: Axes, rows: Sequence[Row]) -> None:
     axes.set(
         xscale="log", xlabel="clearance [µm]", ylabel="success of the last push", ylim=(0, 1.03)
     )
-    ticks = sorted({one["clearance_um"] for one in rows})
+    clearances = sorted({one["clearance_um"] for one in rows})
+    apart = zip(clearances, [*clearances[1:], math.inf], strict=True)
+    ticks = [x for x, above in apart if above > 1.25 * x]  # labels of nearer ones would overlap
     axes.set_xticks(ticks, [str(x) for x in ticks])
     axes.minorticks_off()
     axes.legend(frameon=False, fontsize=5.0, loc="lower right")
