@@ -9,10 +9,10 @@ from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
 
-from fixel.errors import DeviceFailed, InvalidInput
+from fixel.errors import DeviceFailed
 from fixel.testbed import grbl_lines as grbl
 from fixel.testbed.grbl_lines import GrblStatus
-from fixel.testbed.serial_port import quoted, resets_on_opening
+from fixel.testbed.serial_port import arrived_within, refusal, resets_on_opening
 
 if TYPE_CHECKING:
     from serial import Serial
@@ -258,62 +258,25 @@ def greet(link: Serial, port: str) -> None:
     InvalidInput
         Another device answers, or none.
     """
-    heard = _until(link, b"Grbl", BOOT_TIME) if resets_on_opening(link) else b""
+    heard = arrived_within(link, BOOT_TIME, b"Grbl") if resets_on_opening(link) else b""
     for _ in range(QUESTIONS):
         link.write(grbl.STATUS)
-        answer = _until(link, b">", PATIENCE)
+        answer = arrived_within(link, PATIENCE, b">")
         heard += answer
-        if any(_is_status(line) for line in answer.splitlines()):
+        lines = answer.decode("ascii", "replace").splitlines()
+        if any(grbl.status_of(line.strip()) for line in lines):
             # Half a line of a previous program would corrupt our first one.
             link.write(b"\n")
-            _until(link, b"\n", PATIENCE)
+            arrived_within(link, PATIENCE, b"\n")
             return
         if answer and b"Grbl" not in heard and b"<" not in answer:
             break  # another device answers
-    raise _refusal(port, heard)
-
-
-def _until(link: Serial, end: bytes, patience: float) -> bytes:
-    heard = b""
-    until = time.monotonic() + patience
-    while end not in heard and (left := until - time.monotonic()) > 0.0:
-        link.timeout = left
-        arrived = link.read(1)
-        heard += arrived + (link.read(link.in_waiting) if arrived else b"")
-    return heard
-
-
-def _is_status(line: bytes) -> bool:
-    return grbl.status_of(line.decode("ascii", "replace").strip()) is not None
-
-
-def _refusal(port: str, heard: bytes) -> InvalidInput:
-    where, expected = f"port {port}", "the actuator's controller (GRBL)"
-    if not heard:
-        return InvalidInput(
-            where,
-            found="no answer",
-            expected=expected,
-            hint="check the port (fixel actuator ports), the power of the controller, and its "
-            "speed of 115200 baud",
-        )
+    known = None
     if len(heard) == 1 and heard[0] <= 7:
-        return InvalidInput(
-            where,
-            found=f"one byte, {heard[0]}, as from the tactile board",
-            expected=expected,
-            hint="use that port with fixel tactile; the controller is on another port",
-        )
-    if heard.strip() == grbl.STATUS:
-        return InvalidInput(
-            where,
-            found="an echo of every byte: a modem, a console or a looped cable",
-            expected=expected,
-            hint="choose another port: fixel actuator ports",
-        )
-    return InvalidInput(
-        where,
-        found=f"a device that sent {quoted(heard)}",
-        expected=expected,
-        hint="choose another port: fixel actuator ports",
-    )
+        found = f"one byte, {heard[0]}, as from the tactile board"
+        known = found, "use that port with fixel tactile; the controller is on another port"
+    raise refusal(
+        port, "the actuator's controller (GRBL)", heard, group="actuator", known=known,
+        silent="the power of the controller, and its speed of 115200 baud",
+        echo=heard.strip() == grbl.STATUS,
+    )  # fmt: skip

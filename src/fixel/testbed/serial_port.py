@@ -7,6 +7,7 @@ import os
 import re
 import string
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -151,6 +152,42 @@ def resets_on_opening(port: Serial) -> bool:
     except OSError:
         return False
     return True
+
+
+def arriving(port: Serial, until: float) -> bytes:
+    """Wait for a byte until an instant of `time.monotonic` [s]; return all that has arrived."""
+    port.timeout = max(0.0, until - time.monotonic())
+    first = port.read(1)
+    return first + (port.read(port.in_waiting) if first else b"")
+
+
+def arrived_within(port: Serial, patience: float, end: bytes | None = None) -> bytes:
+    """Return what arrives within a time [s], or until `end` has arrived."""
+    until, heard = time.monotonic() + patience, b""
+    while (end is None or end not in heard) and time.monotonic() < until:
+        heard += arriving(port, until)
+    return heard
+
+
+def refusal(
+    port: str, expected: str, heard: bytes, *, group: str, silent: str, echo: bool,
+    known: tuple[str, str] | None = None, hint: str = "",
+) -> InvalidInput:  # fmt: skip
+    """Return the error for a port with another device than the expected one, or none.
+
+    `group` are the commands for the expected device, such as `tactile`; `silent` is what to check
+    where nothing was sent; `echo` is whether the port returns what it gets. Of a `known` device
+    there are words and advice.
+    """
+    elsewhere = f"choose another port: fixel {group} ports"
+    found, advice = f"a device that sent {quoted(heard)}", hint or elsewhere
+    if not heard:
+        found, advice = "no answer", f"check the port (fixel {group} ports), {silent}"
+    elif known:
+        found, advice = known
+    elif echo:
+        found, advice = "an echo of every byte: a modem, a console or a looped cable", elsewhere
+    return InvalidInput(f"port {port}", found=found, expected=expected, hint=advice)
 
 
 def quoted(said: bytes) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from importlib.metadata import version
-from typing import NamedTuple, final
+from typing import Annotated, Any, NamedTuple, final, get_type_hints
 
 import numpy as np
 
@@ -28,11 +28,12 @@ from fixel.model import (
     Trajectory,
 )
 from fixel.model.fields import (
+    Value,
+    check_fields,
     fraction,
     instance,
     name_of,
     non_negative,
-    optional_positive,
     positive,
     settle,
     vector,
@@ -55,6 +56,9 @@ from fixel.testbed.imperfections import (
 )
 from fixel.typing import BoolArray, FloatArray, ProgressCallback
 
+Ratio = Annotated[float, Value(positive)]  # of a true to a nominal value
+NotNegative = Annotated[float, Value(non_negative)]
+Share = Annotated[float, Value(fraction)]
 TRUTH = "truth_"  # prefix of conditions that a real laboratory could not know
 
 
@@ -131,62 +135,49 @@ class SimulatedTestbed:
 
     seed: int = 1
     dataset: str = "testbed"
-    support_friction: float = 1.1
-    pusher_friction: float = 1.3
-    fixel_friction: float = 0.75
-    support_spread: float = 0.05
-    pusher_spread: float = 0.03
-    fixel_spread: float = 0.03
+    support_friction: Ratio = 1.1
+    pusher_friction: Ratio = 1.3
+    fixel_friction: Ratio = 0.75
+    support_spread: NotNegative = 0.05
+    pusher_spread: NotNegative = 0.03
+    fixel_spread: NotNegative = 0.03
     support_cells: int = 24
-    unevenness: float = 0.3
+    unevenness: NotNegative = 0.3
     centre_of_pressure: tuple[float, float] = (0.004, -0.003)
-    centre_of_pressure_spread: float = 0.0005
-    plate_roughness: float = 0.1
-    plate_grain: float = 0.06
-    uneven_table: float = 0.0
-    table_length: float = 0.05
+    centre_of_pressure_spread: NotNegative = 0.0005
+    plate_roughness: NotNegative = 0.1
+    plate_grain: Annotated[float, Value(positive, "m")] = 0.06
+    uneven_table: NotNegative = 0.0
+    table_length: Annotated[float, Value(positive, "m")] = 0.05
     table_seed: int = 1
-    size: float = 0.998
-    stall_force: float | None = 34.3
-    ripple: float = 0.05
-    ripple_frequency: float = 2.7
-    speed_spread: float = 0.01
-    lead_in: float = 0.0
-    frame_rate: float = 30.0
-    position_noise: float = 5e-5
-    angle_noise: float = 0.002
-    dropped_frames: float = 0.01
-    false_contact: float = 0.0425
-    missed_contact: float = 0.0125
+    size: Ratio = 0.998
+    stall_force: Annotated[float | None, Value(positive, "N")] = 34.3
+    ripple: Share = 0.05
+    ripple_frequency: Annotated[float, Value(positive, "Hz")] = 2.7
+    speed_spread: NotNegative = 0.01
+    lead_in: NotNegative = 0.0
+    frame_rate: Annotated[float, Value(positive, "Hz")] = 30.0
+    position_noise: NotNegative = 5e-5
+    angle_noise: NotNegative = 0.002
+    dropped_frames: Share = 0.01
+    false_contact: Share = 0.0425
+    missed_contact: Share = 0.0125
 
     def __post_init__(self) -> None:
         name_of(self.dataset, "testbed.dataset")
         _check_counts(self.support_cells, seed=self.seed, table_seed=self.table_seed)
-        for name in _NOT_NEGATIVE:
-            settle(self, **{name: non_negative(getattr(self, name), f"testbed.{name}")})
-        for name, unit in _POSITIVE.items():
-            settle(self, **{name: positive(getattr(self, name), f"testbed.{name}", unit)})
-        for name in _SHARES:
-            settle(self, **{name: fraction(getattr(self, name), f"testbed.{name}")})
+        check_fields(self, "testbed")
         centre = vector(self.centre_of_pressure, "testbed.centre_of_pressure", "x [m], y [m]")
-        settle(
-            self,
-            centre_of_pressure=(float(centre[0]), float(centre[1])),
-            stall_force=optional_positive(self.stall_force, "testbed.stall_force", "N"),
-        )
+        settle(self, centre_of_pressure=(float(centre[0]), float(centre[1])))
 
     @classmethod
     def ideal(cls, seed: int = 1) -> SimulatedTestbed:
         """Return a testbed without imperfections: the nominal model with a perfect camera."""
-        nothing = dict.fromkeys((*_NOT_NEGATIVE, *_SHARES), 0.0)
-        nominal = dict.fromkeys(_RATIOS, 1.0)
+        usual = {Ratio: 1.0, NotNegative: 0.0, Share: 0.0}
+        hints = get_type_hints(cls, include_extras=True)
+        values: Any = {name: usual[hint] for name, hint in hints.items() if hint in usual}
         return cls(
-            seed=seed,
-            support_cells=0,
-            centre_of_pressure=(0.0, 0.0),
-            stall_force=None,
-            **nothing,  # type: ignore[arg-type]
-            **nominal,  # type: ignore[arg-type]
+            seed=seed, support_cells=0, centre_of_pressure=(0.0, 0.0), stall_force=None, **values
         )
 
     def run(
@@ -385,30 +376,6 @@ class _RunConditions(NamedTuple):
     centre_x: float
     centre_y: float
     phase: float
-
-
-_RATIOS = ("support_friction", "pusher_friction", "fixel_friction", "size")
-_POSITIVE = {
-    **dict.fromkeys(_RATIOS, ""),
-    "plate_grain": "m",
-    "table_length": "m",
-    "ripple_frequency": "Hz",
-    "frame_rate": "Hz",
-}
-_NOT_NEGATIVE = (
-    "support_spread",
-    "pusher_spread",
-    "fixel_spread",
-    "unevenness",
-    "centre_of_pressure_spread",
-    "plate_roughness",
-    "uneven_table",
-    "speed_spread",
-    "lead_in",
-    "position_noise",
-    "angle_noise",
-)
-_SHARES = ("ripple", "dropped_frames", "false_contact", "missed_contact")
 
 
 def _flags(simulation: Simulation) -> tuple[Flag, ...]:

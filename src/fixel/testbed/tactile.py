@@ -14,7 +14,7 @@ from fixel.errors import InvalidInput
 from fixel.model.fields import positive
 from fixel.testbed import tactile_protocol as frames
 from fixel.testbed.clocks import DeviceClock
-from fixel.testbed.serial_port import chosen_port, closed_on_failure, open_port
+from fixel.testbed.serial_port import arriving, chosen_port, closed_on_failure, open_port
 from fixel.testbed.tactile_protocol import shake_hands
 
 if TYPE_CHECKING:
@@ -187,11 +187,7 @@ class TactileReader:
         """Wait for the answer to the last request; count older ones as late."""
         link = self._link
         while True:
-            # Wait for one byte, then read all that has arrived.
-            link.timeout = max(0.0, until - time.monotonic())
-            arrived = link.read(1)
-            arrived += link.read(link.in_waiting) if arrived else b""
-            for frame in self._finder.add(arrived):
+            for frame in self._finder.add(arriving(link, until)):
                 if frame.kind == kind and frame.number == self._number:
                     return frame
                 self.statistics.late += 1

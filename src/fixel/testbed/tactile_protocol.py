@@ -12,7 +12,7 @@ import time
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from fixel.errors import InvalidInput
-from fixel.testbed.serial_port import quoted, resets_on_opening
+from fixel.testbed.serial_port import arrived_within, arriving, quoted, refusal, resets_on_opening
 
 if TYPE_CHECKING:
     from serial import Serial
@@ -180,9 +180,11 @@ def shake_hands(link: Serial, port: str, settle: float | None) -> tuple[int, Ide
     InvalidInput
         Another device answers, or none.
     """
-    heard = _wait_for_boot(link, settle)
+    if settle is None:
+        settle = BOOT_TIME if resets_on_opening(link) else 0.0
+    heard = arrived_within(link, settle)  # what the board sends while it starts
     if heard and GRBL.search(heard):
-        raise _refusal(port, heard, b"")
+        raise _refused(port, heard)
     link.read(link.in_waiting)
     for number in (NUMBERS * QUESTIONS)[:QUESTIONS]:
         question = request(IDENTIFY, number)
@@ -191,9 +193,7 @@ def shake_hands(link: Serial, port: str, settle: float | None) -> tuple[int, Ide
         answer = b""
         until = time.monotonic() + PATIENCE
         while time.monotonic() < until:
-            link.timeout = max(0.0, until - time.monotonic())
-            arrived = link.read(1)
-            arrived += link.read(link.in_waiting) if arrived else b""
+            arrived = arriving(link, until)
             answer += arrived
             for frame in finder.add(arrived):
                 identity = identity_of(frame)
@@ -205,29 +205,11 @@ def shake_hands(link: Serial, port: str, settle: float | None) -> tuple[int, Ide
         if answer:
             break  # another device answers; more requests would only disturb it
     if not heard:
-        heard = _asked_as_a_controller(link)
-    raise _refusal(port, heard, question)
-
-
-def _wait_for_boot(link: Serial, settle: float | None) -> bytes:
-    """Wait until the board has started; return the bytes it sent meanwhile."""
-    if settle is None:
-        settle = BOOT_TIME if resets_on_opening(link) else 0.0
-    heard = b""
-    until = time.monotonic() + settle
-    while (left := until - time.monotonic()) > 0.0:
-        link.timeout = left
-        heard += link.read(1)
-    return heard
-
-
-def _asked_as_a_controller(link: Serial) -> bytes:
-    """Send the status request of motion controllers and return the answer, to identify them."""
-    link.write(b"?")
-    link.timeout = PATIENCE
-    heard = link.read(1)
-    time.sleep(0.02 if heard else 0.0)
-    return heard + link.read(link.in_waiting)
+        link.write(b"?")  # the status request of motion controllers, to identify one
+        heard = arriving(link, time.monotonic() + PATIENCE)
+        time.sleep(0.02 if heard else 0.0)
+        heard += link.read(link.in_waiting)
+    raise _refused(port, heard, echo=question in heard)
 
 
 def _is_old_board(link: Serial, question: bytes, answer: bytes) -> bool:
@@ -256,33 +238,13 @@ def _known(identity: Identity, port: str) -> int:
     return identity.protocol
 
 
-def _refusal(port: str, heard: bytes, question: bytes) -> InvalidInput:
-    where, expected = f"port {port}", "the tactile board"
-    if not heard:
-        return InvalidInput(
-            where,
-            found="no answer",
-            expected=expected,
-            hint="check the port (fixel tactile ports), the firmware (firmware/README.md) and "
-            "the speed of 115200 baud",
-        )
+def _refused(port: str, heard: bytes, *, echo: bool = False) -> InvalidInput:
+    known = None
     if GRBL.search(heard):
-        return InvalidInput(
-            where,
-            found=f"a motion controller that sent {quoted(heard)}",
-            expected=expected,
-            hint="use that port with fixel actuator; the board is on another port",
-        )
-    if question and question in heard:
-        return InvalidInput(
-            where,
-            found="an echo of every byte: a modem, a console or a looped cable",
-            expected=expected,
-            hint="choose another port: fixel tactile ports",
-        )
-    return InvalidInput(
-        where,
-        found=f"a device that sent {quoted(heard)}",
-        expected=expected,
+        found = f"a motion controller that sent {quoted(heard)}"
+        known = found, "use that port with fixel actuator; the board is on another port"
+    return refusal(
+        port, "the tactile board", heard, group="tactile", echo=echo, known=known,
+        silent="the firmware (firmware/README.md) and the speed of 115200 baud",
         hint="if this is the board, upload firmware/tactile to it; else choose another port",
-    )
+    )  # fmt: skip
