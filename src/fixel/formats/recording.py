@@ -51,6 +51,8 @@ from fixel.vision.frame import Frame
 
 __all__ = [
     "CODECS",
+    "RIG_FILE",
+    "SCENE_FILE",
     "VIDEO",
     "Recording",
     "RecordingEnd",
@@ -60,6 +62,10 @@ __all__ = [
     "open_recording",
     "repair_recording",
 ]
+
+# Files that describe what a recording shows.
+RIG_FILE: Final = "rig.yaml"
+SCENE_FILE: Final = "scene.yaml"
 
 
 @final

@@ -159,11 +159,20 @@ class Plan:
 
     def scene(self, shape: PlannedShape, layout: FixelLayout, offset: Offset) -> Scene:
         """Return the scene of one configuration; raise `InvalidInput` if bodies overlap."""
+        rig, pose = self.rig, object_pose(self.rig, shape, offset)
+        drive = LineDrive(speed=rig.speed, travel=rig.travel, force_limit=rig.force_limit)
+        head = Pusher(
+            HEAD, shape_of(rig.head), pose=np.zeros(3), drive=drive, friction=rig.head_friction
+        )
+        peg, pegs = Disk(rig.fixel_radius), rig.peg_places(shape, layout).tolist()
         return Scene(
-            bodies=(_object(self.rig, shape, offset),),
-            pushers=(_head(self.rig),),
-            fixels=_fixels(self.rig, shape, layout),
-            duration=self.rig.duration,
+            bodies=(Body(OBJECT, shape.shape, mass=shape.mass, pose=pose, support=shape.support),),
+            pushers=(head,),
+            fixels=tuple(
+                Fixel(f"fixel-{number}", peg, pose=(x, y, 0.0), friction=rig.fixel_friction)
+                for number, (x, y) in enumerate(pegs, 1)
+            ),
+            duration=rig.duration,
         )
 
     @cached_property
@@ -190,44 +199,6 @@ def object_pose(rig: SamplingRig, shape: PlannedShape, offset: Offset) -> FloatA
     arm = np.array([[c, -s], [s, c]]) @ shape.shape.centroid
     place = rig.nominal_centroid(shape.shape) + np.array([offset.x, offset.y]) - arm
     return np.array([place[0], place[1], angle])
-
-
-def _object(rig: SamplingRig, shape: PlannedShape, offset: Offset) -> Body:
-    return Body(
-        name=OBJECT,
-        shape=shape.shape,
-        mass=shape.mass,
-        pose=object_pose(rig, shape, offset),
-        support=shape.support,
-    )
-
-
-def _head(rig: SamplingRig) -> Pusher:
-    drive = LineDrive(
-        direction=np.array([1.0, 0.0]),
-        speed=rig.speed,
-        travel=rig.travel,
-        force_limit=rig.force_limit,
-    )
-    return Pusher(
-        name=HEAD,
-        shape=shape_of(rig.head),
-        pose=np.zeros(3),
-        drive=drive,
-        friction=rig.head_friction,
-    )
-
-
-def _fixels(rig: SamplingRig, shape: PlannedShape, layout: FixelLayout) -> tuple[Fixel, ...]:
-    return tuple(
-        Fixel(
-            name=f"fixel-{number}",
-            shape=Disk(rig.fixel_radius),
-            pose=np.array([x, y, 0.0]),
-            friction=rig.fixel_friction,
-        )
-        for number, (x, y) in enumerate(rig.peg_places(shape, layout).tolist(), 1)
-    )
 
 
 def _conditions(entry: PlanEntry) -> dict[str, str | float]:

@@ -18,7 +18,14 @@ from fixel.model import Body, Disk, Fixel, LineDrive, Polygon, Pusher, Scene, Tr
 from fixel.testbed.frame_source import CameraPicture, FrameSource, Stream
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame
-from fixel.workflows.acquisition.overlay import Overlay, Tolerance, frames_of, watch, write_picture
+from fixel.workflows.acquisition.overlay import (
+    Overlay,
+    Tolerance,
+    draw_look,
+    frames_of,
+    watch,
+    write_picture,
+)
 
 RIG = small_rig()
 WANTED = (0.11, -0.01, 0.35)
@@ -188,7 +195,7 @@ def test_drawing_leaves_the_picture_alone(poses):
     before = picture.copy()
     overlay = Overlay(RIG, SCENE, TOLERANCE)
     look = overlay.look(frame(picture))
-    drawn = overlay.drawn(picture, look, words=True)
+    drawn = draw_look(picture, look, words=True)
     np.testing.assert_array_equal(picture, before)
     assert (drawn != picture).any()
 
@@ -197,7 +204,7 @@ def test_outlines_stand_where_the_part_stands():
     """In place, the drawn upper outline runs through the projected corners of the part."""
     picture = plate_picture(RIG, AT_HOME)
     overlay = Overlay(RIG, SCENE, TOLERANCE)
-    drawn = overlay.drawn(picture, overlay.look(frame(picture)))
+    drawn = draw_look(picture, overlay.look(frame(picture)))
     changed = np.abs(drawn.astype(int) - picture).max(axis=2) > 60
     c, s = math.cos(0.35), math.sin(0.35)
     corners = SQUARE.outline @ np.array([[c, s], [-s, c]]) + WANTED[:2]

@@ -63,10 +63,7 @@ def _asking(notify: Notify) -> Callable[[str], str]:
 
 def home_actuator(actuator: AbstractActuator) -> ActuatorAnswer:
     """Home the drive, so that it knows its position."""
-    start = time.perf_counter()
-    with actuator:
-        actuator.home()
-        return _answer(actuator, start)
+    return _done(actuator, actuator.home)
 
 
 def move_actuator(
@@ -78,8 +75,8 @@ def move_actuator(
     unlock: bool = False,
 ) -> ActuatorAnswer:
     """Move the drive and return when it has arrived [m, m/s]; several numbers are for its axes."""
-    start = time.perf_counter()
-    with actuator:
+
+    def move() -> None:
         if unlock and isinstance(actuator, GrblActuator):
             actuator.unlock()
         if isinstance(to, tuple) and by is None:
@@ -88,25 +85,28 @@ def move_actuator(
             actuator.go(np.add(actuator.place(), by), speed=speed)
         else:
             actuator.move(to=to, by=by, speed=speed)  # type: ignore[arg-type]
-        return _answer(actuator, start)
+
+    return _done(actuator, move)
 
 
 def where_is_actuator(actuator: AbstractActuator) -> ActuatorAnswer:
     """Read the position of the drive."""
+    return _done(actuator, lambda: None)
+
+
+def _done(actuator: AbstractActuator, command: Callable[[], None]) -> ActuatorAnswer:
+    """Connect to a drive, carry out a command, and return where the drive is."""
     start = time.perf_counter()
     with actuator:
-        return _answer(actuator, start)
-
-
-def _answer(actuator: AbstractActuator, start: float) -> ActuatorAnswer:
-    return ActuatorAnswer(
-        driver=actuator.name,
-        position_m=actuator.position(),
-        place_m=tuple(actuator.place().tolist()),
-        reach_m=actuator.reach,
-        state=actuator.state if isinstance(actuator, GrblActuator) else "",
-        seconds=time.perf_counter() - start,
-    )
+        command()
+        return ActuatorAnswer(
+            driver=actuator.name,
+            position_m=actuator.position(),
+            place_m=tuple(actuator.place().tolist()),
+            reach_m=actuator.reach,
+            state=actuator.state if isinstance(actuator, GrblActuator) else "",
+            seconds=time.perf_counter() - start,
+        )
 
 
 FRAME: Final = 1.0 / 30.0  # [s]

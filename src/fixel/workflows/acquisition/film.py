@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from fixel.database.project import Project
 from fixel.errors import InvalidInput
 from fixel.formats.plan_file import load_plan
-from fixel.formats.recording import RecordingHeader, RecordingWriter
+from fixel.formats.recording import RIG_FILE, SCENE_FILE, RecordingHeader, RecordingWriter
 from fixel.formats.rig_file import rig_of, save_rig
 from fixel.formats.scene_file import SceneFile, load_scene, save_scene
 from fixel.formats.video_file import VideoWriter
@@ -52,9 +52,7 @@ RATE: Final = 30.0  # [Hz]
 # A film has no date of its own, and the same seed must give the same bits.
 STARTED: Final = "2000-01-01T00:00:00.000+00:00"
 
-# Files stored in the folder of a recording.
-RIG_FILE: Final = "rig.yaml"
-SCENE_FILE: Final = "scene.yaml"
+# Files stored in the folder of a recording besides its rig and scene.
 ARRAYS: Final = "truth.npz"
 ABOUT: Final = "truth.json"
 
@@ -120,6 +118,8 @@ def film(
     InvalidInput
         Nothing to film, or an invalid rig, looks or folder.
     """
+    from fixel.testing.scenes import sliding_block
+
     settings = settings or FilmSettings()
     rig = rig_of(settings.rig)
     looks = changed(_looks(settings.looks, rig), settings.changes)
@@ -130,8 +130,9 @@ def film(
         raise InvalidInput("video", found=f"{count} films", expected="one film, for one video file")
     if count > 1:
         out.mkdir(parents=True)
+    get_ready(sliding_block())  # compiles the simulation, which the first scene needs
     filmed = []
-    for subject in _prepared(items):
+    for subject in items:
         folder = out / subject.name if count > 1 else out
         filmed.append(_render(subject, folder, rig, looks, settings, video, progress))
     return filmed
@@ -151,14 +152,6 @@ def _looks(name: str, rig: Rig) -> CameraEffects:
     return looks
 
 
-def _prepared(items: Iterator[FilmScene]) -> Iterator[FilmScene]:
-    """Prepare the compiled code of the simulation, then yield the scenes."""
-    from fixel.testing.scenes import sliding_block
-
-    get_ready(sliding_block())
-    yield from items
-
-
 def _render(
     subject: FilmScene,
     folder: Path,
@@ -172,8 +165,9 @@ def _render(
     seed = int(stream(settings.seed, "film", subject.name).integers(2**31))
     duration = settings.lead + float(subject.simulation.time[-1]) + settings.rest
     times = frame_times(duration, settings.rate, looks, seed)[: settings.frames]
-    truth = truth_of(subject, rig, looks, times, seed, settings.lead)
-    frames = film_scene(subject.scene, tracks_of(subject, settings.lead), rig, looks, times, seed)
+    tracks = tracks_of(subject, settings.lead)
+    truth = truth_of(subject, tracks, rig, looks, times, seed, settings.lead)
+    frames = film_scene(subject.scene, tracks, rig, looks, times, seed)
     header = RecordingHeader(
         size=rig.camera.lens.image_size,
         codec=settings.codec,
@@ -196,6 +190,9 @@ def _render(
         save_scene(subject.planned, folder / SCENE_FILE)
         write_truth(subject, truth, looks, settings.seed, settings.lead, folder)
         _write_frames(frames, truth, writers, progress)
+    moving = [*subject.scene.bodies, *subject.scene.pushers]
+    marked = [name for name, part in rig.parts.items() if part.marks]
+    unmarked = tuple(own.name for own in moving if own.name not in marked)
     return FilmResult(
         name=subject.name,
         folder=folder,
@@ -203,15 +200,8 @@ def _render(
         seconds=float(times[-1]),
         status=subject.simulation.status,
         video=video,
-        unmarked=_unmarked(subject, rig) if looks.lighting == "above" else (),
+        unmarked=unmarked if looks.lighting == "above" else (),
     )
-
-
-def _unmarked(subject: FilmScene, rig: Rig) -> tuple[str, ...]:
-    """Names of moving bodies and pushers without marks in the rig."""
-    moving = [body.name for body in subject.scene.bodies]
-    moving += [pusher.name for pusher in subject.scene.pushers]
-    return tuple(name for name in moving if name not in rig.parts or not rig.parts[name].marks)
 
 
 def _write_frames(
@@ -250,17 +240,25 @@ def tracks_of(subject: FilmScene, lead: float) -> dict[str, Trajectory]:
 
 
 def truth_of(
-    subject: FilmScene, rig: Rig, looks: CameraEffects, times: FloatArray, seed: int, lead: float
+    subject: FilmScene,
+    tracks: Mapping[str, Trajectory],
+    rig: Rig,
+    looks: CameraEffects,
+    times: FloatArray,
+    seed: int,
+    lead: float,
 ) -> Truth:
     """Compute the ground truth of a film at its frame times (n,) [s]."""
-    tracks = tracks_of(subject, lead)
     occlusion = Occlusion(subject.scene, rig, looks, times, seed)
     name = subject.scene.bodies[0].name
     covered = []
     for time in times.tolist():
         poses = poses_at(tracks, time, occlusion, subject.scene)
         covered.append(occlusion.share(poses.get(HAND), poses[name]))
-    touches = _touches(subject, times - lead)
+    # Contacts at times of the simulation; those of the first sample before its start.
+    own = subject.simulation.time
+    sample = np.clip(np.searchsorted(own, times - lead, side="right") - 1, 0, len(own) - 1)
+    touches = np.asarray(touching(subject.simulation)[sample])
     return Truth(
         time=times,
         pose={name: track.at(times) for name, track in tracks.items()},
@@ -300,13 +298,6 @@ def write_truth(
     }
     with written_whole(folder / ABOUT) as unfinished:
         unfinished.write_text(json.dumps(content, indent=1, allow_nan=False), encoding="utf-8")
-
-
-def _touches(subject: FilmScene, times: FloatArray) -> BoolArray:
-    """Contacts (n, n_fixel) at times of the simulation; the first sample before its start."""
-    simulation = subject.simulation
-    sample = np.searchsorted(simulation.time, times, side="right") - 1
-    return np.asarray(touching(simulation)[np.clip(sample, 0, len(simulation.time) - 1)])
 
 
 def _readings(

@@ -113,10 +113,6 @@ class Overlay:
         off = f"{1e3 * math.hypot(x, y):.1f} mm and {math.degrees(turn):.1f} deg"
         return f"all poses are moved with {self.anchor}, which is {off} from its place in the scene"
 
-    def drawn(self, picture: Picture, look: Look, *, words: bool = False) -> Picture:
-        """Return a copy of the picture with outlines; `words` writes the errors on it too."""
-        return draw_look(picture, look, words=words)
-
     def _part(self, thing: Body | Pusher | Fixel, located: FramePoses) -> PartLook:
         sight = located.parts.get(thing.name)
         measured = None if sight is None else sight.pose
@@ -218,7 +214,7 @@ def watch(overlay: Overlay, frames: Iterable[Frame], show: Show) -> Iterator[Loo
     """
     for frame in frames:
         look = overlay.look(frame)
-        show(partial(overlay.drawn, frame.picture, look), look.summary())
+        show(partial(draw_look, frame.picture, look), look.summary())
         yield look
 
 
@@ -445,7 +441,7 @@ def _signed(value: float, decimals: int) -> str:
     return text.lstrip("+-") if float(text) == 0.0 else text
 
 
-def draw_look(picture: Picture, look: Look, *, words: bool) -> Picture:
+def draw_look(picture: Picture, look: Look, *, words: bool = False) -> Picture:
     """Return a copy of a picture with outlines; `words` writes the errors on it too."""
     canvas = picture.copy()
     if (canvas.shape[1], canvas.shape[0]) == look.rig.camera.lens.image_size:

@@ -12,6 +12,8 @@ from typing import Any, Final, final
 from fixel.errors import InvalidInput
 from fixel.formats.recording import (
     CODECS,
+    RIG_FILE,
+    SCENE_FILE,
     Recording,
     is_recording,
     open_recording,
@@ -87,15 +89,18 @@ def record(
         No camera, wrong picture size, no fixels, folder or space; raised before recording starts.
     """
     rig = None if plan.rig is None else rig_of(plan.rig)
-    scene = None if plan.scene is None else _scene_text(plan.scene)
+    scene = None
+    if plan.scene is not None:
+        load_scene(plan.scene)  # raises if it cannot be loaded
+        scene = plan.scene.read_bytes()
     seating = _seating(plan, rig) if plan.until == "seated" else None
     size = plan.size if rig is None else rig.camera.lens.image_size
 
     def prepare(folder: Path) -> None:
         if rig is not None:
-            save_rig(rig, folder / "rig.yaml")
+            save_rig(rig, folder / RIG_FILE)
         if scene is not None:
-            (folder / "scene.yaml").write_bytes(scene)
+            (folder / SCENE_FILE).write_bytes(scene)
 
     warm_up()
     source = source_of(plan.camera, size=size, rate=plan.rate, as_fast_as_possible=plan.fast)
@@ -167,12 +172,6 @@ def check_summary(recording: Recording) -> dict[str, Any]:
         "reason": "" if end is None else end.reason,
         "problems": list(recording.problems),
     }
-
-
-def _scene_text(path: Path) -> bytes:
-    """Return the bytes of a scene file after checking that it can be loaded."""
-    load_scene(path)
-    return path.read_bytes()
 
 
 def _seating(plan: RecordPlan, rig: Rig | None) -> Seating:

@@ -15,7 +15,7 @@ from fixel.database.project import Project, typed
 from fixel.drawing import palette
 from fixel.drawing.chart import PICTURE_ENDINGS, refuse_ending
 from fixel.errors import InvalidInput
-from fixel.formats.recording import is_recording, open_recording
+from fixel.formats.recording import RIG_FILE, SCENE_FILE, is_recording, open_recording
 from fixel.formats.rig_file import rig_of
 from fixel.formats.scene_file import load_scene
 from fixel.formats.video_file import ENDINGS, VideoWriter, open_video
@@ -30,8 +30,6 @@ from fixel.vision.tracking.base import ActuatorMotion
 from fixel.vision.tracking.follow import things_of
 from fixel.workflows.acquisition.tracked_experiment import Readings, actuator_motion, experiment_of
 
-RIG_FILE: Final = "rig.yaml"
-SCENE_FILE: Final = "scene.yaml"
 DATASET: Final = "bench"
 SHOWN: Final = 6  # frames on a sheet
 ACROSS: Final = 2  # frames side by side

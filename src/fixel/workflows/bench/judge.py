@@ -10,12 +10,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from fixel.formats.recording import open_recording
+from fixel.formats.recording import SCENE_FILE, open_recording
 from fixel.formats.scene_file import load_scene
 from fixel.model import Experiment, LineDrive, PlannedExperiment, Scene
 from fixel.model.trajectory import wrapped
 from fixel.workflows.acquisition.overlay import Tolerance
-from fixel.workflows.acquisition.track import SCENE_FILE, track_film
+from fixel.workflows.acquisition.track import track_film
 
 REST: Final = 0.3  # [s] at the end in which the part must be at rest
 MOVED: Final = 0.3e-3  # [m] in that time that counts as motion

@@ -16,7 +16,7 @@ from typing import Any, Final, Literal, NamedTuple, final
 
 from fixel.database.project import Project
 from fixel.errors import DeviceFailed, FixelError, JobRefused
-from fixel.formats.recording import VIDEO
+from fixel.formats.recording import RIG_FILE, SCENE_FILE, VIDEO
 from fixel.formats.rig_file import save_rig
 from fixel.formats.scene_file import SceneFile, load_scene, save_scene
 from fixel.jobs.worker_process import WorkerProcess
@@ -25,9 +25,8 @@ from fixel.model.space import ParameterSpace
 from fixel.testbed.recorder import SPARE, Recorder, RecordingStatus, RecordingSummary, free_space
 from fixel.typing import FloatArray
 from fixel.vision.frame import Frame, Picture
-from fixel.workflows.acquisition.overlay import Look, Overlay, Tolerance, frames_of
+from fixel.workflows.acquisition.overlay import Look, Overlay, Tolerance, draw_look, frames_of
 from fixel.workflows.acquisition.record import codec_for
-from fixel.workflows.acquisition.track import RIG_FILE, SCENE_FILE
 from fixel.workflows.bench.acceptance import BenchFigure, BenchRun, measure_bench
 from fixel.workflows.bench.campaign import Attempt, Campaign
 from fixel.workflows.bench.devices import BenchDevices
@@ -280,7 +279,7 @@ class BenchLoop:
             self._report("waiting", partial(_itself, frame.picture))
         else:
             look = self._overlay.look(frame)
-            draw = partial(self._overlay.drawn, frame.picture, look)
+            draw = partial(draw_look, frame.picture, look)
             # The head is not to be placed: the drive moves it to its start.
             heads = self._row.scene.pushers if self._row else ()
             own = tuple(p for p in look.parts if p.name not in [head.name for head in heads])

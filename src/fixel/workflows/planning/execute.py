@@ -15,6 +15,7 @@ import numpy as np
 
 from fixel.database.project import Project
 from fixel.errors import FixelError, InvalidInput
+from fixel.formats.recording import SCENE_FILE
 from fixel.model import Experiment
 from fixel.model.goals import BodyTrack
 from fixel.model.trajectory import wrapped
@@ -250,7 +251,7 @@ def _recorded(plan: RecordPlan | None) -> Iterator[None]:
 
 def _tracked_end(plan: PushPlan, recording: RecordPlan, project: Path | None) -> FloatArray:
     """Return the last tracked pose (3,) of the part in a recording."""
-    scene = recording.folder / "scene.yaml"
+    scene = recording.folder / SCENE_FILE
     plan.scenes[0].save(scene)
     tracked = track_film(recording.folder, rig=recording.rig or "", scene=scene, project=project)
     return np.asarray(tracked.experiment.trajectory.pose[-1])

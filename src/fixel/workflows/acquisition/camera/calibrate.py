@@ -13,6 +13,7 @@ from fixel.drawing.prints import PRINT_ENDINGS, PrintSheet, board_sheet, save_sh
 from fixel.errors import InvalidInput
 from fixel.formats.camera_import import import_camera
 from fixel.formats.camera_opencv import save_opencv, save_ros
+from fixel.formats.recording import RIG_FILE
 from fixel.formats.rig_file import EXAMPLES, load_camera, plate_of, rig_of, save_camera
 from fixel.formats.video_file import ENDINGS as VIDEO_ENDINGS
 from fixel.formats.video_file import open_video
@@ -35,7 +36,6 @@ from fixel.workflows.acquisition.camera.answer import (
     verdict,
 )
 
-RIG_FILE = "rig.yaml"
 CAMERA_ENDINGS = (".yaml", ".yml")
 MOVED: Final = 5e-4  # [m] allowed offset of a plate tag, in addition to the camera's errors
 ROUND_TRIP: Final = 1e-6  # [px]
