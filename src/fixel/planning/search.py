@@ -464,12 +464,7 @@ def stage_scenarios(belief: Belief, scene: Scene, stage: SearchStage, seed: int)
 def conduct(search: PlanSearch, rounds: Rounds[T], answers: Answers) -> T:
     """Answer the requests of a search, from stored answers where there are some.
 
-    Parameters
-    ----------
-    rounds : generator
-        `PlanSearch.rounds`.
-    answers : mutable mapping of str to (m, n) float64
-        Answers by the names of their requests; new ones are added.
+    Answers (m, n) are stored by the names of their requests; new ones are added.
     """
     try:
         request = next(rounds)
@@ -537,20 +532,7 @@ WIDTH: Final = 0.05  # standard deviation of the first plans, in shares of the r
 
 @final
 class PlanRefinement:
-    """Search by CMA-ES about one plan.
-
-    Parameters
-    ----------
-    simulator : PlanSimulator
-    plan : (k, d) float64
-    seed : int
-
-    Attributes
-    ----------
-    best : (k, d) float64
-        Best plan so far.
-    score : float
-        Its score.
+    """Search by CMA-ES about one plan (k, d), with the best plan so far and its score.
 
     Source
     ------

@@ -38,20 +38,10 @@ def belief_after(
 ) -> SeenBelief:
     """Return the belief for the rest of a plan, from the pose seen after some of its pushes.
 
-    Parameters
-    ----------
-    seen : (3,) float64
-        Pose of the part [m, m, rad].
-    done : int
-        Number of pushes that were carried out.
-    error : StartError
-        Error of the seen pose.
-
-    Notes
-    -----
-    Simulated runs are weighted by the likelihood of the seen pose, a normal distribution with the
-    error of the pose, made wider until enough runs count. Friction and pressure of the run stay
-    what they were, and are not drawn again.
+    After `done` pushes the part was seen at a pose (3,) [m, m, rad], with an error. Simulated runs
+    are weighted by the likelihood of that pose, a normal distribution with the error of the pose,
+    made wider until enough runs count. Friction and pressure of the run stay what they were, and
+    are not drawn again.
     """
     start = replace(plan.belief, start=error)
     if done == 0:
@@ -101,33 +91,11 @@ def plan_again(
     untrusted: bool = False,
     report: Callable[[Progress], None] | None = None,
 ) -> tuple[PushPlan, str]:
-    """Plan again from a seen pose, with the pushes that are left.
+    """Plan again from a seen pose (3,) [m, m, rad], with the pushes that are left.
 
-    Parameters
-    ----------
-    plan : PushPlan
-        Plan with the present belief.
-    seen : (3,) float64
-        Pose of the part [m, m, rad].
-    done : int
-        Number of pushes that were carried out.
-    error : StartError
-        Error of the seen pose; by default that of the stickers' camera.
-    rollouts, untrusted
-        As for `fixel.plan`.
-    report : callable, optional
-        Function that is called with the progress.
-
-    Returns
-    -------
-    plan : PushPlan
-    note : str
-        Why the parameters are as before; empty where they were narrowed.
-
-    Raises
-    ------
-    InvalidInput
-        No push is left.
+    The plan has the present belief, and `done` of its pushes were carried out. The second value is
+    why the parameters are as before; empty where they were narrowed. `InvalidInput` is raised where
+    no push is left.
     """
     left = len(plan.pushes) - done
     if left < 1:

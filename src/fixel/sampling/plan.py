@@ -271,18 +271,10 @@ FAR_AWAY: Final = 1e6
 
 
 class PlanProblem(NamedTuple):
-    """Problem of one experiment of a plan.
+    """Problem of one experiment of a plan."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the experiment.
-    sentence : str
-        Description of the problem.
-    """
-
-    name: str
-    sentence: str
+    name: str  # name of the experiment
+    sentence: str  # description of the problem
 
 
 def scene_problems(scene: Scene) -> Iterator[str]:

@@ -48,19 +48,10 @@ class DeviceClock:
     _centre: tuple[float, float] = (0.0, 0.0)
 
     def place(self, ticks: int, earliest: float, latest: float) -> tuple[float, float]:
-        """Return the device's time, with its wraps counted, and the host's, of one exchange.
+        """Return the device's time, with its wraps counted, and the host's, of one exchange [s].
 
-        Parameters
-        ----------
-        ticks : int
-            Count of the device [us], 32 bits.
-        earliest, latest : float
-            Interval in which the device must have taken the count, on the host's clock [s].
-
-        Returns
-        -------
-        device, host : float
-            [s].
+        The device has counted `ticks` [us], in 32 bits, between `earliest` and `latest` on the
+        host's clock [s].
         """
         earliest, latest = min(earliest, latest), max(earliest, latest)
         last_ticks, last_turns = self._last_ticks, self._turns

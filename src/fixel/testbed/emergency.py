@@ -41,14 +41,8 @@ class Running(NamedTuple):
 class StopGuard:
     """Separate process that stops the drive when this one cannot.
 
-    Parameters
-    ----------
-    port : str
-        Name under which other processes can open the port.
-    descriptor : int
-        File descriptor of the open port.
-    keys : bool
-        Whether any key on this terminal stops the drive.
+    It has the descriptor of the open port, and the name under which other processes can open it.
+    With `keys`, any key on this terminal stops the drive.
     """
 
     def __init__(self, port: str, descriptor: int, *, keys: bool = False) -> None:
@@ -172,15 +166,8 @@ def running() -> list[Running]:
 def stop_drive(port: str) -> float:
     """Write the stop command to a port that another program may have open.
 
-    Returns
-    -------
-    float
-        Time of writing, on `time.monotonic` [s].
-
-    Raises
-    ------
-    DeviceFailed
-        The port cannot be written to.
+    The time of writing is returned, on `time.monotonic` [s]. `DeviceFailed` is raised where the
+    port cannot be written to.
     """
     if sys.platform == "win32":
         raise DeviceFailed(

@@ -117,14 +117,8 @@ class FrameQueue:
     A short delay is caught up with. Where pictures stay late, because they arrive faster than they
     are written, the oldest are dropped, so that what is written is always recent.
 
-    Parameters
-    ----------
-    source : FrameSource
-        Open source.
-    live : bool
-        Whether the source does not wait for its reader; another source waits and loses no picture.
-    held : int
-        Largest number of waiting pictures.
+    The source is open. One that is not `live` waits for its reader and loses no picture. At most
+    `held` pictures wait.
     """
 
     def __init__(self, source: FrameSource, *, live: bool, held: int = HELD) -> None:

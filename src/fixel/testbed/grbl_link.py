@@ -33,13 +33,9 @@ class GrblLink:
 
     Unanswered bytes are counted, so that the controller's buffer of 128 bytes never overflows.
 
-    Parameters
-    ----------
-    port : serial.Serial
-        Open port of a GRBL controller, as `greet` found.
-    next_line : callable
-        Called repeatedly; returns the next line of a move, or None for no more at present. Runs in
-        the link's own thread, which holds `changed`.
+    The port is that of a GRBL controller, as `greet` found. `next_line` is called repeatedly in the
+    link's own thread, which holds `changed`; it returns the next line of a move, or None for no
+    more at present.
     """
 
     def __init__(self, port: Serial, next_line: Callable[[], str | None]) -> None:

@@ -46,16 +46,9 @@ WAYPOINT_INTERVAL = 1.0 / 60.0  # [s]; resolves a ripple of a few hertz
 def rough_plane(plane: Plane, seed: int, roughness: float, grain: float) -> Plane:
     """Return the plane with a smooth random multiplier of friction, fixed in space.
 
-    Parameters
-    ----------
-    plane : Plane
-        Planned plane; its own friction map, if any, remains as a factor.
-    seed : int
-        Seed of the plate.
-    roughness : float
-        Standard deviation of the logarithm of the multiplier [-].
-    grain : float
-        Distance over which the multiplier changes: its correlation falls to exp(-1/2) [m].
+    A friction map of the planned plane remains as a factor. `roughness` is the standard deviation
+    of the logarithm of the multiplier [-], `grain` the distance over which it changes: its
+    correlation falls to exp(-1/2) [m].
     """
     if roughness == 0.0:
         return plane
@@ -107,27 +100,10 @@ def uneven_support(
 ) -> SupportPoints | NoSupport:
     """Return the true support of a body: many points that press unequally.
 
-    Parameters
-    ----------
-    body : Body
-        Body with its planned support, from which the nominal friction is computed.
-    gravity : float
-        Acceleration of gravity [m/s^2].
-    seed : int
-        Seed of the underside; bodies of equal shape have the same underside.
-    friction_ratio : float
-        True friction over nominal [-].
-    n_cells : int
-        Approximate number of points.
-    unevenness : float
-        Standard deviation of the logarithm of the pressure [-].
-    centre : (2,) array_like
-        Centre of pressure from the centre of mass, body axes [m].
-
-    Raises
-    ------
-    InvalidInput
-        The centre of pressure is so far out that a point would pull.
+    The true friction is `friction_ratio` of the nominal one, that of the planned support. Bodies of
+    equal shape have the same underside. `unevenness` is the standard deviation of the logarithm of
+    the pressure [-], `centre` the centre of pressure from the centre of mass, in body axes (2,)
+    [m]. `InvalidInput` is raised where it is so far out that a point would pull.
     """
     friction = nominal_friction(body, gravity)
     if friction is None:
@@ -223,16 +199,10 @@ def tactile_channel(
     missed_contact: float,
     rng: np.random.Generator,
 ) -> Channel:
-    """Return readings of the fixels with independent errors.
+    """Return readings of the fixels with independent errors, from true contacts (n, n_fixel).
 
-    Parameters
-    ----------
-    time : (n,) float64
-        Times of the readings [s], with those of dropped frames: the fixels have their own line.
-    touches : (n, n_fixel) bool
-        True contacts.
-    false_contact, missed_contact : float
-        Probabilities of reading 1 without contact, and 0 with it [-].
+    Times (n,) [s] include those of dropped frames, since the fixels have their own line. A reading
+    is 1 without contact, and 0 with it, with the given probabilities [-].
     """
     wrong = rng.random(touches.shape) < np.where(touches, missed_contact, false_contact)
     return Channel(
@@ -252,22 +222,10 @@ def driven_unevenly(
     frequency: float,
     phase: float,
 ) -> Pusher:
-    """Return the pusher on its planned path, with uneven timing.
+    """Return the pusher on its planned path, with uneven timing for a duration [s].
 
-    Parameters
-    ----------
-    pusher : Pusher
-        Planned pusher.
-    duration : float
-        Time for which waypoints are needed [s].
-    speed_ratio : float
-        Mean speed over the planned speed [-].
-    ripple : float
-        Amplitude of the speed about its mean, as a share of it [-].
-    frequency : float
-        Frequency of the ripple [Hz].
-    phase : float
-        Phase of the ripple at the start [rad].
+    `speed_ratio` is the mean speed over the planned one [-]. The speed varies about its mean by
+    `ripple`, a share of it [-], with a frequency [Hz] and a phase at the start [rad].
     """
     if speed_ratio == 1.0 and ripple == 0.0:
         return pusher

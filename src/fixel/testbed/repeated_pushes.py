@@ -40,22 +40,10 @@ def repeat_pushes(
     Every run has its own conditions: friction, centre of pressure and speed, which do not change
     between its pushes. The plate and the underside of the part are the same in all runs.
 
-    Parameters
-    ----------
-    pushes : sequence of Scene
-        Scenes of the pushes with the path of the tool; only in the first is the part's pose used.
-    starts : (n, 3) float64
-        True poses of the part before the first push [m, m, rad].
-    name : str
-        Name of the trials; other names have other random conditions.
-    threads : int, optional
-        Number of threads; all cores by default. Results are bit for bit the same for any.
-
-    Returns
-    -------
-    RepeatedPushes
-        A run in which the tool would be put down on the part, or the part does not fit between
-        fixels, ends before that push.
+    Scenes have the path of the tool; instead of the part's pose in the first, `starts` (n, 3) has
+    its true poses [m, m, rad]. Trials of another name have other random conditions. A run in which
+    the tool would be put down on the part, or the part does not fit between fixels, ends before
+    that push. Results are bit for bit the same for any number of threads.
 
     Raises
     ------

@@ -58,10 +58,7 @@ def _described(description: str | None) -> str:
 def chosen_port(port: str | None, what: str) -> str:
     """Return the port that was named; raise with a list of the ports if none was.
 
-    Parameters
-    ----------
-    what : str
-        Device expected at the port, for the message: `"the tactile board"`.
+    `what` is the device expected at the port, such as `"the tactile board"`.
     """
     if port:
         return port
@@ -69,16 +66,7 @@ def chosen_port(port: str | None, what: str) -> str:
 
 
 def open_port(port: str, baud: int, what: str) -> Serial:
-    """Open a port exclusively.
-
-    Parameters
-    ----------
-    port : str
-        Name of the port: `/dev/ttyACM0`, `COM4`.
-    baud : int
-        Bits per second.
-    what : str
-        Device expected at the port, for messages: `"the tactile board"`.
+    """Open a port, such as `/dev/ttyACM0` or `COM4`, exclusively; `baud` is in bits per second.
 
     Raises
     ------

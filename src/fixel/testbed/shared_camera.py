@@ -19,20 +19,7 @@ ENDS_WITHIN: Final = 5.0  # [s]
 class SharedCamera:
     """Camera that stays open; `view` returns a source of its pictures from now on.
 
-    Parameters
-    ----------
-    source : callable
-        Returns a new source of the camera.
-
-    Attributes
-    ----------
-    stream : Stream
-        Properties of the open camera.
-
-    Raises
-    ------
-    InvalidInput
-        The camera cannot be opened.
+    `source` returns a new source of the camera. `InvalidInput` is raised if it cannot be opened.
     """
 
     def __init__(self, source: Callable[[], FrameSource]) -> None:
@@ -43,7 +30,7 @@ class SharedCamera:
 
     def _open(self) -> None:
         self.source = self._make()
-        self.stream: Stream = self.source.open()
+        self.stream: Stream = self.source.open()  # properties of the open camera
         self.reason = ""  # why it sends no more pictures
         self.newest = time.monotonic()  # arrival of the newest picture [s]
         self._thread = threading.Thread(target=self._read, name="camera", daemon=True)

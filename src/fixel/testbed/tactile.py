@@ -268,15 +268,8 @@ class TactileReader:
     def set_thresholds(self, thresholds: tuple[int, int, int]) -> None:
         """Set the values above which a fixel counts as touched, also after restarts of the board.
 
-        Parameters
-        ----------
-        thresholds : (int, int, int)
-            Thresholds of bits 0, 1, 2 (blue, red, green), from 0 to 1023.
-
-        Raises
-        ------
-        InvalidInput
-            The board has protocol 1, or does not confirm.
+        They are those of bits 0, 1, 2 (blue, red, green), from 0 to 1023. `InvalidInput` is raised
+        for a board that has protocol 1, or does not confirm.
         """
         thresholds = _checked(thresholds)
         if self.protocol < 2:
@@ -352,14 +345,9 @@ class Statistics:
 
 
 def fixels_of(bits: int, order: tuple[str, str, str] = FIXELS) -> tuple[bool, bool, bool]:
-    """Return whether fixels 1, 2, 3 are touched.
+    """Return whether fixels 1, 2, 3 are touched, by the bits of a reading.
 
-    Parameters
-    ----------
-    bits : int
-        Bits of a reading.
-    order : (str, str, str)
-        Colours of fixels 1, 2, 3; by default in the order of the thesis.
+    `order` has their colours; by default it is that of the thesis.
     """
     one, two, three = (COLOURS.index(colour) for colour in _checked_order(order))
     return bool(bits >> one & 1), bool(bits >> two & 1), bool(bits >> three & 1)

@@ -80,16 +80,9 @@ class Identity(NamedTuple):
 
 
 def request(kind: bytes, number: int, values: bytes = b"") -> bytes:
-    """Encode a request of protocol 2.
+    """Encode a request of protocol 2, with a number from 0 to 255 that the answer repeats.
 
-    Parameters
-    ----------
-    kind : bytes
-        `IDENTIFY`, `READ` or `SET_THRESHOLDS`.
-    number : int
-        Number from 0 to 255, which the answer repeats.
-    values : bytes
-        Encoded thresholds, for `SET_THRESHOLDS`.
+    `values` are the encoded thresholds of `SET_THRESHOLDS`.
     """
     summed = kind + bytes([number]) + values
     return _REQUEST + summed + _checksum(summed)

@@ -34,17 +34,7 @@ if TYPE_CHECKING:
 
 @final
 class EmulatedBench:
-    """Camera, fixels and drive for a recorder, without hardware.
-
-    Attributes
-    ----------
-    camera : str
-        Address of the network camera that plays the film.
-    tactile : str
-        Port of the board; `film` to use the film's readings if the board cannot be emulated.
-    actuator : AbstractActuator or None
-        GRBL driver of an emulated controller.
-    """
+    """Camera, fixels and drive for a recorder, without hardware."""
 
     def __init__(
         self,
@@ -53,7 +43,9 @@ class EmulatedBench:
         board: EmulatedMega | None,
         actuator: AbstractActuator | None,
     ) -> None:
-        self.camera, self.actuator = camera, actuator
+        self.camera = camera  # address of the network camera that plays the film
+        self.actuator = actuator  # GRBL driver of an emulated controller
+        # Port of the board; `film:FOLDER` for the film's readings where it cannot be emulated.
         self.tactile = f"{FILM}:{film.folder}" if board is None else board.port
         self._film, self._board = film, board
         self._move: threading.Thread | None = None
@@ -103,15 +95,7 @@ class EmulatedBench:
 
 @contextmanager
 def emulated_bench(film: Path, firmware: Path | None) -> Iterator[EmulatedBench]:
-    """Create a bench that plays a film.
-
-    Parameters
-    ----------
-    film : Path
-        Folder of the film.
-    firmware : Path, optional
-        Firmware with its emulator, as built by `mega.built`.
-    """
+    """Create a bench that plays the film of a folder, with a board whose firmware was `built`."""
     from fixel.testbed.emulators.grbl import EmulatedGrbl
 
     with ExitStack() as stack:
@@ -167,13 +151,7 @@ def built(folder: Path) -> Path:
 
 @final
 class EmulatedMega:
-    """Emulated Mega 2560 that runs the tactile firmware in real time.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder that `built` returned.
-    """
+    """Emulated Mega 2560 that runs the tactile firmware of a `built` folder in real time."""
 
     def __init__(self, folder: Path) -> None:
         self._place = tempfile.TemporaryDirectory(prefix="fixel-mega-")

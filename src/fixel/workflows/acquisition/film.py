@@ -349,16 +349,8 @@ def film_scenes(
 ) -> tuple[int, Iterator[FilmScene]]:
     """Return the number of scenes to film and an iterator over them.
 
-    Parameters
-    ----------
-    sources : sequence of str
-        Scene files, plan files, and ids or names of experiments of a project.
-    project : Path
-        Folder of the project; opened only if a source is an experiment.
-    seed : int
-        Seed of the simulated testbed that performs plans.
-    limit : int, optional
-        Maximum number of experiments per plan.
+    Arguments are those of `film`. The project is opened only if a source is an experiment; the seed
+    is that of the simulated testbed that performs plans.
 
     Raises
     ------

@@ -159,14 +159,9 @@ def scene_of(path: Path | None, key: str | None, project: Path) -> Scene:
 def frames_of(
     source: FrameSource, live: bool, notify: Callable[[str], None] | None = None
 ) -> Iterator[Frame]:
-    """Yield the pictures of an open source; of a live source only the newest.
+    """Yield the pictures of an open source; of a live one, which does not wait, only the newest.
 
-    Parameters
-    ----------
-    live : bool
-        Whether the source continues without waiting for its reader.
-    notify : callable, optional
-        Called with the reason when the pictures have ended.
+    `notify` is called with the reason when the pictures have ended.
     """
     queue = FrameQueue(source, live=live, held=HELD)
     queue.start()
@@ -199,18 +194,10 @@ def _decoded(arrived: CameraPicture) -> Frame | None:
 
 
 def watch(overlay: Overlay, frames: Iterable[Frame], show: Show) -> Iterator[Look]:
-    """Compare frames with the scene until they end, and show each with its outlines.
+    """Compare frames with the scene until they end; yield each result after it was shown.
 
-    Parameters
-    ----------
-    show : callable
-        Called with a function that draws the picture, to be used only if there is a viewer, and
-        with the status: `LiveView.show`.
-
-    Yields
-    ------
-    Look
-        Result for one frame, after it was shown.
+    `show` is called with a function that draws the picture, to be used only if there is a viewer,
+    and with the status: `LiveView.show`.
     """
     for frame in frames:
         look = overlay.look(frame)

@@ -76,12 +76,8 @@ def record(
 ) -> RecordingSummary:
     """Record an experiment.
 
-    Parameters
-    ----------
-    stop : callable, optional
-        Called often; returns a reason in words if the recording shall end.
-    watch : callable, optional
-        Called with pictures and status.
+    `stop` is called often, and returns a reason in words if the recording shall end. `watch` is
+    called with pictures and status.
 
     Raises
     ------

@@ -73,14 +73,8 @@ def experiment_of(
 ) -> Experiment:
     """Build an experiment whose clock begins with the first frame.
 
-    Parameters
-    ----------
-    scene : Scene
-        Planned scene: shapes, masses, nominal friction.
-    simulated_by : str
-        Program that rendered the film; empty for a camera.
-    remarks : tuple of str
-        Remarks about the video or recording.
+    The planned scene has shapes, masses and nominal friction. Remarks are about the video or
+    recording. The program that rendered the film is empty for a camera.
 
     Raises
     ------

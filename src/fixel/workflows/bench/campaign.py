@@ -30,26 +30,13 @@ OPEN: Final = ("recorded", "tracked")  # states that wait for tracking or a deci
 
 
 class Attempt(NamedTuple):
-    """One performance of a row.
+    """One performance of a row."""
 
-    Attributes
-    ----------
-    row : str
-        Name of the row.
-    number : int
-        Number of the attempt at this row, from 1.
-    state : str
-    reasons : tuple of str
-        Why it should be repeated, or was stopped.
-    experiment : int, optional
-        Id of the stored experiment.
-    """
-
-    row: str
-    number: int
+    row: str  # name of the row
+    number: int  # number of the attempt at this row, from 1
     state: State
-    reasons: tuple[str, ...] = ()
-    experiment: int | None = None
+    reasons: tuple[str, ...] = ()  # why it should be repeated, or was stopped
+    experiment: int | None = None  # id of the stored experiment
 
     @property
     def name(self) -> str:
@@ -60,14 +47,7 @@ class Attempt(NamedTuple):
 @final
 @dataclass(eq=False)
 class Campaign:
-    """Campaign of experiments at the bench, open in this process only.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the campaign.
-    rows : sequence of PlannedExperiment
-        Rows of the plan, in order.
+    """Campaign of experiments at the bench in a folder, open in this process only.
 
     Raises
     ------
@@ -78,7 +58,7 @@ class Campaign:
     """
 
     folder: Path
-    rows: Sequence[PlannedExperiment]
+    rows: Sequence[PlannedExperiment]  # of the plan, in order
     attempts: dict[str, Attempt] = field(default_factory=dict, init=False)  # by name, in order
     skipped: set[str] = field(default_factory=set, init=False)
 

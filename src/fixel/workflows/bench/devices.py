@@ -45,30 +45,17 @@ SETTINGS: Final[Mapping[str, Any]] = {
 
 @dataclass(eq=False)
 class BenchDevices:
-    """Open devices of a bench.
-
-    Attributes
-    ----------
-    camera : SharedCamera
-    rig : Rig
-    tactile : TouchReader, optional
-    drive : AbstractActuator
-    frame : (3,) float64, optional
-        Pose of the coordinates of the drive in the world [m, m, rad]; None for a drive with one
-        axis, which begins every push withdrawn.
-    clock : callable
-        Time of the bench [s], which an emulated one accelerates.
-    laboratory : EmulatedLaboratory, optional
-        Laboratory that the devices belong to, if they are emulated.
-    """
+    """Open devices of a bench."""
 
     camera: SharedCamera
     rig: Rig
     tactile: TouchReader | None
     drive: AbstractActuator
+    # Pose (3,) of the coordinates of the drive in the world [m, m, rad]; None for a drive with one
+    # axis, which begins every push withdrawn.
     frame: FloatArray | None = None
-    clock: Callable[[], float] = time.monotonic
-    laboratory: EmulatedLaboratory | None = None
+    clock: Callable[[], float] = time.monotonic  # of the bench [s], which an emulated accelerates
+    laboratory: EmulatedLaboratory | None = None  # to which emulated devices belong
     _fast: float = 0.0
 
     def sleep(self, seconds: float) -> None:
@@ -126,18 +113,10 @@ class BenchDevices:
         return FAST
 
     def way_to(self, scene: Scene, part: FloatArray | None) -> list[FloatArray] | None:
-        """Return places of the drive on the way to the start of a push, past the part.
+        """Return places (n_axes,) of the drive on the way to the start of a push, past the part.
 
-        Parameters
-        ----------
-        scene : Scene
-        part : (3,) float64, optional
-            Present pose of the part [m, m, rad], if it is seen.
-
-        Returns
-        -------
-        list of (n_axes,) float64, or None
-            None where no way is clear.
+        `part` is its present pose (3,) [m, m, rad], if it is seen. None is returned where no way is
+        clear.
         """
         end, here = self.stroke(scene).start, self.drive.place()
         if self.frame is None or part is None:
@@ -203,20 +182,9 @@ def clear_way(
 ) -> list[FloatArray] | None:
     """Return places on a way that stays clear of a part.
 
-    Parameters
-    ----------
-    outline : (n, 2) float64
-        Outline of the part where it lies [m].
-    here, there : (2,) float64
-        Beginning and end of the way [m]. Either may be nearer to the part than `room`; the way does
-        not come nearer than they are.
-    room : float
-        Distance between way and part [m].
-
-    Returns
-    -------
-    list of (2,) float64, or None
-        The places after `here`, of which `there` is the last; None if no way was found.
+    The way leads from `here` to `there` (2,) [m], at a distance `room` [m] from the outline (n, 2)
+    of the part where it lies. Either end may be nearer; the way does not come nearer than they are.
+    The last of the places is `there`; None is returned if no way was found.
 
     Examples
     --------
@@ -272,14 +240,7 @@ def settings_of(stored: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str
 
 @contextmanager
 def open_devices(settings: Mapping[str, Any], *, notify: Notify = print) -> Iterator[BenchDevices]:
-    """Open the devices of a bench, each of which is named if it is missing.
-
-    Parameters
-    ----------
-    settings : mapping
-        As `settings_of` returns them.
-    notify : callable
-        Called with sentences for the person at the bench.
+    """Open the devices of a bench by its settings, each of which is named if it is missing.
 
     Raises
     ------

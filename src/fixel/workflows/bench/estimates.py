@@ -91,37 +91,23 @@ class _Scatter(NamedTuple):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class LiveEstimates:
-    """Parameters after the experiments so far.
+    """Parameters after the experiments so far."""
 
-    Attributes
-    ----------
-    calibration : Calibration
-        Calibration with estimates and verdicts. Its intervals allow for misfit; if the model fits
-        within the noise, they are those of a parabola instead of profiles.
-    half_widths : mapping from label to float
-        Half-widths of the intervals of free parameters, without their bounds. They are as wide as
-        the range, or wider, where no experiment informs a parameter.
-    settled : mapping from label to float
-        The larger of the half-widths now and in the previous estimates; inf without these. Widths
-        vary by chance, and a campaign that stopped at the first narrow one would trust it too much.
-    held_out : mapping from key to float
-        Error of each experiment as predicted from the others [m], angles at 35 mm/rad. The fit to
-        the others is approximated by linearisation.
-    level : float
-        Confidence level of the intervals.
-    information : (n, p, p) float64
-        Information of each experiment, per scale of the parameters.
-    scatter
-        Scatter about the model, which further experiments will have, too.
-    """
-
+    # Calibration with estimates and verdicts. Its intervals allow for misfit; if the model fits
+    # within the noise, they are those of a parabola instead of profiles.
     calibration: Calibration
+    # Half-widths of the intervals of free parameters by label, without their bounds. They are as
+    # wide as the range, or wider, where no experiment informs a parameter.
     half_widths: Mapping[str, float]
+    # The larger of the half-widths now and in the previous estimates; inf without these. Widths
+    # vary by chance, and a campaign that stopped at the first narrow one would trust it too much.
     settled: Mapping[str, float]
+    # Error of each experiment by key, as predicted from the others [m], angles at 35 mm/rad. The
+    # fit to the others is approximated by linearisation.
     held_out: Mapping[str, float]
-    level: float
-    information: FloatArray
-    scatter: _Scatter
+    level: float  # confidence level of the intervals
+    information: FloatArray  # (n, p, p) of each experiment, per scale of the parameters
+    scatter: _Scatter  # about the model, which further experiments will have, too
 
     @property
     def held_out_error(self) -> float:
@@ -179,20 +165,8 @@ def estimate(
 ) -> LiveEstimates:
     """Estimate parameters from the experiments so far.
 
-    Parameters
-    ----------
-    experiments : sequence of Experiment
-    space : mapping, sequence of str, or None
-        Parameters as for `fixel.calibrate`.
-    motion : str or motion model
-    level : float
-        Confidence level of the intervals.
-    previous : LiveEstimates, optional
-        Estimates before the last experiment, from which the search starts.
-    seed : int
-        Seed of the random number generator.
-    threads : int, optional
-        Number of threads; all cores by default.
+    Arguments are those of `fixel.calibrate`, and the confidence level of the intervals. The search
+    starts from the previous estimates, before the last experiment.
 
     Raises
     ------
@@ -335,21 +309,12 @@ def _target_of(planned: PlannedExperiment) -> Target:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """Experiment to perform next.
+    """Experiment to perform next."""
 
-    Attributes
-    ----------
-    index : int or None
-        Index of the candidate; None if more experiments do not help.
-    half_widths : mapping from label to float
-        Expected half-widths of the intervals after it; those of now without one.
-    reason : str
-        Reason of the choice, as a sentence.
-    """
-
-    index: int | None
+    index: int | None  # of the candidate; None if more experiments do not help
+    # Expected half-widths of the intervals after it by label; those of now without one.
     half_widths: Mapping[str, float]
-    reason: str
+    reason: str  # of the choice, as a sentence
 
 
 def choose(
@@ -359,14 +324,8 @@ def choose(
 ) -> Choice:
     """Choose the candidate that is expected to narrow the widest interval most.
 
-    Parameters
-    ----------
-    estimates : LiveEstimates
-    candidates : sequence of PlannedExperiment
-        Experiments that can be performed.
-    wanted : mapping from name to float
-        Half-widths of intervals, in SI units. The widest interval is that with the largest ratio
-        to its own. By default, every free parameter has 5 % of its range.
+    That interval has the largest ratio to its wanted half-width, in SI units by name. By default,
+    every free parameter has 5 % of its range.
 
     Raises
     ------
@@ -407,12 +366,7 @@ def choose(
 @final
 @dataclass(frozen=True)
 class Until:
-    """Half-widths of intervals at which a campaign ends.
-
-    Parameters
-    ----------
-    wanted : mapping from name to float
-        Half-widths, in SI units.
+    """Half-widths of intervals at which a campaign ends, by name in SI units.
 
     Examples
     --------

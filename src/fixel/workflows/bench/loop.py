@@ -122,48 +122,26 @@ def _called(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
 
 @final
 class BenchLoop:
-    """Loop over the rows of a campaign: `run` in one thread, `ask` from any.
-
-    Parameters
-    ----------
-    project : Project
-    campaign : Campaign
-    devices : BenchDevices
-    options : LoopOptions
-
-    Attributes
-    ----------
-    show : callable, optional
-        Called with a function that draws the picture, or None, and with the status, as
-        `LiveView.show`.
-    page_left : callable
-        Returns why the page that asked for a push is lost; empty while it is there.
-    live : LiveAnswer, optional
-        Newest estimates.
-    finish : str
-        Why the campaign has ended; empty before.
-    figures : tuple of BenchFigure
-        What was measured by a check of the bench.
-    """
+    """Loop over the rows of a campaign: `run` in one thread, `ask` from any."""
 
     def __init__(
-        self,
-        project: Project,
-        campaign: Campaign,
-        devices: BenchDevices,
-        options: LoopOptions,
+        self, project: Project, campaign: Campaign, devices: BenchDevices, options: LoopOptions
     ) -> None:
         self.campaign, self.devices, self.options = campaign, devices, options
+        # Called with a function that draws the picture, or None, and with the status, as
+        # `LiveView.show`.
         self.show: Callable[[Callable[[], Picture] | None, dict[str, Any]], None] | None = None
+        # Returns why the page that asked for a push is lost; empty while it is there.
         self.page_left: Callable[[], str] = lambda: ""
         rig = devices.rig
         self.tolerance = Tolerance(
             distance=options.tolerance or rig.position_tolerance,
             angle=options.tolerance_angle or rig.angle_tolerance,
         )
-        self.live: LiveAnswer | None = None
+        self.live: LiveAnswer | None = None  # newest estimates
+        # Why the campaign has ended; empty before.
         self.finish = "the drive can perform every row" if options.dry_run else ""
-        self.figures: tuple[BenchFigure, ...] = ()
+        self.figures: tuple[BenchFigure, ...] = ()  # measured by a check of the bench
         self._project = project
         self._events: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._tracker, self._estimator = Background(track_attempt), Background(estimate_rows)
@@ -182,17 +160,10 @@ class BenchLoop:
     # --- from any thread ------------------------------------------------------------------------
 
     def ask(self, do: str, row: str = "", by: str = "key") -> None:
-        """Ask for something; a stop takes effect at once.
+        """Ask for something by a `key` or a `page`; a stop takes effect at once.
 
-        Parameters
-        ----------
-        do : str
-            `push`, `stop`, `place` (the emulated person), `skip`, `again` (after trouble), `end`;
-            `accept` or `repeat` for an attempt.
-        row : str
-            Name of the attempt.
-        by : str
-            `key` or `page`.
+        It may be `push`, `stop`, `place` (the emulated person), `skip`, `again` (after trouble),
+        `end`, or for the attempt of a name `accept` or `repeat`.
         """
         if do == "stop":
             self._wants_push = ""  # not even begun

@@ -155,23 +155,10 @@ def run_on_drive(
     The part is placed and seen first. The drive does not move if the seen start differs from the
     planned one by more than the plan allows for. It stops on Ctrl-C and on any alarm.
 
-    Parameters
-    ----------
-    path : Path
-        Plan file.
-    seen : callable
-        Asks for the pose of the part, such as the one that a camera sees.
-    by : str
-        Person or program that carries out the plan.
-    recording : RecordPlan, optional
-        Recording while the drive moves. With a rig, the end is tracked in it and not asked for.
-    project : Path, optional
-        Project in which the tracked experiment is stored.
-
-    Returns
-    -------
-    Trials
-        All trials of the plan.
+    `seen` asks for the pose of the part, such as the one that a camera sees. If the move is
+    recorded with a rig, the end is tracked in the recording instead, and the experiment is stored
+    in the project. All trials of the plan are returned, each with the person or program that
+    carried it out (`by`).
 
     Raises
     ------
@@ -391,10 +378,7 @@ def held_out_success(
 ) -> HeldSuccess:
     """Compare stated with held success for the parameters and the motion of a calibration.
 
-    Parameters
-    ----------
-    **options
-        Options of `held_success`.
+    Options are those of `held_success`.
     """
     space = {
         own.label: own.nominal if own.frozen else (own.low, own.high)
@@ -465,20 +449,9 @@ class NextStep(NamedTuple):
 def next_step(path: Path, seen: Sequence[FloatArray], done: int = 0) -> NextStep | None:
     """Choose the next push of a plan with looks, or report that a seen pose meets the goal.
 
-    Parameters
-    ----------
-    path : Path
-        Plan file.
-    seen : sequence of (3,) float64
-        Poses of the part that were seen [m, m, rad]: in a plan with looks those after the planned
-        pushes and after each correction, else one.
-    done : int
-        Number of pushes of an open-loop plan that were carried out.
-
-    Returns
-    -------
-    NextStep or None
-        None where an open-loop plan must be made again, see `next_plan`.
+    Poses (3,) of the part were seen [m, m, rad]: in a plan with looks after the planned pushes and
+    after each correction, else once, after `done` pushes. None is returned where an open-loop plan
+    must be made again, see `next_plan`.
 
     Raises
     ------
@@ -503,18 +476,9 @@ def next_step(path: Path, seen: Sequence[FloatArray], done: int = 0) -> NextStep
 def next_plan(
     project: Project | None, path: Path, seen: FloatArray, done: int = 0, **options: Any
 ) -> FoundPlan:
-    """Plan again from a seen pose of the part, with the pushes that are left.
+    """Plan again from a seen pose (3,) of the part [m, m, rad], with the pushes that are left.
 
-    Parameters
-    ----------
-    path : Path
-        Plan file.
-    seen : (3,) float64
-        Pose of the part [m, m, rad].
-    done : int
-        Number of pushes that were carried out.
-    **options
-        Options of `plan_again`.
+    Of the plan, `done` pushes were carried out. Options are those of `plan_again`.
     """
     found = load_plan(path).found
     belief, number = present_belief(project, found)

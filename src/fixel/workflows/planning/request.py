@@ -105,11 +105,7 @@ def settled(project: Project, request: Any) -> Any:
 def goal_content(goal: str) -> tuple[Any, Path]:
     """Return the content of a goal file, of which the name or the content in JSON is given.
 
-    Returns
-    -------
-    content : object
-    folder : Path
-        Folder in which its scene file is searched.
+    The second value is the folder in which its scene file is searched.
     """
     if not is_content(goal):
         return read_document(Path(goal), "goal file"), Path(goal).parent
@@ -129,14 +125,8 @@ def inputs_of(
 ) -> PlanInputs:
     """Load the scene and the calibration that a goal refers to, and check the goal.
 
-    Parameters
-    ----------
-    content : object
-        Content of a goal file.
-    folder : Path
-        Folder in which its scene file is searched.
-    scene, experiment, calibration : optional
-        As for `plan_goal`.
+    `content` is that of a goal file, whose scene file is searched in `folder`. The other arguments
+    are those of `plan_goal`.
 
     Raises
     ------
