@@ -29,7 +29,7 @@ from fixel.vision.render.looks import looks_named
 from fixel.web.live import PART_HEAD, LiveView
 from fixel.web.overlay_page import overlay_page
 from fixel.web.serve import WebServer
-from fixel.workflows.acquisition.overlay import Overlay
+from fixel.workflows.acquisition.overlay import Overlay, draw_look
 
 Watcher = Callable[[WebServer], Callable[[], list[tuple[int, float]]]]
 
@@ -90,7 +90,7 @@ def processor_time(overlay: Overlay, frames: list[Frame]) -> None:
         spent["find"] += took
         slowest = max(slowest, took)
     begun = time.process_time()
-    drawn = [overlay.drawn(f.picture, look) for f, look in zip(frames, looks, strict=True)]
+    drawn = [draw_look(f.picture, look) for f, look in zip(frames, looks, strict=True)]
     spent["draw"] = time.process_time() - begun
     begun = time.process_time()
     sizes = [len(cv2.imencode(".jpg", p, [cv2.IMWRITE_JPEG_QUALITY, 80])[1]) for p in drawn]

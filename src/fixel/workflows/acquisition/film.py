@@ -22,7 +22,7 @@ from fixel.formats.scene_file import SceneFile, load_scene, save_scene
 from fixel.formats.video_file import VideoWriter
 from fixel.io.atomic import written_whole
 from fixel.io.document import read_document
-from fixel.model import Experiment, PlannedExperiment, Scene, Trajectory, pose_error
+from fixel.model import Body, Experiment, PlannedExperiment, Pusher, Scene, Trajectory, pose_error
 from fixel.model.probability import stream
 from fixel.simulation import Simulation, simulate
 from fixel.testbed.imperfections import tactile_channel, touching
@@ -190,9 +190,9 @@ def _render(
         save_scene(subject.planned, folder / SCENE_FILE)
         write_truth(subject, truth, looks, settings.seed, settings.lead, folder)
         _write_frames(frames, truth, writers, progress)
-    moving = [*subject.scene.bodies, *subject.scene.pushers]
+    things: list[Body | Pusher] = [*subject.scene.bodies, *subject.scene.pushers]
     marked = [name for name, part in rig.parts.items() if part.marks]
-    unmarked = tuple(own.name for own in moving if own.name not in marked)
+    unmarked = tuple(own.name for own in things if own.name not in marked)
     return FilmResult(
         name=subject.name,
         folder=folder,
