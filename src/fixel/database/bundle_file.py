@@ -62,18 +62,7 @@ def private_url(file: Path) -> str:
 
 @contextmanager
 def opened_bundle(path: Path, folder: Path, limits: BundleLimits = LIMITS) -> Iterator[Store]:
-    """Unpack and check a bundle; yield a store of its records, to read from.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder for the unpacked files while the bundle is open.
-
-    Raises
-    ------
-    InvalidInput
-        The file is no bundle, is damaged, or is malicious.
-    """
+    """Unpack and check a bundle in a folder; yield a store of its records, to read from."""
     with TemporaryDirectory(prefix=".bundle-", dir=folder) as name:
         _unpack(path, Path(name), limits)
         with Store(private_url(Path(name, DATABASE)), Path(name, MEDIA)) as store:

@@ -214,12 +214,7 @@ def _reason(place: str, said: str) -> tuple[str, str | None]:
 def check_local(path: Path, mounts: str | None = None) -> None:
     """Raise for a file on a network file system, where two machines would overwrite each other.
 
-    Parameters
-    ----------
-    path : Path
-        Database file; it need not exist yet.
-    mounts : str, optional
-        Mount table instead of /proc/self/mounts, which exists on Linux only.
+    It need not exist yet. `mounts` replaces /proc/self/mounts, which exists on Linux only.
     """
     if mounts is None:
         try:

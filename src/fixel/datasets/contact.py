@@ -34,16 +34,9 @@ def moved_to_contact(
 
 
 def corrected_path(path: FloatArray, offset: FloatArray, fade: float = math.inf) -> FloatArray:
-    """Shift the start of a path; the correction fades to zero, so that the end is as measured.
+    """Shift the start of a path (n, 4) of times [s] and poses [m, m, rad] by an offset (2,) [m].
 
-    Parameters
-    ----------
-    path : (n, 4) float64
-        Path: time [s] and pose [m, m, rad].
-    offset : (2,) float64
-        Shift of the start [m].
-    fade : float
-        Duration of the correction [s]; at most that of the whole path.
+    The correction fades to zero within `fade` [s], at most the whole path: its end is as measured.
     """
     time = path[:, 0] - path[0, 0]
     over = min(fade, float(time[-1])) if len(time) > 1 else 0.0

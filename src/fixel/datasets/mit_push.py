@@ -185,13 +185,7 @@ def _plan_of_table(folder: Path) -> ImportPlan:
 
 
 def read_mit_pushes(folder: Path) -> MitPushes:
-    """Load the end-point set of the MIT push dataset.
-
-    Raises
-    ------
-    InvalidInput
-        Invalid files, or a plate that no push starts outside of.
-    """
+    """Load the end-point set of the MIT push dataset; raise if all pushes start inside a plate."""
     with guarded(folder.name):
         pushes = _read(folder)
     deep = pushes.gap < -MAX_CORRECTION

@@ -118,13 +118,7 @@ def with_scene(
 
 
 def template_text(experiment: Experiment, source: str) -> str:
-    """Return the text of a scene file with the data of a table, and placeholders for the rest.
-
-    Parameters
-    ----------
-    source : str
-        Name of the table.
-    """
+    """Return the text of a scene file with the data of a table, and placeholders for the rest."""
     start = np.round(experiment.trajectory.pose[0], 9).tolist()
     body: dict[str, Any] = {
         "name": experiment.object_name,

@@ -126,13 +126,7 @@ class _Token(NamedTuple):
 
 
 def load_dakota(path: str | Path) -> DakotaFile:
-    """Load a Dakota input file.
-
-    Raises
-    ------
-    InvalidInput
-        The first error, or keyword that fixel's search does not support, with its line.
-    """
+    """Load a Dakota input file; errors have the line of what fixel's search does not support."""
     data = read_bounded(Path(path), "a Dakota input file", MAX_BYTES)
     try:
         return dakota_from_text(data.decode("utf-8-sig"), str(path))

@@ -81,13 +81,7 @@ PlanRecord: Any = record_of(
 
 
 def load_plan(path: str | Path) -> Plan:
-    """Load a plan file: YAML, or JSON if the name ends in `.json`.
-
-    Raises
-    ------
-    InvalidInput
-        The first error, with the path of its key.
-    """
+    """Load a plan file: YAML, or JSON if the name ends in `.json`."""
     return _plan(read_document(Path(path), "plan file"))
 
 

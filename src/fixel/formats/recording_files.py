@@ -174,13 +174,7 @@ def row_text(row: RecordingRow) -> bytes:
 
 
 def read_rows(path: Path) -> RecordingRows:
-    """Load all intact rows.
-
-    Raises
-    ------
-    InvalidInput
-        No such file, or a damaged or missing row before intact ones.
-    """
+    """Load all intact rows; raise if a damaged or missing row is before intact ones."""
     try:
         lines = path.read_bytes().splitlines(keepends=True)
     except OSError as problem:

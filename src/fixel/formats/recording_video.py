@@ -71,12 +71,7 @@ def decoded(data: bytes, where: str = "picture") -> Picture:
 def brightness(data: bytes, reduced: int = 1, where: str = "picture") -> Gray:
     """Decode only the brightness of a JPEG picture, (height / reduced, width / reduced) uint8.
 
-    Parameters
-    ----------
-    reduced : int
-        Factor by which width and height shrink: 1, 2, 4 or 8.
-    where : str
-        Name of the picture in errors.
+    `reduced` is 1, 2, 4 or 8; `where` names the picture in errors.
     """
     from PIL import Image
 
@@ -143,15 +138,9 @@ class StoredPacket(NamedTuple):
 
 @final
 class VideoSink:
-    """Writer of pictures to a new video, without buffering in the process.
+    """Writer of pictures of (width, height) [px] to a new video, without buffering in the process.
 
-    Parameters
-    ----------
-    path : Path
-    size : (int, int)
-        Width and height [px].
-    exact : bool
-        Whether to encode without loss instead of as JPEG.
+    It encodes without loss if `exact`, else as JPEG.
     """
 
     def __init__(self, path: Path, size: tuple[int, int], *, exact: bool) -> None:
@@ -247,15 +236,7 @@ def packets(path: Path) -> Iterator[tuple[int, bytes]]:
 
 @final
 class PictureDecoder:
-    """Decoder of the packets of a video into frames.
-
-    Parameters
-    ----------
-    size : (int, int)
-        Width and height [px].
-    exact : bool
-        Whether the video was written without loss.
-    """
+    """Decoder of the packets of a video, written by `VideoSink`, into frames."""
 
     def __init__(self, size: tuple[int, int], *, exact: bool) -> None:
         self._size = size

@@ -406,19 +406,7 @@ def within(path: str, *words: str) -> Iterator[None]:
 def validated(root: type[R], raw: Any, name: str) -> R:
     """Validate every key and kind of value in the raw content of a file.
 
-    Parameters
-    ----------
-    root : type
-        Record of the whole file.
-    raw : Any
-        Content as dicts, lists and plain values.
-    name : str
-        Name of the whole in errors: `"scene"`.
-
-    Raises
-    ------
-    InvalidInput
-        The first error, with the path of its key.
+    `name` is that of the whole in errors: `"scene"`. The first error has the path of its key.
     """
     try:
         return root.model_validate(raw)

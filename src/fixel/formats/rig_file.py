@@ -97,13 +97,7 @@ class CameraRecord(FileRecord):
 
 
 def load_camera(path: str | Path) -> MeasuredCamera:
-    """Load a camera file: YAML, or JSON if the name ends in `.json`.
-
-    Raises
-    ------
-    InvalidInput
-        The first error, with the path of its key.
-    """
+    """Load a camera file: YAML, or JSON if the name ends in `.json`."""
     raw = read_document(Path(path))
     if not isinstance(raw, dict) or "lens" not in raw:
         raise InvalidInput(
@@ -217,13 +211,7 @@ RigRecord: Any = record_of(
 
 
 def rig_of(name_or_path: str | Path) -> Rig:
-    """Load a rig by the name of an example, or from a rig file.
-
-    Parameters
-    ----------
-    name_or_path : str or Path
-        One of `EXAMPLES`, or the path of a rig file.
-    """
+    """Load a rig by the name of an example, one of `EXAMPLES`, or from a rig file."""
     if str(name_or_path) in EXAMPLES:
         folder = files("fixel") / "testing" / "examples" / "rigs"
         with as_file(folder / f"{name_or_path}.yaml") as path:
@@ -248,13 +236,7 @@ def plate_of(name_or_path: str | Path) -> tuple[Tag, ...]:
 
 
 def load_rig(path: str | Path) -> Rig:
-    """Load a rig file: YAML, or JSON if the name ends in `.json`.
-
-    Raises
-    ------
-    InvalidInput
-        The first error, with the path of its key.
-    """
+    """Load a rig file: YAML, or JSON if the name ends in `.json`."""
     path = Path(path)
     return rig_from_dict(read_document(path, "rig file"), path.parent)
 

@@ -170,13 +170,7 @@ def scene_content(scene: Scene) -> dict[str, Any]:
 
 
 def scene_record(raw: Any) -> SceneRecord:
-    """Validate every key and kind of value in the raw content of a scene file.
-
-    Raises
-    ------
-    InvalidInput
-        The first error, with the path of its key.
-    """
+    """Validate every key and kind of value in the raw content of a scene file."""
     _refuse_many_keys(raw)
     try:
         return validated(SceneRecord, raw, "scene")

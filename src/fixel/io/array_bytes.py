@@ -66,13 +66,7 @@ VERSION: Final = 1
 
 @final
 class ResultCache:
-    """Results by name, each stored with a checksum of its inputs.
-
-    Parameters
-    ----------
-    folder : Path or None
-        Folder of the cache, created if missing; None to store nothing.
-    """
+    """Results by name in a folder, each with a checksum of its inputs; without one, not stored."""
 
     def __init__(self, folder: Path | None) -> None:
         self.folder = folder
@@ -82,14 +76,7 @@ class ResultCache:
     def get(self, name: str, of: object, compute: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         """Return the result stored under a name for the same inputs, or compute and store it.
 
-        Parameters
-        ----------
-        name : str
-            Name of the file.
-        of : object
-            All inputs of the result, as plain values and arrays.
-        compute : callable
-            Function that returns plain values.
+        `of` has all inputs of the result, as plain values and arrays; results are plain values.
         """
         mark = hashlib.sha256(json.dumps([VERSION, of], default=_plain).encode()).hexdigest()
         if self.folder is None:

@@ -31,15 +31,7 @@ _DAMAGE: Final = (
 def readable(path: Path, hint: str = "") -> Iterator[None]:
     """Raise `StoreRefused` with the name of a file if reading it in the block fails.
 
-    Parameters
-    ----------
-    hint : str
-        Advice on how to create it again; by default to restore or delete it.
-
-    Raises
-    ------
-    StoreRefused
-        The file is missing, truncated or of another kind, or the machine failed.
+    `hint` advises how to create it again; by default to restore or delete it.
     """
     try:
         yield

@@ -135,13 +135,7 @@ def _this_process() -> bytes:
 
 
 def _lock(descriptor: int, shared: bool = False) -> bool | None:
-    """Take the lock of the operating system.
-
-    Returns
-    -------
-    bool or None
-        Whether it was taken; None if the file system has no locks.
-    """
+    """Take the lock of the operating system; return None if the file system has no locks."""
     try:
         if sys.platform == "win32":
             import msvcrt

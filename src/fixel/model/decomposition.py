@@ -25,18 +25,10 @@ STRAIGHT = 1e-12
 
 
 def convex_pieces(vertices: FloatArray) -> tuple[Piece, ...]:
-    """Decompose a simple polygon into convex pieces.
+    """Decompose a simple polygon, a counter-clockwise outline (n, 2) [m], into convex pieces.
 
-    Parameters
-    ----------
-    vertices : (n, 2) float64
-        Counter-clockwise outline [m].
-
-    Returns
-    -------
-    tuple of ((k, 2) float64, (k,) bool)
-        Vertices of each piece, counter-clockwise [m], and whether the edge from vertex k to k + 1
-        lies on the outline.
+    Each has its vertices (k, 2), counter-clockwise, and a flag (k,) for each edge from vertex k to
+    k + 1: whether it lies on the outline.
     """
     n = len(vertices)
     if is_convex(vertices):

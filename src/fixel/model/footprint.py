@@ -33,24 +33,11 @@ INNER: Final = 0.48
 
 @lru_cache(MAX_KEPT)
 def cells(shape: Shape, n_points: int) -> tuple[FloatArray, FloatArray]:
-    """Compute centroids of small cells that tile a shape, and their shares of the area.
+    """Compute centroids (n, 2) of about `n_points` cells that tile a shape, and shares of the area.
 
-    The weighted mean of the points is the centroid of the shape, to rounding. The arrays are
-    read-only, since the cells of the latest shapes are kept: bodies are often built again.
-
-    Parameters
-    ----------
-    shape : Shape
-        Footprint.
-    n_points : int
-        Approximate number of cells.
-
-    Returns
-    -------
-    points : (n, 2) float64
-        Centroids in the frame of the shape [m].
-    share : (n,) float64
-        Shares, positive with sum 1 [-].
+    Centroids are in the frame of the shape [m]; shares (n,) are positive with sum 1 [-]. The
+    weighted mean of the points is the centroid of the shape, to rounding. The arrays are read-only,
+    since the cells of the latest shapes are kept: bodies are often built again.
     """
     if isinstance(shape, Disk):
         points, share = _disk_cells(shape, n_points)

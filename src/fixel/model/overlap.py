@@ -19,21 +19,9 @@ class Overlap(NamedTuple):
 
 
 def overlap_depth(a: Shape, pose_a: FloatArray, b: Shape, pose_b: FloatArray) -> float:
-    """Compute the depth of overlap of two shapes, zero or negative where they are apart.
+    """Compute the depth of overlap of two shapes at poses (3,) [m], zero or less if they are apart.
 
     Exact for overlapping convex shapes; for others the largest over pairs of their convex pieces.
-
-    Parameters
-    ----------
-    a, b : Shape
-        Shapes in their own frames.
-    pose_a, pose_b : (3,) float64
-        Poses of these frames in the world [m, m, rad].
-
-    Returns
-    -------
-    float
-        Depth of the overlap [m].
     """
     return float(overlaps(a, pose_a[None], b, pose_b).depth[0])
 

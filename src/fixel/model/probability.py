@@ -14,12 +14,7 @@ from fixel.errors import InvalidInput
 def stream(seed: int, *purpose: str) -> np.random.Generator:
     """Create a generator for one purpose, independent of the order of runs and of threads.
 
-    Parameters
-    ----------
-    seed : int
-        Seed, not negative.
-    *purpose : str
-        Purpose of the numbers: `"run"`, `"square-07"`. Streams of different purposes differ.
+    Streams of different purposes, such as `"run", "square-07"`, differ. Seeds are not negative.
     """
     # Python's own hash of a string differs between processes.
     digest = hashlib.sha256("\0".join(purpose).encode()).digest()

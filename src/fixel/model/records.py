@@ -266,11 +266,7 @@ class Estimate:
 def estimate_table(estimates: Iterable[Estimate], level: float | None) -> Table:
     """Return the table of estimates for people; below an estimate, that from noise alone.
 
-    Parameters
-    ----------
-    estimates : iterable of Estimate
-    level : float or None
-        Confidence level of the intervals; None if it is unknown.
+    `level` is the confidence level of the intervals; None if it is unknown.
     """
     rows = []
     for own in estimates:

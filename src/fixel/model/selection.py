@@ -454,10 +454,7 @@ def _not_among(what: str, typed: str, known: Iterable[str]) -> Iterator[UnknownN
 def refuse_unknown(query: ExperimentQuery, known: KnownNames, *, found: bool) -> None:
     """Raise for a condition that no experiment has and, if nothing was found, for other names.
 
-    Raises
-    ------
-    InvalidInput
-        Error for the first of them, with the known name that resembles it most.
+    The error of the first has the known name that resembles it most.
     """
     for unknown in unknown_names(query, known):
         if not found or (unknown.what == "filter" and unknown.typed not in query.words):
@@ -467,10 +464,7 @@ def refuse_unknown(query: ExperimentQuery, known: KnownNames, *, found: bool) ->
 def meant_filter(filter: str, known: KnownNames) -> str | None:
     """Return a filter with unknown names and values replaced by what resembles them.
 
-    Returns
-    -------
-    str or None
-        None if nothing is unknown, or nothing resembles it.
+    It is None if nothing is unknown, or nothing resembles it.
     """
     changed = filter
     for unknown in unknown_names(parse_filter(filter), known):

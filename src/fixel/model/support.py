@@ -314,14 +314,7 @@ def _tilted(share: FloatArray, points: FloatArray, com: FloatArray) -> FloatArra
 
 def tilted_shares(share: FloatArray, points: FloatArray) -> FloatArray:
     """Tilt shares (..., n) of the weight under p0 to p0 (1 + a . r), such that their centre is the
-    origin; they may come out negative.
-
-    Parameters
-    ----------
-    share : (..., n) float64
-        Shares of the weight under p0 [-].
-    points : (n, 2) float64
-        Points relative to the centre of mass [m].
+    origin; they may come out negative. Points (n, 2) are relative to the centre of mass [m].
     """
     centroid = share @ points
     r = points - centroid[..., None, :]

@@ -139,17 +139,10 @@ def pose_error(a: ArrayLike, b: ArrayLike) -> tuple[FloatArray, FloatArray]:
 
 
 def turned(start: float, end: float, frames: int) -> float:
-    """Return the angle by which a body turned from the first to the last frame [rad].
+    """Return the angle by which a body turned from the first to the last of some frames [rad].
 
     For two frames this is the angle in [-pi, pi). Longer trajectories are stored with continuous
     angles.
-
-    Parameters
-    ----------
-    start, end : float
-        Angles of the first and the last frame [rad].
-    frames : int
-        Number of frames of the trajectory.
     """
     return end - start if frames > 2 else float(wrapped(end - start))
 

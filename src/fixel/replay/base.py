@@ -330,12 +330,7 @@ def pushes_figure(
 ) -> Figure:
     """Draw the errors of the chosen pushes, and top views of a few rows.
 
-    Parameters
-    ----------
-    ends : mapping from model to (n, 3) float64
-        Predicted end poses.
-    errors : mapping from model to pair of (n,) float64
-        Errors of position [mm] and angle [deg].
+    Predicted `ends` (n, 3) and errors of position [mm] and angle [deg] are those of each model.
     """
     figure = sheet(WIDE, 4.7)
     parts: Any = figure.subfigures(2, 1, height_ratios=(1.0, 1.15))
@@ -416,12 +411,9 @@ def _push(
 def trial_figure(
     experiment: Experiment, curves: Mapping[str, Trajectory], actuator: FloatArray
 ) -> Figure:
-    """Draw the motions of the object in one trial, the measured one first.
+    """Draw the motions of the object in one trial, the measured one first, and the actuator's.
 
-    Parameters
-    ----------
-    actuator : (n, 3) float64
-        Measured poses of the actuator [m, m, rad].
+    `actuator` (n, 3) has its measured poses [m, m, rad].
     """
     figure = sheet(WIDE, 3.6)
     parts: Any = figure.subfigures(1, 2, width_ratios=(0.85, 1.0))

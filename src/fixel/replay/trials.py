@@ -192,14 +192,7 @@ def recorded_paths(trial: Experiment) -> tuple[FloatArray, FloatArray]:
 def trial_scene(trial: Experiment, start: FloatArray, time: FloatArray, path: FloatArray) -> Scene:
     """Build the scene of a trial with another start and path, and no limit of force.
 
-    Parameters
-    ----------
-    start : (3,) float64
-        Start pose of the object [m, m, rad].
-    time : (n,) float64
-        Times of the path, from 0 on [s].
-    path : (n, 3) float64
-        Poses of the actuator [m, m, rad].
+    The path has times (n,) from 0 on [s] and poses (n, 3) of the actuator [m, m, rad].
     """
     scene = _scene(trial)
     drive = PathDrive(waypoints=np.column_stack((time, path)))
@@ -214,10 +207,7 @@ def trial_scene(trial: Experiment, start: FloatArray, time: FloatArray, path: Fl
 def as_the_lab_did(trial: Experiment, lab: LabSimulation, *, leading: bool = True) -> Simulation:
     """Repeat the laboratory's stored simulation of a trial, including its mistakes.
 
-    Parameters
-    ----------
-    leading : bool
-        Whether the driver is a step ahead of the object, as in the laboratory's code.
+    The driver is a step ahead of the object, as in the laboratory's code, if it is `leading`.
     """
     place = lab.actuator
     if leading:

@@ -61,14 +61,8 @@ def fit(
 ) -> BundleFit:
     """Fit lens and places by least squares, with Levenberg and Marquardt's method.
 
-    Parameters
-    ----------
-    lens, rotations, translations
-        Start nearby: the lens, and the place of every view.
-    names : sequence of str
-        Parameters of the lens to fit; empty to fit places only.
-    steps : int
-        Largest number of steps.
+    It starts at the given lens and place of every view. `names` are the parameters of the lens to
+    fit; without any, only places are fitted.
     """
     damping, state = 1e-4, (lens, rotations, translations)
     error = _residuals(*state, sight)
@@ -142,16 +136,8 @@ def _together(pulls: FloatArray, own: FloatArray, whole: FloatArray, noise: floa
     the places adjusted (the jackknife over clusters). The mean square of the changes is compared
     with the variance for independent corners.
 
-    Parameters
-    ----------
-    pulls : (n_view, n) float64
-        Gradient of each view.
-    own : (n_view, n, n) float64
-        Normal matrix of each view, with its place eliminated.
-    whole : (n, n) float64
-        Sum of the matrices.
-    noise : float
-        Standard deviation of a pixel [px].
+    Each view has a gradient (n,) in `pulls` and a normal matrix (n, n) in `own`, with its place
+    eliminated; `whole` is the sum of the matrices.
 
     Source
     ------

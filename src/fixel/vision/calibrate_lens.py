@@ -79,10 +79,7 @@ def find_boards(
 ) -> tuple[tuple[BoardView, ...], tuple[SkippedPicture, ...]]:
     """Find a board in pictures; return its views, and the pictures without one.
 
-    Raises
-    ------
-    InvalidInput
-        A picture is mirrored, as all others will be.
+    A mirrored picture raises, as all others will be mirrored too.
     """
     views, dropped = [], []
     for name, picture in pictures:

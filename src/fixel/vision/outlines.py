@@ -28,22 +28,10 @@ HALO_STRENGTH = 0.45
 
 
 def outline_pixels(camera: Camera, shape: Shape, pose: ArrayLike, height: float) -> FloatArray:
-    """Project the outline of a part into the picture.
+    """Project the outline of a shape at a pose (3,) and a height [m] to a closed line (n, 2) [px].
 
-    Parameters
-    ----------
-    shape : Shape
-        Shape in its own frame.
-    pose : (3,) array_like
-        Pose of that frame in the world [m, m, rad].
-    height : float
-        Height of the outline above the plane [m].
-
-    Returns
-    -------
-    (n, 2) float64
-        Corners of a closed line [px], with edges in pieces that follow the distortion of the lens.
-        Points far outside the picture are moved to the limit of the lens model.
+    Edges are in pieces that follow the distortion of the lens. Points far outside the picture are
+    moved to the limit of the lens model.
     """
     corners = shape.outline
     following = np.roll(corners, -1, axis=0)

@@ -47,16 +47,7 @@ def place_by_board(
 ) -> Placement:
     """Determine the place of a camera from a board that lies on the plate.
 
-    Parameters
-    ----------
-    measured : MeasuredCamera
-        Camera with a calibrated lens.
-    picture : (height, width, 3) or (height, width) uint8
-    board : Board
-    pose : (3,) array_like
-        Pose of the board's lower left corner in the world [m, m, rad].
-    height : float
-        Height of its upper face above the plate [m].
+    Its lower left corner has a pose (3,) in the world [m, m, rad], its upper face a height [m].
     """
     measured.lens.for_pictures_of((picture.shape[1], picture.shape[0]))
     corners = board.find(picture)

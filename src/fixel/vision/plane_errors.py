@@ -37,15 +37,7 @@ class PlaneErrors(NamedTuple):
 def plane_errors(
     measured: MeasuredCamera, height: float, *, columns: int = 17, rows: int = 11
 ) -> PlaneErrors:
-    """Compute errors of places at one height, on a grid over the picture.
-
-    Parameters
-    ----------
-    measured : MeasuredCamera
-        Placed camera.
-    height : float
-        Height of the places above the plate [m].
-    """
+    """Compute errors of places at a height above the plate [m], on a grid over the picture."""
     camera = measured.placed()
     if columns < 2 or rows < 2:
         raise InvalidInput("grid", found=(columns, rows), expected="at least 2 x 2 points")
@@ -145,17 +137,7 @@ def pose_covariance(
     """Covariances (n, 3, 3) of poses due to the camera's errors [m^2, m rad, rad^2].
 
     The errors are the same in every picture, so that averaging over frames does not reduce them.
-
-    Parameters
-    ----------
-    measured : MeasuredCamera
-        Placed camera.
-    poses : (n, 3) float64
-        Poses of the part [m, m, rad].
-    points : (k, 2) float64
-        At least two points of the part by which it is measured [m].
-    height : float
-        Height of these points above the plate [m].
+    A part at poses (n, 3) is measured by at least two points (k, 2) of it [m], at a height [m].
     """
     if not measured.names:
         return np.zeros((len(poses), 3, 3))

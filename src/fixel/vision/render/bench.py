@@ -209,19 +209,9 @@ def shade(
 ) -> FloatPicture | None:
     """Compute the light that shadows leave on a horizontal face, in a window of the picture.
 
-    Parameters
-    ----------
-    level : float
-        Height of the face above the plane [m].
-    casters : sequence of PlacedSolid
-        Solids that cast shadows; those below the face cast none.
-    depth : float
-        Share of the light that is missing in a full shadow [-].
-
-    Returns
-    -------
-    (h, w) float32 or None
-        Factors on the light; None without shadows.
+    `level` is the height of the face [m]; solids below it cast no shadow on it. `depth` is the
+    share of the light that is missing in a full shadow [-]. The factors (h, w) are None without
+    shadows.
     """
     hulls = [
         hull

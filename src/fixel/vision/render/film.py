@@ -33,19 +33,7 @@ Motion = Simulation | Mapping[str, Trajectory]
 
 
 class Occlusion:
-    """Motion of a hand in one film.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene whose first body the hand covers.
-    rig : Rig
-    looks : CameraEffects
-        Duration of the occlusion, and covered share of the object.
-    times : (n,) float64
-        Times of the film's frames [s].
-    seed : int
-    """
+    """Motion of a hand over the first body of a scene, in a film with frames at times (n,) [s]."""
 
     def __init__(
         self, scene: Scene, rig: Rig, looks: CameraEffects, times: FloatArray, seed: int
@@ -214,17 +202,7 @@ NEEDLE: Final = ((0.0, 0.5), (25e-6, 0.5), (1.6e-3, 5.2), (1.2e-2, 7.0))  # [m],
 
 
 class BrightField:
-    """Renderer of a scene under the microscope, lit from below.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene with the true shapes.
-    rig : Rig
-    looks : CameraEffects
-    seed : int
-        Seed of the dust.
-    """
+    """Renderer of a scene with the true shapes under the microscope, lit from below."""
 
     def __init__(self, scene: Scene, rig: Rig, looks: CameraEffects, seed: int) -> None:
         self._eye, self._looks = Projection(rig.camera), looks
@@ -270,12 +248,7 @@ class BrightField:
 def part_outline(body: Body, tab: tuple[float, float], pixel: float) -> FloatArray:
     """Outline (n, 2) of a part with its tab in the middle of its first shortest side [m].
 
-    Parameters
-    ----------
-    tab : (float, float)
-        Width and length of the tab [m]; a disk has none.
-    pixel : float
-        Size of a pixel [m].
+    A tab has a width and a length [m]; a disk has no tab.
     """
     width, length = tab
     if isinstance(body.shape, Disk) or width * length == 0.0:

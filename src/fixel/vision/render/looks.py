@@ -131,15 +131,7 @@ def changed(looks: CameraEffects, changes: Iterable[str]) -> CameraEffects:
 
 
 def frame_times(duration: float, rate: float, looks: CameraEffects, seed: int) -> FloatArray:
-    """Draw the times (n,) of frames [s], with jitter and without lost frames.
-
-    Parameters
-    ----------
-    duration : float
-        Duration of the film, from the first frame at 0 [s].
-    rate : float
-        Frame rate [Hz].
-    """
+    """Draw the times (n,) of frames from 0 on [s], with jitter and without lost frames."""
     count = int(duration * rate + 1e-6) + 1
     random = stream(seed, "film", "clock")
     wobble = random.standard_normal(count)

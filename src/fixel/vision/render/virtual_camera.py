@@ -69,16 +69,7 @@ class Projection:
 
 
 class Sensor:
-    """Converter of light to grey levels.
-
-    Parameters
-    ----------
-    looks : CameraEffects
-        Effects with the noise of the sensor.
-    size : (int, int)
-        Width and height [px].
-    seed : int
-    """
+    """Converter of light to grey levels, with noise, for pictures of (width, height) [px]."""
 
     def __init__(self, looks: CameraEffects, size: tuple[int, int], seed: int) -> None:
         self._read, self._shot = looks.read_noise, looks.shot_noise

@@ -78,11 +78,7 @@ class AbstractTracking(ABC):
     def follow(self, rig: Rig, things: Mapping[str, Thing]) -> AbstractFollower:
         """Create a follower for a film of a rig with at least one suitable part.
 
-        Parameters
-        ----------
-        things : dict of str to Thing
-            Bodies and pushers of the scene, if any, with their outlines and approximate start
-            poses.
+        `things` are bodies and pushers of the scene, with outlines and approximate start poses.
         """
 
 
@@ -118,13 +114,8 @@ class PartPrediction:
     ) -> PartObservation | None:
         """Measure a part near its predicted pose; None before its first sighting.
 
-        Parameters
-        ----------
-        time : float
-            Time of the frame [s]; call once per frame.
-        measure : callable
-            Measurement near a pose (3,). It is called again with the pose predicted by number of
-            frames if it finds nothing and that is another one.
+        Call it once per frame. `measure` is called near a pose (3,), and again with the pose
+        predicted by number of frames if it finds nothing and that is another one.
         """
         expected = self.at(time)
         if expected is None:

@@ -168,10 +168,7 @@ def _by_its_edges(rig: Rig, frame: Frame, tag: Tag) -> float | None:
 def check_camera_place(rig: Rig, frame: Frame) -> bool:
     """Raise for pictures in which tags of the plate are not in their places.
 
-    Returns
-    -------
-    bool
-        Whether any of them is visible, without which a movement cannot be noticed.
+    Return whether any of them is visible, without which a movement cannot be noticed.
     """
     offsets = _plate(rig, frame)
     if not offsets:
@@ -213,13 +210,7 @@ def moved_limit(rig: Rig, tag: Tag, least: float) -> float:
 
 
 def registered(rig: Rig, frame: Frame) -> Rig:
-    """Return the rig with the camera's place determined from the tags of the plate.
-
-    Raises
-    ------
-    InvalidInput
-        Fewer than three plate tags are visible, or the tags fit no place of the camera.
-    """
+    """Return the rig with the camera's place determined from at least three tags of the plate."""
     found = read_tags(frame.luma, {tag.family for tag in rig.plate})
     rough = {
         tag: found[tag.family, tag.id][0] for tag in rig.plate if (tag.family, tag.id) in found

@@ -33,16 +33,9 @@ def judged(
     sightings: Sequence[PartObservation],
     doubted: BoolArray | None = None,
 ) -> PartTrack:
-    """Return the track of a part, with impossible poses marked.
+    """Return the track of a part, with impossible poses marked, from one sighting per frame.
 
-    Parameters
-    ----------
-    time : (n,) float64
-        Times of the frames [s].
-    sightings : sequence of PartObservation
-        One sighting per frame.
-    doubted : (n,) bool, optional
-        Frames during which the camera may have been moved.
+    `doubted` (n,) are the frames during which the camera may have been moved.
     """
     seen = np.array([s.pose is not None for s in sightings], dtype=bool)
     nothing = np.full(3, np.nan)

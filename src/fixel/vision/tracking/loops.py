@@ -163,12 +163,8 @@ def edges_expected(
 ) -> bool:
     """Write expected edges, and the derivative (n, m) of their offsets along normals by the pose.
 
-    `thing` (n, 5) contains points, directions from dark to bright, and heights.
-
-    Returns
-    -------
-    bool
-        Whether all points lie in front of the camera.
+    `thing` (n, 5) contains points, directions from dark to bright, and heights. Returns whether
+    all points lie in front of the camera.
     """
     c, s = math.cos(pose[2]), math.sin(pose[2])
     for i in range(len(thing)):
@@ -288,15 +284,8 @@ def find_edges(picture: Gray, pixel: FloatArray, normal: FloatArray, reach: floa
     normal, and the edge is the centre of its rise. Blur, defocus and noise do not bias this
     estimate, in contrast to the refinement of corners.
 
-    Parameters
-    ----------
-    picture : (height, width) uint8
-    pixel : (n, 2) float64
-        Points on the edge, where it is expected [px].
-    normal : (n, 2) float64
-        Unit vectors from the dark side to the bright one.
-    reach : float
-        Largest distance from the expected places [px].
+    Edges are expected at pixels (n, 2), within a reach [px]; normals (n, 2) are unit vectors from
+    the dark side to the bright one.
     """
     n = len(pixel)
     found = np.empty((n, 3))

@@ -56,12 +56,8 @@ class NeedleFollower:
     ) -> PartObservation:
         """Measure the probe in a frame.
 
-        Parameters
-        ----------
-        part : (n, 2) float64, optional
-            Outline of the part in the picture [px]; None where it is unknown.
-        dark : (height, width) uint8, optional
-            Mask of dark pixels outside the part, in which to search for the probe.
+        `part` (n, 2) is the outline of the part in the picture [px]; `dark` is a mask of the dark
+        pixels outside of it, in which to search for the probe.
         """
         sight = self._prediction.follow(
             frame.time, lambda pose: self._followed(frame, self._tip_of(pose), part)

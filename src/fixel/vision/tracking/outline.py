@@ -350,12 +350,8 @@ def solve_robustly(
     The offsets are the first column of `found`.
     Cauchy's weights identify the rows that agree; only these are used in the final solution.
     Writes the step (m,), its covariance (m, m), and which rows were used (n,); `room` (4, n) and
-    `square` (m + 2, m) are workspace.
-
-    Returns
-    -------
-    float
-        Root mean square residual [px], or -1 where the rows do not determine the step.
+    `square` (m + 2, m) are workspace. Returns the root mean square residual [px], or -1 where the
+    rows do not determine the step.
     """
     n, m = slope.shape
     offset = found[:, 0]

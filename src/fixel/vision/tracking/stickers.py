@@ -222,14 +222,8 @@ def find_patches(
 ) -> dict[str, list[FloatArray]]:
     """Find all patches that may be the wanted stickers: their middles (2,) [px], by colour.
 
-    Parameters
-    ----------
-    picture : (height, width, 3) uint8
-        A window of the camera's picture.
-    stickers : tuple of Sticker
-        All stickers of the rig; a pixel belongs to the one with the nearest hue.
-    corner : (2,) float64
-        Upper left corner of the window [px].
+    The picture is a window of the camera's, whose upper left corner is `corner` (2,) [px]. A pixel
+    belongs to the one of all stickers of the rig with the nearest hue.
     """
     cv2 = opencv()
     hue, saturation, value = np.moveaxis(
@@ -262,23 +256,13 @@ def _nearest_hue(colours: tuple[str, ...]) -> np.ndarray[tuple[int], np.dtype[np
 def fit_sticker(
     frame: Frame, camera: Camera, sticker: Sticker, place: FloatArray, reach: float
 ) -> PoseFit | str:
-    """Measure the place of a sticker from its edge.
+    """Measure a sticker from its edge, near a place (2,) [m]; return a reason if that fails.
 
     The colours of the sticker and its surroundings are read from the picture, so that the light
     does not matter. They give the share of every pixel that the sticker covers. A circle at the
     sticker's height, projected by the camera, is fitted to the edge of the covered area. This is
-    exact under perspective, and works for a partly hidden sticker.
-
-    Parameters
-    ----------
-    place : (2,) float64
-        Expected place in the world [m].
-    reach : float
-        Largest distance from the expected place [px].
-
-    Returns
-    -------
-    PoseFit, or a reason why there is none.
+    exact under perspective, and works for a partly hidden sticker. `reach` is the largest distance
+    from the expected place [px].
     """
     radius = sticker.diameter / 2.0
     edges = _rim(radius, sticker.height)
@@ -333,13 +317,7 @@ def _window(
 
 @entry
 def cover(window: Picture, u: float, v: float, radius: float, covered: Gray) -> bool:
-    """Write the coverage of each pixel by a sticker near (u, v) as a picture.
-
-    Returns
-    -------
-    bool
-        Whether a sticker is visible there.
-    """
+    """Write the coverage of each pixel by a sticker near (u, v); return whether it is visible."""
     height, width = covered.shape
     inside, around = np.zeros(3), np.zeros(3)
     n_inside = n_around = 0

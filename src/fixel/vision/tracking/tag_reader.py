@@ -25,13 +25,10 @@ MIN_ON_A_SIDE: Final = 6
 
 
 def read_tags(picture: Gray, families: set[str]) -> dict[TagName, list[FloatArray]]:
-    """Read all tags in a picture.
+    """Read all tags in a picture: corners (4, 2) [px] by family and id.
 
-    Returns
-    -------
-    dict from (family, id) to list of (4, 2) float64
-        Corners [px], clockwise from the upper left of the tag, accurate to half a pixel. More than
-        one set of corners for an id indicates a second tag with it.
+    Corners are clockwise from the upper left of the tag, accurate to half a pixel. More than one
+    set of corners for an id indicates a second tag with it.
     """
     found: dict[TagName, list[FloatArray]] = {}
     contiguous = np.ascontiguousarray(picture)
@@ -77,10 +74,7 @@ def on_tag(tag: Tag, points: FloatArray) -> FloatArray:
 def find_tags(picture: Picture, tags: Sequence[Tag]) -> dict[int, FloatArray]:
     """Find tags; return corners (4, 2) [px] by index in `tags`, without those not found.
 
-    Raises
-    ------
-    InvalidInput
-        The picture is mirrored, or a tag occurs twice.
+    A mirrored picture raises, and a tag that occurs twice.
     """
     gray = gray_of(picture)
     families = {tag.family for tag in tags}

@@ -195,13 +195,7 @@ def compare_run(
 
 
 def compare_path(experiment: Experiment, record: SimulationRecord) -> PathComparison:
-    """Compare a simulation by another program with an experiment, which needs no scene.
-
-    Raises
-    ------
-    InvalidInput
-        No pose within `effective`.
-    """
+    """Compare a simulation by another program with an experiment, which needs no scene."""
     time, position, angle = errors_of(experiment, record.trajectory)
     return PathComparison(
         experiment=experiment,

@@ -93,11 +93,8 @@ def coverage(
 ) -> Coverage:
     """Count the experiments that were run in each configuration.
 
-    Parameters
-    ----------
-    x, y : str, optional
-        Columns or conditions with numbers; by default offsets along x and y, or else the start of
-        the object.
+    The axes are columns or conditions with numbers; by default offsets along x and y, or else the
+    start of the object.
     """
     noted, known = store.conditions(), numeric_conditions(store)
     x, y = coverage_axes(store, x, y)
@@ -169,10 +166,5 @@ def check_known_names(store: Store, query: ExperimentQuery, *, found: bool = Fal
     """Raise if a query has a dataset, flag, condition or value that no experiment has.
 
     With `found`, only for a condition: other names are then known.
-
-    Raises
-    ------
-    InvalidInput
-        Error for the first of them, with the known name that resembles it most.
     """
     refuse_unknown(query, known_names(store), found=found)

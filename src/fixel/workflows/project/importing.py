@@ -27,12 +27,7 @@ def write_template(plan: ImportPlan, folder: Path) -> Path | None:
     """Write the template of a scene for a table or bag that was imported without one.
 
     It is written next to the table, or into `folder` if that is not possible; an existing file of
-    that name is not changed.
-
-    Returns
-    -------
-    Path or None
-        None if the experiments have a scene, or are of a public dataset.
+    that name is not changed. Nothing is written for public datasets.
     """
     if plan.importer not in (TABLE, BAG):
         return None
