@@ -138,12 +138,7 @@ def _mean(table: FloatArray) -> FloatArray:
 class AxisStudies:
     """Computation of studies: collects rollouts in a queue, then evaluates their results.
 
-    Parameters
-    ----------
-    groups : sequence of ExperimentGroup
-    singles : SingleCalibrations
-    sizes : mapping from axis to sizes, optional
-        Numbers of samples of the intervals; by default those of the thesis.
+    Numbers of samples of the intervals are by default those of the thesis.
     """
 
     def __init__(

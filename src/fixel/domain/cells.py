@@ -350,15 +350,9 @@ def cells_of(
 ) -> Cells:
     """Divide coordinates of the evidence into cells.
 
-    Parameters
-    ----------
-    axes : sequence of str
-        Names of coordinates. More than two are allowed only if every experiment differs from the
-        nominal along at most one of them, as in a plan of offsets axis by axis.
-    nominal : mapping of name to value, optional
-        Nominal values; by default zero, or the median without it, and the most frequent text.
-    steps : mapping of name to float, optional
-        Widths of ranges [SI].
+    More than two axes are allowed only if every experiment differs from the nominal along at most
+    one of them, as in a plan of offsets axis by axis. Nominal values are by default zero, or the
+    median without it, and the most frequent text. Ranges are `steps` wide [SI].
     """
     if not axes or len(set(axes)) < len(axes):
         raise InvalidInput("axes", found=", ".join(axes) or "none", expected="each axis once")

@@ -141,21 +141,10 @@ def default_folds(n: int) -> int:
 
 
 def folds_of(blocks: Sequence[str], strata: Sequence[str], folds: int, seed: int = 0) -> IntArray:
-    """Distribute experiments over folds.
+    """Distribute experiments over folds (n,), by the labels of their blocks and strata.
 
-    Parameters
-    ----------
-    blocks : sequence of str
-        Label of the block of each experiment. Blocks are held out as a whole: repetitions of one
-        configuration, or a group.
-    strata : sequence of str
-        Label of the stratum, whose blocks are distributed over the folds as evenly as possible.
-    seed : int
-        Seed of the order within a stratum.
-
-    Returns
-    -------
-    (n,) int
+    Blocks are held out as a whole: repetitions of one configuration, or a group. Blocks of a
+    stratum are distributed over the folds as evenly as possible, in the order of the seed.
 
     Raises
     ------

@@ -303,12 +303,7 @@ def n_steps_of(groups: Sequence[ExperimentGroup], index: Index) -> int:
 class DomainGrowth:
     """Computation of the growth: collects rollouts in a queue, then evaluates their results.
 
-    Parameters
-    ----------
-    groups : sequence of ExperimentGroup
-    singles : SingleCalibrations
-    index : str
-        `"corrected"`, or `"printed"` for the thesis's code as it is printed.
+    The index is `"corrected"`, or `"printed"` for the thesis's code as it is printed.
     """
 
     def __init__(

@@ -53,22 +53,11 @@ vspan = partial(methodcaller, "axvspan")
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Chart:
-    """Figure with its data as a table.
+    """Figure with its data as a table."""
 
-    Parameters
-    ----------
-    size : (float, float)
-        Width and height of the figure below its title [inch].
-    fill : callable
-        Function that draws all panels in the figure, as `panels` makes it.
-    data : Table
-        All data that the figure shows, in SI units.
-    title : str
-    """
-
-    size: tuple[float, float]
-    fill: Fill
-    data: Table
+    size: tuple[float, float]  # width and height of the figure below its title [inch]
+    fill: Fill  # draws all panels in the figure, as `panels` makes it
+    data: Table  # all data that the figure shows, in SI units
     title: str = ""
 
     def figure(self) -> Figure:
@@ -92,19 +81,9 @@ def panel(
 ) -> Mark:
     """Return a function that draws a panel: marks, in order, and then its axes.
 
-    Parameters
-    ----------
-    *marks : callable
-        Functions that draw in axes, such as `line(x, y, color=...)`.
-    title : str
-    log : mapping from "x" or "y" to (n,) float64
-        Values on logarithmic axes.
-    whole : str
-        Axes with whole numbers: "x", "y" or both.
-    rows : sequence of str
-        Names of rows, from above.
-    **settings
-        Labels and limits, as for `matplotlib.axes.Axes.set`.
+    Marks draw in axes, such as `line(x, y, color=...)`. Axes "x" and "y" in `log` are logarithmic
+    about values (n,), and those in `whole` have whole numbers. Rows are named from above. Settings
+    are labels and limits, as for `matplotlib.axes.Axes.set`.
     """
 
     def draw(axes: Axes) -> None:

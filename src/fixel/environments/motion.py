@@ -59,23 +59,9 @@ _pools: dict[tuple[int, int], ThreadPoolExecutor] = {}
 class PushMotion:
     """Quasi-static motion of n bodies under n round agents, in a unit of length of their own.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene with one body and one round pusher, in metres; the path of the pusher is ignored.
-    n : int
-        Number of environments.
-    unit : float
-        Unit of length of the states [m].
-    threads : int
-        Number of threads that share the environments.
-
-    Attributes
-    ----------
-    state : AgentState
-        States of the environments, which a caller may change between two steps.
-    com : (2,) float64
-        Centre of mass in the frame of the body's shape [unit].
+    The scene has one body and one round pusher, whose path is ignored, in metres; `unit` is the
+    unit of length of the states [m]. A caller may change the states of the environments, `state`,
+    between two steps. The centre of mass `com` (2,) is in the frame of the body's shape [unit].
     """
 
     def __init__(self, scene: Scene, n: int, *, unit: float, threads: int = 1) -> None:

@@ -355,14 +355,6 @@ _OF_ONE_PART: Final = ("tripod_", "support_", "ellipsoid_")
 class WorldDraws:
     """Parameters of a scene in n environments, drawn again for each episode.
 
-    Parameters
-    ----------
-    scene : Scene
-    parameters : Belief, or what `Belief` takes as its parameters
-        Distribution of the parameters.
-    n : int
-        Number of environments.
-
     Raises
     ------
     InvalidInput

@@ -112,14 +112,7 @@ class Particles:
 
 @final
 class Mechanics:
-    """Mechanics that move particles through frames.
-
-    Parameters
-    ----------
-    options : ParticleFilter
-    scene : Scene
-        With a drive that stalls.
-    """
+    """Mechanics that move particles through frames of a scene with a drive that stalls."""
 
     def __init__(self, options: ParticleFilter, scene: Scene) -> None:
         self.options, self.scene = options, scene
@@ -293,13 +286,7 @@ def told(
 
 @final
 class FixelGaps:
-    """Distances from the object to every fixel, for many poses at a time.
-
-    Parameters
-    ----------
-    scene : Scene
-        With one free body.
-    """
+    """Distances from the one free body of a scene to every fixel, for many poses at a time."""
 
     def __init__(self, scene: Scene) -> None:
         pieces = [scene.bodies[0].shape, *(f.shape for f in scene.fixels)]

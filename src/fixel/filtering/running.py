@@ -411,18 +411,10 @@ def start_filter(
     pusher: ArrayLike | None = None,
     time: float | None = None,
 ) -> RunningFilter:
-    """Begin to follow an object.
+    """Begin to follow the object of a scene, or of an experiment at its first frame.
 
-    Parameters
-    ----------
-    setup : Scene or Experiment
-        What is on the plate. Of an experiment, its scene at its first frame is taken.
-    seed : int
-        Of everything random.
-    pose, pusher : (3,) array_like, optional
-        Of the object and of the pusher now [m, m, rad]; as in the scene where left out.
-    time : float, optional
-        Now [s]; 0, or the experiment's first instant, where left out.
+    Poses (3,) of the object and of the pusher now [m, m, rad] are by default those of the scene,
+    and the time now [s] is 0, or the experiment's first instant.
 
     Raises
     ------

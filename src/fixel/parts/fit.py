@@ -304,15 +304,7 @@ class Ends(NamedTuple):
 
 @final
 class PartPushes:
-    """Pushes of one part on one surface.
-
-    Parameters
-    ----------
-    targets : sequence of Target
-        Pushes of one free body by one round pusher.
-    threads : int, optional
-        Number of threads; all cores by default. Results are the same for any number.
-    """
+    """Pushes of one part on one surface, each of one free body by one round pusher."""
 
     def __init__(self, targets: Sequence[Target], threads: int | None = None) -> None:
         self.targets = tuple(targets)

@@ -55,21 +55,9 @@ _OF_LOADS: Final = ("load_", "pressure_", "table_", "support_", "tripod_")
 
 @final
 class StandingPart:
-    """Pushes of one part with calibrated values, and derivatives of their ends by loads.
+    """Pushes of one part with its calibrated values, and derivatives of their ends by loads.
 
-    Parameters
-    ----------
-    pushes : PartPushes
-        Pushes of one part on one surface.
-    values : mapping of str to float
-        Its calibrated values.
-    differentiate : bool
-        Whether there are derivatives.
-
-    Raises
-    ------
-    InvalidInput
-        The part stands on three points, whose loads are the same on every table.
+    A part on three points raises `InvalidInput`: their loads are the same on every table.
     """
 
     def __init__(

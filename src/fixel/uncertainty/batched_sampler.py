@@ -30,14 +30,8 @@ WORTH: Final = 16
 class BatchedSampler:
     """Pool with the interface that dynesty expects.
 
-    Parameters
-    ----------
-    log_likelihood : callable
-        Function of points (k, n) -> (k,).
-    transform : callable
-        Function of quantiles (k, n) in [0, 1] -> points (k, n).
-    count : callable, optional
-        Called with the number of points after each batch.
+    The likelihood is a function of points (k, n) -> (k,), and the transform one of quantiles (k, n)
+    in [0, 1] -> points (k, n). `count` is called with the number of points after each batch.
     """
 
     def __init__(

@@ -121,14 +121,8 @@ def sobol_indices(
 ) -> Indices:
     """Compute first-order and total Sobol indices of a model.
 
-    Parameters
-    ----------
-    model : callable
-        Function of points (m, n_factor) -> outcomes (m, n_outcome); NaN for a failure.
-    outcomes : sequence of str
-        Names of the columns.
-    n : int
-        Base samples, a power of two; the model is evaluated at ``n (n_factor + 2)`` points.
+    The model is a function of points (m, n_factor) -> outcomes (m, n_outcome), NaN for a failure.
+    It is evaluated at ``n (n_factor + 2)`` points, where n is a power of two.
 
     Raises
     ------

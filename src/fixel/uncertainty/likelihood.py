@@ -42,13 +42,9 @@ _SD_OF_MEDIAN: Final = 1.4826
 class ParameterPrior:
     """Independent priors of the free unknowns of a space, and of model error if it is unknown.
 
-    Parameters
-    ----------
-    space : ParameterSpace
-        An unknown with a `prior` is normal about its nominal value, truncated at its bounds; one
-        without is uniform within its bounds.
-    model_error : ModelError, optional
-        Adds the standard deviation of model error as the last unknown.
+    An unknown with a `prior` is normal about its nominal value, truncated at its bounds; one
+    without is uniform within its bounds. Model error adds its standard deviation as the last
+    unknown.
     """
 
     def __init__(self, space: ParameterSpace, model_error: ModelError | None = None) -> None:
@@ -88,25 +84,12 @@ class ParameterPrior:
 
 @final
 class LogLikelihood:
-    """Log likelihood of points for one or several experiments.
+    """Log likelihood of points for one or several members of a comparer.
 
-    Parameters
-    ----------
-    comparer : Comparer
-    members : sequence of int
-        Indices of its experiments.
-    noise : Noise
-        Noise of the camera alone if model error is given; else of all unexplained deviations.
-    model_error : ModelError, optional
-        Prior of its standard deviation, which becomes the last unknown and is the same for all
-        experiments; their errors are independent.
-
-    Attributes
-    ----------
-    prior : ParameterPrior
-        Prior of all unknowns, in the order of the columns of points.
-    evaluations, failed : int
-        Points evaluated so far, and those for which an experiment could not be simulated.
+    The noise is that of the camera alone if model error is given; else of all unexplained
+    deviations. The standard deviation of model error becomes the last unknown and is the same for
+    all experiments; their errors are independent. Points are counted in `evaluations`, and those
+    for which an experiment could not be simulated in `failed`.
     """
 
     def __init__(

@@ -46,28 +46,13 @@ def simulate_starts(
     threads: int | None = None,
     progress: ProgressCallback | None = None,
 ) -> Prediction:
-    """Simulate perturbed starts of a scene.
+    """Simulate n perturbed starts of a scene with one free body and at most one pusher.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene with one free body and at most one pusher.
-    error : StartError or None
-        None for no error of the start; overlaps of the nominal one are then ignored.
-    n : int
-        Number of starts.
-    drawn : (n, 3) float64, optional
-        Errors of the starts, if drawn elsewhere; `n` is then ignored [m, m, rad].
-    values : mapping of name to float or (n,) array_like, optional
-        Parameters: one value for all starts, or one per start.
-    nominal : mapping of name to float, optional
-        Values of the nominal simulation; by default the means of `values`.
-    times : (n_time,) array_like, optional
-        Instants to record [s]; by default twelve up to the end of the scene.
-    motion, stepper, threads : optional
-        Options of `Ensemble`.
-    progress : callable, optional
-        Called with the number of starts done and in all.
+    Without a start error, overlaps of the nominal start are ignored. Errors (n, 3) may be `drawn`
+    elsewhere [m, m, rad]. Parameters have one value for all starts, or one per start; those of the
+    nominal simulation are by default the means of `values`. By default, twelve instants [s] are
+    recorded, up to the end of the scene. Progress is called with the number of starts done and in
+    all.
 
     Raises
     ------
@@ -229,23 +214,9 @@ class Neighbour(NamedTuple):
 def remove_overlap(
     shape: Shape, poses: FloatArray, neighbours: list[Neighbour], most: float
 ) -> tuple[FloatArray, list[str]]:
-    """Move poses out of their neighbours.
+    """Move poses (n, 3) of a body out of its neighbours, by at most `most` [m].
 
-    Parameters
-    ----------
-    shape : Shape
-        Shape of the body.
-    poses : (n, 3) float64
-        Poses of the body [m, m, rad].
-    most : float
-        Largest distance by which a body may be moved [m].
-
-    Returns
-    -------
-    (n, 3) float64
-        Poses, moved where they overlapped.
-    list of str
-        Reason why a pose is impossible; empty otherwise.
+    Return the poses, and for each the reason why it is impossible; empty for the others.
     """
     moved = np.array(poses)
     reasons = [""] * len(poses)

@@ -52,46 +52,24 @@ _log = logging.getLogger("fixel.web")
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Page:
-    """Page of the interface, with its template, context and routes.
+    """Page of the interface, with its template, context and routes."""
 
-    Parameters
-    ----------
-    path : str
-        Address: `"/overlay"`, or `"/experiments/{number}"` for one page per record. Everything that
-        the page fetches is below it.
-    title : str
-        Title in the list of pages and of the window.
-    template : str
-        Name of the template in `templates`.
-    context : mapping
-        Context of the template, in addition to title and pages.
-    fill : callable, optional
-        Returns the rest of the context for a request; a `title` in it names the window, a
-        `status` is that of the response. A `FixelError` that it raises becomes a page with the
-        error.
-    post : callable, optional
-        Called with a request and the fields of a posted form. It returns the path to which the
-        browser goes, or the context of the same page, with `status` and errors.
-    router : APIRouter, optional
-        Routes below the path of the page.
-    views : tuple of LiveView
-        Streams that must end when the server does.
-    place : int
-        Position in the navigation, from left to right.
-    listed : bool
-        Whether the navigation lists the page.
-    """
-
+    # `"/overlay"`, or `"/experiments/{number}"` for one page per record. Everything that the page
+    # fetches is below it.
     path: str
-    title: str
-    template: str
-    context: Mapping[str, Any] = field(default_factory=dict)
+    title: str  # in the list of pages and of the window
+    template: str  # name in `templates`
+    context: Mapping[str, Any] = field(default_factory=dict)  # in addition to title and pages
+    # Returns the rest of the context for a request; a `title` in it names the window, a `status` is
+    # that of the response. A `FixelError` that it raises becomes a page with the error.
     fill: Callable[[Request], Mapping[str, Any]] | None = None
+    # Gets the fields of a posted form; returns the path to which the browser goes, or the context
+    # of the same page, with `status` and errors.
     post: Callable[[Request, dict[str, list[str]]], str | Mapping[str, Any]] | None = None
-    router: APIRouter | None = None
-    views: tuple[LiveView, ...] = ()
-    place: int = 0
-    listed: bool = True
+    router: APIRouter | None = None  # routes below the path of the page
+    views: tuple[LiveView, ...] = ()  # streams that must end when the server does
+    place: int = 0  # in the navigation, from left to right
+    listed: bool = True  # whether the navigation lists the page
 
 
 def create_app(

@@ -17,19 +17,11 @@ LOST: Final = 3.0  # [s] without a sign of life after which a page counts as los
 
 @final
 class BenchSession:
-    """Campaign that the server performs.
-
-    Attributes
-    ----------
-    view : LiveView
-        Live picture and status.
-    loop : BenchLoop, optional
-        Loop of the campaign; None before the first.
-    """
+    """Campaign that the server performs."""
 
     def __init__(self) -> None:
         self.view = LiveView()
-        self.loop: BenchLoop | None = None
+        self.loop: BenchLoop | None = None  # None before the first campaign
         self._alive = time.monotonic()
         self._ready = threading.Event()
         self._thread: threading.Thread | None = None

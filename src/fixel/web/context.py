@@ -24,38 +24,18 @@ MAX_THUMBNAILS: Final = 5000  # in memory; about 2 kB each
 
 @final
 class ProjectContext:
-    """Project, its store, and what is computed from them for more than one request.
-
-    Parameters
-    ----------
-    project : Project
-
-    Attributes
-    ----------
-    store : Store
-        Records of the project, opened once; any thread may use it.
-    bench : BenchSession
-    comparison : LiveComparison
-    calibrations : ProgressReader
-    domain : callable
-        Returns a stored map by name and time, and remembers some.
-    calibration_plot : callable
-        Returns a plot of a stored calibration as PNG, by id and kind.
-    newest : dict from name to result
-        Newest self-test and check of the database, for the page of the system.
-    thumbnail : callable
-        Returns the small picture of an experiment whose content has a checksum, drawn once.
-    """
+    """Project, its store, and what is computed from them for more than one request."""
 
     def __init__(self, project: Project) -> None:
         self.project = project
-        self.store = project.store()
+        self.store = project.store()  # opened once; any thread may use it
         # So that the first page does not wait for its statements.
         self.store.experiments(ExperimentQuery(include_faulty=True, limit=1), details=True)
-        self.newest: dict[str, Any] = {}
+        self.newest: dict[str, Any] = {}  # self-test and check of the database
         self.bench = BenchSession()
         self.comparison = LiveComparison(self.store)
         self.calibrations = ProgressReader(project)
+        # A plot by id and kind, a thumbnail by id and checksum, a map by name and time.
         self._details = lru_cache(MAX_KEPT)(partial(load_detail, project, self.store))
         self.calibration_plot = lru_cache(MAX_KEPT)(partial(plot, project, self.store))
         self.thumbnail = lru_cache(MAX_THUMBNAILS)(self._thumbnail)

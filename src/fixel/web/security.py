@@ -54,26 +54,16 @@ def _secret() -> str:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gate:
-    """Secrets of one running server.
+    """Secrets of one running server."""
 
-    Attributes
-    ----------
-    token : str
-        Secret in the link that opens the pages, and in the header of programs.
-    session : str
-        Secret in the cookie for which the link is exchanged.
-    prefix : str
-        First part of the path of every page; the cookie is sent with no other path.
-    word : str
-        Secret in our own pages, sent back with every request that changes something.
-    cookie : str
-        Name of the cookie, as all servers of a machine share their cookies.
-    """
-
+    # In the link that opens the pages, and in the header of programs.
     token: str = field(default_factory=_secret, repr=False)
-    session: str = field(default_factory=_secret, repr=False)
+    session: str = field(default_factory=_secret, repr=False)  # in the cookie, for the link
+    # First part of the path of every page; the cookie is sent with no other path.
     prefix: str = field(default_factory=lambda: secrets.token_urlsafe(16), repr=False)
+    # In our own pages, sent back with every request that changes something.
     word: str = field(default_factory=_secret, repr=False)
+    # Name of the cookie, as all servers of a machine share their cookies.
     cookie: str = field(default_factory=lambda: f"fixel-{secrets.token_hex(4)}")
 
     @property

@@ -43,23 +43,11 @@ class _Rollout(NamedTuple):
 class EngineEnsemble:
     """Set of scenes that another engine simulates, with the interface of `Ensemble`.
 
-    The engine runs in processes of its own. One that hangs, ends or answers nonsense costs one
-    rollout, which fails with its reason, and is started again.
-
-    Parameters
-    ----------
-    cases : sequence of RolloutCase
-        Cases, each with one free body and at most one pusher.
-    motion : OtherEngine
-        Engine.
-    stepper : optional
-        Ignored: the step is a choice of the engine.
-    threads : int, optional
-        Number of processes; all cores by default. Does not affect the results.
-    limit : float, optional
-        Longest time of one rollout [s]; by default 20 times the median of its case.
-    programs : sequence of Program, optional
-        Processes to use, which stay when the ensemble ends; by default its own.
+    The engine runs in `threads` processes of its own, by default one for each core, or in those of
+    `programs`, which stay when the ensemble ends. One that hangs, ends or answers nonsense costs
+    one rollout, which fails with its reason, and is started again. A rollout may take `limit` [s],
+    by default 20 times the median of its case. The stepper is ignored: the step is a choice of the
+    engine.
     """
 
     def __init__(

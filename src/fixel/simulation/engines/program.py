@@ -40,10 +40,7 @@ class ProgramFailed(Exception):
 class Program:
     """Process of an engine. It is started at the first question, and again after a failure.
 
-    Parameters
-    ----------
-    command : sequence of str
-        Program and its arguments; started only with the permission of `fixel.simulation.trust`.
+    Its command is started only with the permission of `fixel.simulation.trust`.
     """
 
     def __init__(self, command: Sequence[str]) -> None:

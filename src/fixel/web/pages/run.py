@@ -43,23 +43,12 @@ FORMS: Final[Mapping[str, Capability]] = {
 
 @dataclass
 class FormField:
-    """Field of a form.
-
-    Attributes
-    ----------
-    option : Option
-    texts : list of str
-        Texts that are filled in.
-    error : str
-        Why they were refused.
-    offered : list of str
-        Texts that a list offers.
-    """
+    """Field of a form."""
 
     option: Option
-    texts: list[str] = field(default_factory=list)
-    error: str = ""
-    offered: list[str] = field(default_factory=list)
+    texts: list[str] = field(default_factory=list)  # that are filled in
+    error: str = ""  # reason why they were refused
+    offered: list[str] = field(default_factory=list)  # texts of a list
 
     @property
     def form(self) -> str:

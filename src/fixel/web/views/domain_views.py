@@ -135,21 +135,12 @@ class SuggestedExperiment(Answer):
 
 
 class MapView(NamedTuple):
-    """Stored map with its evidence.
-
-    Attributes
-    ----------
-    kept : StoredAnalysis
-    gathered : DomainEvidence
-    domain : DomainMap
-    n_aside : int
-        Number of experiments left out, since they were offset along something else.
-    """
+    """Stored map with its evidence."""
 
     kept: StoredAnalysis
     gathered: DomainEvidence
     domain: DomainMap
-    n_aside: int
+    n_aside: int  # number of experiments left out, as they were offset along something else
 
 
 def find_map(project: Project, name: str) -> StoredAnalysis:

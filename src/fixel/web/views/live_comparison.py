@@ -99,14 +99,7 @@ class NewSimulations(Answer):
 
 @final
 class LiveComparison:
-    """Experiments in memory, and simulations of them at once.
-
-    Any thread may use it.
-
-    Parameters
-    ----------
-    store : Store
-    """
+    """Experiments in memory, and simulations of them at once; any thread may use it."""
 
     def __init__(self, store: Store) -> None:
         self._store = store

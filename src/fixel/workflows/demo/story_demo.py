@@ -101,18 +101,8 @@ class Laboratory(NamedTuple):
 def tell_story(folder: Path, seed: int = 1, notify: Notify | None = None) -> Iterator[DemoStep]:
     """Calibrate a table of pushes, predict others, plan, check the plan, and write a report.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the files; created if missing.
-    seed : int
-        Seed of the laboratory: its true values, pushes and noise.
-    notify : callable, optional
-        Called with a sentence before each step.
-
-    Yields
-    ------
-    DemoStep
+    The seed is that of the laboratory: its true values, pushes and noise. `notify` is called with a
+    sentence before each step.
     """
     tell = notify or (lambda _: None)
     own = own_folder(folder / f"laboratory-{seed}", tell)

@@ -258,20 +258,10 @@ class RankedPushes(NamedTuple):
 
 
 def selected(own: PushSelection) -> tuple[PushSelection, list[Subject], dict[str, str]]:
-    """Load the pushes to analyse.
+    """Load the pushes to analyse, and the reasons why other experiments cannot be simulated.
 
-    Returns
-    -------
-    PushSelection
-        The same, with the calibration that is used by default.
-    list of Subject
-    dict from str to str
-        Experiments that cannot be simulated, and why.
-
-    Raises
-    ------
-    InvalidInput
-        Nothing can be simulated.
+    The selection is returned with the calibration that is used by default. If nothing can be
+    simulated, `InvalidInput` is raised.
     """
     for name in own.ranges:
         info_of(name)
