@@ -2,10 +2,13 @@
 
 import json
 import sys
+from importlib import import_module
+from pkgutil import walk_packages
 
 import pytest
 
 from fixel.cli import main
+from fixel.kernels.code_cache import CodeCache
 from fixel.workflows import compilation
 
 
@@ -46,6 +49,27 @@ def test_a_part_that_dies_is_named_and_exits_1(programs, capsys):
     assert [part["name"] for part in parts] == ["one", "two"]
     assert parts[0]["problem"] == ""
     assert "-9" in parts[1]["problem"]
+
+
+def test_parts_of_missing_extras_are_left_out(programs, monkeypatch, capsys):
+    monkeypatch.setattr(compilation, "_NEEDED", {"two": "no_such_package", "one": "json"})
+    assert call("compile") == 0
+    assert "two" not in capsys.readouterr().out
+
+
+@pytest.mark.system
+@pytest.mark.parametrize(
+    ("part", "package"),
+    [("films: rendering and tracking", "vision"), ("environments", "environments")],
+)
+def test_every_entry_of_an_extra_is_compiled(part, package):
+    pytest.importorskip(compilation._NEEDED[part])
+    compilation._PARTS[part]()
+    own = import_module(f"fixel.{package}")
+    for module in walk_packages(own.__path__, f"{own.__name__}."):
+        for name, entry in vars(import_module(module.name)).items():
+            if isinstance(getattr(entry, "_cache", None), CodeCache):
+                assert entry.signatures, f"{module.name}.{name}"
 
 
 def test_two_processes_run_at_once(programs, tmp_path):

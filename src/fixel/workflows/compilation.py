@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Final, final
 
@@ -15,7 +16,7 @@ import numpy as np
 
 from fixel.kernels import jit
 from fixel.kernels.code_cache import cache_folder, is_stored, share_compiled
-from fixel.model import Scene
+from fixel.model import Scene, Trajectory
 from fixel.progress import ProgressOption, show_progress
 from fixel.simulation import AbstractSolver, Lemke, Newton, Simulator, simulate
 from fixel.simulation.first_code import ENTRY
@@ -57,7 +58,7 @@ class CompiledPart:
 
 
 def compile_kernels(progress: ProgressOption = None) -> list[CompiledPart]:
-    """Compile the code of all simulations and store it, in two processes.
+    """Compile all numerical code and store it, in two processes.
 
     Parameters
     ----------
@@ -67,10 +68,12 @@ def compile_kernels(progress: ProgressOption = None) -> list[CompiledPart]:
     Returns
     -------
     list of CompiledPart
-        Parts of the code; those that were stored before took no time.
+        Parts of the code; those that were stored before took no time, and those of extras that
+        are not installed are left out.
     """
     with ThreadPoolExecutor(2) as pool, show_progress(progress, "compiling") as report:
-        running = [pool.submit(_compiled, name) for name in _PARTS]
+        names = [name for name in _PARTS if find_spec(_NEEDED.get(name, "numba"))]
+        running = [pool.submit(_compiled, name) for name in names]
         while not all(one.done() for one in running):
             done = sum(one.done() for one in running)
             share = 0.0 if running[0].done() else share_compiled(ENTRY) or 0.0
@@ -93,10 +96,27 @@ def _rollouts() -> None:
 
 
 def _environments() -> None:
-    from fixel.environments.motion import PushMotion
+    from fixel.environments.push_t import PushTEnv
 
     _rollouts()  # waits for the other process
-    PushMotion(scenes.pushed_square(), 1, unit=1.0).step(np.zeros((1, 2)))
+    task = PushTEnv(render_mode="rgb_array")
+    task.reset(seed=1)
+    task.step(np.zeros(2))
+    task.render()
+
+
+def _vision() -> None:
+    from fixel.formats.rig_file import rig_of
+    from fixel.vision.render import changed, film_scene, looks_named
+    from fixel.vision.tracking import track
+
+    scene, times = scenes.grasp(), np.arange(12) / 30.0
+    poses = {own.name: own.pose for own in scene.bodies}
+    poses |= {own.name: own.pose for own in scene.pushers}
+    rest = {name: Trajectory(time=[0, 1], pose=[pose] * 2) for name, pose in poses.items()}
+    looks = changed(looks_named("thesis"), ["occlusion=0.1"])  # a hand covers part of a tag
+    for rig in map(rig_of, ("thesis-tags", "thesis-stickers")):
+        track(film_scene(scene, rest, rig, looks, times), rig, scene)
 
 
 # The longest is first; the others, in the other process, do not wait for its code.
@@ -108,8 +128,11 @@ _PARTS: Final[dict[str, Callable[[], object]]] = {
     "contact modes: accuracy and derivatives": lambda: simulate(
         scenes.pushed_square(), motion="quasistatic", accuracy=True, derivatives=["mu_pusher"]
     ),
+    "films: rendering and tracking": _vision,
     "environments": _environments,
 }
+# Package of an extra that a part needs; without it the part is left out.
+_NEEDED: Final = {"films: rendering and tracking": "cv2", "environments": "gymnasium"}
 
 if __name__ == "__main__":
     _PARTS[sys.argv[1]]()
