@@ -307,20 +307,16 @@ class PlanSearch:
         plans = [plan for plan in plans if len(plan)]
         if not plans:
             return []
-        searches = [
-            PlanRefinement(self.simulator, plan, 1000 * self.seed + number)
-            for number, plan in enumerate(plans)
-        ]
+        searches = self._refinements(plans)
         budget = (SHARES[2] - SHARES[1]) * self.rollouts
         spent, busy = 0, searches
         while busy and spent < budget:
-            asked = [search.ask() for search in busy]
-            margins = yield from self._ask([plan for own in asked for plan in own], REFINE_STAGE)
-            spent += margins.shape[1] * sum(len(plan) for own in asked for plan in own)
+            asked = [plan for search in busy for plan in search.ask()]
+            margins = yield from self._ask(asked, REFINE_STAGE)
+            spent += margins.shape[1] * sum(map(len, asked))
             scores = soft_score(margins, REFINE_STAGE.worlds)
-            ends = np.cumsum([len(own) for own in asked])[:-1]
-            for search, score in zip(busy, np.split(scores, ends), strict=True):
-                search.tell(score)
+            for search in busy:
+                scores = search.tell(scores)
             self.best = max(self.best, float((margins >= 0.0).mean(axis=1).max()))
             self._show("refinement")
             busy = [search for search in busy if not search.is_done]
@@ -328,23 +324,24 @@ class PlanSearch:
 
     def _reaching(self, plans: Numbers) -> Numbers:
         """Return plans whose nominal end is moved to the goal by CMA-ES."""
-        searches = [
-            PlanRefinement(self.simulator, plan, 1000 * self.seed + 100 + number)
-            for number, plan in enumerate(plans)
-        ]
-        busy = searches
+        busy = searches = self._refinements(plans, 100)
         for _ in range(REACH_ROUNDS if plans else 0):
-            asked = [search.ask() for search in busy]
-            every = [plan for own in asked for plan in own]
-            margin = np.maximum(nominal_margins(self.quick, every), WORST_MARGIN)
+            asked = [plan for search in busy for plan in search.ask()]
+            margin = np.maximum(nominal_margins(self.quick, asked), WORST_MARGIN)
             scores = np.sign(margin) * np.log1p(np.abs(margin))
-            ends = np.cumsum([len(own) for own in asked])[:-1]
-            for search, score in zip(busy, np.split(scores, ends), strict=True):
-                search.tell(score)
+            for search in busy:
+                scores = search.tell(scores)
             busy = [own for own in busy if own.score < REACHED and not own.is_done]
             if not busy:
                 break
         return [search.best for search in searches]
+
+    def _refinements(self, plans: Numbers, first: int = 0) -> list[PlanRefinement]:
+        """Return searches about plans, which have random values of their own."""
+        return [
+            PlanRefinement(self.simulator, plan, 1000 * self.seed + number)
+            for number, plan in enumerate(plans, first)
+        ]
 
     def _order(self, plans: Numbers, margins: FloatArray) -> IntArray:
         """Return the order of plans by their margins (m, n) in fresh scenarios.
@@ -567,13 +564,15 @@ class PlanRefinement:
         self._plans = [_placed(self.best, self._wide, self._low, self._span * x) for x in inside]
         return self._plans
 
-    def tell(self, scores: FloatArray) -> None:
-        """Take the scores (m,) of these plans, larger for better ones."""
+    def tell(self, scores: FloatArray) -> FloatArray:
+        """Take the scores of these plans, larger for better ones; return those of later plans."""
+        scores, later = np.split(scores, [len(self._plans)])
         off = np.abs(self._points - np.clip(self._points, 0.0, 1.0))
         outside = np.where(self._around, 0.0, off).sum(axis=1)
         self._search.tell(list(self._points), list(outside - scores))
         if scores.max() > self.score:
             self.best, self.score = self._plans[int(scores.argmax())], float(scores.max())
+        return later
 
 
 def _placed(plan: FloatArray, wide: IntArray, low: FloatArray, moved: FloatArray) -> FloatArray:

@@ -141,14 +141,14 @@ class TactileReader:
         Never raises: a missing answer or a lost board is reported in `problem`.
         """
         if self._serial is None:
-            return TactileReading(bits=None, time=time.monotonic(), problem=self.trouble)
+            return _missing(time.monotonic(), self.trouble)
         self.statistics.asked += 1
         try:
             reading = self._ask_framed() if self.protocol >= 2 else self._ask_old()
         except OSError as problem:
             self._lose(f"{self.port} was disconnected: {problem}; connect it, then reconnect")
             self.statistics.missing += 1
-            return TactileReading(bits=None, time=time.monotonic(), problem=self.trouble)
+            return _missing(time.monotonic(), self.trouble)
         self.statistics.answered += reading.bits is not None
         return reading
 
@@ -163,11 +163,13 @@ class TactileReader:
         garbled = self._finder.stray - stray
         counted.stray_bytes += garbled
         if frame is None:
-            return self._without_answer(received, garbled + self._forget_half_a_frame())
+            half = self._finder.forget()  # an incomplete answer; a late rest counts as stray then
+            counted.stray_bytes += half
+            return self._without_answer(received, garbled + half)
         found = frames.reading_of(frame)
         if found is None:
             counted.garbled += 1
-            return TactileReading(bits=None, time=received, problem="an unknown answer")
+            return _missing(received, "an unknown answer")
         counted.round_trips.append(received - sent)
         # An emulated board that catches up with its clock answers faster than a real line.
         earliest = sent + frames.READ_REQUEST_BYTES * frames.BYTE_TIME
@@ -194,20 +196,12 @@ class TactileReader:
             if time.monotonic() >= until:
                 return None
 
-    def _without_answer(self, now: float, unreadable: int) -> TactileReading:
+    def _without_answer(self, now: float, unreadable: int = 0) -> TactileReading:
         if unreadable:
             self.statistics.garbled += 1
-            problem = f"{unreadable} bytes that are not an answer"
-        else:
-            self.statistics.missing += 1
-            problem = f"no answer within {1e3 * self.deadline:.3g} ms"
-        return TactileReading(bits=None, time=now, problem=problem)
-
-    def _forget_half_a_frame(self) -> int:
-        """Discard an incomplete answer and return its bytes; a late rest counts as stray then."""
-        given_up = self._finder.forget()
-        self.statistics.stray_bytes += given_up
-        return given_up
+            return _missing(now, f"{unreadable} bytes that are not an answer")
+        self.statistics.missing += 1
+        return _missing(now, f"no answer within {1e3 * self.deadline:.3g} ms")
 
     def _restart_noticed(self) -> str:
         self._restarted = self._restarted or self.clock.restarts > 0
@@ -233,16 +227,12 @@ class TactileReader:
         answer = link.read(1)
         received = time.monotonic()
         if not answer:
-            counted.missing += 1
             self._doubt = True
-            problem = f"no answer within {1e3 * self.deadline:.3g} ms"
-            return TactileReading(bits=None, time=received, problem=problem)
+            return self._without_answer(received)
         if answer[0] > frames.OLD_MOST:
             counted.garbled += 1
             counted.stray_bytes += 1
-            return TactileReading(
-                bits=None, time=received, problem=f"byte {answer[0]} is not an answer"
-            )
+            return _missing(received, f"byte {answer[0]} is not an answer")
         counted.round_trips.append(received - sent)
         return TactileReading(bits=answer[0], time=0.5 * (sent + received), problem=doubt)
 
@@ -317,6 +307,10 @@ class TactileReading(NamedTuple):
     # Converter values of bits 0, 1, 2 [-], 1023 at 5 V; None for protocol 1.
     values: tuple[int, int, int] | None = None
     problem: str = ""  # why there are no bits, or why they are doubtful; empty otherwise
+
+
+def _missing(time: float, problem: str) -> TactileReading:
+    return TactileReading(bits=None, time=time, problem=problem)
 
 
 @final
