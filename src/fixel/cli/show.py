@@ -64,30 +64,35 @@ def show(
         from fixel.drawing.experiment import experiment_figure
 
         save_figure(lambda: experiment_figure(experiment), plot)
+    files = {} if plot is None else {"plot": str(plot)}
     print_answer(
         as_json,
-        lambda: {"id": number, **summary(experiment), "files": _files(plot)},
+        lambda: {"id": number, **summary(experiment), "files": files},
         lambda: _show_lines(number, experiment, project, plot),
     )
-
-
-def _files(plot: Path | None) -> dict[str, str]:
-    return {} if plot is None else {"plot": str(plot)}
 
 
 def _show_lines(
     number: int, experiment: "Experiment", project: Path, plot: Path | None
 ) -> list[str]:
     """About a screen of text."""
+    conditions = {
+        name: value if isinstance(value, str) else f"{value:.6g}"
+        for name, value in experiment.conditions.items()
+    }
+    channels = [
+        (channel.name, f"{len(channel.time)} readings of {', '.join(channel.columns)}")
+        for channel in experiment.channels
+    ]
     return paragraphs(
         [origin_of(experiment), f"experiment {number} of dataset {experiment.dataset}"],
         _frames(experiment),
         _poses(experiment),
         [f"contact mode at the end: {experiment.contact_mode or 'unknown'}"],
-        _listed("conditions", [(k, _value(v)) for k, v in experiment.conditions.items()]),
+        _listed("conditions", [*conditions.items()]),
         _listed("flags", [(f.name, f.detail) for f in experiment.flags if f.fault]),
         _listed("remarks", [(f.name, f.detail) for f in experiment.flags if not f.fault]),
-        _channels(experiment),
+        _listed("channels", channels),
         _provenance(experiment),
         wrote([plot]),
         [f"Next: {_next_show(experiment, project, plot)}"],
@@ -129,18 +134,6 @@ def _listed(title: str, rows: list[tuple[str, str]]) -> list[str]:
     width = max(len(name) for name, _ in rows[:MAX_ROWS])
     shown = [f"  {name.ljust(width)}  {value}".rstrip() for name, value in rows[:MAX_ROWS]]
     return [title, *shortened(shown, len(rows), "  ")]
-
-
-def _value(value: str | float) -> str:
-    return value if isinstance(value, str) else f"{value:.6g}"
-
-
-def _channels(experiment: "Experiment") -> list[str]:
-    rows = [
-        (channel.name, f"{len(channel.time)} readings of {', '.join(channel.columns)}")
-        for channel in experiment.channels
-    ]
-    return _listed("channels", rows)
 
 
 def _provenance(experiment: "Experiment") -> list[str]:

@@ -77,7 +77,8 @@ def plot_paths(experiments: Sequence[Experiment], *, ax: Axes | None = None) -> 
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel(f"x [{MM.name}]")
     axes.set_ylabel(f"y [{MM.name}]")
-    axes.set_title(f"{len(experiments)} experiments" + _shown(len(chosen), len(experiments)))
+    n, shown = len(experiments), len(chosen)
+    axes.set_title(f"{n} experiments" + (f", {shown} of them drawn" if shown < n else ""))
     return axes
 
 
@@ -129,10 +130,6 @@ def plot_motion(
         )
     run = chosen[0].run
     return plot_axes(lambda: comparison_figure(run.experiment, run.simulated, run.contacts), ax)
-
-
-def _shown(shown: int, total: int) -> str:
-    return f", {shown} of them drawn" if shown < total else ""
 
 
 def experiment_figure(experiment: Experiment) -> Figure:

@@ -109,7 +109,9 @@ def _draw_view(axes: Axes, chart: OverlayMotions) -> None:
     axes.fill(*closed_line(first), label="object, start", linewidth=0.6, linestyle=DASHED, **start)
     for name, track, style in chart.tracks:
         last = placed(chart.outline, track.pose[-1])
-        label = f"{name}, end{_error(track, chart.unit)}"
+        label = f"{name}, end"
+        if track.error is not None:
+            label += f" ({track.error:.3g} {unit_text(chart.unit)})"
         axes.plot(*closed_line(last), label=label, zorder=4, **style)
         if len(track.time) > FEW_POSES:
             thin = style | {"linewidth": 0.6 * style["linewidth"]}
@@ -120,10 +122,6 @@ def _draw_view(axes: Axes, chart: OverlayMotions) -> None:
     for outline, line, label in zip(chart.pusher, (DASHED, "-"), ("start", "end"), strict=False):
         axes.plot(*closed_line(outline), color=palette.PUSHER, linewidth=1.0, linestyle=line,
                   label=f"pusher, {label}", zorder=2)  # fmt: skip
-
-
-def _error(track: Track, unit: str) -> str:
-    return "" if track.error is None else f" ({track.error:.3g} {unit_text(unit)})"
 
 
 def _draw_poses(panels: Sequence[Axes], chart: OverlayMotions) -> None:

@@ -105,7 +105,8 @@ WIDER: Final = 2.0
 # Correlations learned from a handful of parts are halved.
 CORRELATED: Final = 0.5
 # Parameters of a table and its tracker, rather than of a part.
-ON_SURFACE: Final = ("mu_pusher", "registration", "contact_offset", "table")
+ALWAYS: Final = ("mu_pusher", "registration", "contact_offset")  # whatever the share
+ON_SURFACE: Final = (*ALWAYS, "table")
 
 
 def learned_prior(fits: Sequence[PartValues], surface: str, share: float) -> SupportPrior:
@@ -130,7 +131,7 @@ def learned_prior(fits: Sequence[PartValues], surface: str, share: float) -> Sup
     scatter = CORRELATED * scatter + (1.0 - CORRELATED) * np.diag(np.diag(scatter))
     total = n_part + IMAGINARY
     covariance = WIDER * (n_part * scatter + IMAGINARY * prior.covariance) / total
-    kept = np.array([1.0 if _always(name) else share for name in NAMES])
+    kept = np.array([1.0 if name.startswith(ALWAYS) else share for name in NAMES])
     kept[[UNPUSHED[name].symmetric for name in NAMES]] = 0.0
     return SupportPrior(prior.mean + kept * (here - prior.mean), covariance)
 
@@ -139,10 +140,6 @@ def _centre(table: FloatArray) -> FloatArray:
     """Return means (n,) of parameters; medians of shifts, of which single sessions are far off."""
     shifts = np.array([name.startswith("registration") for name in NAMES])
     return np.where(shifts, np.median(table, axis=0), table.mean(axis=0))
-
-
-def _always(name: str) -> bool:
-    return name.startswith(("mu_pusher", "registration", "contact_offset"))
 
 
 WIDTH: Final = 2e-3  # error at which the loss changes from square to linear [m]

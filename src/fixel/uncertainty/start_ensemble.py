@@ -62,7 +62,9 @@ def simulate_starts(
     if drawn is None:
         drawn = np.zeros((n, 3)) if error is None else error.samples(n, seed)
     n = len(drawn)
-    instants = _instants(scene, times)
+    if times is None:
+        times = np.linspace(0.0, scene.duration, INSTANTS + 1)[1:]
+    instants = np.atleast_1d(np.asarray(times, np.float64))
     # The last rollout has no error: the nominal one.
     errors = np.vstack((drawn, np.zeros(3)))
     given = _given(values or {}, n, nominal or {})
@@ -98,12 +100,6 @@ def simulate_starts(
         seed=seed,
         parameters={name: column[:-1] for name, column in given.items()},
     )
-
-
-def _instants(scene: Scene, times: ArrayLike | None) -> FloatArray:
-    if times is None:
-        return np.asarray(np.linspace(0.0, scene.duration, INSTANTS + 1)[1:])
-    return np.atleast_1d(np.asarray(times, np.float64))
 
 
 def _given(

@@ -104,11 +104,11 @@ def bound_of(
     """Return the error bounds of experiments; `store` is a folder for finished fits."""
     features = features_of(targets)
     judged = _first_of_repeated(targets, features)
-    least = min_experiments(asked.level)
+    n, least = len(targets), min_experiments(asked.level)
     if len(judged) < least:
         raise InvalidInput(
             "experiments",
-            found=_counted(len(targets), len(judged)),
+            found=f"{n}" if n == len(judged) else f"{n}, of {len(judged)} different pushes",
             expected=f"{least} at least for bounds with a probability of {100 * asked.level:g} %",
             hint="run more experiments, or choose a lower level",
         )
@@ -194,7 +194,3 @@ def _first_of_repeated(targets: Sequence[Target], features: FloatArray) -> list[
         plain = tuple(value for value in pose if value != ("experiment", target.key))
         found.setdefault(plain if label == target.key else label, k)
     return sorted(found.values())
-
-
-def _counted(n: int, different: int) -> str:
-    return f"{n}" if n == different else f"{n}, of {different} different pushes"

@@ -19,7 +19,6 @@ from fixel.filtering.recorded import FilterRun, label_and_factor
 from fixel.model import Provenance
 from fixel.model.records import CalibrationRecord, FilterParameters, FilterRecord
 from fixel.table import Column, Table
-from fixel.typing import FloatArray
 from fixel.workflows.analysis import Analysis, AnalysisReport, StoredAnswer
 from fixel.workflows.sentences import origin_of
 
@@ -78,7 +77,7 @@ def next_words(done: StoredAnswer) -> list[str]:
 def _numbers(answer: FilterAnswer) -> dict[str, Any]:
     """Return all results as plain values, for `--json`."""
     found, experiment = answer.estimates, answer.estimates.experiment
-    misfit = found.misfit
+    misfit, surprise = found.misfit, found.surprise[1:][found.seen[1:]]
     return {
         "experiment": experiment.key,
         "experiment_id": answer.experiment_id,
@@ -100,7 +99,7 @@ def _numbers(answer: FilterAnswer) -> dict[str, Any]:
             "touch_probability": found.touch[-1].tolist(),
         },
         "misfit": asdict(misfit) | {"ratio": misfit.ratio, "warns": misfit.warns},
-        "mean_surprise": _mean(found.surprise[1:][found.seen[1:]]),
+        "mean_surprise": surprise.mean() if len(surprise) else None,
         "calibrations": _compared(answer),
         "recovered_frames": int(found.recovered.sum()),
         "failed_particles": int(found.failed.sum()),
@@ -124,10 +123,6 @@ def _compared(answer: FilterAnswer) -> dict[str, dict[str, dict[str, Any]]]:
         }
         for number, record in answer.calibrations.items()
     }
-
-
-def _mean(values: FloatArray) -> float | None:
-    return float(np.mean(values)) if len(values) else None
 
 
 def _named(errors: tuple[float, float] | None) -> dict[str, float] | None:

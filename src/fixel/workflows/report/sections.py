@@ -57,12 +57,14 @@ def errors_section(fit: Calibration, figures: list[Figure]) -> Section:
         worst = [(fit.keys_of_experiments[k], after[k]) for k in order]
         error = Column("error", "mm", ".3g")
         tables.append(Table(("experiment", error), worst, title="Largest errors"))
+    shown = [figure for figure in figures if not _of_parameters(figure)]
+    shown.sort(key=lambda figure: figure.name.endswith("seconds"))  # durations last
     return Section(
         title="Nominal and calibrated",
         anchor="errors",
         lead=sentences("calibration", "errors", scale_mm=_scale_mm(fit)),
         tables=tuple(tables),
-        figures=_in_order([figure for figure in figures if not _of_parameters(figure)]),
+        figures=tuple(shown),
     )
 
 
@@ -156,11 +158,6 @@ def _middle(values: FloatArray) -> str:
 def _named(names: list[str]) -> str:
     more = len(names) - MAX_NAMED
     return ", ".join(names[:MAX_NAMED]) + (f" and {more} more" if more > 0 else "")
-
-
-def _in_order(figures: list[Figure]) -> tuple[Figure, ...]:
-    """Order the figures, with the durations last."""
-    return tuple(sorted(figures, key=lambda figure: figure.name.endswith("seconds")))
 
 
 def _of_parameters(figure: Figure) -> bool:

@@ -237,17 +237,13 @@ def _analyses(project: Project, one: CalibratedValues) -> list[StoredAnalysis]:
     """Select the newest analysis of each kind that used this calibration or its experiments."""
     found = []
     for kind in WANTED:
-        fitting = [own for own in load_analyses(project, kind) if _fits(own, one)]
+        fitting = [
+            own
+            for own in load_analyses(project, kind)
+            if one.id in own.analysis.calibrations or one.members & {*own.analysis.experiments}
+        ]
         found += fitting[:1]
     return found
-
-
-def _fits(own: StoredAnalysis, one: CalibratedValues) -> bool:
-    if own.analysis.calibrations:
-        return one.id in own.analysis.calibrations or bool(
-            one.members & set(own.analysis.experiments)
-        )
-    return bool(one.members & set(own.analysis.experiments))
 
 
 def _section(answer: StoredAnalysis, folder: Path) -> Section:
