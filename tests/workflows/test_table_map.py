@@ -26,7 +26,9 @@ HILLS = LoadMap(
 )  # fmt: skip
 TRUTH = {"mu_pusher": 0.25}
 QUASISTATIC = {"motion": "quasistatic"}
-DOORS = ("calibrate", "compare", "domain", "error-bound", "next", "sensitivity", "uncertainty")
+DOORS = (
+    "calibrate", "compare", "domain", "error-bound", "filter", "next", "sensitivity", "uncertainty",
+)  # fmt: skip
 
 
 def measured(experiment, load_map):
@@ -100,6 +102,21 @@ def test_a_push_is_simulated_on_the_table_that_it_was_made_on(lab, file):
         )
         assert mapped < 1e-6
         assert (without < 1e-6) == flat
+
+
+def test_a_filter_predicts_on_the_table_and_its_command_names_the_map(lab, pushes, file):
+    scene, measured = pushes[0].scene, pushes[0].trajectory
+    run = fixel.simulate(scene, output_interval=measured.time[1], **QUASISTATIC)
+    tip = run.pushers[scene.pushers[0].name].pose[:6]
+    seen = replace(pushes[0], name="seen", pusher=replace(measured, pose=tip))
+    with lab.store() as store:
+        store.add_experiment(seen)
+    given = {"experiment": "seen", "particles": 20}
+    flat, mapped = (answer(lab, "filter", **given, **more) for more in ({}, {"table": file}))
+    assert not np.array_equal(flat.result.estimates.mean, mapped.result.estimates.mean)
+    with lab.store() as store:
+        commands = [store.filter_run(k).provenance.command for k in (1, 2)]
+    assert [f"--table {file}" in command for command in commands] == [False, True]
 
 
 def test_map_and_file_are_parts_of_the_question(lab, table, file, tmp_path):

@@ -136,6 +136,7 @@ def filter_stored(
     """
     from fixel.workflows.filtering.report import FilterAnswer, store_run
 
+    asked = FILTER.asked(locals())
     with project.store() as store:
         number = store.find(experiment)
         estimates = filter(store.experiment(number), **options, progress=progress)
@@ -146,8 +147,7 @@ def filter_stored(
         }
     run_id = None
     if save:
-        request = {"experiment": experiment, **options}
-        command = FILTER.command(FILTER.request(request), project.folder)
+        command = FILTER.command(asked, project.folder)
         run_id = store_run(project, estimates, command)
     return FilterAnswer(number, estimates, run_id, of_it)
 
@@ -158,4 +158,5 @@ FILTER: Final = Capability(
     of=filter,
     leave_out=("experiment", "options"),
     plot="file",
+    on_table=True,
 )
