@@ -57,6 +57,15 @@ def test_the_path_of_a_plan_is_the_simulated_one(found):
     assert np.allclose(end, found.end, atol=3e-6)
 
 
+def test_a_push_is_animated_as_planned(found, tmp_path):
+    (run,) = found.as_planned()
+    assert np.allclose(run.final["part"], found.end, atol=3e-6)
+    assert "<script" in found.animate().page
+    assert found.animate(tmp_path / "push.gif").stat().st_size > 1000
+    with pytest.raises(InvalidInput, match="one of its pushes"):
+        found.animate(push=2)
+
+
 def test_without_anything_unknown_success_is_certain():
     plan = fixel.plan(pushed_square(), GOAL, rollouts=4_000, progress=False)
     assert plan.success.mean == 1.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from pathlib import Path
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
@@ -40,8 +41,10 @@ from fixel.planning.search import (
 )
 from fixel.planning.success import SuccessProbability
 from fixel.progress import Progress
-from fixel.results import Result, Summary
+from fixel.results import Player, Result, Summary
 from fixel.simulation.motion import AbstractMotionModel, motion_model
+from fixel.simulation.result import Simulation
+from fixel.simulation.simulate import simulate
 from fixel.simulation.stepper import AbstractStepper
 from fixel.simulation.trust import permit
 from fixel.table import Column, Table
@@ -196,6 +199,37 @@ class PushPlan(Result):
             [(name, *(getattr(own, one) for one in names)) for name, own in plans.items()],
             title=title,
         )
+
+    def as_planned(self) -> tuple[Simulation, ...]:
+        """Simulate each push from its planned pose, with the best known parameters."""
+        given = self.belief.nominal(self.scene)
+        return tuple(
+            simulate(scene, given, motion=self.motion, stepper=self.stepper)
+            for scene in self.scenes
+        )
+
+    def animate(
+        self, path: str | Path | None = None, *, push: int = 1, progress: Any = None
+    ) -> Path | Player:
+        """Show the planned motion of a push in a notebook, or write an animation of it.
+
+        Parameters
+        ----------
+        path : str or path, optional
+            As for `Simulation.animate`.
+        push : int
+            Number of the push, from 1.
+        progress : bool or callable, optional
+            As for `fixel.progress.show_progress`.
+
+        Returns
+        -------
+        pathlib.Path or Player
+        """
+        runs = self.as_planned()
+        if not 1 <= push <= len(runs):
+            raise InvalidInput("push", found=push, expected="the number of one of its pushes")
+        return runs[push - 1].animate(path, progress=progress)
 
     def simulate(self, n: int = 200, *, samples: int = SAMPLES, threads: int | None = None) -> Runs:
         """Simulate the plan again in n of its scenarios, with the poses on the way.

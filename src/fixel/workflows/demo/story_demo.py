@@ -143,7 +143,7 @@ def tell_story(folder: Path, seed: int = 1, notify: Notify | None = None) -> Ite
     tell("filming the plan and its prediction")
     film(plan, path := own / f"plan{film_ending()}", seed)
     shown = f"{path}  filled: the prediction; outlines: {FILMED} runs in pymunk"
-    yield DemoStep("Film", (shown,), ('fixel.simulate(plan.scenes[0], fit).animate("plan.gif")',))
+    yield DemoStep("Film", (shown,), ('plan.animate("plan.gif")',))
 
     tell("writing the report")
     report = project.report(own / "report", calibration=number, command=f"fixel report {at}")
@@ -302,5 +302,4 @@ def film(plan: PushPlan, path: Path, seed: int) -> None:
         moved = replace(scene, bodies=(replace(part, pose=part.pose + drawn.start[k]),))
         values = {name: float(column[k]) for name, column in drawn.values.items()}
         others.append(simulate(moved, Parameters(values), motion=ENGINE))
-    nominal = Parameters(plan.belief.nominal(scene))
-    animate_simulation(simulate(scene, nominal, motion=plan.motion), path, others=others)
+    animate_simulation(plan.as_planned()[0], path, others=others)

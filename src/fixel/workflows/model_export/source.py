@@ -21,7 +21,6 @@ from fixel.simulation.engines.plane import harmonic_partner
 from fixel.simulation.engines.solids import FOOT, PieceSolid, footed, prism_obj, solids
 from fixel.simulation.engines.task import PlainTask, bench_units
 from fixel.simulation.motion import OtherEngine, motion_model
-from fixel.simulation.simulate import simulate
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration, values_under
 from fixel.workflows.calibration.stored import load_values
@@ -113,14 +112,7 @@ def _scene(what: Scene | SceneFile | str | PathLike[str]) -> ModelSource:
 
 def _simulated(what: Recordable) -> ModelSource:
     """Return a simulation, or the pushes of a plan that are simulated as planned."""
-    if isinstance(what, Simulation):
-        runs: tuple[Simulation, ...] = (what,)
-    else:
-        given = what.belief.nominal(what.scene)
-        runs = tuple(
-            simulate(scene, given, motion=what.motion, stepper=what.stepper)
-            for scene in what.scenes
-        )
+    runs = (what,) if isinstance(what, Simulation) else what.as_planned()
     if not runs:
         raise InvalidInput("what", found="a plan without pushes", expected="one with a push")
     scene = runs[0].scene
