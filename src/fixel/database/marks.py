@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import sqlalchemy as sa
 
 from fixel.database import rows, tables
+from fixel.database.engine import insert_one
 from fixel.errors import InvalidInput, NotStored
 from fixel.model import Flag
 
@@ -76,14 +77,8 @@ def annotate(connection: sa.Connection, experiment_ids: Iterable[int], text: str
             "note.text", found=f"{len(text)} characters", expected=f"1 to {MAX_TEXT} characters"
         )
     wanted = _known(connection, tables.experiment, experiment_ids, "experiment")
-    instant = rows.now()
-    made = []
-    for experiment_id in wanted:
-        row = {"experiment_id": experiment_id, "text": text, "created_at_utc": instant}
-        key = connection.execute(sa.insert(tables.note), row).inserted_primary_key
-        assert key is not None
-        made.append(int(key[0]))
-    return made
+    row = {"text": text, "created_at_utc": rows.now()}
+    return [insert_one(connection, tables.note, row | {"experiment_id": one}) for one in wanted]
 
 
 def delete_notes(

@@ -13,6 +13,7 @@ import numpy as np
 import sqlalchemy as sa
 
 from fixel.database import arrays
+from fixel.formats.frames_file import path_columns
 from fixel.formats.scene_file import SceneRecord, scene_content, scene_of
 from fixel.model import Channel, Experiment, Flag, Parameters, Provenance, Scene, Trajectory
 from fixel.model.records import Estimate, Evaluations, FilterRecord
@@ -163,21 +164,6 @@ def experiment_row(experiment: Experiment) -> dict[str, Any]:
     flags = [[flag.name, flag.detail, flag.fault] for flag in experiment.flags]
     row["content_sha256"] = content_digest(row, flags, series_of(experiment))
     return row | provenance_row(experiment.provenance)
-
-
-def path_columns(trajectory: Trajectory) -> dict[str, Any]:
-    """Columns of an experiment that follow from its trajectory."""
-    start, end = trajectory.pose[0].tolist(), trajectory.pose[-1].tolist()
-    return {
-        "n_frame": len(trajectory.time),
-        "duration_s": float(trajectory.time[-1] - trajectory.time[0]),
-        "start_x_m": start[0],
-        "start_y_m": start[1],
-        "start_theta_rad": start[2],
-        "end_x_m": end[0],
-        "end_y_m": end[1],
-        "end_theta_rad": end[2],
-    }
 
 
 # Columns that the checksum of an experiment covers.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Concatenate, Final, NamedTuple, ParamSpec, Protocol, TypeVar, final
 
@@ -13,7 +13,7 @@ import numpy as np
 import sqlalchemy as sa
 
 from fixel.database import arrays, browsing, marks, rows, schema, tables
-from fixel.database.engine import open_engine, reading, set_journal, writing
+from fixel.database.engine import insert_one, open_engine, reading, set_journal, writing
 from fixel.database.query import LIVE
 from fixel.errors import InvalidInput, NotStored, StoreRefused, closest
 from fixel.io.damaged_files import INVALID_CONTENT, one_line
@@ -183,7 +183,7 @@ class Store:
                 table.c.deleted_at_utc.is_(None),
             )
         )
-        experiment_id = _insert_one(
+        experiment_id = insert_one(
             connection,
             table,
             row
@@ -326,7 +326,7 @@ class Store:
         with writing(self._engine) as connection:
             row = rows.columns_of(record, tables.simulation)
             row["system_parameters_id"] = _parameters_id(connection, record.parameters)
-            number = _insert_one(connection, tables.simulation, row)
+            number = insert_one(connection, tables.simulation, row)
             self._add_series(connection, "simulation", number, series)
         return number
 
@@ -373,17 +373,11 @@ class Store:
                 "reasons": reasons,
                 "estimates": [estimate.stored() for estimate in record.estimates] or None,
             }
-            number = _insert_one(connection, tables.calibration, row)
+            number = insert_one(connection, tables.calibration, row)
             connection.execute(
                 sa.insert(tables.calibration_member),
                 [
-                    {
-                        "calibration_id": number,
-                        "experiment_id": member.experiment_id,
-                        "place": place,
-                        "weight": member.weight,
-                        "error_mm2": member.error_mm2,
-                    }
+                    {"calibration_id": number, "place": place, **asdict(member)}
                     for place, member in enumerate(record.members)
                 ],
             )
@@ -423,7 +417,7 @@ class Store:
         with writing(self._engine) as connection:
             row = rows.columns_of(record, tables.filter_parameters)
             options = {"options": dict(record.values)}
-            return _insert_one(connection, tables.filter_parameters, row | options)
+            return insert_one(connection, tables.filter_parameters, row | options)
 
     def filter_parameters(self, filter_parameters_id: int) -> FilterParameters:
         """Load settings of a filter by their id."""
@@ -440,7 +434,7 @@ class Store:
         with writing(self._engine) as connection:
             row = rows.columns_of(record, tables.filter_run)
             row |= {"occlusion_start_s": occlusion[0], "occlusion_end_s": occlusion[1]}
-            number = _insert_one(connection, tables.filter_run, row)
+            number = insert_one(connection, tables.filter_run, row)
             self._add_series(connection, "filter_run", number, rows.filtered_of(record))
         return number
 
@@ -512,12 +506,6 @@ def _calibrations(
     }
 
 
-def _insert_one(connection: sa.Connection, table: sa.Table, row: dict[str, Any]) -> int:
-    key = connection.execute(sa.insert(table), row).inserted_primary_key
-    assert key is not None
-    return int(key[0])
-
-
 def _same(connection: sa.Connection, table: sa.Table, row: dict[str, Any] | None) -> int | None:
     """Id of the row with the same content, which is inserted if there is none."""
     if row is None:
@@ -525,7 +513,7 @@ def _same(connection: sa.Connection, table: sa.Table, row: dict[str, Any] | None
     found = connection.scalar(
         sa.select(table.c.id).where(table.c.content_sha256 == row["content_sha256"])
     )
-    return _insert_one(connection, table, row) if found is None else int(found)
+    return insert_one(connection, table, row) if found is None else int(found)
 
 
 def _parameters_id(connection: sa.Connection, parameters: Mapping[str, float]) -> int:

@@ -11,6 +11,7 @@ import sqlalchemy as sa
 
 from fixel.database import arrays, rows, tables
 from fixel.errors import FixelError, StoreRefused
+from fixel.formats.frames_file import path_columns
 from fixel.io.damaged_files import INVALID_CONTENT, one_line
 
 RESTORE: Final = "replace experiments.db with a backup, which fixel db backup wrote"
@@ -140,7 +141,7 @@ def _experiment(connection: sa.Connection, row: sa.Row[Any], media: Path) -> str
     if not paths or len(paths[0]) != row.n_frame:
         return None  # reported by another check
     content = row._asdict()
-    derived = rows.path_columns(rows.trajectory_of(paths[0]))
+    derived = path_columns(rows.trajectory_of(paths[0]))
     if any(content[name] != value for name, value in derived.items()):
         return "its duration, start or end differs from its trajectory"
     flags = [list(one) for one in imported]

@@ -14,7 +14,7 @@ import numpy as np
 
 from fixel.datasets.base import Importer, ImportPlan, Origin, remark
 from fixel.datasets.files import CsvRows, Problems, increasing, rate_of, read_table
-from fixel.datasets.own_scene import refuse_implausible, with_scene
+from fixel.datasets.own_scene import WORDS, refuse_implausible, with_scene
 from fixel.errors import InvalidInput, unknown_name
 from fixel.model import Channel, Experiment, Flag, Provenance, Trajectory
 from fixel.model.scene import SceneChoice
@@ -83,17 +83,6 @@ MAX_SECONDS, MAX_MILLISECONDS = 1.0, 1000.0
 _SETTABLE = ("length", "angle", "speed", "turning", "ratio", "count")
 _GROUPS = {"force": "force", "torque": "force", "bool": "tactile"}
 
-_OPTIONS: Final = {
-    "name": "name of the experiment; by default that of the file",
-    "object_name": "name of the object",
-    "simulated_by": "simulator that wrote the table, if it was not measured",
-    "time_unit": "unit of times without a unit: s, ms or us",
-    "length_unit": "unit of positions without a unit: m, mm, cm or um",
-    "angle_unit": "unit of angles, which overrides the header: rad or deg",
-    "scene": "scene file with object, pusher and fixels",
-    "split_by": "column whose values separate the experiments of a table",
-}
-
 
 @final
 class CsvTable(Importer):
@@ -103,7 +92,16 @@ class CsvTable(Importer):
     title = "CSV or Parquet table of your own: time_s, x_mm, y_mm, theta_deg, pusher_x_mm, ..."
     licence = "yours"
     citation = ""
-    options: ClassVar[Mapping[str, str]] = _OPTIONS
+    options: ClassVar[Mapping[str, str]] = {
+        "name": "name of the experiment; by default that of the file",
+        "object_name": "name of the object",
+        "simulated_by": "simulator that wrote the table, if it was not measured",
+        "time_unit": "unit of times without a unit: s, ms or us",
+        "length_unit": "unit of positions without a unit: m, mm, cm or um",
+        "angle_unit": "unit of angles, which overrides the header: rad or deg",
+        "scene": "scene file with object, pusher and fixels",
+        "split_by": "column whose values separate the experiments of a table",
+    }
 
     def recognised(self, source: Path) -> bool:
         """Whether the name of a file ends like that of a table."""
@@ -152,7 +150,7 @@ def plan_table(
         The table cannot be understood, or does not fit the scene.
     """
     chosen = _chosen_columns(table, columns or {})
-    stem = options.get("name", _stem(source))
+    stem = options.get("name", Path(source.name.removesuffix(".gz")).stem)
     experiments: list[Experiment] = []
     problems: Problems = {}
     sentences: list[tuple[str, ...]] = []
@@ -322,11 +320,6 @@ def _experiment(
     return experiment, _understood(reading, experiment, time), reading.sure_of_angles
 
 
-def _stem(path: Path) -> str:
-    name = path.name.removesuffix(".gz")
-    return name.rpartition(".")[0] or name
-
-
 # --- the header
 
 
@@ -453,9 +446,8 @@ def _settle_unit(reading: _TableReading, role: str) -> None:
         return
     name, why = _guess(reading, kind, column)
     column.unit = UNITS[name]
-    words = {"deg": "degrees", "rad": "radians"}
     reading.guesses.append(
-        f"{column.title} has {lack} and {why}; {words.get(name, name)} is assumed."
+        f"{column.title} has {lack} and {why}; {WORDS.get(name, name)} is assumed."
     )
 
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.io.atomic import refuse_unwritable
-from fixel.model import Experiment
+from fixel.model import Experiment, Trajectory
 from fixel.typing import FloatArray
 
 EXPERIMENTS: Final = "experiments.parquet"
@@ -64,12 +64,6 @@ def write_frames(experiments: Iterable[Experiment], folder: Path) -> int:
 
 def experiment_columns(experiment: Experiment) -> dict[str, Any]:
     """Row of the table of experiments, without `experiment_index`."""
-    path = experiment.trajectory
-    ends = {
-        f"{end}_{label}": float(x)
-        for end, pose in (("start", path.pose[0]), ("end", path.pose[-1]))
-        for label, x in zip(_POSE, pose, strict=True)
-    }
     effective = experiment.effective or (None, None)
     return {
         "dataset": experiment.dataset,
@@ -79,9 +73,7 @@ def experiment_columns(experiment: Experiment) -> dict[str, Any]:
         "is_flagged": any(flag.fault for flag in experiment.flags),
         "flags": [f"{flag.name}: {flag.detail}".rstrip(": ") for flag in experiment.flags],
         "object_name": experiment.object_name,
-        "n_frame": len(path.time),
-        "duration_s": experiment.duration,
-        **ends,
+        **path_columns(experiment.trajectory),
         "effective_start_s": effective[0],
         "effective_end_s": effective[1],
         "contact_mode": experiment.contact_mode,
@@ -90,6 +82,16 @@ def experiment_columns(experiment: Experiment) -> dict[str, Any]:
         "fixel_version": experiment.provenance.version,
         "source_file": experiment.provenance.source,
         "created_at_utc": experiment.provenance.created,
+    }
+
+
+def path_columns(trajectory: Trajectory) -> dict[str, Any]:
+    """Columns of an experiment that follow from its trajectory."""
+    time, ends = trajectory.time, trajectory.pose[[0, -1]].tolist()
+    return {
+        **{"n_frame": len(time), "duration_s": float(time[-1] - time[0])},
+        **{f"start_{label}": x for label, x in zip(_POSE, ends[0], strict=True)},
+        **{f"end_{label}": x for label, x in zip(_POSE, ends[1], strict=True)},
     }
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from fixel.errors import InvalidInput, require
 from fixel.io.atomic import refuse_unwritable
+from fixel.typing import FloatArray
 from fixel.vision.frame import Frame, Gray, Picture
 
 # Time steps may differ by this share of the usual one and still be one rate: containers round.
@@ -66,20 +67,16 @@ class VideoFile:
             Frames without time stamps, or times that do not increase.
         """
         self.remarks.clear()
-        clock = _StampReader(self.path)
-        spoilt = _Spoilt()
+        check = _FilmCheck(self.path)
         with _opened(self.path) as container:
             stream = container.streams.video[0]
             stream.codec_context.thread_count = self.threads
             stream.codec_context.options = {"err_detect": "explode"}
-            for decoded in _decoded(container, stream, spoilt):
-                instant = clock.read(decoded)
-                if decoded.is_corrupt:
-                    spoilt.frames.append(instant)
-                    continue
-                spoilt.good(instant)
-                yield decoded_frame(instant, decoded)
-        self.remarks += [*spoilt.remarks(self, clock.times), *clock.remarks()]
+            for decoded in _decoded(container, stream, check):
+                instant = check.read(decoded)
+                if not decoded.is_corrupt:
+                    yield decoded_frame(instant, decoded)
+        self.remarks += check.remarks(self)
 
 
 def open_video(path: str | Path, *, threads: int = 0) -> VideoFile:
@@ -222,13 +219,16 @@ class VideoWriter:
 
 
 @final
-class _StampReader:
-    """Reader of time stamps; rejects missing and non-increasing ones."""
+class _FilmCheck:
+    """Check of time stamps, which must increase, and count of what could not be decoded."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.times: list[float] = []
         self._last: Fraction | None = None
+        self._damaged = self._packets = 0  # frames, and packets, that could not be decoded
+        self._since = 0  # damaged packets since the last good frame
+        self._any_good = False
 
     def read(self, decoded: Any) -> float:
         where = f"{self.path}, frame {len(self.times)}"
@@ -242,9 +242,7 @@ class _StampReader:
             )
         instant = decoded.pts * Fraction(decoded.time_base)
         if self._last is not None and instant <= self._last:
-            how = (
-                "the time of the previous frame" if instant == self._last else ("a decreasing time")
-            )
+            how = "the time of the previous frame" if instant == self._last else "a decreasing time"
             raise InvalidInput(
                 where,
                 found=f"{how}: {float(instant):.6f} s after {float(self._last):.6f} s",
@@ -253,61 +251,46 @@ class _StampReader:
             )
         self._last = instant
         self.times.append(float(instant))
+        if decoded.is_corrupt:
+            self._damaged += 1
+        else:
+            self._since, self._any_good = 0, True
         return float(instant)
 
-    def remarks(self) -> list[str]:
-        steps = np.diff(self.times)
-        if len(steps) < 2:
-            return []
-        usual = float(np.percentile(steps, 50.0, method="lower"))
-        if usual < 1.0 / MAX_FRAMES_A_SECOND:
-            return [f"{1.0 / usual:.0f} frames per second: are these times in seconds?"]
-        odd = np.abs(steps - usual) > max(SAME_RATE * usual, ROUNDING)
-        if not odd.any():
-            return []
-        return [
-            f"variable frame rate: {int(odd.sum())} of {len(steps)} steps differ from the usual "
-            f"{usual * 1e3:.2f} ms; the longest is {steps.max() * 1e3:.1f} ms, at "
-            f"{self.times[int(np.argmax(steps))]:.3f} s"
-        ]
-
-
-@final
-class _Spoilt:
-    """Counter of frames and packets that could not be decoded."""
-
-    def __init__(self) -> None:
-        self.frames: list[float] = []
-        self.packets = 0
-        self._since = 0  # damaged packets since the last good frame
-        self._last: float | None = None
-
     def packet(self) -> None:
-        self.packets += 1
+        """Count a packet that cannot be decoded."""
+        self._packets += 1
         self._since += 1
 
-    def good(self, instant: float) -> None:
-        self._since = 0
-        self._last = instant
-
-    def remarks(self, video: VideoFile, times: list[float]) -> list[str]:
-        if self._last is None:
+    def remarks(self, video: VideoFile) -> Iterator[str]:
+        if not self._any_good:
             raise InvalidInput(
                 str(video.path), found="no decodable picture", expected="at least one whole frame"
             )
-        found = []
+        times = self.times
         missing = (video.n_frames or 0) - len(times)
         usual = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
         short = (video.duration or 0.0) - (times[-1] + usual)
         if missing > 0 or self._since or short > 2.0 * usual > 0.0:
             of = f" of {video.n_frames}" if missing > 0 else ""
-            found.append(
-                f"truncated: the file ends after frame {len(times) - 1}{of}, at {times[-1]:.3f} s"
+            yield f"truncated: the file ends after frame {len(times) - 1}{of}, at {times[-1]:.3f} s"
+        if middle := self._packets - self._since + self._damaged:
+            yield f"{middle} damaged frames were left out"
+        yield from self._uneven(np.diff(times))
+
+    def _uneven(self, steps: FloatArray) -> Iterator[str]:
+        if len(steps) < 2:
+            return
+        usual = float(np.percentile(steps, 50.0, method="lower"))
+        odd = np.abs(steps - usual) > max(SAME_RATE * usual, ROUNDING)
+        if usual < 1.0 / MAX_FRAMES_A_SECOND:
+            yield f"{1.0 / usual:.0f} frames per second: are these times in seconds?"
+        elif odd.any():
+            yield (
+                f"variable frame rate: {int(odd.sum())} of {len(steps)} steps differ from the usual"
+                f" {usual * 1e3:.2f} ms; the longest is {steps.max() * 1e3:.1f} ms, at "
+                f"{self.times[int(np.argmax(steps))]:.3f} s"
             )
-        middle = self.packets - self._since + len(self.frames)
-        if middle:
-            found.append(f"{middle} damaged frames were left out")
-        return found
 
 
 def decoded_frame(time: float, decoded: Any) -> Frame:
@@ -327,7 +310,7 @@ def decoded_frame(time: float, decoded: Any) -> Frame:
     return Frame(time, size=(width, height), colours=colours, luma=luma if bright_first else None)
 
 
-def _decoded(container: Any, stream: Any, spoilt: _Spoilt) -> Iterator[Any]:
+def _decoded(container: Any, stream: Any, check: _FilmCheck) -> Iterator[Any]:
     """Yield the frames of all packets; count packets that cannot be decoded."""
     import av
 
@@ -338,12 +321,12 @@ def _decoded(container: Any, stream: Any, spoilt: _Spoilt) -> Iterator[Any]:
         except StopIteration:
             return
         except av.FFmpegError:  # the file ends in the middle of a packet
-            spoilt.packet()
+            check.packet()
             return
         try:
             yield from packet.decode()
         except av.FFmpegError:
-            spoilt.packet()
+            check.packet()
 
 
 def _opened(path: Path) -> Any:

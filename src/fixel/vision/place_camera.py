@@ -20,7 +20,7 @@ from fixel.vision.camera import PLACE, Camera, MeasuredCamera
 from fixel.vision.frame import Picture, opencv
 from fixel.vision.lens import Lens
 from fixel.vision.marks import Board, Tag, gray_of
-from fixel.vision.tracking.tag_reader import find_tags, other_families, tag_corners
+from fixel.vision.tracking.tag_reader import find_tags, other_families, tag_points
 
 MIN_TAGS: Final = 2
 UNEVEN: Final = 0.2  # variation of the shift of tags' edges between corners, as a share of it
@@ -73,12 +73,8 @@ def place_by_tags(measured: MeasuredCamera, picture: Picture, tags: Sequence[Tag
             expected=f"at least {MIN_TAGS} of " + ", ".join(str(tag.id) for tag in tags),
             hint="check that the plate is lit and in full view",
         )
-    corners = [(tags[k], tag_corners(tags[k]), pixels) for k, pixels in found.items()]
-    points = np.concatenate(
-        [np.column_stack([flat, np.full(4, tag.height)]) for tag, flat, _ in corners]
-    )
-    names = tuple(f"tag {tag.id}, corner {k}" for tag, _, _ in corners for k in range(1, 5))
-    pixels = np.concatenate([p for _, _, p in corners])
+    points, pixels = tag_points({tags[k]: corners for k, corners in found.items()})
+    names = tuple(f"tag {tags[k].id}, corner {n}" for k in found for n in range(1, 5))
     first = place_by_points(measured, points, pixels, names).camera.placed()
     sharp, spread = _without_spread(first, points, pixels)
     return place_by_points(measured, points, sharp, names, noise=UNEVEN * abs(spread))

@@ -17,7 +17,7 @@ from fixel.vision.frame import Frame, Gray
 from fixel.vision.marks import Rig, Tag
 from fixel.vision.plane_errors import place_covariance, radius95
 from fixel.vision.tracking.outline import MIN_SCATTER, fit_pose, window_of
-from fixel.vision.tracking.tag_reader import read_tags, tag_corners
+from fixel.vision.tracking.tag_reader import read_tags, tag_corners, tag_points
 from fixel.vision.tracking.tags import names_of, tag_edges
 
 MOVED: Final = 1.5  # [px] largest offset of tags on the plate
@@ -238,7 +238,7 @@ def registered(rig: Rig, frame: Frame) -> Rig:
     from fixel.vision.place_camera import place_by_points
 
     names = [f"tag {tag.id}" for tag in exact for _ in range(4)]
-    points, pixels = _points(exact)
+    points, pixels = tag_points(exact)
     measured = place_by_points(rig.measured, points, pixels, names).camera
     return replace(rig, camera=measured.placed(), measured=measured)
 
@@ -251,15 +251,9 @@ def _by_edges(frame: Frame, camera: Camera, tag: Tag, rough: FloatArray) -> Floa
     return camera.project_at(placed(tag_corners(tag), fit.pose), tag.height)
 
 
-def _points(seen: Mapping[Tag, FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Corners of tags in the world (n, 3) [m] and in the picture (n, 2) [px]."""
-    points = [np.column_stack((tag_corners(tag), np.full(4, tag.height))) for tag in seen]
-    return np.concatenate(points), np.concatenate(list(seen.values()))
-
-
 def _placed(camera: Camera, seen: Mapping[Tag, FloatArray]) -> tuple[Camera, BundleFit]:
     """Fit the camera's place to tags."""
-    points, pixels = _points(seen)
+    points, pixels = tag_points(seen)
     sight = PointObservations(points, pixels, np.zeros(len(points), dtype=np.intp))
     found = fit(camera.lens, (), camera.rotation[None], camera.translation[None], sight)
     place = {"rotation": found.rotations[0], "translation": found.translations[0]}

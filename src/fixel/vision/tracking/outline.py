@@ -19,6 +19,7 @@ from fixel.model.fields import Comparable, settle
 from fixel.typing import BoolArray, FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Gray
+from fixel.vision.tracking.base import PartObservation
 from fixel.vision.tracking.loops import box_of, edges_along, edges_expected, optics_of
 
 ROBUST: Final = 3.0  # scatters beyond which an edge is left out
@@ -66,6 +67,13 @@ class PoseFit(NamedTuple):
     def deviations(self) -> FloatArray:
         """Standard deviations (3,) of the pose [m, m, rad]."""
         return np.sqrt(np.diag(self.covariance))
+
+    def observed(self, scale: float, sd: FloatArray, marks: int) -> PartObservation:
+        """Return the pose as a measurement of a part."""
+        pose, rest, share = self.pose, self.residual, self.share
+        return PartObservation(
+            pose=pose, residual=rest, scale=scale, sd=sd, marks=marks, share=share
+        )
 
 
 def fit_pose(

@@ -150,14 +150,7 @@ class _OutlineTrack:
         if vague(fit.deviations, self._scale):
             return PartObservation(reason=f"too little of the outline of {self.name} is visible")
         self._spread = fit.spread
-        return PartObservation(
-            pose=fit.pose,
-            residual=fit.residual,
-            scale=self._scale,
-            sd=fit.deviations,
-            marks=int(fit.used.sum()),
-            share=fit.share,
-        )
+        return fit.observed(self._scale, fit.deviations, int(fit.used.sum()))
 
     def found(
         self, frame: Frame, dark: NDArray[np.uint8], followed: PartObservation

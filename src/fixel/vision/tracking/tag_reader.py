@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -69,6 +69,12 @@ def on_tag(tag: Tag, points: FloatArray) -> FloatArray:
     x, y, angle = tag.pose
     c, s = np.cos(angle), np.sin(angle)
     return np.asarray(tag.size * points @ np.array([[c, s], [-s, c]]) + (x, y))
+
+
+def tag_points(seen: Mapping[Tag, FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Corners of tags in the frame of their part (n, 3) [m], and in the picture (n, 2) [px]."""
+    points = [np.column_stack((tag_corners(tag), np.full(4, tag.height))) for tag in seen]
+    return np.concatenate(points), np.concatenate(list(seen.values()))
 
 
 def find_tags(picture: Picture, tags: Sequence[Tag]) -> dict[int, FloatArray]:

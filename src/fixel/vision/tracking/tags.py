@@ -130,14 +130,7 @@ class _TaggedPart(PartFollower):
         if vague(sd, self._scale):
             return PartObservation(reason="too little of its tags is visible to estimate a pose")
         self._spread = fit.spread
-        return PartObservation(
-            pose=fit.pose,
-            residual=fit.residual,
-            scale=self._scale,
-            sd=sd,
-            marks=agreeing,
-            share=fit.share,
-        )
+        return fit.observed(self._scale, sd, agreeing)
 
     def _agreeing(self, picture: Gray, corner: tuple[int, int], fit: PoseFit) -> int:
         """Number of tags whose cells agree with their code at a fitted pose."""
