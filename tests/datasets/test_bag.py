@@ -304,6 +304,19 @@ def test_roles_are_needed_and_known(tmp_path: Path) -> None:
     check(fixel.read_experiments(alone)[0], tip=False)
 
 
+def test_a_bag_of_other_messages_names_what_to_record(tmp_path: Path) -> None:
+    kinds = typesys.get_types_from_msg(
+        "std_msgs/Header header\nint32[] id", "apriltag_msgs/msg/AprilTagDetectionArray"
+    )
+    STORE.register(kinds)
+    found = T["apriltag_msgs/msg/AprilTagDetectionArray"]
+    seen = found(header(START, "camera"), np.array([7], np.int32))
+    bag = write_bag(tmp_path / "bag", [("/tags", START, seen)])
+    with pytest.raises(InvalidInput, match="poses of nothing") as raised:
+        fixel.read_experiments(bag)
+    assert "record /tf" in str(raised.value)
+
+
 def test_messages_without_stamp_have_the_time_of_the_log(tmp_path: Path) -> None:
     messages = [
         (topic, at, posed(0.0, matrices(part_at(np.array([at - START])))[0]))

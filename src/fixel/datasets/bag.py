@@ -87,7 +87,9 @@ class _Roles(NamedTuple):
                     where,
                     found=f"poses of {', '.join(moving[:20]) or 'nothing'}",
                     expected="the topic or frame of the part",
-                    hint="--option part=NAME --option pusher=NAME, or columns={'part': NAME}",
+                    hint="--option part=NAME --option pusher=NAME, or columns={'part': NAME}"
+                    if moving
+                    else "record /tf; AprilTagDetectionArray is no standard message, and not read",
                 )
             part = moving[0]
         joints = pusher.split(",") if pusher is not None and pusher not in bag.tracks else []
