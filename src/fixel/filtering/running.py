@@ -36,6 +36,7 @@ from fixel.filtering.particles import (
 from fixel.filtering.prior import UniformPrior, Unknowns, prior_for
 from fixel.model import Experiment, Scene, wrapped
 from fixel.model.fields import instance, vector
+from fixel.model.scene import check_push
 from fixel.typing import BoolArray, FloatArray
 
 WEIGHTS_OF_LIMIT: Final = 20.0  # of the object, for a drive that the scene calls rigid
@@ -431,12 +432,7 @@ def start_filter(
     else:
         instance(setup, Scene, "setup", "a Scene or an Experiment")
         scene = setup
-    if len(scene.bodies) != 1 or len(scene.pushers) != 1:
-        raise InvalidInput(
-            "filter.scene",
-            found=f"{len(scene.bodies)} free bodies and {len(scene.pushers)} pushers",
-            expected="one free body and one pusher",
-        )
+    check_push(scene, "filter.scene")
     return RunningFilter(
         options,
         _yielding(options, scene),

@@ -284,6 +284,17 @@ def _members(values: T | Iterable[T], kind: type[T], where: str) -> tuple[T, ...
     return members
 
 
+def check_push(scene: Scene, where: str = "scene", *, pushers: tuple[int, ...] = (1,)) -> None:
+    """Raise `InvalidInput` for a scene that is no push of one free body by an allowed number of
+    pushers."""
+    if len(scene.bodies) != 1 or len(scene.pushers) not in pushers:
+        raise InvalidInput(
+            where,
+            found=f"{len(scene.bodies)} free bodies and {len(scene.pushers)} pushers",
+            expected=f"one free body and {'at most ' * (0 in pushers)}one pusher",
+        )
+
+
 def _check_directions(value: Any) -> None:
     if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 4):
         raise InvalidInput(

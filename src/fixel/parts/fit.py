@@ -17,6 +17,7 @@ from fixel.calibration.target import Target
 from fixel.domain.features import simulated_features
 from fixel.errors import InvalidInput
 from fixel.model import Disk, PathDrive, Pusher, Scene, pose_error, wrapped
+from fixel.model.scene import check_push
 from fixel.simulation import QuasiStatic, StewartTrinkle
 from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.pack import pusher_path
@@ -385,12 +386,7 @@ def paced(scene: Scene, duration: float) -> Scene:
 
 def _check(target: Target) -> None:
     scene = target.case.scene
-    if len(scene.bodies) != 1 or len(scene.pushers) != 1:
-        raise InvalidInput(
-            f"experiment {target.key}.scene",
-            found=f"{len(scene.bodies)} free bodies and {len(scene.pushers)} pushers",
-            expected="one part and one pusher",
-        )
+    check_push(scene, f"experiment {target.key}.scene")
     if not isinstance(scene.pushers[0].shape, Disk):
         raise InvalidInput(
             f"experiment {target.key}.scene", found="a pusher that is not round", expected="a disk"

@@ -15,6 +15,7 @@ from fixel.domain.push_bound import PushBound
 from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, LineDrive, Pusher, Scene, placed
 from fixel.model.fields import instance, non_negative, positive
+from fixel.model.scene import check_push
 from fixel.parts.fit import (
     PartPushes,
     SupportPrior,
@@ -365,9 +366,7 @@ def _scene_of(part: Body | Scene) -> Scene:
     if isinstance(part, Body):
         return Scene(bodies=(part,), duration=1.0)
     instance(part, Scene, "part", "a Body or a Scene")
-    if len(part.bodies) != 1 or len(part.pushers) > 1:
-        found = f"{len(part.bodies)} bodies and {len(part.pushers)} pushers"
-        raise InvalidInput("part", found=found, expected="one part and at most one pusher")
+    check_push(part, "part", pushers=(0, 1))
     if not all(isinstance(tip.shape, Disk) for tip in part.pushers):
         raise InvalidInput("part", found="a pusher that is not round", expected="a disk")
     return part

@@ -15,6 +15,7 @@ from fixel.errors import InvalidInput, unknown_name
 from fixel.model import Body, Disk, LineDrive, PathDrive, Polygon, Pusher, Scene, Shape
 from fixel.model.fields import Value, check_fields, instance, non_negative, positive, settle
 from fixel.model.overlap import overlaps, turned
+from fixel.model.scene import check_push
 from fixel.planning.simplified import MANY
 from fixel.simulation.vary import composed
 from fixel.typing import BoolArray, FloatArray
@@ -475,12 +476,7 @@ def touches(shape: Shape, poses: FloatArray, obstacles: Sequence[Polygon]) -> Bo
 
 
 def _only_body(scene: Scene) -> Body:
-    if len(scene.bodies) != 1 or len(scene.pushers) > 1:
-        raise InvalidInput(
-            "scene",
-            found=f"{len(scene.bodies)} bodies and {len(scene.pushers)} pushers",
-            expected="one part and at most one pusher",
-        )
+    check_push(scene, pushers=(0, 1))
     return scene.bodies[0]
 
 

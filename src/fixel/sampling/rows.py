@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput, unknown_name
 from fixel.model import LineDrive, PathDrive, PlannedExperiment, Scene, placed
+from fixel.model.scene import check_push
 
 KEYS: Final = ("x_m", "y_m", "angle_rad", "offset_x_m", "offset_y_m", "offset_angle_rad")
 DRIVE: Final = ("direction_rad", "travel_m", "speed_m_s")
@@ -38,9 +39,7 @@ def row_scene(template: Scene, values: Mapping[str, float]) -> Scene:
     InvalidInput
         Bodies overlap, a value is of nothing in the scene, or the head does not move.
     """
-    if len(template.bodies) != 1 or len(template.pushers) != 1:
-        found = f"{len(template.bodies)} free bodies and {len(template.pushers)} pushers"
-        raise InvalidInput("scene", found=found, expected="one free body and one pusher")
+    check_push(template)
     fixels = {f"{own.name}_": own for own in template.fixels}
     things: dict[str, Any] = {"": template.bodies[0], "head_": template.pushers[0]} | fixels
     known = (*DRIVE, *(f"{own}{key}" for own in things for key in KEYS))

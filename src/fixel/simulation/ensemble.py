@@ -18,6 +18,7 @@ from fixel.errors import InvalidInput
 from fixel.kernels import codes
 from fixel.kernels.arrays import REACHED, SAMPLES, BatchRecord
 from fixel.model import Pusher, Scene
+from fixel.model.scene import check_push
 from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
 from fixel.simulation.pack import PackedBatch, Template, fastest_motion, pusher_path, stack
 from fixel.simulation.record import empty_record, shape_poses
@@ -329,12 +330,7 @@ class Ensemble:
 
 def _check_case(case: RolloutCase) -> None:
     scene, times = case.scene, np.asarray(case.times)
-    if len(scene.bodies) != 1 or len(scene.pushers) > 1:
-        raise InvalidInput(
-            "case.scene",
-            found=f"{len(scene.bodies)} free bodies and {len(scene.pushers)} pushers",
-            expected="one free body and at most one pusher",
-        )
+    check_push(scene, "case.scene", pushers=(0, 1))
     if len(times) == 0 or times[0] <= 0.0 or (np.diff(times) <= 0.0).any():
         raise InvalidInput("case.times", found=times, expected="increasing times above 0 s")
 

@@ -39,6 +39,7 @@ from fixel.model.fields import (
     vector,
 )
 from fixel.model.probability import stream
+from fixel.model.scene import check_push
 from fixel.simulation import Simulation, simulate
 from fixel.simulation.threads import cores
 from fixel.testbed.imperfections import (
@@ -427,12 +428,7 @@ def _check_plan(planned: Sequence[PlannedExperiment]) -> None:
 
 def _check_scene(planned: PlannedExperiment) -> None:
     where, scene = f"planned {planned.name!r}", planned.scene
-    if len(scene.bodies) != 1 or len(scene.pushers) != 1:
-        raise InvalidInput(
-            where,
-            found=f"{len(scene.bodies)} free bodies and {len(scene.pushers)} pushers",
-            expected="one free body and one pusher",
-        )
+    check_push(scene, where)
     if scene.contact_friction:
         raise InvalidInput(
             f"{where}.contact_friction",
