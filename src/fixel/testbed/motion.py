@@ -330,8 +330,30 @@ def checked_travels(reach: Reach, n_axes: int) -> FloatArray:
     return np.array([checked_reach(pair) for pair in pairs] * (n_axes // len(pairs)))
 
 
+class _AimedActuator(AbstractActuator):
+    """Actuator without a controller, which can be aimed since its travels are known."""
+
+    travels: FloatArray
+    _connected = False
+
+    def connect(self) -> Self:
+        self._connected = True
+        return self
+
+    def disconnect(self) -> None:
+        self.stop()
+        self._connected = False
+
+    @property
+    def connected(self) -> bool:
+        return self._connected
+
+    def position(self) -> float:
+        return self.line.along(self.place())
+
+
 @final
-class ManualActuator(AbstractActuator):
+class ManualActuator(_AimedActuator):
     """Actuator that prompts a person to set and start the drive, and relies on the answers.
 
     It cannot stop the drive itself, only request it from the person.
@@ -347,7 +369,6 @@ class ManualActuator(AbstractActuator):
     """
 
     name: ClassVar[str] = "manual"
-    travels: FloatArray
 
     def __init__(
         self,
@@ -359,7 +380,6 @@ class ManualActuator(AbstractActuator):
         self.travels = checked_travels(reach, 1)
         self._set_line(None)
         self._ask, self._say = ask, notify
-        self._connected = False
         self._at: float | None = None  # [m] coordinate of the drive
         self._heading: float | None = None  # [m] target of the move under way
         self._stopped = ""
@@ -368,23 +388,11 @@ class ManualActuator(AbstractActuator):
         self._answered(
             "Switch on the drive and wait until it is ready (Servo ON). Then press Enter: "
         )
-        self._connected = True
-        return self
-
-    def disconnect(self) -> None:
-        self.stop()
-        self._connected = False
-
-    @property
-    def connected(self) -> bool:
-        return self._connected
+        return super().connect()
 
     def home(self) -> None:
         self._answered("Move the drive to its origin. When it stands there, press Enter: ")
         self._at = float(self.travels[0, 0])
-
-    def position(self) -> float:
-        return self.line.along(self.place())
 
     def place(self) -> FloatArray:
         if self._at is None:
@@ -440,7 +448,7 @@ class ManualActuator(AbstractActuator):
 
 
 @final
-class SimulatedActuator(AbstractActuator):
+class SimulatedActuator(_AimedActuator):
     """Actuator that moves as in the simulated testbed: at its own speed, with a ripple.
 
     Parameters
@@ -464,7 +472,6 @@ class SimulatedActuator(AbstractActuator):
     """
 
     name: ClassVar[str] = "simulated"
-    travels: FloatArray
 
     def __init__(
         self,
@@ -486,32 +493,16 @@ class SimulatedActuator(AbstractActuator):
         self._frequency = positive(frequency, "frequency", "Hz")
         self._phase = phase
         self._clock = clock
-        self._connected = False
         self._lock = threading.RLock()
         given = np.broadcast_to(np.asarray(start), n_axes).tolist()
         self._from = self._to = np.array([non_negative(each, "start", "m") for each in given])
         self._speed, self._began = 0.0, 0.0
         self._stopped = ""
 
-    def connect(self) -> Self:
-        self._connected = True
-        return self
-
-    def disconnect(self) -> None:
-        self.stop()
-        self._connected = False
-
-    @property
-    def connected(self) -> bool:
-        return self._connected
-
     def home(self) -> None:
         with self._lock:
             self._from = self._to = self.travels[:, 0].copy()
             self._speed = 0.0
-
-    def position(self) -> float:
-        return self.line.along(self.place())
 
     def place(self) -> FloatArray:
         with self._lock:
