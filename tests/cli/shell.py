@@ -1,13 +1,37 @@
 """The command as a shell runs it."""
 
+import json
+
 import pytest
+from typer.testing import CliRunner
 
 from fixel.cli.main import run
 
 
-def fixel(capsys, *arguments):
-    """Exit code, standard output and standard error of a command."""
+def exit_code(*arguments):
+    """Exit code of a command."""
     with pytest.raises(SystemExit) as end:
         run([str(argument) for argument in arguments])
+    return end.value.code or 0
+
+
+def fixel(capsys, *arguments):
+    """Exit code, standard output and standard error of a command."""
+    code = exit_code(*arguments)
     out, err = capsys.readouterr()
-    return end.value.code or 0, out, err
+    return code, out, err
+
+
+def answer(capsys, *arguments):
+    """The JSON object of a command that succeeds."""
+    code, out, err = fixel(capsys, *arguments, "--json")
+    assert code == 0, err
+    return json.loads(out)
+
+
+def invoked(app, *arguments):
+    """Exit code and standard output; a refusal is raised, for `main` to put into words."""
+    done = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    if done.exception is not None and not isinstance(done.exception, SystemExit):
+        raise done.exception
+    return done.exit_code, done.stdout

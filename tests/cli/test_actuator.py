@@ -65,12 +65,6 @@ def test_stop_writes_to_the_port_that_is_named(capsys, controller):
     controller.wait_for("reset")
 
 
-def test_stop_without_anything_to_stop(capsys, controller):
-    code, _, err = fixel(capsys, "actuator", "stop")
-
-    assert (code, "no program of yours" in err) == (2, True)
-
-
 def test_ports(capsys):
     code, out, _ = fixel(capsys, "actuator", "ports", "--json")
 
@@ -96,6 +90,7 @@ def test_questions_to_the_operator_stay_out_of_the_answer(capsys, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
+        (("stop",), "no program of yours"),
         (("where",), "the port of the actuator's controller"),
         (("where", "--driver", "robot"), "one of grbl, manual, simulated"),
         (("move", "--driver", "simulated"), "a target position"),
@@ -107,7 +102,7 @@ def test_questions_to_the_operator_stay_out_of_the_answer(capsys, monkeypatch):
         (("where", "--driver", "manual", "--axes", "XY"), "one axis with --driver manual"),
     ],
 )
-def test_what_cannot_be_is_refused(capsys, arguments, says):
+def test_what_cannot_be_is_refused(capsys, controller, arguments, says):
     code, _, err = fixel(capsys, "actuator", *arguments)
 
     assert (code, says in err) == (2, True), err

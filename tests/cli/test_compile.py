@@ -6,17 +6,10 @@ from importlib import import_module
 from pkgutil import walk_packages
 
 import pytest
+from tests.cli.shell import exit_code as call
 
-from fixel.cli import main
 from fixel.kernels.code_cache import CodeCache
 from fixel.workflows import compilation
-
-
-def call(*arguments: str) -> int:
-    """Exit code of a command."""
-    with pytest.raises(SystemExit) as end:
-        main.run(arguments)
-    return int(end.value.code or 0)
 
 
 @pytest.fixture

@@ -3,10 +3,11 @@
 import json
 import shutil
 import sqlite3
+from functools import partial
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from tests.cli.shell import invoked
 
 from fixel.cli import db
 from fixel.database.project import VARIABLE, Project
@@ -25,6 +26,9 @@ def experiment(name):
     )
 
 
+call = partial(invoked, db.app)
+
+
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.delenv(VARIABLE, raising=False)
@@ -33,14 +37,6 @@ def folder(tmp_path, monkeypatch):
         for name in "abc":
             store.add_experiment(experiment(name))
     return project.folder
-
-
-def call(*arguments):
-    """Exit code and standard output; a refusal is raised, for `main` to put into words."""
-    done = CliRunner().invoke(db.app, [str(a) for a in arguments])
-    if done.exception is not None and not isinstance(done.exception, SystemExit):
-        raise done.exception
-    return done.exit_code, done.stdout
 
 
 def test_upgrade_that_has_nothing_to_do(folder):

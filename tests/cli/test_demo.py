@@ -3,17 +3,9 @@
 import shlex
 
 import pytest
-
-from fixel.cli import main
+from tests.cli.shell import exit_code as call
 
 pytestmark = pytest.mark.system
-
-
-def call(*arguments: str) -> int:
-    """Exit code of a command."""
-    with pytest.raises(SystemExit) as end:
-        main.run(arguments)
-    return int(end.value.code or 0)
 
 
 def test_demo_tells_what_happened_and_what_to_type_next(tmp_path, capsys):

@@ -3,16 +3,9 @@
 import json
 
 import pytest
+from tests.cli.shell import exit_code as call
 
-from fixel.cli import main
 from fixel.workflows import diagnostics
-
-
-def call(*arguments: str) -> int:
-    """Exit code of a command."""
-    with pytest.raises(SystemExit) as end:
-        main.run(arguments)
-    return int(end.value.code or 0)
 
 
 @pytest.fixture

@@ -9,8 +9,7 @@ import socket
 import threading
 
 import pytest
-
-from fixel.cli.main import run
+from tests.cli.shell import fixel
 
 CONTENT = b"time_s,x_mm,y_mm,theta_deg\n0.0,1,2,3\n0.1,1,2,3\n"
 
@@ -31,13 +30,6 @@ def site(tmp_path):
         yield f"http://127.0.0.1:{server.server_port}"
         server.shutdown()
         thread.join()
-
-
-def fixel(capsys, *arguments):
-    with pytest.raises(SystemExit) as end:
-        run([str(a) for a in arguments])
-    said = capsys.readouterr()
-    return end.value.code, said.out, said.err
 
 
 def test_every_dataset_has_a_licence_and_a_citation(capsys):

@@ -1,9 +1,7 @@
 """Commands with `--engine`: which simulator answers, and which calibration is used."""
 
-import json
-
 import pytest
-from tests.cli.shell import fixel
+from tests.cli.shell import answer, fixel
 from tests.fixtures import project_of
 
 from fixel.formats import SceneFile, save_scene
@@ -34,12 +32,6 @@ def calibrated(lab):
         options = {"verdicts": False, "max_evaluations": 8, "progress": False}
         project.calibrate("", space, motion=motion, **options)
     return lab
-
-
-def answer(capsys, *arguments):
-    code, out, err = fixel(capsys, *arguments, "--json")
-    assert code == 0, err
-    return json.loads(out)
 
 
 def test_a_report_on_the_newest_calibration_by_an_engine(calibrated, capsys, tmp_path):

@@ -9,6 +9,7 @@ import subprocess
 import time
 
 import pytest
+from tests.cli.shell import fixel
 from tests.fixtures import project_of
 
 from fixel.cli.main import run
@@ -20,14 +21,6 @@ from fixel.sampling import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 
 pytestmark = pytest.mark.system
-
-
-def fixel(capsys, *arguments):
-    """Exit code and what was printed."""
-    with pytest.raises(SystemExit) as end:
-        run([str(argument) for argument in arguments])
-    said = capsys.readouterr()
-    return end.value.code, said.out, said.err
 
 
 @pytest.fixture(scope="module")

@@ -5,12 +5,13 @@ import os
 import signal
 import subprocess
 import sys
+from functools import partial
 
 import pytest
 import yaml
+from tests.cli.shell import invoked
 from tests.jobs.helpers import await_true, names_in, start
 from tests.jobs.kinds import toy_job
-from typer.testing import CliRunner
 
 from fixel.cli import jobs
 from fixel.cli.screen import job_bar
@@ -19,19 +20,12 @@ from fixel.jobs.site import load_site
 from fixel.jobs.work import JobProgress
 
 OPTIONS = {"rounds": 2, "chunks": 4}
+call = partial(invoked, jobs.app)
 
 
 @pytest.fixture
 def folder(tmp_path):
     return toy_job(tmp_path / "jobs" / "my toy", **OPTIONS)
-
-
-def call(*arguments):
-    """Exit code and standard output; a refusal is raised, for `main` to put into words."""
-    done = CliRunner().invoke(jobs.app, [str(a) for a in arguments])
-    if done.exception is not None and not isinstance(done.exception, SystemExit):
-        raise done.exception
-    return done.exit_code, done.stdout
 
 
 @pytest.fixture(autouse=True)

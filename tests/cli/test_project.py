@@ -1,30 +1,15 @@
 """`fixel new`, `import`, `list` and `testbed run`, as typed."""
 
-import json
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.cli.shell import answer, fixel
 from tests.datasets import push_files, recordings
 
-from fixel.cli.main import run
 from fixel.database.project import Project
 from fixel.database.query import ALL_EXPERIMENTS
-
-
-def fixel(capsys, *arguments):
-    """Exit code, what was printed, and what was complained about."""
-    with pytest.raises(SystemExit) as end:
-        run([str(a) for a in arguments])
-    said = capsys.readouterr()
-    return end.value.code, said.out, said.err
-
-
-def answer(capsys, *arguments):
-    code, out, err = fixel(capsys, *arguments, "--json")
-    assert code == 0, err
-    return json.loads(out)
 
 
 @pytest.fixture

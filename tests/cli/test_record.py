@@ -128,7 +128,7 @@ def filled(argument: str, names: dict[str, Path]) -> str:
     return f"{name}{sign}{names.get(value, value)}"
 
 
-def ended_by(tmp_path: Path, end: Callable[[subprocess.Popen[bytes], int], None]) -> str:
+def ended_by(tmp_path: Path, end: Callable[[subprocess.Popen[bytes], int], object]) -> str:
     """Record on a terminal until something is done to the process; the reason it gives."""
     played, out = film(tmp_path / "film", n=3000), tmp_path / "r"
     ours, theirs = pty.openpty()
@@ -158,18 +158,18 @@ def ended_by(tmp_path: Path, end: Callable[[subprocess.Popen[bytes], int], None]
 
 
 @pytest.mark.system
-def test_enter_ends_it_well(tmp_path: Path) -> None:
-    assert ended_by(tmp_path, lambda p, tty: os.write(tty, b"\n") and None) == "stopped with Enter"
-
-
-@pytest.mark.system
-def test_an_interrupt_ends_it_well(tmp_path: Path) -> None:
-    assert ended_by(tmp_path, lambda p, tty: p.send_signal(signal.SIGINT)) == "stopped with Ctrl-C"
-
-
-@pytest.mark.system
-def test_a_polite_kill_ends_it_well(tmp_path: Path) -> None:
-    assert ended_by(tmp_path, lambda p, tty: p.terminate()) == "stopped by a signal"
+@pytest.mark.parametrize(
+    ("end", "reason"),
+    [
+        (lambda p, tty: os.write(tty, b"\n"), "stopped with Enter"),
+        (lambda p, tty: p.send_signal(signal.SIGINT), "stopped with Ctrl-C"),
+        (lambda p, tty: p.terminate(), "stopped by a signal"),
+    ],
+)
+def test_whatever_stops_it_ends_it_well(
+    tmp_path: Path, end: Callable[[subprocess.Popen[bytes], int], object], reason: str
+) -> None:
+    assert ended_by(tmp_path, end) == reason
 
 
 @pytest.mark.system

@@ -4,21 +4,14 @@ import json
 from pathlib import Path
 
 import pytest
+from tests.cli.shell import fixel as call
 
-from fixel.cli import main
 from fixel.formats import SceneFile, save_scene
 from fixel.testing import scenes
 
 KEYS = {
-    "status",
-    "duration",
-    "steps",
-    "max_residual",
-    "wall_time_s",
-    "final",
-    "pushers",
-    "touching",
-}
+    "status", "duration", "steps", "max_residual", "wall_time_s", "final", "pushers", "touching",
+}  # fmt: skip
 
 
 @pytest.fixture
@@ -26,16 +19,6 @@ def scene(tmp_path: Path) -> Path:
     path = tmp_path / "grasp.yaml"
     save_scene(SceneFile(scene=scenes.grasp("seated")), path)
     return path
-
-
-def call(capsys, *arguments: object) -> tuple[int, str, str]:
-    code = 0
-    try:
-        main.run([str(a) for a in arguments])
-    except SystemExit as end:
-        code = int(end.code or 0)
-    said = capsys.readouterr()
-    return code, said.out, said.err
 
 
 @pytest.mark.parametrize("words", [("simulate",), ("plan", "find"), ("sample",)])
@@ -110,6 +93,7 @@ def test_a_jam_exits_3_with_what_was_computed(scene, tmp_path, capsys):
         (["--step", "-1"], "must be a positive time"),
         (["--step", "0.1", "--tolerance", "1"], "leave one out"),
         (["--motion", "magic"], "magic"),
+        (["--solver", "magic"], "must be 'newton', 'gauss-seidel' or 'lemke'"),
     ],
 )
 def test_bad_input_exits_2_with_the_reason_and_no_traceback(scene, arguments, reason, capsys):

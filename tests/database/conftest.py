@@ -1,23 +1,11 @@
 """Every test of a store runs on both engines, PostgreSQL on a real server."""
 
-import importlib.util
-from pathlib import Path
-
 import pytest
 import sqlalchemy as sa
+from tests.database import server
 
 from fixel.database.store import Store
 
-
-def _server_module():
-    # Tests are imported one by one, not as packages; a helper beside them is loaded by its path.
-    spec = importlib.util.spec_from_file_location("server", Path(__file__).with_name("server.py"))
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-server = _server_module()
 # A test that failed may have left a connection that holds a lock.
 OTHERS = """SELECT pg_terminate_backend(pid) FROM pg_stat_activity
 WHERE datname = current_database() AND pid <> pg_backend_pid()"""

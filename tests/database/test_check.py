@@ -1,10 +1,8 @@
 """`workflows.database.check` on both engines: what is wrong is found and named."""
 
-import importlib.util
-from pathlib import Path
-
 import pytest
 import sqlalchemy as sa
+from tests.database import importing
 
 from fixel.database import arrays, project
 from fixel.database.engine import writing
@@ -12,23 +10,14 @@ from fixel.database.project import Project
 from fixel.errors import StoreRefused
 
 
-def importing():
-    # Tests are imported one by one, not as packages; a helper beside them is loaded by its path.
-    path = Path(__file__).with_name("importing.py")
-    spec = importlib.util.spec_from_file_location("importing", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture
 def folder(store, url, tmp_path, monkeypatch):
     """A project with three experiments, the first of which has a file."""
-    monkeypatch.setattr(arrays, "MEDIA_BYTES", importing().SMALL_MEDIA_BYTES)
+    monkeypatch.setattr(arrays, "MEDIA_BYTES", importing.SMALL_MEDIA_BYTES)
     monkeypatch.setenv(project.VARIABLE, url)
     (tmp_path / project.SETTINGS).write_text("name: lab\n")
     for k in range(3):
-        store.add_experiment(importing().experiment(0, k))
+        store.add_experiment(importing.experiment(0, k))
     return tmp_path
 
 

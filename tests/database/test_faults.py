@@ -2,7 +2,6 @@
 is told why and what helps."""
 
 import contextlib
-import importlib.util
 import os
 import random
 import signal
@@ -16,6 +15,7 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 from sqlalchemy import event
+from tests.database import importing, server
 from tests.processes import line_of
 
 from fixel.database import arrays, engine
@@ -27,18 +27,6 @@ from fixel.model.selection import ExperimentQuery
 pytestmark = pytest.mark.system
 
 HERE = Path(__file__).parent
-
-
-def beside(name):
-    # Tests are imported one by one, not as packages; a helper beside them is loaded by its path.
-    spec = importlib.util.spec_from_file_location(name, HERE / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-importing = beside("importing")
-server = beside("server")
 
 
 @pytest.fixture(autouse=True)

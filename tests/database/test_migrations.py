@@ -1,6 +1,5 @@
 """One line of versions, from nothing and from every known version to the tables of today."""
 
-import importlib.util
 import shutil
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import sqlalchemy as sa
 from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
+from tests.database import importing
 
 from fixel.database import schema
 from fixel.database.engine import reading, writing
@@ -22,15 +22,6 @@ KEPT = sorted(ASSETS.glob("schema-*.db"))
 OLD = [file for file in KEPT if file.stem < f"schema-{schema.versions()[0]}"]
 
 
-def importing():
-    # Tests are imported one by one, not as packages; a helper beside them is loaded by its path.
-    path = Path(__file__).with_name("importing.py")
-    spec = importlib.util.spec_from_file_location("importing", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def make_asset():
     """Keep a file of today's version: to be called once, when a version is released."""
     file = ASSETS / f"schema-{schema.newest()}.db"
@@ -38,7 +29,7 @@ def make_asset():
     with Store(f"sqlite:///{file}", ASSETS / "media") as store:
         store.upgrade()
         for k in (1, 2):
-            store.add_experiment(importing().experiment(0, k))
+            store.add_experiment(importing.experiment(0, k))
         store.delete([2])
         with writing(store._engine) as connection:
             connection.execute(sa.text("UPDATE flag SET deleted_at_utc = '2026' WHERE id = 2"))
@@ -199,7 +190,7 @@ def upgrade():
 
 
 def test_a_later_version_that_fails_leaves_the_one_before(store, tmp_path, monkeypatch):
-    number = store.add_experiment(importing().experiment(0, 1)).id
+    number = store.add_experiment(importing.experiment(0, 1)).id
     folder = tmp_path / "migrations"
     shutil.copytree(schema.MIGRATIONS, folder)
     (folder / "versions" / "m9001_broken.py").write_text(BROKEN.format(newest=schema.newest()))
@@ -211,4 +202,4 @@ def test_a_later_version_that_fails_leaves_the_one_before(store, tmp_path, monke
     assert tables_of(store) == before
     assert left_to_do(store) == []
     store.check_version()
-    assert store.experiment(number) == importing().experiment(0, 1)
+    assert store.experiment(number) == importing.experiment(0, 1)

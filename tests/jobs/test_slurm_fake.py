@@ -69,10 +69,27 @@ def join(folder, number):
     link.record_joined(folder, f"slurm-{number}", "node")
 
 
-def test_as_many_as_wanted_and_no_more(fake, pool):
-    steps(pool, 5)
+@pytest.mark.parametrize(
+    "plan",
+    [
+        [],
+        [f"lie {TIMED_OUT}"],  # accepted all the same
+        ["say 101;cluster"],
+        ["say sbatch: lua: welcome\n101"],
+    ],
+)
+def test_as_many_as_wanted_and_no_more(fake, pool, plan):
+    fake.set(plan=plan)
+    steps(pool, 8)
     assert fake.active() == [101, 102]
     assert pool.note == ""
+
+
+@pytest.mark.parametrize("words", ["", "Submitted!", "sbatch: lua: welcome\nnothing"])
+def test_an_answer_without_a_number_is_trouble_not_a_crash(fake, pool, words):
+    fake.set(plan=[f"say {words}"])
+    steps(pool, 8)
+    assert len(fake.active()) == 2
 
 
 def test_never_more_than_the_site_allows(fake, folder, said):
@@ -230,26 +247,6 @@ def test_while_squeue_does_not_answer_nothing_is_submitted(fake, pool, said):
     assert len(said) == 3  # two submissions, and the trouble once
     fake.set(down=False)
     steps(pool)
-    assert fake.active() == [101, 102]
-
-
-def test_a_submission_that_timed_out_but_was_accepted_is_found(fake, pool):
-    fake.set(plan=[f"lie {TIMED_OUT}"])
-    steps(pool, 8)
-    assert fake.active() == [101, 102]
-
-
-@pytest.mark.parametrize("words", ["", "Submitted!", "sbatch: lua: welcome\nnothing"])
-def test_an_answer_without_a_number_is_trouble_not_a_crash(fake, pool, words):
-    fake.set(plan=[f"say {words}"])
-    steps(pool, 8)
-    assert len(fake.active()) == 2
-
-
-@pytest.mark.parametrize("words", ["101;cluster", "sbatch: lua: welcome\n101"])
-def test_numbers_are_found_in_what_sites_add(fake, pool, words):
-    fake.set(plan=[f"say {words}"])
-    pool.keep()
     assert fake.active() == [101, 102]
 
 

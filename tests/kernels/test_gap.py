@@ -96,20 +96,13 @@ def test_vertex_on_edge_comes_first_and_has_the_gap():
 
 
 def test_corner_against_corner_is_one_contact():
-    distance, normal, point, key = contacts(shifted(SQUARE, 1.3, 1.4), SQUARE)[0]
-    assert len(contacts(shifted(SQUARE, 1.3, 1.4), SQUARE)) == 1
-    assert distance == pytest.approx(0.5, abs=EXACT)
-    assert normal == pytest.approx([0.6, 0.8], abs=EXACT)
-    assert point == pytest.approx([1.15, 1.2], abs=EXACT)
-    assert key == VERTEX_VERTEX + 2
-
-
-def test_corner_against_corner_in_the_other_order():
-    ((distance, normal, point, key),) = contacts(SQUARE, shifted(SQUARE, 1.3, 1.4))
-    assert distance == pytest.approx(0.5, abs=EXACT)
-    assert normal == pytest.approx([-0.6, -0.8], abs=EXACT)
-    assert point == pytest.approx([1.15, 1.2], abs=EXACT)
-    assert key == VERTEX_VERTEX
+    pair = (shifted(SQUARE, 1.3, 1.4), SQUARE)
+    for order, code in ((1, VERTEX_VERTEX + 2), (-1, VERTEX_VERTEX)):
+        ((distance, normal, point, key),) = contacts(*pair[::order])
+        assert distance == pytest.approx(0.5, abs=EXACT)
+        assert normal == pytest.approx([order * 0.6, order * 0.8], abs=EXACT)
+        assert point == pytest.approx([1.15, 1.2], abs=EXACT)
+        assert key == code
 
 
 def test_corner_whose_foot_lies_beyond_a_tilted_edge_is_a_corner_contact():
@@ -290,18 +283,25 @@ def test_point_sliding_over_a_corner_between_pieces_meets_no_hidden_wall():
 # --- disks ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(
+    ("centre", "other", "radius", "expected"),
+    [
+        ((0.0, 0.0), (0.0, 0.0), (1.0, 2.0), -3.0),  # concentric disks
+        ((1.0, 1.0), SQUARE, (0.1, 0.0), -0.1),  # the centre on a corner
+    ],
+)
+def test_a_normal_that_nothing_determines_has_length_one(centre, other, radius, expected):
+    ((distance, normal, _, _),) = contacts(centre, other, radius=radius)
+    assert distance == pytest.approx(expected, abs=EXACT)
+    assert np.hypot(*normal) == pytest.approx(1.0, abs=EXACT)
+
+
 def test_disks():
     ((distance, normal, point, key),) = contacts((3.0, 4.0), (0.0, 0.0), radius=(1.0, 2.0))
     assert distance == pytest.approx(2.0, abs=EXACT)
     assert normal == pytest.approx([0.6, 0.8], abs=EXACT)
     assert point == pytest.approx([1.8, 2.4], abs=EXACT)
     assert key == 0
-
-
-def test_concentric_disks():
-    ((distance, normal, _, _),) = contacts((0.0, 0.0), (0.0, 0.0), radius=(1.0, 2.0))
-    assert distance == -3.0
-    assert np.hypot(*normal) == 1.0
 
 
 @pytest.mark.parametrize(
@@ -322,12 +322,6 @@ def test_disk_and_polygon(centre, distance, normal):
     assert back == pytest.approx(distance, abs=EXACT)
     assert m == pytest.approx(-n, abs=EXACT)
     assert other == pytest.approx(point, abs=EXACT)
-
-
-def test_disk_centre_on_a_corner():
-    ((distance, normal, _, _),) = contacts((1.0, 1.0), SQUARE, radius=(0.1, 0.0))
-    assert distance == pytest.approx(-0.1, abs=EXACT)
-    assert np.hypot(*normal) == pytest.approx(1.0, abs=EXACT)
 
 
 # --- for Python ----------------------------------------------------------------------------------

@@ -52,26 +52,23 @@ polygon = njit(lambda x, y, limit, sides: nearest_in_polygon(x, y, limit, sides)
 
 
 @pytest.mark.system
-def test_sweeps_settle_on_the_answer():
-    problem, work = step_problem((-1.0, -2.0, 0.5), WALLS, limit=0.25)
-    assert swept(problem, work, 1000) <= 1e-14
-    assert entries.judge(problem, work.right) <= TOLERANCE
-
-
-@pytest.mark.system
-def test_sweeps_of_a_body_without_inertia():
-    problem, work = step_problem((-0.6, -2.0, 0.0), WALLS, limit=2.0)
-    problem.inertia[:] = 0.0
-    entries.set_stiffness(problem, 1)
-    swept(problem, work, 100_000)
-    assert entries.judge(problem, work.right) <= TOLERANCE
-
-
-@pytest.mark.system
-def test_proximal_steps_arrive_as_well():
-    problem, work = step_problem((-1.0, -2.0, 0.5), WALLS, limit=0.25)
-    proximal(problem, work, 30)
-    assert entries.judge(problem, work.right) <= 1e-6
+@pytest.mark.parametrize(
+    ("solve", "quasi_static", "allowed"),
+    [
+        (lambda problem, work: swept(problem, work, 1000), False, TOLERANCE),
+        (lambda problem, work: swept(problem, work, 100_000), True, TOLERANCE),
+        (lambda problem, work: proximal(problem, work, 30), False, 1e-6),
+    ],
+    ids=["sweeps", "sweeps of a body without inertia", "proximal steps"],
+)
+def test_what_stands_behind_newton_settles_on_the_answer(solve, quasi_static, allowed):
+    momentum, limit = ((-0.6, -2.0, 0.0), 2.0) if quasi_static else ((-1.0, -2.0, 0.5), 0.25)
+    problem, work = step_problem(momentum, WALLS, limit=limit)
+    if quasi_static:
+        problem.inertia[:] = 0.0
+        entries.set_stiffness(problem, 1)
+    solve(problem, work)
+    assert entries.judge(problem, work.right) <= allowed
 
 
 @pytest.mark.system

@@ -34,35 +34,20 @@ def test_momentum(dof):
     assert judged(problem, work) == pytest.approx(OFF)
 
 
-def test_an_overlap_at_the_end():
+WRONG = {
+    "an overlap at the end": {("bias", (0, 0)): -OFF},
+    "a pull": {("impulse", 0): (-OFF, 0.0), ("momentum", 1): OFF},
+    "a push across a gap": {("bias", (0, 0)): OFF},
+    "more friction than there is": {("impulse", (0, 1)): 1.0 + OFF, ("momentum", 0): 1.0 + OFF},
+    "slip without friction against it": {("bias", (0, 1)): OFF},
+}
+
+
+@pytest.mark.parametrize("changes", WRONG.values(), ids=WRONG)
+def test_what_is_wrong_is_as_large_as_it_is(changes):
     problem, work = solved()
-    problem.bias[0, 0] = -OFF
-    assert judged(problem, work) == pytest.approx(OFF)
-
-
-def test_a_pull():
-    problem, work = solved()
-    problem.impulse[0] = -OFF, 0.0
-    problem.momentum[1] = OFF
-    assert judged(problem, work) == pytest.approx(OFF)
-
-
-def test_a_push_across_a_gap():
-    problem, work = solved()
-    problem.bias[0, 0] = OFF
-    assert judged(problem, work) == pytest.approx(OFF)
-
-
-def test_more_friction_than_there_is():
-    problem, work = solved()
-    problem.impulse[0, 1] = 1.0 + OFF
-    problem.momentum[0] = 1.0 + OFF
-    assert judged(problem, work) == pytest.approx(OFF)
-
-
-def test_slip_without_friction_against_it():
-    problem, work = solved()
-    problem.bias[0, 1] = OFF
+    for (field, place), value in changes.items():
+        getattr(problem, field)[place] = value
     assert judged(problem, work) == pytest.approx(OFF)
 
 

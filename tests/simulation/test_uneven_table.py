@@ -25,21 +25,18 @@ def test_a_flat_table_changes_nothing() -> None:
     assert factors(0.3, **dict.fromkeys(TABLE_NAMES, 0.0)) == pytest.approx(np.ones(4))
 
 
-def test_a_bend_looks_the_same_from_all_sides() -> None:
-    assert factors(0.7, table_bend=1.0) == pytest.approx(np.full(4, np.exp(0.5)))
-
-
-def test_a_quarter_turn_turns_the_bend_round() -> None:
-    up, down = np.exp(0.4), np.exp(-0.4)
-
-    assert factors(0.0, table_bend_xy=0.8) == pytest.approx([up, down, up, down])
-    assert factors(0.5 * np.pi, table_bend_xy=0.8) == pytest.approx([down, up, down, up])
-    assert factors(0.25 * np.pi, table_bend_diagonal=0.8) == pytest.approx([up, down, up, down])
-
-
-def test_a_slope_loads_one_side() -> None:
-    assert factors(np.pi, table_slope_x=0.2) == pytest.approx([np.exp(-0.2), 1.0, np.exp(0.2), 1.0])
-
-
-def test_factors_stay_within_reason() -> None:
-    assert factors(0.0, table_bend=50.0) == pytest.approx(np.full(4, np.exp(MAX_EXPONENT)))
+@pytest.mark.parametrize(
+    ("angle", "values", "logarithms"),
+    [
+        (0.7, {"table_bend": 1.0}, [0.5, 0.5, 0.5, 0.5]),  # the same from all sides
+        (0.0, {"table_bend_xy": 0.8}, [0.4, -0.4, 0.4, -0.4]),
+        (0.5 * np.pi, {"table_bend_xy": 0.8}, [-0.4, 0.4, -0.4, 0.4]),
+        (0.25 * np.pi, {"table_bend_diagonal": 0.8}, [0.4, -0.4, 0.4, -0.4]),
+        (np.pi, {"table_slope_x": 0.2}, [-0.2, 0.0, 0.2, 0.0]),  # loads one side
+        (0.0, {"table_bend": 50.0}, [MAX_EXPONENT] * 4),
+    ],
+)
+def test_factors_of_a_table(
+    angle: float, values: dict[str, float], logarithms: list[float]
+) -> None:
+    assert factors(angle, **values) == pytest.approx(np.exp(logarithms))

@@ -48,17 +48,6 @@ def test_a_tolerance_selects_adaptive_steps():
     assert stepper_of(None, None) is None
 
 
-def test_step_and_tolerance_exclude_each_other():
-    with pytest.raises(InvalidInput, match="leave one out"):
-        stepper_of(0.1, 1e-5)
-
-
-@pytest.mark.parametrize("name", ["motion", "solver"])
-def test_an_unknown_name_is_refused(scene, name):
-    with pytest.raises(InvalidInput, match="must be one of"):
-        simulate_file(load_scene(scene), **{name: "magic"})
-
-
 def test_all_files_are_written(scene, tmp_path):
     outputs = Outputs(
         trajectory=tmp_path / "block.parquet",
