@@ -50,22 +50,13 @@ class Correction(NamedTuple):
 @final
 @dataclass(frozen=True, eq=False)
 class CorrectionTable:
-    """Pushes of a part away from fixels, simulated in samples of what is unknown.
+    """Pushes of a part away from fixels, simulated in samples of what is unknown."""
 
-    Attributes
-    ----------
-    numbers : (m, d) float64
-        Numbers of each push.
-    moved : (m, w, 3) float32
-        Pose after it in the frame of the part before it, in w worlds; NaN where it failed.
-    worlds : Scenarios
-        These worlds (w,), without any error of the start or of the model.
-    seed : int
-    """
-
-    numbers: FloatArray
+    numbers: FloatArray  # (m, d) of each push
+    # (m, w, 3) float32: pose after it in the frame of the part before it, in w worlds; NaN where it
+    # failed.
     moved: np.ndarray
-    worlds: Scenarios
+    worlds: Scenarios  # these worlds (w,), without any error of the start or of the model
     arm: float  # radius of gyration of the part, at which rotations count [m]
     seed: int
 
@@ -150,10 +141,7 @@ class CorrectionTable:
     ) -> Correction:
         """Choose a push for each seen pose (n, 3), or none, with weights (n, w) of the worlds.
 
-        Parameters
-        ----------
-        towards : (t, 3) float64
-            Poses in the goal to which the nearest pushes are compared.
+        The pushes that lead nearest to the poses `towards` (t, 3) in the goal are compared.
         """
         if len(seen) > CHUNK:
             parts = [

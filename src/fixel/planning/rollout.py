@@ -112,11 +112,7 @@ class PlanSimulator:
     def planned(self, numbers: FloatArray, start: FloatArray | None = None) -> PlannedMotions:
         """Return the motions of plans (m, k, d), each push from the nominal end of the one before.
 
-        Parameters
-        ----------
-        numbers : (m, k, d) float64
-        start : (m, 3) float64, optional
-            Poses before the first push; by default that of the scene.
+        `start` has the poses (m, 3) before the first push; by default that of the scene.
         """
         m, k, _ = numbers.shape
         pose = np.tile(self.scene.bodies[0].pose, (m, 1)) if start is None else np.array(start)

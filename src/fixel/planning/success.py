@@ -35,14 +35,7 @@ def finite_margins(margins: ArrayLike, n_dims: int, where: str = "margins") -> F
 def lower_bound(successes: float, n: float, confidence: float = 0.95) -> float:
     """Compute the one-sided lower confidence bound of a success probability.
 
-    Parameters
-    ----------
-    successes, n : float
-        Numbers of successes and of runs; fractions are effective numbers.
-
-    Returns
-    -------
-    float
+    Fractions of successes and of runs are effective numbers.
 
     Source
     ------
@@ -70,18 +63,8 @@ def rates_without_noise(successes: ArrayLike, n_runs: int) -> FloatArray:
 
     The observed rates scatter by the differences of the draws and by the chance of few runs.
     They are moved towards their mean, so that their variance becomes the estimated variance of
-    the true rates: observed variance less the mean binomial variance.
-
-    Parameters
-    ----------
-    successes : (..., n_worlds) int64
-        Number of successful runs of each parameter draw.
-    n_runs : int
-        Number of runs of each draw, at least 2.
-
-    Returns
-    -------
-    (..., n_worlds) float64
+    the true rates: observed variance less the mean binomial variance. Of each draw there are
+    `n_runs` runs, at least 2; `successes` (..., n_worlds) were successful.
 
     Source
     ------
@@ -97,22 +80,10 @@ def rates_without_noise(successes: ArrayLike, n_runs: int) -> FloatArray:
 
 
 def rate_quantile(successes: ArrayLike, n_runs: int, share: float = WORST) -> FloatArray:
-    """Estimate a quantile of the success rate over parameter draws.
+    """Estimate a quantile (...,) of the success rate over parameter draws.
 
-    Parameters
-    ----------
-    successes : (..., n_worlds) int64
-        Number of successful runs of each parameter draw.
-    n_runs : int
-        Number of runs of each draw, at least 2.
-    share : float
-        Share of the draws below the quantile.
-
-    Returns
-    -------
-    (...,) float64
-        Order statistic `share * (n_worlds + 1)` of `rates_without_noise`. On average, this share
-        of further draws has a lower rate, whatever the distribution of the rates is.
+    It is the order statistic `share * (n_worlds + 1)` of `rates_without_noise`. On average, this
+    share of further draws has a lower rate, whatever the distribution of the rates is.
 
     Examples
     --------
@@ -301,18 +272,9 @@ class SuccessProbability(Result):
 def effective_number(successes: ArrayLike, numbers: ArrayLike, confidence: float) -> float:
     """Compute the number of independent runs that determine a mean equally well as groups of runs.
 
-    Parameters
-    ----------
-    successes, numbers : (n_groups,) int64
-        Numbers of successes and of runs in groups whose runs resemble each other.
-    confidence : float
-        Confidence level of the interval for which it is needed.
-
-    Returns
-    -------
-    float
-        At most the number of runs, and equal to it for groups of one run, or without any success
-        or failure.
+    Groups (n_groups,) have numbers of successes and of runs, which resemble each other. The result
+    is for an interval of the given confidence: at most the number of runs, and equal to it for
+    groups of one run, or without any success or failure.
 
     Source
     ------

@@ -23,14 +23,9 @@ FILM: Final = "film"  # instead of a port: the readings of the recording that is
 class FileSource(FrameSource):
     """File played at the rate of its recording, or as fast as it is read.
 
-    Parameters
-    ----------
-    path : str or Path
-        A video, or the folder of a recording; JPEG pictures of a recording are passed unchanged.
-    as_fast_as_possible : bool
-        Whether to wait for the reader only; frames then have the times of the file.
-    loop : bool
-        Whether to restart at the end.
+    It is a video, or the folder of a recording, whose JPEG pictures are passed unchanged. A file
+    that is played `as_fast_as_possible` waits for its reader only; its frames have the times of the
+    file. With `loop` it restarts at the end.
     """
 
     def __init__(
@@ -112,12 +107,8 @@ class FileSource(FrameSource):
 class PlayedTactile:
     """Readings of a recording, as if its fixels were read while it is played.
 
-    Parameters
-    ----------
-    recording : str, Path or Recording
-    in_turn : bool
-        Whether each `read` returns the next reading, for a source that is played as fast as
-        possible; else `read` returns the one that is due, counted from the first call.
+    With `in_turn` each `read` returns the next reading, for a source that is played as fast as
+    possible; else it returns the one that is due, counted from the first call.
     """
 
     trouble = ""

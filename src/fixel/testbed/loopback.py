@@ -25,19 +25,8 @@ SIMULATED: Final = "X-Fixel-Simulated-By"  # marks rendered films as simulated
 class LoopbackCamera:
     """Server that plays a film to every client from its beginning, at its own rate.
 
-    Parameters
-    ----------
-    path : str or Path
-        A video, or the folder of a recording.
-    port : int
-        Port of the server; 0 for any free one.
-    loop : bool
-        Whether the film restarts at its end.
-
-    Raises
-    ------
-    InvalidInput
-        No such film, or a port that is taken.
+    The film is a video, or the folder of a recording; with `loop` it restarts at its end. Port 0 is
+    any free one. `InvalidInput` is raised where there is no such film, or the port is taken.
 
     Examples
     --------

@@ -72,18 +72,10 @@ Capture = Callable[[int | str], Any]
 
 @final
 class DeviceSource(FrameSource):
-    """Camera selected by number or by device file.
+    """Camera selected by number or by device file, such as `"0"` or `"/dev/video0"`.
 
-    Parameters
-    ----------
-    device : str
-        `"0"` or `"/dev/video0"`.
-    size : (int, int), optional
-        Size requested from the camera [px]; the camera may choose another.
-    rate : float
-        Frame rate requested from the camera [frames/s].
-    capture : callable, optional
-        Function that opens a device as `cv2.VideoCapture` does.
+    A size [px] and a frame rate [frames/s] are requested from the camera, which may choose others.
+    `capture` opens a device as `cv2.VideoCapture` does.
     """
 
     def __init__(
@@ -231,12 +223,8 @@ OPENS_WITHIN: Final = 10.0  # [s] in which the first picture must be complete
 class UrlSource(FrameSource):
     """Camera that sends JPEG pictures over HTTP as `multipart/x-mixed-replace`.
 
-    Parameters
-    ----------
-    url : str
-        Address `http://NAME:PASSWORD@HOST:PORT/PATH`; name and password are not recorded.
-    patience : float
-        Longest silence of the camera [s].
+    Its address is `http://NAME:PASSWORD@HOST:PORT/PATH`; name and password are not recorded. It may
+    be silent for `patience` [s].
     """
 
     def __init__(self, url: str, *, patience: float = STALLED) -> None:

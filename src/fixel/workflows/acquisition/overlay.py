@@ -49,19 +49,11 @@ Show = Callable[[Callable[[], Picture], dict[str, Any]], None]
 
 @final
 class Overlay:
-    """Comparison of pictures with a scene.
+    """Comparison of pictures with the wanted poses of a scene, of which the rig has a part.
 
-    Parameters
-    ----------
-    rig : Rig
-        Rig with at least one part of the scene.
-    scene : Scene
-        Scene with the wanted poses.
-    tolerance : Tolerance, optional
-        Defaults to the tolerances of the rig.
-    anchor : str
-        Part, usually the actuator, with which all wanted poses are moved rigidly to where the
-        camera sees it; empty for the poses of the scene.
+    The tolerance is by default that of the rig. All wanted poses are moved rigidly with an
+    `anchor`, usually the actuator, to where the camera sees it; without one they are those of the
+    scene.
 
     Raises
     ------
