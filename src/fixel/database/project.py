@@ -258,9 +258,7 @@ class Project:
         with self.store() as store:
             found = stored_experiments(store, query)
             if filters:
-                known = {name: values.texts for name, values in store.conditions().items()}
-                names = KnownNames(store.datasets(), store.flags(), known)
-                refuse_unknown(query, names, found=bool(found))
+                check_known_names(store, query, found=bool(found))
             return found
 
     def experiment(self, key: str | int) -> Experiment:
@@ -477,6 +475,20 @@ def _store(url: str, media: Path) -> Store:
 def _stored_experiment(url: str, media: Path, view: ExperimentView | None, k: int) -> Experiment:
     found = _store(url, media).experiment(k)
     return found if view is None else view(found)
+
+
+def known_names(store: Store) -> KnownNames:
+    """Return the names and values that a filter of a store's experiments can use."""
+    conditions = {name: known.texts for name, known in store.conditions().items()}
+    return KnownNames(store.datasets(), store.flags(), conditions)
+
+
+def check_known_names(store: Store, query: ExperimentQuery, *, found: bool = False) -> None:
+    """Raise if a query has a dataset, flag, condition or value that no experiment has.
+
+    With `found`, only for a condition: other names are then known.
+    """
+    refuse_unknown(query, known_names(store), found=found)
 
 
 def stored_experiments(store: Store, query: ExperimentQuery) -> Experiments:

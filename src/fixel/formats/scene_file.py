@@ -320,20 +320,10 @@ def scene_json_schema() -> dict[str, Any]:
 
 
 def apply_override(raw: Any, override: str) -> None:
-    """Change one value of a raw scene in place.
+    """Change one value of a raw scene in place: `path.to.key=value`, the value in YAML.
 
-    Parameters
-    ----------
-    raw : dict
-        Content of a scene file.
-    override : str
-        `path.to.key=value`, the value in YAML. List items are addressed by number or, if they have
-        one, by name. A key missing in the file is added if scene files allow it there.
-
-    Raises
-    ------
-    InvalidInput
-        The path does not exist; the message lists what does.
+    List items are addressed by number or, if they have one, by name. A key missing in the file is
+    added if scene files allow it there.
     """
     text, equals, value = override.partition("=")
     if not equals or not text.strip():

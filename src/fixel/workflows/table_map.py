@@ -181,9 +181,8 @@ def map_stored(
     InvalidInput
         The experiments are of several tables, none has a scene, or a part stands on three points.
     """
-    from fixel.database.project import stored_experiments
+    from fixel.database.project import check_known_names, stored_experiments
     from fixel.model.selection import parse_filter
-    from fixel.workflows.project.filters import check_known_names
 
     query = parse_filter(*where, dataset=dataset or None, include_faulty=flagged)
     with project.store() as store:

@@ -8,6 +8,7 @@ from fastapi import APIRouter, Query
 from fastapi.responses import FileResponse, Response
 from pydantic import ConfigDict, Field
 
+from fixel.database.project import known_names
 from fixel.errors import NotStored
 from fixel.io.document import plain_numbers
 from fixel.model import Flag
@@ -20,7 +21,6 @@ from fixel.workflows.project.filters import (
     Coverage,
     Vocabulary,
     coverage,
-    known_names,
     view_of,
     vocabulary,
 )

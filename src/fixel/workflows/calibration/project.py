@@ -17,7 +17,7 @@ import numpy as np
 from fixel.calibration.objective import root_mean
 from fixel.calibration.study import Trace
 from fixel.calibration.target import Target, target_of
-from fixel.database.project import SETTINGS, Project
+from fixel.database.project import SETTINGS, Project, check_known_names
 from fixel.database.store import Store
 from fixel.errors import InvalidInput, StoreRefused
 from fixel.io.atomic import written_whole
@@ -44,7 +44,6 @@ from fixel.workflows.calibration.result import (
     set_of,
 )
 from fixel.workflows.calibration.stored import VERSION, request_in
-from fixel.workflows.project.filters import check_known_names
 
 STORED: Final = "stored.json"  # ids of the calibrations, once they are stored
 EARLIER: Final = {"faulty": "flagged"}  # names of options in records of earlier versions

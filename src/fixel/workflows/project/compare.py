@@ -138,23 +138,10 @@ def compare_run(
     motion: AbstractMotionModel | None = None,
     stepper: AbstractStepper | None = None,
 ) -> RunComparison:
-    """Simulate an experiment from its first pose on, and compare the poses.
+    """Simulate an experiment with a scene from its first pose on, and compare the poses.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        Experiment with a scene.
-    parameters : Parameters, optional
-        Values that replace the scene's.
-    motion : AbstractMotionModel, optional
-        Defaults to `Dynamic()`.
-    stepper : AbstractStepper, optional
-        Defaults to `Adaptive()`.
-
-    Raises
-    ------
-    InvalidInput
-        No scene, no pose within `effective`, or parameters that change nothing in the scene.
+    `parameters` replace values of the scene. The motion model is `Dynamic()` and the stepper
+    `Adaptive()`, unless they are given.
     """
     scene = scene_of(experiment)
     time = experiment.trajectory.time[useful_poses(experiment)]

@@ -10,7 +10,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from fixel.database.store import Store
-from fixel.model.selection import ExperimentQuery, KnownNames, parse_filter, refuse_unknown
+from fixel.model.selection import ExperimentQuery, parse_filter
 from fixel.typing import FloatArray
 
 MAX_VALUES: Final = 40  # values of a condition that are listed
@@ -154,17 +154,3 @@ def _table(rows: Sequence[tuple[Any, Any, int]]) -> tuple[list[str], list[str], 
 
 def _word(value: str | float) -> str:
     return value if isinstance(value, str) else f"{value:g}"
-
-
-def known_names(store: Store) -> KnownNames:
-    """Return the names and values that a filter of a store's experiments can use."""
-    conditions = {name: known.texts for name, known in store.conditions().items()}
-    return KnownNames(store.datasets(), store.flags(), conditions)
-
-
-def check_known_names(store: Store, query: ExperimentQuery, *, found: bool = False) -> None:
-    """Raise if a query has a dataset, flag, condition or value that no experiment has.
-
-    With `found`, only for a condition: other names are then known.
-    """
-    refuse_unknown(query, known_names(store), found=found)

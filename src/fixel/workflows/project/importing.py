@@ -10,7 +10,7 @@ from typing import NamedTuple
 from urllib.parse import urlsplit
 
 from fixel.database.browsing import ExperimentPage
-from fixel.database.project import AddSummary, Project, add_experiments
+from fixel.database.project import AddSummary, Project, add_experiments, check_known_names
 from fixel.database.store import Store
 from fixel.datasets import IMPORTERS, ImportPlan, plan_import
 from fixel.datasets.bag import DATASET as BAG
@@ -20,7 +20,6 @@ from fixel.errors import InvalidInput, StoreRefused
 from fixel.io.damaged_files import one_line
 from fixel.model.selection import ExperimentQuery
 from fixel.typing import ProgressCallback
-from fixel.workflows.project.filters import check_known_names
 
 
 def write_template(plan: ImportPlan, folder: Path) -> Path | None:
@@ -68,23 +67,10 @@ def import_texts(
     angle_unit: str | None = None,
     dry_run: bool = False,
 ) -> ImportedTable:
-    """Store the experiment in the text of a CSV table.
+    """Store the experiment in the text of a CSV table, or with `dry_run` only read it.
 
-    Parameters
-    ----------
-    name : str
-        Name of the table's file, from which the experiment gets its name.
-    scene : str, optional
-        Scene file, as YAML.
-    angle_unit : str, optional
-        `rad` or `deg`, which overrides the header.
-    dry_run : bool
-        Whether to read the table without storing it.
-
-    Raises
-    ------
-    InvalidInput
-        Invalid table or scene.
+    The experiment gets its name from `name`, that of the table's file. `scene` is the YAML of a
+    scene file; `angle_unit`, `rad` or `deg`, overrides the header.
     """
     with TemporaryDirectory(prefix="fixel-import-") as folder:
         source = Path(folder) / name
@@ -155,17 +141,7 @@ def datasets() -> list[dict[str, str]]:
 def fetch(url: str, folder: Path, sha256: str | None = None) -> DownloadedFile:
     """Download a file into a folder: completely, with the required checksum, or not at all.
 
-    Parameters
-    ----------
-    sha256 : str, optional
-        Required checksum; without one, any content is accepted.
-
-    Raises
-    ------
-    InvalidInput
-        Not the address of a file, or not a checksum.
-    StoreRefused
-        The download failed, or the file has another checksum than the required one.
+    Without the checksum `sha256`, any content is accepted.
     """
     try:
         import pooch
