@@ -1,5 +1,6 @@
 """A scene file through the workflow: which method it is simulated with, which files it leaves."""
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -67,7 +68,8 @@ def test_all_files_are_written(scene, tmp_path):
 
 
 def test_impossible_files_are_refused_before_anything_is_simulated(scene, tmp_path, monkeypatch):
-    monkeypatch.setattr("fixel.workflows.compilation.get_ready", lambda *_: pytest.fail("too late"))
+    module = sys.modules["fixel.simulation.simulate"]
+    monkeypatch.setattr(module, "get_ready", lambda *_: pytest.fail("too late"))
 
     for outputs in (
         Outputs(plot=tmp_path / "a.bmp"),

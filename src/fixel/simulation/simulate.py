@@ -46,6 +46,7 @@ from fixel.typing import FloatArray, IntArray
 MAX_STEPS = 1_000_000  # of a stepper without a limit
 MAX_SAMPLES = 200_000
 USUAL_SAMPLES = 1_000  # steps of an adaptive stepper, of which most scenes take fewer
+INSTANT = 1e-6  # duration of a start-up simulation [s]: one step of any stepper
 CONTACTS_PER_BODY = 8  # rows of the contact table per sample and moving body
 
 
@@ -473,6 +474,16 @@ def is_compiled(part: AbstractMotionModel | AbstractStepper | AbstractSolver) ->
     if isinstance(part, AbstractStepper):
         return type(part) in STEPPERS
     return part.kind != codes.EXTERNAL
+
+
+def get_ready(scene: Scene, solver: AbstractSolver | None = None, plain: bool = False) -> None:
+    """Compile or load what a simulation needs, so that its wall time excludes compilation.
+
+    Where plain Python computes the same bits, it starts the compilation and does not wait for it.
+    """
+    solver = solver or Newton()
+    plain = plain or not is_compiled(solver)
+    simulate(scene, duration=min(INSTANT, scene.duration), solver=solver, plain=plain)
 
 
 def check_compiled(

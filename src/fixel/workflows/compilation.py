@@ -16,15 +16,12 @@ import numpy as np
 
 from fixel.kernels import jit
 from fixel.kernels.code_cache import cache_folder, is_stored, share_compiled
-from fixel.model import Scene, Trajectory
+from fixel.model import Trajectory
 from fixel.progress import ProgressOption, show_progress
-from fixel.simulation import AbstractSolver, Lemke, Newton, Simulator, simulate
+from fixel.simulation import Lemke, Simulator, simulate
 from fixel.simulation.first_code import ENTRY
-from fixel.simulation.simulate import is_compiled
+from fixel.simulation.simulate import INSTANT
 from fixel.testing import scenes
-
-# Duration of the start-up simulation [s]: one step of any stepper.
-INSTANT = 1e-6
 
 
 def engine_is_cold() -> bool:
@@ -35,16 +32,6 @@ def engine_is_cold() -> bool:
 def cache_size() -> int:
     """Size of the compiled kernels of this version of the sources [bytes]."""
     return sum(f.stat().st_size for f in Path(cache_folder()).rglob("*") if f.is_file())
-
-
-def get_ready(scene: Scene, solver: AbstractSolver | None = None, plain: bool = False) -> None:
-    """Compile or load what a simulation needs, so that its wall time excludes compilation.
-
-    Where plain Python computes the same bits, it starts the compilation and does not wait for it.
-    """
-    solver = solver or Newton()
-    plain = plain or not is_compiled(solver)
-    simulate(scene, duration=min(INSTANT, scene.duration), solver=solver, plain=plain)
 
 
 @final

@@ -27,8 +27,9 @@ from fixel.simulation import (
     simulate,
     simulate_batch,
 )
+from fixel.simulation.simulate import get_ready
 from fixel.testing import scenes
-from fixel.workflows.compilation import cache_size, engine_is_cold, get_ready
+from fixel.workflows.compilation import cache_size, engine_is_cold
 
 PACKAGES = ("numpy", "numba", "scipy", "shapely", "matplotlib", "pillow", "pyarrow", "av")
 

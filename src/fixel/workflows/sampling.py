@@ -115,7 +115,7 @@ def sample(
     from fixel.formats.plan_file import load_plan, plan_text
     from fixel.io.atomic import refuse_unwritable, written_whole
     from fixel.sampling import eight_push_plan, rehearse, table_plan, thesis_plan
-    from fixel.workflows.compilation import get_ready
+    from fixel.simulation.simulate import get_ready
 
     given = {"eight_push": eight_push, "table": table, "a plan file": plan is not None}
     first, *others = [name for name, own in given.items() if own] or [""]

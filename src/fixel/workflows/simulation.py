@@ -85,9 +85,8 @@ def simulate_file(
     """
     from fixel.simulation import Newton, simulate
     from fixel.simulation.motion import named_part
-    from fixel.simulation.simulate import check_method
+    from fixel.simulation.simulate import check_method, get_ready
     from fixel.simulation.solver import SOLVERS
-    from fixel.workflows.compilation import get_ready
 
     outputs = outputs or Outputs()
     part = named_part(solver or Newton.name, SOLVERS, "solver")

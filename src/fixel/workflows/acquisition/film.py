@@ -25,6 +25,7 @@ from fixel.io.document import read_document
 from fixel.model import Body, Experiment, PlannedExperiment, Pusher, Scene, Trajectory, pose_error
 from fixel.model.probability import stream
 from fixel.simulation import Simulation, simulate
+from fixel.simulation.simulate import get_ready
 from fixel.testbed.imperfections import tactile_channel, touching
 from fixel.testbed.simulated import TRUTH, SimulatedTestbed
 from fixel.typing import BoolArray, FloatArray, ProgressCallback
@@ -41,7 +42,6 @@ from fixel.vision.render import (
 from fixel.vision.render.bench import HAND
 from fixel.vision.render.film import Occlusion, poses_at
 from fixel.vision.render.looks import light
-from fixel.workflows.compilation import get_ready
 
 Write = Callable[[Frame, int | None, float], None]
 

@@ -213,8 +213,8 @@ def _reporting(report: Reporter) -> Show:
 
 def plan_in_project(project: Project, request: BaseModel) -> CalibrationPlan:
     """Return the plan of a calibration of experiments of a project, checked and rehearsed."""
+    from fixel.simulation.simulate import get_ready
     from fixel.workflows.calibration.project import draw_sample, select_experiments, stored_points
-    from fixel.workflows.compilation import get_ready
 
     asked = SimpleNamespace(**offered("capability", "calibrate").arguments(request), start=None)
     given = "dataset" if asked.dataset else "where" if asked.where else ""

@@ -70,8 +70,8 @@ def compare_stored(
     from fixel.calibration.target import target_of
     from fixel.model import Parameters
     from fixel.simulation.motion import motion_model
+    from fixel.simulation.simulate import get_ready
     from fixel.workflows.calibration.stored import known_pushes, load_values
-    from fixel.workflows.compilation import get_ready
     from fixel.workflows.project.compare import RunComparison
     from fixel.workflows.project.comparison import compare
 

@@ -32,9 +32,9 @@ from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Member
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.progress import Reporter
+from fixel.simulation.simulate import get_ready
 from fixel.workflows.calibration.result import FitKind
 from fixel.workflows.calibration.stored import CalibratedValues
-from fixel.workflows.compilation import get_ready
 from fixel.workflows.growth.samples import GrowthSamples, read_samples
 
 # Threshold of the thesis, read off figure 6.5 (section 6.3.1) [mm^2].

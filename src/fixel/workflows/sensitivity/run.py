@@ -203,8 +203,8 @@ def sensitivity_of_pushes(
     NotStored
         There is no such experiment or calibration.
     """
+    from fixel.simulation.simulate import get_ready
     from fixel.uncertainty.starts import preset as named
-    from fixel.workflows.compilation import get_ready
     from fixel.workflows.sensitivity.report import PushSelection, RankedPushes, by_flag, selected
 
     if preset is not None and start_error is not None:
