@@ -163,7 +163,8 @@ def test_what_is_known_of_the_cameras_errors_is_kept(apart: bool, tmp_path: Path
     np.testing.assert_allclose(again.covariance, root @ root.T, rtol=1e-12)
 
 
-def test_plate_tags_are_read_before_the_camera_is_placed(tmp_path: Path) -> None:
+def test_markers_are_read_before_the_camera_is_placed(tmp_path: Path) -> None:
     content = rig_dict(rig_of("thesis-tags")) | {"camera": "not-there-yet.yaml"}
     (tmp_path / "rig.yaml").write_text(yaml_text(content))
-    assert rig_file.plate_of(tmp_path / "rig.yaml") == rig_of("thesis-tags").plate
+    rig = rig_of("thesis-tags")
+    assert rig_file.markers_of(tmp_path / "rig.yaml") == (rig.name, rig.parts, rig.plate)

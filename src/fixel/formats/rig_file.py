@@ -216,6 +216,10 @@ def rig_of(name_or_path: str | Path) -> Rig:
         folder = files("fixel") / "testing" / "examples" / "rigs"
         with as_file(folder / f"{name_or_path}.yaml") as path:
             return load_rig(path)
+    return load_rig(_rig_path(name_or_path))
+
+
+def _rig_path(name_or_path: str | Path) -> Path:
     path = Path(name_or_path)
     if not path.suffix and not path.exists():
         raise InvalidInput(
@@ -223,16 +227,20 @@ def rig_of(name_or_path: str | Path) -> Rig:
             found=f"no file {str(path)!r}",
             expected="a rig file, or one of " + ", ".join(EXAMPLES),
         )
-    return load_rig(path)
+    return path
 
 
-def plate_of(name_or_path: str | Path) -> tuple[Tag, ...]:
-    """Load the tags on the plate of a rig, whose camera need not be placed yet; see `rig_of`."""
+def markers_of(name_or_path: str | Path) -> tuple[str, dict[str, MarkedPart], tuple[Tag, ...]]:
+    """Load name, marked parts and plate tags of a rig; see `rig_of`.
+
+    Its camera need not be placed yet, and its camera file need not exist.
+    """
     if str(name_or_path) in EXAMPLES:
-        return rig_of(name_or_path).plate
-    record = validated(RigRecord, read_document(Path(name_or_path), "rig file"), "rig")
-    plate: tuple[Tag, ...] = tuple(arguments(record)["plate"])
-    return plate
+        rig = rig_of(name_or_path)
+        return rig.name, rig.parts, rig.plate
+    raw = read_document(_rig_path(name_or_path), "rig file")
+    found = arguments(validated(RigRecord, raw, "rig"))
+    return found["name"], found["parts"], tuple(found["plate"])
 
 
 def load_rig(path: str | Path) -> Rig:

@@ -14,7 +14,7 @@ from fixel.errors import InvalidInput
 from fixel.formats.camera_import import import_camera
 from fixel.formats.camera_opencv import save_opencv, save_ros
 from fixel.formats.recording import RIG_FILE
-from fixel.formats.rig_file import EXAMPLES, load_camera, plate_of, rig_of, save_camera
+from fixel.formats.rig_file import EXAMPLES, load_camera, markers_of, rig_of, save_camera
 from fixel.formats.video_file import ENDINGS as VIDEO_ENDINGS
 from fixel.formats.video_file import open_video
 from fixel.io.atomic import refuse_unwritable, written_whole
@@ -176,7 +176,7 @@ def _place(
     why_not = "no rig with tags on the plate was named (--rig)"
     if rig is not None:
         try:
-            tags = plate_of(rig)
+            _, _, tags = markers_of(rig)
             if not tags:
                 raise InvalidInput(
                     rig, found="no tags on the plate", expected="a rig with plate tags, or --board"
@@ -449,17 +449,14 @@ def print_board(text: str, output: Path, paper: str) -> PrintAnswer:
 
 def print_rig_tags(rig: str, output: Path, paper: str) -> PrintAnswer:
     """Print all tags of a rig, each with the part it belongs to."""
-    found = rig_of(rig)
+    title, parts, plate = markers_of(rig)
     tags = [
-        (mark, name)
-        for name, part in found.parts.items()
-        for mark in part.marks
-        if isinstance(mark, Tag)
+        (mark, name) for name, part in parts.items() for mark in part.marks if isinstance(mark, Tag)
     ]
-    tags += [(tag, "plate") for tag in found.plate]
+    tags += [(tag, "plate") for tag in plate]
     if not tags:
         raise InvalidInput(rig, found="no tags", expected="a rig with tags", hint="thesis-tags")
-    return _print_tags(tags, output, paper, found.name)
+    return _print_tags(tags, output, paper, title)
 
 
 def print_tags(
