@@ -31,15 +31,15 @@ _PREPARE = Annotated[
 
 def typer_commands(name: str, every: Mapping[str, Capability], said: str = "") -> typer.Typer:
     """Return the commands of a group; one of its own name is the command without a sub-command."""
-    own = name in every
+    own = typer_command(every[name]) if name in every else None
     app = typer.Typer(
-        help=said or None,
-        invoke_without_command=own,
-        no_args_is_help=not own,
+        help=own.__doc__ if own else said,
+        invoke_without_command=own is not None,
+        no_args_is_help=own is None,
         rich_markup_mode=None,
     )
     if own:
-        app.callback()(typer_command(every[name]))
+        app.callback()(own)
     for one in every.values():
         if one.group == name:
             app.command(one.verb or one.name)(typer_command(one))

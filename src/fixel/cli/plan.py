@@ -44,7 +44,8 @@ class GoalFirst(TyperGroup):
 
 app = typer.Typer(
     cls=GoalFirst,
-    help="Plan pushes that reach a goal, and check and run plans.",
+    help="Plan pushes that reach a goal, and check and run plans.\n\n"
+    "`fixel plan GOAL` is short for `fixel plan find GOAL`, whose help lists the options.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )

@@ -75,7 +75,8 @@ class RecordOptions:
     codec: str = option(
         "auto",
         "Codec. as-it-comes: JPEG of the camera, bit for bit; near: JPEG of high quality; exact: "
-        "lossless, 7 times the size; auto: as-it-comes if the camera sends JPEG, else near.",
+        "lossless, 5 times the size of near; auto: as-it-comes if the camera sends JPEG, "
+        "else near.",
         metavar="NAME",
     )
     until: str = option(
