@@ -42,7 +42,7 @@ help:  ## this list
 	@echo "The first target you run also creates $(VENV): the demo from requirements/core.txt, the others from lock.txt."
 
 # With other targets, the demo waits until all packages are there: it would see half of one that is being installed.
-demo: $(if $(filter-out demo,$(MAKECMDGOALS)),$(READY),$(FIXEL))  ## from a table of pushes to a plan that works; every claim beside the truth
+demo: $(if $(filter-out demo,$(MAKECMDGOALS)),$(READY),$(FIXEL))  ## from a table of pushes to a plan that works; every claim compared with the truth
 	@$(BIN)/fixel demo
 
 demo-camera: $(READY)  ## the whole way: film, record, track, calibrate, compare with the truth
@@ -85,14 +85,14 @@ format: $(READY)  ## rewrite the code in the house format
 	@$(BIN)/ruff format .
 	@$(BIN)/ruff check --fix .
 
-house: $(READY)  ## figures of structure and language, beside their limits; ARGS="--list FIGURE" names the places
+house: $(READY)  ## figures of structure and language, with their limits; ARGS="--list FIGURE" names the places
 	@$(BIN)/python -m tools.house $(ARGS)
 
 soak: $(READY)  ## a million random step problems, then the long tests marked soak
 	@$(BIN)/python -m benchmarks.soak $(SOAK_ARGS)
 	@HYPOTHESIS_PROFILE=soak $(BIN)/python -m pytest -m soak $(PYTEST_ARGS)
 
-bench: $(READY) $(PEERS)  ## speed and accuracy beside the peers; writes CSV under benchmarks/
+bench: $(READY) $(PEERS)  ## speed and accuracy, compared with the peers; writes CSV under benchmarks/
 	@$(BIN)/python -m benchmarks --peers $(BENCH_ARGS)
 
 docs: $(READY) $(DOCS)  ## the documentation site, in build/docs; a warning fails; DOCS_ARGS=-E reads all again
