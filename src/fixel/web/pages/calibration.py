@@ -10,7 +10,7 @@ from fastapi import Request
 
 from fixel.web.api.calibration import MAX_LISTED, calibrations
 from fixel.web.pages.experiment import Fact, number_in
-from fixel.web.views.calibration_detail import StoredCalibration, engine_of
+from fixel.web.views.calibration_detail import PLOTS, StoredCalibration, engine_of
 from fixel.web.views.calibration_progress import LiveProgress
 from fixel.web.words import rms, short
 from fixel.workflows.calibration.charts import CAPTIONS
@@ -67,8 +67,8 @@ def stored_page(context: ProjectContext, request: Request) -> dict[str, Any]:
 
 def plots_of(one: StoredCalibration) -> list[tuple[str, str]]:
     """Return the kinds of plots of a calibration with their captions."""
-    shown = {"search": one.objective is not None, "starts": one.starts, "profiles": one.curves}
-    return [(kind, CAPTIONS[kind]) for kind, has in shown.items() if one.complete and has]
+    shown = zip(PLOTS, (one.objective is not None, one.starts, one.curves), strict=True)
+    return [(kind, CAPTIONS[kind]) for kind, has in shown if one.complete and has]
 
 
 def running_page(context: ProjectContext, request: Request) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from typing import Any, Final, final
 import numpy as np
 from pydantic import Field
 
+from fixel.calibration import MultiStart
 from fixel.calibration.objective import combined_errors
 from fixel.database.project import Project
 from fixel.errors import FixelError, JobRefused, NotStored
@@ -254,6 +255,6 @@ def _most(request: CalibrationRequest) -> int | None:
     if request.max_evaluations is not None:
         return int(request.max_evaluations)
     made = request.made_optimiser
-    inner = getattr(made, "optimiser", made)
+    inner = made.optimiser if isinstance(made, MultiStart) else made
     limit = next((getattr(inner, name) for name in LIMITS if hasattr(inner, name)), None)
     return None if limit is None else int(limit) * request.starts

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import shlex
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
@@ -46,7 +46,13 @@ from fixel.uncertainty.predictive import LEAST, POOL, REGION, Predictive, predic
 from fixel.workflows.calibration.parameter_options import call_of, enlarged_command
 from fixel.workflows.calibration.plan import CalibrationPlan
 from fixel.workflows.calibration.request import CalibrationRequest
-from fixel.workflows.calibration.result import CalibrationResult, FitKind, ParameterSet, outcome_of
+from fixel.workflows.calibration.result import (
+    PLAIN,
+    CalibrationResult,
+    FitKind,
+    ParameterSet,
+    outcome_of,
+)
 
 if TYPE_CHECKING:
     from fixel.simulation import Simulation
@@ -363,7 +369,7 @@ class Calibration(Result, Mapping[str, float]):
         **conditions
             Conditions, such as `surface="abs"`, for parameters with a value for each of them.
         """
-        return self.space.columns(self._sample_points(n, seed), conditions)
+        return self.space.columns(self._draw(n, seed), conditions)
 
     @cached_property
     def predictive(self) -> Predictive:
@@ -372,14 +378,15 @@ class Calibration(Result, Mapping[str, float]):
         Simulated when first asked.
         """
         value = np.array([self.estimates[label].value for label in self.space.labels])
-        points = self._sample_points(POOL, 0)
+        points = self._draw(POOL, 0)
         return predictive_of(self.targets, self.space, self.motion, self.found.point, value, points)
 
-    def _sample_points(self, n: int, seed: int) -> FloatArray:
-        """Return samples (n, n_free) of the free parameters."""
+    @property
+    def _draw(self) -> Callable[[int, int], FloatArray]:
+        """Function of a number and a seed that draws samples (n, n_free) of the parameters."""
         space = self.space
         value, sd = quoted(self.estimates.values(), space.labels, self.level)
-        return draw_joint(value, space.low, space.high, sd, self.correlation, n, seed)
+        return partial(draw_joint, value, space.low, space.high, sd, self.correlation)
 
     @cached_property
     def known(self) -> KnownPushes:
@@ -443,7 +450,7 @@ class Calibration(Result, Mapping[str, float]):
             It has no scene, or its simulation does not reach the end.
         """
         target = target_of(experiment)
-        comparer = Comparer([target], self.space, motion=self.motion)
+        comparer = Comparer([target], self.space, None, self.motion)
         difference, good, reasons = comparer.differences(
             np.zeros(1, np.int64), self.found.point[None]
         )
@@ -504,12 +511,7 @@ class Calibration(Result, Mapping[str, float]):
         return self.keys_of_experiments[0] if n == 1 else f"{n} experiments"
 
     def _heading(self) -> str:
-        how = {
-            "finished": "finished",
-            "budget": "ended by its limit",
-            "interrupted": "interrupted",
-            "failed": "failed",
-        }[self.status]
+        how = self.status.replace("budget", "ended by its limit")
         engine = EngineName.of(self.request.motion).short
         of = f"Calibration of {self.subject} ({engine})"
         return f"{of}: {how} after {self.evaluations} evaluations"
@@ -840,7 +842,7 @@ def _plain(fit: Calibration, calibration_id: int | None) -> dict[str, Any]:
     one, labels = fit.found, fit.run.outcome.labels
     return {
         "calibration": calibration_id,
-        "how": one.how,
+        **{name: getattr(one, name) for name in PLAIN if name not in ("members", "profiles")},
         "experiments": list(fit.keys_of_experiments),
         "misfit": list(one.misfit),
         "misfit_ratio": finite(one.misfit_ratio),
@@ -849,9 +851,6 @@ def _plain(fit: Calibration, calibration_id: int | None) -> dict[str, Any]:
         "errors": [finite(error) for error in one.errors.tolist()],
         "evaluations": fit.evaluations,
         "ended": "" if one.trace is None else one.trace.ended,
-        "seconds": one.seconds,
-        "note": one.note,
-        "noise": one.noise,
         "prediction_check": fit.prediction_check and fit.prediction_check._asdict(),
         "solutions": [dict(zip(labels, s, strict=True)) for s in one.solutions.tolist()],
         "estimates": [estimate.stored() for estimate in one.estimates],

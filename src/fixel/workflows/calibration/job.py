@@ -124,7 +124,7 @@ class CalibrationSearch:
 
     def __init__(self, request: CalibrationRequest, comparer: Comparer) -> None:
         self.request, self.comparer = request, comparer
-        self.objective = Objective(comparer, combine=request.combine)
+        self.objective = Objective(comparer, None, request.combine)
         self.members = range(len(comparer.targets))
         self._spent = 0.0
         self._points: list[FloatArray] = []

@@ -25,6 +25,7 @@ from fixel.simulation.trust import remember
 from fixel.workflows import jobs
 from fixel.workflows.calibration.job import REQUEST, comparer_of, explained
 from fixel.workflows.calibration.request import (
+    NAMED,
     CalibrationRequest,
     named_options,
     read_targets,
@@ -80,7 +81,7 @@ class CalibrationPlan:
         targets = targets_of(experiments)
         space = search_space(parameters, targets, asked.start)
         own = {name: given[name] for name in CalibrationRequest.model_fields if name in given}
-        own |= {name: named_options(given[name], name) for name in ("error", "optimiser")}
+        own |= {name: named_options(given[name], name) for name in NAMED}
         own |= {
             "mode": mode,
             "unknowns": list(space.unknowns),

@@ -109,15 +109,9 @@ def select_experiments(
 
 
 def draw_sample(chosen: ExperimentSelection, count: int, seed: int) -> ExperimentSelection:
-    """A random part of the chosen experiments, in which every condition keeps its share.
+    """Return `count` random experiments of those chosen, or all of fewer ones.
 
-    Parameters
-    ----------
-    chosen : ExperimentSelection
-    count : int
-        Experiments wanted; all are kept where there are no more.
-    seed : int
-        Seed of the draw.
+    Every condition has the same share of them as before.
     """
     n = len(chosen.ids)
     if count >= n:

@@ -95,7 +95,7 @@ def _fields() -> dict[str, Any]:
     fields: dict[str, Any] = {name: (own.annotation, own) for name, own in known.items()}
     (kind, usual), (mode, _) = fields.pop("level"), get_args(known["mode"].annotation)
     fields |= {
-        "level": (kind | None, usual),
+        "level": (kind | None, usual),  # None in records of earlier versions, which lack it
         "mode": (mode, "each"),
         "unknowns": (list[PlainUnknown], ...),
         "error": (NamedOptions, NamedOptions(name="mean-square")),
@@ -133,8 +133,6 @@ class CalibrationRequest(_Fields):
     unknowns : list of Unknown
     noise_position, noise_angle : float, optional
         Standard deviations of the measured poses [m, rad]; found out where left out.
-    level : float, optional
-        None only in records of earlier versions, which do not have it.
     stored : list of list of float
         Values of the free unknowns in earlier calibrations.
     sample_of : int, optional
@@ -258,6 +256,11 @@ class CalibrationRequest(_Fields):
                 expected="mode joint and a sum or mean of squares",
                 hint="choose pattern-search or nelder-mead",
             )
+
+
+NAMED: Final = tuple(
+    name for name, own in CalibrationRequest.model_fields.items() if own.annotation is NamedOptions
+)
 
 
 def _listed(value: Any) -> str | float:

@@ -303,8 +303,9 @@ def calibrate_in_project(
     request = CALIBRATE.asked(locals())
     from fixel.workflows.calibration.execution import plan_in_project, run_plan
 
-    asked = CALIBRATE.arguments(request) | {"store": project, "progress": progress}
-    return run_plan(plan_in_project(project, request), SimpleNamespace(**asked))
+    asked = SimpleNamespace(**CALIBRATE.arguments(request))
+    asked.store, asked.progress = project, progress
+    return run_plan(plan_in_project(project, request), asked)
 
 
 def _prepare(project: Project, **options: Any) -> Path:
