@@ -161,7 +161,7 @@ def test_bumps_are_told():
 
 
 def test_not_excited_comes_first():
-    told = verdicts(lambda p: (p - 0.5) / 0.05, excited=lambda label: label != "mu_fixel")
+    told = verdicts(lambda p: (p - 0.5) / 0.05, excited={"mu_fixel": False})
     assert words(told) == ["identified", "not excited", "identified"]
     assert told[1].low is None
 

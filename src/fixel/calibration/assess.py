@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from typing import Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -81,18 +81,10 @@ class Assessment(NamedTuple):
 
 
 def assess(
-    comparer: Comparer,
-    members: Sequence[int],
-    point: FloatArray,
-    *,
-    noise: Noise | None = None,
-    level: float = 0.95,
-    solutions: Sequence[FloatArray] = (),
+    comparer: Comparer, members: Sequence[int], point: FloatArray, **options: Any
 ) -> Assessment:
     """Run `assessment_steps` to its end in this process; same parameters."""
-    running = assessment_steps(
-        comparer, members, point, noise=noise, level=level, solutions=solutions
-    )
+    running = assessment_steps(comparer, members, point, **options)
     return run_assessment(comparer, members, running)
 
 
@@ -194,12 +186,11 @@ def assessment_steps(
     excited = yield AssessmentRequest(
         "excited", np.asarray(point, np.float64)[None], "verdicts, contacts"
     )
-    touched = dict(zip(comparer.space.labels, excited[0].tolist(), strict=True))
     estimates = judge(
         comparer.space,
         found,
         level=level,
-        excited=lambda label: bool(touched[label]),
+        excited=dict(zip(comparer.space.labels, excited[0].tolist(), strict=True)),
         solutions=solutions,
         dispersion=dispersion,
         honest=fitted.honest,
@@ -348,8 +339,7 @@ def _shifted(comparer: Comparer, members: IntArray, points: FloatArray) -> Float
 
 def _excited(comparer: Comparer, members: IntArray, points: FloatArray) -> FloatArray:
     """(k, n_free) whether each unknown is excited at each point: 1 or 0."""
-    labels = comparer.space.labels
-    rows = [[excitation(comparer, members, point)(label) for label in labels] for point in points]
+    rows = [list(excitation(comparer, members, point).values()) for point in points]
     return np.array(rows, np.float64)
 
 
@@ -506,27 +496,19 @@ def noise_from_repeated(comparer: Comparer, members: IntArray) -> Noise | None:
     return noise_from_repetitions(groups) if groups else None
 
 
-def excitation(comparer: Comparer, members: IntArray, point: FloatArray) -> Callable[[str], bool]:
-    """Return a test whether simulations at a point have the contact that an unknown acts on.
+def excitation(comparer: Comparer, members: IntArray, point: FloatArray) -> dict[str, bool]:
+    """Return whether simulations at a point have the contact that each free unknown acts on.
 
     Friction at a fixel means nothing where no fixel is touched, whatever its value; likewise at the
     pusher.
     """
-    wanted = {u.label: u for u in comparer.space.free if info_of(u.name).contact}
-    touched: dict[str, bool] = {}
-
-    def excited(label: str) -> bool:
-        unknown = wanted.get(label)
-        if unknown is None:
-            return True
-        if label not in touched:
-            own = [m for m in members.tolist() if unknown.covers(comparer.targets[m].conditions)]
-            touched[label] = any(
-                info_of(unknown.name).contact in _touches(comparer, m, point) for m in own
-            )
-        return touched[label]
-
-    return excited
+    found = {}
+    for unknown in comparer.space.free:
+        contact = info_of(unknown.name).contact
+        own = (m for m in members.tolist() if unknown.covers(comparer.targets[m].conditions))
+        touched = (contact in _touches(comparer, m, point) for m in own)
+        found[unknown.label] = not contact or any(touched)
+    return found
 
 
 def _touches(comparer: Comparer, member: int, point: FloatArray) -> set[str]:

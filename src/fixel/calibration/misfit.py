@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from fixel.calibration.noise import MIN_SCATTER, Noise
+from fixel.calibration.noise import Noise
 from fixel.calibration.target import Target
 from fixel.typing import FloatArray
 
@@ -128,11 +128,8 @@ def noise_from_differences(targets: Sequence[Target]) -> Noise | None:
     if sum(map(len, angle)) < MIN_COUNT or not (_white(position) and _white(angle)):
         return None
     scale = 1.4826 / math.sqrt(6.0)
-    return Noise(
-        position_m=max(MIN_SCATTER, scale * float(np.median(np.abs(np.concatenate(position))))),
-        angle_rad=max(MIN_SCATTER, scale * float(np.median(np.abs(np.concatenate(angle))))),
-        source="differences",
-    )
+    sizes = [scale * float(np.median(np.abs(np.concatenate(own)))) for own in (position, angle)]
+    return Noise.of(*sizes, source="differences")
 
 
 def misfit_of(

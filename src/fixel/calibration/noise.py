@@ -72,6 +72,12 @@ class Noise:
         if not self.freedom > 0.0:
             raise InvalidInput("noise.freedom", found=self.freedom, expected="positive, or inf")
 
+    @classmethod
+    def of(cls, position: float, angle: float, source: NoiseSource, **more: float) -> Noise:
+        """Return noise with estimated standard deviations, at least the accuracy of simulations."""
+        own = max(MIN_SCATTER, position), max(MIN_SCATTER, angle)
+        return cls(position_m=own[0], angle_rad=own[1], source=source, **more)
+
     @property
     def standard_deviations(self) -> FloatArray:
         """Standard deviations (3,) of x, y, theta, by which residuals are divided [m, m, rad]."""
@@ -156,13 +162,9 @@ def noise_from_repetitions(groups: Sequence[ArrayLike]) -> Noise:
         )
     variance = np.mean(np.concatenate(deviations) ** 2, axis=0)
     correlation = correlation_time(deviations)
-    return Noise(
-        position_m=max(MIN_SCATTER, math.sqrt(variance[:2].mean())),
-        angle_rad=max(MIN_SCATTER, math.sqrt(variance[2])),
-        source="repetitions",
-        correlation=correlation,
-        freedom=max(MIN_FREEDOM, 2.0 * frames / correlation),
-    )
+    freedom = max(MIN_FREEDOM, 2.0 * frames / correlation)
+    position, angle = math.sqrt(variance[:2].mean()), math.sqrt(variance[2])
+    return Noise.of(position, angle, "repetitions", correlation=correlation, freedom=freedom)
 
 
 def noise_from_residuals(series: Sequence[ArrayLike], unknowns: int) -> Noise:
@@ -184,13 +186,8 @@ def noise_from_residuals(series: Sequence[ArrayLike], unknowns: int) -> Noise:
     # The freedom lost to the unknowns is shared by the channels.
     spread = table.size / correlation / freedom
     variance = np.mean(table**2, axis=0) * spread
-    return Noise(
-        position_m=max(MIN_SCATTER, math.sqrt(variance[:2].mean())),
-        angle_rad=max(MIN_SCATTER, math.sqrt(variance[2])),
-        source="residuals",
-        correlation=correlation,
-        freedom=freedom,
-    )
+    position, angle = math.sqrt(variance[:2].mean()), math.sqrt(variance[2])
+    return Noise.of(position, angle, "residuals", correlation=correlation, freedom=freedom)
 
 
 def correlation_time(series: Sequence[ArrayLike]) -> float:

@@ -287,6 +287,8 @@ NOMINAL: Final = "nominal"  # axis of the experiment without an offset
 
 # Smallest error in weights; otherwise one perfect fit would decide alone [mm^2 or mm].
 MIN_ERROR: Final = 1e-6
+CANDIDATES: Final = 24  # subsets of each kind in one round...
+ROUNDS: Final = 20  # ... and the maximum number of rounds
 
 
 def weighted_mean(
@@ -345,8 +347,6 @@ def best_subset(
     errors: FloatArray,
     combine: Callable[[FloatArray], FloatArray],
     seed: int = 0,
-    candidates: int = 24,
-    rounds: int = 20,
     informed: BoolArray | None = None,
 ) -> Study[CombinedFit]:
     """Find the subset of single calibrations whose weighted mean is best for all members.
@@ -361,8 +361,8 @@ def best_subset(
     said = np.ones(points.shape, bool) if informed is None else informed
     best = yield from weighted(members, points, errors, said)
     value = float(combine(best.members[None])[0])
-    for _ in range(rounds):
-        subsets = _smaller(best.used, draw, candidates)
+    for _ in range(ROUNDS):
+        subsets = _smaller(best.used, draw)
         if not subsets:
             break
         means = np.array([weighted_mean(points[s], errors[s], said[s]) for s in map(list, subsets)])
@@ -375,18 +375,16 @@ def best_subset(
     return best
 
 
-def _smaller(
-    used: tuple[int, ...], draw: np.random.Generator, candidates: int
-) -> list[tuple[int, ...]]:
-    """Return subsets: without one member, and random halves, at most `candidates` of each kind."""
+def _smaller(used: tuple[int, ...], draw: np.random.Generator) -> list[tuple[int, ...]]:
+    """Return subsets: without one member, and random halves, at most `CANDIDATES` of each kind."""
     n = len(used)
     if n < 2:
         return []
-    left_out = draw.permutation(n)[:candidates].tolist()
+    left_out = draw.permutation(n)[:CANDIDATES].tolist()
     singles = [tuple(m for k, m in enumerate(used) if k != out) for out in left_out]
     halves = [
         tuple(used[k] for k in sorted(draw.permutation(n)[: (n + 1) // 2].tolist()))
-        for _ in range(candidates if n > 3 else 0)
+        for _ in range(CANDIDATES if n > 3 else 0)
     ]
     return list(dict.fromkeys(singles + halves))
 

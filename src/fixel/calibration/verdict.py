@@ -31,7 +31,8 @@ anything else: flat, or closed but wide                          not identified
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Final, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -82,9 +83,6 @@ SLACK: Final = 0.1
 # Share of the prior's interval from which an interval counts as that of the prior, not of the
 # data.
 LIKE_PRIOR: Final = 0.9
-
-Excited = Callable[[str], bool]
-"""Label of an unknown -> whether the simulations had what it acts on: contact, slip."""
 
 
 class _ParameterCase(NamedTuple):
@@ -163,7 +161,7 @@ def judge(
     profiles: Profiles,
     *,
     level: float = 0.95,
-    excited: Excited | None = None,
+    excited: Mapping[str, object] = MappingProxyType({}),
     solutions: Sequence[FloatArray] = (),
     dispersion: Dispersion | None = None,
     honest: Honest | None = None,
@@ -177,8 +175,8 @@ def judge(
         Profiles of its free unknowns, in their order, at the threshold of `level`.
     level : float
         Confidence level of the intervals.
-    excited : callable, optional
-        Test whether an unknown was excited, by its label; by default all were.
+    excited : mapping from label to bool, optional
+        Whether the simulations had what an unknown acts on: contact, slip. By default all had.
     solutions : sequence of (n,) arrays, optional
         Points that fit almost as well as the best, from `find_solutions`.
     dispersion : Dispersion, optional
@@ -195,7 +193,7 @@ def judge(
         )
     verdicts = []
     for j, unknown in enumerate(space.free):
-        if excited is not None and not excited(unknown.label):
+        if not excited.get(unknown.label, True):
             reason = (
                 "the simulations have no contact or slip that depends on it, so its value is "
                 "arbitrary"

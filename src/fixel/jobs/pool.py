@@ -155,6 +155,7 @@ COMMAND_S: Final = 60.0  # [s] for a command of SLURM; a busy controller takes l
 MAX_BACK_OFF_S: Final = 120.0
 # [s] A job that was just submitted may not be listed yet.
 UNSEEN_S: Final = 30.0
+PATIENCE_S: Final = 120.0  # [s] that a worker waits for another scheduler when its own is gone
 MAX_CANCELLED: Final = 3  # jobs cancelled one after the other before they started
 _ACTIVE: Final = frozenset(
     ("PENDING", "RUNNING", "CONFIGURING", "COMPLETING", "SUSPENDED", "STOPPED", "RESIZING",
@@ -315,8 +316,6 @@ class SlurmPool(AbstractPool):
         Time between two calls of `squeue` [s].
     back_off_s : float
         Waiting time after a refused submission, doubled after each further one [s].
-    patience_s : float
-        Time that a worker waits for another scheduler when its own is gone [s].
     """
 
     def __init__(
@@ -329,7 +328,6 @@ class SlurmPool(AbstractPool):
         notify: Callable[[str], None],
         poll_s: float = 3.0,
         back_off_s: float = 1.0,
-        patience_s: float = 120.0,
     ) -> None:
         require_slurm()
         self.size = min(size, site.max_jobs)
@@ -339,7 +337,6 @@ class SlurmPool(AbstractPool):
         self._name = name
         self._say = notify
         self._poll_s = poll_s
-        self._patience_s = patience_s
         self._jobs: dict[str, SlurmJob] = {}
         self._ended: set[str] = set()
         self._submitted: dict[str, float] = {}
@@ -451,6 +448,6 @@ class SlurmPool(AbstractPool):
             for word in worker_command(self._folder, "NAME", site.interface, site.cores)
         ]
         command[command.index("NAME")] = "slurm-$SLURM_JOB_ID"
-        command += [f"--lifetime-s={site.lifetime_s:g}", f"--patience-s={self._patience_s:g}"]
+        command += [f"--lifetime-s={site.lifetime_s:g}", f"--patience-s={PATIENCE_S:g}"]
         path.write_text(job_script(site, self._name, command, self._folder.resolve() / "workers"))
         return path

@@ -134,14 +134,10 @@ def _best_in(plan: CalibrationPlan, folder: Path) -> Calibration | None:
     comparer = comparer_of(plan.request, plan.targets, None)
     search = CalibrationSearch(plan.request, comparer)
 
-    class Nothing(DirectEngine):
-        """Engine that ends where the journal ends."""
-
-        def results(self, *_: Any) -> Any:
-            raise StopRequest
-
+    engine = DirectEngine(plan.request, comparer)
     with suppress(StopRequest, FixelError), Journal(folder / files.JOURNAL) as journal:
-        run_work(search.rounds(), Nothing(plan.request, comparer), folder, journal)
+        # It ends where the journal ends.
+        run_work(search.rounds(), engine, folder, journal, stop=lambda: True)
     found = _best_so_far(plan, search)
     return found[-1] if found else None
 

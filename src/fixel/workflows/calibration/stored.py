@@ -105,7 +105,7 @@ def _meets(conditions: Mapping[str, str | float], where: Mapping[str, str]) -> b
 
 
 def load_values(
-    store: Store, calibration_id: int | None = None, experiment: int | None = None, engine: str = ""
+    store: Store, calibration_id: int | None = None, engine: str = ""
 ) -> CalibratedValues:
     """Load a stored calibration.
 
@@ -115,20 +115,16 @@ def load_values(
     calibration_id : int, optional
         Id of the calibration; by default the newest for several experiments, else the newest of
         all. Means computed by the growth of a domain are selected only by their id.
-    experiment : int, optional
-        Id of an experiment that must be a member, if no id of a calibration is given.
     engine : str
         Engine that must have simulated, as for `newest_calibration`.
     """
     own = calibration_id
     if own is None:
-        own = newest_calibration(store, experiment, engine)
+        own = newest_calibration(store, engine=engine)
     if own is None:
         raise InvalidInput(
             "calibration",
-            found="none stored"
-            + (f" by {engine}" if engine else "")
-            + ("" if experiment is None else " for this experiment"),
+            found="none stored" + (f" by {engine}" if engine else ""),
             expected="at least one",
             hint="calibrate first: fixel calibrate" + (f" --engine {engine}" if engine else ""),
         )
