@@ -24,7 +24,6 @@ import numpy as np
 from fixel.calibration.cost import NormalPrior
 from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.optimiser import SearchBox
-from fixel.calibration.registration import registration_from_gaps
 from fixel.datasets.cmu import MU_FINGER
 from fixel.datasets.contact import pushed_scene
 from fixel.datasets.mit_push import NOMINAL, STROKE, read_mit_pushes
@@ -55,6 +54,7 @@ from reproductions.fitting import (
 )
 from reproductions.protocols import SHARE
 from reproductions.pushes import Key, rows_by_key
+from reproductions.registration import registration_from_gaps
 from reproductions.residuals import Split, few_of, random_split
 from reproductions.result import Reproduction, RunOptions
 from reproductions.tripod_pushes import read_pushes, support_of

@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 from fixel.calibration.cost import NormalPrior
 from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.optimiser import SearchBox
-from fixel.calibration.registration import Registration, registration_from_gaps
 from fixel.datasets.mit_push_records import TIP
 from fixel.model import wrapped
 from fixel.typing import FloatArray, IntArray
 from reproductions.pushes import PART_NAMES, PushGroup
+from reproductions.registration import Registration, registration_from_gaps
 
 # Length by which angles count [m/rad]; one degree counts as 0.6 mm.
 ARM: Final = 35e-3

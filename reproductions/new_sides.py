@@ -14,8 +14,13 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from fixel.calibration.contacts import Configurations, PushedContacts, TouchedPlaces, contacts_of
-from fixel.calibration.registration import gaps_and_normals
+from fixel.calibration.contacts import (
+    Configurations,
+    PushedContacts,
+    TouchedPlaces,
+    contacts_of,
+    gaps_and_normals,
+)
 from fixel.datasets.mit_push_records import TIP
 from fixel.domain.error_bound import (
     CAUTIOUS,

@@ -25,8 +25,8 @@ from fixel.calibration.contacts import (
     PushedContacts,
     TouchedPlaces,
     contacts_of,
+    gaps_and_normals,
 )
-from fixel.calibration.registration import gaps_and_normals
 from fixel.calibration.target import Target, target_of
 from fixel.model import Disk, Experiment, Scene
 from fixel.model.fields import Comparable, frozen, instance, settle

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fixel.calibration.registration import gaps_and_normals
+from fixel.calibration.contacts import gaps_and_normals
 from fixel.datasets.contact import MAX_CORRECTION, corrected_path, correction_flag, moved_to_contact
 from fixel.errors import InvalidInput
 from fixel.formats.scene_file import FILL_IN, scene_of, scene_record

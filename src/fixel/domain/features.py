@@ -13,9 +13,8 @@ from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 
-from fixel.calibration.contacts import Configurations
+from fixel.calibration.contacts import Configurations, gaps_and_normals
 from fixel.calibration.objective import ANGLE_SCALE
-from fixel.calibration.registration import gaps_and_normals
 from fixel.model import Disk, Shape, wrapped
 from fixel.typing import BoolArray, FloatArray, IntArray
 

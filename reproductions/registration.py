@@ -10,11 +10,11 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
-import shapely
 from numpy.typing import ArrayLike
 
+from fixel.calibration.contacts import gaps_and_normals
 from fixel.errors import InvalidInput
-from fixel.model import Disk, Shape
+from fixel.model import Shape
 from fixel.model.fields import positive
 from fixel.typing import BoolArray, FloatArray
 
@@ -36,54 +36,6 @@ class Registration(NamedTuple):
     n_touching: int  # poses that count as contact
     scatter_before: float  # median absolute gap of these, as recorded [m]
     scatter_after: float  # the same with the shift [m]
-
-
-def gaps_and_normals(
-    shape: Shape, radius: float, pose: FloatArray, tip: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the gaps between round tips and an outline, and the outward normals.
-
-    Exact for convex outlines.
-
-    Parameters
-    ----------
-    shape : Shape
-        Shape of the object.
-    radius : float
-        Radius of the tip [m].
-    pose : (n, 3) float64
-        Poses of the object [m, m, rad].
-    tip : (n, 2) float64
-        Centres of the tip [m].
-
-    Returns
-    -------
-    gap : (n,) float64
-        Gaps, negative for overlap [m].
-    normal : (n, 2) float64
-        Outward normals in the world [-].
-    """
-    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-    dx, dy = (tip - pose[:, :2]).T
-    local = np.column_stack((c * dx + s * dy, c * dy - s * dx))
-    if isinstance(shape, Disk):
-        distance, away = np.hypot(*local.T) - shape.radius, local
-    else:
-        distance, away = _from_polygon(shape.outline, local)
-    length = np.hypot(*away.T)[:, None]
-    nx, ny = np.divide(away, length, out=np.zeros_like(away), where=length > 0.0).T
-    return distance - radius, np.column_stack((c * nx - s * ny, s * nx + c * ny))
-
-
-def _from_polygon(outline: FloatArray, point: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return signed distances (n,), and vectors (n, 2) that point outward."""
-    polygon = shapely.Polygon(outline)
-    points = shapely.points(point)
-    along = shapely.line_locate_point(polygon.exterior, points)
-    nearest = shapely.get_coordinates(shapely.line_interpolate_point(polygon.exterior, along))
-    sign = np.where(shapely.contains(polygon, points), -1.0, 1.0)
-    away = sign[:, None] * (point - nearest)
-    return sign * np.hypot(*away.T), away
 
 
 def registration_from_gaps(

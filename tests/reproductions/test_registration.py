@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from reproductions.registration import registration_from_gaps
 
-from fixel.calibration.registration import gaps_and_normals, registration_from_gaps
+from fixel.calibration.contacts import gaps_and_normals
 from fixel.errors import InvalidInput
 from fixel.model import Disk, Polygon, Shape
 from fixel.typing import FloatArray
