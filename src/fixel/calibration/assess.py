@@ -99,17 +99,8 @@ def run_assessments(
 ) -> list[T | InvalidInput]:
     """Run independent assessments side by side in this process, so that batches are large.
 
-    Parameters
-    ----------
-    comparer : Comparer
-    members : sequence of sequences of int
-        Numbers of the experiments of each.
-    running : sequence of AssessmentSteps
-
-    Returns
-    -------
-    list
-        Result of each, the same as alone, or the reason why it has none.
+    Each has the numbers of its experiments. The result of each is the same as alone, or the reason
+    why it has none.
     """
     asks: dict[int, AssessmentRequest] = {}
     found: dict[int, T | InvalidInput] = {}
@@ -154,19 +145,9 @@ def assessment_steps(
     Simulates nothing itself: every simulation is asked for, so that a journal can store each
     answer. The same answers give the same questions and the same result, bit for bit.
 
-    Parameters
-    ----------
-    comparer : Comparer
-    members : sequence of int
-        Numbers of the experiments.
-    point : (n_free,) float64
-        The calibration's best.
-    noise : Noise, optional
-        Of the measured poses; from repetitions where there are some, else from what the fit leaves.
-    level : float
-        Of the intervals.
-    solutions : sequence of (n_free,) arrays
-        Other points nearly as good.
+    The point (n_free,) is the calibration's best; `solutions` are others nearly as good. The noise
+    is that of the measured poses: from repetitions where there are some, else from what the fit
+    leaves. `level` is that of the intervals.
     """
     own = distinct(comparer, members)
     chosen = Frames(comparer, own)
@@ -292,16 +273,9 @@ def _simulated(study: Generator[FloatArray, FloatArray, T], note: str) -> Assess
 
 
 def answer(comparer: Comparer, members: IntArray, kind: str, points: FloatArray) -> FloatArray:
-    """Answer a question of `assessment_steps`: one row for each point.
+    """Answer a question of `assessment_steps`: one row for each point (k, n).
 
-    Parameters
-    ----------
-    comparer : Comparer
-    members : (n,) int
-        Numbers of the experiments.
-    kind : str
-        One of `ANSWERS`.
-    points : (k, n) float64
+    Its kind is one of `ANSWERS`. Members (n,) are numbers of experiments.
     """
     return ANSWERS[kind](comparer, distinct(comparer, members), points)
 
@@ -365,14 +339,7 @@ def _left(point: FloatArray) -> AssessmentSteps[Noise]:
 
 
 class Frames:
-    """The frames of experiments that count, as residuals.
-
-    Parameters
-    ----------
-    comparer : Comparer
-    members : (n,) int
-        Numbers of the experiments.
-    """
+    """The frames that count of experiments, by their numbers (n,), as residuals."""
 
     def __init__(self, comparer: Comparer, members: IntArray) -> None:
         self.comparer = comparer
@@ -414,15 +381,8 @@ class Frames:
     ) -> Misfit | None:
         """Compare residuals (m,) at the best with the measurements' scatter; None without any.
 
-        Parameters
-        ----------
-        at_best : (m,) array
-            Residuals in standard deviations of `noise`.
-        noise : Noise
-        scatter : Noise
-            Scatter of the measurements.
-        starts : sequence of StartSensitivity, optional
-            Sensitivity of each experiment to its start pose, if its noise is known.
+        They are in standard deviations of `noise`. `starts` are the sensitivities of the
+        experiments to their start poses, if the noise of these is known.
         """
         if at_best.size == 0 or not np.isfinite(at_best).all():
             return None

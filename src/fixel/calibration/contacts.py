@@ -61,14 +61,7 @@ class TouchedPlaces(NamedTuple):
 
 
 def contacts_of(asked: Configurations, speed: FloatArray) -> TouchedPlaces:
-    """Return the first contact of straight pushes.
-
-    Parameters
-    ----------
-    asked : Configurations
-    speed : (n,) float64
-        Speeds of the pusher [m/s].
-    """
+    """Return the first contact of straight pushes at speeds (n,) [m/s]."""
     gap, normal = gaps_and_normals(asked.shape, asked.radius, asked.start, asked.tip_start)
     point = asked.tip_start - (asked.radius + gap)[:, None] * normal - asked.start[:, :2]
     c, s = np.cos(asked.start[:, 2]), np.sin(asked.start[:, 2])
@@ -87,13 +80,9 @@ class Novelty(NamedTuple):
 
 @final
 class PushedContacts:
-    """Contacts that have been pushed, part by part.
+    """Contacts that have been pushed, by the label of their part.
 
-    Parameters
-    ----------
-    contacts : TouchedPlaces
-    parts : (n,) sequence
-        Label of the part of each: pushes of one part are no data for another.
+    Pushes of one part are no data for another.
     """
 
     def __init__(self, contacts: TouchedPlaces, parts: Sequence[Hashable]) -> None:
@@ -160,27 +149,10 @@ def _check(contacts: TouchedPlaces, n: int) -> None:
 def gaps_and_normals(
     shape: Shape, radius: float, pose: FloatArray, tip: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the gaps between round tips and an outline, and the outward normals.
+    """Return the gaps (n,) between round tips and an outline, and the outward normals (n, 2).
 
-    Exact for convex outlines.
-
-    Parameters
-    ----------
-    shape : Shape
-        Shape of the object.
-    radius : float
-        Radius of the tip [m].
-    pose : (n, 3) float64
-        Poses of the object [m, m, rad].
-    tip : (n, 2) float64
-        Centres of the tip [m].
-
-    Returns
-    -------
-    gap : (n,) float64
-        Gaps, negative for overlap [m].
-    normal : (n, 2) float64
-        Outward normals in the world [-].
+    Poses (n, 3) of the object [m, m, rad] and centres (n, 2) of the tip [m] are in the world, and
+    so are normals. Gaps [m] are negative for overlap. Exact for convex outlines.
     """
     c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     dx, dy = (tip - pose[:, :2]).T

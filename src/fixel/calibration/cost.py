@@ -115,16 +115,9 @@ class Cost:
     def quadratic(
         self, point: FloatArray, residual: FloatArray, columns: FloatArray, scale: FloatArray
     ) -> Quadratic:
-        """Return the Gauss-Newton model at a point (n,).
+        """Return the Gauss-Newton model at a point (n,) with residuals (m,).
 
-        Parameters
-        ----------
-        point : (n,) array
-        residual : (m,) array
-        columns : (m, n) array
-            Derivatives of the residuals, per scale of each parameter.
-        scale : (n,) array
-            Scales of the box.
+        Columns (m, n) are their derivatives, per scale (n,) of each parameter.
         """
         if self.loss != "squares":
             residual, columns = _reweighted(residual / self.width, columns / self.width, self.loss)

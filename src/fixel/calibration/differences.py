@@ -29,15 +29,8 @@ class Differences:
     by more than `PLAIN` times. A failed probe is repeated on the other side and closer. If all
     probes of an unknown fail, its column is zero.
 
-    Parameters
-    ----------
-    box : SearchBox
-    step : float
-        First and smallest step, as a fraction of the scale.
-    largest : float
-        Largest step, as a fraction of the scale.
-    roughness : float
-        Insignificant change of a residual [standard deviations].
+    The first and smallest step and the largest one are fractions of the scale. The roughness is an
+    insignificant change of a residual [standard deviations].
     """
 
     def __init__(self, box: SearchBox, step: float, largest: float, roughness: float) -> None:

@@ -99,13 +99,7 @@ class Honest(NamedTuple):
 
 
 class ShiftModel:
-    """Experiments with shifts of their own, for the rollouts of a mixed fit.
-
-    Parameters
-    ----------
-    comparer : Comparer
-        Of the calibration.
-    """
+    """Experiments of a calibration with shifts of their own, for the rollouts of a mixed fit."""
 
     def __init__(self, comparer: Comparer) -> None:
         self.searched = comparer.space
@@ -119,15 +113,8 @@ class ShiftModel:
     def differences(self, rows: FloatArray) -> FloatArray:
         """Simulated less measured poses (k, 3 INSTANTS) [mm].
 
-        Parameters
-        ----------
-        rows : (k, 1 + n) float64
-            Number of an experiment, and a point of `space`.
-
-        Returns
-        -------
-        (k, 3 INSTANTS) float64
-            Zero beyond an experiment's last instant, inf without a simulation.
+        Rows (k, 1 + n) are the number of an experiment and a point of `space`. Differences are zero
+        beyond an experiment's last instant, and inf without a simulation.
         """
         which = rows[:, 0].astype(np.int64)
         found, good, _ = self._comparer.differences(which, rows[:, 1:])
@@ -144,15 +131,7 @@ def mixed_study(
 ) -> Generator[FloatArray, FloatArray, MixedStudyFit]:
     """Rollouts of a mixed fit: yields rows, and is sent `ShiftModel.differences` of them.
 
-    Parameters
-    ----------
-    shifted : ShiftModel
-    members : sequence of int
-        Numbers of the experiments.
-    point : (n_free,) array
-        Best of least squares, where the fit begins.
-    noise : Noise
-        Of the camera.
+    It begins at the best point (n_free,) of least squares. The noise is that of the camera.
     """
     space = shifted.searched
     names = [name for name in SHIFTS if any(name in shifted.columns[m] for m in members)]
@@ -198,19 +177,8 @@ def mixed_study(
 class Probes:
     """Points about one experiment's own, for central differences.
 
-    Parameters
-    ----------
-    shifted : ShiftModel
-    member : int
-        Number of the experiment.
-    names : sequence of str
-        Shifts that are varied, besides the free parameters.
-    theta : (n_free,) array
-        Free parameters.
-    shift : (q,) array
-        Shifts about which the points lie.
-    steps : mapping from name to float, optional
-        Steps of shifts that differ from those of `SHIFTS`.
+    The shifts of `names` are varied about `shift` (q,), besides the free parameters `theta`
+    (n_free,). Steps replace those of `SHIFTS`, by name.
     """
 
     def __init__(
@@ -283,19 +251,9 @@ def linear_data(
 ) -> Linear:
     """Return experiments that are linearised about points; each counts once, without a prior.
 
-    Parameters
-    ----------
-    shifted : ShiftModel
-    probes : sequence of Probes
-        Points of each experiment.
-    parts : sequence of (k, 3, INSTANTS) arrays
-        Answers of `probe_rollouts`; an experiment that failed at its point has no information.
-    own : (n, q) array
-        Shifts about which the points lie [units].
-    unit : (q,) array
-        Unit of each shift.
-    noise : Noise
-        Noise of the camera.
+    `parts` are the answers of `probe_rollouts`; an experiment that failed at its point has no
+    information. The points lie about the shifts `own` (n, q), in units (q,). The noise is that of
+    the camera.
     """
     space = shifted.searched
     n, p, q = len(probes), len(space.free), own.shape[1]

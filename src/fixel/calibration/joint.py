@@ -124,16 +124,9 @@ def draw_joint(
     n: int,
     seed: int,
 ) -> FloatArray:
-    """Draw n points (n, p) of correlated normal distributions within bounds.
+    """Draw n points (n, p) of normal distributions with correlations (p, p), within bounds (p,).
 
-    Parameters
-    ----------
-    centre, low, high : (p,) float64
-        Best values and bounds.
-    sd : (p,) float64
-        Standard deviations; infinite for a parameter that is even within its bounds.
-    correlation : (p, p) float64
-    n, seed : int
+    A parameter with an infinite standard deviation is even within its bounds.
     """
     size, axes = np.linalg.eigh(correlation)
     root = axes * np.sqrt(np.maximum(size, 0.0))

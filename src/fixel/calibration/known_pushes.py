@@ -87,11 +87,7 @@ class KnownPushes(Comparable):
     def of(cls, targets: Sequence[Target], names: Sequence[str] = ()) -> Self:
         """Return what experiments have in common with pushes to come.
 
-        Parameters
-        ----------
-        targets : sequence of Target
-        names : sequence of str
-            Conditions that count as labels in addition to the usual ones.
+        Conditions in `names` count as labels in addition to the usual ones.
         """
         rows = [_labels(target, names) for target in targets]
         columns = {
@@ -233,12 +229,8 @@ def with_dataset(target: Target) -> Target:
 def with_units(targets: Sequence[Target], name: str) -> list[Target]:
     """Return targets with a condition whose values are left out as a whole.
 
-    Parameters
-    ----------
-    targets : sequence of Target
-    name : str
-        Name of a condition; or `"dataset"`, `"side"` or `"speed"`, which are computed where the
-        experiments do not have them. A side and a speed are those of one part.
+    Experiments that lack `"dataset"`, `"side"` or `"speed"` have it computed. A side and a speed
+    are those of one part.
     """
     targets = [with_dataset(target) for target in targets]
     if name not in (SIDE, SPEED) or any(name in target.conditions for target in targets):

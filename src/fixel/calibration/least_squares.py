@@ -121,17 +121,7 @@ class LeastSquares:
         feasible: Feasible | None = None,
         prior: NormalPrior | None = None,
     ) -> LeastSquaresSearch:
-        """Start a search.
-
-        Parameters
-        ----------
-        box : SearchBox
-        seed : int
-            Seed of the random starts.
-        feasible : callable, optional
-            Test of points for the random starts.
-        prior : NormalPrior, optional
-        """
+        """Start a search; the seed and the test of points are for the random starts."""
         if prior is not None and len(prior.mean) != box.n:
             found = f"{len(prior.mean)} parameters"
             raise InvalidInput("prior", found=found, expected=f"{box.n}, the number of bounds")
@@ -228,20 +218,11 @@ def fit(search: LeastSquaresSearch, residuals: Residuals) -> LeastSquaresFit:
 
 @final
 class Descent:
-    """Least-squares fit of some parameters from one start, or from the best of several.
+    """Least-squares fit of some parameters from one start, or from the best of several (c, n).
 
-    Parameters
-    ----------
-    options : LeastSquares
-    box : SearchBox
-    cost : Cost
-    starts : (c, n) array
-        Candidates for the start.
-    free : (n,) bool array, optional
-        Parameters to fit; the others have the values of the start.
-    columns : (m, n) array, optional
-        Derivatives at another point near by, per scale of each parameter. One step is tried with
-        them; derivatives are computed only if that step does not gain as predicted.
+    Parameters that are not free (n,) have the values of the start. Columns (m, n) are derivatives
+    at another point near by, per scale of each parameter: one step is tried with them, and
+    derivatives are computed only if that step does not gain as predicted.
     """
 
     def __init__(
@@ -462,19 +443,10 @@ class Descent:
 def bounded_step(model: Quadratic, damping: float, low: FloatArray, high: FloatArray) -> FloatArray:
     """Minimise a damped quadratic in a box about zero, by an active set that only grows.
 
-    Parameters
-    ----------
-    model : Quadratic
-    damping : float
-        Damping, added to the diagonal of the Hessian.
-    low, high : (n,) arrays
-        Bounds of the step, low <= 0 <= high [scales]; both zero for fixed parameters.
-
-    Returns
-    -------
-    (n,) float64
-        Exact minimum if no bound is active; otherwise a step that lowers the quadratic for enough
-        damping, which is sufficient for the Levenberg-Marquardt method.
+    The damping is added to the diagonal of the Hessian. Bounds (n,) of the step [scales] include
+    zero; both are zero for fixed parameters. The step (n,) is the exact minimum if no bound is
+    active. Otherwise it lowers the quadratic for enough damping, which is sufficient for the
+    Levenberg-Marquardt method.
     """
     hessian = model.hessian + damping * np.eye(len(low))
     step = np.zeros(len(low))

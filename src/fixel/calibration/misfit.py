@@ -138,18 +138,9 @@ def misfit_of(
     noise: Noise,
     by_start: Sequence[FloatArray] = (),
 ) -> Misfit:
-    """Return the misfit of residuals of experiments.
+    """Return the misfit of residuals of experiments, (n_frame, 3) of x, y, theta [m, m, rad] each.
 
-    Parameters
-    ----------
-    residuals : sequence of (n_frame, 3) arrays
-        Residuals of x, y, theta [m, m, rad], one array per experiment.
-    keys : sequence of str
-        Names of the experiments.
-    noise : Noise
-        Noise of the measurements.
-    by_start : sequence of (n_frame, 3) arrays, optional
-        Standard deviations that noise of the start pose adds to each residual [m, m, rad].
+    `by_start` are the standard deviations that noise of the start pose adds to each residual.
     """
     table = np.concatenate(residuals)
     squares = np.mean(table**2, axis=0)

@@ -58,15 +58,7 @@ class MixedFit(NamedTuple):
 
 
 def fit_mixed(data: Linear, start: FloatArray, bounds: NoiseBounds) -> MixedFit:
-    """Fit variances, common step and own shifts.
-
-    Parameters
-    ----------
-    data : Linear
-    start : (q + 3,) array
-        Logarithms of standard deviations to begin with.
-    bounds : NoiseBounds
-    """
+    """Fit variances, common step and own shifts, from first logarithms (q + 3,) of deviations."""
     from scipy.optimize import minimize
 
     rotated = _rotated(data)
@@ -201,16 +193,9 @@ def jackknife(
 ) -> Jackknife:
     """Compute the jackknife that leaves out each cluster in turn, with one Newton step each.
 
-    Parameters
-    ----------
-    information : (n, p, p) array
-        Information of each experiment.
-    gradient : (n, p) array
-        Gradient of the log likelihood of each experiment at the estimate.
-    covariance : (p, p) array
-        Inverse of all information, including the prior.
-    cluster : (n,) int
-        Number of the cluster of each experiment, from 0.
+    Each experiment has information (n, p, p), the gradient (n, p) of its log likelihood at the
+    estimate, and the number of its cluster (n,), from 0. The covariance (p, p) is the inverse of
+    all information, including the prior.
     """
     count = int(cluster.max()) + 1
     p = len(covariance)

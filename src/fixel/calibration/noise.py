@@ -112,11 +112,6 @@ class Dispersion:
 
         It is a quantile of chi-squared with one degree of freedom if the noise is known, and of
         F(1, freedom), the square of Student's t, if it was estimated.
-
-        Parameters
-        ----------
-        level : float
-            Confidence level, between 0 and 1.
         """
         from scipy.special import ndtri, stdtrit
 
@@ -133,16 +128,9 @@ def noise_from_repetitions(groups: Sequence[ArrayLike]) -> Noise:
     Repetitions scatter by more than the noise of the camera, since placement and sliding of the
     part vary. A simulation cannot predict these variations, so they are included.
 
-    Parameters
-    ----------
-    groups : sequence of (n_repetition, n_frame, 3) arrays
-        Poses x, y, theta [m, m, rad] of repetitions at the same times. Groups may differ in size;
-        those of one repetition are ignored.
-
-    Returns
-    -------
-    Noise
-        Noise, whose freedom allows for the correlation along a trajectory.
+    Groups are poses (n_repetition, n_frame, 3) at the same times [m, m, rad], and may differ in
+    size; those of one repetition are ignored. The freedom allows for the correlation along a
+    trajectory.
     """
     deviations: list[FloatArray] = []
     frames = 0.0  # without those lost to the subtracted means
@@ -168,16 +156,9 @@ def noise_from_repetitions(groups: Sequence[ArrayLike]) -> Noise:
 
 
 def noise_from_residuals(series: Sequence[ArrayLike], unknowns: int) -> Noise:
-    """Estimate the noise from the residuals of a fit.
+    """Estimate the noise from the residuals of a fit, (n_frame, 3) of each experiment [m, m, rad].
 
     It includes all model error; repetitions give a better estimate.
-
-    Parameters
-    ----------
-    series : sequence of (n_frame, 3) arrays
-        Residuals of x, y, theta [m, m, rad], one array per experiment.
-    unknowns : int
-        Number of fitted unknowns.
     """
     rows = [np.asarray(one, np.float64) for one in series]
     correlation = correlation_time(rows)
@@ -194,12 +175,8 @@ def correlation_time(series: Sequence[ArrayLike]) -> float:
     """Compute the integrated autocorrelation time of residuals, pooled over series [frames].
 
     It is 1 for white noise and the whole length for constant series. No mean is subtracted:
-    residuals of one sign throughout a push are strongly correlated.
-
-    Parameters
-    ----------
-    series : sequence of (n_frame,) or (n_frame, c) arrays
-        Residuals, one array per experiment; each of c channels is one series of any length.
+    residuals of one sign throughout a push are strongly correlated. Of an array (n_frame, c) each
+    channel is a series.
 
     Source
     ------
@@ -227,16 +204,7 @@ def estimated_dispersion(
 ) -> Dispersion:
     """Estimate the dispersion from the fit itself: deviance over (effective count - unknowns).
 
-    Parameters
-    ----------
-    deviance : float
-        Deviance at the optimum.
-    count : int
-        Number of residuals.
-    unknowns : int
-        Number of fitted unknowns.
-    correlation : float
-        `correlation_time` of the residuals; `count` over it is their effective number.
+    The effective count is that of the residuals over their `correlation_time`.
     """
     freedom = _freedom(count, unknowns, _at_least_one(correlation, "correlation"))
     value = max(finite(deviance, "deviance") / freedom, float(np.finfo(np.float64).tiny))
@@ -244,20 +212,10 @@ def estimated_dispersion(
 
 
 def dispersion_of(noise: Noise, deviance: float, count: int, unknowns: int) -> Dispersion:
-    """Return the dispersion of residuals that were divided by a noise.
+    """Return the dispersion of residuals that were divided by a noise, from the least deviance.
 
     Known noise is used unless the fit is worse than it allows (`IMPROBABLE`): then the model error
     exceeds the noise, and intervals that ignore it would be far too narrow.
-
-    Parameters
-    ----------
-    noise : Noise
-    deviance : float
-        Deviance at the optimum.
-    count : int
-        Number of residuals.
-    unknowns : int
-        Number of fitted unknowns.
     """
     from scipy.special import fdtrc
 

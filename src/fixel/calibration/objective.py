@@ -169,14 +169,7 @@ class Comparer:
         return other
 
     def errors(self, which: IntArray, points: FloatArray) -> Evaluation:
-        """Compute errors of experiments at points.
-
-        Parameters
-        ----------
-        which : (n,) int
-            Index of the target of each rollout.
-        points : (n, n_free) float64
-        """
+        """Compute errors of rollouts: of targets by their indices (n,), at points (n, n_free)."""
         error = np.full(len(which), math.inf)
 
         def compare(rollouts: IntArray, difference: FloatArray) -> None:
@@ -309,15 +302,9 @@ COMBINATIONS: Final = ("sum", "mean", "largest")
 
 @final
 class Objective:
-    """Combined error of several experiments at points of the space.
+    """Combined error of several experiments, by default all, at points of the space.
 
-    Parameters
-    ----------
-    comparer : Comparer
-    members : sequence of int, optional
-        Indices of the targets, by default all.
-    combine : str
-        `"sum"` (thesis, multiple calibration), `"mean"` (ASME paper) or `"largest"`.
+    It is their `"sum"` (thesis, multiple calibration), `"mean"` (ASME paper) or `"largest"`.
     """
 
     def __init__(
@@ -384,12 +371,6 @@ def root_mean(errors: FloatArray, unit: str) -> float:
 
 def outliers(errors: FloatArray, unit: str) -> list[int]:
     """Return the indices of the errors (n,) that are outliers, the largest first.
-
-    Parameters
-    ----------
-    errors : (n,) float64
-    unit : str
-        `"mm^2"` or `"mm"`.
 
     Source
     ------

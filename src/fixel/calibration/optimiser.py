@@ -199,10 +199,7 @@ def feasible_points(
 ) -> FloatArray:
     """Return the first `count` feasible points of a scrambled Sobol' sequence over a box.
 
-    Returns
-    -------
-    (k, n) float64
-        At least one point, but fewer than `count` if `TRIES` points contain no more.
+    There is at least one, but fewer than `count` if `TRIES` points contain no more.
 
     Source
     ------

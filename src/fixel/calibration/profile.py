@@ -151,20 +151,10 @@ class ProfileLikelihood:
         prior: NormalPrior | None = None,
         fitted: LeastSquaresFit | None = None,
     ) -> ProfileSearch:
-        """Begin.
+        """Begin at the calibration's best point (n,).
 
-        Parameters
-        ----------
-        box : SearchBox
-        point : (n,) array
-            The calibration's best.
-        threshold : float
-            Rise of the deviance at the ends of an interval; `Dispersion.threshold`.
-        prior : NormalPrior, optional
-            As in the calibration.
-        fitted : LeastSquaresFit, optional
-            Of all parameters, ending at the point, with residuals as passed to it, without
-            a prior; saves fitting again.
+        Ends of intervals are at a rise of the deviance by the threshold (`Dispersion.threshold`). A
+        fit of all parameters that ends at the point, without a prior, saves fitting again.
         """
         given = np.asarray(point, np.float64)
         if given.shape != (box.n,):
@@ -490,13 +480,9 @@ def _run(descent: Descent) -> Task:
 
 @final
 class Tasks:
-    """Several tasks whose points are combined into batches.
+    """Several tasks whose points are combined into batches of at most `most` points.
 
-    Parameters
-    ----------
-    tasks : iterable of Task
-    most : int
-        Maximum number of points of a batch, unless one task alone requests more.
+    A task that alone requests more has a batch of its own.
     """
 
     def __init__(self, tasks: Iterable[Task], most: int) -> None:

@@ -64,20 +64,10 @@ class Node(NamedTuple):
 
 @final
 class ProfileBranch:
-    """Fixed values of one unknown on one side of the optimum.
+    """Fixed values of one unknown on one side of the optimum, upwards (sign +1) or downwards (-1).
 
-    Parameters
-    ----------
-    box : SearchBox
-    index : int
-        Index of the unknown.
-    sign : int
-        +1 upwards, -1 downwards.
-    best : Node
-    reach : float
-        Predicted distance of the crossing; inf without a usable curvature.
-    slope : (n,) array
-        Predicted change of the point per change of the unknown.
+    The curvature predicts the distance of the crossing as `reach`, inf where it is unusable, and
+    the change of the point per change of the unknown as `slope` (n,).
     """
 
     def __init__(
@@ -241,14 +231,9 @@ def crossing_share(distances: Sequence[float], lengths: Sequence[float]) -> floa
     """Return the share of the way from one value to the next at which the length is 1.
 
     It is that of the parabola through the optimum and both values, with a linear term if the
-    optimum is on a bound; otherwise that of linearly interpolated lengths.
-
-    Parameters
-    ----------
-    distances : two floats
-        Distances from the optimum.
-    lengths : two floats
-        Roots of the rise over the threshold, below and above 1.
+    optimum is on a bound; otherwise that of linearly interpolated lengths. Both values have a
+    distance from the optimum, and a length: the root of the rise over the threshold, below and
+    above 1.
     """
     (p, q), (a, b) = distances, lengths
     if a > 0.0:
@@ -273,16 +258,8 @@ class Slice(NamedTuple):
 class Slicer:
     """Computation of a slice in both directions, in a few rounds.
 
-    Parameters
-    ----------
-    box : SearchBox
-    index : int
-        Index of the unknown.
-    best : Best
-    threshold : float
-        Rise of the deviance at the ends of the interval.
-    reach : float
-        Distance of the crossing predicted by the curvature; inf without a prediction.
+    The deviance rises by the threshold at the ends of the interval. The curvature predicts their
+    distance as `reach`, inf without a prediction.
     """
 
     def __init__(

@@ -45,26 +45,12 @@ class SupportFeatures(NamedTuple):
 def find_solutions(
     points: ArrayLike, errors: ArrayLike, scale: ArrayLike, threshold: float, distance: float = 1.0
 ) -> tuple[Solution, ...]:
-    """Return the clusters of the points whose error is within a threshold of the smallest.
+    """Return the clusters of points (k, n) whose error is within a threshold of the smallest.
 
-    Parameters
-    ----------
-    points : (k, n) array
-        Results of several starts, or all evaluated points.
-    errors : (k,) array
-        Deviances or other errors; inf for failed points.
-    scale : (n,) array
-        Scales of the box.
-    threshold : float
-        Largest rise of the error above the smallest.
-    distance : float
-        Smallest gap between two clusters [scales]. Points of a valley are one cluster, however long
-        it is, if neighbours are closer than this.
-
-    Returns
-    -------
-    tuple of Solution
-        Clusters, the best first; empty if all points failed.
+    Points are results of several starts, or all that were evaluated, with errors (k,), inf for
+    failures. `distance` is the smallest gap between two clusters, in scales (n,) of the box. Points
+    of a valley are one cluster, however long it is, if neighbours are closer than this. The best
+    cluster is the first; there is none if all points failed.
     """
     table, told = np.asarray(points, np.float64), np.asarray(errors, np.float64)
     widths = np.asarray(scale, np.float64)

@@ -52,18 +52,8 @@ def start_study(
     """Compute the sensitivities of experiments; yields rows, is sent `ShiftModel.differences`.
 
     An experiment whose scene begins elsewhere than at the first measured pose, such as at a planned
-    one, has no noise of the start. Steps of the start are standard deviations of its noise, so that
-    the changes are those which this noise makes on a rough surface.
-
-    Parameters
-    ----------
-    shifted : ShiftModel
-    members : sequence of int
-        Numbers of the experiments.
-    point : (n_free,) array
-        Parameters.
-    camera : Noise
-        Noise of one measured pose.
+    one, has no noise of the start. Steps of the start are standard deviations of its noise, that of
+    one measured pose, so that the changes are those which this noise makes on a rough surface.
     """
     sd = camera.standard_deviations
     steps = dict(zip(STARTS, sd.tolist(), strict=True))
@@ -84,19 +74,10 @@ def start_dispersion(
 ) -> float:
     """Compute the dispersion of a right model whose start poses have noise.
 
-    Least squares weights residuals by 1/W of `noise`. Its estimate has the covariance
-    H^-1 J' W^-1 V W^-1 J H^-1 with H = J' W^-1 J, where independent residuals of variance W would
-    have H^-1. The dispersion is the largest ratio of the two variances of a parameter.
-
-    Parameters
-    ----------
-    sensitivities : sequence of StartSensitivity
-    frames : sequence of int
-        Number of frames that count of each experiment.
-    noise : Noise
-        Noise by which residuals are divided.
-    camera : Noise
-        Noise of one measured pose.
+    Least squares weights residuals by 1/W of `noise`. Its estimate has the covariance H^-1 J' W^-1
+    V W^-1 J H^-1 with H = J' W^-1 J, where independent residuals of variance W would have H^-1. The
+    dispersion is the largest ratio of the two variances of a parameter. `frames` are the numbers of
+    frames that count; `camera` is the noise of one measured pose.
     """
     n = sensitivities[0].common.shape[2]
     information, middle = np.zeros((n, n)), np.zeros((n, n))

@@ -139,14 +139,8 @@ def calibrate_joint(
 ) -> Study[tuple[Trace, Search]]:
     """Calibrate one parameter set for all members, by minimisation of their combined error.
 
-    Parameters
-    ----------
-    combine : callable
-        Function of errors (k, n_member) -> (k,): their sum, mean or largest.
-    stop : callable
-        Returns the reason to end the search early, empty to continue; called after every batch.
-    max_evaluations : float
-        Number of evaluations after which the search ends.
+    Errors (k, n_member) are combined to (k,). `stop` is called after every batch and returns the
+    reason to end the search early, empty to continue.
     """
     log = _Log(optimiser.start(box, seed, feasible), max_evaluations)
     while not log.done:
@@ -256,18 +250,8 @@ def exchange_with_neighbours(
 ) -> Study[tuple[FloatArray, FloatArray]]:
     """Replace parameters of each member by the best ones of its neighbours, if these are better.
 
-    Parameters
-    ----------
-    points : (n_member, n_free) float64
-        Results of the single calibrations.
-    errors : (n_member,) float64
-    groups : sequence of sequences of int
-        Neighbours: the members that differ in x, in y or in theta only.
-
-    Returns
-    -------
-    points, errors
-        Parameters and errors, the same or better.
+    From points (n_member, n_free) and errors (n_member,) of the single calibrations it returns the
+    same or better ones. Neighbours are members that differ in x, in y or in theta only.
 
     Source: RPI thesis, section 5.2.1.
     """
@@ -296,11 +280,8 @@ def weighted_mean(
 ) -> FloatArray:
     """Return the mean (n_free,) of points (n, n_free), weighted with inverse errors (n,).
 
-    Parameters
-    ----------
-    points, errors : arrays
-    informed : (n, n_free) bool, optional
-        Whether a member depends on an unknown; otherwise its value is the start value.
+    Members that are not informed (n, n_free) about an unknown have its start value, which does not
+    count.
 
     Source: RPI thesis, section 5.2.2.
     """
@@ -399,11 +380,8 @@ def minimax_of_stored(members: Sequence[int], points: FloatArray) -> Study[Combi
 def neighbours(conditions: Sequence[Mapping[str, str | float]]) -> list[list[int]]:
     """Return groups of experiments of one shape and layout that differ along one axis only.
 
-    Parameters
-    ----------
-    conditions : sequence of mappings
-        Conditions of the experiments, as in a sampling plan: `shape`, `layout` and `axis`, which is
-        `"nominal"` for the one that belongs to every group. Those without an axis are ignored.
+    Conditions are those of a sampling plan: `shape`, `layout` and `axis`, which is `"nominal"` for
+    the one that belongs to every group. Experiments without an axis are ignored.
     """
     groups: dict[tuple[str, str, str], list[int]] = {}
     for k, own in enumerate(conditions):

@@ -31,10 +31,7 @@ class Target(NamedTuple):
 def target_of(experiment: Experiment) -> Target:
     """Return the target of an experiment.
 
-    Raises
-    ------
-    InvalidInput
-        There is no scene, no measured pose after the first within `effective`, or no motion.
+    It must have a scene, a measured pose after the first within `effective`, and motion.
     """
     scene = scene_of(experiment)
     useful = useful_poses(experiment)
@@ -150,13 +147,8 @@ def repetitions(targets: Sequence[Target], *, ends: bool = False) -> list[FloatA
     """Return poses (n_repetition, n_frame, 3) of each repeated experiment, at common instants.
 
     A camera loses different frames each time, so the k-th frames of repetitions do not correspond.
-    Poses are interpolated between frames, over the time that all repetitions cover.
-
-    Parameters
-    ----------
-    targets : sequence of Target
-    ends : bool
-        Return only the last pose of each, if nothing else is compared.
+    Poses are interpolated between frames, over the time that all repetitions cover; or only the
+    last pose of each is returned, if nothing else is compared.
     """
     groups: dict[str, list[Target]] = {}
     for target in targets:

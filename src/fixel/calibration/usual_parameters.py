@@ -165,21 +165,10 @@ def search_space(
 ) -> ParameterSpace:
     """Return the space in which a calibration searches.
 
-    Parameters
-    ----------
-    parameters : mapping, sequence of str, ParameterSpace or None
-        `{"mu_pusher": (0, 1)}` is free within bounds, `{"mu_pusher": 0.3}` is fixed, and
-        `["mu_pusher"]` has its usual bounds. None selects the usual parameters. Keys may be labels
-        such as `"mu_pusher[surface=abs]"`.
-    targets : sequence of Target
-        Experiments, whose scenes and conditions decide about usual bounds and starts.
-    start : mapping from name to float, optional
-        Start of the search; by default the scenes' own values.
-
-    Raises
-    ------
-    InvalidInput
-        A name is not known, or no experiment can inform a parameter.
+    `{"mu_pusher": (0, 1)}` is free within bounds, `{"mu_pusher": 0.3}` is fixed, and
+    `["mu_pusher"]` has its usual bounds. None selects the usual parameters. Keys may be labels such
+    as `"mu_pusher[surface=abs]"`. Scenes and conditions of the targets decide about usual bounds
+    and starts. Every parameter must be known, and informed by an experiment.
     """
     if isinstance(parameters, ParameterSpace):
         space = parameters

@@ -168,21 +168,10 @@ def judge(
 ) -> tuple[Estimate, ...]:
     """Return a verdict for each free unknown; frozen ones have none.
 
-    Parameters
-    ----------
-    space : ParameterSpace
-    profiles : Profiles
-        Profiles of its free unknowns, in their order, at the threshold of `level`.
-    level : float
-        Confidence level of the intervals.
-    excited : mapping from label to bool, optional
-        Whether the simulations had what an unknown acts on: contact, slip. By default all had.
-    solutions : sequence of (n,) arrays, optional
-        Points that fit almost as well as the best, from `find_solutions`.
-    dispersion : Dispersion, optional
-        Dispersion that the prior was weighted with: `NormalPrior.weighted`.
-    honest : Honest, optional
-        Estimate that allows for misfit, if the model misfits or the noise is unknown.
+    Profiles are at the threshold of `level`. `excited` has whether the simulations had what an
+    unknown acts on, contact or slip; by default all had. `solutions` are points that fit almost as
+    well as the best, and `dispersion` is that of the prior (`NormalPrior.weighted`). `honest`
+    allows for misfit, if the model misfits or the noise is unknown.
     """
     if not 0.0 < level < 1.0:
         raise InvalidInput("level", found=level, expected="a number between 0 and 1")

@@ -66,14 +66,8 @@ Event = ChunkReturn | ChunkEnd
 class Cluster:
     """Connection to one Dask scheduler, from its start to its end.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the job.
-    interface : str
-        Network interface that the scheduler listens on.
-    lease_s : float
-        Time after which a silent worker counts as dead [s].
+    The scheduler listens on one network interface. A worker that is silent for `lease_s` counts as
+    dead.
     """
 
     def __init__(self, folder: Path, interface: str, lease_s: float) -> None:
@@ -99,12 +93,7 @@ class Cluster:
             raise
 
     def capacity(self) -> int:
-        """Return the number of chunks that can be computed at once.
-
-        Raises
-        ------
-        ClusterLost
-        """
+        """Return the number of chunks that can be computed at once, or raise `ClusterLost`."""
         self._check_alive()
         try:
             # `nthreads()` has no time limit: it would never return if the scheduler hangs.
@@ -139,9 +128,7 @@ class Cluster:
     def events(self, timeout_s: float) -> list[Event]:
         """Return the events that have happened; wait for the first for at most `timeout_s`.
 
-        Raises
-        ------
-        ClusterLost
+        It raises `ClusterLost` if the scheduler has ended.
         """
         happened: list[Event] = []
         with contextlib.suppress(queue.Empty):

@@ -38,21 +38,10 @@ def coordinate(
     notify: Notify | None = None,
     local: AbstractEngine | None = None,
 ) -> JobState:
-    """Run a job until it is done or has to stop.
+    """Run a job until it is `done`, or `cancelled` if that was requested meanwhile.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the job.
-    progress, notify : callable, optional
-        Called with the progress; called with a sentence when something happens.
-    local : AbstractEngine, optional
-        Engine for a job without workers; `LocalEngine` by default.
-
-    Returns
-    -------
-    JobState
-        `done`, or `cancelled` if that was requested meanwhile.
+    `notify` is called with a sentence when something happens. `local` is the engine of a job
+    without workers, by default `LocalEngine`.
 
     Raises
     ------

@@ -37,21 +37,11 @@ MAX_REFUSALS: Final = 3
 
 @final
 class DaskEngine(AbstractEngine):
-    """Engine that answers chunks on several workers.
+    """Engine that answers chunks on several workers, which share the folder of the job.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the job; on a cluster, on a file system that the workers share.
-    pool : AbstractPool
-        Pool that starts the workers.
-    lease_s : float
-        Time after which a silent worker counts as dead [s]. Its chunk is tried elsewhere; its own
-        answer is still taken if it comes first.
-    max_deaths : int
-        Number of workers that a chunk may kill before it is given up.
-    notify : callable
-        Called with a sentence when something happens.
+    A worker that is silent for `lease_s` counts as dead. Its chunk is tried elsewhere; its own
+    answer is still taken if it comes first. A chunk that kills `max_deaths` workers is given up.
+    `notify` is called with a sentence when something happens.
     """
 
     def __init__(

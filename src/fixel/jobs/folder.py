@@ -92,13 +92,7 @@ class JobState(JobProgress):
 def prepare(
     folder: Path, maker: str, inputs: Mapping[str, bytes | Path], options: Mapping[str, Any]
 ) -> Job:
-    """Create a job folder, complete or not at all.
-
-    Raises
-    ------
-    InvalidInput
-        The folder is not empty, the maker is unknown, or the name of an input is not allowed.
-    """
+    """Create a job folder, complete or not at all; it must be empty or missing."""
     named_function(maker)
     _clear_half_made(folder)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):

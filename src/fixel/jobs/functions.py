@@ -39,13 +39,7 @@ def chunk_function(name: str) -> ChunkFunction:
 
 
 def named_function(name: str) -> Any:
-    """Return a function that jobs may call, by its stored name `"KIND:FUNCTION"`.
-
-    Raises
-    ------
-    InvalidInput
-        There is no such kind of job or function, or it is not meant for jobs.
-    """
+    """Return a function that is meant for jobs, by its stored name `"KIND:FUNCTION"`."""
     kind, _, attribute = name.partition(":")
     if kind not in offers("jobs"):
         raise InvalidInput(

@@ -59,16 +59,9 @@ class AbstractPool(abc.ABC):
 
 @final
 class LocalPool(AbstractPool):
-    """Pool of worker processes on this machine; they end with this process.
+    """Pool of `size` worker processes on this machine; they end with this process.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the job.
-    size : int
-        Number of workers.
-    python : str, optional
-        Interpreter of the workers; by default the one that runs.
+    `python` is their interpreter, by default the one that runs.
     """
 
     def __init__(self, folder: Path, size: int, python: str | None = None) -> None:
@@ -255,10 +248,7 @@ def _call(*command: str) -> str:
 def job_script(site: Site, name: str, command: list[str], logs: Path) -> str:
     """Return a script for sbatch; `command` are the arguments of Python, quoted for the shell.
 
-    Raises
-    ------
-    InvalidInput
-        The site has shell lines that the user has never named.
+    The user must have named the shell lines of the site.
     """
     check_site(site)
     job = _slurm_job()(
@@ -299,23 +289,11 @@ def _slurm_job() -> Any:
 
 @final
 class SlurmPool(AbstractPool):
-    """Pool of workers as SLURM jobs of one name; takes over those of an interrupted session.
+    """Pool of `size` workers as SLURM jobs; takes over those of an interrupted session.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the job, on a file system that the nodes share.
-    size : int
-        Number of workers.
-    site : Site
-    name : str
-        Unique name of the jobs, by which they are found again.
-    notify : callable
-        Called with a sentence when something happens.
-    poll_s : float
-        Time between two calls of `squeue` [s].
-    back_off_s : float
-        Waiting time after a refused submission, doubled after each further one [s].
+    The folder is on a file system that the nodes share. Jobs have one unique name, by which they
+    are found again. `notify` is called with a sentence when something happens. `squeue` is called
+    every `poll_s`. After a refused submission the pool waits `back_off_s`, doubled each time.
     """
 
     def __init__(

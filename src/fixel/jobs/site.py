@@ -87,13 +87,7 @@ class Site(BaseModel):
 
 
 def load_site(path: Path) -> Site:
-    """Load a site template.
-
-    Raises
-    ------
-    InvalidInput
-        The file cannot be read, or has a value that is not allowed.
-    """
+    """Load a site template."""
     return site_of(read_document(path), str(path))
 
 

@@ -150,17 +150,9 @@ def run_work(
     progress: Show | None = None,
     stop: Stop | None = None,
 ) -> bytes:
-    """Compute all rounds of a work; the only function that writes its journal, if it has one.
+    """Compute all rounds of a work and return its result; raise `StopRequest` if `stop()` is True.
 
-    Returns
-    -------
-    bytes
-        Result of the work.
-
-    Raises
-    ------
-    StopRequest
-        `stop()` returned True.
+    No other function writes its journal, if it has one.
     """
     tally = _Tally(progress, engine)
     shown = _STAGE.set(tally.stage)

@@ -182,13 +182,7 @@ def _of_fit(fit: Calibration, store: Store) -> dict[str, Any]:
 
 
 def plot(project: Project, store: Store, calibration_id: int, kind: str) -> bytes:
-    """Draw a plot of a stored calibration as PNG.
-
-    Raises
-    ------
-    NotStored
-        The calibration has no such plot.
-    """
+    """Draw a plot of a stored calibration as PNG; raise `NotStored` if it has no such plot."""
     fit = _fit_of(project, calibration_id, store.calibration(calibration_id))
     if kind not in PLOTS or fit is None:
         raise NotStored(f"plot {kind!r} of calibration {calibration_id}")

@@ -154,12 +154,7 @@ class LiveProgress(Answer):
 
 @final
 class ProgressReader:
-    """Reader of the progress of a project's calibrations, which reads only what is new.
-
-    Parameters
-    ----------
-    project : Project
-    """
+    """Reader of the progress of a project's calibrations, which reads only what is new."""
 
     def __init__(self, project: Project) -> None:
         self._project = project

@@ -656,16 +656,13 @@ class Calibrations(CalibrationPlan, Result, Sequence[Calibration]):
     def each(self) -> list[Calibration]:
         """Best calibration of each single experiment, its own or a neighbour's."""
         # Neighbours' sets follow the experiments' own, and only where they are better.
-        found = self.outcome.found
-        best = {found[k].members: k for k in range(len(found)) if found[k].how.is_single}
-        return [self[k] for k in best.values()]
+        return [*{fit.found.members: fit for fit in self if fit.found.how.is_single}.values()]
 
     @property
     def joint(self) -> Calibration | None:
         """Best calibration of all experiments together; None if there was none."""
-        found = self.outcome.found
         kinds = (FitKind.DIRECT, FitKind.STORED)
-        return next((self[k] for k in range(len(found)) if found[k].how in kinds), None)
+        return next((fit for fit in self if fit.found.how in kinds), None)
 
     @property
     def skipped(self) -> tuple[str, ...]:
@@ -806,17 +803,8 @@ def values_under(
 ) -> dict[str, float]:
     """Return the values by name of parameter for an experiment under some conditions.
 
-    Parameters
-    ----------
-    values : mapping from label to float
-        Values, where a label is a name or such as `"mu_pusher[surface=abs]"`.
-    conditions : mapping
-        Conditions of the experiment, with its key as `"experiment"`.
-
-    Raises
-    ------
-    InvalidInput
-        A parameter has no value under these conditions.
+    Values have labels: names, or such as `"mu_pusher[surface=abs]"`. Conditions include the key of
+    the experiment as `"experiment"`. Every parameter must have a value under them.
     """
     found: dict[str, float] = {}
     missing: dict[str, str] = {}

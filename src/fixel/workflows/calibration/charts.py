@@ -53,11 +53,7 @@ OFFSETS: Final = {"x": "m", "y": "m", "theta": "rad"}
 class _ChartData:
     """Cached data of the calibrations of a run.
 
-    Parameters
-    ----------
-    run : Calibrations
-    project : Project, optional
-        Project that contains the experiments; by default that of the job's folder.
+    Its experiments are in a project, by default that of the job's folder.
     """
 
     def __init__(self, run: Calibrations, project: Project | None = None) -> None:
@@ -226,11 +222,7 @@ CAPTIONS: Final = {
 def pictures_of(run: Calibrations, project: Project | None = None) -> Pictures:
     """Yield the charts of a run, with captions.
 
-    Parameters
-    ----------
-    run : Calibrations
-    project : Project, optional
-        Project that contains the experiments; by default that of the job's folder.
+    Its experiments are in a project, by default that of the job's folder.
     """
     data = _ChartData(run, project)
     for parts in (_of_searches, _of_parameters, _of_experiments):

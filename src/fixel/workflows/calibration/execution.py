@@ -49,13 +49,7 @@ from fixel.workflows.calibration.parameter_options import (
 )
 from fixel.workflows.calibration.plan import CalibrationPlan, job_folder, prepare_folder
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
-from fixel.workflows.calibration.result import (
-    CalibrationResult,
-    FitKind,
-    ParameterSet,
-    found_of,
-    outcome_of,
-)
+from fixel.workflows.calibration.result import FitKind, ParameterSet, found_of, outcome_of
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -165,12 +159,7 @@ def _best_so_far(
 ) -> Calibrations | None:
     """Return what an interrupted calibration has found; None if there is nothing yet.
 
-    Parameters
-    ----------
-    plan : CalibrationPlan
-    search : CalibrationSearch
-    alone : sequence of bytes
-        Answers of the chunks that calibrated single experiments.
+    `alone` are the answers of the chunks that calibrated single experiments.
     """
     comparer, members = search.comparer, tuple(search.members)
     found = [*search.found] or [one for own in alone for one in found_of(arrays_of(own))]
@@ -185,13 +174,7 @@ def _best_so_far(
     if not found:
         return None
     nominal, _ = run_study(at_points(members, comparer.space.nominal[None]), here)
-    outcome = CalibrationResult(
-        keys=tuple(target.key for target in plan.targets),
-        labels=comparer.space.labels,
-        nominal=nominal[0],
-        found=tuple(found),
-    )
-    return Calibrations(**vars(plan), outcome=outcome, interrupted=True)
+    return Calibrations(**vars(plan), outcome=search.result(nominal[0], found), interrupted=True)
 
 
 def _reporting(report: Reporter) -> Show:

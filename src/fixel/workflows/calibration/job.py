@@ -115,11 +115,6 @@ class CalibrationSearch:
     """Rounds of a calibration, its used budget, and the best point found so far.
 
     Computing times come from the answers of chunks, so they are the same after an interruption.
-
-    Parameters
-    ----------
-    request : CalibrationRequest
-    comparer : Comparer
     """
 
     def __init__(self, request: CalibrationRequest, comparer: Comparer) -> None:
@@ -203,14 +198,13 @@ class CalibrationSearch:
             for k, one in enumerate(found):
                 if one.how == FitKind.DIRECT:
                     found[k] = yield from self._with_check((yield from self._with_verdicts(one)))
-        return outcome_bytes(
-            CalibrationResult(
-                keys=tuple(target.key for target in comparer.targets),
-                labels=comparer.space.labels,
-                nominal=before[0],
-                found=tuple(found),
-            )
-        )
+        return outcome_bytes(self.result(before[0], found))
+
+    def result(self, nominal: FloatArray, found: Sequence[ParameterSet]) -> CalibrationResult:
+        """Return the result with errors (n_target,) before the calibration."""
+        keys = tuple(target.key for target in self.comparer.targets)
+        labels = self.comparer.space.labels
+        return CalibrationResult(keys=keys, labels=labels, nominal=nominal, found=tuple(found))
 
     def _ask(
         self,
@@ -383,16 +377,8 @@ class CalibrationSearch:
     ) -> Rounds[FloatArray]:
         """Let chunks answer for points (k, n_free) of all members: one row for each point.
 
-        Parameters
-        ----------
-        function : str
-            Function of a chunk, whose answer has the rows as `table`.
-        stage : str
-            Beginning of the chunks' names.
-        left : int, optional
-            Estimated number of points after these.
-        **arrays
-            What a chunk receives with its points.
+        The answer of the function has the rows as `table`. `stage` is the beginning of the chunks'
+        names, and `left` an estimate of the number of points after these.
         """
         size = max(1, ROLLOUTS_A_CHUNK // len(self.members))
         pieces = {

@@ -165,14 +165,9 @@ def from_dakota(path: Path) -> tuple[NamedOptions, list[Unknown]]:
 
 
 def options_of(request: CalibrationRequest, keys: Sequence[str]) -> dict[str, Any]:
-    """Return the options of the command that repeats a calibration, as plain content.
+    """Return the options of the command that repeats a calibration of experiments by their names.
 
-    Parameters
-    ----------
-    request : CalibrationRequest
-        Request; its parameters must not be restricted to conditions, which needs a file.
-    keys : sequence of str
-        Ids or names of the experiments.
+    Its parameters must not be restricted to conditions, which needs a file.
     """
     capability = offered("capability", "calibrate")
     free = (u for u in request.unknowns if not u.frozen)
@@ -191,14 +186,7 @@ def options_of(request: CalibrationRequest, keys: Sequence[str]) -> dict[str, An
 
 
 def call_of(request: CalibrationRequest, source: str) -> str:
-    """Return the Python expression of a calibration.
-
-    Parameters
-    ----------
-    request : CalibrationRequest
-    source : str
-        Expression of the experiments.
-    """
+    """Return the Python expression of a calibration; `source` is that of the experiments."""
 
     def text(value: Any) -> str:
         if isinstance(value, Noise):
@@ -241,11 +229,7 @@ def command_of(options: Mapping[str, Any]) -> str:
 def enlarged_command(options: Mapping[str, Any], request: CalibrationRequest) -> str:
     """Return the command that calibrates a larger model; empty if there is no larger model.
 
-    Parameters
-    ----------
-    options : mapping
-        Options of the command of the calibration.
-    request : CalibrationRequest
+    `options` are those of the command of the calibration.
     """
     known = {unknown.name for unknown in request.unknowns}
     replaced = known & {*IDEAL}

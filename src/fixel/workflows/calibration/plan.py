@@ -104,16 +104,9 @@ class CalibrationPlan:
     def rehearse(self, threads: int | None = None) -> Self:
         """Simulate a few experiments, and all that may jam, with the start values.
 
-        Returns
-        -------
-        CalibrationPlan
-            Without the experiments whose rigid drive jams, which would make the error of one set of
-            parameters for all infinite; they are named in `left_out`.
-
-        Raises
-        ------
-        InvalidInput
-            Nothing can be simulated.
+        The plan that is returned lacks the experiments whose rigid drive jams, which would make the
+        error of one set of parameters for all infinite; they are named in `left_out`. An error is
+        raised if nothing can be simulated.
         """
         n = len(self.targets)
         rigid = [k for k, target in enumerate(self.targets) if may_jam(target.case.scene)]
@@ -168,10 +161,7 @@ def job_of(project: Project, record: CalibrationRecord) -> Path:
 def prepare_folder(plan: CalibrationPlan, folder: Path) -> None:
     """Make the job of a calibration in a folder, if it is not there.
 
-    Raises
-    ------
-    InvalidInput
-        The folder belongs to another calibration; the difference is named.
+    If the folder belongs to another calibration, the error names the difference.
     """
     if not (folder / "job.json").is_file():
         remember(plan.request.motion)  # for the processes of the job

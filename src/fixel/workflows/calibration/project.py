@@ -53,21 +53,12 @@ MEMBERS_A_GROUP: Final = 5  # experiments for each value of a condition that a s
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExperimentSelection:
-    """Experiments to calibrate.
-
-    Attributes
-    ----------
-    ids : list of int
-    targets : list of Target
-    left_out : dict from key to reason
-        Those that cannot be compared.
-    sample_of : int, optional
-        Number of experiments that these were drawn from at random; None where they are all.
-    """
+    """Experiments to calibrate."""
 
     ids: list[int]
     targets: list[Target]
-    left_out: Mapping[str, str]
+    left_out: Mapping[str, str]  # reasons why others cannot be compared, by key
+    # Number of experiments that these were drawn from at random; None where they are all.
     sample_of: int | None = None
 
     def __iter__(self) -> Iterator[Target]:
@@ -201,10 +192,7 @@ def add_to_project(
 def collected(project: Project, folder: Path) -> Calibrations:
     """Return the calibrations of a finished job in a project; store them if necessary.
 
-    Raises
-    ------
-    JobRefused
-        Another process is storing them.
+    It raises `JobRefused` while another process stores them.
     """
     return add_to_project(project, collect(plan_in(folder), folder))
 
@@ -222,17 +210,7 @@ def store_result(folder: Path) -> None:
 def stored_run(project: Project, number: int, record: CalibrationRecord) -> Calibrations | None:
     """Load all calibrations of the run that a stored calibration came from.
 
-    Parameters
-    ----------
-    project : Project
-    number : int
-        Id of the calibration.
-    record : CalibrationRecord
-
-    Returns
-    -------
-    Calibrations or None
-        None if an earlier version stored it and the folder of its job is gone.
+    There is none if an earlier version stored it and the folder of its job is gone.
     """
     if record.request is None:
         folder = job_of(project, record)
@@ -251,18 +229,9 @@ def stored_run(project: Project, number: int, record: CalibrationRecord) -> Cali
 def stored_calibration(project: Project, number: int) -> Calibration:
     """Load a stored calibration.
 
-    Parameters
-    ----------
-    project : Project
-    number : int
-        Id of the calibration.
-
-    Returns
-    -------
-    Calibration
-        Equal to the one that was stored, if its run has no other; else the only one of its run. If
-        an earlier version stored it and its job is gone, the level of its intervals, its noise and
-        its profiles are unknown.
+    It equals the one that was stored, if its run has no other; else it is the only one of its run.
+    If an earlier version stored it and its job is gone, the level of its intervals, its noise and
+    its profiles are unknown.
     """
     with project.store() as store:
         record = store.calibration(number)

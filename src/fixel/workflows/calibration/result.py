@@ -41,55 +41,27 @@ class FitKind(StrEnum):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParameterSet:
-    """Set of parameters for one experiment or for several.
-
-    Attributes
-    ----------
-    how : FitKind
-    members : tuple of int
-        Indices of the experiments.
-    point : (n_free,) float64
-        Best fit, for prediction. `values` are those to quote.
-    errors : (n_member,) float64
-        Error of each experiment with this set; inf where it has none.
-    trace : Trace, optional
-        Evaluations of the search; None without a search.
-    estimates : tuple of Estimate
-        One estimate per parameter.
-    profiles : tuple of ProfileRecord
-        One profile per free parameter; empty if not requested.
-    noise : str
-        Source of the measurement noise assumed by the intervals.
-    misfit : tuple of str
-        Warning that the model is wrong by more than the noise explains, its size first; empty if
-        it is not, or if not requested.
-    misfit_ratio : float
-        Residuals over noise; nan if the noise is unknown.
-    solutions : (n_solution, n_free) float64
-        Distinct ends of several starts that are nearly as good as the best; the best first.
-    prediction_check : tuple of int, optional
-        Number of recorded ends in the regions predicted without them, and of how many experiments;
-        None if they were not compared.
-    seconds : float
-        Duration of the computation [s].
-    note : str
-        Why the error is missing, if it is.
-    """
+    """Set of parameters for one experiment or for several."""
 
     how: FitKind
-    members: tuple[int, ...]
-    point: FloatArray
-    errors: FloatArray
-    trace: Trace | None = None
-    estimates: tuple[Estimate, ...] = ()
-    profiles: tuple[ProfileRecord, ...] = ()
-    noise: str = ""
+    members: tuple[int, ...]  # indices of the experiments
+    point: FloatArray  # (n_free,) best fit, for prediction; `values` are those to quote
+    errors: FloatArray  # (n_member,) error of each experiment with this set; inf where it has none
+    trace: Trace | None = None  # evaluations of the search; None without a search
+    estimates: tuple[Estimate, ...] = ()  # one per parameter
+    profiles: tuple[ProfileRecord, ...] = ()  # one per free parameter; empty if not requested
+    noise: str = ""  # source of the measurement noise assumed by the intervals
+    # Warning that the model is wrong by more than the noise explains, its size first; empty if it
+    # is not, or if not requested.
     misfit: tuple[str, ...] = ()
-    misfit_ratio: float = math.nan
+    misfit_ratio: float = math.nan  # residuals over noise; nan if the noise is unknown
+    # (n_solution, n_free) Distinct ends of several starts nearly as good as the first, the best.
     solutions: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    # Number of recorded ends in the regions predicted without them, and of how many experiments;
+    # None if they were not compared.
     prediction_check: tuple[int, int] | None = None
-    seconds: float = field(default=0.0, compare=False)
-    note: str = ""
+    seconds: float = field(default=0.0, compare=False)  # duration of the computation [s]
+    note: str = ""  # why the error is missing, if it is
 
     def __post_init__(self) -> None:
         settle(
@@ -112,22 +84,11 @@ class ParameterSet:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CalibrationResult:
-    """Complete result of a calibration.
+    """Complete result of a calibration."""
 
-    Attributes
-    ----------
-    keys : tuple of str
-        Keys of the experiments.
-    labels : tuple of str
-        Labels of the free parameters.
-    nominal : (n_key,) float64
-        Errors before calibration.
-    found : tuple of ParameterSet
-    """
-
-    keys: tuple[str, ...]
-    labels: tuple[str, ...]
-    nominal: FloatArray
+    keys: tuple[str, ...]  # keys of the experiments
+    labels: tuple[str, ...]  # labels of the free parameters
+    nominal: FloatArray  # (n_key,) errors before calibration
     found: tuple[ParameterSet, ...]
 
 

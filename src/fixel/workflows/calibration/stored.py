@@ -35,13 +35,7 @@ VERSION: Final = 1  # of stored requests; those without one are as of version 1
 @final
 @dataclass(frozen=True)
 class CalibratedValues:
-    """Calibrated parameters with the method that found them.
-
-    Parameters
-    ----------
-    id : int
-    record : CalibrationRecord
-    """
+    """Calibrated parameters with the method that found them."""
 
     id: int
     record: CalibrationRecord
@@ -107,16 +101,10 @@ def _meets(conditions: Mapping[str, str | float], where: Mapping[str, str]) -> b
 def load_values(
     store: Store, calibration_id: int | None = None, engine: str = ""
 ) -> CalibratedValues:
-    """Load a stored calibration.
+    """Load a stored calibration: by its id, or else the newest that the engine simulated.
 
-    Parameters
-    ----------
-    store : Store
-    calibration_id : int, optional
-        Id of the calibration; by default the newest for several experiments, else the newest of
-        all. Means computed by the growth of a domain are selected only by their id.
-    engine : str
-        Engine that must have simulated, as for `newest_calibration`.
+    Without an id, those for several experiments come first, as in `newest_calibration`. Means
+    computed by the growth of a domain are selected only by their id.
     """
     own = calibration_id
     if own is None:
@@ -148,14 +136,8 @@ def known_pushes(store: Store, one: CalibratedValues) -> KnownPushes:
 def newest_calibration(store: Store, experiment: int | None = None, engine: str = "") -> int | None:
     """Return the id of the calibration that `load_values` loads by default; None without any.
 
-    Parameters
-    ----------
-    store : Store
-    experiment : int, optional
-        Id of an experiment that must be a member.
-    engine : str
-        Name of an engine that must have simulated, with any version and choices that are not
-        named; empty for any engine or motion model.
+    An experiment must be a member, and an engine must have simulated, with any version and choices
+    that are not named; empty for any engine or motion model.
     """
     known = [
         CalibratedValues(calibration_id, record)
