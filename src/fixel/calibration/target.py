@@ -15,6 +15,7 @@ from fixel.typing import BoolArray, FloatArray
 
 ANGLE_SCALE: Final = 35.0  # [mm/rad], length that the thesis's E counts an angle as
 ON_CLOCK: Final = 1e-9  # [s]; ends of `effective` are rounded like frames, but not by the same sum
+MEMBERS_A_GROUP: Final = 5  # experiments for each value of a condition that a sample is spread over
 SAME_POSE: Final = 1e-9  # [m or rad]; no camera measures a planned pose so well
 
 
@@ -169,3 +170,30 @@ def _at_the_same_instants(group: Sequence[Target]) -> FloatArray:
         pose = np.column_stack((target.pose[:, :2], np.unwrap(target.pose[:, 2])))
         rows.append(np.column_stack([np.interp(instants, clock, column) for column in pose.T]))
     return np.array(rows)
+
+
+def spread_sample(
+    conditions: Sequence[Mapping[str, str | float]], count: int, seed: int
+) -> list[int]:
+    """Return the indices of `count` random experiments, in which every condition has its share."""
+    groups: dict[tuple[tuple[str, str], ...], list[int]] = {}
+    kinds = _grouping(conditions)
+    for k, own in enumerate(conditions):
+        key = tuple((name, str(own.get(name, ""))) for name in kinds)
+        groups.setdefault(key, []).append(k)
+    draw = np.random.default_rng(seed)
+    # Shuffled within each group, then taken at even distances along all groups one after another:
+    # each gives its share, to one experiment.
+    order = [k for key in sorted(groups) for k in draw.permutation(groups[key]).tolist()]
+    first = draw.random()
+    places = ((first + np.arange(count)) * len(conditions) / count).astype(int)
+    return sorted(order[place] for place in places.tolist())
+
+
+def _grouping(conditions: Sequence[Mapping[str, str | float]]) -> list[str]:
+    """Conditions that sort experiments into groups, not those that number them."""
+    names = sorted({name for own in conditions for name in own})
+    most = max(1, len(conditions) // MEMBERS_A_GROUP)
+    return [
+        name for name in names if 1 < len({str(own.get(name, "")) for own in conditions}) <= most
+    ]

@@ -197,6 +197,39 @@ def split_label(label: str) -> tuple[str, dict[str, str]]:
     return match["name"], where
 
 
+def meets(conditions: Mapping[str, str | float], where: Mapping[str, str]) -> bool:
+    """Whether an experiment under some conditions has those of a label."""
+    return all(str(conditions.get(name)) == value for name, value in where.items())
+
+
+def values_under(
+    values: Mapping[str, float], conditions: Mapping[str, str | float]
+) -> dict[str, float]:
+    """Return the values of labels by name of parameter, for an experiment under some conditions.
+
+    Conditions include the key of the experiment as `"experiment"`. Every parameter must have a
+    value under them.
+    """
+    found: dict[str, float] = {}
+    missing: dict[str, str] = {}
+    for label, value in values.items():
+        name, where = split_label(label)
+        if meets(conditions, where):
+            found.setdefault(name, value)
+        else:
+            missing.setdefault(name, next(iter(where)))
+    lacking = [name for name in missing if name not in found]
+    if lacking:
+        name = lacking[0]
+        raise InvalidInput(
+            name,
+            found="values for some conditions only, and none for these",
+            expected=f"a value of {missing[name]!r}",
+            hint=f"use fit.values_for({missing[name]}=...)",
+        )
+    return found
+
+
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ParameterSpace(Comparable):

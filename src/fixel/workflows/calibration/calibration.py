@@ -36,7 +36,7 @@ from fixel.io.damaged_files import readable
 from fixel.jobs import folder as files
 from fixel.model import Experiment, Parameters, Scene
 from fixel.model.records import Estimate, estimate_table
-from fixel.model.space import ParameterSpace, split_label
+from fixel.model.space import ParameterSpace, values_under
 from fixel.results import Result, Summary
 from fixel.simulation.engine_names import EngineName
 from fixel.simulation.motion import AbstractMotionModel
@@ -796,34 +796,6 @@ def collect(plan: CalibrationPlan, folder: Path) -> Calibrations:
     path = folder / files.RESULT
     with readable(path, f"delete that file, then: fixel jobs resume {shlex.quote(str(folder))}"):
         return Calibrations(**vars(plan), outcome=outcome_of(path.read_bytes()), folder=folder)
-
-
-def values_under(
-    values: Mapping[str, float], conditions: Mapping[str, str | float]
-) -> dict[str, float]:
-    """Return the values by name of parameter for an experiment under some conditions.
-
-    Values have labels: names, or such as `"mu_pusher[surface=abs]"`. Conditions include the key of
-    the experiment as `"experiment"`. Every parameter must have a value under them.
-    """
-    found: dict[str, float] = {}
-    missing: dict[str, str] = {}
-    for label, value in values.items():
-        name, where = split_label(label)
-        if all(str(conditions.get(key)) == text for key, text in where.items()):
-            found.setdefault(name, value)
-        else:
-            missing.setdefault(name, next(iter(where)))
-    lacking = [name for name in missing if name not in found]
-    if lacking:
-        name = lacking[0]
-        raise InvalidInput(
-            name,
-            found="values for some conditions only, and none for these",
-            expected=f"a value of {missing[name]!r}",
-            hint=f"use fit.values_for({missing[name]}=...)",
-        )
-    return found
 
 
 def _plain(fit: Calibration, calibration_id: int | None) -> dict[str, Any]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from fixel.calibration.objective import root_mean
 from fixel.calibration.study import Trace
-from fixel.calibration.target import Target, target_of
+from fixel.calibration.target import Target, spread_sample, target_of
 from fixel.database.project import SETTINGS, Project, check_known_names
 from fixel.database.store import Store
 from fixel.errors import InvalidInput, StoreRefused
@@ -47,7 +47,6 @@ from fixel.workflows.calibration.stored import VERSION, request_in
 
 STORED: Final = "stored.json"  # ids of the calibrations, once they are stored
 EARLIER: Final = {"faulty": "flagged"}  # names of options in records of earlier versions
-MEMBERS_A_GROUP: Final = 5  # experiments for each value of a condition that a sample is spread over
 
 
 @final
@@ -107,33 +106,9 @@ def draw_sample(chosen: ExperimentSelection, count: int, seed: int) -> Experimen
     n = len(chosen.ids)
     if count >= n:
         return chosen
-    groups: dict[tuple[tuple[str, str], ...], list[int]] = {}
-    kinds = _grouping([target.conditions for target in chosen.targets])
-    for k, target in enumerate(chosen.targets):
-        key = tuple((name, str(target.conditions.get(name, ""))) for name in kinds)
-        groups.setdefault(key, []).append(k)
-    draw = np.random.default_rng(seed)
-    # Shuffled within each group, then taken at even distances along all groups one after another:
-    # each gives its share, to one experiment.
-    order = [k for key in sorted(groups) for k in draw.permutation(groups[key]).tolist()]
-    first = draw.random()
-    places = ((first + np.arange(count)) * n / count).astype(int)
-    kept = sorted(order[place] for place in places.tolist())
-    return ExperimentSelection(
-        ids=[chosen.ids[k] for k in kept],
-        targets=[chosen.targets[k] for k in kept],
-        left_out=chosen.left_out,
-        sample_of=n,
-    )
-
-
-def _grouping(conditions: Sequence[Mapping[str, str | float]]) -> list[str]:
-    """Conditions that sort experiments into groups, not those that number them."""
-    names = sorted({name for own in conditions for name in own})
-    most = max(1, len(conditions) // MEMBERS_A_GROUP)
-    return [
-        name for name in names if 1 < len({str(own.get(name, "")) for own in conditions}) <= most
-    ]
+    kept = spread_sample([target.conditions for target in chosen.targets], count, seed)
+    ids, targets = zip(*((chosen.ids[k], chosen.targets[k]) for k in kept), strict=True)
+    return replace(chosen, ids=list(ids), targets=list(targets), sample_of=n)
 
 
 def stored_points(project: Project, space: ParameterSpace) -> list[list[float]]:

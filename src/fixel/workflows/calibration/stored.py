@@ -19,7 +19,7 @@ from fixel.io.damaged_files import readable
 from fixel.model import Experiment, Scene
 from fixel.model.parameters import is_parameter
 from fixel.model.records import CalibrationRecord
-from fixel.model.space import ParameterSpace, Unknown, split_label
+from fixel.model.space import ParameterSpace, Unknown, meets, split_label
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.engine_names import EngineName
 from fixel.simulation.motion import motion_model
@@ -79,7 +79,7 @@ class CalibratedValues:
         found = dict(self.record.parameters)
         for estimate in self.record.estimates:
             name, where = split_label(estimate.label)
-            if where and name not in found and _meets(conditions, where):
+            if where and name not in found and meets(conditions, where):
                 found[name] = estimate.value
         return found
 
@@ -92,10 +92,6 @@ class CalibratedValues:
 def misfit_of(record: CalibrationRecord) -> list[str]:
     """Return the warning stored with a calibration that the model is wrong, by sentences."""
     return str(record.method.get("misfit", "")).splitlines()
-
-
-def _meets(conditions: Mapping[str, str | float], where: Mapping[str, str]) -> bool:
-    return all(str(conditions.get(name)) == value for name, value in where.items())
 
 
 def load_values(

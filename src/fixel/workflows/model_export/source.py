@@ -15,6 +15,7 @@ from fixel.errors import InvalidInput
 from fixel.formats import SceneFile, load_scene
 from fixel.model import Experiment, Scene
 from fixel.model.records import Estimate
+from fixel.model.space import values_under
 from fixel.planning.plan import PushPlan
 from fixel.simulation import AbstractMotionModel, AbstractStepper, Dynamic, Simulation
 from fixel.simulation.engines.plane import harmonic_partner
@@ -22,7 +23,7 @@ from fixel.simulation.engines.solids import FOOT, PieceSolid, footed, prism_obj,
 from fixel.simulation.engines.task import PlainTask, bench_units
 from fixel.simulation.motion import OtherEngine, motion_model
 from fixel.typing import FloatArray
-from fixel.workflows.calibration.calibration import Calibration, values_under
+from fixel.workflows.calibration.calibration import Calibration
 from fixel.workflows.calibration.stored import load_values
 
 SAMPLES: Final = 100  # poses of a scene without measurements
