@@ -129,7 +129,7 @@ def noise_from_differences(targets: Sequence[Target]) -> Noise | None:
         return None
     scale = 1.4826 / math.sqrt(6.0)
     sizes = [scale * float(np.median(np.abs(np.concatenate(own)))) for own in (position, angle)]
-    return Noise.of(*sizes, source="differences")
+    return Noise.of(sizes[0], sizes[1], "differences")
 
 
 def misfit_of(
