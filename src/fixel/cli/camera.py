@@ -1,6 +1,5 @@
 """`fixel camera`: calibrate, import, place and check a camera; print boards and tags."""
 
-import math
 import re
 import shlex
 from collections.abc import Sequence
@@ -167,6 +166,7 @@ def place(
 
     It also reports the accuracy of positions on the plate.
     """
+    from fixel.model.fields import pose_of
     from fixel.workflows.acquisition.camera.calibrate import place as run
 
     target = out or camera.with_name(f"{camera.stem}-placed.yaml")
@@ -175,7 +175,7 @@ def place(
         picture,
         target,
         board=board,
-        at=_pose(at),
+        at=pose_of(at, "--at").tolist(),
         thickness=thickness_mm / 1e3,
         rig=rig,
         heights=_heights(height_mm),
@@ -286,17 +286,6 @@ def _quoted(path: Path | str) -> str:
 def _heights(typed: list[float] | None) -> tuple[float, ...]:
     """Return heights above the plate [m]; those of the thesis by default."""
     return tuple(mm / 1e3 for mm in (typed or THESIS_HEIGHTS))
-
-
-def _pose(text: str) -> tuple[float, float, float]:
-    """Parse `X,Y,ANGLE` in mm and degrees to metres and radians."""
-    try:
-        x, y, angle = (float(part) for part in text.split(","))
-    except ValueError:
-        raise InvalidInput(
-            "--at", found=repr(text), expected="x and y [mm] and an angle [deg]: 0,0,0"
-        ) from None
-    return x / 1e3, y / 1e3, math.radians(angle)
 
 
 def picture_size(text: str | None) -> tuple[int, int] | None:

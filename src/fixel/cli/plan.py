@@ -141,11 +141,12 @@ def next_(
 
     A plan with looks chooses at once. Other plans are made again, with the pushes that are left.
     """
-    from fixel.workflows.planning.execute import next_plan, next_step, seen_pose
+    from fixel.model.fields import pose_of
+    from fixel.workflows.planning.execute import next_plan, next_step
     from fixel.workflows.planning.report import analysis_of
     from fixel.workflows.planning.request import save_plan
 
-    poses = [seen_pose(text) for text in seen]
+    poses = [pose_of(text, "--seen") for text in seen]
     try:
         step = next_step(plan, poses, done)
         if step is not None:
@@ -213,15 +214,16 @@ class DriveOptions:
 
     def run(self, plan: Path, project: Path | None) -> "Trials":
         """Carry out a plan once with the drive."""
+        from fixel.model.fields import pose_of
         from fixel.workflows.acquisition.devices import chosen_actuator
-        from fixel.workflows.planning.execute import run_on_drive, seen_pose
+        from fixel.workflows.planning.execute import run_on_drive
 
         given = iter([self.start, self.end])
 
         def seen(sentence: str) -> "FloatArray":
             notify(sentence)
             text = next(given)
-            return seen_pose(text or typer.prompt("Seen pose [mm, mm, deg]"), "seen pose")
+            return pose_of(text or typer.prompt("Seen pose [mm, mm, deg]"), "seen pose")
 
         return run_on_drive(
             plan,

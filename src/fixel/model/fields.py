@@ -96,6 +96,19 @@ def name_of(value: object, where: str) -> str:
     return value
 
 
+def pose_of(text: str, where: str) -> FloatArray:
+    """Return a pose (3,) [m, m, rad] from text such as `120.5,3,-10` [mm, mm, deg]."""
+    try:
+        x, y, angle = (float(part) for part in text.split(","))
+        if not all(map(math.isfinite, (x, y, angle))):
+            raise ValueError
+    except ValueError:
+        raise InvalidInput(
+            where, found=repr(text), expected="x,y,angle in mm, mm and degrees: 120.5,3,-10"
+        ) from None
+    return np.array([x / 1e3, y / 1e3, math.radians(angle)])
+
+
 def instance(value: object, kind: type | UnionType, where: str, expected: str) -> None:
     """Raise for a value of another type."""
     if not isinstance(value, kind):

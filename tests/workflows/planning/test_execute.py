@@ -12,6 +12,7 @@ import pytest
 import fixel
 from fixel.errors import DeviceFailed, InvalidInput
 from fixel.formats.recording import open_recording
+from fixel.model.fields import pose_of
 from fixel.testbed.emulators.grbl import EmulatedGrbl
 from fixel.testbed.motion import SimulatedActuator
 from fixel.testbed.motion_grbl import GrblActuator
@@ -21,7 +22,7 @@ from fixel.testing.scenes import pushed_square
 from fixel.units import deg, mm
 from fixel.workflows.acquisition.film import FilmSettings, film
 from fixel.workflows.acquisition.record import RecordPlan
-from fixel.workflows.planning.execute import check_plan, run_on_drive, run_on_testbed, seen_pose
+from fixel.workflows.planning.execute import check_plan, run_on_drive, run_on_testbed
 from fixel.workflows.planning.request import (
     FoundPlan,
     PlanRequest,
@@ -40,7 +41,7 @@ def stored(plan, path: Path) -> Path:
 
 def poses(*given: str) -> Callable[[str], np.ndarray]:
     waiting = iter(given)
-    return lambda sentence: seen_pose(next(waiting))
+    return lambda sentence: pose_of(next(waiting), "seen")
 
 
 class Clock:
@@ -218,7 +219,7 @@ def test_pushes_of_a_free_tool_are_not_for_one_axis(tmp_path: Path):
 @pytest.mark.parametrize("text", ["", "1,2", "1,2,x", "1,2,nan", "1;2;3"])
 def test_poses_that_are_not_three_numbers_are_refused(text: str):
     with pytest.raises(InvalidInput, match="in mm, mm and degrees"):
-        seen_pose(text)
+        pose_of(text, "--seen")
 
 
 def test_a_check_counts_trials_and_repeats_the_statement(tmp_path: Path):

@@ -17,6 +17,7 @@ import shapely
 from fixel.errors import InvalidInput, unknown_name
 from fixel.formats.rig_file import rig_of
 from fixel.model import LineDrive, PlannedExperiment, Scene, placed
+from fixel.model.fields import pose_of
 from fixel.testbed.motion import AbstractActuator
 from fixel.testbed.open_source import check_size, source_of
 from fixel.testbed.recorder import TouchReader
@@ -280,8 +281,6 @@ def open_devices(settings: Mapping[str, Any], *, notify: Notify = print) -> Iter
 
 def _frame(text: str, drive: AbstractActuator) -> FloatArray | None:
     """Return the pose of the drive in the world from text such as `0,-50,90` [mm, mm, deg]."""
-    from fixel.workflows.planning.execute import seen_pose
-
     if drive.n_axes == 1:
         return None
     if not text:
@@ -291,7 +290,7 @@ def _frame(text: str, drive: AbstractActuator) -> FloatArray | None:
             expected="the pose of the drive's coordinates in the world, for several axes",
             hint="--drive-pose X,Y,ANGLE in mm and degrees",
         )
-    return seen_pose(text, "drive_pose")
+    return pose_of(text, "drive_pose")
 
 
 @contextmanager

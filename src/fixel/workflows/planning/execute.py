@@ -402,19 +402,6 @@ def stored_held_success(project: Project, number: int | None = None, **options: 
     return held_out_success(calibration, experiments, **options)
 
 
-def seen_pose(text: str, where: str = "--seen") -> FloatArray:
-    """Return a pose (3,) [m, m, rad] from text such as `120.5,3,-10` [mm, mm, deg]."""
-    try:
-        x, y, angle = (float(part) for part in text.split(","))
-        if not all(map(math.isfinite, (x, y, angle))):
-            raise ValueError
-    except ValueError:
-        raise InvalidInput(
-            where, found=repr(text), expected="x,y,angle in mm, mm and degrees: 120.5,3,-10"
-        ) from None
-    return np.array([x / 1e3, y / 1e3, math.radians(angle)])
-
-
 class NextStep(NamedTuple):
     """Answer to a seen pose that needs no new plan."""
 

@@ -117,7 +117,7 @@ def place(
     output: Path,
     *,
     board: str | None = None,
-    at: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    at: Sequence[float] = (0.0, 0.0, 0.0),
     thickness: float = 0.0,
     rig: str | None = None,
     heights: Sequence[float] = (0.0,),
@@ -168,7 +168,7 @@ def _place(
     measured: MeasuredCamera,
     seen: Picture,
     board: str | None,
-    at: tuple[float, float, float],
+    at: Sequence[float],
     thickness: float,
     rig: str | None,
 ) -> tuple[Placement, tuple[str, ...]]:
