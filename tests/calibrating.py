@@ -2,9 +2,13 @@
 
 from dataclasses import replace
 
+from tests.fixtures import project_of
+
+from fixel.model.selection import ExperimentQuery
 from fixel.workflows import jobs
 from fixel.workflows.calibration import calibration
 from fixel.workflows.calibration import plan as plans
+from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.plan import CalibrationPlan
 from fixel.workflows.calibration.project import (
     ExperimentSelection,
@@ -13,6 +17,7 @@ from fixel.workflows.calibration.project import (
     draw_sample,
     select_experiments,
 )
+from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 
 __all__ = ["ExperimentSelection", "collected", "draw_sample", "select_experiments"]
 
@@ -38,6 +43,20 @@ def collect(project, folder, command, left_out):
     plan = replace(plans.plan_in(folder), left_out=left_out)
     found = calibration.collect(plan, folder)
     return add_to_project(project, replace(found, command=command))
+
+
+def calibrated(folder, experiments, fit, command="test", **request):
+    """Create a project with these experiments, roughly calibrated by a search for patterns."""
+    project = project_of(folder, experiments)
+    with project.store() as store:
+        chosen = select_experiments(store, (), ExperimentQuery())
+    unknowns = searched_unknowns(fit, [target.case.scene for target in chosen.targets])
+    rough = NamedOptions(name="pattern-search", options={"threshold_delta": 0.2})
+    made = CalibrationRequest(unknowns=unknowns, optimiser=rough, verdicts=False, **request)
+    job = prepare(project, chosen, made)
+    run(job)
+    collect(project, job, command, {})
+    return project
 
 
 def alone(run):

@@ -44,14 +44,6 @@ def test_without_success_1001_evaluations():
     assert search.reason == "the step shrank to 1e-06 of the scale"
 
 
-def test_best_of_all_trials_is_taken_and_ties_go_to_the_first():
-    search = PatternSearch().start(box())
-    tell(search, 9.0)
-    trials = search.ask()
-    tell(search, 8.0, 5.0, 7.0, 5.0)
-    assert search.ask().mean(axis=0) == pytest.approx(trials[1])
-
-
 def test_step_contracts_after_failure_only():
     search = PatternSearch().start(box())
     tell(search, 9.0)
@@ -108,27 +100,26 @@ def test_expansion_switched_off():
     assert search.delta == 0.1
 
 
-@pytest.mark.parametrize(("error", "moves"), [(0.9976, False), (0.9974, True)])
-def test_decrease_has_to_be_sufficient(error, moves):
-    # 0.01 x 0.5^2 = 0.0025 below the iterate's.
-    search = PatternSearch().start(box())
+@pytest.mark.parametrize(
+    ("options", "error", "moves"),
+    [
+        # 0.01 x 0.5^2 = 0.0025 below the iterate's.
+        ({}, 0.9976, False),
+        ({}, 0.9974, True),
+        # 1e-8 is more than 0.01 x 1e-4^2, but within the accuracy of a simulation.
+        ({"initial_delta": 1e-4, "resolution": 1e-6}, 1.0 - 1e-8, False),
+        ({"initial_delta": 1e-4, "resolution": 1e-9}, 1.0 - 1e-8, True),
+        ({"initial_delta": 1e-4, "resolution": 0.0}, 1.0 - 1e-8, True),
+    ],
+)
+def test_decrease_has_to_be_sufficient_and_above_the_resolution(options, error, moves):
+    search = PatternSearch(**options).start(box())
     tell(search, 1.0)
     first = search.ask()[0].copy()
     tell(search, error, 1.0, 1.0, 1.0)
     centre = search.ask().mean(axis=0)
-    assert centre == pytest.approx(first if moves else [0.5, 0.5])
+    assert centre == pytest.approx(first if moves else [0.5, 0.5], abs=1e-9)
     assert search.best.error == error  # what it will not follow it still remembers
-
-
-@pytest.mark.parametrize(("resolution", "moves"), [(1e-6, False), (1e-9, True), (0.0, True)])
-def test_decrease_below_the_resolution_is_not_followed(resolution, moves):
-    # 1e-8 is more than 0.01 x 1e-4^2, but within the accuracy of a simulation.
-    search = PatternSearch(initial_delta=1e-4, resolution=resolution).start(box())
-    tell(search, 1.0)
-    first = search.ask()[0].copy()
-    tell(search, 1.0 - 1e-8, 1.0, 1.0, 1.0)
-    assert search.ask().mean(axis=0) == pytest.approx(first if moves else [0.5, 0.5], abs=1e-9)
-    assert search.best.error < 1.0
 
 
 @pytest.mark.parametrize(("resolution", "limit"), [(3e-7, 501), (0.0, 20_001)])
@@ -139,18 +130,21 @@ def test_a_flat_direction_is_not_followed_for_ever(resolution, limit):
     assert search.evaluations == limit
 
 
-def test_trials_out_of_bounds_are_left_out_not_moved():
-    search = PatternSearch().start(box(2, start=0.98))
+@pytest.mark.parametrize(
+    ("search", "start", "trials"),
+    [
+        (PatternSearch(initial_delta=5.0), box(),
+         [[1.0, 0.5], [0.5, 1.0], [0.0, 0.5], [0.5, 0.0]]),  # a bound itself is within
+        (PatternSearch(), box(2, start=0.98), [[0.93, 0.98], [0.98, 0.93]]),  # left out, not moved
+        (FixedStepSearch(), box(1, start=0.02), [[0.07], [0.0]]),  # moved onto the bound
+    ],
+)  # fmt: skip
+def test_trials_at_the_bounds(search, start, trials):
+    search = search.start(start)
     tell(search, 1.0)
-    assert search.ask() == pytest.approx(np.array([[0.93, 0.98], [0.98, 0.93]]))
-    tell(search, 2.0, 2.0)
-    assert len(search.ask()) == 2
-
-
-def test_a_bound_itself_is_within():
-    search = PatternSearch(initial_delta=5.0).start(box())
-    tell(search, 1.0)
-    assert sorted(search.ask().ravel().tolist()) == [0.0, 0.0, 0.5, 0.5, 0.5, 0.5, 1.0, 1.0]
+    assert search.ask() == pytest.approx(np.array(trials))
+    tell(search, *[2.0] * len(trials))
+    assert search.evaluations == 1 + len(trials)
 
 
 def test_no_trial_within_bounds_counts_as_failure():
@@ -161,40 +155,44 @@ def test_no_trial_within_bounds_counts_as_failure():
     assert search.evaluations == 1
 
 
-def test_stops_at_the_accuracy():
+def test_stops_at_the_accuracy_if_there_is_one():
     search = PatternSearch().start(box())
     tell(search, 1e-6)
     assert search.done
     assert search.reason == "the error fell to 1e-06"
     assert len(search.ask()) == 0
-
-
-def test_no_accuracy_to_stop_at():
     search = PatternSearch(solution_accuracy=None).start(box())
     tell(search, -1.0)
     assert not search.done
 
 
-def test_stops_after_iterations():
-    search = PatternSearch(max_iterations=3).start(box())
+@pytest.mark.parametrize(
+    ("limit", "evaluations", "reason"),
+    [
+        ({"max_iterations": 3}, 1 + 3 * 4, "3 iterations were made"),
+        ({"max_function_evaluations": 10}, 13, "10 evaluations were made"),  # a whole iteration
+    ],
+)
+def test_stops_at_a_limit_but_finishes_its_iteration(limit, evaluations, reason):
+    search = PatternSearch(**limit).start(box())
     run(search, lambda point: 1.0)
-    assert search.evaluations == 1 + 3 * 4
-    assert search.reason == "3 iterations were made"
+    assert search.evaluations == evaluations
+    assert search.reason == reason
 
 
-def test_stops_after_evaluations_but_finishes_its_iteration():
-    search = PatternSearch(max_function_evaluations=10).start(box())
-    run(search, lambda point: 1.0)
-    assert search.evaluations == 13
-    assert search.reason == "10 evaluations were made"
-
-
-def test_failed_start_is_left_for_any_trial_that_works():
+@pytest.mark.parametrize(
+    ("start", "errors", "best"),
+    [
+        (9.0, (8.0, 5.0, 7.0, 5.0), 1),  # of equal ones the first
+        (math.nan, (math.inf, math.nan, 1e6, math.inf), 2),  # any that works
+    ],
+)
+def test_best_of_all_trials_is_taken(start, errors, best):
     search = PatternSearch().start(box())
-    tell(search, math.nan)
-    first = search.ask()[2].copy()
-    tell(search, math.inf, math.nan, 1e6, math.inf)
-    assert search.ask().mean(axis=0) == pytest.approx(first)
+    tell(search, start)
+    trials = search.ask()
+    tell(search, *errors)
+    assert search.ask().mean(axis=0) == pytest.approx(trials[best])
 
 
 # --- the thesis's own, appendix C.5 ---------------------------------------------------------------
@@ -225,12 +223,6 @@ def test_fixed_steps_go_ten_rounds():
     assert search.evaluations == 1 + 10 * 4
     assert search.reason == "10 rounds were made"
     assert search.best.point == pytest.approx([0.5, 1.0])
-
-
-def test_fixed_steps_are_moved_onto_the_bounds():
-    search = FixedStepSearch().start(box(1, start=0.02))
-    tell(search, 1.0)
-    assert search.ask().ravel().tolist() == pytest.approx([0.07, 0.0])
 
 
 def test_fixed_steps_have_to_be_as_many_as_unknowns():

@@ -42,37 +42,24 @@ def test_identified():
         assert "% of the range" in verdict.reason
 
 
-def test_flat_is_not_identified():
-    told = verdicts(lambda p: np.c_[p[:, 0] - 0.3, p[:, 1] - 0.6, 0 * p[:, 2]] / 0.05)
-    assert words(told) == ["identified", "identified", "not identified"]
-    assert told[2].low is None
-    assert told[2].high is None
-
-
-@pytest.mark.parametrize("size", [1e-4, 1e-3, 1e-2])
-def test_flat_but_rough_is_not_identified(size):
-    told = verdicts(
-        rough(lambda p: np.c_[p[:, 0] - 0.3, p[:, 1] - 0.6, 0 * p[:, 2]] / 0.05, size, jump=0.0)
-    )
-    assert words(told) == ["identified", "identified", "not identified"]
-
-
-def test_sum_trades_off_and_the_third_does_not():
-    told = verdicts(lambda p: np.c_[p[:, 0] + p[:, 1] - 1, p[:, 2] - 0.4] / 0.01)
-    assert words(told) == [
-        "trades off with mu_fixel",
-        "trades off with mu_pusher",
-        "identified",
-    ]
-    assert told[0].word == "trades off"
-
-
-def test_sum_of_three_names_both_others():
-    told = verdicts(lambda p: np.c_[p.sum(axis=1) - 1.5, 1e-3 * p[:, 0]] / 0.01)
-    assert told[0].verdict in (
-        "trades off with mu_fixel, mu_support",
-        "trades off with mu_support, mu_fixel",
-    )
+@pytest.mark.parametrize(
+    ("residuals", "expected"),
+    [
+        (lambda p: np.c_[p[:, 0] - 0.3, p[:, 1] - 0.6, 0 * p[:, 2]] / 0.05,
+         ["identified", "identified", "not identified"]),  # flat
+        (lambda p: np.c_[(p[:, 0] - 0.5) / 0.2, (p[:, 1:] - 0.5) / 0.1],
+         ["not identified", "identified", "identified"]),  # wide
+        (lambda p: np.c_[p[:, 0] + p[:, 1] - 1, p[:, 2] - 0.4] / 0.01,
+         ["trades off with mu_fixel", "trades off with mu_pusher", "identified"]),
+        # Correlated, but narrow.
+        (lambda p: np.c_[p[:, 0] + p[:, 1] - 1, 0.1 * (p[:, 0] - p[:, 1]), p[:, 2] - 0.4] / 0.005,
+         ["identified"] * 3),
+    ],
+)  # fmt: skip
+def test_words_of_linear_residuals(residuals, expected):
+    told = verdicts(residuals)
+    assert words(told) == expected
+    assert [verdict.word for verdict in told] == [word.partition(" with ")[0] for word in expected]
 
 
 def test_sloppy_product_trades_off():
@@ -84,11 +71,26 @@ def test_sloppy_product_trades_off():
     ]
 
 
-def test_correlated_but_narrow_is_identified():
+def test_the_interval_of_what_is_flat_is_open_and_of_what_is_wide_is_not():
+    flat = verdicts(lambda p: np.c_[p[:, 0] - 0.3, p[:, 1] - 0.6, 0 * p[:, 2]] / 0.05)[2]
+    assert (flat.low, flat.high) == (None, None)
+    assert verdicts(lambda p: np.c_[(p[:, 0] - 0.5) / 0.2, (p[:, 1:] - 0.5) / 0.1])[0].low
+
+
+@pytest.mark.parametrize("size", [1e-4, 1e-3, 1e-2])
+def test_flat_but_rough_is_not_identified(size):
     told = verdicts(
-        lambda p: np.c_[p[:, 0] + p[:, 1] - 1, 0.1 * (p[:, 0] - p[:, 1]), p[:, 2] - 0.4] / 0.005
+        rough(lambda p: np.c_[p[:, 0] - 0.3, p[:, 1] - 0.6, 0 * p[:, 2]] / 0.05, size, jump=0.0)
     )
-    assert words(told) == ["identified"] * 3
+    assert words(told) == ["identified", "identified", "not identified"]
+
+
+def test_sum_of_three_names_both_others():
+    told = verdicts(lambda p: np.c_[p.sum(axis=1) - 1.5, 1e-3 * p[:, 0]] / 0.01)
+    assert told[0].verdict in (
+        "trades off with mu_fixel, mu_support",
+        "trades off with mu_support, mu_fixel",
+    )
 
 
 def test_at_bound_says_whether_the_deviance_still_falls():
@@ -120,12 +122,6 @@ def test_a_value_inside_is_not_at_a_bound_and_a_value_on_it_is():
         f"at least {0.86 - 0.196:.2f}"
         in verdicts(lambda p: np.c_[p[:, 0] - 0.86, p[:, 1:] - 0.4] / 0.1)[0].reason
     )
-
-
-def test_wide_is_not_identified():
-    told = verdicts(lambda p: np.c_[(p[:, 0] - 0.5) / 0.2, (p[:, 1:] - 0.5) / 0.1])
-    assert words(told) == ["not identified", "identified", "identified"]
-    assert told[0].low is not None
 
 
 def test_one_sided_and_wide_says_on_which_side():

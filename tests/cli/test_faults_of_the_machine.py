@@ -153,7 +153,7 @@ def test_new_on_a_full_disk_can_be_repeated(small_disk, capsys):
 
 
 @pytest.mark.parametrize(
-    "moment", ["fixel.database.schema.upgrade", "fixel.database.project.written_whole"]
+    "moment", ["fixel.database.schema.upgrade", "fixel.database.project.write_whole"]
 )
 def test_a_new_that_failed_leaves_nothing(tmp_path, monkeypatch, moment):
     def full(*_, **__):
@@ -169,11 +169,13 @@ def test_a_new_that_failed_leaves_nothing(tmp_path, monkeypatch, moment):
 
 def test_a_new_that_was_killed_can_be_repeated(tmp_path):
     Project.create(tmp_path / "lab")
-    (tmp_path / "lab" / "fixel.yaml").unlink()
-    Project.create(tmp_path / "lab").store().close()
-    (tmp_path / "lab" / "fixel.yaml").unlink()
-    (tmp_path / "lab" / "experiments.db").write_bytes(b"")
-    Project.create(tmp_path / "lab").store().close()
+    for left in ({}, {"experiments.db": b""}):
+        (tmp_path / "lab" / "fixel.yaml").unlink()
+        for name, content in left.items():
+            (tmp_path / "lab" / name).write_bytes(content)
+        Project.create(tmp_path / "lab")
+        with Project(tmp_path / "lab").store() as store:
+            assert store.datasets() == {}
 
 
 def test_a_database_that_holds_something_is_not_taken(laboratory, tmp_path):

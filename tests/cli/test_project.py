@@ -48,11 +48,18 @@ def test_what_is_no_project_is_refused(tmp_path, capsys):
     assert "empty folder" in err
 
 
-def test_settings_that_cannot_be(lab, capsys):
-    (lab / "fixel.yaml").write_text("name: lab\ncolour: red\n", encoding="utf-8")
-    code, _, err = fixel(capsys, "list", "--project", lab)
+@pytest.mark.parametrize(
+    ("settings", "words", "said"),
+    [
+        ("name: lab\ncolour: red\n", (), "colour"),
+        ("name: lab\n", ("--where", "shape"), "is 'shape'"),
+    ],
+)
+def test_settings_and_conditions_that_cannot_be(lab, capsys, settings, words, said):
+    (lab / "fixel.yaml").write_text(settings, encoding="utf-8")
+    code, _, err = fixel(capsys, "list", "--project", lab, *words)
     assert code == 2
-    assert "colour" in err
+    assert said in err
 
 
 def test_import_list_and_import_again(lab, recording, capsys):
@@ -94,12 +101,6 @@ def test_a_plan_on_the_simulated_testbed(lab, capsys):
     found = answer(capsys, "list", "--project", lab, "--where", "shape=square", "--limit", "2")
     assert found["total"] == 3
     assert len(found["experiments"]) == 2
-
-
-def test_a_condition_needs_a_value(lab, capsys):
-    code, _, err = fixel(capsys, "list", "--project", lab, "--where", "shape")
-    assert code == 2
-    assert "is 'shape'" in err
 
 
 def test_the_environment_names_another_database(lab, tmp_path, capsys, monkeypatch):

@@ -79,43 +79,37 @@ def _mutate(path: Path, rng: random.Random) -> None:
     path.write_bytes(gzip.compress(content) if inside else content)
 
 
-def test_what_unpacks_to_too_much_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(files, "MAX_FILE", 2_000_000)
-    path = tmp_path / "bomb.csv.gz"
-    path.write_bytes(gzip.compress(b"t_s,x_m,y_m\n" + b"0,0,0\n" * 1_000_000))
-
-    with pytest.raises(InvalidInput, match="at most 2 million characters"):
-        IMPORTERS["csv"].read(path)
-
-
-def test_more_cells_than_the_memory_holds_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(files, "MAX_CELLS", 1_000_000)
-    path = tmp_path / "bomb.csv.gz"
-    path.write_bytes(gzip.compress(b"t_s,x_m,y_m\n" + b"\n" * 2_000_000))
-
-    with pytest.raises(InvalidInput, match="at most 1 million cells"):
-        IMPORTERS["csv"].read(path)
-
-
-def test_a_line_without_end_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "line.csv.gz"
-    path.write_bytes(gzip.compress(b"x," * 1_000_000))
-
-    with pytest.raises(InvalidInput, match="a line of 1000000 characters"):
-        IMPORTERS["csv"].read(path)
-
-
-def test_a_damaged_archive_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "own.csv.gz"
+def _damaged() -> bytes:
     packed = bytearray(gzip.compress(b"t_s,x_m,y_m\n0,0,0\n" * 100))
     packed[12:20] = b"\xff" * 8
-    path.write_bytes(bytes(packed))
+    return bytes(packed)
 
-    with pytest.raises(InvalidInput, match="a readable CSV file"):
+
+@pytest.mark.parametrize(
+    ("limits", "content", "message"),
+    [
+        ({"MAX_FILE": 2_000_000}, gzip.compress(b"t_s,x_m,y_m\n" + b"0,0,0\n" * 1_000_000),
+         "at most 2 million characters"),
+        ({"MAX_CELLS": 1_000_000}, gzip.compress(b"t_s,x_m,y_m\n" + b"\n" * 2_000_000),
+         "at most 1 million cells"),
+        ({}, gzip.compress(b"x," * 1_000_000), "a line of 1000000 characters"),
+        ({}, _damaged(), "a readable CSV file"),
+    ],
+    ids=["too long", "too many cells", "a line without end", "damaged"],
+)  # fmt: skip
+def test_archives_that_cannot_be_read_are_refused(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    limits: dict[str, int],
+    content: bytes,
+    message: str,
+) -> None:
+    for name, limit in limits.items():
+        monkeypatch.setattr(files, name, limit)
+    path = tmp_path / "own.csv.gz"
+    path.write_bytes(content)
+
+    with pytest.raises(InvalidInput, match=message):
         IMPORTERS["csv"].read(path)
 
 

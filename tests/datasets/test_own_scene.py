@@ -86,10 +86,15 @@ def test_units_in_which_nothing_moves_so_are_refused(tmp_path, header, turn, sca
         CSV.read(wrong, scene=str(scene))
 
 
+def turning(tmp_path, title, step, n, dx=1.0):
+    """A table of a part that turns by one step from row to row, each 0.1 s later."""
+    rows = "".join(f"{0.1 * k:g},{dx * k:g},0,{step * k:g}\n" for k in range(n))
+    return table_file(tmp_path / "run.csv", f"time_s,x_mm,y_mm,{title}\n" + rows)
+
+
 def test_a_turn_of_143_degrees_in_a_tenth_of_a_second_is_refused(tmp_path):
     """Without a pusher or a scene: 1.43 degrees in 0.1 s, times 100 under the wrong header."""
-    rows = "".join(f"{0.1 * k:g},{k},0,{2.5 * k:g}\n" for k in range(20))
-    source = table_file(tmp_path / "run.csv", "time_s,x_mm,y_mm,theta_rad\n" + rows)
+    source = turning(tmp_path, "theta_rad", 2.5, 20)
 
     with pytest.raises(InvalidInput, match=r"turns 143 degrees in 0\.1 s.*angle_unit=deg"):
         CSV.read(source)
@@ -101,8 +106,7 @@ def test_a_turn_of_143_degrees_in_a_tenth_of_a_second_is_refused(tmp_path):
 @pytest.mark.parametrize("title", ["theta", "theta_deg"])
 def test_a_stated_unit_that_makes_a_part_spin_is_refused(tmp_path, title):
     """21.7 degrees in 20 s, read as radians: 1243 degrees, though at 1.1 rad/s only."""
-    rows = "".join(f"{0.1 * k:g},{k / 10:g},0,{-21.7 * k / 200:g}\n" for k in range(201))
-    source = table_file(tmp_path / "run.csv", f"time_s,x_mm,y_mm,{title}\n" + rows)
+    source = turning(tmp_path, title, -21.7 / 200, 201, dx=0.1)
 
     with pytest.raises(InvalidInput) as refused:
         CSV.read(source, angle_unit="rad")
@@ -114,8 +118,7 @@ def test_a_stated_unit_that_makes_a_part_spin_is_refused(tmp_path, title):
 
 
 def test_a_part_that_turns_several_times_is_read_if_header_and_option_agree(tmp_path):
-    rows = "".join(f"{0.1 * k:g},{k},0,{0.9 * k:g}\n" for k in range(30))
-    source = table_file(tmp_path / "run.csv", "time_s,x_mm,y_mm,theta_rad\n" + rows)
+    source = turning(tmp_path, "theta_rad", 0.9, 30)
     with pytest.raises(InvalidInput, match="if it is in radians, end its title with _rad"):
         CSV.read(source)
 
@@ -146,7 +149,8 @@ def test_right_units_of_many_pushes_are_accepted(tmp_path):
                 rows = np.column_stack((time, pose[:, :2], turn * pose[:, 2], tip))
                 text = f"time_s,x_m,y_m,theta_{unit},tip_x_m,tip_y_m\n"
                 text += "".join(",".join(f"{v:.9g}" for v in row) + "\n" for row in rows)
-                CSV.read(table_file(tmp_path / "run.csv", text))
+                (read,) = CSV.read(table_file(tmp_path / "run.csv", text)).experiments()
+                assert read.trajectory.pose[:, 2] == pytest.approx(pose[:, 2], abs=1e-8)
 
 
 def test_a_pusher_that_cannot_be_there_is_refused(tmp_path):

@@ -151,19 +151,13 @@ def test_mat_file_says_the_same_as_the_m_file(tmp_path: Path) -> None:
     np.testing.assert_allclose(one.placed().rotation, other.placed().rotation, atol=1e-12)
 
 
-@pytest.mark.parametrize("which", ["cam0", "cam1"])
-def test_kalibr_cameras_project_as_opencv_does(which: str, tmp_path: Path) -> None:
-    (tmp_path / "camchain.yaml").write_text(KALIBR)
-    lens = import_camera(tmp_path / "camchain.yaml", which=which).camera.lens
+@pytest.mark.parametrize(("text", "which"), [(KALIBR, "cam0"), (KALIBR, "cam1"), (ROS, "")])
+def test_cameras_of_kalibr_and_ros_project_as_opencv_does(
+    text: str, which: str, tmp_path: Path
+) -> None:
+    (tmp_path / "a.yaml").write_text(text)
+    lens = import_camera(tmp_path / "a.yaml", **({"which": which} if which else {})).camera.lens
     assert lens.fisheye == (which == "cam1")
-    points = points_in_view(lens)
-    ours = lens.pixel(points[:, :2] / points[:, 2:])
-    np.testing.assert_allclose(ours, seen_by_opencv(lens, points), atol=1e-8)
-
-
-def test_ros_camera_projects_as_opencv_does(tmp_path: Path) -> None:
-    (tmp_path / "ost.yaml").write_text(ROS)
-    lens = import_camera(tmp_path / "ost.yaml").camera.lens
     points = points_in_view(lens)
     ours = lens.pixel(points[:, :2] / points[:, 2:])
     np.testing.assert_allclose(ours, seen_by_opencv(lens, points), atol=1e-8)

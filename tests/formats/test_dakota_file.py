@@ -84,14 +84,18 @@ def test_newer_and_older_spellings():
     assert dakota_from_text(text)[:2] == dakota_from_text(THESIS)[:2]
 
 
-def test_quotes_copied_from_a_page():
-    text = THESIS.replace("'results.out'", "'results.out’").replace("'fC'", "‘fC’")
-    assert dakota_from_text(text).space == dakota_from_text(THESIS).space
-
-
-def test_our_own_names_are_in_our_units():
-    text = THESIS.replace("'sPRD'", "'tripod_radius'").replace(" 25 ", " 0.025 ")
-    text = text.replace("1 1 60 1", "1 1 0.06 1")
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"'results.out'": "'results.out’", "'fC'": "‘fC’"},  # quotes copied from a page
+        {"'sPRD'": "'tripod_radius'", " 25 ": " 0.025 ", "1 1 60 1": "1 1 0.06 1"},  # our units
+    ],
+)
+def test_other_quotes_and_our_own_names_are_the_same_space(changes):
+    text = THESIS
+    for old, new in changes.items():
+        text = text.replace(old, new)
+    assert text != THESIS
     assert dakota_from_text(text).space == dakota_from_text(THESIS).space
 
 

@@ -89,14 +89,16 @@ def test_a_goal_file_describes_goal_choice_and_belief(tmp_path: Path):
     assert found.scene == tmp_path / "scenes" / "rig.yaml"
 
 
+def seated(rest: str):
+    """A file with a goal and other entries."""
+    text = f"{{fixel: 1, goal: {{seated: {{fixels: [a]}}}}, {rest}}}"
+    return goal_file_from_dict(parse_yaml(text, "text"))
+
+
 @pytest.mark.parametrize("form", ["free", "rig"])
 def test_obstacles_and_cost_of_pushes(form):
     text = "{cost: length, obstacles_mm: [[[0, 0], [10, 0], [10, 20]], [[5, 5], [6, 5], [6, 6]]]}"
-    found = goal_file_from_dict(
-        parse_yaml(
-            f"{{fixel: 1, goal: {{seated: {{fixels: [a]}}}}, choose: {{{form}: {text}}}}}", "text"
-        )
-    )
+    found = seated(f"choose: {{{form}: {text}}}")
     assert found.choose.cost == "length"
     assert [own.area for own in found.choose.obstacles] == pytest.approx([1e-4, 5e-7])
 
@@ -111,11 +113,7 @@ def test_obstacles_and_cost_of_pushes(form):
 )
 def test_obstacles_and_costs_that_are_none(text, where):
     with pytest.raises(InvalidInput, match=where):
-        goal_file_from_dict(
-            parse_yaml(
-                f"{{fixel: 1, goal: {{seated: {{fixels: [a]}}}}, choose: {{free: {text}}}}}", "text"
-            )
-        )
+        seated(f"choose: {{free: {text}}}")
 
 
 def test_free_pushes_and_intervals_of_parameters():
@@ -157,9 +155,8 @@ def test_free_pushes_and_intervals_of_parameters():
     ],
 )
 def test_units_and_kinds_are_named(belief: str, message: str):
-    text = f"fixel: 1\ngoal: {{seated: {{fixels: [a]}}}}\nbelief: {belief}\n"
     with pytest.raises(InvalidInput, match=message):
-        goal_file_from_dict(parse_yaml(text, "text"))
+        seated(f"belief: {belief}")
 
 
 @pytest.mark.parametrize(

@@ -79,17 +79,18 @@ def test_impulse_is_force_times_step_and_zero_without_touching(run):
     assert (force[~columns["object|actuator.touching"]] == 0.0).all()
 
 
-@pytest.mark.parametrize("name", ["run", "run.xlsx", "run.csv.gz"])
-def test_other_endings_are_refused(run, name, tmp_path):
-    with pytest.raises(InvalidInput, match=r"\.csv, \.parquet"):
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("run", r"\.csv, \.parquet"),
+        ("run.xlsx", r"\.csv, \.parquet"),
+        ("run.csv.gz", r"\.csv, \.parquet"),
+        ("nowhere/run.csv", r"no folder .*nowhere, but fixel needs an existing folder"),
+    ],
+)
+def test_other_endings_and_missing_folders_are_refused(run, name, sentence, tmp_path):
+    with pytest.raises(InvalidInput, match=sentence):
         save_trajectory(run, tmp_path / name)
-
-
-def test_a_missing_folder_is_a_plain_sentence(run, tmp_path):
-    with pytest.raises(
-        InvalidInput, match=r"no folder .*nowhere, but fixel needs an existing folder"
-    ):
-        save_trajectory(run, tmp_path / "nowhere" / "run.csv")
 
 
 @pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="root may write anywhere")

@@ -59,24 +59,19 @@ def test_bodies_that_overlap_are_refused_with_their_names_and_the_depth(a, b, de
 
 
 @pytest.mark.parametrize(
-    "b",
+    ("shape", "fixels"),
     [
-        fixel("b", 1, 0, 0),
-        fixel("b", 1 - 1e-7, 0.9, 0),
-        fixel("b", 0.5 + 0.5**0.5, 0, pi / 4),
-        fixel("b", 0, 0.51, 0, shape=Disk(0.01)),
+        (SQUARE, [fixel("b", 1, 0, 0)]),
+        (SQUARE, [fixel("b", 1 - 1e-7, 0.9, 0)]),
+        (SQUARE, [fixel("b", 0.5 + 0.5**0.5, 0, pi / 4)]),
+        (SQUARE, [fixel("b", 0, 0.51, 0, shape=Disk(0.01))]),
+        (ELL, [fixel("b", 1.6, 1.6, 0)]),  # in the notch
+        (SQUARE, [fixel("b", 5, 0, 0), fixel("c", 5, 0, 0)]),  # obstacles over each other
     ],
 )
-def test_bodies_that_touch_are_fine(b):
-    scene(free("a", 0, 0, 0), fixels=[b])
-
-
-def test_a_body_in_the_notch_of_another_is_fine():
-    scene(free("a", 0, 0, 0, shape=ELL), fixels=[fixel("b", 1.6, 1.6, 0)])
-
-
-def test_obstacles_may_overlap_each_other():
-    scene(free("a", 0, 0, 0), fixels=[fixel("b", 5, 0, 0), fixel("c", 5, 0, 0)])
+def test_bodies_that_touch_and_obstacles_that_overlap_are_fine(shape, fixels):
+    made = scene(free("a", 0, 0, 0, shape=shape), fixels=fixels)
+    assert made.names == ("a", "b", "c")[: 1 + len(fixels)]
 
 
 @pytest.mark.parametrize(

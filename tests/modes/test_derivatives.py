@@ -131,10 +131,17 @@ def test_shifts_of_the_start_and_of_the_path():
     assert np.linalg.norm(slope["outline_x"] - slope["x"]) > 0.01
 
 
-def test_what_modes_do_not_describe_has_no_derivative():
-    """Friction that depends on the direction of slip."""
-    push = simulate(free_push(SUPPORT), motion="quasistatic", derivatives=["anisotropy_xy"])
+@pytest.mark.parametrize(
+    ("scene", "name"),
+    [
+        (free_push(SUPPORT), "anisotropy_xy"),  # friction that depends on the direction of slip
+        (seated_grasp(578), "x"),  # whose modes alternate
+    ],
+)
+def test_what_modes_do_not_describe_has_no_derivative(scene, name):
+    push = simulate(scene, motion="quasistatic", derivatives=[name])
     assert push.derivatives == {}
+    assert "no derivatives" in str(push)
 
 
 def test_the_report_has_units():
@@ -142,13 +149,6 @@ def test_the_report_has_units():
     assert list(push.derivatives) == ["mu_pusher", "x"]
     assert "m per unit" in str(push)
     assert push.summary()["derivatives"]["x"] == push.derivatives["x"].tolist()
-
-
-def test_derivatives_that_do_not_exist_are_said_to_be_missing():
-    """The modes of this grasp alternate."""
-    push = simulate(seated_grasp(578), motion="quasistatic", derivatives=["x"])
-    assert push.derivatives == {}
-    assert "no derivatives" in str(push)
 
 
 def test_inertia_has_no_derivatives():

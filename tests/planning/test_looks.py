@@ -156,10 +156,12 @@ def test_the_chart_of_looks_names_the_direction_in_which_each_push_moves_the_par
         assert along > np.cos(np.radians(60.0))  # a sector of 90 degrees, and another world
 
 
-def test_a_plan_without_looks_has_no_chart_of_them():
+def test_a_plan_without_looks_has_no_chart_of_them_and_no_corrections():
     plan = fixel.plan(pushed_square(), GOAL, rollouts=1_000, progress=False)
     with pytest.raises(InvalidInput, match="no looks"):
         plan.plot("looks")
+    with pytest.raises(InvalidInput, match="looks=1"):
+        plan.correction((0.0, 0.0, 0.0))
 
 
 @pytest.mark.system
@@ -207,9 +209,3 @@ def test_goals_that_a_seen_pose_cannot_meet_are_refused():
     goal = Seated(*[own.name for own in scene.fixels])
     with pytest.raises(InvalidInput, match="seen pose"):
         fixel.plan(scene, goal, FreePushes(), looks=1, progress=False)
-
-
-def test_a_plan_without_looks_has_no_corrections():
-    plan = fixel.plan(pushed_square(), GOAL, rollouts=1_000, progress=False)
-    with pytest.raises(InvalidInput, match="looks=1"):
-        plan.correction((0.0, 0.0, 0.0))

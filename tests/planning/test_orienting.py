@@ -77,27 +77,23 @@ def test_outlines_with_many_corners_take_a_second_at_most():
     assert ends == pytest.approx(np.full(1000, plan.angle))
 
 
-@pytest.mark.parametrize("part", [Disk(0.1), _body(Disk(0.1))])
-def test_a_disk_is_refused(part):
-    with pytest.raises(InvalidInput, match="fixel needs a part with corners"):
-        orienting_plan(part)
-
-
-@pytest.mark.parametrize("part", ["square", None])
-def test_other_objects_are_refused(part):
-    with pytest.raises(InvalidInput, match="part"):
-        PushFunction.of(part)
-
-
-def test_a_centre_of_mass_outside_is_refused():
-    with pytest.raises(InvalidInput, match="outside the outline"):
-        PushFunction.of(_body(Polygon.rectangle(1, 1), centre_of_mass=(2, 0)))
-
-
-@pytest.mark.parametrize("error", [-0.1, np.nan, np.inf])
-def test_a_bad_angle_error_is_refused(error):
-    with pytest.raises(InvalidInput, match="angle_error"):
-        orienting_plan(L_SHAPE, angle_error=error)
+@pytest.mark.parametrize(
+    ("build", "part", "options", "message"),
+    [
+        (orienting_plan, Disk(0.1), {}, "fixel needs a part with corners"),
+        (orienting_plan, _body(Disk(0.1)), {}, "fixel needs a part with corners"),
+        (PushFunction.of, "square", {}, "part"),
+        (PushFunction.of, None, {}, "part"),
+        (PushFunction.of, _body(Polygon.rectangle(1, 1), centre_of_mass=(2, 0)), {},
+         "outside the outline"),
+        (orienting_plan, L_SHAPE, {"angle_error": -0.1}, "angle_error"),
+        (orienting_plan, L_SHAPE, {"angle_error": np.nan}, "angle_error"),
+        (orienting_plan, L_SHAPE, {"angle_error": np.inf}, "angle_error"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_oriented_is_refused(build, part, options, message):
+    with pytest.raises(InvalidInput, match=message):
+        build(part, **options)
 
 
 def test_distances_of_bad_arms_and_supports_are_refused():

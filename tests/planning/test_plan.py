@@ -205,9 +205,10 @@ def test_numbers_of_rollouts_that_are_none(rollouts):
         (lambda: FreePushes(length=(-5 * mm, 60 * mm)), "choose.length"),
         (lambda: RigPushes(stroke=(-10 * mm, 60 * mm)), "choose.stroke"),
         (lambda: PlanPush(0.5, 0.0, -0.01), "push.length"),
+        (lambda: FreePushes(cost="tiem"), r"choose\.cost is .*tiem.*did you mean .*time"),
     ],
 )
-def test_pushes_have_no_negative_length(make, where):
+def test_negative_lengths_and_unknown_costs_are_refused(make, where):
     with pytest.raises(InvalidInput, match=where):
         make()
 
@@ -243,11 +244,6 @@ def test_the_cheapest_of_plans_that_succeed_as_often(cost, column):
         return float(np.linalg.norm(steps, axis=-1).sum())
 
     assert path(cost) < 0.95 * path("pushes")
-
-
-def test_a_cost_that_is_none():
-    with pytest.raises(InvalidInput, match=r"choose\.cost is .*tiem.*did you mean .*time"):
-        FreePushes(cost="tiem")
 
 
 def test_a_plan_that_depends_on_a_parameter_says_which_to_measure():

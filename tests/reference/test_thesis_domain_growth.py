@@ -11,16 +11,12 @@ from math import pi
 import numpy as np
 import pytest
 from tests import calibrating as run
-from tests.fixtures import project_of
 from tests.workflows.growing import comparer_of, explored, planned
 
 from fixel.calibration.target import target_of
 from fixel.model import Parameters
-from fixel.model.selection import ExperimentQuery
 from fixel.simulation import QuasiStatic, simulate
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.workflows.calibration.parameter_options import searched_unknowns
-from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 
 INTERVAL = 2e-3  # [s] between samples of the plain simulations
 NAMES = ("mu_pusher", "tripod_radius")
@@ -31,21 +27,9 @@ PRINTED = {1: ("x1", "y1", "y-1", "y-5"), 2: ("x2", "y2", "y-2", "theta1")}
 @pytest.fixture(scope="module")
 def project(tmp_path_factory):
     experiments = SimulatedTestbed(seed=3).run(planned("pentagon", ("concave-tight",)))
-    made = project_of(tmp_path_factory.mktemp("campaign") / "lab", experiments)
-    with made.store() as store:
-        chosen = run.select_experiments(store, (), ExperimentQuery())
-    scenes = [target.case.scene for target in chosen.targets]
-    request = CalibrationRequest(
-        mode="each",
-        unknowns=searched_unknowns(["mu_pusher", "tripod_radius_mm=10:60:40"], scenes),
-        motion="quasistatic",
-        optimiser=NamedOptions(name="pattern-search", options={"threshold_delta": 0.2}),
-        verdicts=False,
-    )
-    folder = run.prepare(made, chosen, request)
-    run.run(folder)
-    run.collect(made, folder, "test", {})
-    return made
+    fit = ["mu_pusher", "tripod_radius_mm=10:60:40"]
+    folder = tmp_path_factory.mktemp("campaign") / "lab"
+    return run.calibrated(folder, experiments, fit, mode="each", motion="quasistatic")
 
 
 @pytest.fixture(scope="module")

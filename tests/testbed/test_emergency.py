@@ -74,13 +74,25 @@ def time_to_rest(controller: EmulatedGrbl, since: float, patience: float = 3.0) 
     return took
 
 
-@pytest.mark.parametrize("then", [BUSY, BLOCKED, WAITING], ids=["busy", "blocked", "waiting"])
-def test_a_signal_stops_the_drive_whatever_the_program_does(then):
-    with program(then) as (controller, running, _):
+@pytest.mark.parametrize(
+    ("then", "sent", "within"),
+    [
+        (BUSY, {"program": signal.SIGINT}, AT_ONCE),
+        (BLOCKED, {"program": signal.SIGINT}, AT_ONCE),
+        (WAITING, {"program": signal.SIGINT}, AT_ONCE),
+        (BUSY, {"program": signal.SIGKILL}, AT_ONCE),
+        (BUSY, {"guard": signal.SIGKILL, "program": signal.SIGKILL}, DEAD_MAN + AT_ONCE),
+        (WAITING, {"program": signal.SIGSTOP}, DEAD_MAN + AT_ONCE),
+    ],
+    ids=["busy", "blocked", "waiting", "killed", "killed with its guard", "hung"],
+)
+def test_a_signal_leaves_no_moving_drive_whatever_the_program_does(then, sent, within):
+    with program(then) as (controller, running, guard):
         since = time.monotonic()
-        os.kill(running.pid, signal.SIGINT)
+        for name, number in sent.items():
+            os.kill({"program": running.pid, "guard": guard}[name], number)
 
-        assert time_to_rest(controller, since) < AT_ONCE
+        assert time_to_rest(controller, since) < within
 
 
 def test_another_process_stops_the_drive_of_a_busy_program():
@@ -92,31 +104,6 @@ def test_another_process_stops_the_drive_of_a_busy_program():
         assert time_to_rest(controller, since) < AT_ONCE
         assert found.pid == running.pid
         assert os.path.samefile(found.port, controller.port)
-
-
-def test_a_killed_program_leaves_no_moving_drive():
-    with program(BUSY) as (controller, running, _):
-        since = time.monotonic()
-        running.kill()
-
-        assert time_to_rest(controller, since) < AT_ONCE
-
-
-def test_a_killed_program_with_a_killed_guard_leaves_no_moving_drive():
-    with program(BUSY) as (controller, running, guard):
-        since = time.monotonic()
-        os.kill(guard, signal.SIGKILL)
-        running.kill()
-
-        assert time_to_rest(controller, since) < DEAD_MAN + AT_ONCE
-
-
-def test_a_hung_program_leaves_no_moving_drive():
-    with program(WAITING) as (controller, running, _):
-        since = time.monotonic()
-        os.kill(running.pid, signal.SIGSTOP)
-
-        assert time_to_rest(controller, since) < DEAD_MAN + AT_ONCE
 
 
 def test_any_key_stops_the_drive_of_a_busy_program():

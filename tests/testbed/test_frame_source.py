@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import threading
 import time
@@ -192,6 +193,8 @@ def answering(*parts: bytes, hold: bool = False, drip: bool = False) -> Iterator
         answering.heard = heard  # type: ignore[attr-defined]
 
 
+PART = b"--x\r\nContent-Length: %d\r\n\r\n%b\r\n" % (len(JPEG), JPEG)
+LONG = b"--x\r\nContent-Length: 100000\r\n\r\n"
 HEAD = b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=%s\r\n\r\n"
 
 
@@ -240,36 +243,34 @@ def test_what_is_no_camera_is_refused(answer: bytes, sentence: str) -> None:
         UrlSource(url).open()
 
 
-def test_a_camera_that_says_nothing_is_refused() -> None:
-    with (
-        answering(HEAD % b"x", hold=True) as url,
-        pytest.raises(InvalidInput, match=r"no data within 0\.2 s"),
-    ):
-        UrlSource(url, patience=0.2).open()
-
-
 def test_a_camera_that_falls_silent_says_so() -> None:
-    part = b"--x\r\nContent-Length: %d\r\n\r\n%b\r\n" % (len(JPEG), JPEG)
-    with answering(HEAD % b"x", part, hold=True) as url:
+    with answering(HEAD % b"x", PART, hold=True) as url:
         source = UrlSource(url, patience=0.2)
         source.open()
         assert len(list(source.frames())) == 1
     assert source.ended == "the camera has sent nothing for 0.2 s"
 
 
-def test_a_camera_that_drips_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("parts", "way", "patience", "sentence"),
+    [
+        ((), "hold", 0.2, "no data within 0.2 s"),
+        ((LONG,), "drip", 0.6, "no whole picture within 1.2 s"),
+    ],
+)
+def test_a_camera_that_says_nothing_or_drips_is_refused(
+    monkeypatch: pytest.MonkeyPatch, parts: tuple[bytes], way: str, patience: float, sentence: str
+) -> None:
     monkeypatch.setattr("fixel.testbed.open_source.OPENS_WITHIN", 1.2)
-    part = b"--x\r\nContent-Length: 100000\r\n\r\n"
     with (
-        answering(HEAD % b"x", part, drip=True) as url,
-        pytest.raises(InvalidInput, match=r"no whole picture within 1\.2 s"),
+        answering(HEAD % b"x", *parts, **{way: True}) as url,
+        pytest.raises(InvalidInput, match=re.escape(sentence)),
     ):
-        UrlSource(url, patience=0.6).open()
+        UrlSource(url, patience=patience).open()
 
 
 def test_a_camera_that_drips_ends_the_recording(tmp_path: Path) -> None:
-    part = b"--x\r\nContent-Length: %d\r\n\r\n%b\r\n" % (len(JPEG), JPEG)
-    with answering(HEAD % b"x", part, b"--x\r\nContent-Length: 100000\r\n\r\n", drip=True) as url:
+    with answering(HEAD % b"x", PART, LONG, drip=True) as url:
         source = UrlSource(url)
         recorder = Recorder(
             source=source,
@@ -285,8 +286,7 @@ def test_a_camera_that_drips_ends_the_recording(tmp_path: Path) -> None:
 
 
 def test_passwords_stay_out_of_records() -> None:
-    part = b"--x\r\nContent-Length: %d\r\n\r\n%b\r\n" % (len(JPEG), JPEG)
-    with answering(HEAD % b"x", part) as url:
+    with answering(HEAD % b"x", PART) as url:
         source = UrlSource(url.replace("//", "//me:se%20cret@") + "?token=t")
         source.open()
         source.close()

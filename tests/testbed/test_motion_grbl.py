@@ -1,5 +1,6 @@
 import math
 import time
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -19,6 +20,16 @@ FAST = {"acceleration": 2000.0}
 def controller():
     with EmulatedGrbl(**FAST) as emulated:
         yield emulated
+
+
+@contextmanager
+def driven(options=None, **emulated):
+    """An emulated controller, and a drive at it without its guard, which has tests of its own."""
+    with (
+        EmulatedGrbl(**emulated) as controller,
+        GrblActuator(controller.port, guard=False, **(options or {})) as drive,
+    ):
+        yield controller, drive
 
 
 @pytest.fixture
@@ -62,10 +73,12 @@ def test_never_more_is_queued_than_the_dead_man_allows(controller, drive):
 
 
 def test_millimetres_are_sent_to_a_controller_that_reports_inches():
-    with (
-        EmulatedGrbl(inches=True, **FAST) as controller,
-        GrblActuator(controller.port, guard=False) as drive,
-    ):
+    with driven({"axes": "XY"}, axes=2, inches=True, **FAST) as (controller, drive):
+        drive.go([0.003, 0.004], speed=0.05)
+
+        assert controller.places == pytest.approx((43.0, 44.0), abs=0.01)
+        assert drive.place() == pytest.approx([0.003, 0.004], abs=1e-5)
+    with driven(inches=True, **FAST) as (controller, drive):
         drive.move(to=0.005, speed=0.05)
 
         assert controller.place == pytest.approx(45.0, abs=0.01)
@@ -73,10 +86,7 @@ def test_millimetres_are_sent_to_a_controller_that_reports_inches():
 
 
 def test_a_slow_drive_gets_a_longer_queue():
-    with (
-        EmulatedGrbl(acceleration=10.0) as controller,
-        GrblActuator(controller.port, guard=False) as drive,
-    ):
+    with driven(acceleration=10.0) as (_, drive):
         assert drive._queue_for(13.5) > 0.9
         drive.dead_man = 0.5
         with pytest.raises(InvalidInput, match=r"increase the acceleration"):
@@ -165,10 +175,7 @@ def damage_a_report(controller: EmulatedGrbl) -> None:
 
 
 def test_a_drive_that_must_be_homed_says_so():
-    with (
-        EmulatedGrbl(homing=True, start=5.0, **FAST) as controller,
-        GrblActuator(controller.port, guard=False) as drive,
-    ):
+    with driven(homing=True, start=5.0, **FAST) as (controller, drive):
         assert drive.state == "Alarm"
         with pytest.raises(DeviceFailed, match="fixel actuator home"):
             drive.move(to=0.01)
@@ -181,10 +188,7 @@ def test_a_drive_that_must_be_homed_says_so():
 
 
 def test_reach_is_cut_to_the_travel_of_the_controller():
-    with (
-        EmulatedGrbl(homing=True, travel=80.0) as controller,
-        GrblActuator(controller.port, guard=False) as drive,
-    ):
+    with driven(homing=True, travel=80.0) as (_, drive):
         assert drive.reach == (0.0, 0.08)
 
 
@@ -260,20 +264,25 @@ def test_a_failure_of_the_conversation_itself_is_told(controller, drive, monkeyp
         drive.wait()
 
 
-def test_a_report_without_a_place_is_passed_over(controller, drive):
+def lose_an_axis(controller: EmulatedGrbl) -> None:
+    """Reports lack an axis for a while."""
+    whole, controller._axes = controller._axes, 2
+    time.sleep(0.1)
+    controller._axes = whole
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [damage_a_report, lose_an_axis, lambda controller: setattr(controller, "garble", 200)],
+    ids=["without a place", "without an axis", "garbled"],
+)
+def test_damaged_reports_are_passed_over(controller, drive, damage):
     drive.move(by=0.02, speed=0.03, wait=False)
     moves(controller)
-    damage_a_report(controller)
+    damage(controller)
     drive.wait()
 
     assert controller.place == pytest.approx(60.0, abs=0.01)
-
-
-def test_damaged_reports_are_passed_over(controller, drive):
-    controller.garble = 200
-    drive.move(by=0.005, speed=0.03)
-
-    assert controller.place == pytest.approx(45.0, abs=0.01)
 
 
 def test_whoever_finds_a_drive_moving_stops_it_first(controller):
@@ -301,9 +310,9 @@ def test_whoever_finds_a_drive_moving_stops_it_first(controller):
     ],
 )
 def test_firmware_of_today_is_driven_with_one_to_four_axes(firmware, axes):
-    with (
-        EmulatedGrbl(homing=True, travel=80.0, firmware=firmware, axes=axes, **FAST) as controller,
-        GrblActuator(controller.port, guard=False) as drive,
+    with driven(homing=True, travel=80.0, firmware=firmware, axes=axes, **FAST) as (
+        controller,
+        drive,
     ):
         assert drive.settings.fastest == pytest.approx(50.0)
         assert drive.reach == (0.0, 0.08)
@@ -317,10 +326,7 @@ def test_firmware_of_today_is_driven_with_one_to_four_axes(firmware, axes):
 
 @pytest.mark.parametrize("firmware", emulated_grbl.FIRMWARE)
 def test_a_restart_is_recognised_by_its_greeting(firmware):
-    with (
-        EmulatedGrbl(firmware=firmware, **FAST) as controller,
-        GrblActuator(controller.port, guard=False) as drive,
-    ):
+    with driven(firmware=firmware, **FAST) as (controller, drive):
         drive.move(by=0.05, speed=0.03, wait=False)
         moves(controller)
         controller.power_cycle()
@@ -337,17 +343,6 @@ def test_an_axis_that_the_controller_lacks_is_refused():
         assert not drive.connected
 
 
-def test_a_report_that_lacks_an_axis_is_passed_over(controller, drive):
-    drive.move(by=0.02, speed=0.03, wait=False)
-    moves(controller)
-    tell, controller._axes = controller._axes, 2
-    time.sleep(0.1)
-    controller._axes = tell
-    drive.wait()
-
-    assert controller.place == pytest.approx(60.0, abs=0.01)
-
-
 # --- several axes ---------------------------------------------------------------------------------
 
 
@@ -361,9 +356,9 @@ def distance_to_line(place, begin, end) -> float:
 @pytest.mark.parametrize("degrees", [1.0, 38.0, 90.0, 205.0, 301.0])
 def test_a_line_over_two_axes_is_straight_and_keeps_its_speed(degrees):
     way = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
-    with (
-        EmulatedGrbl(axes=2, start=(50.0, 60.0), **FAST) as controller,
-        GrblActuator(controller.port, axes="XY", reach=(-0.05, 0.05), guard=False) as drive,
+    with driven({"axes": "XY", "reach": (-0.05, 0.05)}, axes=2, start=(50.0, 60.0), **FAST) as (
+        controller,
+        drive,
     ):
         drive.aim([0.0, 0.0], way)
         drive.move(to=0.02, speed=0.03)
@@ -382,10 +377,7 @@ def test_a_line_over_two_axes_is_straight_and_keeps_its_speed(degrees):
 
 
 def test_a_stop_in_a_line_over_two_axes_keeps_the_place():
-    with (
-        EmulatedGrbl(axes=2, homing=True, start=5.0) as controller,
-        GrblActuator(controller.port, axes="XY", guard=False) as drive,
-    ):
+    with driven({"axes": "XY"}, axes=2, homing=True, start=5.0) as (controller, drive):
         drive.home()
         drive.go([0.02, 0.03], speed=0.04)
         drive.aim([0.02, 0.03], [0.6, 0.8])
@@ -465,10 +457,7 @@ def test_coordinates_of_two_axes_are_not_mirrored(mask):
 
 
 def test_the_axis_that_is_too_slow_is_named():
-    with (
-        EmulatedGrbl(axes=2, acceleration=(500.0, 5.0)) as controller,
-        GrblActuator(controller.port, axes="XY", guard=False) as drive,
-    ):
+    with driven({"axes": "XY"}, axes=2, acceleration=(500.0, 5.0)) as (controller, drive):
         drive.check(to=0.1, speed=0.04)
         drive.aim([0.0, 0.0], [0.6, 0.8])
         with pytest.raises(InvalidInput, match=r"acceleration of 6\.25 mm/s\^2 \(\$121\)"):
@@ -477,9 +466,9 @@ def test_the_axis_that_is_too_slow_is_named():
 
 
 def test_a_check_finds_what_a_move_would_find_and_moves_nothing():
-    with (
-        EmulatedGrbl(axes=2, homing=True, start=5.0, travel=(80.0, 60.0)) as controller,
-        GrblActuator(controller.port, axes="XY", guard=False) as drive,
+    with driven({"axes": "XY"}, axes=2, homing=True, start=5.0, travel=(80.0, 60.0)) as (
+        controller,
+        drive,
     ):
         drive.aim([0.02, 0.01], [0.0, 1.0])
         with pytest.raises(DeviceFailed, match="fixel actuator home"):
@@ -495,17 +484,6 @@ def test_a_check_finds_what_a_move_would_find_and_moves_nothing():
 
         assert controller.places == before
         assert not [line for line in controller.lines if line.startswith("G")]
-
-
-def test_inches_are_reported_by_all_axes():
-    with (
-        EmulatedGrbl(axes=2, inches=True, **FAST) as controller,
-        GrblActuator(controller.port, axes="XY", guard=False) as drive,
-    ):
-        drive.go([0.003, 0.004], speed=0.05)
-
-        assert controller.places == pytest.approx((43.0, 44.0), abs=0.01)
-        assert drive.place() == pytest.approx([0.003, 0.004], abs=1e-5)
 
 
 def test_a_rotary_axis_is_refused():

@@ -151,16 +151,17 @@ def test_a_camera_that_fails_ends_it(tmp_path: Path) -> None:
     assert (done.frames, done.reason) == (3, "the camera failed: it burns")
 
 
-def test_pictures_of_another_size_end_it(tmp_path: Path) -> None:
-    source = Pictures(9, lambda k: jpeg_of(picture(k, SIZE if k < 4 else (80, 60))))
-    done = record(source, tmp_path / "r")
-    assert (done.frames, done.reason) == (4, "the camera changed to 80 x 60 pixels")
-
-
-def test_pixels_of_another_size_end_it_too(tmp_path: Path) -> None:
-    source = Pictures(9, lambda k: picture(k, SIZE if k < 4 else (120, 160)))
-    done = record(source, tmp_path / "r", "near")
-    assert (done.frames, done.reason) == (4, "the camera changed to 120 x 160 pixels")
+@pytest.mark.parametrize(
+    ("size", "sent", "codec"),
+    [((80, 60), jpeg_of, "as-it-comes"), ((120, 160), lambda pixels: pixels, "near")],
+)
+def test_pictures_of_another_size_end_it(
+    tmp_path: Path, size: tuple[int, int], sent: Any, codec: str
+) -> None:
+    source = Pictures(9, lambda k: sent(picture(k, SIZE if k < 4 else size)))
+    done = record(source, tmp_path / "r", codec)
+    changed = f"the camera changed to {size[0]} x {size[1]} pixels"
+    assert (done.frames, done.reason) == (4, changed)
 
 
 def test_a_picture_that_cannot_be_decoded_is_left_out_and_said(tmp_path: Path) -> None:

@@ -277,19 +277,17 @@ def test_a_board_of_the_future_is_refused():
         TactileReader(port).connect()
 
 
-def test_no_port_is_refused_with_a_list():
-    with pytest.raises(InvalidInput, match=r"there are|no serial port"):
-        TactileReader(None)
-
-
-def test_a_port_that_does_not_exist_is_refused():
-    with pytest.raises(InvalidInput, match="found no port"):
-        TactileReader("/dev/ttyNOSUCH").connect()
-
-
-@pytest.mark.parametrize("port", ["/dev/null", "/"])
-def test_what_is_no_serial_port_is_refused(port):
-    with pytest.raises(InvalidInput, match="found no serial port"):
+@pytest.mark.parametrize(
+    ("port", "found"),
+    [
+        (None, r"there are|no serial port"),
+        ("/dev/ttyNOSUCH", "found no port"),
+        ("/dev/null", "found no serial port"),
+        ("/", "found no serial port"),
+    ],
+)
+def test_what_is_no_port_is_refused(port, found):
+    with pytest.raises(InvalidInput, match=found):
         TactileReader(port).connect()
 
 

@@ -101,27 +101,18 @@ def test_archives_have_what_git_tracks(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize(
-    "files",
+    ("tracked", "files", "found"),
     [
-        {"README.md": b"fixel"},
-        {**FILES, "dist/old.whl": b""},
-        {**FILES, "src/fixel/__pycache__/a.pyc": b""},
+        (FILES, {"README.md": b"fixel"}, "only in"),
+        (FILES, {**FILES, "dist/old.whl": b""}, "only in"),
+        (FILES, {**FILES, "src/fixel/__pycache__/a.pyc": b""}, "only in"),
+        ({**FILES, "data/run.parquet": b"x"}, {**FILES, "data/run.parquet": b"x"}, "parquet"),
+        ({**FILES, "a.svg": b""}, {**FILES, "a.svg": bytes(1_000_001)}, "a.svg"),
     ],
-    ids=["a file is missing", "a build is packed", "bytecode is packed"],
+    ids=["a file is missing", "a build is packed", "bytecode is packed", "data", "a large file"],
 )
-def test_other_archives_are_wrong(files, tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(release_check, "tracked", lambda: [*FILES])
-
-    with pytest.raises(AssertionError, match="only in"):
-        release_check.check_files(*archives(tmp_path, files))
-
-
-@pytest.mark.parametrize(
-    ("name", "size", "found"), [("data/run.parquet", 9, "parquet"), ("a.svg", 1_000_001, "a.svg")]
-)
-def test_data_and_large_files_are_wrong(name, size, found, tmp_path, monkeypatch) -> None:
-    files = {**FILES, name: b"x" * size}
-    monkeypatch.setattr(release_check, "tracked", lambda: [*files])
+def test_other_archives_are_wrong(tracked, files, found, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(release_check, "tracked", lambda: [*tracked])
 
     with pytest.raises(AssertionError, match=found):
         release_check.check_files(*archives(tmp_path, files))

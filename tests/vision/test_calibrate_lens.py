@@ -120,18 +120,23 @@ def test_too_few_pictures(count: int) -> None:
         calibrate_lens(views, [SkippedPicture("x.png", "no such board")])
 
 
-def test_parallel_boards_say_nothing_of_the_focal_length() -> None:
-    straight = replace(LENS, distortion=(0.0,))  # type: ignore[arg-type]
-    with pytest.raises(InvalidInput, match="of parallel"):
-        calibrate_lens(seen_corners(straight, CHECKERS, 5, noise=0.05, tilt=0.02))
-    # Distortion bends boards as a tilt would; then the fit itself knows too little.
-    with pytest.raises(InvalidInput, match="more tilted"):
-        calibrate_lens(seen_corners(LENS, CHECKERS, 5, noise=0.05, tilt=0.02))
-
-
-def test_hardly_tilted_boards_say_too_little() -> None:
-    with pytest.raises(InvalidInput, match=r"parallel|known to"):
-        calibrate_lens(seen_corners(LENS, CHECKERS, 5, noise=0.5, tilt=0.12))
+@pytest.mark.parametrize(
+    ("lens", "seen", "options", "message"),
+    [
+        (replace(LENS, distortion=(0.0,)), {"noise": 0.05, "tilt": 0.02}, {},  # type: ignore[arg-type]
+         "of parallel"),
+        # Distortion bends boards as a tilt would; then the fit itself knows too little.
+        (LENS, {"noise": 0.05, "tilt": 0.02}, {}, "more tilted"),
+        (LENS, {"noise": 0.5, "tilt": 0.12}, {}, r"parallel|known to"),
+        (LENS, {"noise": 0.05}, {"coefficients": 3}, "coefficients"),
+    ],
+    ids=["parallel", "parallel and distorted", "hardly tilted", "coefficients"],
+)  # fmt: skip
+def test_boards_that_say_too_little_are_refused(
+    lens: Lens, seen: dict[str, float], options: dict[str, int], message: str
+) -> None:
+    with pytest.raises(InvalidInput, match=message):
+        calibrate_lens(seen_corners(lens, CHECKERS, 5, **seen), **options)
 
 
 @pytest.mark.parametrize(("size", "word"), [((360, 480), "90 degrees"), ((960, 720), "one size")])
@@ -170,11 +175,6 @@ def test_boards_that_cannot_be(text: str) -> None:
 def test_boards_are_read() -> None:
     assert board_of("checkerboard:9x6:25mm") == Board(columns=10, rows=7, square=0.025)
     assert board_of("charuco:7x5:3cm:22mm:5x5").dictionary == "5x5"
-
-
-def test_unknown_counts_of_coefficients() -> None:
-    with pytest.raises(InvalidInput, match="coefficients"):
-        calibrate_lens(seen_corners(LENS, CHECKERS, 4, noise=0.05), coefficients=3)
 
 
 def test_fewer_coefficients_stay_nought() -> None:

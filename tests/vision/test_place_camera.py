@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import cv2
@@ -106,20 +107,22 @@ def test_tags_on_the_plate(plate: Picture) -> None:
     np.testing.assert_allclose(camera.position, above().position, atol=2e-3)
 
 
-def test_tags_that_are_not_where_they_are_said_to_be(plate: Picture) -> None:
-    elsewhere = (*TAGS[:3], replace(TAGS[3], pose=(0.02, 0.14, 0.3)))  # type: ignore[arg-type]
-    with pytest.raises(InvalidInput, match="mm from its nominal"):
-        place_by_tags(KNOWN, plate, elsewhere)
-
-
-def test_too_few_tags(plate: Picture) -> None:
-    with pytest.raises(InvalidInput, match="at least 2"):
-        place_by_tags(KNOWN, plate, (TAGS[0], replace(TAGS[1], id=77)))
-
-
-def test_mirrored_plate(plate: Picture) -> None:
-    with pytest.raises(InvalidInput, match="mirrored"):
-        place_by_tags(KNOWN, np.ascontiguousarray(plate[:, ::-1]), TAGS)
+@pytest.mark.parametrize(
+    ("seen", "tags", "message"),
+    [
+        (lambda plate: plate, (*TAGS[:3], replace(TAGS[3], pose=(0.02, 0.14, 0.3))),  # type: ignore[arg-type]
+         "mm from its nominal"),
+        (lambda plate: plate, (TAGS[0], replace(TAGS[1], id=77)), "at least 2"),
+        (lambda plate: plate[:, ::-1], TAGS, "mirrored"),
+        (lambda plate: plate.T, TAGS, "90 degrees"),
+    ],
+    ids=["a tag elsewhere", "too few tags", "mirrored", "another size"],
+)  # fmt: skip
+def test_pictures_that_do_not_show_the_plate_are_refused(
+    plate: Picture, seen: Callable[[Picture], Picture], tags: tuple[Tag, ...], message: str
+) -> None:
+    with pytest.raises(InvalidInput, match=message):
+        place_by_tags(KNOWN, np.ascontiguousarray(seen(plate)), tags)
 
 
 def test_a_tag_twice(plate: Picture) -> None:
@@ -129,11 +132,6 @@ def test_a_tag_twice(plate: Picture) -> None:
     twice[q - 30 : q + 30, p - 30 : p + 30] = plate[v - 30 : v + 30, u - 30 : u + 30]
     with pytest.raises(InvalidInput, match="two positions"):
         place_by_tags(KNOWN, twice, TAGS)
-
-
-def test_pictures_of_another_size(plate: Picture) -> None:
-    with pytest.raises(InvalidInput, match="90 degrees"):
-        place_by_tags(KNOWN, np.ascontiguousarray(plate.T), TAGS)
 
 
 def test_rig_tags_seen_by_its_own_camera() -> None:

@@ -3,10 +3,10 @@
 import json
 import re
 import time
-from dataclasses import replace
 from importlib.resources import files
 
 import pytest
+from tests.fixtures import short_plan
 
 from fixel.database.project import Project
 from fixel.sampling import thesis_plan
@@ -26,15 +26,7 @@ def project(tmp_path_factory):
 @pytest.fixture(autouse=True)
 def few(monkeypatch):
     """Two quick pushes in place of the plan that a form performs."""
-    plan = thesis_plan()
-    plan = replace(
-        plan,
-        shapes=plan.shapes[:1],
-        layouts=plan.layouts[:1],
-        schemes=plan.schemes[:1],
-        repetitions=2,
-        rig=replace(plan.rig, speed=0.06, travel=0.12),
-    )
+    plan = short_plan(thesis_plan().name)
     monkeypatch.setattr("fixel.sampling.thesis_plan", lambda: plan)
 
 

@@ -1,12 +1,12 @@
 """The table of experiments and its marks, asked for as a program does."""
 
-import base64
 import json
 
 import numpy as np
 import pytest
 from tests.datasets import recordings
 from tests.web.bench import Bench as WholeBench
+from tests.web.conftest import unpacked
 
 from fixel.datasets import plan_import
 from fixel.formats.video_file import VideoWriter, open_video
@@ -37,11 +37,6 @@ class Bench(WholeBench):
 
     def ids(self, filter, more=""):
         return self.get(f"{ADDRESS}/ids?filter={filter}{more}")["ids"]
-
-
-def numbers(array):
-    data = base64.b64decode(array["base64"])
-    return np.frombuffer(data, array["dtype"]).reshape(array["shape"])
 
 
 # --- the table --------------------------------------------------------------------------------
@@ -174,8 +169,8 @@ def test_all_of_one(bench):
     assert not one["deleted"]
     track = bench.get(f"{ADDRESS}/3/trajectory")
     stored = bench.store.experiment(3)
-    np.testing.assert_array_equal(numbers(track["time"]), stored.trajectory.time)
-    np.testing.assert_array_equal(numbers(track["pose"]), stored.trajectory.pose)
+    np.testing.assert_array_equal(unpacked(track["time"]), stored.trajectory.time)
+    np.testing.assert_array_equal(unpacked(track["pose"]), stored.trajectory.pose)
     felt = bench.get(f"{ADDRESS}/3/tactile")
     assert felt["measured"]["columns"] == ["fixel_1_bool", "fixel_2_bool", "fixel_3_bool"]
     assert len(felt["fixels"]) == 3

@@ -116,7 +116,8 @@ def test_showing_does_not_fail_for_a_server_that_has_ended():
     loop = asyncio.new_event_loop()
     loop.close()
     view._waiting[asyncio.Event()] = loop
-    view.show(PICTURE, {})
+    view.show(PICTURE, {"n": 1})
+    assert view.report == '{"n": 1}'
 
 
 def test_events_carry_every_newest_status():

@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import time
+from contextlib import ExitStack, closing
 from itertools import chain, pairwise
 from pathlib import Path
 
@@ -41,6 +42,19 @@ class Bench(WholeBench):
         answer = super().post(f"/api/v1{path}", body)
         assert answer.status_code == status, answer.text
         return answer.json() if answer.content else None
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A laboratory that one test may damage."""
+    return trusted_laboratory(tmp_path / "my_lab")
+
+
+@pytest.fixture
+def opened(folder):
+    """Open that laboratory, in the state in which it is by then."""
+    with ExitStack() as stack:
+        yield lambda: stack.enter_context(closing(Bench(folder)))
 
 
 # --- calibrations -------------------------------------------------------------------------------
@@ -94,11 +108,9 @@ def test_one_has_parameters_starts_profiles_and_residuals(bench):
     compile(one["python"], "page", "exec")
 
 
-def test_one_whose_job_is_gone_still_says_all_of_it(bench, tmp_path):
-    folder = tmp_path / "my_lab"
-    trusted_laboratory(folder)
+def test_one_whose_job_is_gone_still_says_all_of_it(bench, folder, opened):
     shutil.rmtree(folder / "jobs")
-    alone = Bench(folder)
+    alone = opened()
     one = alone.get("/calibrations/1")
     assert one.pop("python") != ""
     whole = bench.get("/calibrations/1")
@@ -106,7 +118,6 @@ def test_one_whose_job_is_gone_still_says_all_of_it(bench, tmp_path):
     assert one == whole
     assert one["complete"]
     assert one["starts"]
-    alone.context.close()
 
 
 def test_the_objective_read_from_the_journal_is_the_one_that_is_stored(bench, project):
@@ -200,16 +211,13 @@ def test_one_is_stopped_and_goes_on(bench, project):
     assert jobs.status_of(folder).state == "cancelled"
 
 
-def test_what_a_terminal_went_on_with_is_stored_by_who_looks(tmp_path):
-    folder = tmp_path / "my_lab"
-    trusted_laboratory(folder)
+def test_what_a_terminal_went_on_with_is_stored_by_who_looks(folder, opened):
     (job,) = (p.parent for p in (folder / "jobs").glob("first-*/job.json"))
     (job / "stored.json").unlink()
-    alone = Bench(folder)
+    alone = opened()
     (one,) = alone.get("/calibrations")["calibrations"]
     assert one["sets"] == 2  # and the one that was stored before
     assert collected(Project(folder), job).ids == (2,)
-    alone.context.close()
 
 
 def test_a_broken_job_hides_no_other(bench, project):
@@ -221,13 +229,11 @@ def test_a_broken_job_hides_no_other(bench, project):
     shutil.rmtree(broken)
 
 
-def test_a_damaged_result_is_made_again_out_of_the_journal(tmp_path):
-    folder = tmp_path / "my_lab"
-    trusted_laboratory(folder)
+def test_a_damaged_result_is_made_again_out_of_the_journal(folder, opened):
     (job,) = (p.parent for p in (folder / "jobs").glob("first-*/job.json"))
     whole = (job / "result").read_bytes()
     (job / "result").write_bytes(whole[:100])
-    alone = Bench(folder)
+    alone = opened()
     assert alone.get("/calibrations/1")["complete"]  # which is stored with it
     with pytest.raises(StoreRefused, match="delete that file, then: fixel jobs resume"):
         collected(Project(folder), job)
@@ -236,7 +242,6 @@ def test_a_damaged_result_is_made_again_out_of_the_journal(tmp_path):
     assert jobs.run_here(job).state == "done"
     assert alone.get("/calibrations/1")["complete"]
     assert len(alone.get("/calibrations")["calibrations"]) == 1
-    alone.context.close()
 
 
 DAMAGE = {"cut short": lambda data: data[: len(data) // 2], "else": lambda data: b'{"a": 1}'}
@@ -259,12 +264,10 @@ SEEN = [
         "jobs/first-*/stored.json",
     ],
 )  # fmt: skip
-def test_a_damaged_file_is_named_and_hides_nothing_else(tmp_path, path, how):
-    folder = tmp_path / "my_lab"
-    trusted_laboratory(folder)
+def test_a_damaged_file_is_named_and_hides_nothing_else(folder, opened, path, how):
     (file,) = folder.glob(path)
     file.write_bytes(DAMAGE[how](file.read_bytes()))
-    alone = Bench(folder)
+    alone = opened()
     (name,) = (p.name for p in (folder / "analyses").glob("domain-*"))
     for place in SEEN:
         answer = alone.client.get(place.format(map=name))
@@ -276,7 +279,6 @@ def test_a_damaged_file_is_named_and_hides_nothing_else(tmp_path, path, how):
             "/api/v1/calibrations", f"/api/v1/domain/{name}", "/jobs", "/api/v1/jobs")]  # fmt: skip
     if file.name in ("analysis.json", "evidence.json", "stored.json"):
         assert any(file.name in text or "compute the map again" in text for text in told)
-    alone.context.close()
 
 
 @pytest.mark.parametrize(
@@ -395,28 +397,22 @@ def test_pictures_of_analyses(bench, name):
     bench.get(f"/analyses/{name}/nothing.png", 404)
 
 
-def test_a_map_whose_evidence_is_gone_says_so(tmp_path):
-    folder = tmp_path / "my_lab"
-    trusted_laboratory(folder)
+def test_a_map_whose_evidence_is_gone_says_so(folder, opened):
     shutil.rmtree(folder / "analyses" / "held-out")
-    alone = Bench(folder)
+    alone = opened()
     (one,) = alone.get("/analyses?kind=domain")["analyses"]
     assert "fixel domain" in alone.get(f"/domain/{one['name']}", 409)["hint"]
     assert alone.client.get("/domain").status_code == 200
-    alone.context.close()
 
 
-def test_a_map_of_an_earlier_version_says_so(tmp_path):
-    folder = tmp_path / "my_lab"
-    trusted_laboratory(folder)
+def test_a_map_of_an_earlier_version_says_so(folder, opened):
     (stored,) = (folder / "analyses").glob("domain-*/analysis.json")
     content = json.loads(stored.read_text())
     stored.write_text(json.dumps({**content, "request": {}, "question": {"by": []}}))
-    alone = Bench(folder)
+    alone = opened()
     refused = alone.get(f"/domain/{stored.parent.name}", 409)
     assert "earlier version" in refused["sentence"]
     assert "fixel domain" in refused["hint"]
-    alone.context.close()
 
 
 def test_the_map_is_computed_again_from_its_form(bench, name, project):

@@ -43,29 +43,25 @@ def test_what_is_hit_or_turns_back_is_no_outlier(rate):
     assert judged("object", time, sightings(pose)).good.all()
 
 
-def test_a_single_wrong_pose_is_found():
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {50: (1.2e-3, 0.0, 0.0), 80: (0.0, 0.0, 0.05)},
+        # The shortest way back from there is once around; what follows is not turned.
+        {50: (0.0, 0.0, 2.2), 51: (0.0, 0.0, 4.2)},
+        dict.fromkeys(range(60, 72), (3e-3, -2e-3, 0.1)),
+    ],
+    ids=["single", "angles", "a run"],
+)
+def test_wrong_poses_are_found(wrong):
     pose = path()
-    pose[50] += (1.2e-3, 0.0, 0.0)
-    pose[80] += (0.0, 0.0, 0.05)
+    for frame, by in wrong.items():
+        pose[frame] += by
     part = judged("object", TIME, sightings(pose))
-    assert np.flatnonzero(~part.good).tolist() == [50, 80]
-    assert part.n_outliers == 2
-    assert "outlier" in part.reason[50]
-
-
-def test_wrong_angles_do_not_turn_what_follows():
-    pose = path()
-    pose[50:52, 2] += (2.2, 4.2)  # the shortest way back from there is once around
-    part = judged("object", TIME, sightings(pose))
-    assert np.flatnonzero(~part.good).tolist() == [50, 51]
+    assert np.flatnonzero(~part.good).tolist() == list(wrong)
+    assert part.n_outliers == len(wrong)
+    assert "outlier" in part.reason[min(wrong)]
     assert part.pose[part.good] == pytest.approx(pose[part.good])
-
-
-def test_a_run_of_wrong_poses_is_found():
-    pose = path()
-    pose[60:72] += (3e-3, -2e-3, 0.1)
-    part = judged("object", TIME, sightings(pose))
-    assert np.flatnonzero(~part.good).tolist() == list(range(60, 72))
 
 
 def test_the_steady_part_of_a_motion():

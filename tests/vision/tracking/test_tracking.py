@@ -39,20 +39,26 @@ class TestTags(TrackingContract):
     def painter(self):
         return painted(tag_rig())
 
-    def test_mirrored_pictures_are_refused(self, painter):
-        mirrored = Frame(0.0, painter.frame(0.0).picture[:, ::-1].copy())
-        with pytest.raises(InvalidInput, match="mirrored"):
-            track([mirrored], painter.rig)
+    @pytest.mark.parametrize(
+        ("seen", "message"), [(np.fliplr, "mirrored"), (np.rot90, "turned by 90 degrees")]
+    )
+    def test_mirrored_and_turned_pictures_are_refused(self, painter, seen, message):
+        with pytest.raises(InvalidInput, match=message):
+            track([Frame(0.0, seen(painter.frame(0.0).picture).copy())], painter.rig)
 
-    def test_tags_of_another_size_are_refused(self, painter):
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            ({"size": 0.034}, "mm in the picture"),
+            ({"family": "aruco-5x5-100"}, "apriltag-36h11 tags 1, 2"),
+        ],
+    )
+    def test_tags_of_another_size_or_family_are_refused(self, painter, change, message):
         part = painter.rig.parts["object"]
-        larger = replace(part.marks[0], size=0.034)
-        rig = replace(
-            painter.rig,
-            parts={**painter.rig.parts, "object": replace(part, marks=(larger,))},
-        )
-        with pytest.raises(InvalidInput, match="mm in the picture"):
-            track([painter.frame(0.0)], rig)
+        other = replace(part, marks=(replace(part.marks[0], **change),))
+        others = {} if "family" in change else painter.rig.parts
+        with pytest.raises(InvalidInput, match=message):
+            track([painter.frame(0.0)], replace(painter.rig, parts={**others, "object": other}))
 
     def test_a_tag_that_is_there_twice_is_refused(self, painter):
         picture = painter.picture(moving(0.0))
@@ -81,11 +87,6 @@ class TestTags(TrackingContract):
         assert position.max() < 0.1e-3
         assert angle.max() < 0.004
         assert (part.sd[2:, 0] > part.sd[:2, 0].max()).all()
-
-    def test_a_quarter_turn_is_named(self, painter):
-        turned = np.rot90(painter.frame(0.0).picture).copy()
-        with pytest.raises(InvalidInput, match="turned by 90 degrees"):
-            track([Frame(0.0, turned)], painter.rig)
 
 
 @pytest.mark.system
@@ -257,12 +258,3 @@ def test_a_part_that_was_pushed_on_while_covered_is_seen_at_once():
     part = track(frames, painter.rig).parts["object"]
     assert not part.good[5:26].any()
     assert part.good[28:].all()  # two frames later at most
-
-
-def test_tags_of_another_family_are_named():
-    painter = painted(tag_rig())
-    part = painter.rig.parts["object"]
-    other = replace(part.marks[0], family="aruco-5x5-100")
-    rig = replace(painter.rig, parts={"object": replace(part, marks=(other,))})
-    with pytest.raises(InvalidInput, match="apriltag-36h11 tags 1, 2"):
-        track([painter.frame(0.0)], rig)

@@ -1,6 +1,5 @@
 """The player of a notebook: it is complete, small, and shows what was simulated."""
 
-import base64
 import json
 import re
 import subprocess
@@ -9,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.web.conftest import unpacked
 
 from fixel.simulation import simulate
 from fixel.testing.scenes import grasp, pushed_square
@@ -18,21 +18,16 @@ def shown(page: str) -> dict:
     return json.loads(re.findall(r"\.show\((.*)\);</script>", page)[0])
 
 
-def numbers(packed: dict) -> np.ndarray:
-    data = base64.b64decode(packed["base64"])
-    return np.frombuffer(data, packed["dtype"]).reshape(packed["shape"])
-
-
 def test_player_has_the_poses_and_contacts_of_a_simulation():
     run = simulate(grasp("seated"), duration=2.0)
     content = shown(run.animate().page)
     (motion,) = content["motions"]
 
     assert [thing["name"] for thing in content["things"]] == list(run.names)
-    np.testing.assert_array_equal(numbers(motion["time_s"]), run.time)
+    np.testing.assert_array_equal(unpacked(motion["time_s"]), run.time)
     for name, poses in run.pose.items():
-        np.testing.assert_allclose(numbers(motion["pose"][name]), poses, atol=1e-12)
-    assert len(numbers(motion["contacts"]["sample"])) == len(run.contacts)
+        np.testing.assert_allclose(unpacked(motion["pose"][name]), poses, atol=1e-12)
+    assert len(unpacked(motion["contacts"]["sample"])) == len(run.contacts)
 
 
 @pytest.mark.parametrize("interval", [1e-2, 1e-4])
@@ -42,7 +37,7 @@ def test_cell_is_small_and_ends_where_the_simulation_does(interval):
     (motion,) = shown(player.page)["motions"]
 
     assert len(player._repr_html_()) < 200_000
-    end = numbers(motion["pose"]["part"])[-1]
+    end = unpacked(motion["pose"]["part"])[-1]
     np.testing.assert_allclose(end, run.pose["part"][-1], atol=1e-12)
 
 

@@ -5,12 +5,13 @@ import queue
 import signal
 import threading
 import time
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from importlib.resources import files
 
 import numpy as np
 import pytest
+from tests.fixtures import short_plan
 
 from fixel.database.project import Project
 from fixel.errors import JobRefused
@@ -25,17 +26,7 @@ from fixel.workflows.bench.run import open_bench, report_of
 @pytest.fixture
 def bench(tmp_path):
     """A project, and a plan of two quick pushes of a square."""
-    plan = thesis_plan()
-    few = replace(
-        plan,
-        name="few",
-        shapes=plan.shapes[:1],
-        layouts=plan.layouts[:1],
-        schemes=(plan.schemes[0],),
-        repetitions=2,
-        rig=replace(plan.rig, speed=0.06, travel=0.12),
-    )
-    (tmp_path / "few.yaml").write_text(plan_text(few))
+    (tmp_path / "few.yaml").write_text(plan_text(short_plan()))
     return Project.create(tmp_path / "lab"), tmp_path / "few.yaml"
 
 
@@ -77,6 +68,17 @@ class Hand:
             return self.ready()
 
         until(placed)
+
+
+@contextmanager
+def operated(bench):
+    """A loop and the person at it, who ends it."""
+    with opened(bench) as loop:
+        hand = Hand(loop)
+        hand.thread.start()
+        yield loop, hand
+        loop.ask("end")
+        hand.thread.join(60.0)
 
 
 @pytest.mark.system
@@ -122,9 +124,7 @@ def test_a_plan_is_performed_tracked_stored_and_calibrated(bench):
 
 @pytest.mark.system
 def test_a_stop_ends_the_push_at_once_and_the_row_is_performed_again(bench):
-    with opened(bench) as loop:
-        hand = Hand(loop)
-        hand.thread.start()
+    with operated(bench) as (loop, hand):
         hand.place()
         loop.ask("push")
         until(lambda: hand.now()["phase"] == "pushing" and loop.devices.drive.moving)
@@ -140,30 +140,22 @@ def test_a_stop_ends_the_push_at_once_and_the_row_is_performed_again(bench):
         loop.ask("again")
         hand.place()
         assert hand.now()["row"] == first.row
-        loop.ask("end")
-        hand.thread.join(60.0)
-        assert loop.finish == "ended by the person at the bench"
+    assert loop.finish == "ended by the person at the bench"
 
 
 @pytest.mark.system
 def test_a_lost_page_stops_the_push_that_it_asked_for(bench):
-    with opened(bench) as loop:
-        hand = Hand(loop)
+    with operated(bench) as (loop, hand):
         loop.page_left = lambda: "the page is lost" if loop.devices.drive.moving else ""
-        hand.thread.start()
         hand.place()
         loop.ask("push", by="page")
         until(lambda: hand.now()["phase"] == "trouble")
         assert hand.now()["problems"] == ["the page is lost"]
-        loop.ask("end")
-        hand.thread.join(60.0)
 
 
 @pytest.mark.system
 def test_a_lost_camera_stops_the_push_and_is_opened_again(bench, monkeypatch):
-    with opened(bench) as loop:
-        hand = Hand(loop)
-        hand.thread.start()
+    with operated(bench) as (loop, hand):
         hand.place()
         loop.ask("push")
         until(lambda: hand.now()["phase"] == "pushing" and loop.devices.drive.moving)
@@ -172,8 +164,6 @@ def test_a_lost_camera_stops_the_push_and_is_opened_again(bench, monkeypatch):
         assert not loop.devices.drive.moving
         loop.ask("again")
         hand.place()
-        loop.ask("end")
-        hand.thread.join(60.0)
 
 
 @pytest.mark.system
@@ -184,9 +174,7 @@ def test_an_attempt_with_a_fault_waits_for_a_decision(bench, monkeypatch):
         real(self, attempt, found._replace(reasons=("2 frames were lost",)))
 
     monkeypatch.setattr(loop_module.BenchLoop, "_tracked", doubted)
-    with opened(bench) as loop:
-        hand = Hand(loop)
-        hand.thread.start()
+    with operated(bench) as (loop, hand):
         hand.place()
         loop.ask("push")
         until(lambda: hand.now()["attempts"] and hand.now()["attempts"][0]["state"] == "tracked")
@@ -196,23 +184,17 @@ def test_an_attempt_with_a_fault_waits_for_a_decision(bench, monkeypatch):
         until(lambda: hand.now()["attempts"][0]["state"] == "repeated")
         assert loop.campaign.recording(next(iter(loop.campaign.attempts.values()))).is_dir()
         assert loop.campaign.left[0].name == first["row"]
-        loop.ask("end")
-        hand.thread.join(60.0)
 
 
 @pytest.mark.system
 def test_a_camera_lost_while_a_part_is_placed_is_opened_again(bench):
-    with opened(bench) as loop:
-        hand = Hand(loop)
-        hand.thread.start()
+    with operated(bench) as (loop, hand):
         hand.place()
         loop.devices.camera.source.close()
         until(lambda: hand.now()["phase"] == "trouble")
         assert "the camera stopped" in hand.now()["problems"][0]
         loop.ask("again")
         hand.place()
-        loop.ask("end")
-        hand.thread.join(60.0)
 
 
 @pytest.mark.system
@@ -222,13 +204,9 @@ def test_a_plate_without_fixels_needs_no_reading_of_them(bench):
     shapes, schemes = thesis_plan().shapes[:1], thesis_plan().schemes[:1]
     empty = replace(thesis_plan(), shapes=shapes, layouts=(layout,), schemes=schemes)
     plan.write_text(plan_text(empty))
-    with opened((project, plan)) as loop:
-        hand = Hand(loop)
-        hand.thread.start()
+    with operated((project, plan)) as (_, hand):
         hand.place()
         assert "fixels" not in [check["name"] for check in hand.now()["checks"]]
-        loop.ask("end")
-        hand.thread.join(60)
 
 
 def dies_twice(folder):

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.fixtures import short_plan
 
 from fixel.database.project import Project
 from fixel.errors import DeviceFailed, InvalidInput
 from fixel.formats.plan_file import plan_text
 from fixel.formats.recording import RecordingHeader, RecordingWriter
 from fixel.formats.rig_file import rig_of, save_rig
-from fixel.sampling import thesis_plan
 from fixel.testbed.emulators.grbl import EmulatedGrbl
 from fixel.testbed.emulators.laboratory import smaller
 from fixel.testbed.loopback import LoopbackCamera
@@ -25,17 +25,8 @@ pytestmark = pytest.mark.system
 def folder(tmp_path_factory):
     """A project, a plan of one push of 120 mm at 30 mm/s, a small rig, a film of its size."""
     folder = tmp_path_factory.mktemp("bench")
-    plan = thesis_plan()
-    one = replace(
-        plan,
-        name="one",
-        shapes=plan.shapes[:1],
-        layouts=plan.layouts[:1],
-        schemes=plan.schemes[:1],
-        repetitions=1,
-        rig=replace(plan.rig, speed=0.03, travel=0.12),
-    )
-    (folder / "one.yaml").write_text(plan_text(one))
+    plan = short_plan("one", repetitions=1, speed=0.03)
+    (folder / "one.yaml").write_text(plan_text(plan))
     Project.create(folder / "lab")
     rig = smaller(rig_of("thesis-tags"), 0.25)
     save_rig(rig, folder / "rig.yaml")

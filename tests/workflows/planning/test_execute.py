@@ -139,12 +139,21 @@ def test_a_camera_records_the_move_and_sees_the_end(tmp_path: Path):
     assert open_recording(out).complete
 
 
-def test_a_camera_that_cannot_be_opened_does_not_move_the_drive(tmp_path: Path):
+@pytest.mark.parametrize(
+    ("seen", "camera", "message"),
+    [
+        ("90,0,22.5", "none.mp4", "none.mp4"),
+        ("94,0,22.5", "", r"\+4\.00, \+0\.00 mm.*fixel plan next"),
+    ],
+)
+def test_no_camera_and_another_start_than_planned_do_not_move_the_drive(
+    tmp_path: Path, seen: str, camera: str, message: str
+):
     path = stored(rig_plan(), tmp_path / "a.plan")
     actuator = SimulatedActuator(clock=Clock())
-    camera = RecordPlan(camera=str(tmp_path / "none.mp4"), folder=tmp_path / "out")
-    with pytest.raises(InvalidInput):
-        run_on_drive(path, actuator, seen=poses("90,0,22.5"), notify=print, recording=camera)
+    own = RecordPlan(camera=str(tmp_path / camera), folder=tmp_path / "out") if camera else None
+    with pytest.raises(InvalidInput, match=message):
+        run_on_drive(path, actuator, seen=poses(seen), notify=print, recording=own)
     with actuator:
         assert actuator.position() == 0.0
     assert load_trials(path, load_plan(path)).n == 0
@@ -169,16 +178,6 @@ def test_an_alarm_of_a_real_controller_stops_the_plan(tmp_path: Path):
         thread.join()
     (trial,) = load_trials(path, load_plan(path)).trials
     assert not trial.met
-
-
-def test_another_start_than_planned_does_not_move_the_drive(tmp_path: Path):
-    path = stored(rig_plan(), tmp_path / "a.plan")
-    actuator = SimulatedActuator(clock=Clock())
-    with pytest.raises(InvalidInput, match=r"\+4\.00, \+0\.00 mm.*fixel plan next"):
-        run_on_drive(path, actuator, seen=poses("94,0,22.5"), notify=lambda _: None)
-    with actuator:
-        assert actuator.position() == 0.0
-    assert load_trials(path, load_plan(path)).n == 0
 
 
 @pytest.mark.parametrize(

@@ -12,22 +12,18 @@ import numpy as np
 import pytest
 from PIL import Image
 from tests import calibrating as run
-from tests.fixtures import project_of
 
 import fixel
 from fixel.database.project import Project
 from fixel.drawing.calibration import seconds_chart
 from fixel.errors import InvalidInput
 from fixel.model.records import Estimate
-from fixel.model.selection import ExperimentQuery
 from fixel.sampling.published import thesis_plan
 from fixel.table import Table
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing.scenes import pushed_square
 from fixel.workflows.analysis import Analysis, store_analysis
-from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.project import stored_calibration
-from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 from fixel.workflows.calibration.stored import load_values
 from fixel.workflows.figures import Picture
 from fixel.workflows.report.sections import calibration_warnings
@@ -42,20 +38,10 @@ def project(tmp_path_factory):
     """A project with four experiments, one of a strange name, and a calibration of all of them."""
     experiments = list(SimulatedTestbed.ideal().run([PLANNED[k] for k in (0, 1, 2, 7)]))
     experiments[3] = replace(experiments[3], name=EVIL)
-    made = project_of(tmp_path_factory.mktemp("report") / "lab", experiments)
-    with made.store() as store:
-        chosen = run.select_experiments(store, (), ExperimentQuery())
-    scenes = [target.case.scene for target in chosen.targets]
-    request = CalibrationRequest(
-        mode="joint",
-        unknowns=searched_unknowns(["mu_pusher", "tripod_radius_mm=10:60:30"], scenes),
-        optimiser=NamedOptions(name="pattern-search", options={"threshold_delta": 0.2}),
-        verdicts=False,
-    )
-    folder = run.prepare(made, chosen, request)
-    run.run(folder)
-    run.collect(made, folder, "fixel calibrate --mode joint", {})
-    return made
+    fit = ["mu_pusher", "tripod_radius_mm=10:60:30"]
+    command = "fixel calibrate --mode joint"
+    folder = tmp_path_factory.mktemp("report") / "lab"
+    return run.calibrated(folder, experiments, fit, command, mode="joint")
 
 
 @pytest.fixture(scope="module")
