@@ -53,10 +53,15 @@ def calibrated(folder, experiments, fit, command="test", **request):
     unknowns = searched_unknowns(fit, [target.case.scene for target in chosen.targets])
     rough = NamedOptions(name="pattern-search", options={"threshold_delta": 0.2})
     made = CalibrationRequest(unknowns=unknowns, optimiser=rough, verdicts=False, **request)
-    job = prepare(project, chosen, made)
-    run(job)
-    collect(project, job, command, {})
+    done(project, chosen, made, command)
     return project
+
+
+def done(project, chosen, request, command="test"):
+    """Prepare, run and store the calibration of a request."""
+    folder = prepare(project, chosen, request)
+    run(folder)
+    return collect(project, folder, command, {})
 
 
 def alone(run):

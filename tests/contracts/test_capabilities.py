@@ -89,7 +89,6 @@ EVERY = pytest.mark.parametrize(
 )
 HEAVY = {"numpy", "numba", "scipy", "matplotlib", "sqlalchemy", "pyarrow", "rich"}
 NAMES = st.from_regex(r"[a-z][a-z_]{0,8}", fullmatch=True)
-FINITE = st.floats(-1e6, 1e6, allow_subnormal=False)
 # Capabilities with jobs of their own store records, which make their report again.
 STORED = [k for k, own in CAPABILITIES.items() if own.on_project and own.prepare is None]
 STORING = pytest.mark.parametrize("name", STORED)

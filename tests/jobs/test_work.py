@@ -60,18 +60,14 @@ def test_stopped_anywhere_it_goes_on_to_the_same_bits(inputs, n_before):
     assert sorted(calls(inputs)) == sorted(set(calls(inputs)))
 
 
-def test_a_finished_work_is_answered_from_the_journal_alone(inputs):
+@pytest.mark.parametrize(("changes", "computed"), [({}, 0), ({"sleep_s": 1e-6}, 15)])
+def test_a_finished_work_is_answered_from_the_journal_and_another_payload_computed(
+    inputs, changes, computed
+):
     expected = run(inputs)
     (inputs.parent / "calls").write_text("")
-    assert run(inputs) == expected
-    assert calls(inputs) == []
-
-
-def test_another_payload_under_the_same_name_is_computed(inputs):
-    run(inputs)
-    (inputs.parent / "calls").write_text("")
-    run(inputs, sleep_s=1e-6)
-    assert len(calls(inputs)) == 15
+    assert run(inputs, **changes) == expected
+    assert len(calls(inputs)) == computed
 
 
 def test_a_chunk_that_raises_is_an_answer_and_the_rest_goes_on(inputs):

@@ -212,14 +212,14 @@ def test_pictures_are_refused_before_the_work(tmp_path: Path) -> None:
 
 
 def test_an_unknown_folder_says_what_was_looked_for(tmp_path: Path) -> None:
-    with pytest.raises(DatasetMissing, match=r"pushes\.csv\.gz and shapes\.json"):
-        replay_dataset(tmp_path)
-    with pytest.raises(DatasetMissing, match=r"pushes\.csv\.gz and shapes\.json"):
-        replay_dataset(recordings.cmu_tripod(tmp_path / "known"))
-
-
-def test_a_folder_of_datasets_says_where_they_are(tmp_path: Path) -> None:
-    push_files.mit_push(tmp_path / "inside", push_files.push(0))
-
-    with pytest.raises(DatasetMissing, match="data found in: inside"):
-        replay_dataset(tmp_path)
+    wanted = r"pushes\.csv\.gz and shapes\.json"
+    for name in ("empty", "one"):
+        (tmp_path / name).mkdir()
+    push_files.mit_push(tmp_path / "one" / "inside", push_files.push(0))
+    for folder, message in (
+        (tmp_path / "empty", wanted),
+        (recordings.cmu_tripod(tmp_path / "known"), wanted),
+        (tmp_path / "one", "data found in: inside"),
+    ):
+        with pytest.raises(DatasetMissing, match=message):
+            replay_dataset(folder)

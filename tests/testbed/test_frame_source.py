@@ -21,13 +21,23 @@ from fixel.formats.recording import open_recording
 from fixel.formats.recording_video import brightness, jpeg_of, jpeg_size, shrunk
 from fixel.formats.video_file import VideoWriter
 from fixel.testbed.file_source import FileSource, PlayedTactile
-from fixel.testbed.frame_source import FrameQueue, Stream
+from fixel.testbed.frame_source import FrameQueue, FrameSource, Stream
 from fixel.testbed.loopback import LoopbackCamera
 from fixel.testbed.open_source import DeviceSource, UrlSource, check_size, source_of
-from fixel.testbed.recorder import Recorder
+from fixel.testbed.recorder import Recorder, RecordingSummary
 from fixel.vision.frame import Frame
 
 JPEG = jpeg_of(picture(0))
+
+
+def record(
+    source: FrameSource, folder: Path, expected: Stream | None = None, **options: Any
+) -> RecordingSummary:
+    """Record what a source sends as it comes."""
+    stream = source.open()
+    assert expected in (None, stream)
+    codec = "as-it-comes"
+    return Recorder(source=source, stream=stream, folder=folder, codec=codec, **options).run()
 
 
 # --- files ------------------------------------------------------------------------------------
@@ -98,14 +108,7 @@ def test_what_is_missing_from_a_file_is_told_at_its_end(tmp_path: Path) -> None:
 def test_readings_play_with_their_film(tmp_path: Path) -> None:
     folder = film(tmp_path / "film", n=20)
     source = FileSource(folder, as_fast_as_possible=True)
-    recorder = Recorder(
-        source=source,
-        stream=source.open(),
-        folder=tmp_path / "r",
-        codec="as-it-comes",
-        tactile=PlayedTactile(folder, in_turn=True),
-    )
-    recorder.run()
+    record(source, tmp_path / "r", tactile=PlayedTactile(folder, in_turn=True))
     assert open_recording(tmp_path / "r").readings.tolist() == [k % 8 for k in range(20)]
     paced = PlayedTactile(folder)
     assert paced.read().bits == 0
@@ -120,12 +123,7 @@ def test_a_film_goes_round_the_loop_bit_by_bit(tmp_path: Path) -> None:
     folder = film(tmp_path / "film")
     with LoopbackCamera(folder) as camera:
         source = UrlSource(camera.url)
-        stream = source.open()
-        assert stream == Stream(SIZE, 0.0, True, True)
-        recorder = Recorder(
-            source=source, stream=stream, folder=tmp_path / "r", codec="as-it-comes"
-        )
-        done = recorder.run()
+        done = record(source, tmp_path / "r", Stream(SIZE, 0.0, True, True))
     assert (done.frames, done.lost, done.reason) == (30, 0, "the camera ended the stream")
     sent = [data for _, data in open_recording(folder).jpegs()]
     assert [data for _, data in open_recording(tmp_path / "r").jpegs()] == sent
@@ -135,12 +133,8 @@ def test_a_pulled_network_camera_ends_the_recording(tmp_path: Path) -> None:
     folder = film(tmp_path / "film", n=500)
     camera = LoopbackCamera(folder).start()
     pull = threading.Timer(0.3, camera.stop)
-    source = UrlSource(camera.url)
-    recorder = Recorder(
-        source=source, stream=source.open(), folder=tmp_path / "r", codec="as-it-comes"
-    )
     pull.start()
-    done = recorder.run()
+    done = record(UrlSource(camera.url), tmp_path / "r")
     pull.join()
     assert 5 < done.frames < 500
     assert done.reason.startswith("the camera")
@@ -271,16 +265,8 @@ def test_a_camera_that_says_nothing_or_drips_is_refused(
 
 def test_a_camera_that_drips_ends_the_recording(tmp_path: Path) -> None:
     with answering(HEAD % b"x", PART, LONG, drip=True) as url:
-        source = UrlSource(url)
-        recorder = Recorder(
-            source=source,
-            stream=source.open(),
-            folder=tmp_path / "r",
-            codec="as-it-comes",
-            patience=0.3,
-        )
         began = time.monotonic()
-        done = recorder.run()
+        done = record(UrlSource(url), tmp_path / "r", patience=0.3)
     assert time.monotonic() - began < 3.0
     assert (done.frames, done.reason) == (1, "the camera has sent nothing for 0.3 s")
 

@@ -6,6 +6,7 @@ import os
 import stat
 import sys
 import time
+from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 
@@ -115,26 +116,25 @@ def test_results_do_not_depend_on_the_number_of_processes(tmp_path: Path) -> Non
     assert one.tobytes() == several.tobytes()
 
 
-def test_an_engine_that_never_answers_ends_the_work(tmp_path: Path) -> None:
-    engine = program(tmp_path, "pass")
-    path = Path(engine.name)
-    path.write_text(path.read_text().replace('    task = question["task"]', "    sys.exit(3)"))
-    with pytest.raises(
-        SolveFailed, match="lost 10 times in a row: the program ended with status 3"
-    ):
-        many(engine).simulate(np.zeros(40, np.int64), {})
+REFUSED = '    print(\'{"refused": "a pusher with corners"}\', flush=True); continue'
 
 
-def test_a_scene_that_an_engine_refuses_is_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("line", "error", "message"),
+    [
+        ("    sys.exit(3)", SolveFailed,
+         "lost 10 times in a row: the program ended with status 3"),
+        (REFUSED, InvalidInput, "engine toy: found a pusher with corners"),
+    ],
+)  # fmt: skip
+def test_an_engine_that_never_answers_and_one_that_refuses_end_the_work(
+    line: str, error: type[Exception], message: str, tmp_path: Path
+) -> None:
     engine = program(tmp_path)
     path = Path(engine.name)
-    text = path.read_text().replace(
-        '    task = question["task"]',
-        '    print(\'{"refused": "a pusher with corners"}\', flush=True); continue',
-    )
-    path.write_text(text)
-    with pytest.raises(InvalidInput, match="engine toy: found a pusher with corners"):
-        many(engine).simulate(np.zeros(3, np.int64), {})
+    path.write_text(path.read_text().replace('    task = question["task"]', line))
+    with pytest.raises(error, match=message):
+        many(engine).simulate(np.zeros(40, np.int64), {})
 
 
 def test_parameters_of_another_engine_are_refused(tmp_path: Path) -> None:
@@ -152,24 +152,31 @@ def test_values_out_of_range_are_not_simulated(tmp_path: Path) -> None:
     assert outcome.status.tolist() == [INFEASIBLE, codes.CONVERGED]
 
 
-def test_a_program_with_another_version_is_refused(tmp_path: Path) -> None:
-    engine = program(tmp_path)
-    with pytest.raises(InvalidInput, match="found version 1, but fixel needs version 2"):
-        many(OtherEngine(f"{engine.name}==2"))
-
-
 DEEP = "[" * 700 + "]" * 700
 
 
+def no_program(folder: Path) -> OtherEngine:
+    path = folder / "engine"
+    path.write_text("no program")
+    return OtherEngine(str(path))
+
+
 @pytest.mark.parametrize(
-    "hello",
+    ("make", "message"),
     [
-        "[1]", "{oops", '{"parameters": 3}', "[" * 90_000, f'{{"parameters": {DEEP}}}',
+        (lambda folder: OtherEngine(f"{program(folder).name}==2"),
+         "found version 1, but fixel needs version 2"),
+        (lambda folder: OtherEngine(str(folder / "none.py")), "no file"),
+        (no_program, "cannot be started"),
+        *((lambda folder, hello=hello: program(folder, hello=hello), "engine") for hello in (
+            "[1]", "{oops", '{"parameters": 3}', "[" * 90_000, f'{{"parameters": {DEEP}}}')),
     ],
 )  # fmt: skip
-def test_a_program_that_greets_badly_is_refused(hello: str, tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput, match="engine"):
-        many(program(tmp_path, hello=hello))
+def test_programs_that_are_no_engine_are_refused(
+    make: Callable[[Path], OtherEngine], message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InvalidInput, match=message):
+        many(make(tmp_path))
 
 
 def test_a_version_that_was_not_tested_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -186,18 +193,6 @@ def test_a_missing_package_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fixel.simulation.engines.version", missing)
     with pytest.raises(MissingExtra, match=r"pymunk.*pip install 'fixel\[engines\]'"):
         program_of("pymunk")
-
-
-def test_a_missing_program_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput, match="no file"):
-        many(OtherEngine(str(tmp_path / "none.py")))
-
-
-def test_a_file_that_cannot_be_run_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "engine"
-    path.write_text("no program")
-    with pytest.raises(InvalidInput, match="cannot be started"):
-        many(OtherEngine(str(path)))
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a script that the shell starts")

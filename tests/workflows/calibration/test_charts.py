@@ -49,9 +49,7 @@ def _calibrated(lab, n, changes):
     scenes = [target.case.scene for target in few.targets]
     unknowns = searched_unknowns(["mu_pusher", "tripod_radius_mm=10:60:30"], scenes)
     settings = {"unknowns": unknowns, "optimiser": QUICK, "verdicts": False} | changes
-    folder = run.prepare(project, few, CalibrationRequest(**settings))
-    run.run(folder)
-    return run.collect(project, folder, "test", {})
+    return run.done(project, few, CalibrationRequest(**settings))
 
 
 def _rows(path):

@@ -8,9 +8,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from tests import calibrating as run
+from tests.fixtures import project_of
 
 from fixel.calibration.target import scene_of
-from fixel.database.project import Project
 from fixel.model import Parameters
 from fixel.model.selection import ExperimentQuery
 from fixel.sampling.published import thesis_plan
@@ -33,10 +33,9 @@ LARGER = ("pressure_spread", "friction_centre_x", "friction_centre_y")
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):
-    project = Project.create(tmp_path_factory.mktemp("misfit") / "lab")
+    experiments = SimulatedTestbed(seed=4).run(thesis_plan().experiments[2:202:40])
+    project = project_of(tmp_path_factory.mktemp("misfit") / "lab", experiments)
     with project.store() as store:
-        for one in SimulatedTestbed(seed=4).run(thesis_plan().experiments[2:202:40]):
-            store.add_experiment(one)
         chosen = run.select_experiments(store, (), ExperimentQuery())
     scenes = [target.case.scene for target in chosen.targets]
     request = CalibrationRequest(
@@ -45,9 +44,7 @@ def found(tmp_path_factory):
         optimiser=NamedOptions(name=LEAST_SQUARES),
         motion="quasistatic",
     )
-    folder = run.prepare(project, chosen, request)
-    run.run(folder)
-    return project, run.collect(project, folder, "", {})
+    return project, run.done(project, chosen, request, "")
 
 
 def test_misfit_is_said_before_anything_else(found):
@@ -144,9 +141,7 @@ def enlarged(found):
     scenes = [target.case.scene for target in chosen.targets]
     unknowns = searched_unknowns(["mu_pusher", *LARGER], scenes)
     request = done.request.model_copy(update={"unknowns": unknowns})
-    folder = run.prepare(project, chosen, request)
-    run.run(folder)
-    return run.collect(project, folder, "", {})
+    return run.done(project, chosen, request, "")
 
 
 @pytest.mark.system

@@ -73,14 +73,8 @@ def _request(chosen, **changes):
     )
 
 
-def _done(project, chosen, request):
-    folder = run.prepare(project, chosen, request)
-    run.run(folder)
-    return run.collect(project, folder, "test", {})
-
-
 def test_each_experiment_by_itself(project, chosen):
-    done = _done(project, chosen, _request(chosen, mode="each"))
+    done = run.done(project, chosen, _request(chosen, mode="each"))
     assert done.outcome.keys == tuple(target.key for target in chosen.targets)
     assert [one.members for one in run.alone(done)] == [(0,), (1,), (2,), (3,)]
     for one in run.alone(done):
@@ -95,7 +89,7 @@ def test_each_experiment_by_itself(project, chosen):
 
 
 def test_a_campaign_is_all_the_ways_of_the_thesis(project, chosen):
-    done = _done(project, chosen, _request(chosen, mode="campaign"))
+    done = run.done(project, chosen, _request(chosen, mode="campaign"))
     ways = [one.how for one in run.together(done)]
     assert ways == ["weighted mean", "weighted mean of a subset", "direct minimisation"]
     totals = [one.errors.sum() for one in run.together(done)]
@@ -106,7 +100,7 @@ def test_a_campaign_is_all_the_ways_of_the_thesis(project, chosen):
 
 def test_the_box_that_was_searched_is_found_again(project, chosen):
     request = _request(chosen, mode="joint")
-    done = _done(project, chosen, request)
+    done = run.done(project, chosen, request)
     with project.store() as store:
         one = load_values(store, done.ids[-1])
     space = searched_space(project, one, [])
@@ -122,7 +116,7 @@ def test_the_box_that_was_searched_outlives_its_job(project, chosen):
     kept = fixed_unknowns(["mu_support=0.4"])
     centre = searched_unknowns(["friction_centre_x_mm=-2:3"], scenes)
     request = request.model_copy(update={"unknowns": [*request.unknowns, *kept, *centre]})
-    done = _done(project, chosen, request)
+    done = run.done(project, chosen, request)
     with project.store() as store:
         one = load_values(store, done.ids[-1])
     shutil.rmtree(done.folder)
@@ -148,7 +142,7 @@ def test_the_box_that_was_searched_outlives_its_job(project, chosen):
 def test_verdicts_and_what_they_stand_on(project, chosen):
     few = replace(chosen, ids=chosen.ids[:1], targets=chosen.targets[:1])
     request = _request(few, mode="each", verdicts=True, noise_position=5e-5, noise_angle=2e-3)
-    one = run.alone(_done(project, few, request))[0]
+    one = run.alone(run.done(project, few, request))[0]
     words = {e.label: e.verdict for e in one.estimates}
     assert set(words) == {"mu_pusher", "tripod_radius"}
     assert all(words.values())
@@ -194,7 +188,7 @@ def test_verdicts_killed_at_any_round_continue_with_the_same_bits(project, chose
     """Every answer that verdicts stand on is in the journal: none is computed a second time."""
     few = replace(chosen, ids=chosen.ids[:2], targets=chosen.targets[:2])
     request = _request(few, mode="joint", verdicts=True, noise_position=5e-5, noise_angle=2e-3)
-    done = _done(project, few, request)
+    done = run.done(project, few, request)
     other = Project.create(project.folder.parent / "other")
     folder = run.prepare(other, few, request)
     rounds = []
@@ -260,7 +254,7 @@ jobs.run_here(Path({str(folder)!r}))
 def test_errors_are_stored_in_the_unit_that_their_names_say(project, chosen):
     """A root mean square is kept as its square, and shown in mm."""
     request = _request(chosen, mode="joint", error=NamedOptions(name="root-mean-square"))
-    done = _done(project, chosen, request)
+    done = run.done(project, chosen, request)
     (one,) = run.together(done)
     with project.store() as store:
         record = store.calibration(done.ids[0])

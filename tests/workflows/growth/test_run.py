@@ -188,12 +188,19 @@ def test_the_analysis_is_kept_with_pictures_and_the_banner(lab):
 # --- refusals -----------------------------------------------------------------------------------
 
 
-def test_without_calibrations_the_command_is_named(tmp_path, experiments):
-    project, _ = project_with(tmp_path / "lab", experiments)
-    with (
-        project.store() as store,
-        pytest.raises(InvalidInput, match=r"(?s)21 of 21.*fixel calibrate --mode each"),
-    ):
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({}, r"(?s)21 of 21.*fixel calibrate --mode each"),
+        ({"conditions": {}}, "fixel testbed run"),
+    ],
+)
+def test_experiments_that_are_no_calibrated_campaign_are_refused(
+    tmp_path, experiments, changes, message
+):
+    chosen = [replace(experiments[0], **changes)] if changes else experiments
+    project, _ = project_with(tmp_path / "lab", chosen)
+    with project.store() as store, pytest.raises(InvalidInput, match=message):
         explored(store)
 
 
@@ -239,13 +246,6 @@ def test_a_group_without_its_nominal_experiment_is_refused(tmp_path, experiments
         tmp_path / "lab", [experiments[k] for k in rows], points[rows], errors[rows]
     )
     with project.store() as store, pytest.raises(InvalidInput, match="no nominal experiment"):
-        explored(store)
-
-
-def test_other_experiments_are_no_campaign(tmp_path, experiments):
-    bare = replace(experiments[0], conditions={})
-    project, _ = project_with(tmp_path / "lab", [bare])
-    with project.store() as store, pytest.raises(InvalidInput, match="fixel testbed run"):
         explored(store)
 
 
