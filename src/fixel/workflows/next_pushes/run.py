@@ -58,8 +58,12 @@ def propose_pushes(
         Whether the part's pushes so far were proposed by this command.
     contacts : int
         Number of contacts around the outline.
-    travel, speed, radius : float, optional
-        Travel, speed and radius of the pusher.
+    travel : float, optional
+        Travel of the pusher.
+    speed : float, optional
+        Speed of the pusher.
+    radius : float, optional
+        Radius of the pusher.
     where : tuple of str
         Filters that select experiments, such as "surface=abs error>5 real".
     seed : int
