@@ -124,7 +124,8 @@ def load_detail(project: Project, store: Store, calibration_id: int) -> StoredCa
     origin, misfit = record.provenance, misfit_of(record)
     known: dict[str, Any] = {}
     try:
-        fit = _fit_of(project, calibration_id, record)
+        run = stored_run(project, calibration_id, record)
+        fit = None if run is None else run.stored_as(calibration_id)
         if fit is not None:
             known = _of_fit(fit, store)
     except FixelError as problem:  # what is stored can be shown all the same
@@ -155,13 +156,6 @@ def load_detail(project: Project, store: Store, calibration_id: int) -> StoredCa
     )
 
 
-def _fit_of(project: Project, calibration_id: int, record: CalibrationRecord) -> Calibration | None:
-    """Load a calibration with its run; None if only its record is left."""
-    run = stored_run(project, calibration_id, record)
-    known = run is not None and calibration_id in run.ids
-    return run[run.ids.index(calibration_id)] if run is not None and known else None
-
-
 def _of_fit(fit: Calibration, store: Store) -> dict[str, Any]:
     """Return the fields that a record alone does not have."""
     found, trace, names = fit.found, fit.found.trace, store.calibration_summaries()
@@ -183,7 +177,8 @@ def _of_fit(fit: Calibration, store: Store) -> dict[str, Any]:
 
 def plot(project: Project, store: Store, calibration_id: int, kind: str) -> bytes:
     """Draw a plot of a stored calibration as PNG; raise `NotStored` if it has no such plot."""
-    fit = _fit_of(project, calibration_id, store.calibration(calibration_id))
+    run = stored_run(project, calibration_id, store.calibration(calibration_id))
+    fit = None if run is None else run.stored_as(calibration_id)
     if kind not in PLOTS or fit is None:
         raise NotStored(f"plot {kind!r} of calibration {calibration_id}")
     picture = BytesIO()

@@ -664,6 +664,10 @@ class Calibrations(CalibrationPlan, Result, Sequence[Calibration]):
         kinds = (FitKind.DIRECT, FitKind.STORED)
         return next((fit for fit in self if fit.found.how in kinds), None)
 
+    def stored_as(self, number: int) -> Calibration | None:
+        """Return the calibration with an id in a project; None if it is not one of these."""
+        return self[self.ids.index(number)] if number in self.ids else None
+
     @property
     def skipped(self) -> tuple[str, ...]:
         """Sentences on the experiments that were left out, one for each reason."""

@@ -130,24 +130,9 @@ def add_to_project(project: Project, found: Calibrations) -> Calibrations: ...
 def add_to_project(
     project: Project, found: Calibration | Calibrations
 ) -> Calibration | Calibrations:
-    """Store the calibrations of a run in a project; those of a job are stored once.
+    """Store the calibrations of a run in a project that has its experiments; return them with ids.
 
-    Parameters
-    ----------
-    project : Project
-        Project that contains the experiments.
-    found : Calibration or Calibrations
-        Of a calibration, all of its run are stored.
-
-    Returns
-    -------
-    Calibration or Calibrations
-        The same, with the ids of the stored calibrations.
-
-    Raises
-    ------
-    NotStored
-        An experiment is not in the project.
+    Of a calibration, all of its run are stored. Those of a job are stored once.
     """
     run = found.run if isinstance(found, Calibration) else found
     with project.store() as store:
@@ -212,8 +197,9 @@ def stored_calibration(project: Project, number: int) -> Calibration:
         record = store.calibration(number)
         if record.request is None:
             run = stored_run(project, number, record)
-            if run is not None and number in run.ids:
-                return run[run.ids.index(number)]
+            fit = None if run is None else run.stored_as(number)
+            if fit is not None:
+                return fit
         return _from_records(store, {number: record})[0]
 
 

@@ -201,12 +201,8 @@ def gather(
         data = data_of(store, ids)
         checksum = store.checksum(ids)
     opened = stored_run(project, one.id, one.record)
-    known = opened is not None and one.id in opened.ids
-    fit = (
-        opened[opened.ids.index(one.id)]
-        if opened and known
-        else stored_calibration(project, one.id)
-    )
+    own = None if opened is None else opened.stored_as(one.id)
+    fit = stored_calibration(project, one.id) if own is None else own
     tell("drawing the calibration")
     figures = figures_of(opened, folder, project) if opened is not None else []
     analyses = _analyses(project, one)
