@@ -233,11 +233,7 @@ def _copy_video(digest: str, source: Store, target: Store) -> None:
 class _Copy:
     """Copy of records from one store to another, each in its own transaction.
 
-    Parameters
-    ----------
-    source, target : Store
-    add_video : callable
-        Called with the checksum of each video of a copied experiment.
+    `add_video` gets the checksum of each video of a copied experiment.
     """
 
     def __init__(self, source: Store, target: Store, add_video: Callable[[str], None]) -> None:

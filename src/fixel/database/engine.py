@@ -28,10 +28,7 @@ WAIT_S: Final = 20.0  # maximum wait for the transaction of another process
 def open_engine(url: str) -> sa.Engine:
     """Create an engine for a database that exists or, with SQLite, can be created.
 
-    Raises
-    ------
-    StoreRefused
-        The file is on a network file system, the driver is missing, or the URL is invalid.
+    Network file systems, invalid URLs and missing drivers raise `StoreRefused`.
     """
     try:
         parsed = sa.make_url(url)
@@ -78,11 +75,7 @@ def _on_read_only_media(url: sa.URL) -> sa.URL:
     """Let SQLite open a file on read-only media as immutable.
 
     Databases with a write-ahead log need a `-shm` file next to them, which cannot be created there.
-
-    Raises
-    ------
-    StoreRefused
-        The last changes are in a log that only a writer can merge.
+    If the last changes are in such a log, `StoreRefused` is raised: only a writer can merge it.
     """
     file = Path(url.database or "")
     if not url.database or url.database == ":memory:" or not _is_on_read_only_media(file):

@@ -51,10 +51,7 @@ def version_of(connection: sa.Connection) -> str | None:
 def upgrade(connection: sa.Connection, version: str = "head") -> None:
     """Upgrade a database to a schema version, or leave it unchanged on failure.
 
-    Raises
-    ------
-    StoreRefused
-        The database is newer than this program, or belongs to another program.
+    One that is newer than this program, or of another program, raises `StoreRefused`.
     """
     check_known(connection)
     if version_of(connection) is None and sa.inspect(connection).get_table_names():

@@ -130,15 +130,7 @@ def bag_files(source: Path) -> list[Path]:
 
 
 def read_bag(source: Path) -> Bag:
-    """Read the poses of a bag.
-
-    Raises
-    ------
-    InvalidInput
-        A damaged file, or one without poses.
-    MissingExtra
-        A package that reads the file is not installed.
-    """
+    """Read the poses of a bag; raise for damaged files, no poses, or a missing package."""
     readers = {".mcap": _from_mcap, ".db3": _from_sqlite, TAGS: _from_tags}
     bag, n = Bag(), 0
     if not (files := bag_files(source)):

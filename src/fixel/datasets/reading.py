@@ -43,12 +43,7 @@ IMPORTERS: Final[Mapping[str, Importer]] = MappingProxyType(
 def importer_for(source: Path, name: str | None = None) -> Importer:
     """Return the importer of a given name, or the first that recognises a file or folder.
 
-    Raises
-    ------
-    InvalidInput
-        No importer of that name.
-    DatasetMissing
-        The source does not exist, or no importer recognises it.
+    Unknown names raise `InvalidInput`; `DatasetMissing` means that none recognises the source.
     """
     if name is not None:
         if name not in IMPORTERS:

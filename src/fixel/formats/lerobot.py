@@ -84,14 +84,7 @@ def write_lerobot(
 ) -> int:
     """Write a LeRobot dataset into an empty folder; return the number of frames.
 
-    Parameters
-    ----------
-    fps : int
-        Frames per second.
-    name : str
-        Name of the dataset, for its card.
-    rights : mapping of str to (licence, citation)
-        Licence and citation of each source dataset, by its name.
+    Its card has the `name`, and the licence and citation of each source dataset in `rights`.
     """
     found = _Dataset(fps)
     _write(found, (_of_experiment(own, fps) for own in experiments), folder)
@@ -100,16 +93,11 @@ def write_lerobot(
 
 
 def write_push_t(episodes: Iterable[Columns], folder: Path) -> int:
-    """Write episodes of the Push-T task as a LeRobot dataset; return the number of frames.
+    """Write Push-T as a LeRobot dataset into an empty folder; return the number of frames.
 
-    Parameters
-    ----------
-    episodes : iterable of mapping
-        Arrays of the frames of one episode: ``observation.state`` (n, 2) and
-        ``observation.environment_state`` (n, 16) before each step, ``action`` (n, 2) [px],
-        ``next.reward``, ``next.done`` and ``next.success`` (n,) after it.
-    folder : Path
-        Empty folder.
+    Each episode has the arrays of its frames: ``observation.state`` (n, 2) and
+    ``observation.environment_state`` (n, 16) before each step, ``action`` (n, 2) [px],
+    ``next.reward``, ``next.done`` and ``next.success`` (n,) after it.
     """
     found = _Dataset(PUSH_T_FPS, PUSH_T_FEATURES)
     _write(found, (_of_push_t(own) for own in episodes), folder)

@@ -173,11 +173,6 @@ def repair_recording(folder: str | Path) -> Recording:
     """Cut off rows and pictures without a counterpart at the end, and write the end mark.
 
     Both files are shortened in place, rows first, so that an interrupted repair can be repeated.
-
-    Raises
-    ------
-    InvalidInput
-        As in `open_recording`; or the folder cannot be written to.
     """
     folder = Path(folder)
     recording = open_recording(folder)

@@ -174,14 +174,8 @@ def use_record(record: type[FileRecord], *kinds: Any) -> None:
 def choice_of(title: str, kinds: Any = None, /, **forms: Any) -> Any:
     """Make the record of a choice, with exactly one of several keys.
 
-    Parameters
-    ----------
-    title : str
-        Name of the record.
-    kinds : type, optional
-        Union of the classes, where fields of this type are of this record.
-    **forms
-        Class by key: one with a record, or one with a single argument, whose value the file has.
+    `forms` has the class of each key: one with a record, or one with a single argument, whose
+    value the file has. `kinds` is the union of the classes, where fields of it are of this record.
     """
     keys: dict[str, Any] = {}
     for key, kind in forms.items():

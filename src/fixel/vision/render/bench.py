@@ -42,18 +42,8 @@ class RenderedBench:
     """Renderer of a scene on the testbed.
 
     Resting things are painted once; moving ones in the window that they and their shadows touch.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene with the true shapes.
-    rig : Rig
-        Camera and markers. Parts that it lacks are 25.4 mm high, pushers 30 mm, without markers.
-    looks : CameraEffects
-    seed : int
-        Seed of the textures.
-    like : RenderedBench, optional
-        Renderer with the same rig, looks and seed, whose plate is used again.
+    Parts that the rig lacks are 25.4 mm high, pushers 30 mm, without markers. The textures are
+    those of the seed; the plate is that of `like`, which has the same rig, looks and seed.
     """
 
     def __init__(

@@ -348,21 +348,8 @@ class FramePoses:
 class Locator:
     """Locator of parts and fixels in live pictures; frames without any raise nothing.
 
-    Parameters
-    ----------
-    rig : Rig
-    scene : Scene
-        Scene with the outlines of parts and the approximate places of fixels.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Parts of the scene to find.
-
-    Raises
-    ------
-    InvalidInput
-        The rig has markers for no part of the scene.
+    The scene has the outlines of parts and the approximate places of fixels; `names` are its parts
+    with markers on the rig, at least one.
     """
 
     def __init__(self, rig: Rig, scene: Scene) -> None:
