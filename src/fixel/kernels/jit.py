@@ -265,7 +265,11 @@ def kernel(function: Function) -> Function:
 
 
 def large_kernel(function: Function) -> Function:
-    """Compile a helper like `kernel`, not inlined: for long functions, at most once per step."""
+    """Compile a helper like `kernel`, for long functions that are called at most once per step.
+
+    Numba inlines it where the helper compiled around it is inlined. Never to do so makes steps 6 to
+    9 % slower, since all arrays are passed, and the compilation no shorter.
+    """
     return _inner(function, _nrt=False)
 
 

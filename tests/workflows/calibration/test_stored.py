@@ -3,7 +3,7 @@
 import pytest
 from tests.fixtures import project_of
 
-from fixel.calibration.objective import RootMeanSquare
+from fixel.calibration.objective import Robust, RootMeanSquare
 from fixel.errors import InvalidInput
 from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Estimate, Member
@@ -55,6 +55,12 @@ def test_the_method_is_that_of_the_calibration(store):
     one = load_values(store, store.add_calibration(_record([1], method=method)))
     assert one.motion == QuasiStatic()
     assert one.error == RootMeanSquare(angle_scale=0.5)
+
+
+def test_the_options_of_an_error_are_kept(store):
+    method = {"error": "robust", "error.angle_scale": 0.5, "error.distance": 5e-4}
+    one = load_values(store, store.add_calibration(_record([1], method=method)))
+    assert one.error == Robust(angle_scale=0.5, distance=5e-4)
 
 
 def test_the_newest_for_several_experiments_counts(store):

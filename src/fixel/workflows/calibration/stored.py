@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Final, final
 
 from fixel.calibration.known_pushes import KnownPushes
-from fixel.calibration.objective import ANGLE_SCALE, ERRORS, AbstractError, MeanSquare
+from fixel.calibration.objective import ERRORS, AbstractError, MeanSquare
 from fixel.calibration.target import target_of
 from fixel.database.project import DATABASE, Project
 from fixel.database.store import Store
@@ -60,10 +60,10 @@ class CalibratedValues:
     @cached_property
     def error(self) -> AbstractError:
         """Error that the calibration minimised."""
-        name = self.record.method.get("error")
-        scale = float(self.record.method.get("error.angle_scale", ANGLE_SCALE))
-        kind = next((kind for kind in ERRORS if kind.name == name), MeanSquare)
-        return kind(angle_scale=scale)
+        method = self.record.method
+        kind = next((own for own in ERRORS if own.name == method.get("error")), MeanSquare)
+        options = {field.name: method.get(f"error.{field.name}") for field in fields(kind)}
+        return kind(**{name: float(value) for name, value in options.items() if value is not None})
 
     @property
     def level(self) -> float | None:
