@@ -262,7 +262,7 @@ def lasting(contact: FloatArray, before: FloatArray, memory: FloatArray) -> Floa
 
     Where the pose is uncertain, it is as uncertain in the next frame, in the same direction: sixty
     frames at an unclear gap are one unknown, not sixty. Contacts that are clear remember nothing:
-    `memory` (n, 1) is the share of the old probability that remains. That `before` is after the
+    `memory` (n, 1) is the share of the old probability that remains, which is that after its
     readings.
     """
     unclear = (contact > CLEAR) & (contact < 1.0 - CLEAR)
