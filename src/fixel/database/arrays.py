@@ -41,13 +41,9 @@ def rows_of(
     for place, (name, columns, values) in enumerate(several):
         data = bytes_of(values)
         is_long = len(data) > MEDIA_BYTES
-        found.append(
-            {
-                **{"owner": owner, "place": place, "name": name, "columns": list(columns)},
-                **{"n_row": len(values), "data": None if is_long else data},
-                "media_sha256": keep(data, media) if is_long else None,
-            }
-        )
+        row = {"owner": owner, "place": place, "name": name, "columns": list(columns)}
+        row |= {"n_row": len(values), "data": None if is_long else data}
+        found.append(row | {"media_sha256": keep(data, media) if is_long else None})
     return found
 
 
