@@ -204,7 +204,7 @@ def doctor(as_json: AsJson = False) -> None:
 def compile_(as_json: AsJson = False) -> None:
     """Compile all numerical code now: for images and slow machines.
 
-    Two processes take one to two minutes. Without it, the first simulation starts the compilation.
+    Two processes take some minutes. Without it, the first simulation starts the compilation.
     """
     from dataclasses import asdict
 
