@@ -342,7 +342,7 @@ def test_truncated_files(tmp_path: Path, share: float) -> None:
     data = mcap_of(tmp_path)
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(data[: int(share * len(data))])
-    with pytest.raises(InvalidInput, match="mcap recover"):
+    with pytest.raises(InvalidInput, match=r"found \w+, but .*mcap recover"):
         fixel.read_experiments(cut, columns=ROLES)
     (path,) = write_bag(tmp_path / "bag", two_topics()).glob("*.db3")
     if share < 0.9:

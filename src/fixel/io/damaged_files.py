@@ -55,7 +55,7 @@ def parsed(path: Path, hint: str | None = None) -> Iterator[None]:
     except FixelError:
         raise
     except Exception as problem:
-        found = f"{type(problem).__name__}: {problem}"[:200]
+        found = ": ".join(filter(None, (type(problem).__name__, str(problem))))[:200]
         expected = f"a readable {path.suffix[1:].upper()} file"
         raise InvalidInput(path.name, found=found, expected=expected, hint=hint) from problem
 
