@@ -22,6 +22,7 @@ from fixel.simulation.stepper import AbstractStepper
 from fixel.typing import BoolArray, FloatArray, IntArray
 
 ANGLE_SCALE: Final = 35e-3  # [m/rad] length by which the thesis weights angles
+OPTION_UNITS: Final = {"angle_scale": "m/rad", "distance": "m"}  # of all errors
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,7 +35,9 @@ class AbstractError(abc.ABC):
     angle_scale: float = ANGLE_SCALE
 
     def __post_init__(self) -> None:
-        positive(self.angle_scale, "error.angle_scale", "m/rad")
+        for name, unit in OPTION_UNITS.items():
+            if hasattr(self, name):
+                positive(getattr(self, name), f"error.{name}", unit)
 
     @abc.abstractmethod
     def of(self, difference: FloatArray) -> FloatArray:
@@ -96,10 +99,6 @@ class Robust(AbstractError):
     name: ClassVar[str] = "robust"
     unit: ClassVar[str] = "mm^2"
     distance: float = 2e-3  # c, above which the loss is linear [m]
-
-    def __post_init__(self) -> None:
-        AbstractError.__post_init__(self)
-        positive(self.distance, "error.distance", "m")
 
     def of(self, difference: FloatArray) -> FloatArray:
         square = (1e3 * self.distance) ** 2

@@ -21,6 +21,7 @@ from fixel.calibration.misfit import WARNED
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import (
     ANGLE_SCALE,
+    OPTION_UNITS,
     Comparer,
     MeanSquare,
     Robust,
@@ -578,9 +579,8 @@ class Calibration(Result, Mapping[str, float]):
         """Method and origin, by name."""
         from importlib.metadata import version
 
-        listed = self.request.listed().items()
         details = {
-            **{k: value if isinstance(value, str) else f"{value:g}" for k, value in listed},
+            **{name: self._worded(name, own) for name, own in self.request.listed().items()},
             "noise": self.found.noise,
             "ended": self.message,
             "took": f"{self.found.seconds:.3g} s",
@@ -589,6 +589,13 @@ class Calibration(Result, Mapping[str, float]):
             "command": self.command,
         }
         return {name: value for name, value in details.items() if value}
+
+    def _worded(self, name: str, value: str | float) -> str:
+        """Return an option of the request as text, with its unit."""
+        if isinstance(getattr(self.request, name, None), bool):
+            return "yes" if value else "no"
+        unit = OPTION_UNITS.get(name.removeprefix("error."), "")
+        return value if isinstance(value, str) else f"{value:g} {unit}".rstrip()
 
     def _data(self) -> Table:
         head = ("parameter", "value", "low", "high", "unit", "verdict", "reason", "best_fit")
