@@ -29,14 +29,14 @@ def verdicts(residuals, where=UNIT, **options):
     return judge(space_of(where), found, **options)
 
 
-def words(told):
-    return [verdict.verdict for verdict in told]
+def words(estimates):
+    return [verdict.verdict for verdict in estimates]
 
 
 def test_identified():
-    told = verdicts(decay_residuals(1), DECAY_BOX)
-    assert words(told) == ["identified"] * 3
-    for verdict, truth in zip(told, (2.0, 1.3, 0.5), strict=True):
+    estimates = verdicts(decay_residuals(1), DECAY_BOX)
+    assert words(estimates) == ["identified"] * 3
+    for verdict, truth in zip(estimates, (2.0, 1.3, 0.5), strict=True):
         assert verdict.low < truth < verdict.high
         assert verdict.low < verdict.value < verdict.high
         assert "% of the range" in verdict.reason
@@ -57,9 +57,11 @@ def test_identified():
     ],
 )  # fmt: skip
 def test_words_of_linear_residuals(residuals, expected):
-    told = verdicts(residuals)
-    assert words(told) == expected
-    assert [verdict.word for verdict in told] == [word.partition(" with ")[0] for word in expected]
+    estimates = verdicts(residuals)
+    assert words(estimates) == expected
+    assert [verdict.word for verdict in estimates] == [
+        word.partition(" with ")[0] for word in expected
+    ]
 
 
 def test_sloppy_product_trades_off():
@@ -79,44 +81,44 @@ def test_the_interval_of_what_is_flat_is_open_and_of_what_is_wide_is_not():
 
 @pytest.mark.parametrize("size", [1e-4, 1e-3, 1e-2])
 def test_flat_but_rough_is_not_identified(size):
-    told = verdicts(
+    estimates = verdicts(
         rough(lambda p: np.c_[p[:, 0] - 0.3, p[:, 1] - 0.6, 0 * p[:, 2]] / 0.05, size, jump=0.0)
     )
-    assert words(told) == ["identified", "identified", "not identified"]
+    assert words(estimates) == ["identified", "identified", "not identified"]
 
 
 def test_sum_of_three_names_both_others():
-    told = verdicts(lambda p: np.c_[p.sum(axis=1) - 1.5, 1e-3 * p[:, 0]] / 0.01)
-    assert told[0].verdict in (
+    estimates = verdicts(lambda p: np.c_[p.sum(axis=1) - 1.5, 1e-3 * p[:, 0]] / 0.01)
+    assert estimates[0].verdict in (
         "trades off with mu_fixel, mu_support",
         "trades off with mu_support, mu_fixel",
     )
 
 
 def test_at_bound_says_whether_the_deviance_still_falls():
-    told = verdicts(lambda p: np.c_[p[:, 0] - 1.3, p[:, 1], p[:, 2] - 0.4] / 0.1)
-    assert words(told) == ["at bound", "at bound", "identified"]
-    assert told[0].value == 1.0
-    assert told[0].high is None
-    assert told[0].low == pytest.approx(0.95, abs=0.02)
-    assert "still decreases at the bound 1" in told[0].reason
-    assert "is the bound 0" in told[1].reason
+    estimates = verdicts(lambda p: np.c_[p[:, 0] - 1.3, p[:, 1], p[:, 2] - 0.4] / 0.1)
+    assert words(estimates) == ["at bound", "at bound", "identified"]
+    assert estimates[0].value == 1.0
+    assert estimates[0].high is None
+    assert estimates[0].low == pytest.approx(0.95, abs=0.02)
+    assert "still decreases at the bound 1" in estimates[0].reason
+    assert "is the bound 0" in estimates[1].reason
 
 
 def test_interval_that_reaches_a_bound():
-    told = verdicts(lambda p: np.c_[p[:, 0] - 0.1, p[:, 1] - 0.5, p[:, 2] - 0.4] / 0.1)
-    assert told[0].verdict == "at most"
-    assert "do not distinguish it from the bound 0" in told[0].reason
-    assert told[0].low is None
-    assert 0.0 < told[0].value < told[0].high
+    estimates = verdicts(lambda p: np.c_[p[:, 0] - 0.1, p[:, 1] - 0.5, p[:, 2] - 0.4] / 0.1)
+    assert estimates[0].verdict == "at most"
+    assert "do not distinguish it from the bound 0" in estimates[0].reason
+    assert estimates[0].low is None
+    assert 0.0 < estimates[0].value < estimates[0].high
 
 
 def test_a_value_inside_is_not_at_a_bound_and_a_value_on_it_is():
     """The best lies at 0.86 or beyond 1; the interval reaches 1 either way."""
     for best, word in ((0.86, "at least"), (1.1, "at bound")):
-        told = verdicts(lambda p, best=best: np.c_[p[:, 0] - best, p[:, 1:] - 0.4] / 0.1)
-        assert (told[0].verdict, told[0].high) == (word, None)
-        inside = 0.01 < told[0].value < 0.99
+        estimates = verdicts(lambda p, best=best: np.c_[p[:, 0] - best, p[:, 1:] - 0.4] / 0.1)
+        assert (estimates[0].verdict, estimates[0].high) == (word, None)
+        inside = 0.01 < estimates[0].value < 0.99
         assert inside == (word == "at least")
     assert (
         f"at least {0.86 - 0.196:.2f}"
@@ -125,10 +127,10 @@ def test_a_value_inside_is_not_at_a_bound_and_a_value_on_it_is():
 
 
 def test_one_sided_and_wide_says_on_which_side():
-    told = verdicts(lambda p: np.c_[np.exp(-12 * p[:, 0]) / 0.05, (p[:, 1:] - 0.5) / 0.1])
-    assert told[0].verdict in ("not identified", "at bound")
-    assert told[0].low is not None
-    assert told[0].high is None
+    estimates = verdicts(lambda p: np.c_[np.exp(-12 * p[:, 0]) / 0.05, (p[:, 1:] - 0.5) / 0.1])
+    assert estimates[0].verdict in ("not identified", "at bound")
+    assert estimates[0].low is not None
+    assert estimates[0].high is None
 
 
 def test_two_minima_are_not_identified_once_both_are_known():
@@ -143,23 +145,23 @@ def test_two_minima_are_not_identified_once_both_are_known():
         [f.point for f in fits], [f.deviance for f in fits], UNIT.scale, THRESHOLD
     )
     assert len(groups) == 2
-    told = judge(space_of(UNIT), found, solutions=[group.point for group in groups])
-    assert words(told) == ["not identified", "identified", "identified"]
-    assert "explains the data as well" in told[0].reason
+    estimates = judge(space_of(UNIT), found, solutions=[group.point for group in groups])
+    assert words(estimates) == ["not identified", "identified", "identified"]
+    assert "explains the data as well" in estimates[0].reason
     # The interval holds both.
-    assert told[0].low < 0.21
-    assert told[0].high > 0.79
+    assert estimates[0].low < 0.21
+    assert estimates[0].high > 0.79
 
 
 def test_bumps_are_told():
-    told = verdicts(rough(decay_residuals(2), size=0.5, jump=0.0), DECAY_BOX)
-    assert any("smaller steps" in verdict.reason for verdict in told)
+    estimates = verdicts(rough(decay_residuals(2), size=0.5, jump=0.0), DECAY_BOX)
+    assert any("smaller steps" in verdict.reason for verdict in estimates)
 
 
 def test_not_excited_comes_first():
-    told = verdicts(lambda p: (p - 0.5) / 0.05, excited={"mu_fixel": False})
-    assert words(told) == ["identified", "not excited", "identified"]
-    assert told[1].low is None
+    estimates = verdicts(lambda p: (p - 0.5) / 0.05, excited={"mu_fixel": False})
+    assert words(estimates) == ["identified", "not excited", "identified"]
+    assert estimates[1].low is None
 
 
 def test_prior_alone_is_nothing_learnt():
@@ -167,9 +169,9 @@ def test_prior_alone_is_nothing_learnt():
     where = box([0, 0], [1, 1])
     residuals = lambda p: np.c_[p[:, 0] - 0.52, 0.0 * p[:, 1]] / 0.03  # noqa: E731
     _, found = calibrated(residuals, where, prior=prior)
-    told = judge(space_of(where, prior=0.05), found)
-    assert words(told) == ["identified", "not identified"]
-    assert "prior" in told[1].reason
+    estimates = judge(space_of(where, prior=0.05), found)
+    assert words(estimates) == ["identified", "not identified"]
+    assert "prior" in estimates[1].reason
 
 
 def test_frozen_unknowns_are_not_judged_and_one_is_enough():
@@ -184,14 +186,14 @@ def test_nothing_evaluated_is_a_verdict_too():
     def failing(points):
         return np.full((len(points), 3), np.inf)
 
-    told = verdicts(failing)
-    assert words(told) == ["not identified"] * 3
-    assert "could not be evaluated" in told[0].reason
+    estimates = verdicts(failing)
+    assert words(estimates) == ["not identified"] * 3
+    assert "could not be evaluated" in estimates[0].reason
 
 
 def test_verdicts_are_known_words_with_a_sentence_each():
-    for told in (verdicts(decay_residuals(2), DECAY_BOX), verdicts(lambda p: p - 1.3)):
-        assert all(verdict.word in WORDS and verdict.reason for verdict in told)
+    for estimates in (verdicts(decay_residuals(2), DECAY_BOX), verdicts(lambda p: p - 1.3)):
+        assert all(verdict.word in WORDS and verdict.reason for verdict in estimates)
 
 
 def test_refusals():
@@ -205,40 +207,40 @@ def test_refusals():
 def _misfitting(sd, **options):
     """Verdicts on three unknowns that noise alone fixes to 0.02, with standard errors of misfit."""
     honest = Honest(np.array([0.35, 0.5, 0.4]), np.full(3, sd), np.full(3, 1e6), 9)
-    told = verdicts(lambda p: (p - [0.3, 0.6, 0.4]) / 0.01, honest=honest, **options)
-    return told, honest
+    estimates = verdicts(lambda p: (p - [0.3, 0.6, 0.4]) / 0.01, honest=honest, **options)
+    return estimates, honest
 
 
 def test_a_value_lies_in_the_interval_that_allows_for_misfit():
-    told, honest = _misfitting(0.05)
+    estimates, honest = _misfitting(0.05)
     low, high = honest.ends(0.95)
-    for k, verdict in enumerate(told):
+    for k, verdict in enumerate(estimates):
         assert verdict.low == pytest.approx(low[k])
         assert verdict.high == pytest.approx(high[k])
         assert verdict.low < verdict.value == honest.value[k] < verdict.high
-    assert words(told[:2]) == ["identified", "identified"]
-    assert "misfit makes it 5 times wider" in told[0].reason
+    assert words(estimates[:2]) == ["identified", "identified"]
+    assert "misfit makes it 5 times wider" in estimates[0].reason
 
 
 def test_what_stands_for_something_else_is_effective_where_the_model_misfits():
-    told, _ = _misfitting(0.05)
-    assert told[2].label == "mu_support"
-    assert told[2].verdict == "effective"
+    estimates, _ = _misfitting(0.05)
+    assert estimates[2].label == "mu_support"
+    assert estimates[2].verdict == "effective"
     right = verdicts(lambda p: (p - [0.3, 0.6, 0.4]) / 0.01)
     assert right[2].verdict == "identified"
 
 
 def test_precise_is_what_only_noise_makes_narrow():
-    told, _ = _misfitting(0.15)
-    assert words(told[:2]) == ["precise, but the model misfits"] * 2
-    assert told[2].verdict == "effective"
-    assert {verdict.word for verdict in told} <= set(WORDS)
+    estimates, _ = _misfitting(0.15)
+    assert words(estimates[:2]) == ["precise, but the model misfits"] * 2
+    assert estimates[2].verdict == "effective"
+    assert {verdict.word for verdict in estimates} <= set(WORDS)
 
 
 def test_an_interval_that_reaches_a_bound_is_open_there():
-    told, _ = _misfitting(0.22)
-    assert told[0].low is None
-    assert told[0].high == pytest.approx(0.35 + 1.96 * 0.22, abs=1e-3)
+    estimates, _ = _misfitting(0.22)
+    assert estimates[0].low is None
+    assert estimates[0].high == pytest.approx(0.35 + 1.96 * 0.22, abs=1e-3)
 
 
 def _with_misfit(best, sd, value, honest_sd):

@@ -369,7 +369,7 @@ def test_changed_files_are_read_or_refused(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """What a parser logs of a file does not reach the terminal."""
+    """Changed files are read or refused, and nothing that a parser logs reaches the terminal."""
     with monkeypatch.context() as terminal:
         terminal.setattr(logging.getLogger(), "handlers", [])
         tally = attack(name, lab, place, 40)

@@ -69,7 +69,7 @@ def behind(ohm):
     [(4.39, 0), (4.42, 2), (behind(0), 2), (behind(260), 2), (behind(285), 0), (behind(1e9), 0)],
 )
 def test_a_fixel_is_touched_above_900_of_1023(mega, port, volts, touched):
-    """So that a contact may bridge the coils of the thesis."""
+    """The limit lets a contact bridge the coils of the thesis."""
     mega.touch(0)
     mega.volts(1, volts)
 

@@ -309,7 +309,8 @@ def shapes_of(content: Mapping[str, Any]) -> tuple[dict[str, Shape], Problems]:
     shapes: dict[str, Shape] = {}
     problems: Problems = {}
     for name, value in content.items():
-        with collected(problems, name, where := f"{SHAPES}: {name}"):
+        where = f"{SHAPES}: {name}"
+        with collected(problems, name, where):
             shapes[name] = _shape(where, value)
     return shapes, problems
 

@@ -89,7 +89,8 @@ def path_columns(trajectory: Trajectory) -> dict[str, Any]:
     """Columns of an experiment that follow from its trajectory."""
     time, ends = trajectory.time, trajectory.pose[[0, -1]].tolist()
     return {
-        **{"n_frame": len(time), "duration_s": float(time[-1] - time[0])},
+        "n_frame": len(time),
+        "duration_s": float(time[-1] - time[0]),
         **{f"start_{label}": x for label, x in zip(_POSE, ends[0], strict=True)},
         **{f"end_{label}": x for label, x in zip(_POSE, ends[1], strict=True)},
     }

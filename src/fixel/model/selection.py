@@ -163,10 +163,11 @@ def parse_filter(*filters: str, **options: Any) -> ExperimentQuery:
     for token in (token for text in filters for token in _tokens(text)):
         head, colon, rest = token.partition(":")
         if token in MARKS or (colon and head == "is"):
-            marks.append(mark := rest if colon else token)
+            mark = rest if colon else token
             if mark not in MARKS:
                 expected = "one of " + ", ".join(MARKS)
                 raise InvalidInput("filter: is:", found=repr(mark), expected=expected)
+            marks.append(mark)
         elif colon and head == "flag" and rest:
             flags.append(rest)
         elif colon and head == "dataset" and rest:
