@@ -158,17 +158,28 @@ def lose_the_banner(controller: EmulatedGrbl) -> None:
     controller.mute = False
 
 
-def damage_a_report(controller: EmulatedGrbl) -> None:
-    """A letter of the next report arrives as another: it says no place any more."""
-    notify = controller._say
+def damage_reports(controller, damage, reports=1):
+    """The next reports arrive damaged; answers to lines of the move do not."""
+    say = controller._say
 
     def damaged(*lines: str) -> None:
-        if lines[0].startswith("<"):
-            controller._say = notify
-            lines = (lines[0].replace("MPos", "MQos"),)
-        notify(*lines)
+        nonlocal reports
+        if lines[0].startswith("<") and reports:
+            reports -= 1
+            lines = (damage(lines[0]),)
+        say(*lines)
 
     controller._say = damaged
+
+
+def lose_the_place(controller: EmulatedGrbl) -> None:
+    """A letter of the next report arrives as another: it says no place any more."""
+    damage_reports(controller, lambda line: line.replace("MPos", "MQos"))
+
+
+def garble_reports(controller: EmulatedGrbl) -> None:
+    """Every byte of some reports arrives as another."""
+    damage_reports(controller, lambda line: "".join(chr(ord(c) ^ 0x2A) for c in line), reports=5)
 
 
 # --- alarms and limits ----------------------------------------------------------------------------
@@ -273,7 +284,7 @@ def lose_an_axis(controller: EmulatedGrbl) -> None:
 
 @pytest.mark.parametrize(
     "damage",
-    [damage_a_report, lose_an_axis, lambda controller: setattr(controller, "garble", 200)],
+    [lose_the_place, lose_an_axis, garble_reports],
     ids=["without a place", "without an axis", "garbled"],
 )
 def test_damaged_reports_are_passed_over(controller, drive, damage):

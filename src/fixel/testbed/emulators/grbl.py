@@ -150,7 +150,6 @@ class EmulatedGrbl:
         self.events: list[GrblEvent] = []
         self.lost = 0  # number of bytes that did not fit into its buffer
         self.mute = False  # fault: sends nothing
-        self.garble = 0  # fault: number of following bytes to damage
         self.refuse = 0  # fault: number of following lines to reject
         self._rate, self._homing = rate, homing
         self._firmware, self._axes = FIRMWARE[firmware], axes  # axes in its reports
@@ -550,10 +549,7 @@ class EmulatedGrbl:
     def _say(self, *lines: str) -> None:
         if self.mute or self._master < 0:
             return
-        data = bytearray("".join(f"{line}\r\n" for line in lines).encode("ascii"))
-        for k in range(min(self.garble, len(data))):
-            data[k] ^= 0x2A
-            self.garble -= 1
+        data = "".join(f"{line}\r\n" for line in lines).encode("ascii")
         with contextlib.suppress(OSError):
             os.write(self._master, data)
 
