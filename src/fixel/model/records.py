@@ -137,10 +137,9 @@ class Estimate:
         Value and interval from least squares, if noise were the only error; None where the model
         fits within the noise, and the interval is that one.
     best_fit : float, optional
-        Value that predicts best, found by the search. It is not stored with the estimate, nor are
-        the next three: they are for tables and charts.
+        Value that predicts best, found by the search; None in records of earlier versions.
     bounds : (float, float), optional
-        Bounds of the search.
+        Bounds of the search; not stored, as the next two.
     before : float, optional
         Value before the calibration.
     level : float, optional
@@ -216,6 +215,11 @@ class Estimate:
         """Return the estimate with another value and interval from noise alone."""
         return replace(self, noise_value=value, noise_low=low, noise_high=high)
 
+    @property
+    def predictor(self) -> float:
+        """Value to simulate with: the best fit where it is known."""
+        return self.value if self.best_fit is None else self.best_fit
+
     def stored(self) -> dict[str, Any]:
         """Return the stored fields, as plain values."""
         return {name: getattr(self, name) for name in _STORED}
@@ -290,7 +294,7 @@ def interval_name(level: float | None) -> str:
 UNKNOWN_WORDS: Final = ("not identified", "not excited", "trades off", "at least", "at most")
 _STORED: Final = (
     *("label", "unit", "value", "low", "high", "verdict", "reason"),
-    *("noise_value", "noise_low", "noise_high"),
+    *("noise_value", "noise_low", "noise_high", "best_fit"),
 )
 
 

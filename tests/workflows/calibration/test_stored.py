@@ -3,6 +3,7 @@
 import pytest
 from tests.fixtures import project_of
 
+import fixel
 from fixel.calibration.objective import Robust, RootMeanSquare
 from fixel.errors import InvalidInput
 from fixel.model import Parameters, Provenance
@@ -11,7 +12,8 @@ from fixel.model.space import split_label
 from fixel.sampling.published import thesis_plan
 from fixel.simulation import QuasiStatic
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.workflows.calibration.stored import load_values, newest_calibration
+from fixel.workflows.calibration.stored import load_values, newest_calibration, searched_space
+from fixel.workflows.compare.run import compare_stored
 
 
 @pytest.fixture
@@ -86,3 +88,36 @@ def test_without_any_the_next_command_is_named(store):
 def test_labels_come_apart():
     assert split_label("mu_pusher") == ("mu_pusher", {})
     assert split_label("mu[a=b, c=0.5]") == ("mu", {"a": "b", "c": "0.5"})
+
+
+@pytest.mark.parametrize("verdicts", [True, False])
+def test_a_stored_misfit_simulates_as_the_one_in_memory(tmp_path, verdicts):
+    pushes = list(SimulatedTestbed(seed=4).run(thesis_plan().experiments[2:122:40]))
+    space = {f"mu_pusher[experiment={own.key}]": (0, 1) for own in pushes}
+    fit = fixel.calibrate(
+        pushes,
+        space | {"tripod_radius": (0.02, 0.075)},
+        motion="quasistatic",
+        verdicts=verdicts,
+        store=project_of(tmp_path / "lab", pushes),
+        progress=False,
+        threads=1,
+    )
+    quoted = {label: own.value for label, own in fit.estimates.items()}
+    assert verdicts == any(abs(quoted[label] - fit[label]) > 0.05 for label in space)
+    project, (number,) = fixel.Project(tmp_path / "lab"), fit.run.ids
+    with project.store() as store:
+        one = load_values(store, number)
+        members = {member.experiment_id: member.error_mm2 for member in one.record.members}
+        stored = {k: store.experiment(k) for k in members}
+        (summary,) = store.calibration_summaries().values()
+    assert summary.estimates == one.record.estimates
+    start = searched_space(project, one, [])
+    assert start.values(start.nominal) == dict(fit)
+    for k, error in members.items():
+        assert one.values_for(stored[k]) == fit.values_for(stored[k])
+        # The error that the search has minimised, simulated again from what the project has.
+        run = compare_stored(project, str(k), calibration=number).run
+        assert run.error_mm2 == pytest.approx(error, rel=1e-2)
+        (row,) = fixel.compare([stored[k]], {"fit": fit}, progress=False).of("fit")
+        assert run.error_mm2 == row.run.error_mm2

@@ -18,7 +18,6 @@ from fixel.database.query import ALL_EXPERIMENTS
 from fixel.database.store import Store
 from fixel.errors import FixelError, NotStored
 from fixel.model.records import CalibrationRecord, Estimate, estimate_table
-from fixel.model.space import split_label
 from fixel.simulation.engine_names import is_engine
 from fixel.typing import FloatArray
 from fixel.web.values import Answer, Array, Finite
@@ -223,12 +222,8 @@ def _ends_of(fit: Calibration) -> list[Start]:
 
 def _of_record(record: CalibrationRecord) -> list[Estimate]:
     values = dict(record.parameters)
-    return [
-        replace(estimate, best_fit=values.get(split_label(estimate.label)[0], estimate.value))
-        for estimate in record.estimates
-    ] or [
-        Estimate(label=name, unit="", value=value, best_fit=value) for name, value in values.items()
-    ]
+    known = [replace(e, best_fit=values.get(e.label, e.predictor)) for e in record.estimates]
+    return known or [Estimate(label=k, unit="", value=v, best_fit=v) for k, v in values.items()]
 
 
 def _residuals(store: Store, record: CalibrationRecord, fit: Calibration | None) -> list[Residual]:

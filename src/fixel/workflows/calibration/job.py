@@ -607,9 +607,10 @@ def _with_estimates(
 
 def with_assessment(comparer: Comparer, one: ParameterSet, found: Assessment) -> ParameterSet:
     """Return a parameter set with its estimates, profiles and misfit."""
+    best, estimates = comparer.space.values(one.point), (*found.quoted, *_frozen(comparer))
     return dataclasses.replace(
         one,
-        estimates=(*found.quoted, *_frozen(comparer)),
+        estimates=tuple(dataclasses.replace(e, best_fit=best[e.label]) for e in estimates),
         profiles=found.profiles.records(comparer.space.labels),
         noise=found.noise.text,
         misfit=() if found.misfit is None else found.misfit.sentences,

@@ -362,7 +362,9 @@ def _records(run: Calibrations, experiments: Sequence[int]) -> Iterator[Calibrat
                 reasons=tuple(trace.reasons),
                 unit=unit.replace("^", ""),
             ),
-            estimates=one.estimates,
+            estimates=tuple(
+                own for k, own in fit.estimates.items() if one.estimates or k not in shared
+            ),
             request={"version": VERSION, **json.loads(plain)},
             result={
                 "place": place,

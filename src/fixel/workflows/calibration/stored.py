@@ -80,7 +80,7 @@ class CalibratedValues:
         for estimate in self.record.estimates:
             name, where = split_label(estimate.label)
             if where and name not in found and meets(conditions, where):
-                found[name] = estimate.value
+                found[name] = estimate.predictor
         return found
 
     def values_for(self, experiment: Experiment) -> dict[str, float]:
@@ -155,7 +155,7 @@ def searched_space(
     gone, the usual bounds of their parameters are returned.
     """
     record, folder = one.record, job_of(project, one.record)
-    found = dict(one.record.parameters) | {e.label: e.value for e in one.record.estimates}
+    found = {e.label: e.predictor for e in record.estimates} | dict(record.parameters)
     if record.request is not None or SEARCHED in record.method:
         with readable(project.folder / DATABASE):
             space = request_in(record).space

@@ -71,7 +71,7 @@ def errors_section(fit: Calibration, figures: list[Figure]) -> Section:
 def parameters_section(fit: Calibration, figures: list[Figure]) -> Section:
     """Build the section with the values, their intervals and verdicts."""
     (table,) = fit.analysis.tables
-    fitted = (e.text(e.value if e.best_fit is None else e.best_fit) for e in fit.estimates.values())
+    fitted = (e.text(e.predictor) for e in fit.estimates.values())
     return Section(
         title="Estimates of the parameters",
         anchor="parameters",

@@ -316,7 +316,7 @@ def _methods(fit: Calibration, data: ReportData, analyses: Sequence[StoredAnalys
 def _references(one: CalibratedValues, analyses: Sequence[StoredAnalysis]) -> list[str]:
     search = {"pattern-search": "torczon1997", "nelder-mead": "nelder1965"}
     found = [search.get(str(one.record.method.get("optimiser")), "")]
-    found += ["raue2009"] if one.record.estimates else []
+    found += ["raue2009"] if any(e.word not in ("", "frozen") for e in one.record.estimates) else []
     return [*found, *(key for answer in analyses for key in answer.analysis.references)]
 
 

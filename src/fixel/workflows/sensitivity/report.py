@@ -358,6 +358,6 @@ def _ranges(model: CalibratedValues | None, values: Mapping[str, float]) -> dict
         name, _ = split_label(estimate.label)
         low, high = estimate.low, estimate.high
         held = low is not None and high is not None and low < high
-        if held and values.get(name) == estimate.value and not name.startswith("start_"):
+        if held and values.get(name) == estimate.predictor and not name.startswith("start_"):
             found[name] = (low, high)
     return found
