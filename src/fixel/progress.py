@@ -76,15 +76,7 @@ ProgressOption = bool | Callable[[Progress], None] | None
 
 
 class Reporter:
-    """Callback that long work reports its progress to; made by `show_progress`.
-
-    Parameters
-    ----------
-    display : callable
-        Function that shows a `Progress`.
-    stage : str
-        Work that is done now.
-    """
+    """Callback that long work reports its progress to; made by `show_progress`."""
 
     def __init__(self, display: Callable[[Progress], None], stage: str = "") -> None:
         self.stage = stage

@@ -114,12 +114,9 @@ class Summary:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Player:
-    """Animation with play button and slider, which a cell of a notebook shows.
+    """Animation with play button and slider, an HTML page that loads nothing else.
 
-    Parameters
-    ----------
-    page : str
-        HTML page that loads nothing else; written to a file, every browser opens it.
+    A cell of a notebook shows it; written to a file, every browser opens it.
     """
 
     page: str

@@ -168,13 +168,7 @@ class Capability:
         return create_model(f"{self.name.capitalize()}Request", __config__=config, **fields)
 
     def request(self, values: Mapping[str, Any]) -> BaseModel:
-        """Return the checked request of values in SI units.
-
-        Raises
-        ------
-        InvalidInput
-            A value that is not allowed, or an unknown name.
-        """
+        """Return the checked request of values in SI units; raise `InvalidInput` for a fault."""
         return self._checked(lambda: self.model(**values))
 
     def asked(self, call: Mapping[str, Any]) -> BaseModel:
@@ -301,12 +295,8 @@ class Capability:
 def named(error: InvalidInput, names: Mapping[str, str]) -> InvalidInput:
     """Return an error with the names of a door instead of those of arguments.
 
-    Parameters
-    ----------
-    error : InvalidInput
-        Its `where` begins with an argument (`nominal side`), its hint may set one (`folds=2`).
-    names : mapping of str to str
-        Name of each argument at the door.
+    The `where` of the error begins with an argument (`nominal side`); its hint may set one
+    (`folds=2`). `names` has the name of each argument at the door.
     """
     where, space, rest = error.where.partition(" ")
     own, hint = names.get(where, where), error.hint

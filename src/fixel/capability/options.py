@@ -155,12 +155,7 @@ class Option:
         return _YES if self.kind is bool else get_args(self.kind) if _is_choice(self.kind) else ()
 
     def check(self, value: Any) -> None:
-        """Reject a text that is not among those that are registered.
-
-        Raises
-        ------
-        InvalidInput
-        """
+        """Raise `InvalidInput` for a text that is not among those that are registered."""
         if self.door.among is not None and value is not None:
             for text in value if self.many else (value,):
                 if text not in self.choices:
@@ -173,13 +168,7 @@ class Option:
         return {name: getattr(value, name) for name in names} if is_object else value
 
     def parsed(self, texts: Sequence[str]) -> Any:
-        """Return the value that texts state, with numbers still as texts.
-
-        Raises
-        ------
-        InvalidInput
-            The texts do not have the form of the option.
-        """
+        """Return the value that texts state, with numbers as texts; raise for another form."""
         if self.many:
             if self.door.commas:
                 texts = [part.strip() for text in texts for part in text.split(",") if part.strip()]
@@ -207,12 +196,7 @@ class Option:
 def options_of(function: Callable[..., Any], *, leave_out: Sequence[str] = ()) -> list[Option]:
     """Read the options of a function: its parameters, and the fields of those that are groups.
 
-    Parameters
-    ----------
-    function : callable
-        Function with annotations and a docstring in NumPy layout.
-    leave_out : sequence of str
-        Parameters that are no options.
+    The function has annotations and a docstring in NumPy layout.
     """
     said, found = meanings(function.__doc__), []
     for name, own in inspect.signature(function).parameters.items():

@@ -73,12 +73,8 @@ SiteFile = Annotated[
 def option(default: T, help: str, *names: str, **more: Any) -> T:
     """Declare an option of a command `with_options`.
 
-    Parameters
-    ----------
-    *names : str
-        Names of the option; by default that of the field or parameter.
-    **more : object
-        Further arguments of `typer.Option`; `metavar` is FILE for a path without one.
+    Its name is by default that of the field or parameter. Further arguments are those of
+    `typer.Option`; `metavar` is FILE for a path without one.
     """
     return field(default=default, metadata={_INFO: typer.Option(*names, help=help, **more)})
 

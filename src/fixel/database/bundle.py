@@ -82,19 +82,9 @@ def export_bundle(
 ) -> ExportSummary:
     """Write a bundle of a project's experiments, or of one dataset, and the results from them.
 
-    Parameters
-    ----------
-    path : Path
-        Bundle to write, a ``.zip``; replaced atomically once it is complete.
-    progress : callable, optional
-        Called with the number of exported experiments and their total.
-
-    Raises
-    ------
-    InvalidInput
-        The file cannot be written.
-    StoreRefused
-        A series or a video is missing in the media folder, or has changed.
+    It replaces `path`, a ``.zip``, once it is complete. `progress` is called with the number of
+    exported experiments and their total. A series or a video that is missing in the media folder,
+    or has changed, raises `StoreRefused`.
     """
     every = ExperimentQuery(dataset=dataset, include_faulty=True, marks=("replaced",))
     ids = store.experiment_ids(every)
@@ -187,23 +177,13 @@ def import_bundle(
 ) -> dict[str, int]:
     """Add the records of a bundle to a project; return the number of new ones by kind.
 
-    The whole bundle is checked before the first record is added. Each experiment and each result
-    is added in its own transaction. Importing again after an interruption adds only the missing
-    records.
+    The whole bundle is checked before the first record is added; one that is damaged or malicious
+    raises `InvalidInput`. Each experiment and each result is added in its own transaction.
+    Importing again after an interruption adds only the missing records.
 
-    Returns
-    -------
-    counts : dict of str to int
-        New records by kind; ``known``: experiments already in the project; ``flags``: flags added
-        to those; ``outdated``: new experiments of which the project has a newer version. They are
-        added as deleted, since a listing shows the experiment added last.
-
-    Raises
-    ------
-    InvalidInput
-        The file is no bundle, is damaged, or is malicious.
-    StoreRefused
-        The project cannot be written to.
+    ``known`` counts experiments already in the project, ``flags`` the flags added to those, and
+    ``outdated`` new experiments of which the project has a newer version. They are added as
+    deleted, since a listing shows the experiment added last.
     """
     store.media.mkdir(parents=True, exist_ok=True)
     with opened_bundle(path, store.media.parent, limits) as source:

@@ -224,11 +224,8 @@ class Store:
     def find(self, key: str) -> int:
         """Return the id of an experiment given as `id:7`, `7`, name or `dataset/name`.
 
-        Raises
-        ------
-        NotStored
-            No such experiment, several of one name, or a number that is the id of one experiment
-            and the name of another.
+        Raise `NotStored` if there is none, if several have the name, or if a number is the id of
+        one experiment and the name of another.
         """
         number = key.removeprefix("id:")
         if key.startswith("id:") and number.isdecimal() and self._has(int(number)):

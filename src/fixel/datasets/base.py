@@ -29,40 +29,23 @@ _TRIPPED = (*INVALID_CONTENT, OSError)
 class ImportPlan:
     """Plan of an import; experiments are built lazily.
 
-    Parameters
-    ----------
-    importer : str
-        Name of the importer.
-    source : Path
-        File or folder to import.
-    understood : tuple of str
-        How the source was interpreted: rows, rates, units, frames, quirks, guesses; sentences.
-    names : sequence of str
-        Names of the experiments that are built: dataset/name.
-    build : callable
-        Function that builds the experiment at a position of `names`.
-    problems : dict of str to FixelError
-        Error of each experiment or file that is left out, by its name. Building the experiments
-        adds those that cannot be built.
-    simulate : callable, optional
-        Function that returns the simulation that the publisher of the data made of an experiment,
-        or None; from the position and the experiment.
-    simulations : dict of str to SimulationRecord
-        Simulations by the publisher, for the experiments built so far.
-
-    Raises
-    ------
-    FixelError
-        There is no sound experiment: the first problem.
+    Without a sound experiment, it raises the first problem.
     """
 
-    importer: str
-    source: Path
+    importer: str  # name of the importer
+    source: Path  # file or folder to import
+    # Sentences about how the source was interpreted: rows, rates, units, frames, quirks, guesses.
     understood: tuple[str, ...]
-    names: Sequence[str]
+    names: Sequence[str]  # names of the experiments that are built: dataset/name
+    # Builds the experiment at a position of `names`.
     build: Callable[[int], Experiment] = field(repr=False, compare=False)
+    # Error of each experiment or file that is left out, by its name; building the experiments adds
+    # those that cannot be built.
     problems: Problems = field(default_factory=dict, repr=False)
+    # Returns the simulation that the publisher of the data made of an experiment, or None, from the
+    # position and the experiment.
     simulate: Callable[[int, Experiment], SimulationRecord | None] | None = None
+    # Those by the publisher, for the experiments built so far.
     simulations: dict[str, SimulationRecord] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
@@ -88,10 +71,7 @@ class ImportPlan:
     def experiments(self) -> Iterator[Experiment]:
         """Yield the experiments, built one at a time; invalid ones are added to `problems`.
 
-        Raises
-        ------
-        FixelError
-            No experiment can be built: the error of the first.
+        If none can be built, raise the error of the first.
         """
         first: FixelError | None = None
         sound = False
@@ -150,12 +130,8 @@ class Importer(ABC):
     def read(self, source: Path, **options: object) -> ImportPlan:
         """Read a file or folder and plan its import.
 
-        Raises
-        ------
-        DatasetMissing
-            Files are missing.
-        InvalidInput
-            An unknown option, or a file with invalid content.
+        Missing files raise `DatasetMissing`; an unknown option or invalid content raises
+        `InvalidInput`.
         """
         source = Path(source)
         self.check_options(options)

@@ -65,29 +65,11 @@ def pushed_scene(
 ) -> tuple[Scene | None, tuple[Flag, ...]]:
     """Build the scene of a body pushed by a round tip along its measured path, from contact on.
 
-    Parameters
-    ----------
-    body : Body
-        Object at its start pose.
-    path : (n, 4) float64
-        Measured path of the tip: time [s] and pose [m, m, rad].
-    friction : float
-        Friction of the tip on the body.
-    fade : float
-        Duration of the correction of a path that starts inside the body [s].
-    contact : (float, (2,) float64), optional
-        Gap [m] and shift [m] of the start by `moved_to_contact`, if they are known.
-    pusher : str
-        Name of the pusher.
-    words : (str, str)
-        Words for pusher and body in flags.
-
-    Returns
-    -------
-    scene : Scene or None
-        None if the tip starts too deep in the body, or if the scene is impossible.
-    flags : tuple of Flag
-        Reason for None, or the correction.
+    `path` (n, 4) has times [s] and poses [m, m, rad]. A path that starts inside the body is
+    corrected during `fade` [s]; `contact` is the gap [m] and the shift [m] of its start by
+    `moved_to_contact`, if they are known. `words` name pusher and body in flags. The scene is None
+    if the tip starts too deep in the body or the scene is impossible; flags have the reason, or the
+    correction.
     """
     if contact is None:
         gaps, offsets = moved_to_contact(body.shape, tip.radius, body.pose[None], path[:1, 1:3])

@@ -80,19 +80,9 @@ class CsvRows:
     ) -> tuple[CsvRows, Problems]:
         """Return the rows whose key has no damaged row, and the first error of each other key.
 
-        Parameters
-        ----------
-        key : str
-            Column that names the experiment of each row.
-        numbers, whole : iterable of str
-            Columns of numbers, and of whole numbers.
-        once : bool
-            Whether each key belongs to one row; a repeated one is damaged.
-
-        Raises
-        ------
-        InvalidInput
-            A column is missing, or every key has a damaged row.
+        The column `key` names the experiment of each row; with `once`, a repeated key is damaged.
+        `numbers` and `whole` are columns of numbers and of whole numbers. Raise `InvalidInput` if a
+        column is missing, or every key has a damaged row.
         """
         whole = list(whole)
         self.require([key, *(columns := [*numbers, *whole])])

@@ -318,22 +318,10 @@ def refuse_implausible(
 ) -> None:
     """Raise `InvalidInput` for positions and angles whose unit in the header cannot be right.
 
-    Parameters
-    ----------
-    track : Trajectory
-        Trajectory of the object in the units of the header, with angles not unwrapped.
-    tip : Trajectory, optional
-        Trajectory of the pusher.
-    source, where : str
-        Table, and its column of angles, for the message.
-    unit : str, optional
-        `rad` or `deg`; None for a table without angles.
-
-    Raises
-    ------
-    InvalidInput
-        The object moves or turns faster, or moves farther, than is possible on a plate; radians
-        make it turn more than twice; or the tip would slide along it far less with the other unit.
+    The object moves or turns faster, or moves farther, than is possible on a plate; radians make it
+    turn more than twice; or the tip would slide along it far less with the other unit. Tracks of
+    object and tip are in the units of the header, with angles not unwrapped. Table and column of
+    angles, `source` and `where`, are for the message. The unit is None for a table without angles.
     """
     glance = np.linspace(track.time[0], track.time[-1], GLANCES)
     _refuse_lengths(track, source)

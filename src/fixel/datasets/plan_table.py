@@ -40,20 +40,11 @@ def read_rows(
 ) -> tuple[PlannedExperiment, ...]:
     """Read the experiments of a CSV table, in order.
 
-    Parameters
-    ----------
-    path : Path
-        Table with the columns `name` and any of `scene`, `experiment`, `condition.NAME` and the
-        values of `row_scene`, with a unit. Empty cells are as in the template.
-    template : Path, optional
-        Scene file of rows that name none; by default `scene.yaml` in the folder of the table.
-    stored : callable
-        Returns the scene of a stored experiment, by its name.
-
-    Raises
-    ------
-    InvalidInput
-        The first error with its row and column, before any row is used.
+    The table has the columns `name` and any of `scene`, `experiment`, `condition.NAME` and the
+    values of `row_scene`, with a unit. Empty cells are as in the template: the scene file of rows
+    that name none, by default `scene.yaml` in the folder of the table. `stored` returns the scene
+    of a stored experiment by its name. The first error is raised, with its row and column, before
+    any row is used.
     """
     table = read_table(path)
     table = replace(table, columns={k.strip("\ufeff "): v for k, v in table.columns.items()})

@@ -81,21 +81,9 @@ def plan_import(
 ) -> ImportPlan:
     """Plan the reading of a file, a folder or a table in memory.
 
-    Parameters
-    ----------
-    format : str, optional
-        Name of an importer; by default the one that recognises the source.
-    scene, columns, units, split_by
-        For tables of one's own, as in `read_experiments`.
-    options : mapping of str to str, optional
-        Options of the importer.
-
-    Raises
-    ------
-    InvalidInput
-        Invalid data, or an argument for tables that was given for another source.
-    DatasetMissing
-        No importer recognises the source.
+    The format is the name of an importer, by default the one that recognises the source; if none
+    does, raise `DatasetMissing`. `options` are those of the importer. The other arguments are those
+    of `read_experiments`, for tables of one's own.
     """
     known: dict[str, Any] = dict(options or {})
     in_memory = not isinstance(source, Path)

@@ -144,12 +144,8 @@ def folds_of(blocks: Sequence[str], strata: Sequence[str], folds: int, seed: int
     """Distribute experiments over folds (n,), by the labels of their blocks and strata.
 
     Blocks are held out as a whole: repetitions of one configuration, or a group. Blocks of a
-    stratum are distributed over the folds as evenly as possible, in the order of the seed.
-
-    Raises
-    ------
-    InvalidInput
-        There are fewer than two folds, or fewer blocks than folds.
+    stratum are distributed over the folds as evenly as possible, in the order of the seed. Raise
+    `InvalidInput` for fewer than two folds, or fewer blocks than folds.
     """
     first = dict(zip(reversed(blocks), reversed(strata), strict=True))
     if folds < 2:

@@ -78,22 +78,14 @@ def configuration_features(asked: Configurations) -> Features:
 
 
 def simulated_features(asked: Configurations, roll: Roll, mu: float) -> Features:
-    """Return features from eleven rollouts per configuration: motion, contact, and sensitivity of
-    the end to the start, the friction at the pusher and the centre of friction.
+    """Return features from eleven rollouts per configuration: motion, contact, sensitivity.
 
-    Parameters
-    ----------
-    roll : callable
-        Calibrated simulator; its poses are at equal intervals up to the end of the push.
-    mu : float
-        Calibrated friction at the pusher.
-
-    Returns
-    -------
-    Features
-        Lengths in metres, angles in radians at 35 mm. A disturbed rollout that did not finish
-        counts as undisturbed; `lost` is the share of these. If the undisturbed one did not
-        finish, `lost` is 1 and the other features describe the motion so far.
+    Sensitivity is that of the end to the start, the friction at the pusher and the centre of
+    friction. Lengths are in metres, angles in radians at 35 mm. `roll` is the calibrated simulator,
+    whose poses are at equal intervals up to the end of the push, `mu` the calibrated friction at
+    the pusher. A disturbed rollout that did not finish counts as undisturbed; `lost` is the share
+    of these. If the undisturbed one did not finish, `lost` is 1 and the other features describe the
+    motion so far.
     """
     n = len(asked.start)
     pose, good = roll(np.arange(n), {})

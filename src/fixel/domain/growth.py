@@ -277,10 +277,7 @@ class Growth:
 def n_steps_of(groups: Sequence[ExperimentGroup], index: Index) -> int:
     """Return the number of steps that the experiments allow.
 
-    Raises
-    ------
-    InvalidInput
-        There is no group, or none with all experiments of the first step.
+    Raise `InvalidInput` without a group that has all experiments of the first step.
     """
     if not groups:
         raise InvalidInput(

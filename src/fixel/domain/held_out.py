@@ -103,10 +103,8 @@ def held_out(
 ) -> HeldOut:
     """Compute held-out errors by cross-validation; `finished` may return answers that are stored.
 
-    Raises
-    ------
-    InvalidInput
-        Too few configurations for the folds, or a start at which nothing can be simulated.
+    Raise `InvalidInput` for too few configurations for the folds, or a start at which nothing can
+    be simulated.
     """
     stepper = stepper_for(targets)
     groups = [label_of(target.conditions, apart.by) for target in targets]

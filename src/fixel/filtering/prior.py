@@ -211,29 +211,17 @@ class Unknowns(NamedTuple):
     def proposed(
         self, free: FloatArray, weight: FloatArray, depends: FloatArray, random: np.random.Generator
     ) -> tuple[FloatArray, FloatArray]:
-        """Return a new place for every particle.
+        """Return a new place (n, size) for every particle, from a normalised weight (n,).
 
         It goes along the difference of two others: such steps have the spread of the particles
         themselves. Some of the unknowns stay where they are, and every tenth step is a whole
         difference, which can reach another peak. Parameters are drawn again from the belief where
-        no path depends on them; a quarter of the places have one unknown drawn again.
+        no path depends on them (`depends` is the share of the particles whose path does); a quarter
+        of the places have one unknown drawn again.
 
-        Parameters
-        ----------
-        free : (n, size) float64
-        weight : (n,) float64
-            How often a particle is one of the two.
-        depends : (n_name,) float64
-            Share of the particles whose path depends on each parameter [-].
-
-        Returns
-        -------
-        free : (n, size) float64
-        prior : (n,) float64
-            Logarithm of the belief's density there over that here, less what the draws make up for.
-
-        Source: ter Braak (2006), A Markov chain Monte Carlo version of the genetic algorithm
-        differential evolution.
+        Return also the logarithm (n,) of the belief's density there over that here, less what the
+        draws make up for. Source: ter Braak (2006), A Markov chain Monte Carlo version of the
+        genetic algorithm differential evolution.
         """
         n, size = free.shape
         one, other = (random.choice(n, n, p=weight) for _ in range(2))

@@ -169,11 +169,8 @@ class RunningFilter:
     def step(self, frame: FilterFrame) -> FilterEstimate:
         """Move all particles to a frame, and weigh them by what was seen and felt there.
 
-        Raises
-        ------
-        InvalidInput
-            A frame that is not after the last one, poses that are not three numbers, or readings
-            that are not one a fixel.
+        Raise `InvalidInput` for a frame that is not after the last one, poses that are not three
+        numbers, or readings that are not one per fixel.
         """
         pusher, sight = self._checked(frame)
         self._sights.append(sight)

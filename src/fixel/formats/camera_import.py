@@ -52,21 +52,10 @@ def import_camera(
 ) -> ImportedCamera:
     """Load a camera that another program calibrated.
 
-    Parameters
-    ----------
-    format : str
-        One of `FORMATS`, or `auto` to recognise the format from the file.
-    size : (int, int), optional
-        Width and height of the calibration pictures, if the file lacks them [px].
-    which : str
-        Name of one of several cameras in a Kalibr file, such as `cam0`.
-    unit : float
-        Unit of lengths in a MATLAB file [m]: the one its user chose, mostly millimetres.
-
-    Raises
-    ------
-    InvalidInput
-        The file cannot be read, or would be misinterpreted.
+    The format is one of `FORMATS`, or `auto` to recognise it from the file. `size` is that of the
+    calibration pictures, if the file lacks it [px], `which` the name of one of several cameras in a
+    Kalibr file, and `unit` the unit of lengths in a MATLAB file [m], which its user chose. A file
+    that cannot be read, or would be misinterpreted, raises `InvalidInput`.
     """
     path = Path(path)
     kind = _kind_of(path) if format == "auto" else format

@@ -102,10 +102,7 @@ class Recording:
     def frames(self) -> Iterator[Frame]:
         """Yield all frames in order, with their recorded times.
 
-        Raises
-        ------
-        InvalidInput
-            A picture that cannot be decoded because the camera sent it corrupt.
+        A picture that the camera sent corrupt raises `InvalidInput`.
         """
         decoder = PictureDecoder(self.header.size, exact=self.header.codec == "exact")
         for k, (_, data) in enumerate(packets(self.video)):
@@ -266,18 +263,7 @@ RESERVED: Final = 65536  # [bytes]
 
 @final
 class RecordingWriter:
-    """Writer of a recording, frame by frame and without buffering.
-
-    Parameters
-    ----------
-    folder : str or Path
-        Folder to create.
-    header : RecordingHeader
-
-    Raises
-    ------
-    InvalidInput
-        The folder exists already or cannot be created.
+    """Writer of a recording, frame by frame and without buffering, into a new folder.
 
     Examples
     --------
@@ -312,21 +298,9 @@ class RecordingWriter:
     ) -> None:
         """Append a frame and its tactile reading.
 
-        Parameters
-        ----------
-        frame : Frame
-            Frame at least a microsecond later than the previous one.
-        reading : int, optional
-            Tactile byte; None if none arrived.
-        reading_time : float, optional
-            Time at which the tactile byte was read, on the clock of the frames [s].
-
-        Raises
-        ------
-        InvalidInput
-            A picture of another size, a time that does not increase, a reading that is no byte.
-        OSError
-            The disk is full or not available.
+        The frame is at least a microsecond later than the previous one. The tactile byte is None if
+        none arrived; `reading_time` is on the clock of the frames [s]. A picture of another size, a
+        time that does not increase or a reading that is no byte raises `InvalidInput`.
         """
         width, height = self.header.size
         if self.header.codec == "as-it-comes":

@@ -34,22 +34,11 @@ _TWIST = ("vx_m_per_s", "vy_m_per_s", "omega_rad_per_s")
 
 
 def save_trajectory(simulation: Simulation, path: str | Path) -> None:
-    """Write motion, contacts and drives of a simulation to a file.
+    """Write motion, contacts and drives of a simulation to a `.csv` or `.parquet` file.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        Simulation; a failed one is written up to where it stopped.
-    path : str or Path
-        `.csv` or `.parquet`; the latter also carries the summary of the simulation, as JSON under
-        the key ``fixel`` of its metadata.
-
-    Raises
-    ------
-    InvalidInput
-        Unknown ending, or a folder that cannot be written to.
-    MissingExtra
-        A `.parquet` file, and pyarrow is not installed.
+    A failed simulation is written up to where it stopped. Parquet also has the summary of the
+    simulation, as JSON under the key ``fixel`` of its metadata; without pyarrow it raises
+    `MissingExtra`.
     """
     path = Path(path)
     refuse_trajectory_ending(path)

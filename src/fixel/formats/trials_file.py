@@ -35,22 +35,9 @@ _EXPECTED: Final = "a file of trials of fixel"
 
 
 def write_trials(path: str | Path, trials: Trials) -> Path:
-    """Write trials to a new file, whole or not at all.
+    """Write trials to a new file, whole or not at all, and return its path.
 
-    Parameters
-    ----------
-    path : str or path
-        File that does not exist: a stated probability is never replaced.
-
-    Returns
-    -------
-    pathlib.Path
-        The file.
-
-    Raises
-    ------
-    InvalidInput
-        The file exists, or cannot be written.
+    A file that exists raises `InvalidInput`: a stated probability is never replaced.
     """
     path = Path(path)
     if path.exists():
@@ -70,27 +57,11 @@ def write_trials(path: str | Path, trials: Trials) -> Path:
 
 
 def append_trials(path: str | Path, *trials: PlanTrial, plan: str | None = None) -> Trials:
-    """Append trials to a file of trials; they are durable when this returns.
+    """Append trials to a file of `write_trials`; return all trials of the file.
 
-    Parameters
-    ----------
-    path : str or path
-        File made by `write_trials`.
-    *trials : PlanTrial
-    plan : str, optional
-        Id of the plan that was executed.
-
-    Returns
-    -------
-    Trials
-        All trials of the file.
-
-    Raises
-    ------
-    InvalidInput
-        The file is missing or damaged, is of another plan, or cannot be written.
-    JobRefused
-        Another process writes to it.
+    They are durable when this returns. `plan` is the id of the plan that was executed. A file that
+    is missing, damaged or of another plan raises `InvalidInput`; one to which another process
+    writes raises `JobRefused`.
     """
     path = Path(path)
     with FileLock(path.with_name(f".{path.name}.lock"), f"the file {path}"):
@@ -109,21 +80,9 @@ def append_trials(path: str | Path, *trials: PlanTrial, plan: str | None = None)
 
 
 def read_trials(path: str | Path, *, plan: str | None = None) -> Trials:
-    """Read a file of trials.
+    """Read a file of trials, if given of the `plan` with an id.
 
-    Parameters
-    ----------
-    plan : str, optional
-        Id of the plan whose trials are expected.
-
-    Returns
-    -------
-    Trials
-
-    Raises
-    ------
-    InvalidInput
-        The file is missing, damaged, or of something else or another plan; the error has the line.
+    A file that is missing, damaged, or of something else raises `InvalidInput` with the line.
     """
     path = Path(path)
     lines = _lines(path)

@@ -61,10 +61,7 @@ class VideoFile:
     def frames(self) -> Iterator[Frame]:
         """Yield frames in order, with the container's times, counted from its own zero [s].
 
-        Raises
-        ------
-        InvalidInput
-            Frames without time stamps, or times that do not increase.
+        Frames without time stamps, or times that do not increase, raise `InvalidInput`.
         """
         self.remarks.clear()
         check = _FilmCheck(self.path)
@@ -80,17 +77,9 @@ class VideoFile:
 
 
 def open_video(path: str | Path, *, threads: int = 0) -> VideoFile:
-    """Open a video file.
+    """Open a video file with a number of decoding threads, by default chosen by the decoder.
 
-    Parameters
-    ----------
-    threads : int
-        Number of decoding threads; 0: chosen by the decoder.
-
-    Raises
-    ------
-    InvalidInput
-        No such file, no video in it, or one whose index was never written.
+    A file without a video, or with one whose index was never written, raises `InvalidInput`.
     """
     path = Path(path)
     with _opened(path) as container:
@@ -120,23 +109,10 @@ def open_video(path: str | Path, *, threads: int = 0) -> VideoFile:
 class VideoWriter:
     """Writer of a video file; the file appears only when it is complete.
 
-    Parameters
-    ----------
-    path : str or Path
-        `.mp4`, `.mkv`, `.mov` or `.avi`. Times are rounded to 1/90,000 s in MP4, 1 ms in Matroska.
-    size : (int, int)
-        Width and height [px]; both even for `h264` and `mjpeg`.
-    codec : str
-        `h264`, `ffv1` (lossless) or `mjpeg`.
-    rate : float
-        Approximate frames per second; each frame is written at its own time.
-    note : str
-        Comment stored in the file. Rendered videos have one that begins with `SIMULATED`.
-
-    Raises
-    ------
-    InvalidInput
-        Unknown ending or codec, a file that cannot be written, an odd size.
+    The ending is `.mp4`, `.mkv`, `.mov` or `.avi`, the codec `h264`, `ffv1` (lossless) or `mjpeg`.
+    Sizes [px] are even but for `ffv1`. The rate is approximate: each frame is written at its own
+    time, rounded to 1/90,000 s in MP4, 1 ms in Matroska. `note` is a comment stored in the file;
+    that of rendered videos begins with `SIMULATED`.
     """
 
     def __init__(

@@ -36,11 +36,7 @@ def written_whole(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path with the suffix of `path`, which replaces it when the block ends.
 
     If the block is interrupted, also by Ctrl-C, the unfinished file is removed; the old one stays.
-
-    Raises
-    ------
-    InvalidInput
-        The folder cannot be written to, or the disk is full.
+    A folder that cannot be written to, or a full disk, raises `InvalidInput`.
     """
     path = Path(path)
     refuse_unwritable(path)

@@ -44,16 +44,8 @@ _WORDS: dict[str, Any] = {
 def read_document(path: Path, kind: str = "file") -> Any:
     """Load a YAML or JSON file as dicts, lists, text, numbers, booleans and None.
 
-    Parameters
-    ----------
-    kind : str
-        Kind of the file, for errors: `"scene file"`.
-
-    Raises
-    ------
-    InvalidInput
-        The file is missing, a table, too large, not UTF-8, or not one valid document within the
-        limits.
+    Errors name its `kind`, such as `"scene file"`. A file that is missing, a table, too large, not
+    UTF-8, or not one valid document within the limits raises `InvalidInput`.
     """
     if path.is_file() and path.name.lower().endswith(TABLES):
         raise InvalidInput(

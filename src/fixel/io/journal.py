@@ -47,25 +47,11 @@ class _Contents(NamedTuple):
 
 @final
 class Journal:
-    """Journal that is open for writing, by this process only.
+    """Journal that is open for writing, by this process only; its file is created if missing.
 
-    Parameters
-    ----------
-    path : Path
-        File of the journal, created if missing.
-
-    Raises
-    ------
-    JobRefused
-        Another living process writes it, or it cannot be written.
-    InvalidInput
-        The file is not a journal.
-
-    Attributes
-    ----------
-    damaged : int
-        Number of unreadable parts that are followed by blocks. Their content is lost, and may be
-        appended again.
+    Raise `JobRefused` if another living process writes it or it cannot be written, and
+    `InvalidInput` for a file that is no journal. The content of `damaged` parts is lost, and may be
+    appended again.
     """
 
     def __init__(self, path: Path) -> None:
@@ -97,17 +83,9 @@ class Journal:
         return None if place is None else _read(self._stream, place)
 
     def append(self, blocks: Iterable[tuple[str, bytes]]) -> int:
-        """Add blocks, durable on return; blocks whose name exists already are ignored.
+        """Add blocks without those whose name exists, durable on return; return how many are new.
 
-        Returns
-        -------
-        int
-            Number of new blocks.
-
-        Raises
-        ------
-        JobRefused
-            The disk is full, or fails; the journal is unchanged.
+        A full or failing disk raises `JobRefused` and leaves the journal unchanged.
         """
         new = {name: data for name, data in _firsts(blocks) if name not in self._places}
         if not new:

@@ -42,17 +42,8 @@ UNKNOWN: Final = Owner("", 0)
 class FileLock:
     """Lock on a file of its own, until `release` or the end of the process.
 
-    Parameters
-    ----------
-    path : Path
-        File of the lock; created if necessary, and not removed by `release`.
-    what : str
-        Name of the protected file in the error: `"the journal jobs/one/journal"`.
-
-    Raises
-    ------
-    JobRefused
-        A living process owns the lock.
+    The file is created if necessary, and not removed by `release`. If a living process owns the
+    lock, raise `JobRefused`, which names the protected file `what`.
     """
 
     def __init__(self, path: Path, what: str) -> None:

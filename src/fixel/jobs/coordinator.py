@@ -41,14 +41,9 @@ def coordinate(
     """Run a job until it is `done`, or `cancelled` if that was requested meanwhile.
 
     `notify` is called with a sentence when something happens. `local` is the engine of a job
-    without workers, by default `LocalEngine`.
-
-    Raises
-    ------
-    JobRefused
-        The job cannot be run, for the reason in its state, or another process runs it already.
-    KeyboardInterrupt
-        Ctrl-C or SIGTERM; the state is `stopped`.
+    without workers, by default `LocalEngine`. A job that cannot be run, for the reason in its
+    state, or that another process runs, raises `JobRefused`; Ctrl-C or SIGTERM raises
+    `KeyboardInterrupt` in the state `stopped`.
     """
     job, run = files.read_job(folder), files.read_run(folder)
     with Journal(folder / files.JOURNAL) as journal:

@@ -41,10 +41,7 @@ class AbstractPool(abc.ABC):
     def keep(self) -> None:
         """Replace workers that have ended; called about once a second, returns soon.
 
-        Raises
-        ------
-        JobRefused
-            Workers cannot be started, and waiting does not help.
+        Raise `JobRefused` if workers cannot be started, and waiting does not help.
         """
 
     @abc.abstractmethod

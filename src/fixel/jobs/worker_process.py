@@ -69,12 +69,8 @@ class WorkerProcess:
     def call(self, argument: Any, nobody_waits: Callable[[], bool] = lambda: False) -> Any:
         """Return the answer of the function, or raise its exception.
 
-        Raises
-        ------
-        JobRefused
-            The time limit was exceeded, or the process died.
-        CallCancellation
-            `nobody_waits()` returned True.
+        Raise `JobRefused` if the time limit was exceeded or the process died, and
+        `CallCancellation` if `nobody_waits()` returned True.
         """
         with self._my_turn(nobody_waits):
             pipe = self._running(nobody_waits)

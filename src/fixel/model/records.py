@@ -23,33 +23,18 @@ from fixel.units import displayed
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SimulationRecord(Comparable):
-    """Simulation of a stored experiment.
-
-    Parameters
-    ----------
-    experiment_id : int
-    parameters : Parameters
-    method : mapping of str to str or float
-        Motion model, stepper and solver with their options.
-    trajectory : Trajectory
-        Trajectory of the object.
-    pusher : Trajectory, optional
-    status : str
-        Status as in `Simulation.status`.
-    contact_mode : str
-        Contacts at the end, one digit per fixel.
-    error_mm2 : float, optional
-        E of the thesis: mean squared distance to the measured path [mm^2], angles at 35 mm/rad.
-    """
+    """Simulation of a stored experiment."""
 
     experiment_id: int
     parameters: Parameters
     provenance: Provenance
-    trajectory: Trajectory
+    trajectory: Trajectory  # of the object
     pusher: Trajectory | None = None
+    # Motion model, stepper and solver with their options.
     method: Mapping[str, str | float] = field(default_factory=dict)
-    status: str = "converged"
-    contact_mode: str = ""
+    status: str = "converged"  # as `Simulation.status`
+    contact_mode: str = ""  # contacts at the end, one digit per fixel
+    # E of the thesis: mean squared distance to the path [mm^2], angles at 35 mm/rad.
     error_mm2: float | None = None
 
     def __post_init__(self) -> None:
@@ -59,25 +44,13 @@ class SimulationRecord(Comparable):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Evaluations(Comparable):
-    """All parameter sets that a calibration evaluated, in order.
-
-    Parameters
-    ----------
-    names : tuple of str
-    values : (n, n_name) array_like
-    error : (n,) array_like
-        Errors; infinite where there is none.
-    reasons : tuple of str
-        Why there is no error; empty where there is one.
-    unit : str
-        Unit of the error: `"mm2"` or `"mm"`.
-    """
+    """All parameter sets that a calibration evaluated, in order."""
 
     names: tuple[str, ...]
-    values: FloatArray
-    error: FloatArray
-    reasons: tuple[str, ...] = ()
-    unit: str = "mm2"
+    values: FloatArray  # (n, n_name)
+    error: FloatArray  # (n,) errors; infinite where there is none
+    reasons: tuple[str, ...] = ()  # why there is no error; empty where there is one
+    unit: str = "mm2"  # unit of the error: `"mm2"` or `"mm"`
 
     def __post_init__(self) -> None:
         values, error = frozen(self.values), frozen(self.error)
@@ -94,19 +67,11 @@ class Evaluations(Comparable):
 @final
 @dataclass(frozen=True, slots=True)
 class Member:
-    """Experiment used in a calibration.
-
-    Parameters
-    ----------
-    experiment_id : int
-    weight : float
-    error_mm2 : float
-        Mean squared error with the calibration's result [mm^2], for any error minimised.
-    """
+    """Experiment used in a calibration."""
 
     experiment_id: int
     weight: float
-    error_mm2: float
+    error_mm2: float  # mean squared error with the calibration's result, for any error minimised
 
     @classmethod
     def of(cls, experiment_id: int, weight: float, error: float, unit: str) -> Member:
@@ -301,31 +266,18 @@ _STORED: Final = (
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProfileRecord:
-    """Profile likelihood of one parameter, as stored with the result of a calibration.
-
-    Attributes
-    ----------
-    label : str
-    values : (n,) float64
-        Values of the parameter, ascending.
-    deviances : (n,) float64
-        Rise above the minimum, with the others fitted; inf where nothing could be evaluated.
-    slice_values, slice_deviances : (m,) float64
-        The same with the others fixed at the best fit.
-    low, high : float, optional
-        Ends of the interval.
-    threshold : float
-        Rise at the ends of the interval.
-    """
+    """Profile likelihood of one parameter, as stored with the result of a calibration."""
 
     label: str
-    values: FloatArray
+    values: FloatArray  # (n,) of the parameter, ascending
+    # (n,) rise above the minimum with the others fitted; inf without an evaluation.
     deviances: FloatArray
+    # (m,), with `slice_deviances`: the same with the others fixed at the best fit.
     slice_values: FloatArray
     slice_deviances: FloatArray
-    low: float | None
+    low: float | None  # with `high`, the ends of the interval
     high: float | None
-    threshold: float
+    threshold: float  # rise at the ends of the interval
 
     @property
     def unit(self) -> str:
@@ -341,33 +293,18 @@ class ProfileRecord:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CalibrationRecord(Comparable):
-    """Finished calibration.
-
-    Parameters
-    ----------
-    name : str
-    method : mapping of str to str or float
-        Optimiser and its options.
-    parameters : Parameters
-        Best values of the parameters that all members share.
-    members : tuple of Member
-    evaluations : Evaluations, optional
-    estimates : tuple of Estimate
-        One estimate per unknown.
-    request : mapping, optional
-        All options of the run, as plain values; None if an earlier version stored the calibration.
-    result : mapping, optional
-        Further results of the run, as plain values: profiles, noise, errors before.
-    """
+    """Finished calibration."""
 
     name: str
-    parameters: Parameters
+    parameters: Parameters  # best values of the parameters that all members share
     members: tuple[Member, ...]
     provenance: Provenance
-    method: Mapping[str, str | float] = field(default_factory=dict)
+    method: Mapping[str, str | float] = field(default_factory=dict)  # optimiser and its options
     evaluations: Evaluations | None = None
-    estimates: tuple[Estimate, ...] = ()
+    estimates: tuple[Estimate, ...] = ()  # one per unknown
+    # All options of the run, as plain values; None if an earlier version stored it.
     request: Mapping[str, Any] | None = None
+    # Further results of the run, as plain values: profiles, noise, errors before.
     result: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
@@ -428,27 +365,18 @@ class FilterParameters(Comparable):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FilterRecord(Comparable):
-    """Result of a filter for a stored experiment.
-
-    Parameters
-    ----------
-    occlusion : (float, float), optional
-        First and last time at which the object was hidden from the filter [s].
-    uses_tactile : bool
-    trajectory : Trajectory
-        Estimated poses of the object.
-    estimates : Evaluations-like table of parameters, optional
-        Estimated parameters: values (n, n_name) at the times of `trajectory`.
-    """
+    """Result of a filter for a stored experiment."""
 
     experiment_id: int
     filter_parameters_id: int
     provenance: Provenance
-    trajectory: Trajectory
+    trajectory: Trajectory  # estimated poses of the object
     uses_tactile: bool
+    # First and last time at which the object was hidden from the filter [s].
     occlusion: tuple[float, float] | None = None
     contact_mode: str = ""
     estimate_names: tuple[str, ...] = ()
+    # (n, n_name) parameters at the times of `trajectory`.
     estimates: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:

@@ -120,20 +120,7 @@ class Trajectory(Comparable):
 
 
 def pose_error(a: ArrayLike, b: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Compute distance and angle between poses.
-
-    Parameters
-    ----------
-    a, b : (..., 3) array_like
-        Poses [m, m, rad].
-
-    Returns
-    -------
-    position : (...) float64
-        Distance [m].
-    angle : (...) float64
-        Angle from b to a, in [-pi, pi) [rad].
-    """
+    """Compute distances (...) [m] and angles (...) from b to a, in [-pi, pi), of poses (..., 3)."""
     difference = np.asarray(a, dtype=np.float64) - np.asarray(b, dtype=np.float64)
     return np.hypot(difference[..., 0], difference[..., 1]), wrapped(difference[..., 2])
 

@@ -26,23 +26,10 @@ def replay_dataset(
     request: ReplayRequest | None = None,
     progress: ProgressCallback | None = None,
 ) -> Replay:
-    """Replay the pushes of a folder.
+    """Replay the pushes of a folder; by default all records with nominal values.
 
-    Parameters
-    ----------
-    folder : str or Path
-        Folder of a dataset that can be replayed.
-    request : ReplayRequest, optional
-        Selection of records and values; by default all records with nominal values.
-    progress : callable, optional
-        Called after each part with the numbers of finished records and of all, and its name.
-
-    Raises
-    ------
-    DatasetMissing
-        The folder has no known dataset.
-    InvalidInput
-        Invalid files, selection or value.
+    `progress` is called after each part with the numbers of finished records and of all, and its
+    name. A folder without a known dataset raises `DatasetMissing`.
     """
     begun = clock.perf_counter()
     folder = Path(folder)

@@ -45,66 +45,32 @@ Row = dict[str, Any]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayRequest:
-    """Request of a replay: records, values and method.
+    """Request of a replay: records, values and method."""
 
-    Parameters
-    ----------
-    select : mapping from column to values
-        Select records whose columns all have one of the given values.
-    limit : int, optional
-        Maximum number of records, spread evenly over those selected.
-    settings : mapping from name to number
-        Values that replace the nominal ones.
-    motion : str, optional
-        Name of a motion model; by default that of the dataset.
-    everything : bool
-        Include records that the quality filter would exclude.
-    window : float
-        Length of the windows of long runs [s]; 0 for whole runs.
-    """
-
+    # Values of columns, all of which a record must have.
     select: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    limit: int | None = None
+    limit: int | None = None  # maximum number of records, spread evenly over those selected
+    # Values that replace the nominal ones.
     settings: Mapping[str, float] = field(default_factory=dict)
-    motion: str | None = None
-    everything: bool = False
-    window: float = 2.0
+    motion: str | None = None  # name of a motion model; by default that of the dataset
+    everything: bool = False  # whether to include records that the quality filter would exclude
+    window: float = 2.0  # length of the windows of long runs [s]; 0 for whole runs
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Replay:
-    """Result of replaying recorded pushes.
-
-    Attributes
-    ----------
-    dataset : str
-    pushes : list of dict
-        One row of plain numbers for each push, window or run; units are in the names.
-    groups : list of dict
-        Aggregates; the last one includes all records, if there are several.
-    left_out : dict from reason to count
-        Records that were not replayed.
-    not_solved : int
-        Number of simulations that did not finish; aggregates exclude them.
-    settings : dict
-        Values and methods, sufficient to repeat the replay.
-    notes : list of str
-        Remarks on the treatment of the data, in sentences.
-    figure : callable
-        Function that draws the replay.
-    timing : dict
-        Wall times of the parts [s]; `per_second` counts the simulation alone.
-    """
+    """Result of replaying recorded pushes."""
 
     dataset: str
-    pushes: list[Row]
-    groups: list[Row]
-    left_out: dict[str, int]
-    not_solved: int
-    settings: Row
-    notes: list[str]
-    figure: Callable[[], Figure] = field(repr=False)
+    pushes: list[Row]  # plain numbers for each push, window or run; units are in the names
+    groups: list[Row]  # aggregates; the last one includes all records, if there are several
+    left_out: dict[str, int]  # number of records that were not replayed, by reason
+    not_solved: int  # number of simulations that did not finish; aggregates exclude them
+    settings: Row  # values and methods, sufficient to repeat the replay
+    notes: list[str]  # remarks on the treatment of the data, in sentences
+    figure: Callable[[], Figure] = field(repr=False)  # draws the replay
+    # Wall times of the parts [s]; `per_second` counts the simulation alone.
     timing: Row = field(default_factory=dict)
 
     def summary(self) -> Row:

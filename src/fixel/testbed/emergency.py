@@ -195,12 +195,8 @@ def stop_drive(port: str) -> float:
 def stop_actuators(port: str | None) -> list[str]:
     """Stop the drive at a port, or all drives moved by programs of this user; return the ports.
 
-    Writes to the port although another program has it open.
-
-    Raises
-    ------
-    DeviceFailed
-        A drive could not be stopped; the others were stopped.
+    Writes to the port although another program has it open. If a drive could not be stopped, the
+    others are stopped, and `DeviceFailed` is raised.
     """
     ports = [port] if port else [program.port for program in running()]
     if not ports:

@@ -53,13 +53,7 @@ class CameraPicture:
         return self.pixels.shape[1], self.pixels.shape[0]
 
     def picture(self) -> Picture:
-        """Return the pixels (height, width, 3) uint8, decoded at the first call.
-
-        Raises
-        ------
-        InvalidInput
-            A JPEG that cannot be decoded.
-        """
+        """Return the pixels (height, width, 3) uint8, decoded at the first call, or raise."""
         if self.pixels is None:
             self.pixels = decoded(self.jpeg or b"")
         return self.pixels
@@ -81,13 +75,7 @@ class FrameSource(abc.ABC):
 
     @abc.abstractmethod
     def open(self) -> Stream:
-        """Open the source and read the first picture.
-
-        Raises
-        ------
-        InvalidInput
-            No such source, no permission, or no pictures.
-        """
+        """Open the source and read the first picture; raise `InvalidInput` if that fails."""
 
     @abc.abstractmethod
     def frames(self) -> Iterator[CameraPicture]:

@@ -127,12 +127,8 @@ def settings_of(lines: list[str], axis: str) -> AxisSettings:
     With homing, machine coordinates range from `-travel` to 0 (unless the controller was built to
     count from the switch), and the switch is assumed at the withdrawn end. FluidNC has the
     coordinate there in its configuration. Without homing, they count from the place of the drive
-    when the controller was switched on.
-
-    Raises
-    ------
-    InvalidInput
-        A setting of the axis is missing, or no number.
+    when the controller was switched on. A setting of the axis that is missing, or no number, raises
+    `InvalidInput`.
     """
     values = _texts_of(lines)
 

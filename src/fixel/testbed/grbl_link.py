@@ -69,10 +69,7 @@ class GrblLink:
     def command(self, line: str, patience: float = ANSWER) -> list[str]:
         """Send one line, wait until it is done, and return the lines received in between.
 
-        Raises
-        ------
-        DeviceFailed
-            The line was refused, an alarm came instead, or no answer.
+        If it was refused, or an alarm or no answer came, raise `DeviceFailed`.
         """
         with self.changed:
             self._answers, self._verdict, self.trouble = [], "", ""
@@ -87,13 +84,7 @@ class GrblLink:
             raise DeviceFailed(why)
 
     def fresh_status(self, patience: float = SILENCE) -> GrblStatus:
-        """Wait for a report that was requested after the call.
-
-        Raises
-        ------
-        DeviceFailed
-            No report came.
-        """
+        """Wait for a report that was requested after the call, or raise `DeviceFailed`."""
         with self.changed:
             called = time.monotonic()
             while not self.lost and (self.status is None or self.reported < called):
@@ -244,15 +235,10 @@ class GrblLink:
 
 
 def greet(link: Serial, port: str) -> None:
-    """Check that a GRBL controller answers.
+    """Check that a GRBL controller answers; raise `InvalidInput` for other devices.
 
     Only the status request `?` is sent: it moves no controller, and is harmless to most other
     devices.
-
-    Raises
-    ------
-    InvalidInput
-        Another device answers, or none.
     """
     heard = arrived_within(link, BOOT_TIME, b"Grbl") if resets_on_opening(link) else b""
     for _ in range(QUESTIONS):

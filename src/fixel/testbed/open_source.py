@@ -35,17 +35,9 @@ def source_of(
 ) -> FrameSource:
     """Choose the frame source for a camera, an address, a file or a recording.
 
-    Parameters
-    ----------
-    text : str
-        `0` or `/dev/video0` for a camera, `http://...` for a network camera, else a video file or
-        the folder of a recording.
-    size : (int, int), optional
-        Size requested from a camera [px].
-    rate : float
-        Frame rate requested from a camera [frames/s].
-    as_fast_as_possible : bool
-        Whether a file is played faster than it was recorded; frames then have the file's times.
+    The text is `0` or `/dev/video0` for a camera, `http://...` for a network camera, else a video
+    file or the folder of a recording. `size` [px] and `rate` [frames/s] are requested from a
+    camera. A file may be played faster than it was recorded; frames then have the file's times.
     """
     if text.isdecimal() or text.startswith("/dev/"):
         return DeviceSource(text, size=size, rate=rate)

@@ -157,10 +157,7 @@ class Recorder:
     def run(self) -> RecordingSummary:
         """Record until the end, and return a summary.
 
-        Raises
-        ------
-        InvalidInput
-            The folder cannot be created, there is no space for a minute, or no picture came.
+        A folder that cannot be created, no space for a minute, or no picture raises `InvalidInput`.
         """
         check_disk_space(self.folder, self.stream, self.codec, self.limit)
         queue = FrameQueue(self.source, live=self.stream.live)
@@ -381,13 +378,7 @@ CELLS: Final = 3  # must change for motion; a part of one centimetre is about tw
 
 @final
 class Seating:
-    """Detector of a seated part from readings and pictures.
-
-    Parameters
-    ----------
-    mode : int, optional
-        Bits of the contacts wanted. None: only the pictures decide.
-    """
+    """Detector of a part seated in a contact mode (bits); without one, only pictures decide."""
 
     def __init__(self, mode: int | None = None) -> None:
         self.mode = mode

@@ -68,10 +68,7 @@ def chosen_port(port: str | None, what: str) -> str:
 def open_port(port: str, baud: int, what: str) -> Serial:
     """Open a port, such as `/dev/ttyACM0` or `COM4`, exclusively; `baud` is in bits per second.
 
-    Raises
-    ------
-    InvalidInput
-        The port does not exist, is in use, or may not be opened; with a remedy.
+    A port that does not exist, is in use, or may not be opened raises `InvalidInput` with a remedy.
     """
     _need_pyserial()
     import serial
@@ -105,13 +102,7 @@ def open_port(port: str, baud: int, what: str) -> Serial:
 
 @contextmanager
 def closed_on_failure(close: Callable[[], None], port: str, what: str) -> Iterator[None]:
-    """Close an open port if the block fails.
-
-    Raises
-    ------
-    InvalidInput
-        The port disappeared.
-    """
+    """Close an open port if the block fails; raise `InvalidInput` if the port disappeared."""
     try:
         yield
     except OSError as problem:

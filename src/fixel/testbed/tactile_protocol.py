@@ -166,13 +166,7 @@ def _checksum(summed: bytes) -> bytes:
 
 
 def shake_hands(link: Serial, port: str, settle: float | None) -> tuple[int, Identity | None]:
-    """Return the protocol of the board and its identity.
-
-    Raises
-    ------
-    InvalidInput
-        Another device answers, or none.
-    """
+    """Return the protocol of the board and its identity; raise `InvalidInput` for other devices."""
     if settle is None:
         settle = BOOT_TIME if resets_on_opening(link) else 0.0
     heard = arrived_within(link, settle)  # what the board sends while it starts

@@ -45,15 +45,9 @@ def step_problem(
 ) -> tuple[Problem, Workspace]:
     """Step problem of one body of unit mass and inertia, in scaled units.
 
-    Parameters
-    ----------
-    momentum : (3,)
-        Momentum before the step.
-    contacts
-        Direction of the normal [rad], bias of the normal velocity and friction of each contact; all
-        act through the centre of mass.
-    limit : float, optional
-        Largest impulse of one support point at the centre of mass.
+    `momentum` (3,) is that before the step. Each contact has the direction of the normal [rad], the
+    bias of the normal velocity and the friction; all act through the centre of mass. `limit` is the
+    largest impulse of one support point there.
     """
     n, n_element = len(contacts), 0 if limit is None else 1
     problem, work = entries.empty(3, n, n_element, 1, 1, 1, 1)

@@ -285,21 +285,11 @@ def free_push(
 
 
 def touching_pose(point: ArrayLike, outward: ArrayLike, towards: ArrayLike) -> FloatArray:
-    """Compute poses at which a body's outline touches the finger of `free_push`.
+    """Compute poses (..., 3) [m, m, rad] at which a body touches the finger of `free_push`.
 
-    Parameters
-    ----------
-    point : (..., 2) array_like
-        Point on the outline, in the frame of the shape [m].
-    outward : (...) array_like
-        Direction of the outward normal there, in the frame of the shape [rad].
-    towards : (...) array_like
-        Direction from the finger into the body, in the world [rad]; 0 is a push square to the edge.
-
-    Returns
-    -------
-    (..., 3) float64
-        Poses of the body [m, m, rad].
+    `point` (..., 2) is on the outline [m], `outward` (...) the direction of the outward normal
+    there, both in the frame of the shape, and `towards` (...) the direction from the finger into
+    the body in the world [rad]; 0 is a push square to the edge.
     """
     at = np.asarray(point, np.float64)
     angle = np.asarray(towards, np.float64) + pi - np.asarray(outward, np.float64)

@@ -104,26 +104,14 @@ def calibrate_lens(
     coefficients: int | None = None,
     fisheye: bool = False,
 ) -> LensCalibration:
-    """Calibrate a lens from views of a board.
+    """Calibrate a lens from views of a board, at least four, tilted against each other.
 
-    Parameters
-    ----------
-    views : sequence of BoardView
-        At least four views, tilted against each other.
-    dropped : sequence of SkippedPicture
-        Pictures already left out.
-    coefficients : int, optional
-        Number of distortion coefficients: 0, 1, 2, 4, 5 or 8; with `fisheye` up to 4. Default: 5,
-        or 8 where held-out pictures show that 5 are too few. Fewer would fit as well in the middle,
-        and hide the uncertainty in the corners of the picture. With `fisheye` or fewer than
-        `MIN_TO_HOLD_OUT` pictures, 4.
-    fisheye : bool
-        Whether to use the model of Kannala and Brandt instead of Brown's.
-
-    Raises
-    ------
-    InvalidInput
-        The views do not determine the lens; with what is missing.
+    Without a number of distortion coefficients (0, 1, 2, 4, 5 or 8; with `fisheye`, the model of
+    Kannala and Brandt instead of Brown's, up to 4) it is 5, or 8 where held-out pictures show that
+    5 are too few. Fewer would fit as well in the middle, and hide the uncertainty in the corners of
+    the picture. With `fisheye` or fewer than `MIN_TO_HOLD_OUT` pictures, it is 4. Views that do not
+    determine the lens raise `InvalidInput` with what is missing. `dropped` are pictures already
+    left out.
     """
     chosen = FEW_COEFFICIENTS if coefficients is None else coefficients
     names = _names(chosen, fisheye)

@@ -122,13 +122,7 @@ class Camera(Comparable):
         return -self.rotation.T @ self.translation
 
     def project(self, points: ArrayLike) -> FloatArray:
-        """Project points (..., 3) of the world [m] to pixels (..., 2).
-
-        Raises
-        ------
-        InvalidInput
-            A point lies behind the camera.
-        """
+        """Project points (..., 3) of the world [m], before the camera, to pixels (..., 2)."""
         seen = np.asarray(points, dtype=np.float64) @ self.rotation.T + self.translation
         depth = seen[..., 2:]
         if (depth <= 0.0).any():
@@ -153,11 +147,8 @@ class Camera(Comparable):
     def on_plane(self, pixels: ArrayLike, height: float = 0.0) -> FloatArray:
         """Project pixels (..., 2) to places (..., 2) [m] at a height above the plane [m].
 
-        Raises
-        ------
-        InvalidInput
-            A pixel does not see the plane or has no direction in the lens model, or the height is
-            not below the camera.
+        Raise `InvalidInput` for a pixel that does not see the plane or has no direction in the lens
+        model, or a height that is not below the camera.
         """
         if not height < self.position[2]:
             raise InvalidInput(

@@ -99,10 +99,7 @@ class Lens(Comparable):
     def undistorted(self, apparent: ArrayLike) -> FloatArray:
         """Remove distortion from apparent directions (..., 2) [-]; inverse of `distorted`.
 
-        Raises
-        ------
-        InvalidInput
-            By this model, no light appears to come from a direction.
+        A direction from which no light appears to come by this model raises `InvalidInput`.
         """
         wanted = np.asarray(apparent, dtype=np.float64)
         xy = self._opened(wanted) if self.fisheye else self._without_brown(wanted)
@@ -133,20 +130,10 @@ class Lens(Comparable):
         return np.asarray(((uv >= -0.5) & (uv <= np.array(self.image_size) - 0.5)).all(axis=-1))
 
     def for_pictures_of(self, size: tuple[int, int], *, rescale: bool = False) -> Lens:
-        """Return the lens if it was calibrated for pictures of this size, else raise or rescale.
+        """Return the lens if it was calibrated for pictures of a size [px], else raise or rescale.
 
-        Parameters
-        ----------
-        size : (int, int)
-            Width and height of the pictures [px].
-        rescale : bool
-            Whether a picture of the same aspect ratio is taken for the same view at another
-            resolution. This is wrong for a cropped sensor, which a picture does not show.
-
-        Raises
-        ------
-        InvalidInput
-            The size differs, or with `rescale` the aspect ratio.
+        With `rescale`, a picture of the same aspect ratio is taken for the same view at another
+        resolution. This is wrong for a cropped sensor, which a picture does not show.
         """
         ours, theirs = self.image_size, (int(size[0]), int(size[1]))
         if theirs == ours:

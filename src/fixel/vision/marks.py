@@ -292,13 +292,7 @@ class Board:
         return self.columns * self.square, self.rows * self.square
 
     def find(self, picture: Picture) -> Corners:
-        """Find the corners of the board in a picture.
-
-        Raises
-        ------
-        InvalidInput
-            Too few corners were found, with the reason where it is known.
-        """
+        """Find the corners of the board in a picture; raise with the reason if they are too few."""
         gray = gray_of(picture)
         found = self._find_tagged(gray) if self.marker else self._find_plain(gray)
         if found is None or len(found.pixels) < MIN_CORNERS:

@@ -76,26 +76,10 @@ def draw_outline(
     dash: float | None = None,
     halo: bool = True,
 ) -> None:
-    """Draw a line into a picture.
+    """Draw a line between corners (n, 2) [px] into a picture (h, w, 3) uint8, in place.
 
-    Parameters
-    ----------
-    picture : (h, w, 3) uint8
-        Picture (blue, green, red), changed in place.
-    pixels : (n, 2) array_like
-        Corners of the line [px], to fractions of a pixel.
-    colour : (int, int, int)
-        Blue, green, red.
-    width : int
-        Width of the line [px].
-    strength : float
-        Opacity from 0 to 1.
-    closed : bool
-        Whether to join the last corner to the first.
-    dash : float, optional
-        Length of dashes and of the gaps between them [px]; None for a solid line.
-    halo : bool
-        Whether to draw a dark rim that makes the line visible on bright ground.
+    Opacity `strength` is from 0 to 1. `dash` is the length of dashes and of the gaps between them
+    [px]. A `halo` is a dark rim that makes the line visible on bright ground.
     """
     line = np.asarray(pixels, dtype=np.float64)
     if closed:

@@ -40,12 +40,7 @@ class BenchSession:
     def start(self, opened: AbstractContextManager[BenchLoop]) -> BenchLoop:
         """Open the devices and begin the campaign in a thread; return when they are open.
 
-        Raises
-        ------
-        FixelError
-            What opening raises.
-        JobRefused
-            A campaign is performed already.
+        Raise `JobRefused` if a campaign is performed already, and what opening raises.
         """
         if self.running:
             raise JobRefused("a campaign is running already", hint="end it first")

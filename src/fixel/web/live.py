@@ -92,20 +92,11 @@ class LiveView:
     def show(
         self, picture: Picture | Callable[[], Picture] | None, status: Mapping[str, Any]
     ) -> None:
-        """Show a picture and a status until the next call.
+        """Show a picture and a status, with plain values for JSON, until the next call.
 
-        Parameters
-        ----------
-        picture : (h, w, 3) uint8, callable that returns one, or None
-            Must not be modified afterwards. A callable is called in another thread, and only if
-            there is a viewer. None: the picture stays and only the report is new.
-        status : mapping
-            Plain values for JSON.
-
-        Raises
-        ------
-        ValueError
-            The status has a number that is not finite.
+        The picture (h, w, 3) uint8 must not be modified afterwards. A callable that returns one is
+        called in another thread, and only if there is a viewer. None: the picture stays and only
+        the report is new. A number that is not finite raises `ValueError`.
         """
         report = json.dumps(status, allow_nan=False)
         drawing = None if picture is None else Drawing(picture, self._quality)

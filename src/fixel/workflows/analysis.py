@@ -225,13 +225,7 @@ def store_analysis(
 
 
 def load_analyses(project: Project, kind: str | None = None) -> list[StoredAnalysis]:
-    """Load the analyses of a project, newest first.
-
-    Raises
-    ------
-    StoreRefused
-        One of them cannot be read.
-    """
+    """Load the analyses of a project, newest first; raise `StoreRefused` if one cannot be read."""
     found, unreadable = load_with_errors(project, kind)
     if unreadable:
         raise unreadable[0]

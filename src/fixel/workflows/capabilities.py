@@ -69,19 +69,8 @@ def run(
 ) -> StoredAnswer:
     """Run a request on the project in a folder, and store its analysis with the whole request.
 
-    Parameters
-    ----------
-    request : BaseModel
-        Request of this capability.
-    folder : Path
-        Folder of the project, if the capability works on one.
-    plot : Path, optional
-        Folder or file for figures.
-
-    Raises
-    ------
-    InvalidInput
-        The function refuses the request, or it names a program that the user has not permitted.
+    `plot` is a folder or file for figures. What the function refuses, and a program that the user
+    has not permitted, raises `InvalidInput`.
     """
     from fixel.database.project import SETTINGS, Project
     from fixel.simulation.trust import check_named
@@ -248,12 +237,8 @@ def prepare(capability: Capability, request: BaseModel, project: Project) -> Pat
     """Prepare the job of a request in a project, if it is not there; return its folder.
 
     The same request on the same records has the same folder, so that it continues. Run it with
-    `jobs.run_here`, `jobs.run_detached` or `fixel jobs submit`.
-
-    Raises
-    ------
-    InvalidInput
-        The capability does not work on a project, or what it settles is invalid.
+    `jobs.run_here`, `jobs.run_detached` or `fixel jobs submit`. Raise `InvalidInput` if the
+    capability does not work on a project, or what it settles is invalid.
     """
     from fixel.simulation.trust import remember
     from fixel.workflows import jobs

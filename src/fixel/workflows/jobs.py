@@ -129,10 +129,7 @@ def arrange(
 ) -> RunSettings:
     """Set how a job is to be run; arguments that are None leave it unchanged.
 
-    Raises
-    ------
-    JobRefused
-        The job is running, or something that it needs is missing here.
+    Raise `JobRefused` if the job is running, or something that it needs is missing here.
     """
     files.read_job(folder)
     _check_idle(folder)

@@ -48,13 +48,7 @@ def map_domain(
 
 
 def store_map(project: Project, domain: DomainMap) -> StoredAnswer:
-    """Store a map of experiments that a project has.
-
-    Raises
-    ------
-    NotStored
-        The project does not have one of its experiments.
-    """
+    """Store a map of experiments that a project has; raise `NotStored` if it lacks one of them."""
     asked = claimed(DOMAIN.request(domain.question), domain.claimed)
     gathered = store_evidence(project, domain.source, asked)
     number = dict(zip(gathered.errors.keys, gathered.errors.ids, strict=True))

@@ -19,14 +19,9 @@ NOTHING: Final = 1e-7  # [mm or deg] smaller values are shown as zero
 
 
 def sentences(template: str, block: str, **values: Any) -> tuple[str, ...]:
-    """Render a block of a template, and return its sentences.
+    """Render a block of a template, such as `growth`, and return its sentences.
 
-    Parameters
-    ----------
-    template : str
-        Name of the template, such as `growth`.
-    **values
-        Variables of the block; a missing one is an error.
+    The values are the variables of the block; a missing one is an error.
     """
     own = environment().get_template(f"{template}.txt")
     text = "".join(own.blocks[block](own.new_context(values)))

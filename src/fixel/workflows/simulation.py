@@ -67,21 +67,9 @@ def simulate_file(
     accuracy: bool = False,
     derivatives: Sequence[str] = (),
 ) -> Simulation:
-    """Simulate a scene file by `fixel.simulate`, and write the requested files.
+    """Simulate a scene file by `fixel.simulate`, and write the requested files, also if it fails.
 
-    Parameters
-    ----------
-    file : SceneFile
-        Scene and method, as loaded by `load_scene`.
-    outputs : Outputs, optional
-        Files to write; a failed simulation is written and drawn, too.
-    motion, stepper, solver, plain, accuracy, derivatives : optional
-        As for `simulate`; the method of the file by default.
-
-    Raises
-    ------
-    InvalidInput
-        Invalid scene, method or file name.
+    Other arguments are those of `simulate`; the method of the file by default.
     """
     from fixel.simulation import Newton, simulate
     from fixel.simulation.motion import named_part

@@ -64,13 +64,7 @@ class EmulatedBench:
             self._move.start()
 
     def end(self) -> float | None:
-        """Wait for the drive and return its position [m].
-
-        Raises
-        ------
-        FixelError
-            The drive did not move as it should.
-        """
+        """Wait for the drive and return its position [m]; raise if it did not move as it should."""
         if self.actuator is None:
             return None
         if self._move is not None:

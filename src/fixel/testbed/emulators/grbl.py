@@ -97,28 +97,12 @@ class PlannerBlock(NamedTuple):
 
 @final
 class EmulatedGrbl:
-    """Emulated controller of a drive.
+    """Emulated controller of a drive with 1 to 4 axes; lengths are of all axes, or of each.
 
-    Parameters
-    ----------
-    travel : float or sequence of float
-        Distance between the limit switches, of all axes or of each [mm].
-    start : float or sequence of float
-        Initial positions, from the withdrawn ends [mm].
-    acceleration : float or sequence of float
-        Acceleration [mm/s^2].
-    fastest : float or sequence of float
-        Maximum speed [mm/s].
-    homing : bool
-        Whether it has switches, and requires homing first.
-    inches : bool
-        Whether it reports inches.
-    rate : float
-        Emulated seconds per real second: 10 is ten times as fast.
-    firmware : str
-        Name in `FIRMWARE`.
-    axes : int
-        Number of axes, 1 to 4.
+    Limit switches are `travel` apart [mm], and positions begin at `start` from the withdrawn ends
+    [mm]. `acceleration` [mm/s^2] and `fastest` [mm/s] are its limits. With `homing` it has
+    switches, and requires homing first. `rate` is emulated over real time, `firmware` a name in
+    `FIRMWARE`.
     """
 
     def __init__(

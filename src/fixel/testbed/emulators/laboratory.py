@@ -207,13 +207,7 @@ class EmulatedLaboratory:
     # --- the person at the bench ------------------------------------------------------------------
 
     def prepare(self, planned: PlannedExperiment) -> None:
-        """Place fixels and part of a row, the part roughly; the head stays where it is.
-
-        Raises
-        ------
-        InvalidInput
-            The row has no true scene.
-        """
+        """Place fixels and part of a row, the part roughly; the head stays where it is."""
         done = self._pushes.get(planned.name, 0)
         # Every repetition has its own scatter.
         run = replace(planned, name=f"{planned.name} {done + 1}") if done else planned
@@ -434,13 +428,7 @@ def _outside(shape: Shape, pose: FloatArray, there: list[Neighbour], most: float
 
 
 def smaller(rig: Rig, factor: float) -> Rig:
-    """Return a rig whose camera takes pictures of the same view with fewer pixels.
-
-    Parameters
-    ----------
-    factor : float
-        New width over old width, which leaves whole numbers of pixels [-].
-    """
+    """Return a rig with the same view in fewer pixels, by the ratio of the widths [-]."""
     width, height = (round(positive(factor, "factor") * n) for n in rig.camera.lens.image_size)
     measured = rig.measured and rig.measured.for_pictures_of((width, height), rescale=True)
     if measured is not None:

@@ -78,11 +78,8 @@ class RenderedBench:
     def light(self, instants: Sequence[Poses]) -> FloatPicture:
         """Render the light on the sensor (h, w, 3) float32 [grey levels].
 
-        Parameters
-        ----------
-        instants : sequence of mapping of str to (3,)
-            Poses of bodies and pushers [m, m, rad] at times spread evenly over the exposure; with a
-            hand where there is a pose for `HAND`.
+        Each instant has poses (3,) of bodies and pushers [m, m, rad], at times spread evenly over
+        the exposure; with a hand where there is a pose for `HAND`.
         """
         placed = [self._placed(poses) for poses in instants]
         window = PictureWindow(0, 0, 0, 0)

@@ -242,13 +242,7 @@ class PartTrack(Comparable):
 
     @property
     def trajectory(self) -> Trajectory:
-        """Trajectory of the good poses.
-
-        Raises
-        ------
-        InvalidInput
-            There are no good poses.
-        """
+        """Trajectory of the good poses; `InvalidInput` if there are none."""
         if not self.good.any():
             raise InvalidInput(
                 self.name,
@@ -326,19 +320,8 @@ class ActuatorMotion(NamedTuple):
 
 
 def motion_of(time: FloatArray, place: FloatArray, noise: float) -> ActuatorMotion:
-    """Compute the speed along a path and its steady part.
+    """Compute the speed along a path (n, 2) [m] with a standard deviation, and its steady part.
 
-    Parameters
-    ----------
-    time : (n,) float64
-        Times of the places [s].
-    place : (n, 2) float64
-        Measured places [m].
-    noise : float
-        Standard deviation of a place [m].
-
-    Notes
-    -----
     As in the laboratory, useful data begin once the speed is within 5 % of its median, and end when
     it leaves this range for the last time. Speeds are slopes of lines fitted over half a second,
     without the lag of the Kalman filter used there.

@@ -58,26 +58,14 @@ def track(
     register: bool = False,
     progress: Callable[[int], None] | None = None,
 ) -> FilmTracks:
-    """Find the parts of a rig in all frames of a film.
+    """Find the parts of a rig in all frames of a film, which are in order of time.
 
-    Parameters
-    ----------
-    frames : iterable of Frame
-        Frames in order of time.
-    scene : Scene, optional
-        Scene with outlines for silhouettes, and approximate places of fixels.
-    method : str or AbstractTracking
-        Tracking method; `auto` uses tags where a part has any, else stickers, else its outline.
-    register : bool
-        Whether to determine the camera's place from the tags on the plate.
-    progress : callable, optional
-        Called with the number of frames done.
+    The scene has outlines for silhouettes, and approximate places of fixels. The method `auto` uses
+    tags where a part has any, else stickers, else its outline. With `register`, the camera's place
+    is determined from the tags on the plate. `progress` is called with the number of frames done.
 
-    Raises
-    ------
-    InvalidInput
-        Pictures have another size than the rig's camera, are mirrored or turned; the camera was
-        moved; a part is visible in no frame; or there are no frames.
+    Raise `InvalidInput` for pictures of another size than the rig's camera, mirrored or turned
+    ones, a camera that was moved, a part that is visible in no frame, and a film without frames.
     """
     things = {} if scene is None else things_of(scene)
     followers: list[AbstractFollower] = []

@@ -88,28 +88,13 @@ def fit_pose(
     corner: tuple[int, int] = (0, 0),
     spread: float | None = 0.0,
 ) -> PoseFit | None:
-    """Fit a pose to the edges in a picture.
+    """Fit a pose (3,) to edges in a picture (height, width) uint8; None where few are visible.
 
-    Parameters
-    ----------
-    picture : (height, width) uint8
-    pose : (3,) float64
-        Start of the fit.
-    reach : float
-        Largest distance of edges from the start [px].
-    turns : bool
-        Whether to fit the angle too.
-    rounds : int
-        Largest number of rounds of edge detection.
-    corner : (int, int)
-        Upper left corner of `picture` in the camera's, if it is a window of that [px].
-    spread : float, optional
-        Distance by which dark extends into bright [px]; None to fit it too. Ink runs, and a camera
-        whose grey levels are not proportional to light makes dark areas smaller.
-
-    Returns
-    -------
-    PoseFit, or None where too few edges are visible.
+    The fit begins at `pose`, uses edges within `reach` of it [px], and has at most `rounds` rounds
+    of edge detection. `corner` is the upper left corner of the picture in the camera's, of which it
+    may be a window [px]. `turns` states whether the angle is fitted too. `spread` is the distance
+    by which dark extends into bright [px], fitted if it is None: ink runs, and a camera whose grey
+    levels are not proportional to light makes dark areas smaller.
     """
     n, m = len(edges.point), 3 if turns else 2
     free = m + (spread is None)

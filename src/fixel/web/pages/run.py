@@ -117,12 +117,8 @@ def start(
 def begin(context: ProjectContext, capability: Capability, asked: BaseModel) -> Path:
     """Start the job of a request that came from a browser or a program; return its folder.
 
-    Raises
-    ------
-    InvalidInput
-        The request names a program that the user has not permitted, or a file of the server.
-    JobRefused
-        Too many jobs are running.
+    Raise `InvalidInput` for a program that the user has not permitted or a file of the server, and
+    `JobRefused` if too many jobs are running.
     """
     check_named(*capability.programs(asked))
     for name, option in capability.options.items():

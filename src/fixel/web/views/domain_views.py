@@ -155,14 +155,8 @@ def load_view(project: Project, records: Store, name: str, created: str) -> MapV
     """Return the map stored in the folder of a name.
 
     Its surface is fitted again if it was too large to be stored. The time of creation is for the
-    cache of this function.
-
-    Raises
-    ------
-    NotStored
-        There is no such analysis.
-    JobRefused
-        Its held-out errors are gone, or an earlier version has made it.
+    cache of this function. Raise `NotStored` without such an analysis, and `JobRefused` if its
+    held-out errors are gone or an earlier version has made it.
     """
     one = find_map(project, name)
     again = f"compute the map again: {one.analysis.command or 'fixel domain'}"
@@ -317,10 +311,7 @@ def _ticks(axis: CellAxis) -> AxisTicks:
 def shown_map(view: MapView, query: Mapping[str, str], folder: Path) -> dict[str, Any]:
     """Return what the page shows of a map: at the threshold and for the cell of a query.
 
-    Raises
-    ------
-    InvalidInput
-        No claim has such a threshold, or the map has too many cells for a page.
+    Raise `InvalidInput` if no claim has such a threshold, or the map has too many cells for a page.
     """
     given = {name: query[name] for name in ClaimQuery.model_fields if query.get(name)}
     try:

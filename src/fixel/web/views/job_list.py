@@ -99,13 +99,7 @@ def resume(job: JobStatus) -> None:
 
 @contextmanager
 def job_slot(project: Path) -> Iterator[None]:
-    """Allow one job to be started within: each takes a core or more, and a click costs nothing.
-
-    Raises
-    ------
-    JobRefused
-        Too many jobs are running.
-    """
+    """Allow one job to be started within: each takes a core or more, and a click costs nothing."""
     with _starting:
         running = [
             path for path in jobs.job_folders(project).values() if files.coordinator_of(path)

@@ -71,13 +71,7 @@ def scene_of_experiment(experiment: Experiment) -> dict[str, Any]:
 
 
 def read_scene(text: str, *, json: bool = False) -> dict[str, Any]:
-    """Parse and check the text of a scene file; return its keys.
-
-    Raises
-    ------
-    InvalidInput
-        The text is too long, not well-formed, or no scene, or the scene is too large for a page.
-    """
+    """Parse and check the text of a scene file; return its keys, or raise `InvalidInput`."""
     if len(text.encode()) > MAX_TEXT:
         raise InvalidInput(
             "file", found=f"more than {MAX_TEXT // 1024} kB", expected="a scene file"

@@ -100,23 +100,10 @@ def film(
 ) -> list[FilmResult]:
     """Render films of scenes, plans and experiments.
 
-    Parameters
-    ----------
-    sources : list of str
-        Scene files, plan files, and ids or names of experiments of the project.
-    out : Path
-        Folder to create: the recording, or a folder of recordings for several films.
-    limit : int, optional
-        Maximum number of experiments per plan.
-    video : Path, optional
-        Video file to write too, which a camera source can play; only for a single film.
-    progress : callable, optional
-        Called as `progress(done, total)` after every frame of a film.
-
-    Raises
-    ------
-    InvalidInput
-        Nothing to film, or an invalid rig, looks or folder.
+    Sources are scene files, plan files, and ids or names of experiments of the project. `out` is
+    the folder to create: the recording, or a folder of recordings for several films. `limit` is the
+    maximum number of experiments per plan. A single film may also become a video file, which a
+    camera source can play. `progress` is called as `progress(done, total)` after every frame.
     """
     from fixel.testing.scenes import sliding_block
 
@@ -349,13 +336,8 @@ def film_scenes(
 ) -> tuple[int, Iterator[FilmScene]]:
     """Return the number of scenes to film and an iterator over them.
 
-    Arguments are those of `film`. The project is opened only if a source is an experiment; the seed
-    is that of the simulated testbed that performs plans.
-
-    Raises
-    ------
-    InvalidInput
-        Nothing to film, an unreadable file, or an experiment of no simulated testbed.
+    Arguments are those of `film`. The project is opened only if a source is an experiment, which
+    must be one of a simulated testbed; the seed is that of the testbed that performs plans.
     """
     if not sources:
         raise InvalidInput(

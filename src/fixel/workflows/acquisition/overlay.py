@@ -53,12 +53,7 @@ class Overlay:
 
     The tolerance is by default that of the rig. All wanted poses are moved rigidly with an
     `anchor`, usually the actuator, to where the camera sees it; without one they are those of the
-    scene.
-
-    Raises
-    ------
-    InvalidInput
-        The rig has no part of the scene, or cannot measure the anchor.
+    scene. The rig must have a part of the scene, and be able to measure the anchor.
     """
 
     def __init__(
@@ -129,13 +124,7 @@ class Overlay:
 
 
 def scene_of(path: Path | None, key: str | None, project: Path) -> Scene:
-    """Load the scene of a file or of a stored experiment.
-
-    Raises
-    ------
-    InvalidInput
-        Neither or both are given, or the experiment has no scene.
-    """
+    """Load the scene of a file or of a stored experiment; raise `InvalidInput` without either."""
     if (path is None) == (key is None):
         raise InvalidInput(
             "fixel overlay",
@@ -200,10 +189,7 @@ def watch(overlay: Overlay, frames: Iterable[Frame], show: Show) -> Iterator[Loo
 def look_once(overlay: Overlay, frames: Iterable[Frame]) -> tuple[Picture, Look]:
     """Return the first picture that shows all measurable parts, else the last of a few.
 
-    Raises
-    ------
-    InvalidInput
-        No picture, or one in which nothing can be measured.
+    Raise `InvalidInput` without a picture, or if nothing can be measured in it.
     """
     answer = None
     for number, frame in enumerate(islice(frames, TRIES), 1):

@@ -77,12 +77,8 @@ def record(
     """Record an experiment.
 
     `stop` is called often, and returns a reason in words if the recording shall end. `watch` is
-    called with pictures and status.
-
-    Raises
-    ------
-    InvalidInput
-        No camera, wrong picture size, no fixels, folder or space; raised before recording starts.
+    called with pictures and status. Before the recording starts, `InvalidInput` is raised for no
+    camera, fixels or space, a wrong picture size, and an existing folder.
     """
     rig = None if plan.rig is None else rig_of(plan.rig)
     scene = None
@@ -123,10 +119,7 @@ def record(
 def codec_for(choice: str, stream: Stream) -> str:
     """Return the chosen codec; for `auto`, the one that suits the camera.
 
-    Raises
-    ------
-    InvalidInput
-        `as-it-comes` for a camera that sends no JPEG.
+    Raise `InvalidInput` for `as-it-comes` with a camera that sends no JPEG.
     """
     if choice == "as-it-comes" and not stream.jpeg:
         raise InvalidInput(

@@ -110,37 +110,14 @@ def track_film(
     plot: Path | None = None,
     progress: ProgressCallback | None = None,
 ) -> TrackAnswer:
-    """Track a film and store it as an experiment.
+    """Track a film, a video file or the folder of a recording, and store it as an experiment.
 
-    Parameters
-    ----------
-    source : Path
-        Video file, or folder of a recording.
-    rig : str
-        Rig file or name of an example; empty for the `rig.yaml` next to the film.
-    scene : Path, optional
-        File of the planned scene; by default the `scene.yaml` next to the film.
-    method : str
-        `auto`, `tags`, `stickers` or `silhouette`.
-    register : bool
-        Whether to determine the camera's place again, from the tags on the plate.
-    project : Path, optional
-        Project in which to store the experiment; by default it is not stored.
-    dataset, name : str
-        Dataset and name of the experiment; an empty name means that of the film.
-    overlay : Path, optional
-        Video to write: the film with the measured outlines.
-    sheet : Path, optional
-        Picture to write: a few frames of the overlay (`.png`).
-    plot : Path, optional
-        Figure to write: poses, residuals and gaps against time.
-    progress : callable, optional
-        Called as `progress(done, total)`.
-
-    Raises
-    ------
-    InvalidInput
-        Input that `fixel.vision.tracking.track` rejects, or files that cannot be read or written.
+    Rig and scene are by default `rig.yaml` and `scene.yaml` next to the film, and the name is that
+    of the film. The method is `auto`, `tags`, `stickers` or `silhouette`. With `register`, the
+    camera's place is determined again, from the tags on the plate. Without a project, nothing is
+    stored. `overlay` is a video of the film with the measured outlines, `sheet` a picture of a few
+    of its frames (`.png`), `plot` a figure of poses, residuals and gaps against time. `progress` is
+    called as `progress(done, total)`.
     """
     wanted = {"overlay": overlay, "sheet": sheet, "plot": plot}
     files = {kind: path for kind, path in wanted.items() if path is not None}

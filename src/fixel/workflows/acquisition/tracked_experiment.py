@@ -74,12 +74,8 @@ def experiment_of(
     """Build an experiment whose clock begins with the first frame.
 
     The planned scene has shapes, masses and nominal friction. Remarks are about the video or
-    recording. The program that rendered the film is empty for a camera.
-
-    Raises
-    ------
-    InvalidInput
-        No tracked part has the name of the object.
+    recording. The program that rendered the film is empty for a camera. If no tracked part has the
+    name of the object, raise `InvalidInput`.
     """
     zero = float(tracked.time[0])
     body = scene.bodies[0]

@@ -83,13 +83,8 @@ def measure_bench(
     """Measure camera, drive, tactile board, and the experiments so far.
 
     The head moves to the start of the push, and ten times over at most half of its way to the part.
-
-    Raises
-    ------
-    InvalidInput
-        The part is not seen, or is in the way of the head.
-    DeviceFailed
-        The camera was lost, or a stop was requested.
+    Raise `InvalidInput` if the part is not seen, or is in the way of the head, and `DeviceFailed`
+    if the camera was lost or a stop was requested.
     """
     part = _tracked(overlay, _frames(devices, PICTURES), overlay.scene.bodies[0].name)[:, 1:]
     if len(part) < PICTURES // 2:

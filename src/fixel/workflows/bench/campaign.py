@@ -49,12 +49,8 @@ class Attempt(NamedTuple):
 class Campaign:
     """Campaign of experiments at the bench in a folder, open in this process only.
 
-    Raises
-    ------
-    InvalidInput
-        There are no rows, or the campaign was begun with other rows.
-    JobRefused
-        Another process performs the campaign.
+    Raise `InvalidInput` without rows, or if it was begun with other rows, and `JobRefused` if
+    another process performs it.
     """
 
     folder: Path

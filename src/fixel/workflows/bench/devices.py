@@ -68,13 +68,7 @@ class BenchDevices:
     # --- moves ----------------------------------------------------------------------------------
 
     def stroke(self, scene: Scene) -> Stroke:
-        """Return the push of a scene in coordinates of the drive.
-
-        Raises
-        ------
-        InvalidInput
-            The push is not one straight stroke.
-        """
+        """Return the straight push of a scene in coordinates of the drive; raise for another."""
         head = scene.pushers[0]
         way = head.drive
         if len(scene.pushers) != 1 or not isinstance(way, LineDrive):
@@ -144,13 +138,7 @@ class BenchDevices:
             self.drive.go(place, speed=self._fast)
 
     def recover_drive(self) -> None:
-        """Connect and home a drive whose connection or position is lost.
-
-        Raises
-        ------
-        DeviceFailed
-            It does not answer, or cannot be homed.
-        """
+        """Connect and home a drive whose connection or position is lost, or raise an error."""
         if not self.drive.connected:
             self.drive.connect()
         if getattr(self.drive, "state", "Idle") == "Alarm":
@@ -222,10 +210,7 @@ def _is_clear(part: shapely.Polygon, places: list[FloatArray], room: float) -> b
 def settings_of(stored: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings of a bench: those given, else those of the project, else the defaults.
 
-    Raises
-    ------
-    InvalidInput
-        The project's settings have another key, or a value of another kind.
+    Raise `InvalidInput` if the project's settings have another key, or a value of another kind.
     """
     for name, value in stored.items():
         if name not in SETTINGS:
@@ -243,12 +228,8 @@ def settings_of(stored: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str
 def open_devices(settings: Mapping[str, Any], *, notify: Notify = print) -> Iterator[BenchDevices]:
     """Open the devices of a bench by its settings, each of which is named if it is missing.
 
-    Raises
-    ------
-    InvalidInput
-        No rig, or a device that is missing or another one.
-    DeviceFailed
-        A device does not answer as it should.
+    Raise `InvalidInput` without a rig, or for a device that is missing or another one, and
+    `DeviceFailed` if one does not answer as it should.
     """
     if not settings["rig"]:
         raise InvalidInput(

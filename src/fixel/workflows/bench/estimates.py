@@ -166,12 +166,8 @@ def estimate(
     """Estimate parameters from the experiments so far.
 
     Arguments are those of `fixel.calibrate`, and the confidence level of the intervals. The search
-    starts from the previous estimates, before the last experiment.
-
-    Raises
-    ------
-    InvalidInput
-        As for `fixel.calibrate`, or an experiment cannot be simulated.
+    starts from the previous estimates, before the last experiment. An experiment that cannot be
+    simulated raises `InvalidInput`.
 
     Examples
     --------
@@ -325,12 +321,8 @@ def choose(
     """Choose the candidate that is expected to narrow the widest interval most.
 
     That interval has the largest ratio to its wanted half-width, in SI units by name. By default,
-    every free parameter has 5 % of its range.
-
-    Raises
-    ------
-    InvalidInput
-        A wanted parameter is not calibrated.
+    every free parameter has 5 % of its range. A wanted parameter that is not calibrated raises
+    `InvalidInput`.
 
     Examples
     --------
@@ -380,12 +372,8 @@ class Until:
     def parse(cls, text: str) -> Self:
         """Return the half-widths of a text: `NAME=VALUE`, several with commas between them.
 
-        Values are in SI units, or have one of m, mm, um, rad, deg and mrad behind the number.
-
-        Raises
-        ------
-        InvalidInput
-            A parameter is unknown, or a value is not a positive number with a unit of its kind.
+        Values are in SI units, or have one of m, mm, um, rad, deg and mrad behind the number. Other
+        texts, and parameters that are unknown, raise `InvalidInput`.
         """
         wanted = {}
         for part in text.split(","):

@@ -34,12 +34,8 @@ def track_attempt(
 ) -> TrackedAttempt:
     """Track the recording of an attempt with its rig and scene, and judge it.
 
-    `tolerance` is the largest allowed deviation of the start.
-
-    Raises
-    ------
-    InvalidInput
-        A recording that cannot be tracked; with the reason.
+    `tolerance` is the largest allowed deviation of the start. A recording that cannot be tracked
+    raises `InvalidInput` with the reason.
     """
     found = track_film(folder, dataset=dataset, name=row.name).experiment
     conditions = {**row.conditions, **found.conditions, "attempt": float(number)}

@@ -52,12 +52,8 @@ def estimate_rows(
 ) -> LiveAnswer:
     """Calibrate the experiments so far, and choose the next of the rows that are left if asked.
 
-    `until` has the wanted intervals as text, or is empty.
-
-    Raises
-    ------
-    InvalidInput
-        No experiment informs the parameters.
+    `until` has the wanted intervals as text, or is empty. If no experiment informs the parameters,
+    raise `InvalidInput`.
     """
     begun = time.monotonic()
     aims = Until.parse(until) if until else None

@@ -93,12 +93,8 @@ def run_camera_tour(
     The camera is a network camera that plays the film; the fixels are read from the real firmware
     in an emulator, where that can be built, through a serial port; the drive is an emulated GRBL
     controller. Pushes are indices in the plan of the thesis. `notify` is called with a sentence
-    before each part of the tour.
-
-    Raises
-    ------
-    InvalidInput
-        The folder contains something else, or a run could not be tracked from its start.
+    before each part of the tour. Raise `InvalidInput` if the folder contains something else, or a
+    run could not be tracked from its start.
     """
     notify = notify or (lambda _: None)
     folder = own_folder(folder, notify)

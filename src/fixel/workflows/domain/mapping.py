@@ -66,12 +66,8 @@ def map_of(
 ) -> tuple[DomainMap, int]:
     """Return the map of some evidence, and the number of experiments left out of it.
 
-    With the arrays that were stored with the same map, nothing is fitted.
-
-    Raises
-    ------
-    InvalidInput
-        A threshold below the noise, a nominal without data, or an axis that no experiment has.
+    With the arrays that were stored with the same map, nothing is fitted. Raise `InvalidInput` for
+    a threshold below the noise, a nominal without data, or an axis that no experiment has.
     """
     errors, cells, n_aside = cut(gathered.errors, asked)
     claim = _claim(asked, gathered, errors)

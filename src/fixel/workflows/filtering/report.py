@@ -203,13 +203,7 @@ class FilterAnswer(NamedTuple):
 
 
 def store_run(project: Project, found: FilterRun, command: str = "") -> int:
-    """Store a run of the filter and its settings in a project; return the id of the run.
-
-    Raises
-    ------
-    NotStored
-        The project has no such experiment.
-    """
+    """Store a run of the filter and its settings, for an experiment of a project; return its id."""
     with project.store() as store:
         experiment_id = store.find(found.experiment.key)
         settings = store.add_filter_parameters(_settings(found, command))

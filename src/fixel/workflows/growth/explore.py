@@ -343,12 +343,8 @@ def best_singles(
     """Select the best stored calibration of every single experiment, all of one method.
 
     Only calibrations with this motion model and error are used. `folder`, that of the project, is
-    for commands in hints.
-
-    Raises
-    ------
-    InvalidInput
-        Experiments without a calibration, or calibrations of several methods.
+    for commands in hints. Raise `InvalidInput` for experiments without a calibration, or
+    calibrations of several methods.
     """
     place = {number: k for k, number in enumerate(samples.ids)}
     by_method: dict[SingleMethod, dict[int, One]] = {}

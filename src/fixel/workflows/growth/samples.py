@@ -60,12 +60,8 @@ def read_samples(
     """Load experiments of a plan with steps along axes, such as the thesis's: one per place.
 
     Of repetitions the first is used, as the thesis had one experiment per place: the mean of two
-    would hide a set of parameters that fits neither.
-
-    Raises
-    ------
-    InvalidInput
-        No such experiments, a group without its nominal one, or two datasets at one place.
+    would hide a set of parameters that fits neither. Raise `InvalidInput` for a group without its
+    nominal one, or two datasets at one place.
     """
     conditions = () if shape is None else (Bound("shape", "=", shape),)
     listing = store.experiments(ExperimentQuery(dataset=dataset, bounds=conditions))

@@ -293,10 +293,8 @@ def _span(experiment: Experiment) -> tuple[float, float]:
 def plan_of(proposal: PushProposal, name: str = "next") -> Plan:
     """Return a plan of the proposed pushes: the pusher moves along +x, the part is placed for it.
 
-    Raises
-    ------
-    InvalidInput
-        Pushes differ in tip, travel or speed, are not straight, or have fixels.
+    Raise `InvalidInput` for pushes that differ in tip, travel or speed, are not straight, or have
+    fixels.
     """
     body, tips = proposal.scenes[0].bodies[0], [own.pushers[0] for own in proposal.scenes]
     drives = [tip.drive for tip in tips if isinstance(tip.drive, LineDrive)]

@@ -82,12 +82,8 @@ def upgrade(project: Project) -> SchemaVersions:
 def backup(project: Project, file: Path) -> Backup:
     """Copy a project's SQLite database while other programs may use it.
 
-    Raises
-    ------
-    InvalidInput
-        The file cannot be written, or is the database itself.
-    StoreRefused
-        The database is on a server, missing or damaged.
+    Raise `InvalidInput` if the file cannot be written, or is the database itself, and
+    `StoreRefused` for a database that is on a server, missing or damaged.
     """
     database = _database_file(project, file)
     if file.exists() and file.samefile(database):

@@ -125,22 +125,10 @@ def place(
 ) -> CameraAnswer:
     """Find the pose of a camera above the plate, and save the camera with its pose.
 
-    Parameters
-    ----------
-    path : Path
-        The camera file.
-    picture : Path
-        Picture of the plate, or a video whose first frame is used.
-    board : str, optional
-        Board that lies on the plate, its lower left corner `at` a pose of the world [m, m, rad],
-        its upper face `thickness` above the plate [m].
-    rig : str, optional
-        Rig with tags on the plate. They are used if two or more of them are seen, otherwise the
-        board. Defaults to `rig.yaml` next to the camera file or the picture, if there is one.
-    heights : sequence of float
-        Heights above the plate at which to report the accuracy [m].
-    plot : Path, optional
-        File for a chart of the accuracy: `.png`, `.svg` or `.pdf`.
+    Tags of a rig on the plate are used if two or more of them are seen, otherwise the board, which
+    lies with its lower left corner `at` a pose of the world [m, m, rad] and its upper face
+    `thickness` above the plate [m]. The rig is by default `rig.yaml` next to the camera file or the
+    picture, if there is one. The accuracy is reported at `heights` above the plate [m].
     """
     if rig is None:
         beside = [folder / RIG_FILE for folder in (path.parent, picture.parent)]
@@ -244,17 +232,8 @@ def check(
 ) -> CameraCheck:
     """Check a camera, or that of a rig, against itself and against a video or picture.
 
-    Parameters
-    ----------
-    name : str
-        A camera file, a rig file or the name of an example rig.
-    video : Path, optional
-        Video or picture whose size is compared; its first frame shows whether the tags of a rig's
-        plate are where they belong.
-    heights : sequence of float
-        Heights above the plate at which to report the accuracy [m].
-    plot : Path, optional
-        File for a map of errors at the first height.
+    Its size is compared; its first frame shows whether the tags of a rig's plate are where they
+    belong. The accuracy is reported at `heights` above the plate [m].
     """
     check_plot(plot)
     measured, rig = _camera_of(name)
@@ -335,13 +314,7 @@ MAX_BYTES: Final = 200_000_000
 
 
 def files_of(paths: Sequence[Path]) -> list[Path]:
-    """Return files, and those of folders sorted by name.
-
-    Raises
-    ------
-    InvalidInput
-        A folder without pictures, or a file that is neither picture nor video.
-    """
+    """Return files, and those of folders sorted by name; raise unless pictures or videos."""
     known = (*PHOTO_ENDINGS, *VIDEO_ENDINGS)
     files: list[Path] = []
     for path in paths:
