@@ -58,6 +58,14 @@ def test_the_project_is_named_alike_everywhere():
         assert [sorted(p.opts) for p in options] == [["--project", "-p"]], name
 
 
+def test_the_tolerance_of_a_part_is_named_alike_everywhere():
+    known = dict(commands(typer.main.get_command(app)))
+    options = {name: {word for p in known[name].params for word in p.opts} for name in known}
+    for name in ("overlay", "bench"):
+        assert {"--tolerance-mm", "--tolerance-deg"} <= options[name], name
+    assert "--tolerance-angle-deg" in options["bench"]  # its name in version 0.2
+
+
 @pytest.mark.parametrize(
     "words",
     [

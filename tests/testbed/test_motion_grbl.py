@@ -204,8 +204,43 @@ def test_reach_is_cut_to_the_travel_of_the_controller():
 
 
 def test_homing_without_switches_is_refused(drive):
-    with pytest.raises(DeviceFailed, match=r"not enabled.*--unlock"):
+    with pytest.raises(DeviceFailed, match=r"homing is off.*by hand.*\$22=1"):
         drive.home()
+
+
+@pytest.mark.parametrize(
+    "happens",
+    [lambda controller: controller.power_cycle(), lambda controller: controller.hit_switch()],
+)
+def test_without_homing_zero_is_unknown_until_confirmed_and_after_each_loss(happens):
+    with driven({"axes": "XY"}, axes=2, start=20.0) as (controller, drive):
+        assert not drive.zero_known
+        drive.go([0.010, 0.0], speed=0.05)
+        drive.set_zero()
+        assert drive.zero_known
+        assert drive.place() == pytest.approx([0.0, 0.0], abs=1e-5)
+        drive.move(to=0.010, speed=0.02, wait=False)
+        moves(controller)
+        drive.stop()  # slows down, so that the position stays known
+        assert drive.zero_known
+        there = np.subtract(controller.places, [30.0, 20.0])
+        assert 1e3 * drive.place() == pytest.approx(there, abs=0.01)
+
+        happens(controller)
+        until = time.monotonic() + 5.0
+        while drive.zero_known:
+            assert time.monotonic() < until
+            time.sleep(0.001)
+        drive.set_zero()
+        assert drive.zero_known
+        before = np.array(controller.places)
+        drive.go([0.005, 0.002], speed=0.05)
+        assert np.array(controller.places) - before == pytest.approx([5.0, 2.0], abs=0.01)
+
+
+def test_a_drive_that_homes_needs_no_confirmed_zero():
+    with driven(homing=True) as (_, drive):
+        assert drive.zero_known
 
 
 @pytest.mark.parametrize(

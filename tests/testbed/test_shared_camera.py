@@ -1,7 +1,9 @@
 """Several readers of one camera: each gets every picture from its beginning on."""
 
+import math
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -87,3 +89,35 @@ def test_a_queue_of_frames_can_be_closed_and_begun_again(live):
         assert queue.get(2.0) is not None
         queue.close()
     camera.close()
+
+
+@pytest.mark.parametrize(
+    ("interval", "allowed"), [(0.01, 0.5), (1 / 30, 0.5), (0.2, 1.0), (0.5, 2.5), (2.0, 4.0)]
+)
+def test_the_silence_of_a_live_camera_is_judged_by_its_rate(monkeypatch, interval, allowed):
+    """On a clock of the test: five pictures, at least 0.5 s and at most 4 s."""
+    now, sent = [0.0], threading.Event()
+    clock = SimpleNamespace(monotonic=lambda: now[0])
+    monkeypatch.setattr("fixel.testbed.shared_camera.time", clock)
+
+    class Regular(Counting):
+        def frames(self):
+            for picture, _ in zip(super().frames(), range(200), strict=False):
+                now[0] += interval
+                yield picture
+            sent.set()
+            self.closed.wait(60.0)
+
+    for live in (True, False):
+        sent.clear()
+        camera = SharedCamera(lambda live=live: Regular(live=live))
+        if not live:  # it waits for a reader
+            assert len(numbers(camera.view(), 199)) == 199
+        assert sent.wait(60.0)
+        assert camera.patience == pytest.approx(allowed if live else math.inf)
+        now[0] += 0.95 * allowed
+        assert not camera.lost
+        now[0] += 0.1 * allowed
+        assert ("has sent nothing for" in camera.lost) == live
+        camera.close()
+        assert camera.lost == "the camera was closed"

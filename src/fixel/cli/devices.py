@@ -309,6 +309,8 @@ def where(
 def _print_position(answer: "ActuatorAnswer", as_json: bool, port: str | None, axes: str) -> None:
     low, high = answer.reach_m
     state = f", {answer.state}" if answer.state else ""
+    if not answer.zero_known:
+        state += "; without homing, 0 is where the controller was switched on or reset"
     at = f"--port {port}" if port else f"--driver {answer.driver}"
     at += f" --axes {axes}" if axes != "X" else ""
     place = ", ".join(f"{1e3 * each:.3f}" for each in answer.place_m)

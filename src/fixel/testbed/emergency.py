@@ -128,7 +128,7 @@ class StopGuard:
                 self._entry.write_text(entry, encoding="utf-8")
                 return
         raise DeviceFailed(
-            "cannot register this program for `fixel actuator stop`: {tempfile.gettempdir()} is "
+            f"cannot register this program for `fixel actuator stop`: {tempfile.gettempdir()} is "
             "not writable",
             hint=f"free disk space in {tempfile.gettempdir()}, or allow writing there",
         )

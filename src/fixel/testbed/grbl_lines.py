@@ -12,7 +12,7 @@ from fixel.errors import InvalidInput
 
 BAUD: Final = 115200
 BUFFER: Final = 127  # bytes that may be under way; the controller's buffer has 128
-STATUS, HOLD, RESUME, RESET = b"?", b"!", b"~", b"\x18"
+STATUS, HOLD, RESET = b"?", b"!", b"\x18"
 GREETINGS: Final = ("Grbl ", "GrblHAL ")  # after a reset; FluidNC begins like GRBL
 AXES: Final = "XYZA"
 INCH: Final = 25.4  # [mm]

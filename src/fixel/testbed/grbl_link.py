@@ -49,6 +49,7 @@ class GrblLink:
         self.trouble = ""
         self.lost = False  # whether the controller is no longer there
         self.resets = 0
+        self.losses = 0  # alarms, and resets that this program did not request; see `zero_known`
         self.offset: tuple[float, ...] = (0.0,) * len(grbl.AXES)  # of work coordinates
         self._port = port
         self._next_line = next_line
@@ -57,7 +58,7 @@ class GrblLink:
         self._answers: list[str] | None = None  # to the pending command
         self._verdict = ""
         self._asked = self._accepted = self._sent = 0.0
-        self._ended = False
+        self._ended = self._resetting = False
         self._thread = threading.Thread(target=self._run, name="grbl", daemon=True)
         self._thread.start()
 
@@ -107,9 +108,11 @@ class GrblLink:
         """Clear the controller's queue by a reset, and return when it has restarted."""
         with self.changed:
             before, until = self.resets, time.monotonic() + patience
+            self._resetting = True
             self.at_once(grbl.RESET)
             while self.resets == before and time.monotonic() < until and not self.lost:
                 self.changed.wait(0.05)
+            self._resetting = False
             self._unanswered.clear()
             if not self.lost:
                 self.trouble = ""
@@ -180,9 +183,11 @@ class GrblLink:
                 self.trouble = self.trouble or why
             self._accept(why)
         elif (number := grbl.number_after(line, "ALARM:")) is not None:
+            self.losses += 1
             self.trouble = f"alarm of the controller: {grbl.ALARMS.get(number, f'{number}')}"
         elif line.startswith(grbl.GREETINGS):
             self.resets += 1
+            self.losses += not self._resetting
             self._unanswered.clear()
             self.trouble = self.trouble or "the controller was reset"
         elif self._answers is not None:

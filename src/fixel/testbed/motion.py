@@ -97,6 +97,14 @@ class AbstractActuator(abc.ABC):
     def position(self) -> float:
         """Return the current position [m]."""
 
+    @property
+    def zero_known(self) -> bool:
+        """Whether position 0 is the same place as in earlier sessions, or was confirmed."""
+        return True
+
+    def set_zero(self) -> None:  # noqa: B027 - most home
+        """Make the present place position 0 of a drive whose `zero_known` is false."""
+
     def place(self) -> FloatArray:
         """Return the coordinates of the drive (n_axes,) [m]."""
         return np.array([self.position()])

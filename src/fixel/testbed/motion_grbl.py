@@ -31,7 +31,11 @@ DEAD_MAN: Final = 0.5  # [s]
 MAX_DEAD_MAN: Final = 3.0  # [s]
 CHUNKS: Final = 6  # pieces in a full queue
 HOMING_TIME: Final = 90.0  # [s]
-UNLOCK: Final = "check the position of the drive, then: fixel actuator move --unlock"
+UNLOCK: Final = "check the position of the drive, then: fixel actuator move --unlock --by 0"
+NO_HOMING: Final = (
+    "positions count from where the controller was switched on: move the drive by hand to its"
+    " withdrawn end, and switch the controller off and on; with end switches, set $22=1"
+)
 SHORT: Final = 0.5  # [s] at rest before the target after which the move has failed
 
 
@@ -103,6 +107,7 @@ class GrblActuator(AbstractActuator):
         self._failure = ""
         self._stops = self._stops_before = 0  # number of requests, and that before a move
         self._at_rest_since: float | None = None
+        self._zero_losses = -1  # value of `GrblLink.losses` at `set_zero`
 
     # --- connection ---------------------------------------------------------------------------
 
@@ -121,6 +126,7 @@ class GrblActuator(AbstractActuator):
         with closed_on_failure(serial.close, self.port, "the actuator's controller"):
             greet(serial, self.port)
             self._link = GrblLink(serial, self._next_piece)
+        self._zero_losses = -1
         try:
             self._read_settings()
             # Sharing the port and hearing signals need a POSIX system.
@@ -192,6 +198,25 @@ class GrblActuator(AbstractActuator):
     def _homes(self) -> bool:
         return any(of_axis.homing for of_axis in self._settings)
 
+    @property
+    def zero_known(self) -> bool:
+        if self._link is None:
+            return False
+        homing = all(of_axis.homing for of_axis in self._settings)
+        return homing or self._zero_losses == self._link.losses
+
+    def set_zero(self) -> None:
+        if self.zero_known:
+            return
+        losses, status = self._open.losses, self._open.fresh_status()
+        if status.state == "Alarm":
+            self.unlock()
+        pairs = zip(self._settings, self._coordinates(status), strict=True)
+        self._settings = tuple(
+            one if one.homing else one._replace(zero=float(at)) for one, at in pairs
+        )
+        self._zero_losses = losses
+
     def position(self) -> float:
         return self.line.along(self.place())
 
@@ -214,11 +239,12 @@ class GrblActuator(AbstractActuator):
     def home(self) -> None:
         if self.moving:
             raise DeviceFailed("the actuator is moving", hint="wait until it stands, or stop it")
+        if self.connected and not self._homes:
+            raise DeviceFailed("homing is off in this controller ($22=0)", hint=NO_HOMING)
         try:
             self._open.command("$H", HOMING_TIME)
         except DeviceFailed as failed:
-            again = "check the drive, then home it again"
-            hint = again if self._homes else UNLOCK
+            hint = "check the drive, then home it again"
             raise DeviceFailed(f"homing failed: {failed.reason}", hint) from None
         except BaseException:
             # Only a reset ends homing.

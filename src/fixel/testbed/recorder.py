@@ -150,7 +150,7 @@ class Recorder:
     _without: int = field(default=0, init=False)
     _bits: int | None = field(default=None, init=False)
     _free: int = field(default=0, init=False)
-    _came: float = field(default=0.0, init=False)
+    _missing: float = field(default=0.0, init=False)  # time without a picture, see `_silent` [s]
     _wanted: bool = field(default=False, init=False)
     _pace: FrameRate = field(default_factory=FrameRate, init=False)
 
@@ -188,10 +188,10 @@ class Recorder:
 
     def _first(self, queue: FrameQueue) -> CameraPicture:
         """Wait for the first picture; nothing is written before it."""
-        since = time.monotonic()
+        since, limit = time.monotonic(), max(self.patience, STALLED)
         while (arrived := queue.get(POLL)) is None:
-            if queue.over or time.monotonic() - since > self.patience:
-                found = queue.reason if queue.over else f"no picture within {self.patience:g} s"
+            if queue.over or time.monotonic() - since > limit:
+                found = queue.reason if queue.over else f"no picture within {limit:g} s"
                 raise InvalidInput(self.source.name, found=found, expected="pictures to record")
         # The picture that was read to open the source may be old.
         while self.stream.live and queue.waiting and time.monotonic() - arrived.time > BEHIND:
@@ -208,7 +208,7 @@ class Recorder:
                 if arrived is None and (why := self._silent(queue)):
                     return why
                 continue
-            self._came = now = time.monotonic()
+            self._missing, now = 0.0, time.monotonic()
             at = max(arrived.taken - zero, writer.seconds + BREATH if writer.frames else 0.0)
             if why := self._unfit(arrived, at):
                 return why
@@ -234,7 +234,9 @@ class Recorder:
         """Return why no more pictures will come; empty while they may."""
         if queue.over:
             return queue.reason
-        if time.monotonic() - self._came > self.patience:
+        # Where this program itself had to wait, so had its pictures: a late check counts as others.
+        self._missing += POLL
+        if self._missing > self.patience:
             return f"the camera has sent nothing for {self.patience:g} s"
         return ""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import queue
 import threading
 import time
@@ -9,10 +10,13 @@ from collections.abc import Callable, Iterator
 from typing import Final, final
 
 from fixel.errors import FixelError
-from fixel.testbed.frame_source import HELD, CameraPicture, FrameSource, Stream
+from fixel.testbed.frame_source import HELD, STALLED, CameraPicture, FrameSource, Stream
 
 GLANCE: Final = 0.1  # [s] between two checks of a reader or a camera that has ended
 ENDS_WITHIN: Final = 5.0  # [s]
+MIN_SILENCE: Final = 0.5  # [s] without a picture after which a live camera is lost, at least
+MISSING: Final = 5.0  # pictures that are missing then, at the measured rate
+RECENT: Final = 0.1  # weight of the newest picture in the measured interval
 
 
 @final
@@ -33,8 +37,22 @@ class SharedCamera:
         self.stream: Stream = self.source.open()  # properties of the open camera
         self.reason = ""  # why it sends no more pictures
         self.newest = time.monotonic()  # arrival of the newest picture [s]
+        self._interval = 0.0  # mean time between the last pictures [s]
         self._thread = threading.Thread(target=self._read, name="camera", daemon=True)
         self._thread.start()
+
+    @property
+    def patience(self) -> float:
+        """Time without a picture after which the camera is lost [s]; one that waits never is."""
+        measured = min(max(MIN_SILENCE, MISSING * self._interval), STALLED + 1.0)
+        return measured if self.stream.live else math.inf
+
+    @property
+    def lost(self) -> str:
+        """Why no more pictures come, or none came lately; empty while they do."""
+        silent = time.monotonic() - self.newest
+        late = f"it has sent nothing for {silent:.1f} s" if silent > self.patience else ""
+        return self.reason or late
 
     def view(self) -> CameraView:
         """Return a source of the pictures from now on, to be closed by its reader."""
@@ -65,7 +83,9 @@ class SharedCamera:
     def _read(self) -> None:
         try:
             for picture in self.source.frames():
-                self.newest = time.monotonic()
+                now = time.monotonic()
+                self._interval += RECENT * (now - self.newest - self._interval)
+                self.newest = now
                 self._hand_over(picture)
                 if self.reason:
                     break

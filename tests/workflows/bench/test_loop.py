@@ -18,6 +18,7 @@ from fixel.errors import JobRefused
 from fixel.formats.plan_file import plan_text
 from fixel.formats.recording import open_recording
 from fixel.sampling import eight_push_plan, thesis_plan
+from fixel.testbed.motion import SimulatedActuator
 from fixel.workflows.bench import loop as loop_module
 from fixel.workflows.bench.loop import Background, BenchLoop
 from fixel.workflows.bench.run import open_bench, report_of
@@ -141,6 +142,33 @@ def test_a_stop_ends_the_push_at_once_and_the_row_is_performed_again(bench):
         hand.place()
         assert hand.now()["row"] == first.row
     assert loop.finish == "ended by the person at the bench"
+
+
+@pytest.mark.system
+def test_a_drive_of_unknown_position_does_not_move_before_a_person_confirms_its_zero(
+    bench, monkeypatch
+):
+    """At the begin, and after its controller was switched off and on during a campaign."""
+    lost = ["begin"]
+    drive = SimulatedActuator
+    monkeypatch.setattr(drive, "zero_known", property(lambda self: not lost), raising=False)
+    monkeypatch.setattr(drive, "set_zero", lambda self: lost.clear(), raising=False)
+    with operated(bench) as (loop, hand):
+        until(lambda: hand.now()["phase"] == "trouble")
+        assert "by hand to its position 0" in hand.now()["problems"][0]
+        place = loop.devices.drive.place()
+        loop.ask("push")
+        loop.ask("again")
+        hand.place()
+        assert np.array_equal(loop.devices.drive.place(), place)
+
+        lost.append("power cycle")
+        until(lambda: hand.now()["phase"] == "trouble")
+        loop.ask("push")
+        loop.ask("again")
+        hand.place()
+        assert np.array_equal(loop.devices.drive.place(), place)
+        assert not loop.campaign.attempts
 
 
 @pytest.mark.system

@@ -1,5 +1,7 @@
 """Faults of a bench and of requests are named before anything moves."""
 
+import threading
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -51,6 +53,13 @@ def controller():
         yield emulated
 
 
+def until(condition):
+    end = time.monotonic() + 60.0
+    while not condition():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.02)
+
+
 def refused(folder, kind=InvalidInput, **options):
     """The error of a bench that is not opened."""
     with (
@@ -69,6 +78,36 @@ def test_a_whole_bench_opens_and_its_drive_stays_where_it_is(folder, camera, con
     lab, plan, rig = Project(folder / "lab"), folder / "one.yaml", str(folder / "rig.yaml")
     with open_bench(lab, plan, rig=rig, camera=camera, port=controller.port) as loop:
         assert len(loop.campaign.left) == 1
+    assert controller.trace == []
+
+
+@pytest.mark.parametrize("check", [False, True])
+def test_a_controller_that_does_not_home_waits_for_its_zero(folder, camera, controller, check):
+    """Nothing moves before a person confirms it, also after the controller was off and on."""
+    lab, plan, rig = Project(folder / "lab"), folder / "one.yaml", str(folder / "rig.yaml")
+    with open_bench(lab, plan, rig=rig, camera=camera, port=controller.port, check=check) as loop:
+        statuses = []
+        loop.show = lambda draw, status: statuses.append(status)
+        loop.ask("again")  # nothing was requested yet
+        ends = threading.Thread(target=loop.run)
+
+        def asked():
+            return statuses and "by hand to its position 0" in "".join(statuses[-1]["problems"])
+
+        ends.start()
+        for _ in range(1 if check else 2):
+            until(asked)
+            loop.ask("push")
+            assert not loop.devices.drive.zero_known
+            if not check:  # else the head would move now
+                loop.ask("again")
+                until(lambda: loop.devices.drive.zero_known)
+                until(lambda: statuses[-1]["phase"] == "placing")
+                controller.power_cycle()
+        loop.ask("end")
+        ends.join(60.0)
+        assert not ends.is_alive()
+        assert not loop.campaign.attempts
     assert controller.trace == []
 
 

@@ -97,24 +97,22 @@ class PlannerBlock(NamedTuple):
 
 @final
 class EmulatedGrbl:
-    """Emulated controller of a drive with 1 to 4 axes; lengths are of all axes, or of each.
+    """Emulated controller of a drive with 1 to 4 axes.
 
-    Limit switches are `travel` apart [mm], and positions begin at `start` from the withdrawn ends
-    [mm]. `acceleration` [mm/s^2] and `fastest` [mm/s] are its limits. With `homing` it has
-    switches, and requires homing first. `rate` is emulated over real time, `firmware` a name in
+    Lengths, speeds and accelerations are those of all axes or of each. The firmware is a name in
     `FIRMWARE`.
     """
 
     def __init__(
         self,
         *,
-        travel: float | Sequence[float] = 150.0,
-        start: float | Sequence[float] = 40.0,
-        acceleration: float | Sequence[float] = 500.0,
-        fastest: float | Sequence[float] = 50.0,
-        homing: bool = False,
-        inches: bool = False,
-        rate: float = 1.0,
+        travel: float | Sequence[float] = 150.0,  # distance between the limit switches [mm]
+        start: float | Sequence[float] = 40.0,  # from the withdrawn end [mm]
+        acceleration: float | Sequence[float] = 500.0,  # [mm/s^2]
+        fastest: float | Sequence[float] = 50.0,  # maximum speed [mm/s]
+        homing: bool = False,  # whether it has switches, and requires homing first
+        inches: bool = False,  # whether it reports inches
+        rate: float = 1.0,  # emulated seconds per real second: 10 is ten times as fast
         firmware: str = "GRBL",
         axes: int = 3,
     ) -> None:

@@ -96,38 +96,8 @@ class Moment(NamedTuple):
 class EmulatedLaboratory:
     """Laboratory whose true scene is simulated while its drive moves the head.
 
-    Its clock is `time.monotonic` in real time.
-
-    Parameters
-    ----------
-    rig : Rig
-        Camera, whose lens determines the size of the pictures, and markers; see `smaller`.
-    truth : SimulatedTestbed
-        Testbed whose true scenes the laboratory has.
-    seed : int
-        Seed of placements, noise and faults.
-    faults : Faults, optional
-        Faults; the usual ones of a bench by default.
-    pace : float
-        0 for accelerated time, in which the camera waits for its reader; 1 for real time.
-    looks : CameraEffects, optional
-        Light, lens and sensor, without their disturbances; by default those that suit the rig.
-    rate : float
-        Frame rate [Hz].
-
-    Attributes
-    ----------
-    drive : SimulatedActuator
-        Drive with two axes, whose coordinates are those of the head in the world.
-    tactile : EmulatedLaboratory
-        Reader of the fixels.
-    moments : deque of Moment
-        Hidden truth at the last frames, which only tests may read.
-
-    Raises
-    ------
-    InvalidInput
-        The pace is neither 0 nor 1, or the rate is not positive.
+    Its clock is `time.monotonic` in real time. The size of its pictures is that of the lens of the
+    rig; see `smaller`. It reads the fixels itself, as `tactile`.
 
     Examples
     --------
@@ -147,12 +117,12 @@ class EmulatedLaboratory:
         self,
         rig: Rig,
         *,
-        truth: SimulatedTestbed,
-        seed: int = 1,
-        faults: Faults | None = None,
-        pace: float = 0.0,
-        looks: CameraEffects | None = None,
-        rate: float = 30.0,
+        truth: SimulatedTestbed,  # testbed whose true scenes the laboratory has
+        seed: int = 1,  # of placements, noise and faults
+        faults: Faults | None = None,  # by default the usual ones of a bench
+        pace: float = 0.0,  # 0: accelerated time, the camera waits for its reader; 1: real time
+        looks: CameraEffects | None = None,  # without disturbances; by default as suits the rig
+        rate: float = 30.0,  # of frames [Hz]
     ) -> None:
         if pace not in (0.0, 1.0):
             raise InvalidInput("pace", found=pace, expected="0 (accelerated) or 1 (real time)")
@@ -170,7 +140,7 @@ class EmulatedLaboratory:
         self._pixel = rig.camera.metres_per_pixel()
         looks = looks or looks_named("microscope" if self._pixel < MICROSCOPE else "thesis")
         self._looks = replace(looks, light_change=0.0, colour_change=0.0, occlusion=0.0)
-        self.drive = SimulatedActuator(
+        self.drive = SimulatedActuator(  # its coordinates are those of the head in the world
             n_axes=2,
             reach=REACH,
             ripple=truth.ripple,
@@ -178,7 +148,7 @@ class EmulatedLaboratory:
             clock=self.clock,
         )
         self.tactile = self
-        self.moments: deque[Moment] = deque(maxlen=MOMENTS)
+        self.moments: deque[Moment] = deque(maxlen=MOMENTS)  # of the last frames, for tests only
         self._lock = threading.RLock()
         self._sensor = Sensor(self._looks, self.stream.size, seed)
         self._frame = self._placings = 0

@@ -24,6 +24,7 @@ class ActuatorAnswer(NamedTuple):
     reach_m: tuple[float, float]  # range of positions
     state: str  # state as the controller names it; empty if it names none
     seconds: float  # duration of the command [s]
+    zero_known: bool  # as the property of `AbstractActuator`
 
 
 def chosen_actuator(
@@ -106,6 +107,7 @@ def _done(actuator: AbstractActuator, command: Callable[[], None]) -> ActuatorAn
             reach_m=actuator.reach,
             state=actuator.state if isinstance(actuator, GrblActuator) else "",
             seconds=time.perf_counter() - start,
+            zero_known=actuator.zero_known,
         )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -138,15 +137,19 @@ def scene_of(path: Path | None, key: str | None, project: Path) -> Scene:
 
 
 def frames_of(
-    source: FrameSource, live: bool, notify: Callable[[str], None] | None = None
+    source: FrameSource,
+    live: bool,
+    notify: Callable[[str], None] | None = None,
+    patience: float | None = None,
 ) -> Iterator[Frame]:
     """Yield the pictures of an open source; of a live one, which does not wait, only the newest.
 
-    `notify` is called with the reason when the pictures have ended.
+    `notify` is called with the reason when the pictures have ended, for a live source also after
+    `patience` [s] without one, by default `SILENT`.
     """
     queue = FrameQueue(source, live=live, held=HELD)
     queue.start()
-    came, reason = time.monotonic(), ""
+    missing, reason, patience = 0.0, "", patience or SILENT
     try:
         while not reason:
             arrived = queue.get(BETWEEN_SIGNS)
@@ -155,11 +158,11 @@ def frames_of(
             if arrived is not None:
                 if (frame := _decoded(arrived)) is not None:
                     yield frame
-                came = time.monotonic()
+                missing = 0.0
             elif queue.over:
                 reason = queue.reason
-            elif live and time.monotonic() - came > SILENT:
-                reason = f"the camera has sent nothing for {SILENT:g} s"
+            elif live and (missing := missing + BETWEEN_SIGNS) > patience:
+                reason = f"the camera has sent nothing for {patience:g} s"
         if notify is not None:
             notify(reason)
     finally:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 import shapely
 
-from fixel.errors import InvalidInput, unknown_name
+from fixel.errors import DeviceFailed, InvalidInput, unknown_name
 from fixel.formats.rig_file import rig_of
 from fixel.model import LineDrive, PlannedExperiment, Scene, placed
 from fixel.model.fields import pose_of
@@ -37,6 +37,11 @@ SMALLER: Final = 0.75  # pictures of the emulated laboratory: fixels are still f
 # Rows of the emulated laboratory in which a hand hides a marker, and in which the head jams.
 HIDDEN, OVERLOAD = slice(3, None, 10), slice(6, None, 10)
 USUAL_SIZE: Final = 0.1  # [m] of parts of the usual laboratory
+NO_ZERO: Final = (
+    "The position of the drive is unknown: its controller does not home, and counts from the place"
+    " where it was switched on. Move the drive by hand to its position 0, which is the withdrawn"
+    " end, or with several axes the place from which drive_pose is measured. Then try again (key a)"
+)
 SETTINGS: Final[Mapping[str, Any]] = {
     "camera": "0", "rig": "", "tactile": "", "driver": "grbl", "port": "", "axes": "X",
     "drive_pose": "", "rate": 30.0,
@@ -137,10 +142,17 @@ class BenchDevices:
             before()
             self.drive.go(place, speed=self._fast)
 
-    def recover_drive(self) -> None:
-        """Connect and home a drive whose connection or position is lost, or raise an error."""
+    def recover_drive(self, at_zero: bool) -> None:
+        """Connect and home a drive whose connection or position is lost.
+
+        One that does not home must be `at_zero`, as `NO_ZERO` requests of a person. `DeviceFailed`
+        is raised where the drive does not answer, or its position remains unknown.
+        """
         if not self.drive.connected:
             self.drive.connect()
+        if not (self.drive.zero_known or at_zero):
+            raise DeviceFailed(NO_ZERO)
+        self.drive.set_zero()
         if getattr(self.drive, "state", "Idle") == "Alarm":
             self.drive.home()
 

@@ -29,7 +29,7 @@ from fixel.workflows.acquisition.overlay import Look, Overlay, Tolerance, draw_l
 from fixel.workflows.acquisition.record import codec_for
 from fixel.workflows.bench.acceptance import BenchFigure, BenchRun, measure_bench
 from fixel.workflows.bench.campaign import Attempt, Campaign
-from fixel.workflows.bench.devices import BenchDevices
+from fixel.workflows.bench.devices import NO_ZERO, BenchDevices
 from fixel.workflows.bench.judge import TrackedAttempt, track_attempt
 from fixel.workflows.bench.live import LiveAnswer, estimate_rows
 from fixel.workflows.calibration.parameter_options import searched_unknowns
@@ -183,17 +183,15 @@ class BenchLoop:
         frames: Generator[Frame] | None = None
         try:
             self._report("waiting")
-            if self.options.check:
-                self._measure()
+            while self.options.check and not self.finish:
+                if not self._in_trouble():
+                    self._measure()
             for attempt in [] if self.finish else self.campaign.undecided:
                 self._track(attempt)
             if not self.options.check:
                 self._estimate()
             while not self._is_over():
-                self._take_events()
-                if self._trouble:
-                    self._report("trouble")
-                    time.sleep(0.1)
+                if self._in_trouble():
                     continue
                 frames = frames or self._frames()
                 self._turn(frames)
@@ -216,7 +214,8 @@ class BenchLoop:
 
     def _frames(self) -> Generator[Frame]:
         camera = self.devices.camera
-        yield from frames_of(camera.view(), camera.stream.live)
+        patience = camera.patience if self._pushing.is_set() else None
+        yield from frames_of(camera.view(), camera.stream.live, patience=patience)
 
     def _is_over(self) -> bool:
         """Whether nothing is left to do."""
@@ -234,10 +233,16 @@ class BenchLoop:
                 )
         return bool(self.finish)
 
-    def _take_events(self) -> None:
-        """Do what was asked for, and take what other processes have computed."""
+    def _in_trouble(self) -> bool:
+        """Do what was asked for, take what other processes have computed, and show trouble."""
         while not self._events.empty():
             self._events.get()()
+        if not self.devices.drive.zero_known:
+            self._trouble = self._trouble or NO_ZERO
+        if self._trouble:
+            self._report("trouble")
+            time.sleep(0.1)
+        return bool(self._trouble)
 
     def _turn(self, frames: Iterator[Frame]) -> None:
         """Look at one picture for the present row, which is chosen if there is none."""
@@ -245,7 +250,7 @@ class BenchLoop:
             self._begin_row(self._next_row())
         frame = next(frames, None)
         if frame is None:
-            self._trouble = f"the camera stopped: {self.devices.camera.reason}"
+            self._trouble = f"the camera stopped: {self.devices.camera.lost}"
         elif self._overlay is None:
             self._report("waiting", partial(_itself, frame.picture))
         else:
@@ -427,11 +432,18 @@ class BenchLoop:
             folder=folder,
             codec=codec_for("auto", camera.stream),
             tactile=self.devices.tactile,
+            patience=camera.patience,
             rig=self.devices.rig.name,
             stop=over,
             watch=watch,
             prepare=prepare,
         )
+
+        def lost() -> str:  # why the recording has ended
+            if not recording.done():
+                return ""
+            return str(recording.exception() or recording.result().reason)
+
         with ThreadPoolExecutor(1, "fixel-recorder") as pool:
             recording = pool.submit(recorder.run)
             try:
@@ -439,21 +451,21 @@ class BenchLoop:
                     time.sleep(0.005)
                 if not recording.done():
                     self.devices.sleep(LEAD)
-                    self._stroke(row, recording.done, by)
+                    self._stroke(row, lost, by)
                     self.devices.sleep(REST)
             finally:
                 end = self.devices.clock()
             return recording.result()
 
-    def _stroke(self, row: PlannedExperiment, camera_lost: Callable[[], bool], by: str) -> None:
+    def _stroke(self, row: PlannedExperiment, lost: Callable[[], str], by: str) -> None:
         """Move the head along its stroke; stop it if the recording ends or the page is lost."""
         drive, push = self.devices.drive, self.devices.stroke(row.scene)
         drive.aim(push.start, push.direction)
         self._refuse_stopped()
         drive.move(to=push.travel, speed=push.speed, wait=False)
         while drive.moving:
-            if camera_lost():
-                self.stop("the camera or the tactile board was lost during the push")
+            if why := lost():
+                self.stop(why)
             self._watch_page(by)
             if self._stop_reason:  # also where the stop came just before the move
                 drive.stop()
@@ -461,9 +473,9 @@ class BenchLoop:
         drive.wait()
 
     def _refuse_stopped(self) -> None:
-        """Raise if a stop was asked for before the head began to move."""
-        if self._stop_reason:
-            raise DeviceFailed(self._stop_reason)
+        """Raise if a stop was asked for, or the position was lost, before the head moves."""
+        if why := self._stop_reason or ("" if self.devices.drive.zero_known else NO_ZERO):
+            raise DeviceFailed(why)
 
     def _moved(
         self,
@@ -484,7 +496,7 @@ class BenchLoop:
             while not moving.done():
                 frame = next(frames, None)
                 if frame is None:
-                    self.stop("the camera was lost")
+                    self.stop(f"the camera was lost: {self.devices.camera.lost}")
                     break
                 seen(frame)
                 self._report("moving", partial(_itself, frame.picture))
@@ -567,10 +579,11 @@ class BenchLoop:
         self._stop_reason = ""
         self._pushing.set()
         try:
-            if self.devices.camera.reason:
+            if self.devices.camera.lost:
                 self.devices.camera.restart()
-            self.devices.recover_drive()
-            if self._withdraws is not None:
+            at_zero = self._trouble == NO_ZERO
+            self.devices.recover_drive(at_zero)
+            if self._withdraws is not None and not at_zero:
                 self._moved([self._withdraws], "key")
             self._withdraws = None
         except FixelError as problem:
@@ -603,24 +616,22 @@ class BenchLoop:
             "problems": [self._trouble] if self._trouble else [],
             "remark": self._remark,
             "finish": self.finish,
-            "look": None if self._look is None else self._look.summary(),
+            "look": self._look and self._look.summary(),
             "checks": [check._asdict() for check in self._checks],
             "tracking": self._tracker.waiting,
             "attempts": [
                 own._asdict() | {"name": own.name} for own in [*campaign.attempts.values()][-SHOWN:]
             ],
-            "estimates": None
-            if live is None
-            else {
+            "estimates": live
+            and {
                 "columns": [column.head for column in live.table.columns],
                 "rows": live.table.rows,
                 "words": live.words,
                 "seconds": round(live.seconds, 2),
                 "experiments": len(live.estimates.held_out),
             },
-            "recording": None
-            if recording is None
-            else recording._asdict() | {"seconds": round(recording.seconds, 2)},
+            "recording": recording
+            and recording._asdict() | {"seconds": round(recording.seconds, 2)},
         }
         if self.show is not None:
             self.show(draw, status)

@@ -19,6 +19,11 @@ if TYPE_CHECKING:
     from fixel.workflows.bench.loop import BenchLoop, LoopOptions
 
 YOURS: Final = "that of fixel.yaml"
+# As `fixel overlay` names it; the other name is that of version 0.2.
+ANGLE: Final = Door(
+    flag="--tolerance-deg", also=("--tolerance-angle-deg",), unit="deg", above=0.0,
+    usual="the rig's",
+)  # fmt: skip
 
 
 def open_bench(
@@ -45,7 +50,7 @@ def open_bench(
     axes: Annotated[str | None, Door(metavar="AXES", usual=YOURS)] = None,
     drive_pose: Annotated[str | None, Door(metavar="X,Y,ANGLE", usual=YOURS)] = None,
     tolerance: Annotated[float | None, Door(unit="mm", above=0.0, usual="the rig's")] = None,
-    tolerance_angle: Annotated[float | None, Door(unit="deg", above=0.0, usual="the rig's")] = None,
+    tolerance_angle: Annotated[float | None, ANGLE] = None,
     seed: Seed = 1,
     dry_run: bool = False,
     check: bool = False,
@@ -96,9 +101,9 @@ def open_bench(
     drive_pose : str, optional
         Pose of the coordinates of a drive with several axes in the world [mm, mm, deg].
     tolerance : float, optional
-        Largest allowed deviation of a part from its place.
+        Largest allowed position error of a part [m].
     tolerance_angle : float, optional
-        Largest allowed deviation of its angle.
+        Largest allowed angle error of a part [rad].
     seed : int
         Seed of the emulated laboratory.
     dry_run : bool
