@@ -236,7 +236,7 @@ class Recorder:
             return queue.reason
         # Where this program itself had to wait, so had its pictures: a late check counts as others.
         self._missing += POLL
-        if self._missing > self.patience:
+        if self._missing >= self.patience:
             return f"the camera has sent nothing for {self.patience:g} s"
         return ""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -33,6 +34,7 @@ def read_experiments(
     units: Mapping[str, str] | None = None,
     split_by: str | None = None,
     object_name: str | None = None,
+    simulated_by: str = "",
     limit: int | None = None,
     progress: ProgressOption = None,
 ) -> Experiments:
@@ -64,6 +66,8 @@ def read_experiments(
         seconds without poses between them, by default 1.
     object_name : str, optional
         Body of the scene whose motion was measured; by default its only body.
+    simulated_by : str
+        Simulator that wrote a table or bag; empty for measured experiments.
     limit : int, optional
         Maximum number of experiments.
     progress : bool or callable, optional
@@ -109,24 +113,16 @@ def read_experiments(
     places = [Path(s) if isinstance(s, str | os.PathLike) else s for s in sources]
     if limit is not None and limit < 1:
         raise InvalidInput("limit", found=limit, expected="a number of at least 1")
+    named = {"object_name": object_name, "simulated_by": simulated_by}
+    options = {name: value for name, value in named.items() if value}
+    planned = partial(plan_import, scene=choice, columns=columns, units=units, split_by=split_by)
     plans, found = [], []
     for place in places:
         ready = None if format is not None else _ready(place, choice)
         if ready is not None:
             found.append(ready)
             continue
-        options = {} if object_name is None else {"object_name": object_name}
-        plans.append(
-            plan_import(
-                place,
-                format,
-                scene=choice,
-                columns=columns,
-                units=units,
-                split_by=split_by,
-                options=options,
-            )
-        )
+        plans.append(planned(place, format, options=options))
     read = collected(plans, limit, progress)
     if not found:
         return read

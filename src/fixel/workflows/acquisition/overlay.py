@@ -161,7 +161,7 @@ def frames_of(
                 missing = 0.0
             elif queue.over:
                 reason = queue.reason
-            elif live and (missing := missing + BETWEEN_SIGNS) > patience:
+            elif live and (missing := missing + BETWEEN_SIGNS) >= patience:
                 reason = f"the camera has sent nothing for {patience:g} s"
         if notify is not None:
             notify(reason)

@@ -208,7 +208,7 @@ def _recorded(own: Path, truth: Laboratory, seed: int) -> DemoStep:
     write_table(own / TABLE, truth.experiments, seed)
     first_guess().save(own / SCENE)
     lines = (
-        f"{own / TABLE}  poses that a camera and a robot recorded",
+        f"{own / TABLE}  simulated poses, with the noise of a camera and a robot",
         f"{own / SCENE}  outlines, and first guesses of friction and support",
     )
     return DemoStep("A table of pushes, and a scene", lines)
@@ -216,15 +216,17 @@ def _recorded(own: Path, truth: Laboratory, seed: int) -> DemoStep:
 
 def _imported(project: Project, own: Path, true: int) -> DemoStep:
     table, scene = own / TABLE, own / SCENE
-    project.add(read_experiments(table, split_by="push", scene=scene))
+    options = {"split_by": "push", "simulated_by": "fixel demo"}
+    project.add(read_experiments(table, scene=scene, **options))  # type: ignore[arg-type]
     lab, n = quote(str(project.folder)), len(project.experiments())
     commands = (
         f"fixel new {lab}",
-        f"fixel import {quote(str(table))} --scene {quote(str(scene))} --option split_by=push"
-        f" --project {lab}",
+        f"fixel import {quote(str(table))} --scene {quote(str(scene))} --project {lab}"
+        + "".join(f" --option {name}={quote(value)}" for name, value in options.items()),
     )
+    lines = (f"The header names the units: {HEAD}", "Leave out simulated_by for measured pushes.")
     claim = DemoClaim("pushes", str(n), str(true), n == true)
-    return DemoStep("Import", (f"The header names the units: {HEAD}",), commands, (claim,))
+    return DemoStep("Import", lines, commands, (claim,))
 
 
 def _claims(fit: Calibration, truth: Laboratory) -> Iterator[DemoClaim]:
