@@ -1,6 +1,7 @@
 """`fixel calibrate` from the shell: tables, JSON, refusals."""
 
 import json
+import shlex
 
 import pytest
 from tests.cli.shell import fixel
@@ -89,10 +90,10 @@ def test_the_next_command_is_the_worst_under_what_it_was_calibrated_with(capsys,
     code, told, _ = fixel(capsys, "calibrate", "-p", project, *options, *more, "--json")
     worst = max(json.loads(told)["found"], key=lambda one: one["errors"][0])
     last = out.splitlines()[-1]
-    assert last.startswith(f"Next: fixel compare {worst['experiments'][0]} --set mu_pusher=")
-    assert f"--set mu_pusher={worst['parameters']['mu_pusher']:.4g} " in last
-    assert "--set mu_support=0.3 " in last
-    assert "--motion quasistatic" in last
+    assert last.startswith(f"Next: fixel compare {worst['experiments'][0]} --calibration ")
+    code, compared, _ = fixel(capsys, *shlex.split(last)[2:], "--json")
+    assert code == 0
+    assert json.loads(compared)["error_mm2"] == pytest.approx(worst["errors"][0], rel=1e-2)
     verdicts = next(line for line in out.splitlines() if line.startswith("mu_pusher: "))
     assert " in 3" in verdicts or ", " in verdicts
     assert worst["noise"].startswith("noise ")

@@ -116,6 +116,12 @@ class AbstractOptimiser(abc.ABC):
 
     name: ClassVar[str]
 
+    @property
+    def limit(self) -> int | None:
+        """Maximum number of evaluations; None if it has no such option."""
+        found: int | None = getattr(self, "max_evaluations", None)
+        return found
+
     @abc.abstractmethod
     def start(self, box: SearchBox, seed: int = 0, feasible: Feasible | None = None) -> Search:
         """Begin a search.
@@ -247,6 +253,10 @@ class MultiStart(AbstractOptimiser):
     name: ClassVar[str] = "multi-start"
     optimiser: AbstractOptimiser
     starts: int = 8
+
+    @property
+    def limit(self) -> int | None:
+        return None if self.optimiser.limit is None else self.starts * self.optimiser.limit
 
     def __post_init__(self) -> None:
         if not isinstance(self.optimiser, AbstractOptimiser):

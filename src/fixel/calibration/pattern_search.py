@@ -83,6 +83,10 @@ class PatternSearch(AbstractOptimiser):
     def __post_init__(self) -> None:
         check_fields(self, "PatternSearch")
 
+    @property
+    def limit(self) -> int:
+        return self.max_function_evaluations
+
     def start(
         self, box: SearchBox, seed: int = 0, feasible: Feasible | None = None
     ) -> PatternSearchSearch:

@@ -176,7 +176,9 @@ class Capability:
         own = {name: value for name, value in call.items() if name in self.options}
         if self.on_table:
             own[TABLE.name] = getattr(getattr(call.get("project"), "view", None), "path", None)
-        return self.request({**own, **call.get("options", {})})
+        own |= call.get("options", {})
+        own.pop("progress", None)
+        return self.request(own)
 
     def from_json(self, text: str | bytes) -> BaseModel:
         """Return the request that a text in JSON states; inverse of `model_dump_json`."""

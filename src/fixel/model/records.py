@@ -321,6 +321,11 @@ class CalibrationRecord(Comparable):
         )
 
     @property
+    def motion(self) -> str:
+        """Name of the motion model or engine; empty if it was not stored."""
+        return str(self.method.get("motion", ""))
+
+    @property
     def error_unit(self) -> str:
         """Unit of the error that was minimised: `"mm^2"` or `"mm"`."""
         return str(self.method.get("error_unit", "mm^2"))

@@ -408,6 +408,7 @@ def test_a_space_file(tmp_path):
         ("[1, 2]", "no parameters"),
         ("mu_pusher: 3", "low, high, start"),
         ("mu_pusher: {low: 0, high: 1}", "no start"),
+        ("mu_pusher: {low: , high: 1, start: 0.2}", "no low"),
         ("mu_pusher: {low: 0, high: 1, start: 2}", "outside the bounds"),
         ("mu_pusher: {low: 0, high: x, start: 0.2}", "'x'"),
         ("mu_pushr: {low: 0, high: 1, start: 0.2}", "did you mean 'mu_pusher'"),

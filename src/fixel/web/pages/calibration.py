@@ -26,11 +26,6 @@ STOPPED = {
     "cancelled": f"Stopped. {CONTINUES}",
     "stopped": f"Stopped. {CONTINUES}",
 }
-STAGES = {
-    "nominal": "nominal values", "all together": "joint calibration", "squares": "least squares",
-    "alone": "each experiment", "verdicts": "intervals and verdicts", "best": "best values",
-    "neighbours": "values of neighbours",
-}  # fmt: skip
 
 
 def list_page(context: ProjectContext, request: Request) -> dict[str, Any]:
@@ -80,7 +75,6 @@ def running_page(context: ProjectContext, request: Request) -> dict[str, Any]:
         "name": name,
         "live": live,
         "reason": STOPPED.get(live.state, live.reason),
-        "stage": STAGES.get(live.stage, live.stage),
         "graph": _graph(live),
     }
 

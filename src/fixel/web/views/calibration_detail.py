@@ -264,8 +264,7 @@ class CalibrationSummary(Answer):
 
 def engine_of(record: CalibrationRecord) -> str:
     """Return the engine of a calibration with its version; empty for fixel's own."""
-    motion = str(record.method.get("motion", ""))
-    return motion if is_engine(motion) else ""
+    return record.motion if is_engine(record.motion) else ""
 
 
 def list_calibrations(store: Store) -> list[CalibrationSummary]:

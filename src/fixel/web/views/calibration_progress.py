@@ -13,7 +13,6 @@ from typing import Any, Final, final
 import numpy as np
 from pydantic import Field
 
-from fixel.calibration import MultiStart
 from fixel.calibration.objective import combined_errors
 from fixel.database.project import Project
 from fixel.errors import FixelError, JobRefused, NotStored
@@ -32,10 +31,15 @@ from fixel.workflows.calibration.request import CalibrationRequest
 from fixel.workflows.calibration.result import found_of
 
 SEARCHES: Final = ("all together", "squares")  # stages whose errors are the objective
-# Options by which searches limit their evaluations.
-LIMITS: Final = ("max_function_evaluations", "max_evaluations")
 ALONE: Final = "alone"
-OF_JOB: Final = ("state", "ended", "reason", "share", "started_utc")  # as the status has them
+OF_JOB: Final = (
+    "state",
+    "ended",
+    "reason",
+    "note",
+    "share",
+    "started_utc",
+)  # as the status has them
 NOMINAL: Final = "nominal"
 RATE_WINDOW_S: Final = 30.0
 
@@ -131,6 +135,7 @@ class LiveProgress(Answer):
     ended: bool
     reason: str
     stage: str = Field(description="part of the calibration that was computed last")
+    note: str = Field(description="part that is computed now")
     evaluations: int
     most: int | None = Field(description="maximum number of evaluations")
     rate: float = Field(description="recent evaluations per second")
@@ -249,7 +254,4 @@ def _most(request: CalibrationRequest) -> int | None:
         return None
     if request.max_evaluations is not None:
         return int(request.max_evaluations)
-    made = request.made_optimiser
-    inner = made.optimiser if isinstance(made, MultiStart) else made
-    limit = next((getattr(inner, name) for name in LIMITS if hasattr(inner, name)), None)
-    return None if limit is None else int(limit) * request.starts
+    return request.made_optimiser.limit

@@ -817,7 +817,7 @@ def _plain(fit: Calibration, calibration_id: int | None) -> dict[str, Any]:
         "experiments": list(fit.keys_of_experiments),
         "misfit": list(one.misfit),
         "misfit_ratio": finite(one.misfit_ratio),
-        "parameters": dict(zip(labels, one.values(labels).tolist(), strict=True)),
+        "parameters": {label: fit.estimates[label].value for label in labels},
         "best_fit": dict(zip(labels, one.point.tolist(), strict=True)),
         "errors": [finite(error) for error in one.errors.tolist()],
         "evaluations": fit.evaluations,

@@ -118,28 +118,17 @@ def _entry(written: str, entry: Any, path: Path) -> Unknown:
             found=", ".join(map(str, entry)) if isinstance(entry, Mapping) else repr(entry),
             expected="the keys low, high, start, and if wanted scale, prior, frozen, where",
         )
-    missing = [key for key in ("low", "high", "start") if key not in entry]
+    missing = [key for key in ("low", "high", "start") if entry.get(key) is None]
     if missing:
         raise InvalidInput(where, found="no " + ", no ".join(missing), expected="low, high, start")
-
-    def number(key: str) -> float | None:
-        value = entry.get(key)
-        if value is None:
-            return None
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise InvalidInput(f"{where}.{key}", found=repr(value), expected="a number")
-        return factor * value
-
-    return Unknown(
-        name=name,
-        low=number("low") or 0.0,
-        high=number("high") or 0.0,
-        nominal=number("start") or 0.0,
-        scale=number("scale"),
-        prior=number("prior"),
-        frozen=bool(entry.get("frozen", False)),
-        where=dict(entry.get("where") or {}),
-    )
+    numbers: dict[str, Any] = {}
+    for key in ("low", "high", "start", "scale", "prior"):
+        if (value := entry.get(key)) is not None:
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise InvalidInput(f"{where}.{key}", found=repr(value), expected="a number")
+            numbers["nominal" if key == "start" else key] = factor * value
+    frozen, conditions = bool(entry.get("frozen", False)), dict(entry.get("where") or {})
+    return Unknown(name=name, **numbers, frozen=frozen, where=conditions)
 
 
 def in_si(written: str) -> tuple[str, float]:
@@ -171,10 +160,11 @@ def options_of(request: CalibrationRequest, keys: Sequence[str]) -> dict[str, An
     """
     capability = offered("capability", "calibrate")
     free = (u for u in request.unknowns if not u.frozen)
-    own = {name: getattr(request, name) for name in (*CalibrationRequest.model_fields, "noise")}
+    own = {name: getattr(request, name, None) for name in capability.options}
     own = {k: v.name if isinstance(v, NamedOptions) else v for k, v in own.items()}
     own |= {
         **request.error.options,
+        "space": None,  # stated by the next two
         "experiments": keys,
         "fit": [f"{u.name}={u.low:.9g}:{u.high:.9g}:{u.nominal:.9g}" for u in free],
         "fixed": [f"{u.name}={u.nominal:.9g}" for u in request.unknowns if u.frozen],

@@ -166,8 +166,6 @@ def prepare_folder(plan: CalibrationPlan, folder: Path) -> None:
     if not (folder / "job.json").is_file():
         remember(plan.request.motion)  # for the processes of the job
         jobs.prepare_job(folder, maker=MAKER, inputs=_inputs(plan))
-    elif not files.made_by(folder, MAKER):
-        raise InvalidInput("store", found=f"another job in {folder}", expected="a new folder")
     else:
         _check_same(plan, folder)
 
@@ -180,20 +178,22 @@ def _inputs(plan: CalibrationPlan) -> dict[str, bytes]:
 
 def _check_same(plan: CalibrationPlan, folder: Path) -> None:
     """Raise if a folder belongs to another calibration, naming the first difference."""
-    own, before, files_of = plan.request, request_of(folder), target_files(plan.targets)
-    fields = CalibrationRequest.model_fields
-    name = next((k for k in fields if getattr(own, k) != getattr(before, k)), "")
-    if name:
-        word = {"unknowns": "parameters", "mode": "function"}.get(name, name.replace("_", " "))
-        found = f"with another {word}: {_plain(getattr(before, name))}"
-        now = f", which has {_plain(getattr(own, name))} now"
-    elif files_of != {k: (folder / "inputs" / k).read_bytes() for k in files_of}:
-        found, now = "of other experiments", ""
-    else:
-        return
+    found, now = "another job", ""
+    if files.made_by(folder, MAKER):
+        own, before, files_of = plan.request, request_of(folder), target_files(plan.targets)
+        fields = CalibrationRequest.model_fields
+        name = next((k for k in fields if getattr(own, k) != getattr(before, k)), "")
+        if name:
+            word = {"unknowns": "parameters", "mode": "function"}.get(name, name.replace("_", " "))
+            found = f"a calibration with another {word}: {_plain(getattr(before, name))}"
+            now = f", which has {_plain(getattr(own, name))} now"
+        elif files_of != {k: (folder / "inputs" / k).read_bytes() for k in files_of}:
+            found = "a calibration of other experiments"
+        else:
+            return
     raise InvalidInput(
         "store",
-        found=f"{folder}, which belongs to a calibration {found}",
+        found=f"{folder}, which belongs to {found}",
         expected=f"the same call again{now}",
         hint="give this calibration a folder of its own",
     )

@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from fixel.calibration.usual_parameters import known_parameters
-from fixel.simulation.engine_names import compare_words
 from fixel.table import Table
 from fixel.workflows.analysis import AnalysisReport
 from fixel.workflows.calibration.calibration import Calibrations
@@ -37,9 +36,6 @@ def next_words(done: StoredAnswer) -> list[str]:
     run = done.result
     fits = [run.joint] if run.joint else run.each or [*run]
     fit = max(fits, key=lambda one: float(one.found.errors.max()))
-    target = fit.targets[int(fit.found.errors.argmax())]
-    space, found = fit.space, fit.found
-    columns = space.columns(found.values(space.labels)[None], target.conditions)
-    values = {name: float(column[0]) for name, column in columns.items()}
+    worst = fit.keys_of_experiments[int(fit.found.errors.argmax())]
     table = ["--table", run.asked["table"]] if run.asked.get("table") else []
-    return [*compare_words(target.key, values, run.request.motion), *table]
+    return ["compare", worst, "--calibration", str(run.ids[fit.number]), *table]

@@ -45,7 +45,7 @@ class ParameterSet:
 
     how: FitKind
     members: tuple[int, ...]  # indices of the experiments
-    point: FloatArray  # (n_free,) best fit, for prediction; `values` are those to quote
+    point: FloatArray  # (n_free,) best fit, for prediction
     errors: FloatArray  # (n_member,) error of each experiment with this set; inf where it has none
     trace: Trace | None = None  # evaluations of the search; None without a search
     estimates: tuple[Estimate, ...] = ()  # one per parameter
@@ -72,13 +72,6 @@ class ParameterSet:
             solutions=self.solutions.reshape(len(self.solutions), len(self.point)),
             prediction_check=self.prediction_check and tuple(self.prediction_check),
         )
-
-    def values(self, labels: Sequence[str]) -> FloatArray:
-        """Return the values (n_free,) to quote of the free parameters, each inside its interval;
-        those of `point` for parameters without an estimate."""
-        known = {estimate.label: estimate.value for estimate in self.estimates}
-        pairs = zip(labels, self.point.tolist(), strict=True)
-        return np.array([known.get(label, value) for label, value in pairs])
 
 
 @final

@@ -248,7 +248,6 @@ def calibrate_in_project(
     dataset: Dataset = "",
     where: Where = (),
     flagged: Flagged = False,
-    progress: ProgressOption = None,
     **options: Any,
 ) -> Calibrations:
     """Estimate parameters from experiments, with verdicts.
@@ -283,8 +282,6 @@ def calibrate_in_project(
         Filter that experiments match, such as "surface=abs error>5 real"; may be repeated.
     flagged : bool
         Whether to include experiments whose data have faults.
-    progress : bool or callable, optional
-        See `fixel.progress.show_progress`.
     **options
         Options of `calibrate`.
 
@@ -303,9 +300,8 @@ def calibrate_in_project(
     request = CALIBRATE.asked(locals())
     from fixel.workflows.calibration.execution import plan_in_project, run_plan
 
-    asked = SimpleNamespace(**CALIBRATE.arguments(request))
-    asked.store, asked.progress = project, progress
-    return run_plan(plan_in_project(project, request), asked)
+    asked = {**options, **CALIBRATE.arguments(request), "store": project}
+    return run_plan(plan_in_project(project, request), SimpleNamespace(**asked))
 
 
 def _prepare(project: Project, **options: Any) -> Path:

@@ -26,7 +26,7 @@ from fixel.simulation.motion import motion_model
 from fixel.workflows.calibration.job import REQUEST
 from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.plan import job_of, request_of
-from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
+from fixel.workflows.calibration.request import NAMED, CalibrationRequest, NamedOptions
 from fixel.workflows.calibration.result import SEARCHED, FitKind
 
 VERSION: Final = 1  # of stored requests; those without one are as of version 1
@@ -54,8 +54,7 @@ class CalibratedValues:
     @cached_property
     def motion(self) -> AbstractMotionModel:
         """Motion model of the calibration, or its engine."""
-        name = self.record.method.get("motion")
-        return motion_model(name if isinstance(name, str) else None)
+        return motion_model(self.record.motion or None)
 
     @cached_property
     def error(self) -> AbstractError:
@@ -176,7 +175,7 @@ def request_in(record: CalibrationRecord) -> CalibrationRequest:
         return CalibrationRequest.model_validate(content)
     method = dict(record.method)
     searched = json.loads(str(method.get(SEARCHED, "[]")))
-    kinds = {"error": MeanSquare.name, "optimiser": "unknown"}
+    kinds = dict.fromkeys(NAMED, "unknown") | {"error": MeanSquare.name}
     named = {
         kind: NamedOptions(
             name=str(method.get(kind, usual)),

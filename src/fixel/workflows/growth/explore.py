@@ -351,7 +351,7 @@ def best_singles(
     for number, record in summaries.items():
         if len(record.members) != 1 or record.members[0].experiment_id not in place:
             continue
-        if motion not in ("", record.method.get("motion")):
+        if motion not in ("", record.motion):
             continue
         if error not in ("", record.method.get("error")):
             continue
@@ -381,7 +381,7 @@ def best_singles(
 def _method(one: One) -> SingleMethod:
     own = one.record.method
     return SingleMethod(
-        motion=str(own.get("motion", "")),
+        motion=one.record.motion,
         error=str(own.get("error", "")),
         unit=str(own.get("error_unit", "")),
         options=tuple((k, v) for k, v in sorted(own.items()) if k.startswith("error.")),
