@@ -143,7 +143,8 @@ def test_one_experiment_as_json_with_indices(folder):
     assert again["pushes"] == told["pushes"]
 
 
-def test_a_calibration_gives_values_ranges_and_motion(folder):
+@pytest.mark.parametrize("quoted", [0.3, 0.32])  # the second after a misfit
+def test_a_calibration_gives_values_ranges_and_motion(folder, quoted):
     pytest.importorskip("SALib")
     project = Project(folder)
     record = CalibrationRecord(
@@ -152,7 +153,9 @@ def test_a_calibration_gives_values_ranges_and_motion(folder):
         members=(Member(1, 1.0, 0.1),),
         provenance=Provenance(version="0"),
         method={"motion": "quasistatic"},
-        estimates=(Estimate(label="mu_pusher", unit="-", value=0.3, low=0.25, high=0.4),),
+        estimates=(
+            Estimate(label="mu_pusher", unit="-", value=quoted, low=0.25, high=0.4, best_fit=0.3),
+        ),
     )
     with project.store() as store:
         number = store.add_calibration(record)

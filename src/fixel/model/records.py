@@ -326,6 +326,11 @@ class CalibrationRecord(Comparable):
         return str(self.method.get("motion", ""))
 
     @property
+    def best_fit(self) -> dict[str, float]:
+        """Best fit of each parameter by label; the value to quote where only that was stored."""
+        return {own.label: own.predictor for own in self.estimates} | dict(self.parameters)
+
+    @property
     def error_unit(self) -> str:
         """Unit of the error that was minimised: `"mm^2"` or `"mm"`."""
         return str(self.method.get("error_unit", "mm^2"))

@@ -10,6 +10,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 from fixel.calibration.target import target_of
 from fixel.model import Experiment, Parameters, Scene
 from fixel.model.records import Estimate
+from fixel.model.space import meets, split_label
 from fixel.simulation.motion import AbstractMotionModel, motion_model
 from fixel.simulation.simulate import SceneWithMethod, scene_file
 from fixel.simulation.stepper import AbstractStepper
@@ -74,14 +75,12 @@ def push_of(
         method = motion_model(motion or own_motion)
         return Push(scene, times, conditions, dict(Parameters(model or {})), method, {}, stepper)
     values = calibrated.values_for(**conditions)
-    intervals = {
-        name: (own.low, own.high)
-        for name, own in calibrated.estimates.items()
-        if own.low is not None
-        and own.high is not None
-        and name in values
-        and own.low < own.high
-        and not name.startswith("start_")
-    }
+    intervals: dict[str, tuple[float, float]] = {}
+    for label, own in calibrated.estimates.items():
+        name, where = split_label(label)
+        if own.low is None or own.high is None or own.low >= own.high:
+            continue
+        if meets(conditions, where) and not name.startswith("start_"):
+            intervals.setdefault(name, (own.low, own.high))
     method = motion_model(motion or calibrated.motion)
     return Push(scene, times, conditions, values, method, intervals, stepper)

@@ -37,7 +37,7 @@ class ProjectContext:
         self.calibrations = ProgressReader(project)
         # A plot by id and kind, a thumbnail by id and checksum, a map by name and time.
         self._details = lru_cache(MAX_KEPT)(partial(load_detail, project, self.store))
-        self.calibration_plot = lru_cache(MAX_KEPT)(partial(plot, project, self.store))
+        self.calibration_plot = lru_cache(MAX_KEPT)(partial(plot, project))
         self.thumbnail = lru_cache(MAX_THUMBNAILS)(self._thumbnail)
         self.domain = lru_cache(MAX_MAPS)(partial(load_view, project, self.store))
 

@@ -271,7 +271,8 @@ def test_an_interrupted_search_gives_the_best_so_far(pushes, fit):
     assert fixel.calibrate(pushes, BOUNDS, **QUIET) == fit
 
 
-def test_interrupted_singles_are_those_that_finished(pushes):
+@pytest.mark.parametrize("stored", [False, True])
+def test_interrupted_singles_are_those_that_finished(pushes, stored, tmp_path):
     six, space = [*pushes, *pushes[:2]], {"mu_pusher": (0, 1), "tripod_radius": 0.038}
     options = {"verdicts": False, "max_evaluations": 10}
 
@@ -279,8 +280,9 @@ def test_interrupted_singles_are_those_that_finished(pushes):
         if progress.stage == "each experiment" and progress.done > 1:
             raise KeyboardInterrupt
 
+    store = tmp_path / "job" if stored else None
     with pytest.raises(fixel.Interrupted) as stopped:
-        fixel.calibrate_each(six, space, progress=interrupt, **options)
+        fixel.calibrate_each(six, space, progress=interrupt, store=store, **options)
     found = stopped.value.result
     whole = fixel.calibrate_each(six, space, progress=False, **options)
     assert 0 < len(found) < len(whole) == 6

@@ -23,8 +23,7 @@ DOTS = 2000  # evaluations that the graph shows one by one
 CONTINUES = "Finished evaluations are saved; Resume continues from there."
 STOPPED = {
     "lost": f"The process of this calibration ended unexpectedly. {CONTINUES}",
-    "cancelled": f"Stopped. {CONTINUES}",
-    "stopped": f"Stopped. {CONTINUES}",
+    **dict.fromkeys(("cancelled", "stopped"), f"Stopped. {CONTINUES}"),
 }
 
 

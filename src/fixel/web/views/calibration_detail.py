@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import threading
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import replace
 from io import BytesIO
 from typing import Annotated, Any, Final
@@ -24,7 +23,7 @@ from fixel.web.values import Answer, Array, Finite
 from fixel.workflows.analysis import Analysis
 from fixel.workflows.calibration.calibration import Calibration
 from fixel.workflows.calibration.job import NEARLY
-from fixel.workflows.calibration.project import stored_run
+from fixel.workflows.calibration.project import stored_calibration, stored_run
 from fixel.workflows.calibration.stored import misfit_of
 
 WORST: Final = 3
@@ -120,18 +119,13 @@ class StoredCalibration(Answer):
 def load_detail(project: Project, store: Store, calibration_id: int) -> StoredCalibration:
     """Load everything about a stored calibration."""
     record = store.calibration(calibration_id)
-    origin, misfit = record.provenance, misfit_of(record)
-    known: dict[str, Any] = {}
+    origin = record.provenance
     try:
         run = stored_run(project, calibration_id, record)
         fit = None if run is None else run.stored_as(calibration_id)
-        if fit is not None:
-            known = _of_fit(fit, store)
+        known = _of_record(record) if fit is None else _of_fit(fit, store)
     except FixelError as problem:  # what is stored can be shown all the same
-        fit, known = None, {"note": str(problem)}
-    if fit is None:
-        known |= {"parameters": _of_record(record), "facts": {}}
-        known["analysis"] = _short_analysis(record, known["parameters"], known.get("note", ""))
+        fit, known = None, _of_record(record, str(problem))
     known["facts"] |= {
         "stored": f"{origin.created[:10]} {origin.created[11:16]} UTC",
         "fixel": origin.version,
@@ -145,7 +139,7 @@ def load_detail(project: Project, store: Store, calibration_id: int) -> StoredCa
         residuals=residuals,
         worst=residuals[:WORST],
         objective=_objective(record),
-        misfit=misfit,
+        misfit=misfit_of(record),
         ended=str(record.method.get("ended", "")),
         method={k: v for k, v in record.method.items() if v == v and v not in (math.inf,)},
         complete=fit is not None,
@@ -174,23 +168,24 @@ def _of_fit(fit: Calibration, store: Store) -> dict[str, Any]:
     }
 
 
-def plot(project: Project, store: Store, calibration_id: int, kind: str) -> bytes:
+def plot(project: Project, calibration_id: int, kind: str) -> bytes:
     """Draw a plot of a stored calibration as PNG; raise `NotStored` if it has no such plot."""
-    run = stored_run(project, calibration_id, store.calibration(calibration_id))
-    fit = None if run is None else run.stored_as(calibration_id)
-    if kind not in PLOTS or fit is None:
+    if kind not in PLOTS:
         raise NotStored(f"plot {kind!r} of calibration {calibration_id}")
-    picture = BytesIO()
+    fit, picture = stored_calibration(project, calibration_id), BytesIO()
     with _drawing:  # Matplotlib draws in one thread
         np.ravel(fit.plot(kind))[0].figure.savefig(picture, format="png", dpi=150)
     return picture.getvalue()
 
 
-def _short_analysis(
-    record: CalibrationRecord, estimates: Sequence[Estimate], note: str
-) -> Analysis:
-    """Report of a calibration whose experiments or job cannot be read."""
-    return Analysis(
+def _of_record(record: CalibrationRecord, note: str = "") -> dict[str, Any]:
+    """Return the same fields of a calibration whose experiments or job cannot be read."""
+    known = {own.label: own for own in record.estimates}
+    estimates = [
+        replace(known.get(label) or Estimate(label=label, unit="", value=value), best_fit=value)
+        for label, value in record.best_fit.items()
+    ]
+    analysis = Analysis(
         kind="calibrate",
         title=record.name,
         question={},
@@ -199,6 +194,7 @@ def _short_analysis(
         tables=(estimate_table(estimates, None),),
         notes=tuple(f"{own.label}: {own.reason}" for own in estimates if own.reason),
     )
+    return {"parameters": estimates, "facts": {}, "note": note, "analysis": analysis}
 
 
 def _ends_of(fit: Calibration) -> list[Start]:
@@ -218,12 +214,6 @@ def _ends_of(fit: Calibration) -> list[Start]:
         )
         for end, count in sorted(zip(ends, counts, strict=True), key=lambda pair: pair[0].error)
     ]
-
-
-def _of_record(record: CalibrationRecord) -> list[Estimate]:
-    values = dict(record.parameters)
-    known = [replace(e, best_fit=values.get(e.label, e.predictor)) for e in record.estimates]
-    return known or [Estimate(label=k, unit="", value=v, best_fit=v) for k, v in values.items()]
 
 
 def _residuals(store: Store, record: CalibrationRecord, fit: Calibration | None) -> list[Residual]:

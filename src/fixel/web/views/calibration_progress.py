@@ -6,6 +6,7 @@ import math
 import threading
 import time
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, final
@@ -168,7 +169,7 @@ class ProgressReader:
 
     def folder(self, name: str) -> Path:
         """Return the folder of a calibration's job; raise if there is none of the name."""
-        found = next((one for one in self._folders() if one.name == name), None)
+        found = self._folders().get(name)
         if found is None:
             raise NotStored(f"calibration job {name!r}", hint="the page Calibrations lists all")
         return found
@@ -178,7 +179,7 @@ class ProgressReader:
 
         Calibrations that are done become stored.
         """
-        made = {one: files.read_job(one).made_utc for one in self._folders()}
+        made = {one: files.read_job(one).made_utc for one in self._folders().values()}
         newest = sorted(made, key=made.__getitem__, reverse=True)
         found, unreadable = each_readable(self._look_if_open, newest)
         return [seen for seen in found if seen is not None and not seen.stored], unreadable
@@ -199,7 +200,8 @@ class ProgressReader:
             rate = 0.0 if status.ended else read.rate
         stored = stored_ids(folder)
         if status.state == "done" and not stored:
-            stored = self._collected(folder)
+            with suppress(JobRefused):  # the process that ran it is about to
+                stored = list(collected(self._project, folder).ids)
         request, ids, nominal = read.request, read.ids, read.nominal
         most, left = _most(request), status.left_s
         at_most = left is None and most is not None and rate > 0.0
@@ -238,20 +240,13 @@ class ProgressReader:
             **{name: getattr(status, name) for name in OF_JOB},
         )
 
-    def _collected(self, folder: Path) -> list[int]:
-        try:
-            return list(collected(self._project, folder).ids)
-        except JobRefused:  # the process that ran it is about to
-            return []
-
-    def _folders(self) -> list[Path]:
-        found = (path.parent for path in (self._project.folder / jobs.JOBS).glob("*/job.json"))
-        return [one for one in found if files.made_by(one, MAKER)]
+    def _folders(self) -> dict[str, Path]:
+        every = jobs.job_folders(self._project.folder).items()
+        return {name: folder for name, folder in every if files.made_by(folder, MAKER)}
 
 
 def _most(request: CalibrationRequest) -> int | None:
     if request.least_squares is not None or request.mode == "each":
         return None
-    if request.max_evaluations is not None:
-        return int(request.max_evaluations)
-    return request.made_optimiser.limit
+    most: int | None = request.max_evaluations or request.made_optimiser.limit
+    return most

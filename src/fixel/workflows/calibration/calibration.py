@@ -26,6 +26,7 @@ from fixel.calibration.objective import (
     MeanSquare,
     Robust,
     RootMeanSquare,
+    combined_errors,
     lengths_of,
     outliers,
     root_mean,
@@ -63,7 +64,6 @@ if TYPE_CHECKING:
 VISIBLE: Final = 0.005
 MAX_ROWS: Final = 20  # experiments in the table of a run
 MAX_OUTLIERS: Final = 5
-_CHARTS: Final = "fixel.workflows.calibration.charts"
 
 
 class ObjectiveValue(NamedTuple):
@@ -192,24 +192,16 @@ class Calibration(Result, Mapping[str, float]):
     def estimates(self) -> Mapping[str, Estimate]:
         """Value, interval, verdict and reason of each parameter, by name."""
         known = {estimate.label: estimate for estimate in self.found.estimates}
-        best, level = self._values, self.level
-        found = {
-            u.label: replace(
-                known.get(u.label)
-                or Estimate(
-                    label=u.label,
-                    unit=u.unit,
-                    value=best[u.label],
-                    verdict="frozen" if u.frozen else "",
-                ),
-                unit=u.unit,
-                best_fit=best[u.label],
-                bounds=None if u.frozen else (u.low, u.high),
-                before=u.nominal,
-                level=None if u.frozen else level,
+        found: dict[str, Estimate] = {}
+        for u in self.space.unknowns:
+            best = self._values[u.label]
+            own = known.get(u.label) or Estimate(label=u.label, unit=u.unit, value=best)
+            own = replace(own, unit=u.unit, best_fit=best, before=u.nominal)
+            found[u.label] = (
+                replace(own, verdict="frozen")
+                if u.frozen
+                else replace(own, bounds=(u.low, u.high), level=self.level)
             )
-            for u in self.space.unknowns
-        }
         return MappingProxyType(found)
 
     @property
@@ -229,15 +221,14 @@ class Calibration(Result, Mapping[str, float]):
             return "interrupted"
         if not np.isfinite(self.found.errors).all():
             return "failed"
-        ended = "" if self.found.trace is None else self.found.trace.ended
-        limited = OUT_OF_BUDGET in (ended,) or OUT_OF_BUDGET in self.found.note or MADE in ended
+        found = self.found
+        limited = found.ended == OUT_OF_BUDGET or OUT_OF_BUDGET in found.note or MADE in found.ended
         return "budget" if limited else "finished"
 
     @property
     def message(self) -> str:
         """Why the search ended, in words."""
-        ended = "" if self.found.trace is None else self.found.trace.ended
-        return self.found.note or ended or str(self.found.how)
+        return self.found.note or self.found.ended or str(self.found.how)
 
     @property
     def evaluations(self) -> int:
@@ -283,9 +274,8 @@ class Calibration(Result, Mapping[str, float]):
     @property
     def objective(self) -> ObjectiveValue:
         """Smallest value of the function that was minimised, with its unit."""
-        errors = self.found.errors
-        value = {"sum": errors.sum(), "mean": errors.mean(), "largest": errors.max()}
-        return ObjectiveValue(float(value[self.request.combine]), self.request.made_error.unit)
+        (value,) = combined_errors(self.found.errors[None], self.request.combine).tolist()
+        return ObjectiveValue(value, self.request.made_error.unit)
 
     @property
     def misfit(self) -> MisfitStatement:
@@ -521,9 +511,9 @@ class Calibration(Result, Mapping[str, float]):
         unit, errors = self.request.made_error.unit, self.found.errors
         before = root_mean(self.nominal_errors, unit)
         begin = "" if math.isnan(before) else f"{before:.3g} mm before, "
-        how = "root mean square" if self.request.error.name != "end-pose" else "end pose"
-        if self.request.error.name == "robust":
-            how = "robust mean"
+        how = {"end-pose": "end pose", "robust": "robust mean"}.get(
+            self.request.error.name, "root mean square"
+        )
         scale = 1e3 * self.request.made_error.angle_scale
         return (
             f"error: {begin}{root_mean(errors, unit):.3g} mm after calibration"
@@ -691,7 +681,7 @@ class Calibrations(CalibrationPlan, Result, Sequence[Calibration]):
         from fixel.workflows.figures import make_folder, write_picture
 
         make_folder(folder)
-        pictures = import_module(_CHARTS).pictures_of(self)
+        pictures = import_module("fixel.workflows.calibration.charts").pictures_of(self)
         return [path for picture in pictures for path in write_picture(folder, picture)]
 
     def summary(self) -> dict[str, Any]:
@@ -821,7 +811,7 @@ def _plain(fit: Calibration, calibration_id: int | None) -> dict[str, Any]:
         "best_fit": dict(zip(labels, one.point.tolist(), strict=True)),
         "errors": [finite(error) for error in one.errors.tolist()],
         "evaluations": fit.evaluations,
-        "ended": "" if one.trace is None else one.trace.ended,
+        "ended": one.ended,
         "prediction_check": fit.prediction_check and fit.prediction_check._asdict(),
         "solutions": [dict(zip(labels, s, strict=True)) for s in one.solutions.tolist()],
         "estimates": [estimate.stored() for estimate in one.estimates],

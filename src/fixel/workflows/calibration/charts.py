@@ -244,22 +244,17 @@ def _of_searches(data: _ChartData) -> NamedCharts:
     together, searched = data.together, data.searched
     if together is not None and together.found.trace is not None:
         yield "search", _search_chart([("", together)])
-        yield from _starts(data, "", together)
     picks = _picks(searched)
     if picks:
         named = [(f"{word} of {len(searched)}\n" if word else "", fit) for word, fit in picks]
         yield "search" if together is None else "search_alone", _search_chart(named)
-    for word, fit in picks:
-        yield from _starts(data, word, fit)
+    for word, fit in [*picks, *([] if together is None else [("", together)])]:
+        if chart := _starts_chart(fit):
+            yield data.name("starts", word), chart
     if len(searched) > 1:
         seconds = np.array([fit.found.seconds for fit in searched])
         keys = [fit.keys_of_experiments[0] for fit in searched]
         yield "seconds", seconds_chart(keys, seconds, [fit.evaluations for fit in searched])
-
-
-def _starts(data: _ChartData, word: str, fit: Calibration) -> NamedCharts:
-    if chart := _starts_chart(fit):
-        yield data.name("starts", word), chart
 
 
 def _of_parameters(data: _ChartData) -> NamedCharts:

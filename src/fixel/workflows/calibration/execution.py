@@ -18,12 +18,14 @@ from fixel.calibration.study import at_points, run_study
 from fixel.calibration.target import Target, targets_of
 from fixel.calibration.usual_parameters import Space, default_unknowns, search_space
 from fixel.errors import FixelError, Interrupted, InvalidInput
+from fixel.formats.dakota_file import load_dakota
 from fixel.io.array_bytes import arrays_of
 from fixel.io.journal import Journal
 from fixel.jobs import folder as files
 from fixel.jobs.site import Site, load_site
 from fixel.jobs.work import (
     AbstractEngine,
+    Answer,
     Batch,
     Chunk,
     JobProgress,
@@ -31,6 +33,7 @@ from fixel.jobs.work import (
     StopRequest,
     answer_of,
     run_work,
+    unframed,
 )
 from fixel.model import Experiment, Scene
 from fixel.model.selection import parse_filter
@@ -43,12 +46,11 @@ from fixel.workflows.calibration.calibration import Calibration, Calibrations, c
 from fixel.workflows.calibration.job import CHUNKS, CalibrationSearch, comparer_of, evaluate_here
 from fixel.workflows.calibration.parameter_options import (
     fixed_unknowns,
-    from_dakota,
     read_space,
     searched_unknowns,
 )
 from fixel.workflows.calibration.plan import CalibrationPlan, job_folder, prepare_folder
-from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
+from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions, named_options
 from fixel.workflows.calibration.result import FitKind, ParameterSet, found_of, outcome_of
 
 if TYPE_CHECKING:
@@ -56,7 +58,7 @@ if TYPE_CHECKING:
 
     from fixel.database.project import Project
 
-SINGLES: Final = "calibration:calibrate_alone"  # chunks that calibrate single experiments
+ALONE: Final = "alone/"  # begin of the names of chunks that calibrate single experiments
 PROJECT_FILE: Final = "fixel.yaml"  # makes a folder a project
 
 
@@ -97,9 +99,7 @@ def _run_here(plan: CalibrationPlan, asked: SimpleNamespace) -> Calibrations:
             result = run_work(search.rounds(), engine, Path(), None, progress=_reporting(report))
         except KeyboardInterrupt:
             hint = "with store='FOLDER' the same call would continue"
-            found = _best_so_far(plan, search, engine.alone)
-            best = found[-1] if found and plan.request.mode == "joint" else found
-            raise Interrupted(best, hint) from None
+            raise Interrupted(_best_so_far(plan, search, engine.alone), hint) from None
     return Calibrations(**vars(plan), outcome=outcome_of(result))
 
 
@@ -123,17 +123,17 @@ def _run_in_folder(plan: CalibrationPlan, folder: Path, asked: SimpleNamespace) 
     return collect(plan, folder)
 
 
-def _best_in(plan: CalibrationPlan, folder: Path) -> Calibration | None:
-    """Return the best parameter set in the journal of an interrupted calibration."""
+def _best_in(plan: CalibrationPlan, folder: Path) -> Calibration | Calibrations | None:
+    """Return what is in the journal of an interrupted calibration."""
     comparer = comparer_of(plan.request, plan.targets, None)
     search = CalibrationSearch(plan.request, comparer)
-
     engine = DirectEngine(plan.request, comparer)
+    alone: list[Answer] = []
     with suppress(StopRequest, FixelError), Journal(folder / files.JOURNAL) as journal:
+        alone = [unframed(journal.get(name) or b"") for name in journal if name.startswith(ALONE)]
         # It ends where the journal ends.
         run_work(search.rounds(), engine, folder, journal, stop=lambda: True)
-    found = _best_so_far(plan, search)
-    return found[-1] if found else None
+    return _best_so_far(plan, search, alone)
 
 
 class DirectEngine(AbstractEngine):
@@ -143,26 +143,27 @@ class DirectEngine(AbstractEngine):
 
     def __init__(self, request: CalibrationRequest, comparer: Comparer) -> None:
         self._own = request, comparer
-        self.alone: list[bytes] = []  # calibrations of single experiments so far
+        self.alone: list[Answer] = []  # calibrations of single experiments so far
 
     def results(self, function: str, inputs: Path, chunks: Sequence[Chunk]) -> Iterator[Batch]:
         call = CHUNKS[function]
         for chunk in chunks:
             answer = answer_of(call, *self._own, chunk.payload)
-            if function == SINGLES and isinstance(answer, bytes):
+            if chunk.name.startswith(ALONE):
                 self.alone.append(answer)
             yield [(chunk.name, answer)]
 
 
 def _best_so_far(
-    plan: CalibrationPlan, search: CalibrationSearch, alone: Sequence[bytes] = ()
-) -> Calibrations | None:
+    plan: CalibrationPlan, search: CalibrationSearch, alone: Sequence[Answer]
+) -> Calibration | Calibrations | None:
     """Return what an interrupted calibration has found; None if there is nothing yet.
 
     `alone` are the answers of the chunks that calibrated single experiments.
     """
     comparer, members = search.comparer, tuple(search.members)
-    found = [*search.found] or [one for own in alone for one in found_of(arrays_of(own))]
+    single = (one for own in alone if isinstance(own, bytes) for one in found_of(arrays_of(own)))
+    found = [*search.found] or sorted(single, key=lambda one: one.members)
     here = evaluate_here(comparer)
     if not search.found and math.isfinite(search.best.error):
         point = search.best.point
@@ -174,7 +175,8 @@ def _best_so_far(
     if not found:
         return None
     nominal, _ = run_study(at_points(members, comparer.space.nominal[None]), here)
-    return Calibrations(**vars(plan), outcome=search.result(nominal[0], found), interrupted=True)
+    run = Calibrations(**vars(plan), outcome=search.result(nominal[0], found), interrupted=True)
+    return run[-1] if plan.request.mode == "joint" else run
 
 
 def _reporting(report: Reporter) -> Show:
@@ -220,7 +222,8 @@ def _search_and_space(
 ) -> tuple[NamedOptions, ParameterSpace]:
     search = NamedOptions(name=asked.optimiser, options=dict(map(_setting, asked.option)))
     if asked.dakota is not None:
-        search, unknowns = from_dakota(asked.dakota)
+        file = load_dakota(asked.dakota)
+        search, unknowns = named_options(file.optimiser, "dakota"), list(file.space.unknowns)
     elif asked.space is not None:
         unknowns = list(read_space(asked.space).unknowns)
     else:

@@ -88,8 +88,7 @@ ROLLOUTS_A_CHUNK: Final = 4000
 @callable_by_jobs
 def calibration_work(inputs: Path, options: Mapping[str, Any]) -> Work:
     """Return the rounds of the calibration that is described in a folder of inputs."""
-    request, comparer = _load_job(inputs)
-    return CalibrationSearch(request, comparer).rounds()
+    return CalibrationSearch(*_load_job(inputs)).rounds()
 
 
 ChunkFunction = Callable[[CalibrationRequest, Comparer, bytes], bytes]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -14,7 +13,6 @@ from typing import Any, Final
 from fixel.calibration.noise import Noise
 from fixel.calibration.usual_parameters import usual_in
 from fixel.errors import InvalidInput
-from fixel.formats.dakota_file import load_dakota
 from fixel.io.document import read_document
 from fixel.model import Scene
 from fixel.model.parameters import KNOWN_PARAMETERS
@@ -140,16 +138,6 @@ def in_si(written: str) -> tuple[str, float]:
     return written, 1.0
 
 
-def from_dakota(path: Path) -> tuple[NamedOptions, list[Unknown]]:
-    """Return the pattern search and the parameters that the file defines."""
-    found = load_dakota(path)
-    options = {
-        field.name: getattr(found.optimiser, field.name)
-        for field in dataclasses.fields(found.optimiser)
-    }
-    return NamedOptions(name=found.optimiser.name, options=options), list(found.space.unknowns)
-
-
 # --- options of a stored request ----------------------------------------------------------------
 
 
@@ -229,12 +217,7 @@ def enlarged_command(options: Mapping[str, Any], request: CalibrationRequest) ->
         return ""
     fit = options.get("fit") or [u.name for u in request.unknowns if not u.frozen]
     own = {
-        "fit": [*_without(fit, replaced), *more],
-        "fixed": _without(options.get("fixed", ()), replaced),
+        name: [one for one in settings if in_si(one.partition("=")[0].strip())[0] not in replaced]
+        for name, settings in (("fit", fit), ("fixed", options.get("fixed", ())))
     }
-    return command_of({**options, **own})
-
-
-def _without(settings: Sequence[str], names: set[str]) -> list[str]:
-    """Remove the settings of some parameters."""
-    return [own for own in settings if in_si(own.partition("=")[0].strip())[0] not in names]
+    return command_of({**options, **own, "fit": [*own["fit"], *more]})

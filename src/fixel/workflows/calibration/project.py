@@ -43,7 +43,7 @@ from fixel.workflows.calibration.result import (
     set_content,
     set_of,
 )
-from fixel.workflows.calibration.stored import VERSION, request_in
+from fixel.workflows.calibration.stored import VERSION, misfit_of, request_in
 
 STORED: Final = "stored.json"  # ids of the calibrations, once they are stored
 EARLIER: Final = {"faulty": "flagged"}  # names of options in records of earlier versions
@@ -116,10 +116,10 @@ def stored_points(project: Project, space: ParameterSpace) -> list[list[float]]:
     labels = space.labels
     points: dict[tuple[float, ...], None] = {}
     with project.store() as store:
-        for calibration_id in store.calibrations():
-            parameters = store.calibration(calibration_id).parameters
-            if all(label in parameters for label in labels):
-                points[tuple(parameters[label] for label in labels)] = None
+        for record in store.calibration_summaries().values():
+            best = record.best_fit
+            if all(label in best for label in labels):
+                points[tuple(best[label] for label in labels)] = None
     return [list(point) for point in points]
 
 
@@ -265,8 +265,7 @@ def _set_of(record: CalibrationRecord) -> ParameterSet:
     if record.result is not None:
         return set_of(record.result["set"], record.evaluations)
     method, evaluations = record.method, record.evaluations
-    known = {own.label: own.value for own in record.estimates} | dict(record.parameters)
-    point = np.array([known[label] for label in request_in(record).space.labels])
+    point = np.array([record.best_fit[label] for label in request_in(record).space.labels])
     trace = None
     if evaluations is not None:
         best = float(evaluations.error.min(initial=math.inf))
@@ -279,7 +278,7 @@ def _set_of(record: CalibrationRecord) -> ParameterSet:
         errors=np.array(record.errors),
         trace=trace,
         estimates=record.estimates,
-        misfit=tuple(str(method.get("misfit", "")).splitlines()),
+        misfit=tuple(misfit_of(record)),
         misfit_ratio=float(method.get("misfit_ratio", math.nan)),
     )
 
@@ -407,7 +406,7 @@ def _method(fit: Calibration) -> dict[str, str | float]:
         "error_unit": fit.request.made_error.unit,
         "seconds": one.seconds,
         "nominal_error": float(fit.nominal_errors.mean()),
-        "ended": "" if one.trace is None else one.trace.ended,
+        "ended": one.ended,
         **({} if folder is None else {"job": folder.name}),
         **({"misfit": "\n".join(one.misfit)} if one.misfit else {}),
         **({"misfit_ratio": one.misfit_ratio} if math.isfinite(one.misfit_ratio) else {}),

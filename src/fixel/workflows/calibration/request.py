@@ -41,7 +41,6 @@ AUTO: Final = "auto"
 LEAST_SQUARES: Final = "least-squares"
 PATTERN_SEARCH: Final = PatternSearch.name
 ENOUGH: Final = 10  # residuals an unknown, for least squares unless asked for another search
-PAPER: Final = RootMeanSquare.name
 TARGETS: Final = "targets.json"
 POSES: Final = "poses.npz"
 
@@ -174,7 +173,8 @@ class CalibrationRequest(_Fields):
     @property
     def sums_squares(self) -> bool:
         """Whether one set of parameters is searched whose error is a sum of squares."""
-        return bool(self.mode == "joint" and self.combine != "largest" and self.error.name != PAPER)
+        sums = self.combine != "largest" and self.error.name != RootMeanSquare.name
+        return bool(sums and self.mode == "joint")
 
     def with_usual_search(self, targets: Sequence[Target]) -> Self:
         """Return the request with the search that suits it best, if it has `"auto"`.
@@ -241,21 +241,16 @@ class CalibrationRequest(_Fields):
             )
         if self.budget is not None and self.mode != "joint":
             raise InvalidInput("budget", found=f"mode {self.mode}", expected="mode joint")
-        if self.least_squares is not None:
-            self._check_squares()
-        else:
-            _ = self.made_optimiser
-        for _ in (self.space, self.made_error, self.made_motion, self.noise):
-            pass
-
-    def _check_squares(self) -> None:
-        if not self.sums_squares:
+        search = self.least_squares or self.made_optimiser
+        if isinstance(search, LeastSquares) and not self.sums_squares:
             raise InvalidInput(
                 f"optimiser {LEAST_SQUARES}",
                 found=f"mode {self.mode}, combine {self.combine}, error {self.error.name}",
                 expected="mode joint and a sum or mean of squares",
                 hint="choose pattern-search or nelder-mead",
             )
+        for _ in (self.space, self.made_error, self.made_motion, self.noise):
+            pass
 
 
 NAMED: Final = tuple(

@@ -73,6 +73,11 @@ class ParameterSet:
             prediction_check=self.prediction_check and tuple(self.prediction_check),
         )
 
+    @property
+    def ended(self) -> str:
+        """Why the search ended; empty without a search."""
+        return "" if self.trace is None else self.trace.ended
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -191,20 +196,12 @@ def set_of(content: Mapping[str, Any], evaluations: Evaluations | None) -> Param
 
 
 def _trace(entry: dict[str, Any], arrays: dict[str, Any], k: int) -> Trace:
-    errors = arrays[f"tried_{k}"]
+    point, points, errors = (arrays[f"{name}_{k}"] for name in ("point", "points", "tried"))
     reasons = [entry["reasons"].get(str(n), "") for n in range(len(errors))]
-    best = float(errors.min()) if len(errors) else float("inf")
     unknown = np.zeros(0, np.int64)  # in results of earlier versions
-    return Trace(
-        arrays[f"point_{k}"],
-        best,
-        arrays[f"points_{k}"],
-        errors,
-        reasons,
-        entry["ended"],
-        arrays.get(f"iterations_{k}", unknown),
-        arrays.get(f"starts_{k}", unknown),
-    )
+    counts = arrays.get(f"iterations_{k}", unknown), arrays.get(f"starts_{k}", unknown)
+    best = float(errors.min(initial=math.inf))
+    return Trace(point, best, points, errors, reasons, entry["ended"], *counts)
 
 
 def _text(content: Any) -> FloatArray:

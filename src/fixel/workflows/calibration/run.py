@@ -188,9 +188,7 @@ def calibrate_each(
     >>> [round(fit["mu_pusher"], 2) for fit in fits]
     [0.25, 0.25]
     """
-    from fixel.workflows.calibration.execution import calibrate_in
-
-    return calibrate_in("each", **_with_defaults(experiments, parameters, options))
+    return _in_mode("each", experiments, parameters, **options)
 
 
 def calibrate_campaign(
@@ -219,18 +217,16 @@ def calibrate_campaign(
     >>> round(fits.joint["mu_pusher"], 2)
     0.25
     """
+    return _in_mode("campaign", experiments, parameters, **options)
+
+
+def _in_mode(mode: str, *arguments: Any, **options: Any) -> Calibrations:
+    """Calibrate in a mode with arguments of `calibrate`; raise `TypeError` for unknown ones."""
     from fixel.workflows.calibration.execution import calibrate_in
 
-    return calibrate_in("campaign", **_with_defaults(experiments, parameters, options))
-
-
-def _with_defaults(
-    experiments: Iterable[Experiment | Target], parameters: Space, options: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Return all arguments of `calibrate`; raise `TypeError` for unknown ones."""
-    found = signature(calibrate).bind(experiments, parameters, **options)
-    found.apply_defaults()
-    return found.arguments
+    call = signature(calibrate).bind(*arguments, **options)
+    call.apply_defaults()
+    return calibrate_in(mode, **call.arguments)
 
 
 def calibrate_in_project(

@@ -75,11 +75,11 @@ class CalibratedValues:
 
         Conditions include the experiment's key as `"experiment"`.
         """
-        found = dict(self.record.parameters)
-        for estimate in self.record.estimates:
-            name, where = split_label(estimate.label)
-            if where and name not in found and meets(conditions, where):
-                found[name] = estimate.predictor
+        found: dict[str, float] = {}
+        for label, value in self.record.best_fit.items():
+            name, where = split_label(label)
+            if meets(conditions, where):
+                found.setdefault(name, value)  # the first that applies, as in `values_under`
         return found
 
     def values_for(self, experiment: Experiment) -> dict[str, float]:
@@ -154,7 +154,7 @@ def searched_space(
     gone, the usual bounds of their parameters are returned.
     """
     record, folder = one.record, job_of(project, one.record)
-    found = {e.label: e.predictor for e in record.estimates} | dict(record.parameters)
+    found = record.best_fit
     if record.request is not None or SEARCHED in record.method:
         with readable(project.folder / DATABASE):
             space = request_in(record).space
