@@ -283,6 +283,11 @@ def test_pushes_are_separated_by_gaps_topics_and_files(tmp_path: Path) -> None:
     found = fixel.read_experiments(topic, columns=ROLES, split_by="/push")
     assert [one.key for one in found] == ["topic/a", "topic/b"]
     assert [len(one.trajectory.time) for one in found] == [10, 20]
+    late = write_mcap(
+        tmp_path / "late.mcap", [*two_topics(times=second), *names[::-1], *two_topics()], b""
+    )
+    again = fixel.read_experiments(late, columns=ROLES, split_by="/push")
+    assert [len(one.trajectory.time) for one in again] == [10, 20]
     both = [write_bag(tmp_path / name, two_topics()) for name in "ab"]
     assert len(fixel.read_experiments(both, columns=ROLES)) == 2
     with pytest.raises(InvalidInput, match="split_by"):

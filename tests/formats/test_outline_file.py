@@ -137,6 +137,36 @@ def test_curves_transforms_and_groups_of_svg(tmp_path: Path) -> None:
     assert part.vertices.min() == pytest.approx(-15 * mm, abs=0.02 * mm)
 
 
+TURN = np.array([[np.cos(0.5), -np.sin(0.5)], [np.sin(0.5), np.cos(0.5)]])
+SKEW = np.array([[1.0, np.tan(np.radians(20))], [0.0, 1.0]])
+
+
+@pytest.mark.parametrize(
+    "round_part",
+    ['<circle cx="5" cy="6" r="4" {}/>', '<ellipse cx="5" cy="6" rx="4" ry="4" {}/>',
+     '<path d="M9 6 A4 4 0 1 1 1 6 A4 4 0 1 1 9 6 Z" {}/>',
+     '<g {}><circle cx="5" cy="6" r="4"/></g>'],
+)  # fmt: skip
+@pytest.mark.parametrize(
+    ("how", "matrix"), [(f"rotate({np.degrees(0.5)})", TURN), ("skewX(20)", SKEW),
+                        (f"rotate({np.degrees(0.5)}) skewX(20)", TURN @ SKEW)],
+)  # fmt: skip
+def test_turned_and_skewed_shapes_of_svg(
+    tmp_path: Path, round_part: str, how: str, matrix: Any
+) -> None:
+    path = svg(tmp_path / "round.svg", round_part.format(f'transform="{how}"'))
+    part = Polygon.from_file(path, tolerance=0.01 * mm)
+    # Undone by hand, every corner is on the circle that was drawn.
+    back = np.linalg.solve(matrix, (part.vertices / mm * (1.0, -1.0)).T).T - (5.0, 6.0)
+    assert np.hypot(*back.T) == pytest.approx(4.0, abs=0.03)
+    assert part.area == pytest.approx(16 * pi * mm**2, rel=5e-3)
+    square = f'<rect x="2" y="3" width="8" height="5" transform="{how}"/>'
+    corners = Polygon.from_file(svg(tmp_path / "square.svg", square)).vertices / mm
+    drawn = np.array([(2, 3), (10, 3), (10, 8), (2, 8)]) @ matrix.T * (1.0, -1.0)
+    off = np.hypot(*(corners[:, None] - drawn).transpose(2, 0, 1))
+    assert off.min(axis=0) == pytest.approx(0.0, abs=1e-6)
+
+
 def test_unit_of_svg(tmp_path: Path) -> None:
     square = '<path d="M0 0H10V10H0Z"/>'
     plain = svg(tmp_path / "plain.svg", square, "")

@@ -233,7 +233,7 @@ def _at(track: FrameTrack, time: FloatArray) -> _Poses:
 def _pushes(bag: Bag, driver: FrameTrack, split_by: str | None) -> tuple[Any, str]:
     """Return the name of the push of each pose, empty for none, and a sentence."""
     if split_by is not None and split_by in bag.names:
-        at, names = zip(*bag.names[split_by], strict=True)
+        at, names = zip(*sorted(bag.names[split_by]), strict=True)  # a file may be out of order
         which = np.searchsorted(np.array(at), driver.logged, side="right")
         return np.array(["", *names])[which], f"{split_by} names the push of each pose."
     try:

@@ -193,10 +193,10 @@ def _from_svg(source: _OutlineSource) -> Any:
     if banned := re.search(r"<!ENTITY\b|<(?:\w+:)?use\b", text):
         expected, hint = "a drawing without entities and clones", "unlink clones; save as plain SVG"
         raise InvalidInput(where, found=banned[0], expected=expected, hint=hint)
-    svg = svgelements.SVG.parse(io.StringIO(text), ppi=96.0)
+    svg = svgelements.SVG.parse(io.StringIO(text), reify=False, ppi=96.0)
     if (box := svg.viewbox) and svg.values.get("height") is None:  # as browsers do
         height = svg.width * box.height / box.width
-        svg = svgelements.SVG.parse(io.StringIO(text), ppi=96.0, height=height)
+        svg = svgelements.SVG.parse(io.StringIO(text), reify=False, ppi=96.0, height=height)
     width = re.fullmatch(r"([\d.]+)\s*(mm|cm|in|pt)", str(svg.values.get("width")).strip())
     stated = float(width[1]) * UNITS[width[2]] / svg.width if width else None  # [m] of a pixel
     drawn = svg.width / box.width if box else 1.0  # [pixel] of a unit of the drawing
@@ -211,20 +211,23 @@ def _from_svg(source: _OutlineSource) -> Any:
         found = [*named[source.part].select()] if group else [named[source.part]]
     lines = []
     for shape in (one for one in found if isinstance(one, svgelements.Shape)):
-        for own in svgelements.Path(shape).as_subpaths():
-            points = [_sampled(segment, source, scale) for segment in own if segment.end]
+        path = svgelements.Path(shape)
+        for own in path.as_subpaths():
+            points = [_sampled(step, path.transform, source, scale) for step in own if step.end]
             if len(points) > 1:
                 lines.append(np.vstack(points) * (1.0, -1.0))  # y points down in SVG
     return _region(lines, where, source.tolerance)
 
 
-def _sampled(segment: Any, source: _OutlineSource, scale: float) -> FloatArray:
+def _sampled(segment: Any, transform: Any, source: _OutlineSource, scale: float) -> FloatArray:
     """Return points (n, 2) of a segment of an SVG path within half the tolerance [m]."""
+    at = transform.point_in_matrix_space  # of points: svgelements skews no arcs
     if type(segment).__name__ in ("Move", "Line", "Close"):
-        return source.points([segment.end], scale)
+        return source.points([at(segment.end)], scale)
     steps = 8
     while True:
-        points = source.points([*map(segment.point, np.linspace(0.0, 1.0, steps + 1))], scale)
+        along = map(segment.point, np.linspace(0.0, 1.0, steps + 1))
+        points = source.points([*map(at, along)], scale)
         off = np.abs(points[1::2] - 0.5 * (points[:-1:2] + points[2::2])).max()
         if off <= 0.25 * source.tolerance or steps >= MAX_STEPS:
             return points
