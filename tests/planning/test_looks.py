@@ -183,6 +183,22 @@ def test_lost_views_lower_the_stated_success():
 
 
 @pytest.mark.system
+def test_a_plan_judges_what_it_sees_by_its_own_belief_in_any_world(plan, monkeypatch):
+    """As `correction` does where it is carried out, which does not know the world either."""
+    compared = []
+
+    def recorded(seen, predicted, deviation, least):
+        compared.append(predicted)
+        return likelihoods(seen, predicted, deviation, least)
+
+    monkeypatch.setattr("fixel.planning.looks.likelihoods", recorded)
+    plan.correction(plan.end)
+    plan.success_under(replace(UNKNOWN, parameters={"mu_pusher": 0.4, "friction_centre_y": 2 * mm}))
+    assert len(compared) > 1
+    np.testing.assert_array_equal(compared[1], compared[0])
+
+
+@pytest.mark.system
 def test_a_saved_plan_chooses_the_same_corrections(plan, tmp_path):
     again = fixel.load(plan.save(tmp_path / "looks.plan"))
     seen = (28 * mm, 12 * mm, 0.1)

@@ -1,12 +1,18 @@
 """Beliefs after a pose was seen during a plan."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from tests.workflows.planning.plans import plan_of
 
 import fixel
 from fixel import Belief, FreePushes, PoseRegion, StartError
 from fixel.planning.seen import belief_after
+from fixel.simulation.motion import QuasiStatic
 from fixel.testing.scenes import pushed_square
+from fixel.uncertainty.predictive import EndError
 from fixel.units import deg, mm
 
 CAMERA = StartError(x=0.1 * mm, y=0.1 * mm, theta=0.1 * deg, kind="normal")
@@ -44,3 +50,35 @@ def test_before_the_first_push_only_the_start_is_new(plan):
     found = belief_after(plan, plan.start[0], 0, CAMERA)
     assert found.belief.start == CAMERA
     assert found.belief.parameters == plan.belief.parameters
+
+
+class CoarseModel:
+    """Calibrated model whose predicted ends are off by 3 mm after a motion of 40 mm."""
+
+    motion, estimates, known = QuasiStatic(), {}, None
+
+    def values_for(self, **conditions):
+        return {"mu_pusher": 0.3}
+
+    def samples(self, n, seed, **conditions):
+        return {"mu_pusher": np.random.default_rng(seed).uniform(0.2, 0.4, n)}
+
+    @property
+    def predictive(self):
+        own = lambda n, seed, conditions: self.samples(n, seed)  # noqa: E731
+        return SimpleNamespace(samples=own, error=EndError(3 * mm, 40 * mm))
+
+
+def test_a_look_does_not_make_the_model_exact():
+    """The tool decides how far a square goes straight ahead; the rest is the error of the model."""
+    goal, start = PoseRegion((0.05, 0.0, 0.0), position=5 * mm), StartError(x=mm, kind="normal")
+    plan = plan_of(
+        pushed_square(), goal, FreePushes(most=2), [(0.875, 0.0, 0.02), (0.875, 0.0, 0.03)],
+        Belief(parameters=CoarseModel(), start=start),
+    )  # fmt: skip
+    found = belief_after(plan, plan.start[1], 1, CAMERA).belief
+    assert found.is_calibrated
+    rest = replace(plan, belief=found, start=plan.start[1:], path=plan.path[1:])
+    runs = rest.run(found.scenarios(plan.scene, worlds=512, runs=1), samples=1, threads=1)
+    motion = plan.end[0] - plan.start[1][0]
+    assert runs.pose[:, -1, 0].std() == pytest.approx(3 * mm * motion / (40 * mm), rel=0.12)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 from types import MappingProxyType
 from typing import Annotated, Any, Final, NamedTuple, final
@@ -136,6 +136,9 @@ class Belief:
         (calibration).
     conditions : mapping of str to str or float
         Labels of the part, the surface and others, which select parameters.
+    sets : sequence of mappings, optional
+        Parameter sets that are drawn instead of those of a model, once the part was seen. The error
+        of the model stays.
 
     Examples
     --------
@@ -153,6 +156,7 @@ class Belief:
     rig: RigError | None = None
     run_to_run: RunToRun | None = None
     conditions: Mapping[str, str | float] = field(default_factory=dict)
+    sets: Sequence[Mapping[str, float]] = ()
 
     def __post_init__(self) -> None:
         instance(self.start, StartError | None, "belief.start", "a StartError")
@@ -160,8 +164,11 @@ class Belief:
         instance(self.run_to_run, RunToRun | None, "belief.run_to_run", "a RunToRun")
         settle(self, conditions=MappingProxyType(dict(self.conditions)))
         given = self.parameters
+        instance(self.sets, Sequence, "belief.sets", "parameter sets")
+        if self.sets:
+            _check_sets(self.sets, "belief.sets")
         if isinstance(given, Sequence):
-            _check_sets(given)
+            _check_sets(given, "belief.parameters")
         elif not isinstance(given, Posterior | PartModel | CalibratedModel):
             instance(given, Mapping | None, "belief.parameters", "a mapping or a calibrated model")
             Parameters({name: ends(x, name)[0] for name, x in (given or {}).items()})
@@ -205,7 +212,7 @@ class Belief:
 
     def nominal(self, scene: Scene) -> dict[str, float]:
         """Return the likeliest parameters."""
-        given: Any = self.parameters
+        given: Any = self.sets or self.parameters
         if isinstance(given, Posterior):
             own = given.under(self.conditions)
             found = own.values(own.best[None], self.conditions)
@@ -288,6 +295,9 @@ class Belief:
         self, scene: Scene, worlds: int, seed: int
     ) -> tuple[dict[str, FloatArray], FloatArray | EndError | None]:
         """Draw parameters (worlds,), and standard deviations of the model error [m], if known."""
+        if self.sets:
+            deviation = replace(self, sets=())._drawn(scene, worlds, seed)[1]
+            return _of_sets(self.sets, worlds), deviation
         given: Any = self.parameters
         number = _seed(seed, _PARAMETERS)
         if isinstance(given, Posterior):
@@ -308,8 +318,7 @@ class Belief:
         if isinstance(given, CalibratedModel):
             return _without_start(given.samples(worlds, number, **self.conditions)), None
         if isinstance(given, Sequence):
-            rows = np.arange(worlds) % len(given)
-            return {name: np.array([own[name] for own in given])[rows] for name in given[0]}, None
+            return _of_sets(given, worlds), None
         return self._intervals(worlds, number), None
 
     def _intervals(self, worlds: int, number: int) -> dict[str, FloatArray]:
@@ -373,15 +382,20 @@ def _millimetres(low: float, high: float) -> str:
     return f"[{1e3 * low:.4g}, {1e3 * high:.4g}] mm"
 
 
-def _check_sets(sets: Sequence[Any]) -> None:
+def _of_sets(sets: Sequence[Mapping[str, float]], n: int) -> dict[str, FloatArray]:
+    rows = np.arange(n) % len(sets)
+    return {name: np.array([own[name] for own in sets])[rows] for name in sets[0]}
+
+
+def _check_sets(sets: Sequence[Any], where: str) -> None:
     if not sets:
-        raise InvalidInput("belief.parameters", found="no sets", expected="one set or more")
+        raise InvalidInput(where, found="no sets", expected="one set or more")
     for k, own in enumerate(sets):
-        instance(own, Mapping, f"belief.parameters[{k}]", "a mapping of names to values")
+        instance(own, Mapping, f"{where}[{k}]", "a mapping of names to values")
         Parameters(own)
         if set(own) != set(sets[0]):
             raise InvalidInput(
-                f"belief.parameters[{k}]",
+                f"{where}[{k}]",
                 found=", ".join(own),
                 expected=f"the parameters of the first set: {', '.join(sets[0])}",
             )

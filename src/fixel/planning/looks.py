@@ -227,10 +227,12 @@ def policy_of(
     return numbers, policy
 
 
-def looks_of(policy: Policy, stages: Sequence[SearchStage], seed: int) -> tuple[Looks, Scenarios]:
-    """State what a policy is worth, from scenarios of some stages that no search has seen."""
-    scene = policy.simulator.scene
-    drawn = [stage_scenarios(policy.belief, scene, own, seed + own.stream) for own in stages]
+def looks_of(
+    policy: Policy, stages: Sequence[SearchStage], seed: int, belief: Belief | None = None
+) -> tuple[Looks, Scenarios]:
+    """State what a policy is worth in unseen scenarios of a belief; by default in its own."""
+    truth, scene = belief or policy.belief, policy.simulator.scene
+    drawn = [stage_scenarios(truth, scene, own, seed + own.stream) for own in stages]
     walks = [policy.walk(own, seed + LATER) for own in drawn]
     last = stages[-1]
     worth = [

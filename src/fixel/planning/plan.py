@@ -289,8 +289,7 @@ class PushPlan(Result):
         simulator, planned = replace(self, belief=belief)._simulator(None), self.planned()
         stages, margins = fresh_stages(belief, self.scene), []
         if self.looks is not None:
-            policy = replace(self.policy, belief=belief, simulator=simulator)
-            return looks_of(policy, stages, self.seed + FRESH)[0].worth[-1]
+            return looks_of(self.policy, stages, self.seed + FRESH, belief)[0].worth[-1]
         for own in stages:
             seed = self.seed + FRESH + own.stream
             scenarios = stage_scenarios(belief, self.scene, own, seed)

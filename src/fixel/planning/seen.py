@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -67,7 +67,10 @@ def belief_after(
     scatter = plan.belief.run_to_run
     if scatter is not None:
         scatter = replace(scatter, start=0.0, centre=0.0, friction=0.0)
-    return SeenBelief(replace(start, parameters=tuple(sets), run_to_run=scatter), "")
+    # A model has an error of its own, which a seen pose does not lessen.
+    field = "sets" if plan.belief.is_calibrated else "parameters"
+    new: dict[str, Any] = {field: tuple(sets), "run_to_run": scatter}
+    return SeenBelief(replace(start, **new), "")
 
 
 def _weights(off: FloatArray, deviation: FloatArray, good: BoolArray) -> FloatArray | None:

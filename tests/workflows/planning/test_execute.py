@@ -4,7 +4,9 @@ import math
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,7 +24,12 @@ from fixel.testing.scenes import pushed_square
 from fixel.units import deg, mm
 from fixel.workflows.acquisition.film import FilmSettings, film
 from fixel.workflows.acquisition.record import RecordPlan
-from fixel.workflows.planning.execute import check_plan, run_on_drive, run_on_testbed
+from fixel.workflows.planning.execute import (
+    check_plan,
+    present_belief,
+    run_on_drive,
+    run_on_testbed,
+)
 from fixel.workflows.planning.request import (
     FoundPlan,
     PlanRequest,
@@ -240,3 +247,16 @@ def test_displaced_fixels_are_where_the_plan_wants_them():
     )
     before, after = plan.scene.fixels[0].pose, plan.scenes[0].fixels[0].pose
     np.testing.assert_allclose(after - before, (0.004, 0.006, 0.0), atol=1e-12)
+
+
+def test_the_present_belief_of_a_part_that_was_seen_starts_where_it_was_seen(monkeypatch):
+    """A new calibration has other parameters; what the camera saw stays."""
+    seen = fixel.Belief(start=fixel.StartError(x=0.05 * mm, kind="normal"), parameters={})
+    first = fixel.Belief(start=fixel.StartError(x=3 * mm, kind="normal"), parameters={"mass": 0.2})
+    request = PlanRequest(goal={}, folder="")
+    found = FoundPlan(plan=replace(square_plan(), belief=seen), request=request, calibration=4)
+    for number, parameters in ((4, {}), (5, {"mass": 0.2})):
+        own = SimpleNamespace(belief=first, calibration=number)
+        monkeypatch.setattr("fixel.workflows.planning.execute.inputs_of", lambda *a, own=own: own)
+        belief, found_number = present_belief(object(), found)
+        assert (belief.start, belief.parameters, found_number) == (seen.start, parameters, number)

@@ -370,7 +370,9 @@ def present_belief(project: Project | None, found: FoundPlan) -> tuple[Belief, i
     own = inputs_of(
         project, given["goal"], Path(given["folder"]), scene, given.get("experiment", "")
     )
-    return own.belief, own.calibration
+    if own.calibration == found.calibration:  # also of a part that was seen on its way
+        return found.plan.belief, own.calibration
+    return replace(own.belief, start=found.plan.belief.start), own.calibration
 
 
 def held_out_success(
