@@ -23,36 +23,19 @@ _busy = False  # whether a bar is shown: work inside other work shows none of it
 class Progress:
     """Progress of long work.
 
-    Parameters
-    ----------
-    stage : str
-        Work that is done now: "searching", "verdicts".
-    done : int
-        Number of parts that are done.
-    total : int, optional
-        Number of parts; None while unknown.
-    best : float, optional
-        Smallest error found so far, a root mean square [m].
-    seconds : float
-        Wall time since the start [s].
-    left : float, optional
-        Estimated time left [s]; None while unknown.
-    note : str
-        Other text, such as the name of the part.
-
     Examples
     --------
     >>> print(Progress("searching", 50, 200, best=2.31e-3, seconds=4.0, left=12.0))
     searching  25 %  best 2.31 mm  about 12 s left
     """
 
-    stage: str
-    done: int
-    total: int | None = None
-    best: float | None = None
-    seconds: float = 0.0
-    left: float | None = None
-    note: str = ""
+    stage: str  # work that is done now: "searching", "verdicts"
+    done: int  # number of parts that are done
+    total: int | None = None  # number of parts; None while unknown
+    best: float | None = None  # smallest error found so far, a root mean square [m]
+    seconds: float = 0.0  # wall time since the start [s]
+    left: float | None = None  # estimated time left [s]; None while unknown
+    note: str = ""  # other text, such as the name of the part
 
     @property
     def share(self) -> float | None:
@@ -98,20 +81,11 @@ class Reporter:
 
 @contextmanager
 def show_progress(progress: ProgressOption = None, stage: str = "") -> Iterator[Reporter]:
-    """Show the progress of the work in this block.
+    """Show the progress of the work in this block; yield the callback that reports it.
 
-    Parameters
-    ----------
-    progress : bool or callable, optional
-        None: a bar in terminals and notebooks, else a line of the log `fixel` every 30 s. False:
-        nothing. A function is called with every `Progress`.
-    stage : str
-        Name of the work.
-
-    Yields
-    ------
-    Reporter
-        Callback for the number done and the number in all.
+    The callback gets the numbers done and in all. None shows a bar in terminals and notebooks, else
+    a line of the log `fixel` every 30 s; False shows nothing. A function is called with every
+    `Progress`. `stage` is the name of the work.
 
     Examples
     --------

@@ -35,19 +35,6 @@ copyreg.pickle(MappingProxyType, lambda mapping: (read_only, (dict(mapping),)))
 class Summary:
     """Short description of a result, for terminals and notebooks.
 
-    Parameters
-    ----------
-    heading : str
-        One line: the kind of result and how it ended.
-    tables : sequence of Table
-        The most important table first. Long ones are cut.
-    notes : sequence of str
-        Sentences below the tables: warnings, and what the numbers mean.
-    details : mapping of str to str
-        Method, seed, version and command, folded in a notebook and left out in a terminal.
-    unseen : sequence of str
-        What no experiment of a calibration has, such as a new part; printed before all else.
-
     Examples
     --------
     >>> from fixel.table import Table
@@ -59,10 +46,12 @@ class Summary:
       misfit: none
     """
 
-    heading: str
-    tables: Sequence[Table] = ()
-    notes: Sequence[str] = ()
+    heading: str  # one line: the kind of result and how it ended
+    tables: Sequence[Table] = ()  # the most important table first; long ones are cut
+    notes: Sequence[str] = ()  # sentences below the tables: warnings, and what the numbers mean
+    # Method, seed, version and command, folded in a notebook and left out in a terminal.
     details: Mapping[str, str] = field(default_factory=dict)
+    # What no experiment of a calibration has, such as a new part; printed before all else.
     unseen: Sequence[str] = ()
 
     def __post_init__(self) -> None:

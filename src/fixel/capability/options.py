@@ -25,80 +25,42 @@ _YES: Final = ("yes", "no")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Door:
-    """Annotation of an option for what its name and its type do not state.
+    """Annotation of an option for what its name and its type do not state."""
 
-    Parameters
-    ----------
-    flag : str
-        Flag of a command, `--uniform/--normal` for a bool; by default from name and unit.
-    also : tuple of str
-        Other flags of the same option: a letter such as `-n`, or the name in earlier versions.
-    metavar : str
-        Form of the value, such as `NAME=LOW:HIGH`.
-    usual : str
-        Words for a default that is found when the command runs.
-    unit : str
-        Unit at commands and pages; the value itself is in SI units.
-    plain : type, optional
-        Type in a request, for a parameter that also accepts objects in Python.
-    least, above, most, below : float, optional
-        Smallest and largest value, or bounds that are not allowed themselves, in SI units.
-    among : callable, optional
-        Returns all allowed texts, for choices that are registered elsewhere.
-    effort : bool
-        Whether the option changes the effort, but no result.
-    content : bool
-        Whether the option is the name of a file or its content in JSON, which a page states.
-    commas : bool
-        Whether one text lists several values with commas between them.
-    writes : bool
-        Whether the option is a file that the function writes.
-    program : bool
-        Whether the option may name a program to run, which only a user at a command permits.
-    """
-
+    # Flag of a command, `--uniform/--normal` for a bool; by default from name and unit.
     flag: str = ""
+    # Other flags of the same option: a letter such as `-n`, or the name in earlier versions.
     also: tuple[str, ...] = ()
-    metavar: str = ""
-    usual: str = ""
-    unit: str = ""
-    plain: Any = None
+    metavar: str = ""  # form of the value, such as `NAME=LOW:HIGH`
+    usual: str = ""  # words for a default that is found when the command runs
+    unit: str = ""  # unit at commands and pages; the value itself is in SI units
+    plain: Any = None  # type in a request, for a parameter that also accepts objects in Python
+    # Smallest and largest value, or bounds that are not allowed themselves, in SI units.
     least: float | None = None
     above: float | None = None
     most: float | None = None
     below: float | None = None
+    # Returns all allowed texts, for choices that are registered elsewhere.
     among: Callable[[], Sequence[str]] | None = None
-    effort: bool = False
+    effort: bool = False  # whether it changes the effort, but no result
+    # Whether it is the name of a file or its content in JSON, which a page states.
     content: bool = False
-    commas: bool = False
-    writes: bool = False
+    commas: bool = False  # whether one text lists several values with commas between them
+    writes: bool = False  # whether it is a file that the function writes
+    # Whether it may name a program to run, which only a user at a command permits.
     program: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Option:
-    """Option of a capability.
+    """Option of a capability."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the argument; `group.field` for a field of a dataclass.
-    place : bool
-        Whether the option is typed without a flag.
-    plain : type
-        Annotated type in a request.
-    default : object
-    meaning : str
-        Sentences of the docstring.
-    required : bool
-    """
-
-    name: str
-    plain: Any
+    name: str  # name of the argument; `group.field` for a field of a dataclass
+    plain: Any  # annotated type in a request
     default: Any
-    meaning: str
+    meaning: str  # sentences of the docstring
     required: bool = False
-    place: bool = False
+    place: bool = False  # whether it is typed without a flag
     door: Door = field(init=False)
     kind: Any = field(init=False)  # the type without annotations and None
 

@@ -16,9 +16,7 @@ from fixel.progress import show_progress
 THESIS_HEIGHTS = (0.0, 25.4)  # [mm] plate, upper face of the object
 
 app = typer.Typer(
-    help="Calibrate, place and check a camera; print boards and tags.",
-    no_args_is_help=True,
-    rich_markup_mode=None,
+    help="Calibrate, place and check a camera; print boards and tags.", no_args_is_help=True
 )
 
 BoardOption = Annotated[

@@ -15,11 +15,7 @@ if TYPE_CHECKING:
 
 MAX_TROUBLES = 20
 
-app = typer.Typer(
-    help="Upgrade, back up or check the database of a project.",
-    no_args_is_help=True,
-    rich_markup_mode=None,
-)
+app = typer.Typer(help="Upgrade, back up or check the database of a project.", no_args_is_help=True)
 
 
 @app.command("upgrade")

@@ -32,9 +32,7 @@ if TYPE_CHECKING:
     from fixel.workflows.acquisition.overlay import Look, Overlay, Tolerance
 
 tactile = typer.Typer(
-    help="Check and watch the board of the fixels' contact sensors.",
-    no_args_is_help=True,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Check and watch the board of the fixels' contact sensors.", no_args_is_help=True
 )
 
 Port = Annotated[
@@ -181,11 +179,7 @@ def _as_json(reading: "TactileReading") -> str:
     )
 
 
-actuator = typer.Typer(
-    help="Home, move and stop the drive of the pusher.",
-    no_args_is_help=True,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
+actuator = typer.Typer(help="Home, move and stop the drive of the pusher.", no_args_is_help=True)
 
 DrivePort = Annotated[
     str | None,
@@ -384,10 +378,13 @@ def overlay(
     as_json: AsJson = False,
 ) -> None:
     """Show planned poses on the live picture, and their errors."""
+    from fixel.drawing.chart import require_file
+    from fixel.formats.rig_file import rig_of
     from fixel.workflows.acquisition.overlay import Overlay, scene_of
 
     picture = output if once else None
-    bench = _bench(rig, picture)
+    require_file(picture, (".png",))
+    bench = rig_of(rig)
     placed = scene_of(scene, experiment, project)
     tolerance = _tolerance(bench, tolerance_mm, tolerance_deg)
     looks = Overlay(bench, placed, tolerance, anchor=anchor)
@@ -400,18 +397,6 @@ def overlay(
     )
     if once and not look.placed:
         raise typer.Exit(NOT_IN_PLACE)
-
-
-def _bench(rig: str, picture: Path | None) -> "Rig":
-    """Load a rig, after a check of the file to write."""
-    from fixel.drawing.chart import refuse_ending
-    from fixel.formats.rig_file import rig_of
-    from fixel.io.atomic import refuse_unwritable
-
-    if picture is not None:
-        refuse_ending(picture, (".png",), "picture")
-        refuse_unwritable(picture)
-    return rig_of(rig)
 
 
 def _tolerance(bench: "Rig", mm: float | None, deg: float | None) -> "Tolerance":

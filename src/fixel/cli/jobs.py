@@ -15,9 +15,7 @@ if TYPE_CHECKING:
     from fixel.workflows.jobs import JobStatus
 
 app = typer.Typer(
-    help="Run, stop and resume jobs on this machine or on a cluster.",
-    no_args_is_help=True,
-    rich_markup_mode=None,
+    help="Run, stop and resume jobs on this machine or on a cluster.", no_args_is_help=True
 )
 
 JobFolder = Annotated[Path, typer.Argument(help="Folder of the job.", metavar="FOLDER")]

@@ -109,7 +109,10 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
     @wraps(command)
     def run(**given: Any) -> None:
         values = defaults | given
-        made = {name: _take(group, values) for name, group in groups.items()}
+        made = {
+            name: group(**{one.name: values.pop(one.name) for one in fields(group)})
+            for name, group in groups.items()
+        }
         command(**values, **made)
 
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
@@ -118,17 +121,12 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def _options_of(group: Any) -> list[Parameter]:
-    """Parameters for the fields of a group and of the groups in it, in their order."""
+    """Parameters for the fields of a group, in their order."""
     hints = get_type_hints(group, include_extras=True)
-    parameters = []
-    for one in fields(group):
-        hint = hints[one.name]
-        if is_dataclass(hint):
-            parameters += _options_of(hint)
-        else:
-            default = one if _INFO in one.metadata else one.default
-            parameters.append(_parameter(one.name, hint, default))
-    return parameters
+    return [
+        _parameter(one.name, hints[one.name], one if _INFO in one.metadata else one.default)
+        for one in fields(group)
+    ]
 
 
 def _parameter(name: str, hint: Any, default: Any) -> Parameter:
@@ -140,18 +138,6 @@ def _parameter(name: str, hint: Any, default: Any) -> Parameter:
         hint = Annotated[hint, info]
     default = Parameter.empty if default is MISSING else default
     return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=hint)
-
-
-def _take(group: Any, values: dict[str, Any]) -> Any:
-    """Build a group from the values of its options, which are removed from `values`."""
-    hints = get_type_hints(group)
-    made = {
-        one.name: _take(hints[one.name], values)
-        if is_dataclass(hints[one.name])
-        else values.pop(one.name)
-        for one in fields(group)
-    }
-    return group(**made)
 
 
 def project_at(place: Path | None, folder: Path) -> Path:
@@ -174,8 +160,6 @@ def require_folder(folder: Path | None) -> None:
 def require_picture(file: Path | None) -> None:
     """Reject an invalid or unwritable file for a picture before any work."""
     if file is not None:
-        from fixel.drawing.chart import PICTURE_ENDINGS, refuse_ending
-        from fixel.io.atomic import refuse_unwritable
+        from fixel.drawing.chart import require_file
 
-        refuse_ending(file, PICTURE_ENDINGS, "picture")
-        refuse_unwritable(file)
+        require_file(file)

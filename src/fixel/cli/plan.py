@@ -74,7 +74,7 @@ def check(
 
     The probability is that under the present calibration.
     """
-    from fixel.io.atomic import written_whole
+    from fixel.io.atomic import write_whole
     from fixel.workflows.figures import write_picture
     from fixel.workflows.planning.execute import check_plan
     from fixel.workflows.planning.report import pictures_of, waypoints_text
@@ -86,8 +86,7 @@ def check(
         pictures = pictures_of(checked.found.plan)
         files = [file for picture in pictures for file in write_picture(plot, picture)]
     if waypoints is not None:
-        with written_whole(waypoints) as path:
-            path.write_text(waypoints_text(checked.found.plan, waypoints), encoding="utf-8")
+        write_whole(waypoints, waypoints_text(checked.found.plan, waypoints))
         files.append(waypoints)
     _print_checked(checked, files, as_json)
 

@@ -26,9 +26,7 @@ if TYPE_CHECKING:
 MAX_ROWS = 20
 
 app = typer.Typer(
-    help="Perform and film experiments on the simulated testbed.",
-    no_args_is_help=True,
-    rich_markup_mode=None,
+    help="Perform and film experiments on the simulated testbed.", no_args_is_help=True
 )
 
 

@@ -43,33 +43,14 @@ def with_scene(
     *,
     sure_of_angles: bool = False,
 ) -> tuple[Experiment, tuple[str, ...]]:
-    """Complete an experiment with a scene.
+    """Complete an experiment with a scene; return it and sentences on how that was done.
 
     The object starts at the first measured pose. A pusher whose path was measured follows it, and
-    the scene lasts as long as the table.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        Experiment without a scene.
-    choice : Scene, Path or callable
-        Scene, which may be a template; scene file; or function of the experiment's conditions.
-    object_name : str, optional
-        Body of the scene whose motion was measured; required if there are several.
-    sure_of_angles : bool
-        Whether header and user state the same unit of the angles, so that it is not checked.
-
-    Returns
-    -------
-    experiment : Experiment
-    understood : tuple of str
-        How the scene was completed, one sentence each.
-
-    Raises
-    ------
-    InvalidInput
-        A placeholder that was not replaced, an unknown body, or a pusher whose measured position is
-        impossible.
+    the scene lasts as long as the table. The choice is a scene, which may be a template, a scene
+    file, or a function of the experiment's conditions. `object_name` is the body whose motion was
+    measured, required if there are several. With `sure_of_angles`, header and user state the same
+    unit of the angles, which is then not checked. A placeholder that was not replaced, an unknown
+    body, or a pusher whose measured position is impossible raises `InvalidInput`.
     """
     scene, source = _scene(choice, experiment)
     body = _object_of(scene, source, object_name)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final, Literal, final, get_args
+from typing import Final, Literal, final
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from fixel.typing import FloatArray, IntArray
 Value = str | float | None
 Measure = Literal["absolute", "relative"]
 
-MEASURES: Final[tuple[Measure, ...]] = get_args(Measure)
 # Smallest error, since zero has no logarithm; simulations are exact to a micrometre [mm^2].
 MIN_ERROR: Final = 1e-6
 

@@ -60,28 +60,12 @@ def animate_simulation(
     speed: float | None = None,
     progress: ProgressOption = None,
 ) -> None:
-    """Save an animation of a simulation, with the contact forces.
+    """Save an animation of a simulation, with the contact forces, as `.mp4` or `.gif`.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        Simulation; a failed one is shown up to where it stopped.
-    path : str or Path
-        File to write, `.mp4` or `.gif`.
-    others : sequence of Simulation
-        Other simulations of the same bodies, which are drawn as outlines.
-    speed : float, optional
-        Seconds of motion per second of animation. Default: 1, or a round factor that gives a very
-        long or short motion a watchable length; a factor other than 1 is stated in the animation.
-    progress : bool or callable, optional
-        As for `fixel.progress.show_progress`.
-
-    Raises
-    ------
-    InvalidInput
-        The file name has another ending, or the file cannot be written.
-    MissingExtra
-        An `.mp4` file, and PyAV is not installed.
+    A failed simulation is shown up to where it stopped; `others` of the same bodies are drawn as
+    outlines. `speed` is seconds of motion per second of animation: by default 1, or a round factor
+    that gives a very long or short motion a watchable length; a factor other than 1 is stated in
+    the animation. `progress` is as for `fixel.progress.show_progress`.
     """
     path = Path(path)
     refuse_film(path)

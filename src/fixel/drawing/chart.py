@@ -16,7 +16,7 @@ import numpy as np
 
 from fixel.drawing import palette
 from fixel.errors import InvalidInput
-from fixel.io.atomic import written_whole
+from fixel.io.atomic import refuse_unwritable, written_whole
 from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.units import displayed
@@ -224,6 +224,15 @@ def refuse_ending(path: str | Path, endings: Sequence[str], what: str) -> None:
             found=f"the ending {Path(path).suffix!r}" if Path(path).suffix else "no ending",
             expected=f"a {what} file: " + ", ".join(endings),
         )
+
+
+def require_file(
+    path: Path | None, endings: Sequence[str] = PICTURE_ENDINGS, what: str = "picture"
+) -> None:
+    """Raise `InvalidInput`, before any work, for a file that is to be written but cannot be."""
+    if path is not None:
+        refuse_ending(path, endings, what)
+        refuse_unwritable(path)
 
 
 def sheet(width: float, height: float, title: str = "") -> Figure:

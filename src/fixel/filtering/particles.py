@@ -230,7 +230,7 @@ class Mechanics:
         particles.touch = lasting(contact, particles.touch, memory)
         particles.touched = particles.touched | (contact > CLEAR).any(axis=1)
         if sight.ones is not None and sight.zeros is not None:
-            likelihood, particles.touch = told(
+            likelihood, particles.touch = reading_likelihood(
                 particles.touch,
                 sight.ones,
                 sight.zeros,
@@ -269,7 +269,7 @@ def lasting(contact: FloatArray, before: FloatArray, memory: FloatArray) -> Floa
     return np.asarray(np.where(unclear, contact + memory * (before - contact), contact))
 
 
-def told(
+def reading_likelihood(
     contact: FloatArray, ones: FloatArray, zeros: FloatArray, silent: float, heard: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return the log likelihood (n,) of readings, and probabilities of contact after them.

@@ -85,9 +85,9 @@ def load_plan(path: str | Path) -> Plan:
     return _plan(read_document(Path(path), "plan file"))
 
 
-def plan_from_text(text: str, where: str = "plan") -> Plan:
-    """Parse a plan from YAML text; `where` names it in errors."""
-    return _plan(parse_yaml(text, where))
+def plan_from_text(text: str) -> Plan:
+    """Parse a plan from YAML text."""
+    return _plan(parse_yaml(text, "plan"))
 
 
 def plan_text(plan: Plan) -> str:

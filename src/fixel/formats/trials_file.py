@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from fixel.errors import InvalidInput
-from fixel.io.atomic import read_bounded, written_whole
+from fixel.io.atomic import read_bounded, write_whole
 from fixel.io.lock import FileLock
 from fixel.planning.trials import PlanTrial, Trials
 
@@ -51,8 +51,7 @@ def write_trials(path: str | Path, trials: Trials) -> Path:
         "mean": trials.mean,
     }
     rows = (_row(k, trial) for k, trial in enumerate(trials.trials, 1))
-    with written_whole(path) as temporary:
-        temporary.write_bytes(f"# {json.dumps(head)}\n".encode() + _line(COLUMNS) + b"".join(rows))
+    write_whole(path, f"# {json.dumps(head)}\n".encode() + _line(COLUMNS) + b"".join(rows))
     return path
 
 

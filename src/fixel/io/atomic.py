@@ -51,10 +51,10 @@ def written_whole(path: str | Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
-def write_whole(path: str | Path, text: str) -> None:
-    """Write a text file, whole or not at all; see `written_whole`."""
+def write_whole(path: str | Path, content: str | bytes) -> None:
+    """Write a file, whole or not at all; see `written_whole`."""
     with written_whole(path) as unfinished:
-        unfinished.write_text(text, encoding="utf-8")
+        unfinished.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
 def read_bounded(path: Path, kind: str, most: int, hint: str | None = None) -> bytes:

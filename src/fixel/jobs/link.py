@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from fixel.errors import JobRefused, unknown_name
-from fixel.io.atomic import written_whole
+from fixel.io.atomic import write_whole, written_whole
 
 LOOPBACK: Final = "lo"
 # Clocks of nodes may differ by hours, so a certificate is valid from one day ago.
@@ -77,8 +77,7 @@ def listening(interface: str) -> dict[str, Any]:
 
 def write_address(folder: Path, address: str) -> None:
     """Publish the address of the scheduler to the workers."""
-    with written_whole(folder / "connection.json") as path:
-        path.write_text(json.dumps({"address": address}))
+    write_whole(folder / "connection.json", json.dumps({"address": address}))
 
 
 def read_address(folder: Path) -> str | None:
@@ -109,8 +108,7 @@ def forget_address(folder: Path) -> None:
 
 def record_joined(folder: Path, name: str, host: str) -> None:
     """Record that the scheduler has accepted a worker."""
-    with written_whole(folder / "workers" / f"{name}.json") as path:
-        path.write_text(json.dumps({"host": host, "pid": os.getpid()}))
+    write_whole(folder / "workers" / f"{name}.json", json.dumps({"host": host, "pid": os.getpid()}))
 
 
 def joined(folder: Path, name: str) -> WorkerLink | None:
@@ -124,8 +122,7 @@ def joined(folder: Path, name: str) -> WorkerLink | None:
 
 def record_refusal(folder: Path, name: str, reason: str) -> None:
     """Record that a worker does not take part, and the reason."""
-    with written_whole(folder / "workers" / f"{name}.refused") as path:
-        path.write_text(reason)
+    write_whole(folder / "workers" / f"{name}.refused", reason)
 
 
 def refusals(folder: Path) -> list[str]:

@@ -28,21 +28,12 @@ class CallCancellation(Exception):
 
 @final
 class WorkerProcess:
-    """Process that calls a function, one call at a time, each within a time limit.
+    """Process that calls a function, one call at a time, each within a time limit [s].
 
-    The process starts with the first call and stays for the next ones. It is replaced after it
-    was ended.
-
-    Parameters
-    ----------
-    function : callable
-        Function of one argument; both it and the answer can be pickled.
-    limit : float
-        Time limit of one call [s].
-    ready : callable, optional
-        Called in the process when it starts, outside the time limit, to compile or load.
-    hint : str
-        Advice in the error if the time limit is too short.
+    The process starts with the first call and stays for the next ones. It is replaced after it was
+    ended. The function has one argument; both it and the answer can be pickled. `ready` is called
+    in the process when it starts, outside the time limit, to compile or load. `hint` is the advice
+    in the error if the time limit is too short.
 
     Examples
     --------

@@ -125,22 +125,11 @@ class SupportGrid(NamedTuple):
 
 
 def support_grid(shape: Shape, *, outer: float = OUTER, inner: float = INNER) -> SupportGrid:
-    """Create support points on two scaled copies of the outline, and at the centroid.
+    """Create support points, with their parts, on two scaled outlines and at the centroid.
 
     For outlines with corners these are all corners and the middles of the edges of the outer copy,
     and the corners of the inner one. For smooth ones they are evenly spaced, with those of the
     inner copy half a step on. Points outside an outline that is not convex are left out.
-
-    Parameters
-    ----------
-    shape : Shape
-    outer, inner : float
-        Sizes of the copies, as fractions of the outline.
-
-    Returns
-    -------
-    SupportGrid
-        Points for `SupportPoints(points=...)`, with their parts.
     """
     for name, size in (("outer", outer), ("inner", inner)):
         if not 0.0 < finite(size, f"net.{name}") < 1.0:

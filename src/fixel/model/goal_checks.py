@@ -51,19 +51,10 @@ ASYMMETRY: Final = 0.02
 def check_goal(goal: Goal, scene: Scene, field: Polygon | None = None) -> None:
     """Raise `InvalidInput` for a goal that does not fit a scene, or that no pose meets.
 
-    Parameters
-    ----------
-    goal : Goal
-    scene : Scene
-    field : Polygon, optional
-        Region in which parts may be [m]: the plate, or the field of view of the camera.
-
-    Raises
-    ------
-    InvalidInput
-        An unknown fixel or body; an outline without the stated symmetry; a region into which the
-        part does not fit; clauses that no pose meets together; a pose inside a fixel; a goal
-        outside the field; an event that the start already has.
+    Faults are an unknown fixel or body; an outline without the stated symmetry; a region into which
+    the part does not fit; clauses that no pose meets together; a pose inside a fixel; an event that
+    the start already has; a goal outside the field, the region in which parts may be [m], such as
+    the plate or the view of the camera.
 
     Examples
     --------

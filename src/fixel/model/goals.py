@@ -45,27 +45,16 @@ CHUNK: Final = 1 << 15  # poses at a time, which bounds the memory of margins to
 class BodyTrack(NamedTuple):
     """Motion of one body in n simulations, on which goals are judged.
 
-    Attributes
-    ----------
-    pose : (n, n_time, 3) float64
-        Poses in time, the last one at the end [m, m, rad].
-    stalled : (n,) bool, optional
-        Whether the drive stalled at the end.
-    force : (n,) float64, optional
-        Largest force of the drive [N].
-    fixels : (n, n_fixel, 3) float64, optional
-        Displacements of the fixels from their places in the scene [m, m, rad]; rotations are not
-        used.
-
     Examples
     --------
     >>> BodyTrack.of_ends([[0.1, 0.0, 0.0]]).pose.shape
     (1, 1, 3)
     """
 
-    pose: FloatArray
-    stalled: BoolArray | None = None
-    force: FloatArray | None = None
+    pose: FloatArray  # (n, n_time, 3) poses in time, the last one at the end [m, m, rad]
+    stalled: BoolArray | None = None  # (n,) whether the drive stalled at the end
+    force: FloatArray | None = None  # (n,) largest force of the drive [N]
+    # (n, n_fixel, 3) displacements of fixels [m, m, rad], without use of rotations.
     fixels: FloatArray | None = None
 
     @classmethod

@@ -46,14 +46,9 @@ class Probability(NamedTuple):
 
     @classmethod
     def of(cls, good: int, n: int, level: float = 0.95) -> Probability:
-        """Estimate a probability from the number of cases in which an event occurred.
+        """Estimate a probability from `good` of n cases, with its interval of a confidence level.
 
-        Parameters
-        ----------
-        good, n : int
-            Number of cases with the event, and of all cases, at least one.
-        level : float
-            Confidence level of the interval.
+        Source: Clopper & Pearson (1934), Biometrika 26, 404-413: exact, so never too narrow.
 
         Source
         ------

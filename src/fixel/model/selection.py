@@ -74,39 +74,18 @@ class Bound(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExperimentQuery:
-    """Criteria that select experiments, their order, and one page of them.
-
-    Parameters
-    ----------
-    dataset : str, optional
-    name : str, optional
-        Name; `*` matches any text.
-    words : tuple of str
-        Words that must all occur in the name, a condition, a flag or a note.
-    bounds : tuple of Bound
-        Comparisons of columns, or of conditions where there is no such column.
-    flags : tuple of str
-        Names of flags that each experiment must have; faulty ones are then included.
-    marks : tuple of str
-        Marks out of `MARKS`. Deleted experiments are listed only with `deleted` (then no others),
-        experiments replaced by a correction only with `replaced`.
-    include_faulty : bool
-        Include experiments with a flag that marks a fault.
-    sort : str
-        Column or condition to sort by.
-    descending : bool
-    limit : int, optional
-    offset : int
-    """
+    """Criteria that select experiments, their order, and one page of them."""
 
     dataset: str | None = None
-    name: str | None = None
-    words: tuple[str, ...] = ()
-    bounds: tuple[Bound, ...] = ()
-    flags: tuple[str, ...] = ()
+    name: str | None = None  # `*` matches any text
+    words: tuple[str, ...] = ()  # must all occur in the name, a condition, a flag or a note
+    bounds: tuple[Bound, ...] = ()  # of columns, or of conditions where there is no such column
+    flags: tuple[str, ...] = ()  # that each experiment must have; faulty ones are then included
+    # Out of `MARKS`; deleted experiments are listed only with `deleted` (then no others), those
+    # replaced by a correction only with `replaced`.
     marks: tuple[str, ...] = ()
-    include_faulty: bool = False
-    sort: str = "id"
+    include_faulty: bool = False  # whether to include experiments with a flag that marks a fault
+    sort: str = "id"  # column or condition to sort by
     descending: bool = False
     limit: int | None = None
     offset: int = 0
@@ -131,6 +110,9 @@ class ExperimentQuery:
 def parse_filter(*filters: str, **options: Any) -> ExperimentQuery:
     """Parse filters as they are typed; all terms of all filters must hold.
 
+    A quote that does not end, an unknown `is:`, or a text instead of a number raises
+    `InvalidInput`.
+
     Parameters
     ----------
     *filters : str
@@ -142,11 +124,6 @@ def parse_filter(*filters: str, **options: Any) -> ExperimentQuery:
         Values with spaces are in double quotes.
     **options : object
         Further fields of `ExperimentQuery`; `sort` may be a short name.
-
-    Raises
-    ------
-    InvalidInput
-        A quote that does not end, an unknown `is:`, or a text instead of a number.
 
     Examples
     --------
@@ -424,20 +401,17 @@ class UnknownName(NamedTuple):
         return unknown_name(self.what, self.typed, self.known)
 
 
-def unknown_names(
-    query: ExperimentQuery, known: KnownNames, *, words: bool = True
-) -> Iterator[UnknownName]:
-    """Yield the names and values in a query that no experiment has; words only on request."""
+def unknown_names(query: ExperimentQuery, known: KnownNames) -> Iterator[UnknownName]:
+    """Yield the names, words and values in a query that no experiment has."""
     for name in query.flags:
         yield from _not_among("flag", name, known.flags)
     datasets = [query.dataset] if query.dataset is not None else []
     datasets += [b.typed for b in query.bounds if b.name == "dataset" and b.relation == "="]
     for name in datasets:
         yield from _not_among("dataset", name, known.datasets)
-    if words:
-        texts = [text for values in known.conditions.values() for text in values]
-        for word in query.words:
-            yield from _not_among("filter", word, (*texts, *known.datasets, *known.flags))
+    texts = [text for values in known.conditions.values() for text in values]
+    for word in query.words:
+        yield from _not_among("filter", word, (*texts, *known.datasets, *known.flags))
     conditions = [bound for bound in query.bounds if bound.name not in COLUMNS]
     for bound in conditions:
         if bound.name not in known.conditions:

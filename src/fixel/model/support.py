@@ -184,34 +184,11 @@ Support = Tripod | SupportPoints | UniformPressure | Ellipsoid | NoSupport
 def support_points(
     support: Support, shape: Shape, centre_of_mass: ArrayLike, mass: float, gravity: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Compute the support points of a body, and their loads and friction.
+    """Return the support points (n, 2) [m] of a body, and their loads [N] and friction [-].
 
-    Parameters
-    ----------
-    support : Support
-        Support other than `Ellipsoid`, which has no points; `NoSupport` returns empty arrays.
-    shape : Shape
-        Footprint.
-    centre_of_mass : (2,) array_like
-        Centre of mass in the frame of the shape [m].
-    mass : float
-        Mass of the body [kg].
-    gravity : float
-        Acceleration of gravity [m/s^2].
-
-    Returns
-    -------
-    points : (n, 2) float64
-        Points relative to the centre of mass, body axes [m].
-    loads : (n,) float64
-        Normal force at each point [N].
-    friction : (n,) float64
-        Coefficient of friction at each point [-].
-
-    Raises
-    ------
-    InvalidInput
-        The support cannot carry the centre of mass, or is an `Ellipsoid`.
+    Points are relative to the centre of mass, in body axes; `NoSupport` has none. The centre of
+    mass (2,) is in the frame of the shape [m]. An `Ellipsoid`, or a support that cannot carry the
+    centre of mass, raises `InvalidInput`.
     """
     com = np.asarray(centre_of_mass, dtype=np.float64)
     weight = mass * gravity

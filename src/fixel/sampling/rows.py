@@ -23,21 +23,12 @@ ENDS: Final = 0.05  # of the travel: rest and jerks at both ends do not count fo
 def row_scene(template: Scene, values: Mapping[str, float]) -> Scene:
     """Return the scene of one row of a plan: a template with other values.
 
-    Parameters
-    ----------
-    template : Scene
-        Scene of one free body and one pusher. A measured path of the pusher becomes a straight
-        drive.
-    values : mapping of str to float
-        Values in SI units: `x_m`, `offset_angle_rad`, ... are of the part, `head_x_m` of the
-        pusher, `fixel-1_x_m` of the fixel of this name, `direction_rad`, `travel_m` and `speed_m_s`
-        of the motion. Offsets are added to the pose: x along the motion of the head, y to its left,
-        the angle about the centroid. The scene ends when the head has moved its new travel.
-
-    Raises
-    ------
-    InvalidInput
-        Bodies overlap, a value is of nothing in the scene, or the head does not move.
+    The template has one free body and one pusher, whose measured path becomes a straight drive.
+    Values in SI units are those of the part (`x_m`, `offset_angle_rad`, ...), the pusher
+    (`head_x_m`), a fixel (`fixel-1_x_m`) and the motion (`direction_rad`, `travel_m`, `speed_m_s`).
+    Offsets are added to the pose: x along the motion of the head, y to its left, the angle about
+    the centroid. The scene ends when the head has moved its new travel. Bodies that overlap, a
+    value of nothing in the scene, and a head that does not move raise `InvalidInput`.
     """
     check_push(template)
     fixels = {f"{own.name}_": own for own in template.fixels}

@@ -364,16 +364,8 @@ class _AimedActuator(AbstractActuator):
 class ManualActuator(_AimedActuator):
     """Actuator that prompts a person to set and start the drive, and relies on the answers.
 
-    It cannot stop the drive itself, only request it from the person.
-
-    Parameters
-    ----------
-    reach : (float, float)
-        Smallest and largest position [m].
-    ask : callable
-        Function that prints a sentence and returns the line typed; `input` by default.
-    notify : callable
-        Function that prints a sentence.
+    It cannot stop the drive itself, only request it from the person. `ask` prints a sentence and
+    returns the line typed, `notify` only prints. `reach` has the ends of the positions [m].
     """
 
     name: ClassVar[str] = "manual"
@@ -459,24 +451,10 @@ class ManualActuator(_AimedActuator):
 class SimulatedActuator(_AimedActuator):
     """Actuator that moves as in the simulated testbed: at its own speed, with a ripple.
 
-    Parameters
-    ----------
-    n_axes : int
-        Number of axes.
-    reach : (float, float), or one pair for each axis
-        Smallest and largest coordinate of each axis [m].
-    start : float or array_like, shape (n_axes,)
-        Initial coordinates [m].
-    speed_ratio : float
-        True speed over the requested speed [-].
-    ripple : float
-        Amplitude of the speed about its mean, as a share of it, less than 1 [-].
-    frequency : float
-        Frequency of the ripple [Hz].
-    phase : float
-        Phase of the ripple when a move begins [rad].
-    clock : callable
-        Function that returns seconds; replace it to run faster than real time.
+    `reach` has the ends of all axes, or one pair for each, and `start` the initial coordinates [m].
+    `speed_ratio` is the true over the requested speed. The ripple of the speed has an amplitude, as
+    a share of it less than 1, a frequency [Hz], and a phase when a move begins [rad]. A `clock`
+    other than `time.monotonic` may run faster than real time.
     """
 
     name: ClassVar[str] = "simulated"

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, require
 
 if TYPE_CHECKING:
     from serial import Serial
@@ -37,7 +37,7 @@ class PortSeen(NamedTuple):
 
 def found_ports() -> list[PortSeen]:
     """List the serial ports of this computer, those on USB first."""
-    _need_pyserial()
+    require("serial", "a serial port", extra="serial")
     from serial.tools import list_ports
 
     seen = sorted(list_ports.comports(), key=lambda port: (port.vid is None, port.device))
@@ -70,7 +70,7 @@ def open_port(port: str, baud: int, what: str) -> Serial:
 
     A port that does not exist, is in use, or may not be opened raises `InvalidInput` with a remedy.
     """
-    _need_pyserial()
+    require("serial", "a serial port", extra="serial")
     import serial
 
     where = f"port {port}"
@@ -189,18 +189,6 @@ def _seen() -> str:
         return "there is no serial port: connect the device; on Linux, dmesg shows its port"
     listed = ", ".join(f"{port.port} ({port.description})" for port in ports[:6])
     return f"there are {listed}"
-
-
-def _need_pyserial() -> None:
-    try:
-        import serial  # noqa: F401
-    except ImportError:
-        raise InvalidInput(
-            "serial ports",
-            found="no package pyserial",
-            expected="it to be installed",
-            hint="pip install 'fixel[serial]'",
-        ) from None
 
 
 def _errno(problem: Exception) -> int | None:

@@ -92,19 +92,12 @@ class Camera(Comparable):
         turned: float = 0.0,
         tilted: ArrayLike = (0.0, 0.0),
     ) -> Camera:
-        """Create a camera that looks straight down, or with a small tilt.
+        """Create a camera at a height [m] that looks straight down, or with a small tilt.
 
-        Parameters
-        ----------
-        height : float
-            Height of the camera above the plane [m].
-        above : (2,) array_like
-            Point of the plane below the camera [m].
-        turned : float
-            Angle from the world's x to the picture's right, counter-clockwise from above [rad].
-        tilted : (2,) array_like
-            Tilt of the axis towards the lower part of the picture, then towards its right: about
-            the camera's x, then its y [rad].
+        `above` (2,) is the point of the plane below it [m], `turned` the angle from the world's x
+        to the picture's right, counter-clockwise from above [rad]. `tilted` (2,) is the tilt of the
+        axis towards the lower part of the picture, then towards its right: about the camera's x,
+        then its y [rad].
         """
         c, s = math.cos(turned), math.sin(turned)
         straight = np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])

@@ -8,7 +8,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.errors import InvalidInput
+from fixel.errors import MissingExtra
 
 Picture = NDArray[np.uint8]
 Gray = NDArray[np.uint8]
@@ -19,22 +19,11 @@ LUMA = np.array([0.114, 0.587, 0.299])
 
 @final
 class Frame:
-    """Picture of a film with its time.
+    """Picture of a film with its time as recorded in the film [s].
 
-    A frame that is decoded on access needs no colours for most of tracking.
-
-    Parameters
-    ----------
-    time : float
-        Time of the frame as recorded in the film [s].
-    picture : (height, width, 3) uint8, optional
-        Pixels: blue, green, red; rows from above.
-    size : (int, int), optional
-        Width and height of a picture that is decoded on access [px].
-    colours : callable, optional
-        Function that decodes the pixels, where `picture` is missing.
-    luma : callable, optional
-        Function that decodes the brightness alone.
+    A picture (height, width, 3) uint8 has blue, green and red, rows from above. Without one,
+    functions decode `colours`, or `luma` alone, of a picture of a `size` [px] on access: most of
+    tracking needs no colours.
     """
 
     __slots__ = ("_colours", "_decode_luma", "_luma", "_picture", "size", "time")
@@ -87,10 +76,5 @@ def opencv() -> Any:
     try:
         import cv2
     except ImportError:
-        raise InvalidInput(
-            "opencv",
-            found="no such package",
-            expected="OpenCV, which reads cameras and boards",
-            hint="pip install 'fixel[vision]'",
-        ) from None
+        raise MissingExtra("a camera or a board", "opencv-python", extra="vision") from None
     return cv2

@@ -239,25 +239,13 @@ class Corners(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Board:
-    """Checkerboard, with or without tags.
+    """Checkerboard, with or without tags."""
 
-    Parameters
-    ----------
-    columns, rows : int
-        Number of squares.
-    square : float
-        Side of a square [m].
-    marker : float, optional
-        Side of the tags in the white squares [m]; None for a plain checkerboard.
-    dictionary : str
-        Dictionary of the tags, one of `DICTIONARIES`.
-    """
-
-    columns: int
-    rows: int
-    square: float
-    marker: float | None = None
-    dictionary: str = "4x4"
+    columns: int  # number of squares across
+    rows: int  # number of squares down
+    square: float  # side of a square [m]
+    marker: float | None = None  # side of the tags in the white squares [m]; None without tags
+    dictionary: str = "4x4"  # of the tags, one of `DICTIONARIES`
 
     def __post_init__(self) -> None:
         if not (3 <= self.columns <= 60 and 3 <= self.rows <= 60):

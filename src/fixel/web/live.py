@@ -60,17 +60,9 @@ class LiveView:
     """Live view of a camera.
 
     A program shows pictures from its own thread and never waits; browsers get the newest when they
-    are ready for one. Pictures are drawn and compressed only while there is a viewer.
-
-    Parameters
-    ----------
-    quality : int
-        Quality of the JPEG pictures, from 1 to 100.
-
-    Attributes
-    ----------
-    markup : callable, optional
-        Returns the page that shows the status, which browsers get with every status.
+    are ready for one. Pictures are drawn and compressed only while there is a viewer, as JPEG of a
+    quality from 1 to 100. `markup` returns the page that shows the status, which browsers get with
+    every status.
 
     Examples
     --------

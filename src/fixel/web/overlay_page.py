@@ -12,13 +12,13 @@ from fixel.web.live import LiveView
 NOTHING: Final[dict[str, list[str]]] = {"parts": [], "problems": [], "remarks": []}
 
 
-def overlay_page(view: LiveView, heading: str, path: str = "/overlay") -> Page:
+def overlay_page(view: LiveView, heading: str) -> Page:
     """Create the page with the live picture, its outlines and the errors of the part.
 
     The status of the view is a `fixel.workflows.acquisition.overlay.Look.summary()`.
     """
     return Page(
-        path=path,
+        path="/overlay",
         title="Placing",
         template="overlay.html",
         context={"heading": heading},

@@ -23,12 +23,8 @@ NOTHING: Final[dict[str, list[str]]] = {"problems": [], "tactile": []}  # before
 class RecordPreview:
     """Live page of a recording, with a button that ends it.
 
-    Parameters
-    ----------
-    heading : str
-        Title of the page: what is recorded, and where.
-    fixels : sequence of str
-        Names of the bits of the tactile byte, lowest first; empty for a recording without fixels.
+    The heading states what is recorded, and where. `fixels` names the bits of the tactile byte,
+    lowest first; none for a recording without fixels.
 
     Examples
     --------

@@ -26,25 +26,11 @@ SEND_BUFFER: Final = 256 * 1024  # [byte]
 
 @final
 class WebServer:
-    """Server of pages on a port of this machine.
+    """Server of pages, and of an API for programs, on a port of this machine.
 
-    Parameters
-    ----------
-    pages : sequence of Page
-    port : int, optional
-        Port to listen on; by default any free one.
-    host : str
-        Address to listen on. Any but this machine's own admits others who know the link, which is
-        then sent unencrypted.
-    api : FastAPI, optional
-        API for programs.
-    name : str
-        Name of the project.
-
-    Raises
-    ------
-    InvalidInput
-        The port is used by another program, or reserved for the administrator.
+    The port is any free one by default. An address other than this machine's own admits others who
+    know the link, which is then sent unencrypted. `name` is that of the project. A port that
+    another program uses, or that is reserved for the administrator, raises `InvalidInput`.
 
     Examples
     --------

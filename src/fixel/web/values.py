@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 import math
 from functools import partial
 from typing import Annotated, Any
@@ -35,12 +36,20 @@ def plain_text(text: str) -> str:
     return text
 
 
+def storable(value: Any) -> Any:
+    """Reject what no file can store, before an error message is made of it."""
+    try:
+        json.dumps(value, ensure_ascii=False).encode()
+    except (UnicodeEncodeError, RecursionError):
+        raise ValueError("text that a file can store, with few levels") from None
+    return value
+
+
 def _finite(value: float | None) -> float | None:
     return value if value is not None and math.isfinite(value) else None
 
 
 Text = Annotated[str, AfterValidator(plain_text)]
-FilterText = Annotated[Text, Field(max_length=1000)]
 # JSON has no number that is infinite or none.
 Finite = Annotated[float | None, BeforeValidator(_finite)]
 

@@ -22,7 +22,7 @@ from fixel.capability.capability import Capability
 from fixel.database.project import ANALYSES, Project
 from fixel.errors import FixelError
 from fixel.io.array_bytes import arrays_of, bytes_of
-from fixel.io.atomic import written_whole
+from fixel.io.atomic import write_whole
 from fixel.io.damaged_files import each_readable, readable
 from fixel.io.document import plain_numbers
 from fixel.results import Result
@@ -210,8 +210,7 @@ def store_analysis(
     for picture in pictures:
         write_picture(folder, picture)
     if arrays:
-        with written_whole(folder / ARRAYS) as path:
-            path.write_bytes(bytes_of(**{k: np.asarray(v) for k, v in arrays.items()}))
+        write_whole(folder / ARRAYS, bytes_of(**{k: np.asarray(v) for k, v in arrays.items()}))
     done = analysis.model_copy(
         update={
             "pictures": tuple(AnalysisFigure(name=p.name, caption=p.caption) for p in pictures),
@@ -219,8 +218,7 @@ def store_analysis(
             "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         }
     )
-    with written_whole(folder / CONTENT) as path:
-        path.write_text(json.dumps(done.model_dump(), indent=1, allow_nan=False), encoding="utf-8")
+    write_whole(folder / CONTENT, json.dumps(done.model_dump(), indent=1, allow_nan=False))
     return StoredAnalysis(folder, done)
 
 

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 from fixel.drawing.chart import Chart, draw_chart
 from fixel.errors import InvalidInput
-from fixel.io.atomic import written_whole
+from fixel.io.atomic import write_whole
 from fixel.model import Experiment
 
 ENDINGS: Final = ("png", "pdf", "csv")
@@ -52,6 +52,5 @@ def write_picture(folder: Path, picture: Picture) -> list[Path]:
     """Write the files of a picture, replacing those of the same names; return their paths."""
     paths = [folder / f"{picture.name}.{ending}" for ending in ENDINGS]
     draw_chart(picture.chart, *paths[:2], banner=picture.banner)
-    with written_whole(paths[2]) as temporary:
-        temporary.write_text(picture.chart.table().csv(), encoding="utf-8", newline="")
+    write_whole(paths[2], picture.chart.table().csv())
     return paths

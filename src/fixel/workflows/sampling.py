@@ -110,10 +110,10 @@ def sample(
         A file that cannot be read or written, or an invalid plan.
     """
     from fixel.datasets.plan_table import write_rows
-    from fixel.drawing.chart import refuse_ending
+    from fixel.drawing.chart import require_file
     from fixel.formats.frames_file import refuse_folder
     from fixel.formats.plan_file import load_plan, plan_text
-    from fixel.io.atomic import refuse_unwritable, written_whole
+    from fixel.io.atomic import write_whole
     from fixel.sampling import eight_push_plan, rehearse, table_plan, thesis_plan
     from fixel.simulation.simulate import get_ready
 
@@ -121,12 +121,10 @@ def sample(
     first, *others = [name for name, own in given.items() if own] or [""]
     if others:
         raise InvalidInput(first, found=f"{others[0]} too", expected="one of them")
-    if out is not None:
-        refuse_ending(out, PLAN_ENDINGS, "plan")
-        refuse_unwritable(out)
-        if plan is not None and out.resolve() == plan.resolve():
-            expected = "another file to write"
-            raise InvalidInput(str(out), found="the plan file itself", expected=expected)
+    require_file(out, PLAN_ENDINGS, "plan")
+    if out is not None and plan is not None and out.resolve() == plan.resolve():
+        expected = "another file to write"
+        raise InvalidInput(str(out), found="the plan file itself", expected=expected)
     if scenes is not None:
         refuse_folder(scenes)
     if plan is not None:
@@ -138,8 +136,7 @@ def sample(
         get_ready(own.experiments[0].scene)
         problems = tuple(sorted([*problems, *rehearse(own).problems]))
     if out is not None:
-        with written_whole(out) as unfinished:
-            unfinished.write_text(plan_text(own), encoding="utf-8")
+        write_whole(out, plan_text(own))
     if scenes is not None:
         write_rows(scenes, own.experiments)
     return SampleAnswer(own, problems, simulate)

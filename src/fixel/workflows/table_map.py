@@ -148,7 +148,7 @@ def _values(
     )
 
 
-def map_stored(
+def table_map_stored(
     project: Project,
     *,
     dataset: Dataset = "",
@@ -249,7 +249,7 @@ def _named(table: TableMap) -> str:
 TABLE_MAP: Final = Capability(
     name="table-map",
     title="Table map",
-    function=map_stored,
+    function=table_map_stored,
     of=table_map,
     leave_out=("experiments", "calibrations", "store"),
     group="table",

@@ -35,27 +35,13 @@ def paint(
     grain: FloatArray,
     grain_from_pixel: FloatArray,
 ) -> None:
-    """Paint polygons over a picture.
+    """Paint k polygons with corners (n, 2) [px] over a picture (h, w, 3) float32, in place.
 
-    Parameters
-    ----------
-    points : (n, 2) float64
-        Corners of all polygons [px]; overlapping ones add up, opposite orientations cancel.
-    starts : (k + 1,) int64
-        Index of the first corner of each polygon, and n.
-    left, top : int
-        First column and row of this picture in the whole one [px].
-    picture : (h, w, 3) float32
-        Picture, changed in place.
-    cover : (h, w + 2) float64
-        Workspace; zeros before and after.
-    colour : (3,) float64
-    shade : (h, w) float32
-        Factor on the colour.
-    grain : (2^k, 2^k) float32
-        Texture, a further factor.
-    grain_from_pixel : (2, 3) float64
-        Map from (u, v, 1) to column and row of `grain`.
+    Overlapping polygons add up, opposite orientations cancel. `starts` (k + 1,) has the first
+    corner of each polygon, and n. `left` and `top` are the first column and row of this picture in
+    the whole one [px]. `cover` (h, w + 2) is a workspace with zeros before and after. The colour
+    has the factors `shade` (h, w) and `grain`, a texture (2^k, 2^k) at the columns and rows to
+    which `grain_from_pixel` (2, 3) maps (u, v, 1).
     """
     h, w = picture.shape[0], picture.shape[1]
     first, last, begin, end = _bounds(points, left, top, h, w)

@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field
 
 from fixel.model import Flag
 from fixel.web.context import Context
-from fixel.web.values import Answer, Id, RequestBody, Text
+from fixel.web.values import Answer, Id, RequestBody, Text, storable
 from fixel.workflows.project.importing import import_texts
 
 MAX_MARKED: Final = 20_000  # in one request
@@ -18,16 +18,7 @@ MAX_TEXT: Final = 1_900_000  # characters of a table; requests are limited to 2 
 router = APIRouter()
 
 
-def _writable(text: str) -> str:
-    """Reject text that no file can store."""
-    try:
-        text.encode()
-    except UnicodeEncodeError:
-        raise ValueError("text that a file can hold") from None
-    return text
-
-
-FileText = Annotated[str, AfterValidator(_writable)]
+FileText = Annotated[str, AfterValidator(storable)]
 
 
 class MarkRequest(RequestBody):

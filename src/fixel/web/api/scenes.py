@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import threading
 from typing import Annotated, Any
 
@@ -12,7 +11,7 @@ from pydantic import AfterValidator, Field
 
 from fixel.jobs.worker_process import CallCancellation
 from fixel.web.context import Context
-from fixel.web.values import Answer, Id, RequestBody, Text
+from fixel.web.values import Answer, Id, RequestBody, Text, storable
 from fixel.web.views import scene_editor
 from fixel.web.views.scene_editor import SceneExample, SceneMotion
 
@@ -23,19 +22,10 @@ ExampleName = Annotated[str, Path(pattern=r"^[a-z0-9_]{1,40}$")]
 router = APIRouter(tags=["scenes"])
 
 
-def _writable(scene: dict[str, Any]) -> dict[str, Any]:
-    """Reject what no file can store, before an error message is made of it."""
-    try:
-        json.dumps(scene, ensure_ascii=False).encode()
-    except (UnicodeEncodeError, RecursionError):
-        raise ValueError("a text with as few levels as scene files have") from None
-    return scene
-
-
 class SceneRequest(RequestBody):
     """A scene, as the keys of a scene file."""
 
-    scene: Annotated[dict[str, Any], AfterValidator(_writable)] = Field(
+    scene: Annotated[dict[str, Any], AfterValidator(storable)] = Field(
         description="scene with the keys of a scene file"
     )
 

@@ -7,7 +7,7 @@ import os
 import re
 import shutil
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -264,10 +264,10 @@ def disk_status(project: Project) -> DiskStatus:
     )
 
 
-def self_tested(nobody_waits: Callable[[], bool] = lambda: False) -> dict[str, Any]:
+def self_tested() -> dict[str, Any]:
     """Run `fixel doctor --json` in a process of its own, as kernels would delay other requests."""
     with WorkerProcess(_examined, limit=SELF_TEST_LIMIT) as beside:
-        answer: dict[str, Any] = beside.call(None, nobody_waits)
+        answer: dict[str, Any] = beside.call(None)
     return answer
 
 

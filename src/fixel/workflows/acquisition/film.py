@@ -20,7 +20,7 @@ from fixel.formats.recording import RIG_FILE, SCENE_FILE, RecordingHeader, Recor
 from fixel.formats.rig_file import rig_of, save_rig
 from fixel.formats.scene_file import SceneFile, load_scene, save_scene
 from fixel.formats.video_file import VideoWriter
-from fixel.io.atomic import written_whole
+from fixel.io.atomic import write_whole, written_whole
 from fixel.io.document import read_document
 from fixel.model import Body, Experiment, PlannedExperiment, Pusher, Scene, Trajectory, pose_error
 from fixel.model.probability import stream
@@ -283,8 +283,7 @@ def write_truth(
         "fixels": [fixel.name for fixel in subject.scene.fixels],
         "conditions": dict(subject.truth),
     }
-    with written_whole(folder / ABOUT) as unfinished:
-        unfinished.write_text(json.dumps(content, indent=1, allow_nan=False), encoding="utf-8")
+    write_whole(folder / ABOUT, json.dumps(content, indent=1, allow_nan=False))
 
 
 def _readings(

@@ -13,13 +13,13 @@ import numpy as np
 
 from fixel.database.project import Project, typed
 from fixel.drawing import palette
-from fixel.drawing.chart import PICTURE_ENDINGS, refuse_ending
+from fixel.drawing.chart import PICTURE_ENDINGS, require_file
 from fixel.errors import InvalidInput
 from fixel.formats.recording import RIG_FILE, SCENE_FILE, is_recording, open_recording
 from fixel.formats.rig_file import rig_of
 from fixel.formats.scene_file import load_scene
 from fixel.formats.video_file import ENDINGS, VideoWriter, open_video
-from fixel.io.atomic import refuse_unwritable, written_whole
+from fixel.io.atomic import written_whole
 from fixel.model import Experiment, Provenance, Scene
 from fixel.typing import ProgressCallback
 from fixel.vision.frame import Frame, Picture
@@ -228,8 +228,7 @@ def _draw(
 def _check_files(files: dict[str, Path]) -> None:
     endings = {"overlay": ENDINGS, "sheet": (".png",), "plot": PICTURE_ENDINGS}
     for kind, path in files.items():
-        refuse_ending(path, endings[kind], kind)
-        refuse_unwritable(path)
+        require_file(path, endings[kind], kind)
 
 
 def _counted(progress: ProgressCallback | None, total: int | None) -> Callable[[int], None] | None:

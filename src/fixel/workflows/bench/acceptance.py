@@ -216,7 +216,7 @@ def contact_delays(run: BenchRun) -> Iterator[float]:
     and fixel meet. The report comes between two readings of the board; their middle counts.
     """
     scene, trajectory = run.scene, run.experiment.trajectory
-    channel = next((own for own in run.experiment.channels if own.name == "tactile"), None)
+    channel = run.experiment.channel("tactile")
     if channel is None:
         return
     body = scene.bodies[0]

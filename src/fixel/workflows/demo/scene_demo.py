@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fixel.drawing.animation import film_ending
 from fixel.errors import InvalidInput
 from fixel.formats import load_scene
-from fixel.io.atomic import written_whole
+from fixel.io.atomic import write_whole
 from fixel.model import LineDrive, placed
 from fixel.simulation import Simulation
 from fixel.typing import FloatArray
@@ -56,8 +56,7 @@ def run_demo(folder: Path) -> Demo:
     scene = folder / f"{EXAMPLE}.yaml"
     endings = {"trajectory": ".csv", "plot": ".png", "animate": film_ending()}
     files = {name: scene.with_suffix(ending) for name, ending in endings.items()}
-    with written_whole(scene) as temporary:
-        temporary.write_text(example_text(EXAMPLE), encoding="utf-8")
+    write_whole(scene, example_text(EXAMPLE))
     simulation = simulate_file(load_scene(scene), Outputs(**files))
     return Demo(simulation, motion_events(simulation), {"scene": scene, **files})
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from fixel.database.project import Project
 from fixel.drawing.animation import animate_simulation, film_ending
-from fixel.io.atomic import written_whole
+from fixel.io.atomic import write_whole, written_whole
 from fixel.model import (
     Body,
     Disk,
@@ -134,8 +134,7 @@ def tell_story(folder: Path, seed: int = 1, notify: Notify | None = None) -> Ite
     yield _predicted(bound, fit, project.experiments("use=test"), at)
 
     tell("planning a push despite uncertain friction and start")
-    with written_whole(goal) as temporary:
-        temporary.write_text(GOAL.replace("calibration: 1", f"calibration: {number}"), "utf-8")
+    write_whole(goal, GOAL.replace("calibration: 1", f"calibration: {number}"))
     plan = call(project, "plan", goal=str(goal), rollouts=10_000).found.plan
     tell(f"carrying it out {TRIALS} times in pymunk")
     yield _carried_out(plan, goal, seed, at)

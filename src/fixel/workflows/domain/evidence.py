@@ -29,7 +29,7 @@ from fixel.domain.held_out import (
 )
 from fixel.errors import InvalidInput
 from fixel.io.array_bytes import ResultCache
-from fixel.io.atomic import written_whole
+from fixel.io.atomic import write_whole
 from fixel.io.damaged_files import readable
 from fixel.typing import ProgressCallback
 from fixel.workflows.calibration.project import select_experiments
@@ -219,5 +219,4 @@ def _read(folder: Path) -> dict[str, Any] | None:
 
 def _write(folder: Path, content: Mapping[str, Any]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    with written_whole(folder / WHOLE) as path:
-        path.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
+    write_whole(folder / WHOLE, json.dumps(content, allow_nan=False))

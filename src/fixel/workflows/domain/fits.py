@@ -18,7 +18,7 @@ from fixel.database.store import Store
 from fixel.domain.held_out import Apart, CalibrationModel, Finished
 from fixel.errors import InvalidInput
 from fixel.io.array_bytes import ResultCache
-from fixel.io.atomic import written_whole
+from fixel.io.atomic import write_whole
 from fixel.io.damaged_files import readable
 from fixel.model.selection import ExperimentQuery, parse_filter
 from fixel.model.space import ParameterSpace
@@ -179,8 +179,7 @@ def fit_store(
                 raise _other(folder, name, str(before.get(name)), now)
         return ResultCache(folder).get
     cache = ResultCache(folder)
-    with written_whole(path) as beside:
-        beside.write_text(json.dumps(own, indent=1), encoding="utf-8")
+    write_whole(path, json.dumps(own, indent=1))
     return cache.get
 
 

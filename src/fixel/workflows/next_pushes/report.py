@@ -20,7 +20,7 @@ from fixel.drawing.parts import next_pushes_chart
 from fixel.errors import InvalidInput, unknown_name
 from fixel.formats.plan_file import load_plan, plan_text
 from fixel.formats.scene_file import load_scene
-from fixel.io.atomic import refuse_unwritable, written_whole
+from fixel.io.atomic import write_whole
 from fixel.model import Disk, Experiment, LineDrive, Scene
 from fixel.parts.model import PartModel
 from fixel.parts.next_pushes import NextPushes, push_candidates
@@ -356,13 +356,5 @@ def _offset(rig: SamplingRig, shape: PlannedShape, scene: Scene) -> tuple[float,
 def write_plan(proposal: PushProposal, path: Path) -> Path:
     """Write the proposed pushes as a plan file, whole or not at all."""
     text = plan_text(plan_of(proposal, _plain(path.stem, "next")))
-    with written_whole(path) as unfinished:
-        unfinished.write_text(text, encoding="utf-8")
+    write_whole(path, text)
     return path
-
-
-def refuse_plan(path: Path) -> None:
-    """Reject a plan file that cannot be written, before any work."""
-    if path.suffix.lower() not in (".yaml", ".yml"):
-        raise InvalidInput(str(path), found="another ending", expected="a plan file: .yaml, .yml")
-    refuse_unwritable(path)

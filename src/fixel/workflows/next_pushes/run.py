@@ -77,11 +77,11 @@ def propose_pushes(
         There are no usable experiments of other parts, the part is unknown and has no scene, or
         no candidate moves it.
     """
+    from fixel.drawing.chart import require_file
     from fixel.workflows.next_pushes import report
     from fixel.workflows.parts import part_model
 
-    if out is not None:
-        report.refuse_plan(out)
+    require_file(out, (".yaml", ".yml"), "plan")
     own = report.select(project, part, surface, where, scene, candidates)
     fits = project.folder / STORE
     fits.mkdir(parents=True, exist_ok=True)

@@ -17,11 +17,10 @@ from fixel.database.bundle_file import opened_bundle
 from fixel.database.project import Project, stored_experiments
 from fixel.datasets import IMPORTERS, Experiments
 from fixel.datasets.table import CsvTable
-from fixel.drawing.chart import refuse_ending
+from fixel.drawing.chart import require_file
 from fixel.errors import InvalidInput, NotStored, require, unknown_name
 from fixel.formats.frames_file import folder_whole, refuse_folder, write_frames
 from fixel.formats.lerobot import write_lerobot
-from fixel.io.atomic import refuse_unwritable
 from fixel.model import Experiment
 from fixel.model.selection import ExperimentQuery, ExperimentRow
 from fixel.progress import ProgressOption, Reporter, show_progress
@@ -227,8 +226,7 @@ def _check_arguments(target: Path, format: str, fps: int | None) -> None:
             "fps", found=fps, expected=f"from {RATES[0]} to {RATES[1]} Hz in a LeRobot dataset"
         )
     if format == "bundle":
-        refuse_ending(target, (".zip",), "bundle")
-        refuse_unwritable(target)
+        require_file(target, (".zip",), "bundle")
     else:
         require("pyarrow", f"the format {format}", extra="parquet")
         refuse_folder(target)

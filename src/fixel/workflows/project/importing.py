@@ -16,7 +16,7 @@ from fixel.datasets import IMPORTERS, ImportPlan, plan_import
 from fixel.datasets.bag import DATASET as BAG
 from fixel.datasets.own_scene import template_text
 from fixel.datasets.table import DATASET as TABLE
-from fixel.errors import InvalidInput, StoreRefused
+from fixel.errors import InvalidInput, StoreRefused, require
 from fixel.io.damaged_files import one_line
 from fixel.model.selection import ExperimentQuery
 from fixel.typing import ProgressCallback
@@ -143,12 +143,9 @@ def fetch(url: str, folder: Path, sha256: str | None = None) -> DownloadedFile:
 
     Without the checksum `sha256`, any content is accepted.
     """
-    try:
-        import pooch
-    except ImportError:
-        raise StoreRefused(
-            "downloads need the package pooch", hint="run: pip install 'fixel[download]'"
-        ) from None
+    require("pooch", "a download", extra="download")
+    import pooch
+
     name = _name(url)
     if sha256 is not None and not re.fullmatch(r"[0-9a-fA-F]{64}", sha256):
         raise InvalidInput("--sha256", found=sha256, expected="64 hexadecimal digits")

@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple
 
 from fixel.database.project import Project
 from fixel.errors import InvalidInput
-from fixel.io.atomic import written_whole
+from fixel.io.atomic import write_whole, written_whole
 from fixel.model.fields import instance
 from fixel.registry import offers
 from fixel.results import Result
@@ -166,10 +166,8 @@ def report(
             expected=f"at most {MAX_PAGE_BYTES / 1e6:.0f} MB",
             hint="report fewer analyses: remove some from the folder analyses of the project",
         )
-    with written_whole(folder / BIBLIOGRAPHY) as file:
-        file.write_text(bibtex(cited), encoding="utf-8")
-    with written_whole(page) as file:
-        file.write_bytes(data)
+    write_whole(folder / BIBLIOGRAPHY, bibtex(cited))
+    write_whole(page, data)
     shown = [figure for section in content.sections for figure in section.figures]
     return Report(
         page=page,

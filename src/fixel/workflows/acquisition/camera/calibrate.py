@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from fixel.drawing.chart import PICTURE_ENDINGS, draw_chart, refuse_ending
+from fixel.drawing.chart import draw_chart, require_file
 from fixel.drawing.prints import PRINT_ENDINGS, PrintSheet, board_sheet, save_sheets, tag_sheets
 from fixel.errors import InvalidInput
 from fixel.formats.camera_import import import_camera
@@ -66,7 +66,7 @@ def calibrate(
         Called with the number of pictures done, their total, and the picture's name.
     """
     wanted = board_of(board)
-    _check_output(output)
+    require_file(output, CAMERA_ENDINGS, "camera")
     files = files_of(paths)
     done = 0
 
@@ -92,7 +92,7 @@ def bring_in(
     unit: float = 1e-3,
 ) -> CameraAnswer:
     """Import a camera of another program and save it as fixel's own; see `import_camera`."""
-    _check_output(output)
+    require_file(output, CAMERA_ENDINGS, "camera")
     if output.resolve() == path.resolve():
         raise InvalidInput(str(output), found="the input file", expected="another file to write")
     found = import_camera(path, format, size=size, which=which, unit=unit)
@@ -135,8 +135,8 @@ def place(
         rig = next((str(file) for file in beside if _has_plate(file)), None)
     if board is None and rig is None:
         raise InvalidInput("place", found="neither", expected="--board or --rig, or both")
-    _check_output(output)
-    check_plot(plot)
+    require_file(output, CAMERA_ENDINGS, "camera")
+    require_file(plot)
     measured = load_camera(path)
     seen = first_picture(picture)
     found, remarks = _place(measured, seen, board, at, thickness, rig)
@@ -211,18 +211,6 @@ def board_text(board: Board) -> str:
     return f"charuco:{board.columns}x{board.rows}:{mm}:{1e3 * board.marker:g}mm"
 
 
-def _check_output(output: Path) -> None:
-    refuse_ending(output, CAMERA_ENDINGS, "camera")
-    refuse_unwritable(output)
-
-
-def check_plot(plot: Path | None) -> None:
-    """Reject a figure file that cannot be written, before any work."""
-    if plot is not None:
-        refuse_ending(plot, PICTURE_ENDINGS, "picture")
-        refuse_unwritable(plot)
-
-
 def check(
     name: str,
     *,
@@ -235,7 +223,7 @@ def check(
     Its size is compared; its first frame shows whether the tags of a rig's plate are where they
     belong. The accuracy is reported at `heights` above the plate [m].
     """
-    check_plot(plot)
+    require_file(plot)
     measured, rig = _camera_of(name)
     problems: list[str] = []
     tags: dict[int, float] = {}
@@ -451,7 +439,6 @@ def _print_tags(tags: list[tuple[Tag, str]], output: Path, paper: str, title: st
 
 
 def _save(sheets: tuple[PrintSheet, ...], output: Path) -> None:
-    refuse_ending(output, PRINT_ENDINGS, "print")
-    refuse_unwritable(output)
+    require_file(output, PRINT_ENDINGS, "print")
     with written_whole(output) as unfinished:
         save_sheets(sheets, unfinished)
