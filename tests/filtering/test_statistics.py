@@ -12,7 +12,7 @@ from fixel.filtering.particles import (
     mean_pose,
     pose_covariance,
     quantiles,
-    told,
+    reading_likelihood,
 )
 from fixel.simulation.geometry import gap
 from fixel.testing.scenes import grasp
@@ -58,12 +58,12 @@ def test_gaps_are_those_of_the_shapes():
 
 def test_readings_count_by_their_reliability():
     contact = np.array([[1.0, 0.0], [0.0, 0.5]])
-    score, after = told(contact, np.array([1.0, 0.0]), np.array([0.0, 2.0]), 0.9, 0.8)
+    score, after = reading_likelihood(contact, np.array([1.0, 0.0]), np.array([0.0, 2.0]), 0.9, 0.8)
 
     both = 0.5 * 0.2**2 + 0.5 * 0.9**2
     np.testing.assert_allclose(np.exp(score), [0.8 * 0.9**2, 0.1 * both])
     np.testing.assert_allclose(after, [[1.0, 0.0], [0.0, 0.5 * 0.2**2 / both]])
-    unread, same = told(contact, np.zeros(2), np.zeros(2), 0.9, 0.8)
+    unread, same = reading_likelihood(contact, np.zeros(2), np.zeros(2), 0.9, 0.8)
     np.testing.assert_array_equal(unread, 0.0)
     np.testing.assert_array_equal(same, contact)
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from fixel.calibration.contacts import Configurations, gaps_and_normals
 from fixel.calibration.objective import ANGLE_SCALE
-from fixel.model import Disk, Shape, wrapped
+from fixel.model import Disk, Shape, rotated, wrapped
 from fixel.typing import BoolArray, FloatArray, IntArray
 
 # Disturbances of a configuration, as large as the uncertainty of trackers and tables.
@@ -61,8 +61,8 @@ def configuration_features(asked: Configurations) -> Features:
     object, pose of the object on the table, angle to the normal, lever arm, nearest corner."""
     angle = asked.start[:, 2]
     heading = _headings(asked)
-    tip = _into(angle, asked.tip_start - asked.start[:, :2])
-    along = _into(angle, heading)
+    tip = rotated(asked.tip_start - asked.start[:, :2], -angle)
+    along = rotated(heading, -angle)
     _, normal = gaps_and_normals(asked.shape, asked.radius, asked.start, asked.tip_start)
     cosine = np.clip(-(normal * heading).sum(axis=1), -1.0, 1.0)
     sine = normal[:, 0] * heading[:, 1] - normal[:, 1] * heading[:, 0]
@@ -137,14 +137,14 @@ def _way(asked: Configurations, pose: FloatArray) -> tuple[list[str], list[Float
     pose = np.concatenate((asked.start[:, None], pose), axis=1)
     flat, tips = pose.reshape(-1, 3), tip.reshape(-1, 2)
     gap = gaps_and_normals(asked.shape, asked.radius, flat, tips)[0].reshape(n, k + 1)
-    local = _into(flat[:, 2], tips - flat[:, :2])
+    local = rotated(tips - flat[:, :2], -flat[:, 2])
     corner = corner_distance(asked.shape, local, asked.radius).reshape(n, k + 1)
     local = local.reshape(n, k + 1, 2)
     steps = np.hypot(*np.moveaxis(np.diff(local, axis=1), 2, 0))
     slid = np.hypot(*(local[:, -1] - local[:, 0]).T)
     moved = pose[:, -1] - pose[:, 0]
     moved[:, 2] = wrapped(moved[:, 2])
-    body = np.column_stack((_into(asked.start[:, 2], moved[:, :2]), moved[:, 2]))
+    body = np.column_stack((rotated(moved[:, :2], -asked.start[:, 2]), moved[:, 2]))
     at_corner = corner < AT_CORNER
     named = {
         "moved_x": body[:, 0],
@@ -195,13 +195,6 @@ def _headings(asked: Configurations) -> FloatArray:
     way = asked.tip_end - asked.tip_start
     length = np.hypot(*way.T)[:, None]
     return np.asarray(np.divide(way, length, out=np.zeros_like(way), where=length > 0.0))
-
-
-def _into(angle: FloatArray, vector: FloatArray) -> FloatArray:
-    """Return vectors (n, 2) of the world in axes at angles (n,)."""
-    c, s = np.cos(angle), np.sin(angle)
-    x, y = vector[:, 0], vector[:, 1]
-    return np.column_stack((c * x + s * y, c * y - s * x))
 
 
 # A model need not be correct: the conformal correction of a bound is measured on experiments that

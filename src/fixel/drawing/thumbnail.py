@@ -8,7 +8,7 @@ import numpy as np
 
 from fixel.drawing import palette
 from fixel.drawing.view import Rectangle, evenly
-from fixel.model import Experiment, Shape, placed
+from fixel.model import Experiment, Shape, placed, rotated
 from fixel.typing import FloatArray
 
 WIDTH: Final = 120
@@ -44,9 +44,7 @@ def thumbnail(experiment: Experiment) -> str:
             (poses[-1], f'fill="{blue}" fill-opacity="0.22" stroke="{blue}"'),
         ):
             outlines.append((_outline(body.shape, pose), style))
-        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        x, y = body.com
-        trail = trail + np.column_stack((c * x - s * y, s * x + c * y))
+        trail = trail + rotated(body.com, poses[:, 2])
     points = np.concatenate([trail, *(outline for outline, _ in outlines)])
     box = Rectangle.around(points, 1e-9).widened(MARGIN).with_aspect(HEIGHT / WIDTH)
     scale = WIDTH / (box.x[1] - box.x[0])

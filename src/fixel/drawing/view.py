@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fixel.drawing.chart import DisplayUnit
-from fixel.model import Body, Fixel, Pusher, Shape, placed
+from fixel.model import Body, Fixel, Pusher, Shape, placed, rotated
 from fixel.simulation import Simulation
 from fixel.typing import FloatArray, IntArray
 
@@ -101,9 +101,7 @@ def centre_path(simulation: Simulation, name: str) -> FloatArray:
     """Path (n_sample, 2) of a body's centre of mass [m]."""
     body = next(b for b in simulation.scene.bodies if b.name == name)
     poses = simulation.pose[name]
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    x, y = body.com
-    return np.asarray(poses[:, :2] + np.column_stack((c * x - s * y, s * x + c * y)))
+    return np.asarray(poses[:, :2] + rotated(body.com, poses[:, 2]))
 
 
 def contacts_at(simulation: Simulation, time: float) -> NDArray[np.void]:

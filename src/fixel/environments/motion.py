@@ -19,7 +19,7 @@ import numpy as np
 from fixel.environments.loops import AgentState, Control, Rows, begin_step, end_step
 from fixel.kernels.arrays import REACHED, SAMPLES, SMALLEST
 from fixel.kernels.batch import rollout_batch
-from fixel.model import Body, Disk, PathDrive, Pusher, Scene
+from fixel.model import Body, Disk, PathDrive, Pusher, Scene, rotated
 from fixel.simulation.motion import QuasiStatic
 from fixel.simulation.pack import Template
 from fixel.simulation.record import empty_record
@@ -191,9 +191,7 @@ def _restored(
 
 def _shift(angle: FloatArray, point: FloatArray) -> FloatArray:
     """Shifts (n, 3) of poses at angles (n,) by a point of their frames."""
-    c, s = np.cos(angle), np.sin(angle)
-    x, y = point
-    return np.column_stack((c * x - s * y, s * x + c * y, np.zeros(len(angle))))
+    return np.column_stack((rotated(point, angle), np.zeros(len(angle))))
 
 
 def _usual_path(pusher: Pusher, radius: float) -> FloatArray:

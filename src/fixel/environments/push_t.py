@@ -28,7 +28,7 @@ from fixel.environments.vector import (
     usual_parameters,
 )
 from fixel.errors import InvalidInput
-from fixel.model import Body, Disk, Ellipsoid, Fixel, PathDrive, Polygon, Pusher, Scene
+from fixel.model import Body, Disk, Ellipsoid, Fixel, PathDrive, Polygon, Pusher, Scene, rotated
 from fixel.model.fields import vector
 from fixel.model.overlap import overlap_depth
 from fixel.typing import BoolArray, FloatArray, IntArray
@@ -311,9 +311,7 @@ class PushTEnv(SingleEnv):
 
 def keypoints(poses: FloatArray) -> FloatArray:
     """Return the corners (n, 8, 2) of bar and stem of Ts at poses (n, 3) of their frames [px]."""
-    c, s = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
-    x, y = PIECES.reshape(8, 2).T
-    return np.stack((c * x - s * y, s * x + c * y), axis=-1) + poses[:, None, :2]
+    return rotated(PIECES.reshape(8, 2), poses[:, 2:]) + poses[:, None, :2]
 
 
 def placed_pieces(pose: FloatArray) -> FloatArray:

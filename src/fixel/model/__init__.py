@@ -20,7 +20,7 @@ from fixel.model.parameters import KNOWN_PARAMETERS, Parameters
 from fixel.model.plane import FrictionMap, LoadMap, Plane
 from fixel.model.probability import Probability
 from fixel.model.scene import PairFriction, Scene
-from fixel.model.shape import Disk, Polygon, Shape, placed
+from fixel.model.shape import Disk, Polygon, Shape, placed, rotated
 from fixel.model.support import (
     Ellipsoid,
     NoSupport,
@@ -78,6 +78,7 @@ __all__ = [
     "UniformPressure",
     "placed",
     "pose_error",
+    "rotated",
     "support_points",
     "wrapped",
 ]

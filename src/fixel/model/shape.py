@@ -272,6 +272,12 @@ def placed(points: ArrayLike, pose: ArrayLike) -> FloatArray:
     return np.asarray(turned + np.array([x, y]))
 
 
+def rotated(points: FloatArray, angle: FloatArray) -> FloatArray:
+    """Rotate points (..., 2 or more) about the origin by angles (...) [rad]."""
+    c, s, x, y = np.cos(angle), np.sin(angle), points[..., 0], points[..., 1]
+    return np.stack((c * x - s * y, s * x + c * y), axis=-1)
+
+
 def _simple_outline(given: FloatArray) -> FloatArray:
     vertices = _without_repeats(given)
     if len(vertices) < 3:

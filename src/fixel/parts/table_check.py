@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from fixel.calibration.known_pushes import PARTS, SURFACES
 from fixel.calibration.target import Target
 from fixel.errors import InvalidInput
-from fixel.model.trajectory import wrapped
+from fixel.model import rotated, wrapped
 from fixel.parts.model import SAME_DIRECTION, SAME_PLACE
 from fixel.results import Result, Summary
 from fixel.simulation.pack import pusher_path
@@ -198,7 +198,7 @@ def equal_pushes(targets: Sequence[Target], part: str, session: str) -> EqualPus
         place=np.column_stack((np.hypot(*moved[:, :2].T), np.abs(wrapped(moved[:, 2])))),
         angle=start[pushes, 2],
         away=away,
-        along=np.column_stack((_rotated(away, -heading[i, 0]), sense * away[:, 2])),
+        along=np.column_stack((rotated(away, -heading[i, 0]), sense * away[:, 2])),
         sessions=np.unique(values, return_inverse=True)[1][pushes],
     )
 
@@ -210,15 +210,9 @@ def _numbers(target: Target) -> list[float]:
     start, end = np.asarray(scene.bodies[0].pose), target.pose[-1]
     path = pusher_path(scene.pushers[0], time)
     tip = np.column_stack([np.interp((0.0, time), path[:, 0], x) for x in path[:, 1:3].T])
-    inner = _rotated(np.vstack((end[:2], tip)) - start[:2], np.full(3, -start[2]))
+    inner = rotated(np.vstack((end[:2], tip)) - start[:2], np.full(3, -start[2]))
     way, turn = inner[2] - inner[1], float(wrapped(end[2] - start[2]))
     return [*start, *inner[0], turn, *inner[1], math.atan2(way[1], way[0]), math.hypot(*way)]
-
-
-def _rotated(points: FloatArray, angle: FloatArray) -> FloatArray:
-    """Rotate points (n, 2 or more) by angles (n,)."""
-    c, s, x, y = np.cos(angle), np.sin(angle), points[:, 0], points[:, 1]
-    return np.column_stack((c * x - s * y, s * x + c * y))
 
 
 # --- estimates ------------------------------------------------------------------------------------
@@ -309,7 +303,7 @@ def table_moments(pairs: EqualPushes, tolerance: tuple[float, float], seed: int)
     columns = np.column_stack((0.5 * pairs.size**2, within, np.ones(len(one))))
     # A drift t in the world differs by (R(-b) - R(-a)) t between parts at the angles a and b.
     a, b = pairs.angle.T
-    moved = _rotated(pairs.away, b) - _rotated(pairs.away, a)
+    moved = rotated(pairs.away, b) - rotated(pairs.away, a)
     tilted = np.column_stack((moved, 4.0 * np.sin(0.5 * (b - a)) ** 2))
     shifted = np.column_stack((pairs.along, np.ones(len(one))))
     parts = [*(own[:, None] * columns for own in masks[:3]), kept[:, None] * tilted]

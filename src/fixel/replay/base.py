@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from fixel.datasets.mit_push import MitPushes
 from fixel.datasets.mit_push_records import TIP
 from fixel.drawing import palette
-from fixel.drawing.chart import sheet
+from fixel.drawing.chart import clean, sheet
+from fixel.drawing.top_view import MM, closed_line, plain_view
 from fixel.errors import InvalidInput, unknown_name
 from fixel.model import (
     Body,
@@ -257,20 +258,10 @@ WIDE: Final = 2.0 * palette.COLUMN + 0.2  # width of a figure over two columns [
 SHOWN: Final = 0.97  # share of the errors within the axes of their distributions
 
 
-def closed(outline: FloatArray, per_metre: float = 1e3) -> FloatArray:
-    """Coordinates (2, n + 1) of a closed outline, for plotting."""
-    return np.asarray(np.vstack((outline, outline[:1])).T * per_metre)
-
-
 def ring(centre: FloatArray, radius: float) -> FloatArray:
     """Coordinates (2, n) of a circle [mm] of a radius [m]."""
     turn = np.linspace(0.0, 2.0 * np.pi, 40)
     return np.asarray(radius * 1e3 * np.array([np.cos(turn), np.sin(turn)]) + centre[:, None])
-
-
-def hide_spines(axes: Axes) -> None:
-    """Hide the upper and right spines."""
-    axes.spines[["top", "right"]].set_visible(False)
 
 
 def label_fixels(axes: Axes, fixels: Sequence[Fixel], below: float) -> None:
@@ -336,8 +327,7 @@ def _error_curves(axes: Axes, errors: Mapping[str, FloatArray], label: str) -> N
         axes.plot([median], [0.5], "o", markersize=3.0, color=STYLES[name][1])
         far = max(far, float(np.quantile(ordered, SHOWN)))
     axes.set(xlabel=label, xlim=(0.0, far), ylim=(0.0, 1.0))
-    axes.grid(color=palette.FAINT, linewidth=0.4)
-    hide_spines(axes)
+    clean(axes)
 
 
 def _push(
@@ -347,7 +337,7 @@ def _push(
     outline, start = data.bodies[str(data.shape[push])].shape.outline, data.start[push]
 
     def outline_at(pose: FloatArray) -> FloatArray:
-        return closed(placed(outline, pose) - start[:2])
+        return closed_line(placed(outline, pose) - start[:2])
 
     axes.fill(*outline_at(start), color=palette.FAINT, label="start, measured")
     axes.plot(*outline_at(data.end[push]), color=palette.INK, linewidth=1.4, label="end, measured")
@@ -371,7 +361,7 @@ def _push(
     axes.set_aspect("equal")
     axes.set(title=f"{name}\noff by {error_mm:.1f} mm")
     axes.set_xlabel("x from the start [mm]")
-    hide_spines(axes)
+    axes.spines[["top", "right"]].set_visible(False)
 
 
 def trial_figure(
@@ -392,8 +382,7 @@ def trial_figure(
             values = curve.pose[:, k] * 1e3 if k < 2 else np.degrees(np.unwrap(curve.pose[:, 2]))
             own.plot(curve.time, values, linewidth=1.2, **style_of(name))
         own.set_ylabel(label)
-        own.grid(color=palette.FAINT, linewidth=0.4)
-        hide_spines(own)
+        clean(own)
     axes[-1].set_xlabel("time since the actuator started [s]")
     axes[0].set_title(f"experiment {experiment.name}")
     left.legend(frameon=False, loc="outside lower center", ncols=2)
@@ -408,17 +397,14 @@ def _above(
     assert scene is not None
     outline = scene.bodies[0].shape.outline
     start = next(iter(curves.values())).pose[0]
-    axes.fill(*closed(placed(outline, start)), color=palette.FAINT, label="object, start")
+    axes.fill(*closed_line(placed(outline, start)), color=palette.FAINT, label="object, start")
     for name, curve in curves.items():
-        axes.plot(*closed(placed(outline, curve.pose[-1])), linewidth=1.2, **style_of(name))
+        axes.plot(*closed_line(placed(outline, curve.pose[-1])), linewidth=1.2, **style_of(name))
         axes.plot(*(curve.pose[:, :2].T * 1e3), linewidth=0.6, color=STYLES[name][1])
     label_fixels(axes, scene.fixels, -11.0)
     for pose, shade in ((actuator[0], palette.FAINT), (actuator[-1], palette.FIXEL)):
-        corners = closed(placed(scene.pushers[0].shape.outline, pose))
+        corners = closed_line(placed(scene.pushers[0].shape.outline, pose))
         axes.plot(*corners, color=shade, linewidth=1.0)
     axes.plot([], [], color=palette.INK, linewidth=0.6, label="path of the object's frame")
     axes.plot([], [], color=palette.FIXEL, linewidth=1.0, label="actuator, start and end")
-    axes.set_aspect("equal")
-    axes.margins(0.08)
-    axes.set(xlabel="x [mm]", ylabel="y [mm]")
-    hide_spines(axes)
+    plain_view(axes, MM, margin=0.08)

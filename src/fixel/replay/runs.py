@@ -15,7 +15,7 @@ from fixel.datasets.contact import moved_to_contact
 from fixel.datasets.mit_push import MitPush
 from fixel.datasets.mit_pusher_slider import MU_PUSHER, MU_SUPPORT, MitPusherSlider
 from fixel.drawing import palette
-from fixel.drawing.chart import sheet
+from fixel.drawing.chart import clean, sheet
 from fixel.errors import InvalidInput
 from fixel.model import Disk, Experiment, Scene, pose_error
 from fixel.replay.base import (
@@ -25,7 +25,6 @@ from fixel.replay.base import (
     ReplayPart,
     ReplayRequest,
     Row,
-    hide_spines,
     matching,
     mean_and_median,
     only_doubtful,
@@ -321,8 +320,7 @@ def windows_figure(outcomes: Sequence[WindowOutcome]) -> Figure:
         row[1].set_ylabel("error [mm]")
         row[2].set_ylabel("error [deg]")
         for axes in row:
-            axes.grid(color=palette.FAINT, linewidth=0.4)
-            hide_spines(axes)
+            clean(axes)
     panels[-1, 0].set_xlabel("x from the start of the run [mm]")
     panels[-1, 1].set_xlabel("time [s]")
     panels[-1, 2].set_xlabel("time [s]")

@@ -15,7 +15,7 @@ from typing import Any, final
 
 import numpy as np
 
-from fixel.errors import InvalidInput, os_reason
+from fixel.errors import MissingExtra, os_reason
 from fixel.kernels.code_cache import cache_folder
 from fixel.simulation import (
     GaussSeidel,
@@ -145,8 +145,8 @@ def _serial_ports() -> list[str]:
 
     try:
         return [port.port for port in found_ports()]
-    except InvalidInput:
-        return []  # pyserial is an extra
+    except MissingExtra:
+        return []
 
 
 @final

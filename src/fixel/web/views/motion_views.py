@@ -16,7 +16,7 @@ from fixel.calibration.target import errors_of, scene_of
 from fixel.drawing.view import forces
 from fixel.model import Body, Channel, Disk, Experiment, Fixel, Pusher, Scene, Trajectory
 from fixel.model.records import SimulationRecord
-from fixel.model.shape import Shape, placed
+from fixel.model.shape import Shape, placed, rotated
 from fixel.simulation import Simulation
 from fixel.typing import FloatArray, IntArray
 from fixel.web.values import Answer, Array, IndexArray, Numbers
@@ -282,8 +282,8 @@ def contacts_of(simulation: Simulation, n_sample: int) -> ContactViews:
         if len(own):
             track = Trajectory(time=instants, pose=simulation.pose[name][:n_sample])
             then, now = track.at(written[own]), track.at(rows["time"][own])
-            point[own] = now[:, :2] + _turned(point[own] - then[:, :2], now[:, 2] - then[:, 2])
-            force[own] = _turned(force[own], now[:, 2] - then[:, 2])
+            point[own] = now[:, :2] + rotated(point[own] - then[:, :2], now[:, 2] - then[:, 2])
+            force[own] = rotated(force[own], now[:, 2] - then[:, 2])
     return ContactViews(sample=sample, pair=pair, point=point, force=force)
 
 
@@ -294,12 +294,6 @@ def _when_written(time: FloatArray, pair: IntArray, point: FloatArray) -> FloatA
     group = group.ravel()
     count = np.bincount(group)
     return np.asarray((np.bincount(group, time) / count)[group], np.float64)
-
-
-def _turned(vectors: FloatArray, angle: FloatArray) -> FloatArray:
-    c, s = np.cos(angle), np.sin(angle)
-    x, y = vectors.T
-    return np.column_stack((c * x - s * y, s * x + c * y))
 
 
 def _continuous(pose: FloatArray) -> FloatArray:
