@@ -10,8 +10,9 @@ import numpy as np
 
 from fixel.drawing import palette
 from fixel.drawing.chart import WIDE, sheet, tint
+from fixel.drawing.top_view import closed_line
 from fixel.model import placed
-from fixel.replay.base import Row, closed, hide_spines
+from fixel.replay.base import Row, hide_spines
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -71,13 +72,13 @@ def _plan(axes: Axes, plan: PushPlan) -> None:
     """Draw walls, planned poses before each push, ways of the tool, and simulated ends."""
     scene, outline = plan.scene, plan.scene.bodies[0].shape.outline
     for fixel in scene.fixels:
-        axes.fill(*closed(placed(fixel.shape.outline, fixel.pose), MM), color=palette.FIXEL)
+        axes.fill(*closed_line(placed(fixel.shape.outline, fixel.pose)), color=palette.FIXEL)
     failed = np.array([bool(why) for why in plan.runs.outcome])
     for bad, colour in ((False, palette.TOUCHED), (True, palette.FORCE)):
         for pose in plan.runs.end[failed == bad][:SHOWN_RUNS]:
-            axes.plot(*closed(placed(outline, pose), MM), color=colour, linewidth=0.3, alpha=0.3)
+            axes.plot(*closed_line(placed(outline, pose)), color=colour, linewidth=0.3, alpha=0.3)
     for k, (pose, path) in enumerate(zip(plan.start, plan.path, strict=True)):
-        ring = closed(placed(outline, pose), MM)
+        ring = closed_line(placed(outline, pose))
         axes.fill(*ring, color=tint(palette.BODY, 0.15))
         axes.plot(*ring, color=palette.BODY, linewidth=0.6)
         axes.annotate(

@@ -9,8 +9,10 @@ import numpy as np
 
 from fixel.drawing import palette
 from fixel.drawing.chart import sheet, tint
+from fixel.drawing.top_view import closed_line
+from fixel.drawing.view import UNITS
 from fixel.model import Scene, placed
-from fixel.replay.base import SHOWN, WIDE, closed, hide_spines, label_fixels
+from fixel.replay.base import SHOWN, WIDE, hide_spines, label_fixels
 from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from fixel.replay.base import Row
     from reproductions.result import HeldOutScores
 
+MICRONS: Final = UNITS[0]
 COLOURS: Final = (palette.BODY, palette.TOUCHED, palette.CONE, palette.FORCE, palette.TRAIL)
 
 # Colour and marker of each model of a benchmark.
@@ -53,8 +56,8 @@ def supports_figure(outline: FloatArray, supports: Mapping[str, Sequence[FloatAr
     figure = sheet(WIDE, WIDE / max(n, 2) + 0.25)
     row = figure.subplots(1, n, squeeze=False, sharey=True)[0]
     for axes, (name, found) in zip(row, supports.items(), strict=True):
-        axes.fill(*closed(outline), color=tint(palette.BODY, 0.12))
-        axes.plot(*closed(outline), color=palette.BODY, linewidth=0.8)
+        axes.fill(*closed_line(outline), color=tint(palette.BODY, 0.12))
+        axes.plot(*closed_line(outline), color=palette.BODY, linewidth=0.8)
         for points, (colour, marker, label) in zip(
             found,
             (
@@ -64,7 +67,7 @@ def supports_figure(outline: FloatArray, supports: Mapping[str, Sequence[FloatAr
             ),
             strict=True,
         ):
-            axes.plot(*closed(points), color=colour, linewidth=0.5, alpha=0.5)
+            axes.plot(*closed_line(points), color=colour, linewidth=0.5, alpha=0.5)
             axes.plot(*(points.T * 1e3), marker, color=colour, markersize=4.0, linestyle="none",
                       markerfacecolor="none" if marker == "s" else colour, label=label)  # fmt: skip
         axes.plot(0.0, 0.0, "+", color=palette.INK, markersize=6.0, label="centre of mass")
@@ -100,20 +103,22 @@ def paths_figure(
     figure = sheet(WIDE, 3.3)
     top, errors = figure.subplots(1, 2, width_ratios=(1.0, 1.1))
     outline = scene.bodies[0].shape.outline
-    top.fill(*closed(placed(outline, measured[0])), color=palette.FAINT, label="start")
+    top.fill(*closed_line(placed(outline, measured[0])), color=palette.FAINT, label="start")
     colours = (palette.INK, *COLOURS)
     for (label, pose), colour in zip(
         {"measured": measured, **curves}.items(), colours, strict=False
     ):
         width = 1.4 if colour == palette.INK else 1.0
-        top.plot(*closed(placed(outline, pose[-1])), color=colour, linewidth=width, label=label)
+        top.plot(
+            *closed_line(placed(outline, pose[-1])), color=colour, linewidth=width, label=label
+        )
         top.plot(*(pose[:, :2].T * 1e3), color=colour, linewidth=width)
         if pose is not measured:
             error = np.hypot(*(pose - measured)[:, :2].T)
             errors.plot(time, error * 1e3, color=colour, linewidth=1.1)
     label_fixels(top, scene.fixels, -12.0)
     for pose, style in zip(actuator, ((0, (3, 2)), "-"), strict=True):
-        corners = closed(placed(scene.pushers[0].shape.outline, pose))
+        corners = closed_line(placed(scene.pushers[0].shape.outline, pose))
         top.plot(*corners, color=palette.PUSHER, linewidth=0.8, linestyle=style)
     _top_view(top)
     errors.set(xlabel="time [s]", ylabel="distance from the measured pose [mm]", ylim=(0.0, None))
@@ -140,12 +145,12 @@ def clusters_figure(
     figure = sheet(WIDE, 2.55 * rows + 0.2)
     panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     for axes, (title, found) in zip(panels.ravel(), clusters.items(), strict=False):
-        axes.fill(*closed(outline, 1e6), color=tint(palette.BODY, 0.10))
-        axes.plot(*closed(outline, 1e6), color=palette.BODY, linewidth=0.8)
-        axes.plot(*closed(truth, 1e6), color=palette.INK, linewidth=1.0,
+        axes.fill(*closed_line(outline, MICRONS), color=tint(palette.BODY, 0.10))
+        axes.plot(*closed_line(outline, MICRONS), color=palette.BODY, linewidth=0.8)
+        axes.plot(*closed_line(truth, MICRONS), color=palette.INK, linewidth=1.0,
                   linestyle=(0, (3, 2)), label="p1*, which made the data")  # fmt: skip
         for points, share in zip(*found, strict=True):
-            axes.plot(*closed(points, 1e6), color=palette.FORCE, linewidth=0.6, alpha=0.6)
+            axes.plot(*closed_line(points, MICRONS), color=palette.FORCE, linewidth=0.6, alpha=0.6)
             axes.scatter(*(points.T * 1e6), s=60.0 * share + 0.5, color=palette.FORCE, alpha=0.7,
                          linewidths=0.0, label="found, area by load")  # fmt: skip
         axes.plot(0.0, 0.0, "+", color=palette.INK, markersize=5.0, label="centre of mass")

@@ -205,6 +205,11 @@ class Capability:
                 holder[own or name] = option.parsed(given)
         return self.request(values)
 
+    @property
+    def usual_texts(self) -> dict[str, list[str]]:
+        """Texts of the defaults of all shown options."""
+        return {name: option.texts(option.default) for name, option in self.shown.items()}
+
     def texts(self, request: BaseModel) -> dict[str, list[str]]:
         """Return texts of all shown options; inverse of `from_texts`."""
         found = {}
@@ -221,7 +226,7 @@ class Capability:
 
     def words(self, request: BaseModel) -> list[str]:
         """Return the words of the command that repeats a request."""
-        usual = {name: option.texts(option.default) for name, option in self.shown.items()}
+        usual = self.usual_texts
         words: list[str] = []
         for name, texts in self.texts(request).items():
             option = self.shown[name]

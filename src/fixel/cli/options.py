@@ -92,11 +92,11 @@ def required(help: str, **more: Any) -> Any:
 def with_options(command: Callable[..., None]) -> Callable[..., None]:
     """Show Typer the options of a command that are declared with `option` or in groups.
 
-    A group is a parameter whose type is a dataclass; each of its fields is an option, or a group
-    again. Typer sees one parameter for each option, and the command gets the dataclass.
+    A group is a parameter whose type is a dataclass; each of its fields is an option. Typer sees
+    one parameter for each option, and the command gets the dataclass.
     """
     declared = signature(command, eval_str=True).parameters.values()
-    groups = {p.name: p.annotation for p in declared if is_dataclass(p.annotation)}
+    groups: dict[str, Any] = {p.name: p.annotation for p in declared if is_dataclass(p.annotation)}
     parameters: list[Parameter] = []
     for parameter in declared:
         if parameter.name in groups:

@@ -129,6 +129,8 @@ def plan_table(
 ) -> ImportPlan:
     """Plan the import of a table.
 
+    Raise `InvalidInput` if the table cannot be understood, or does not fit the scene.
+
     Parameters
     ----------
     source : Path
@@ -143,11 +145,6 @@ def plan_table(
         Titles of columns by role: `{"theta": "yaw"}`.
     dataset : str
         Name of the importer, and of the dataset of a single experiment.
-
-    Raises
-    ------
-    InvalidInput
-        The table cannot be understood, or does not fit the scene.
     """
     chosen = _chosen_columns(table, columns or {})
     stem = options.get("name", Path(source.name.removesuffix(".gz")).stem)

@@ -97,6 +97,8 @@ class ConformalBound:
     ) -> ConformalBound:
         """Learn from experiments that the calibration has not seen.
 
+        Raise `InvalidInput` for too few experiments for the level, or invalid numbers.
+
         Parameters
         ----------
         features : (n, f) array_like
@@ -120,11 +122,6 @@ class ConformalBound:
             Rule for new units. `"guaranteed"` needs 9 units for 90 %. `"typical"` aims at the level
             over the pushes of all new units, `"cautious"` in as large a share of new units; both
             are wider the fewer units, or groups of them, there are. See `proved_level`.
-
-        Raises
-        ------
-        InvalidInput
-            Too few experiments for the level, or invalid numbers.
         """
         table, off = _checked(features, errors)
         labels = _labels(groups, len(off))

@@ -412,12 +412,8 @@ def start_filter(
     """Begin to follow the object of a scene, or of an experiment at its first frame.
 
     Poses (3,) of the object and of the pusher now [m, m, rad] are by default those of the scene,
-    and the time now [s] is 0, or the experiment's first instant.
-
-    Raises
-    ------
-    InvalidInput
-        No scene, more than one body or pusher, or a prior that changes nothing in it.
+    and the time now [s] is 0, or the experiment's first instant. Raise `InvalidInput` without a
+    scene, for more than one body or pusher, or if the prior changes nothing in it.
     """
     whole(seed, "filter.seed", 0)
     if isinstance(setup, Experiment):

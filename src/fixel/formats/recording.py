@@ -137,10 +137,7 @@ def is_recording(folder: str | Path) -> bool:
 def open_recording(folder: str | Path) -> Recording:
     """Load a recording and check every row against its picture.
 
-    Raises
-    ------
-    InvalidInput
-        No recording, or one whose rows and pictures do not match.
+    Raise `InvalidInput` for no recording, or one whose rows and pictures do not match.
     """
     folder = Path(folder)
     header, end = read_header(folder), read_end(folder)

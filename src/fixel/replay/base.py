@@ -264,6 +264,11 @@ def ring(centre: FloatArray, radius: float) -> FloatArray:
     return np.asarray(radius * 1e3 * np.array([np.cos(turn), np.sin(turn)]) + centre[:, None])
 
 
+def hide_spines(axes: Axes) -> None:
+    """Hide the upper and right spines."""
+    axes.spines[["top", "right"]].set_visible(False)
+
+
 def label_fixels(axes: Axes, fixels: Sequence[Fixel], below: float) -> None:
     """Draw round fixels, with their numbers some points below."""
     for number, fixel in enumerate(fixels, 1):
@@ -361,7 +366,7 @@ def _push(
     axes.set_aspect("equal")
     axes.set(title=f"{name}\noff by {error_mm:.1f} mm")
     axes.set_xlabel("x from the start [mm]")
-    axes.spines[["top", "right"]].set_visible(False)
+    hide_spines(axes)
 
 
 def trial_figure(

@@ -114,12 +114,8 @@ class GrblActuator(AbstractActuator):
     def connect(self) -> Self:
         """Open the port, check that a controller answers, and read its settings.
 
-        Raises
-        ------
-        InvalidInput
-            The port cannot be opened, or another device answers; with its answer.
-        DeviceFailed
-            The controller does not answer as it should.
+        Raise `InvalidInput` with the answer if the port cannot be opened or another device answers,
+        and `DeviceFailed` if the controller does not answer as it should.
         """
         self.disconnect()
         serial = open_port(self.port, grbl.BAUD, "the actuator's controller")

@@ -84,10 +84,7 @@ class TactileReader:
     def connect(self) -> Self:
         """Open the port and identify the board.
 
-        Raises
-        ------
-        InvalidInput
-            The port cannot be opened, or another device answers; with its answer.
+        Raise `InvalidInput` with the answer if the port cannot be opened or another device answers.
         """
         self.disconnect()
         self._serial = link = open_port(self.port, frames.BAUD, "the tactile board")

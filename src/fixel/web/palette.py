@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Final
 
 from fixel.drawing import palette
@@ -46,7 +47,7 @@ def _of_probability(percent: int) -> str:
     """
     to, share = NO if percent < 50 else YES, abs(2 * percent / 100 - 1) ** 2.5
     mixed = (c + (t - c) * share for c, t in zip(_rgb(UNDECIDED), _rgb(to), strict=True))
-    colour = "#" + "".join(f"{round(255 * c):02x}" for c in mixed)
+    colour = _text_of(mixed)
     ink = "#101418" if _lightness(colour) > 0.18 else "#ffffff"
     return f".p{percent} {{ background: {colour}; color: {ink}; }}"
 
@@ -63,8 +64,7 @@ def readable(colour: str, ground: str, contrast: float) -> str:
     """Mix a colour with black or white until it contrasts with its background."""
     against = 0.0 if _lightness(ground) > 0.5 else 1.0
     for share in range(0, 101, 2):
-        mixed = tuple(c + (against - c) * share / 100 for c in _rgb(colour))
-        text = "#" + "".join(f"{round(255 * c):02x}" for c in mixed)
+        text = _text_of(c + (against - c) * share / 100 for c in _rgb(colour))
         if contrast_of(text, ground) >= contrast:
             return text
     return text
@@ -79,6 +79,10 @@ def contrast_of(one: str, other: str) -> float:
 def _lightness(colour: str) -> float:
     linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in _rgb(colour)]
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def _text_of(colour: Iterable[float]) -> str:
+    return "#" + "".join(f"{round(255 * c):02x}" for c in colour)
 
 
 def _rgb(colour: str) -> Colour:

@@ -20,7 +20,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, InstanceOf, 
 
 from fixel.capability.capability import Capability
 from fixel.database.project import ANALYSES, Project
-from fixel.errors import FixelError
+from fixel.errors import FixelError, NotStored
 from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.io.atomic import write_whole
 from fixel.io.damaged_files import each_readable, readable
@@ -240,14 +240,17 @@ def load_with_errors(
     return sorted(found, key=lambda one: one.analysis.created, reverse=True), unreadable
 
 
-def find_analysis(project: Project, name: str, kind: str | None = None) -> StoredAnalysis | None:
-    """Load the analysis in a folder of this name; None if there is none that can be read.
+def find_analysis(project: Project, name: str, kind: str = "") -> StoredAnalysis:
+    """Load the analysis in a folder of this name; raise `NotStored` if none can be read.
 
     The name is compared with existing ones and never used as a path.
     """
     paths = (project.folder / ANALYSES).glob(f"*/{CONTENT}")
     found, _ = each_readable(_kept, (path for path in paths if path.parent.name == name))
-    return next((one for one in found if kind in (None, one.analysis.kind)), None)
+    for one in found:
+        if kind in ("", one.analysis.kind):
+            return one
+    raise NotStored(f"{kind or 'analysis'} {name!r}", hint="the page Results lists all")
 
 
 def _kept(path: Path) -> StoredAnalysis:

@@ -58,10 +58,8 @@ class JobStatus(JobProgress):
         description="status: queued, preparing, running, collecting, done, failed, stopped, "
         "cancelled; lost if its process has died; unreadable"
     )
-    # Function that made the work, and when.
     maker: str = Field(default="", description="function that created the work")
     made_utc: str = ""
-    # Number of answers in the journal, from this session and earlier ones.
     kept: int = Field(
         default=0, description="number of answers in the journal, which survive a crash"
     )

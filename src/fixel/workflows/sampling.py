@@ -33,6 +33,8 @@ def planned_rows(
 ) -> tuple[PlannedExperiment, ...]:
     """Read the experiments of a plan in order, each with its scene.
 
+    Raise `InvalidInput` with the first error of the file, and its key, or its row and column.
+
     Parameters
     ----------
     path : Path
@@ -41,11 +43,6 @@ def planned_rows(
         Project of the stored experiments that a table names.
     scene : Path, optional
         Scene file from which the rows of a table differ; by default `scene.yaml` in its folder.
-
-    Raises
-    ------
-    InvalidInput
-        The first error of the file, with its key, or its row and column.
     """
     from fixel.calibration.target import scene_of
     from fixel.datasets.plan_table import read_rows
@@ -85,6 +82,8 @@ def sample(
 ) -> SampleAnswer:
     """Create a plan of experiments and report its problems.
 
+    Raise `InvalidInput` for a file that cannot be read or written, or an invalid plan.
+
     Parameters
     ----------
     plan : Path, optional
@@ -103,11 +102,6 @@ def sample(
         Whether to simulate every experiment and check that the object touches a fixel.
     progress : object
         Not used: it takes seconds.
-
-    Raises
-    ------
-    InvalidInput
-        A file that cannot be read or written, or an invalid plan.
     """
     from fixel.datasets.plan_table import write_rows
     from fixel.drawing.chart import require_file

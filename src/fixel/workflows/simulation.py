@@ -116,6 +116,8 @@ def simulate_scene(
 ) -> Simulation:
     """Simulate a scene file and report the final poses.
 
+    Raise `InvalidInput` for an invalid scene, method or file name.
+
     Parameters
     ----------
     scene : path
@@ -147,11 +149,6 @@ def simulate_scene(
         repeated.
     progress : bool or callable, optional
         Not used.
-
-    Raises
-    ------
-    InvalidInput
-        Invalid scene, method or file name.
     """
     from fixel.formats import load_scene
     from fixel.simulation.stepper import stepper_of

@@ -97,7 +97,8 @@ def check_stored(
 ) -> TableCheck:
     """Check from repeated pushes whether a table is good enough for plans.
 
-    `fixel sample --table` plans such pushes.
+    `fixel sample --table` plans such pushes. `InvalidInput` is raised if no push was repeated at
+    one place and elsewhere, or there are several tables.
 
     Parameters
     ----------
@@ -109,11 +110,6 @@ def check_stored(
         Not used: it takes seconds.
     **options
         Options of `fixel.table_check`.
-
-    Raises
-    ------
-    InvalidInput
-        No push was repeated at one place and elsewhere, or there are several tables.
     """
     return table_check(project.experiments(*where, flagged=flagged), **options)
 

@@ -121,6 +121,8 @@ def film_scene(
 ) -> Iterator[Frame]:
     """Render the frames of a film, one by one.
 
+    Raise `InvalidInput` if a body or pusher has no trajectory.
+
     Parameters
     ----------
     scene : Scene
@@ -135,11 +137,6 @@ def film_scene(
     Yields
     ------
     Frame
-
-    Raises
-    ------
-    InvalidInput
-        A body or pusher has no trajectory.
     """
     tracks = tracks_of(scene, motion)
     view = view_of(scene, rig, looks, seed)

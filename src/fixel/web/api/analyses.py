@@ -12,7 +12,7 @@ from pydantic import Field
 from fixel.errors import FixelError, NotStored
 from fixel.web.context import Context
 from fixel.web.values import Answer
-from fixel.workflows.analysis import Analysis, StoredAnalysis, find_analysis, load_with_errors
+from fixel.workflows.analysis import Analysis, find_analysis, load_with_errors
 from fixel.workflows.planning.execute import run_on_testbed
 from fixel.workflows.planning.report import FILE
 from fixel.workflows.planning.request import load_plan, load_trials
@@ -55,14 +55,7 @@ def analyses(context: Context, kind: str | None = None) -> AnalysisList:
 
 @router.get("/{name}", summary="Get a stored analysis with all its numbers")
 def analysis(context: Context, name: str) -> Analysis:
-    return _named(context, name).analysis
-
-
-def _named(context: Context, name: str) -> StoredAnalysis:
-    one = find_analysis(context.project, name)
-    if one is None:
-        raise NotStored(f"analysis {name}", hint="/analyses lists all")
-    return one
+    return find_analysis(context.project, name).analysis
 
 
 @router.get(
@@ -71,7 +64,7 @@ def _named(context: Context, name: str) -> StoredAnalysis:
     response_class=FileResponse,
 )
 def picture(context: Context, name: str, picture: str, ending: str) -> FileResponse:
-    one = _named(context, name)
+    one = find_analysis(context.project, name)
     # Only what an analysis names itself: no part of an address becomes a path.
     own = next((p.name for p in one.analysis.pictures if p.name == picture), None)
     if own is None or ending not in TYPES:
@@ -91,7 +84,7 @@ class PlanTrialAnswer(Answer):
 @plans.post("/{name}/trials", summary="Carry out a plan 20 times on the simulated testbed")
 def trials(context: Context, name: str) -> PlanTrialAnswer:
     own = find_analysis(context.project, name, "plan")
-    if own is None or not (own.folder / FILE).is_file():
+    if not (own.folder / FILE).is_file():
         raise NotStored(f"plan {name!r}", hint="/analyses lists all")
     run_on_testbed(own.folder / FILE, trials=20)
     return PlanTrialAnswer(lines=trials_of(own.folder))

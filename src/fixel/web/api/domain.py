@@ -10,6 +10,7 @@ from fixel.web.context import Context, ProjectContext
 from fixel.web.values import Answer
 from fixel.web.views import domain_views
 from fixel.web.views.domain_views import ClaimQuery, MapDocument, MapView, SuggestedExperiment
+from fixel.workflows.analysis import find_analysis
 
 router = APIRouter(prefix="/domain", tags=["domain"])
 
@@ -21,7 +22,7 @@ class NextExperiments(Answer):
 
 
 def _view(context: ProjectContext, name: str) -> MapView:
-    return context.domain(name, domain_views.find_map(context.project, name).analysis.created)
+    return context.domain(name, find_analysis(context.project, name, "domain").analysis.created)
 
 
 @router.get("/{name}", summary="Get a map at a threshold")

@@ -38,8 +38,7 @@ def bench_page(context: ProjectContext, request: Request) -> dict[str, Any]:
             report["problems"] += [session.trouble] if session.trouble else []
             heading = f"Bench: {report['campaign']}"
             return {"report": report, "heading": heading, "running": session.running}
-    texts = {name: option.texts(option.default) for name, option in BENCH.shown.items()}
-    return _form(context, texts)
+    return _form(context, BENCH.usual_texts)
 
 
 def start(

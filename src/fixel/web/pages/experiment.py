@@ -161,7 +161,7 @@ def provenance(experiment: Experiment) -> list[Fact]:
 
 def _short(name: str, value: str) -> str:
     """Shorten checksums to their beginning, which identifies them; the JSON has all of it."""
-    return f"{value[:16]}\u2026" if name.endswith("SHA-256") else value
+    return f"{value[:16]}\u2026" if name.startswith("SHA-256") else value
 
 
 def command(context: ProjectContext, experiment: Experiment) -> str:

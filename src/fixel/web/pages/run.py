@@ -27,7 +27,7 @@ from fixel.web.context import ProjectContext
 from fixel.web.problems import problem_of
 from fixel.web.views import job_list
 from fixel.workflows import capabilities, jobs
-from fixel.workflows.analysis import StoredAnalysis, find_analysis, load_with_errors
+from fixel.workflows.analysis import find_analysis, load_with_errors
 from fixel.workflows.jobs import JobStatus
 
 OFFERED: Final = 300  # names in the list of experiments
@@ -64,7 +64,7 @@ class FormField:
 def plan_page(context: ProjectContext, request: Request) -> dict[str, Any]:
     """Fill `/plan?experiment=KEY`: the form of a plan, with a stage for its goal."""
     capability = FORMS["plan"]
-    texts = {name: o.texts(o.default) for name, o in capability.shown.items()}
+    texts = capability.usual_texts
     if key := request.query_params.get("experiment", ""):
         texts["experiment"] = [key]
     found = filled_form(context, capability, texts) | {
@@ -91,11 +91,11 @@ def form_page(context: ProjectContext, request: Request) -> dict[str, Any]:
     Options may be in the address, as in `?experiments=6&experiments=7`.
     """
     capability = form_of(request.url.path)
-    texts = {name: o.texts(o.default) for name, o in capability.shown.items()}
+    texts = capability.usual_texts
     for name in texts.keys() & request.query_params.keys():
         texts[name] = texts_of(capability, name, request.query_params.getlist(name))
     if source := request.query_params.get("from", ""):
-        kept = _result(context, source)
+        kept = find_analysis(context.project, source)
         if kept.analysis.kind == capability.name and kept.analysis.request:
             texts = capability.texts(capability.from_json(json.dumps(kept.analysis.request)))
     return filled_form(context, capability, texts)
@@ -217,7 +217,7 @@ def results_page(context: ProjectContext, _: Request) -> dict[str, Any]:
 
 def result_page(context: ProjectContext, request: Request) -> dict[str, Any]:
     """Fill `/results/NAME`."""
-    kept = _result(context, request.path_params["name"])
+    kept = find_analysis(context.project, request.path_params["name"])
     analysis = kept.analysis
     return {
         "title": analysis.title,
@@ -227,13 +227,6 @@ def result_page(context: ProjectContext, request: Request) -> dict[str, Any]:
         "place": shlex.quote(str(kept.folder)),
         "trials": trials_of(kept.folder) if analysis.kind == "plan" else [],
     }
-
-
-def _result(context: ProjectContext, name: str) -> StoredAnalysis:
-    one = find_analysis(context.project, name)
-    if one is None:
-        raise NotStored(f"result {name!r}", hint="the page Results lists all")
-    return one
 
 
 # --- jobs -----------------------------------------------------------------------------------------

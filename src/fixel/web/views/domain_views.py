@@ -17,7 +17,7 @@ from fixel.domain.cells import CellAxis, Cells
 from fixel.domain.claim import COLOURS, TRUSTED, CellVerdict, Claim
 from fixel.domain.domain import DomainMap
 from fixel.domain.evidence import value_of
-from fixel.errors import InvalidInput, JobRefused, NotStored
+from fixel.errors import InvalidInput, JobRefused
 from fixel.web.values import Answer, Finite
 from fixel.workflows.analysis import StoredAnalysis, find_analysis
 from fixel.workflows.domain.evidence import DomainEvidence, load_evidence
@@ -143,14 +143,6 @@ class MapView(NamedTuple):
     n_aside: int  # number of experiments left out, as they were offset along something else
 
 
-def find_map(project: Project, name: str) -> StoredAnalysis:
-    """Return a stored map by the name of its folder."""
-    one = find_analysis(project, name, "domain")
-    if one is None:
-        raise NotStored(f"map {name!r}", hint="make one with: fixel domain")
-    return one
-
-
 def load_view(project: Project, records: Store, name: str, created: str) -> MapView:
     """Return the map stored in the folder of a name.
 
@@ -158,7 +150,7 @@ def load_view(project: Project, records: Store, name: str, created: str) -> MapV
     cache of this function. Raise `NotStored` without such an analysis, and `JobRefused` if its
     held-out errors are gone or an earlier version has made it.
     """
-    one = find_map(project, name)
+    one = find_analysis(project, name, "domain")
     again = f"compute the map again: {one.analysis.command or 'fixel domain'}"
     if not one.analysis.request:
         raise JobRefused("an earlier version of fixel has made this map", hint=again)

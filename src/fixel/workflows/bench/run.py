@@ -57,7 +57,10 @@ def open_bench(
 ) -> AbstractContextManager[BenchLoop]:
     """Perform a plan of experiments at a bench, row by row.
 
-    The same command continues after an interruption. Nothing is ever deleted.
+    The same command continues after an interruption. Nothing is ever deleted. `InvalidInput` is
+    raised for the plan, a device or a row that the drive cannot perform, before anything moves;
+    `DeviceFailed` if a device does not answer as it should; `JobRefused` if another process
+    performs this campaign.
 
     Parameters
     ----------
@@ -116,15 +119,6 @@ def open_bench(
     context manager
         It opens the devices and gives a `BenchLoop`, whose `run` performs the plan. Every row was
         checked against the limits of the drive.
-
-    Raises
-    ------
-    InvalidInput
-        The plan, a device or a row that the drive cannot perform; before anything moves.
-    DeviceFailed
-        A device does not answer as it should.
-    JobRefused
-        Another process performs this campaign.
     """
     from fixel.sampling import about_part as pushes_about_part
     from fixel.sampling import thesis_plan

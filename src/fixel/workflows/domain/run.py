@@ -173,7 +173,9 @@ def map_stored(
 ) -> DomainAnswer:
     """Map where one parameter set predicts held-out experiments.
 
-    Fits are stored, so other axes, thresholds and nominals need no new fits.
+    Fits are stored, so other axes, thresholds and nominals need no new fits. `InvalidInput` is
+    raised for too few experiments, a threshold below the noise, a nominal without data, or an axis
+    that no experiment has.
 
     Parameters
     ----------
@@ -193,12 +195,6 @@ def map_stored(
         Include experiments whose data have faults.
     **options
         Options of `fixel.map_domain`.
-
-    Raises
-    ------
-    InvalidInput
-        Too few experiments, a threshold below the noise, a nominal without data, or an axis that
-        no experiment has.
     """
     asked = DOMAIN.asked(locals())
     from fixel.progress import show_progress

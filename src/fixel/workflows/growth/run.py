@@ -29,7 +29,8 @@ def grow_stored(
     """Grow the domain from stored calibrations, as the thesis did.
 
     Step i adds the experiments x+i, y+i, y-i and theta+i to the nominal one; one set of parameters
-    simulates them all, and the largest error counts.
+    simulates them all, and the largest error counts. `InvalidInput` is raised without experiments
+    of a plan, or if some have no calibration of the same method.
 
     Parameters
     ----------
@@ -52,11 +53,6 @@ def grow_stored(
         Use only calibrations with this motion model.
     error : str
         Use only calibrations with this error.
-
-    Raises
-    ------
-    InvalidInput
-        No experiments of a plan, or some without a calibration of the same method.
     """
     from fixel.progress import show_progress
     from fixel.workflows.growth.explore import explore
