@@ -85,7 +85,7 @@ def test_what_is_written_is_read(plan, tmp_path):
         ("name,speed_mms\na,1\n", "plan.csv, header", "did you mean 'speed_mm_s'"),
         ("name,ofset_x_mm\na,1\n", "plan.csv, row 1, a.ofset_x_m", "mean 'offset_x_m'"),
         ("name,x_deg\na,1\n", "plan.csv, header", "'x_deg'"),
-        ("name;x_mm\na;1\n", "plan.csv", "fixel needs a column name"),
+        ("name|x_mm\na|1\n", "plan.csv", "fixel needs a column name"),
         (
             "name,x_mm\na,160\nb,far\n",
             "plan.csv, row 2, column x_mm",

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from tests.datasets.recordings import table_file
 
+import fixel
 from fixel.datasets import IMPORTERS, ImportPlan
 from fixel.errors import InvalidInput
 from fixel.model import Experiment
@@ -139,17 +140,52 @@ def test_a_compressed_table(tmp_path: Path) -> None:
         ("t_s,x_m,x_mm,y_m\n0,0,0,0\n", "found 'x_m' and 'x_mm'"),
         ("t_s,x_m,x_m,y_m\n0,0,0,0\n", "header: found 'x_m' twice"),
         ("t_s,x_deg,y_m\n0,0,0\n", "column x_deg: found a unit of angle"),
-        ("t_s;x_m;y_m\n0;0;0\n", "semicolons"),
+        (
+            't_s,x_m,y_m\n"0,5",0,0\n',
+            "is '0,5', but must be a finite number; write a decimal point",
+        ),
+        ("t_s;x_m;y_m\n0;1.000,5;0\n", "is '1.000,5', but must be a finite number"),
         ("t_s,x_m,y_m,touch_bool\n0,0,0,2\n", "column touch_bool is '2'"),
         ("t_s,x_m,y_m\n0,,\n", "no pose of the object"),
         ("t_s,x_m,y_m\n0,0\n", "2 cells, but fixel needs 3"),
-        ("t_s,x_m,y_m\n", "1 lines"),
-        ("", "0 lines"),
+        ("t_s,x_m,y_m\n", "a header without rows"),
+        ("", "an empty file"),
     ],
 )
 def test_wrong_tables_are_refused(text: str, complaint: str, tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match=complaint):
         plan_of(tmp_path, text)
+
+
+@pytest.mark.parametrize("start", ["", "\ufeff"])
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+@pytest.mark.parametrize(("separator", "point"), [(",", "."), (";", "."), (";", ","), ("\t", ",")])
+def test_tables_of_spreadsheets_of_all_countries_are_alike(tmp_path, start, end, separator, point):
+    """Marks of the encoding, ends of lines, separators and decimal commas change nothing."""
+    rows = [["run", "t_s", "x_mm", "y_mm"], ["a,1"] * 4, ["a,1"] * 4]
+    for row, numbers in zip(rows[1:], (("0", "-1.5", "2e-1"), ("0.5", ".25", "3")), strict=True):
+        row[1:] = [number.replace(".", point) for number in numbers]
+        row[0] = "a"
+    path = tmp_path / "own.csv"
+    path.write_bytes((start + end.join(map(separator.join, rows)) + end).encode())
+    (own,) = fixel.read_experiments(path, split_by="run", progress=False)
+    assert own.trajectory.time.tolist() == [0.0, 0.5]
+    assert own.trajectory.pose[:, :2] == pytest.approx(
+        np.array([[-1.5e-3, 2e-4], [2.5e-4, 3e-3]]), abs=0.0, rel=1e-15
+    )
+
+
+def test_the_place_of_an_error_is_the_row_of_the_file(tmp_path: Path) -> None:
+    rows = [f"{run},{t},0,0" for run in "abc" for t in (0, 1)]
+    rows[3] = "b,x,0,0"
+    plan = plan_of(tmp_path, "run,t_s,x_m,y_m\n" + "\n".join(rows) + "\n", split_by="run")
+    (problem,) = plan.problems.values()
+    assert str(problem).startswith("run 7.csv, row 4, column t_s (run b) is 'x'")
+
+
+def test_a_misspelt_angle_is_named(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, "t_s,x_m,y_m,teta_deg\n0,0,0,1\n1,0,0,2\n")
+    assert any("Is it 'teta_deg'?" in sentence for sentence in plan.understood)
 
 
 def test_wrong_options_are_refused(tmp_path: Path) -> None:

@@ -70,7 +70,10 @@ def import_(
         None, "Name of the importer; by default it is recognised.", "--as", metavar="NAME"
     ),
     option: list[str] | None = option(
-        None, "Option of the importer; may be repeated.", "--option", metavar="NAME=VALUE"
+        None,
+        "Option of the importer, such as split_by=push; may be repeated. A wrong name lists all.",
+        "--option",
+        metavar="NAME=VALUE",
     ),
     scene: Path | None = option(
         None,

@@ -6,10 +6,12 @@ import csv
 import gzip
 import json
 import math
+import re
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final, TextIO, final
 
@@ -33,6 +35,7 @@ MAX_WHOLE: Final = 2**31
 # unpack to more than fits in memory.
 MAX_FILE = 500_000_000
 MAX_LINE = 1_000_000
+DECIMAL: Final = re.compile(r"\s*[-+]?\d*,\d+([eE][-+]?\d+)?\s*")  # number with a decimal comma
 MAX_CELLS = 20_000_000  # a gigabyte or two as text; the force log of 245 pushes has one million
 
 
@@ -176,6 +179,7 @@ class CsvRows:
                 self.place(name, row),
                 found=repr(cell),
                 expected=f"a number within {LARGEST_NUMBER:g}" if giant else "a finite number",
+                hint="write a decimal point" if DECIMAL.fullmatch(cell) else None,
             )
         return value
 
@@ -213,7 +217,9 @@ def _cell(value: Any) -> str:
 def read_table(path: Path, *, torn: bool = False) -> CsvRows:
     """Load the rows of a Parquet file, or of a CSV file, plain or compressed with gzip.
 
-    Rows with a wrong number of cells are errors; with `torn`, they are listed as such.
+    Columns are separated by commas; or by semicolons or tabs, and numbers may then have decimal
+    commas, as spreadsheets of many countries write them. Rows with a wrong number of cells are
+    errors; with `torn`, they are listed as such.
     """
     if path.suffix == ".parquet":
         require("pyarrow", path.name, extra="parquet")
@@ -227,12 +233,24 @@ def read_table(path: Path, *, torn: bool = False) -> CsvRows:
             raise InvalidInput(path.name, found=found, expected="a Parquet file") from None
     opened = gzip.open if path.suffix == ".gz" else open
     try:
-        with opened(path, "rt", encoding="utf-8", newline="") as stream:
-            rows = _bounded_rows(csv.reader(bounded_lines(stream, path.name)), path.name)
-    except (OSError, EOFError, UnicodeDecodeError, zlib.error, csv.Error) as problem:
+        with opened(path, "rt", encoding="utf-8-sig", newline="") as stream:
+            lines = bounded_lines(stream, path.name)
+            header_line = next(lines, "")
+            separator = max(",;\t", key=header_line.count)
+            cells = csv.reader(chain([header_line], lines), delimiter=separator)
+            rows = _bounded_rows(cells if separator == "," else map(_pointed, cells), path.name)
+    except UnicodeDecodeError:
+        raise InvalidInput(
+            path.name,
+            found="characters that are not UTF-8",
+            expected="a readable CSV file",
+            hint='save the table as "CSV UTF-8"',
+        ) from None
+    except (OSError, EOFError, zlib.error, csv.Error) as problem:
         raise InvalidInput(path.name, found=problem, expected="a readable CSV file") from None
     if len(rows) < 2:
-        raise InvalidInput(path.name, found=f"{len(rows)} lines", expected="a header and rows")
+        found = "a header without rows" if any(rows) else "an empty file"
+        raise InvalidInput(path.name, found=found, expected="a header and rows")
     header, body = rows[0], [row for row in rows[1:] if row]
     if len(set(header)) < len(header):
         twice = next(name for k, name in enumerate(header) if name in header[:k])
@@ -252,6 +270,11 @@ def read_table(path: Path, *, torn: bool = False) -> CsvRows:
             body[number] = [*row, *[""] * len(header)][: len(header)]
     columns = dict(zip(header, zip(*body, strict=True), strict=True))
     return CsvRows(path.name, columns, torn=wrong)
+
+
+def _pointed(cells: list[str]) -> list[str]:
+    """Return cells with decimal points instead of decimal commas."""
+    return [cell.replace(",", ".") if DECIMAL.fullmatch(cell) else cell for cell in cells]
 
 
 def bounded_lines(stream: TextIO, source: str) -> Iterator[str]:
@@ -323,12 +346,14 @@ def only_file(folder: Path, *names: str) -> Path:
     raise DatasetMissing(folder, " or ".join(names))
 
 
-def increasing(time: FloatArray, source: str, hint: str = "") -> FloatArray:
-    """Return times unchanged; raise with a hint if they do not increase."""
+def increasing(
+    time: FloatArray, source: str, hint: str = "", lines: Sequence[int] = ()
+) -> FloatArray:
+    """Return times unchanged; raise with hint and row in `lines` if they do not increase."""
     if (np.diff(time) <= 0.0).any():
         row = int(np.argmax(np.diff(time) <= 0.0)) + 1
         raise InvalidInput(
-            f"{source}, row {row + 1}",
+            f"{source}, row {(lines[row] if lines else row) + 1}",
             found=f"t = {time[row]:g} s after {time[row - 1]:g} s",
             expected="increasing times",
             hint=hint,

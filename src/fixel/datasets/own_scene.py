@@ -205,10 +205,10 @@ def _driven(
             flags = (correction_flag(float(gap[0])),)
             measured = corrected_path(measured, offset[0], FADE)
             sentence += f", moved out of the object at the start, {-1e3 * gap[0]:.3g} mm"
-        sentence += (
-            f"; its surface comes within {1e3 * float(gaps.min()):.3g} mm of the outline and was"
-            f" {1e3 * float(gaps[0]):.3g} mm from it at the start."
-        )
+        least, first = 1e3 * float(gaps.min()), 1e3 * float(gaps[0])
+        near = "overlaps the outline by up to" if least < 0.0 else "comes as near to the outline as"
+        sentence += f"; its surface {near} {abs(least):.3g} mm"
+        sentence += "." if first < 0.0 else f", and was {first:.3g} mm from it at the start."
         if (deep := -float(np.quantile(gaps, OFTEN))) > MAX_CORRECTION:
             flags = (*flags, Flag("pusher-inside-object", f"often by {1e3 * deep:.3g} mm or more"))
             sentence += (
@@ -369,7 +369,7 @@ def _refuse_lengths(track: Trajectory, source: str) -> None:
             f"{source}, positions of the object",
             found=found,
             expected=f"at most {WIDEST:g} m and {FASTEST:g} m/s within {OUTERMOST:g} m of 0",
-            hint="check the unit of positions in the header: x_mm is in millimetres",
+            hint="check the units in the header: x_mm is in millimetres, time_s in seconds",
         )
 
 

@@ -47,7 +47,7 @@ def read_rows(
     any row is used.
     """
     table = read_table(path)
-    table = replace(table, columns={k.strip("\ufeff "): v for k, v in table.columns.items()})
+    table = replace(table, columns={k.strip(): v for k, v in table.columns.items()})
     table.require(["name"])
     columns = _columns(table)
     loaders = cache(lambda name: load_scene(path.parent / name).scene), cache(stored)

@@ -60,9 +60,11 @@ def importer_for(source: Path, name: str | None = None) -> Importer:
 
 def _hint(source: Path) -> str:
     """Hint that names subfolders with known data, or else the option to name an importer."""
+    if source.suffix.lower() in (".xlsx", ".xls", ".ods"):
+        return "save the sheet as CSV"
     inside = sorted(path for path in source.iterdir() if path.is_dir()) if source.is_dir() else []
     found = [path.name for path in inside if any(x.recognised(path) for x in _ALL)]
-    return f"data found in: {', '.join(found)}" if found else "choose the importer"
+    return f"data found in: {', '.join(found)}" if found else "name the importer: --as NAME"
 
 
 KINDS: Final = ("time", "length", "angle")

@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import ClassVar, Final, NamedTuple, final
 
@@ -164,7 +165,10 @@ def plan_table(
         except InvalidInput as problem:
             if value is None:
                 raise
-            problems[f"{stem}/{value}"] = problem.within(f"{split_by} {value}")
+            where = f"{problem.where} ({split_by} {value})"
+            problems[f"{stem}/{value}"] = InvalidInput(
+                where, found=problem.found, expected=problem.expected, hint=problem.hint
+            )
             continue
         experiments.append(experiment)
         sentences.append(understood + more)
@@ -323,13 +327,6 @@ def _experiment(
 def _columns(
     table: CsvRows, options: Mapping[str, str], chosen: Mapping[str, str]
 ) -> _TableReading:
-    if len(table.columns) == 1 and ";" in next(iter(table.columns)):
-        raise InvalidInput(
-            f"{table.source}, header",
-            found="semicolons",
-            expected="columns separated by commas",
-            hint="save the table with commas between the columns and decimal points",
-        )
     parsed = [_parsed(title, chosen.get(title), {*chosen.values()}) for title in table.columns]
     named = {column.role for column in parsed if column.role and not column.unknown}
     for column in parsed:
@@ -359,7 +356,7 @@ def _parsed(title: str, chosen: str | None, taken: Collection[str]) -> _TableCol
         own = _ROLES.get(stem)
         return chosen or (None if own in taken else own)
 
-    plain = re.sub(r"\W+", "_", title.strip().lower().lstrip("\ufeff")).strip("_")
+    plain = re.sub(r"\W+", "_", title.strip().lower()).strip("_")
     for ending in sorted(UNITS, key=len, reverse=True):
         if plain.endswith(f"_{ending}"):
             stem = plain.removesuffix(f"_{ending}")
@@ -484,12 +481,13 @@ def _time(reading: _TableReading) -> FloatArray:
     numbers = reading.numbers(column, blank=False)
     # Subtract first: seconds since 1970 leave few digits after the decimal point.
     time = (numbers - numbers[0]) * column.unit.scale
-    return increasing(time, reading.table.source, _how_to_split(reading, time))
+    hint = _how_to_split(reading, time)
+    return increasing(time, reading.table.source, hint, reading.table.lines)
 
 
 def _how_to_split(reading: _TableReading, time: FloatArray) -> str:
     """Return the hint for times that begin again: the column whose values separate experiments."""
-    if not (time[1:] <= time[0]).any():
+    if not (time[1:] <= time[0]).any() or reading.table.lines:  # or it was split already
         return ""
     found: dict[str, int] = {}
     for column in reading.others:
@@ -514,7 +512,10 @@ def _poses(
         columns.append(reading.si(f"{whose}theta"))
     else:
         columns.append(np.zeros(len(time)))
-        reading.remarks.append(f"There is no angle of the {what}; 0 is used throughout.")
+        stems = [stem for stem, role in _ROLES.items() if role == f"{whose}theta"]
+        near = [own.title for own in reading.others if get_close_matches(own.stem, stems, 1, 0.8)]
+        similar = f" Is it {near[0]!r}? Then correct the header." if near else ""
+        reading.remarks.append(f"There is no angle of the {what}; 0 is used throughout.{similar}")
         flags = () if whose else (remark("no-angle", "the table has none; 0 is used throughout"),)
     pose = np.column_stack(columns)
     there = np.asarray(~np.isnan(pose).any(axis=1))
