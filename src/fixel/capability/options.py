@@ -271,7 +271,8 @@ def _number(where: str, text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise InvalidInput(where, found=repr(text), expected="a number") from None
+        hint = "write a decimal point" if re.fullmatch(r"[-+]?\d*,\d+", text) else None
+        raise InvalidInput(where, found=repr(text), expected="a number", hint=hint) from None
 
 
 def _is_number(text: str) -> bool:

@@ -522,7 +522,8 @@ def _parameters_id(connection: sa.Connection, parameters: Mapping[str, float]) -
 def _row(connection: sa.Connection, table: sa.Table, number: int, what: str) -> sa.Row[Any]:
     row = connection.execute(sa.select(table).where(table.c.id == number)).one_or_none()
     if row is None:
-        raise _absent(f"{what} {number}")
+        listed = "fixel calibrations lists those that are stored"
+        raise _absent(f"{what} {number}", listed if what == "calibration" else None)
     return row
 
 

@@ -308,7 +308,7 @@ def _decoded(container: Any, stream: Any, check: _FilmCheck) -> Iterator[Any]:
 def _opened(path: Path) -> Any:
     if not path.is_file():
         found = "a folder" if path.is_dir() else "no such file"
-        raise InvalidInput(str(path), found=found, expected="a video file")
+        raise InvalidInput(str(path), found=found, expected="a video or a recording")
     if path.stat().st_size == 0:
         raise InvalidInput(str(path), found="an empty file", expected="a video file")
     require("av", str(path), extra="video")

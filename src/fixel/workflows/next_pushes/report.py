@@ -256,7 +256,7 @@ def _condition(
             "part",
             found="no experiment with a condition that names its part",
             expected="one of " + ", ".join(names),
-            hint=f"name it: part=NAME=VALUE, of {', '.join(conditions)}" if conditions else None,
+            hint=f"name it: part=NAME=VALUE; NAME: {', '.join(conditions)}" if conditions else None,
         )
     return Condition(have, value)
 
