@@ -183,6 +183,13 @@ def test_lost_views_lower_the_stated_success():
 
 
 @pytest.mark.system
+@pytest.mark.parametrize("looks", [0, 3])
+def test_a_correction_after_the_last_look_has_no_probability(plan, looks):
+    with pytest.raises(InvalidInput, match=f"found {looks} poses, but fixel needs 1 to 2"):
+        plan.correction(*[plan.end] * looks)
+
+
+@pytest.mark.system
 def test_a_plan_judges_what_it_sees_by_its_own_belief_in_any_world(plan, monkeypatch):
     """As `correction` does where it is carried out, which does not know the world either."""
     compared = []

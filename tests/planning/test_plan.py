@@ -38,6 +38,16 @@ def test_the_same_bits_for_any_number_of_threads(found):
     assert one == found
 
 
+def test_a_scene_file_does_not_choose_the_method(found, tmp_path):
+    """A saved scene states dynamic motion; the default is that of the calibration, quasi-static."""
+    pushed_square().save(tmp_path / "square.yaml")
+    path = tmp_path / "square.yaml"
+    assert "motion: dynamic" in path.read_text()
+    again = fixel.plan(path, GOAL, belief=BELIEF, rollouts=4_000, progress=False)
+    assert again.motion.name == "quasistatic"
+    np.testing.assert_array_equal(again.path, found.path)
+
+
 def test_another_seed_draws_other_scenarios(found):
     other = fixel.plan(pushed_square(), GOAL, belief=BELIEF, rollouts=4_000, seed=1, progress=False)
     assert not np.array_equal(other.runs.scenarios.start, found.runs.scenarios.start)

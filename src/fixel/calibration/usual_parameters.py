@@ -26,7 +26,8 @@ from fixel.simulation.uneven_table import TABLE_NAMES
 from fixel.table import Table
 
 MAX_FRICTION: Final = 1.0
-MIN_RADIUS: Final = 1e-3  # [m] of a tripod: with zero all loads would act at one point
+# [m] of a tripod, and relative to a small part: with zero all loads would act at one point.
+MIN_RADIUS, MIN_SHARE = 1e-3, 0.1
 MIN_FRICTION: Final = 0.01  # of the plane: without friction nothing stops the body
 
 # Half width of the bounds of parameters that are offsets from an assumed value.
@@ -100,7 +101,8 @@ def usual_unknown(name: str, scene: Scene) -> Unknown:
         return Unknown(name=name, low=MIN_FRICTION, high=MAX_FRICTION, nominal=mu)
     reach = _reach(scene)
     if name == "tripod_radius" and isinstance(support, Tripod):
-        return Unknown(name=name, low=MIN_RADIUS, high=reach, nominal=support.radius)
+        low = min(MIN_RADIUS, MIN_SHARE * reach)
+        return Unknown(name=name, low=low, high=reach, nominal=support.radius)
     if name.startswith("support_") and isinstance(support, SupportPoints):
         return _corner(name, scene, support)
     if name.startswith("ellipsoid_") and isinstance(support, Ellipsoid):

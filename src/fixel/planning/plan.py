@@ -369,13 +369,13 @@ class PushPlan(Result):
             Push with its scene, or none where no push promises more, and the probability that the
             goal is met then, without further looks.
         """
-        poses = np.array([vector(pose, "seen", POSE) for pose in seen])
-        if not len(poses):
-            raise InvalidInput("seen", found="no pose", expected="one or more poses")
-        policy = self.policy
+        poses, policy = np.array([vector(pose, "seen", POSE) for pose in seen]), self.policy
+        if not 1 <= len(poses) <= policy.views.looks:
+            expected = f"1 to {policy.views.looks}, one for each look"
+            raise InvalidInput("seen", found=f"{len(poses)} poses", expected=expected)
         found = policy.next(poses)
         row, probability = int(found.row[0]), float(found.probability[0])
-        if row < 0 or len(poses) > policy.views.looks:
+        if row < 0:
             return PlanCorrection(None, None, probability)
         numbers = policy.table.numbers[row][None]
         path = self.choose.motions(self.scene, numbers, poses[-1:]).path[0]

@@ -127,11 +127,8 @@ def plan(
     from fixel.workflows.planning.request import answers_in
 
     permit(motion)
-    if isinstance(scene, Scene):
-        own = scene
-    else:
-        file = scene_file(scene, "a Scene or a scene file")
-        own, motion, stepper = file.scene, motion or file.motion, stepper or file.stepper
+    # The method of a scene file is not that of the calibration.
+    own = scene if isinstance(scene, Scene) else scene_file(scene, "a Scene or a scene file").scene
     with show_progress(progress, "planning") as report, answers_in(store) as answers:
         try:
             search = search_of(
