@@ -94,7 +94,7 @@ class Watch:
                 front = os.readlink(f"/proc/self/fd/{opened}") if opened > 2 else ""
                 name = os.path.realpath(os.path.join(front, os.fsdecode(path)))
                 # Python writes bytecode of a module that nothing has imported yet.
-                own = name.startswith((str(self.place), *ALLOWED)) or "/__pycache__/" in name
+                own = name.startswith((str(self.place), *ALLOWED)) or "/__pycache__/" in f"{name}/"
                 if not own:
                     self.seen.append(f"{event} {name}")
 
