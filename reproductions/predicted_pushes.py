@@ -14,7 +14,7 @@ import numpy as np
 import fixel
 from fixel.calibration.target import Target, target_of
 from fixel.typing import FloatArray, IntArray
-from fixel.uncertainty.predictive import end_residuals, motion_of
+from fixel.uncertainty.predictive import EndError, end_residuals, motion_of
 from fixel.uncertainty.run_to_run import pose_difference
 from reproductions.protocols import BenchmarkData
 from reproductions.pushes import Key
@@ -99,7 +99,7 @@ def predict_group(
         moved = motion_of(np.zeros((1, 3)), motion[:, 1:].reshape(-1, 3), arm)
         error = belief.error.deviation(moved).reshape(len(which), draws, 1) / size
         ends, error = (np.repeat(own, REPEATS, axis=1) for own in (motion[:, 1:], error))
-        ends = ends + error * rng.standard_normal(ends.shape)
+        ends = ends + error * EndError.draws(rng, ends.shape[:2])
         found.append(PredictedPushes(key, which, motion[:, 0], measured, ends))
     return GroupPrediction(*found)
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 from tests.fixtures import project_of
 
 import fixel
@@ -32,7 +33,7 @@ def test_the_error_of_ends_is_that_of_the_residuals_of_the_best_fit(fit, recorde
     """The residuals come from `Calibration.residuals`, which simulates whole tracks."""
     arm = np.sqrt(recorded[0].scene.bodies[0].shape.unit_inertia)
     ends = np.array([fit.residuals(own)[-1] for own in recorded]) * (1.0, 1.0, arm)
-    expected = np.sqrt((ends**2).sum() / (3 * len(recorded) - 2))
+    expected = 0.6 * np.sqrt((ends**2).sum() / (3 * len(recorded) - 2))
     assert fit.predictive.error.size == pytest.approx(expected, rel=1e-3)
 
 
@@ -40,6 +41,14 @@ def test_the_error_grows_with_the_motion_within_limits():
     error = EndError(size=1 * mm, motion=40 * mm)
     found = error.deviation(np.array([0.0, 40 * mm, 80 * mm, 1.0]))
     assert found / mm == pytest.approx([0.2, 1.0, 2.0, 3.0])
+
+
+def test_drawn_errors_have_the_distribution_of_student_with_two_degrees_of_freedom():
+    """Each coordinate by SciPy's; the sum of squares over 3 by the F distribution (3, 2)."""
+    drawn = EndError.draws(np.random.default_rng(1), (40, 500)).reshape(-1, 3)
+    for column in drawn.T:
+        assert stats.kstest(column, stats.t(2).cdf).pvalue > 1e-3
+    assert stats.kstest((drawn**2).sum(axis=1) / 3, stats.f(3, 2).cdf).pvalue > 1e-3
 
 
 def test_parameter_sets_are_nearer_to_the_values_than_samples_are(fit):
@@ -121,7 +130,7 @@ def _predicts(fit, experiment):
     scene, rng = experiment.scene, np.random.default_rng(0)
     arm = np.sqrt(scene.bodies[0].shape.unit_inertia)
     drawn = fit.predictive.samples(64, 0, {})
-    ends = []
+    ends, errors = [], []
     for k in range(64):
         values = {name: column[k] for name, column in drawn.items()}
         duration = float(experiment.trajectory.time[-1])
@@ -129,12 +138,14 @@ def _predicts(fit, experiment):
         end = run.pose["part"][-1] * (1.0, 1.0, arm)
         motion = np.hypot(*end[:2]) + abs(end[2])  # the part starts at the origin
         size = fit.predictive.error.deviation(np.array([motion]))
-        ends.append(end + rng.normal(size=(40, 3)) * size)
-    ends = np.concatenate(ends)
-    inverse = np.linalg.inv(np.cov(ends.T))
+        ends.append(end)
+        errors.append(size * rng.standard_normal((400, 3)) / rng.chisquare(2, (400, 1)) ** 0.5)
+    ends, errors = np.array(ends), np.sqrt(2.0) * np.array(errors)
+    inverse = np.linalg.inv(np.cov(ends.T) + np.median(errors**2) / 0.667 * np.eye(3))
 
     def distance(to):
-        return np.einsum("ni,ij,nj->n", to, inverse, to)
+        off = to - ends.mean(axis=0)
+        return np.einsum("...i,ij,...j->...", off, inverse, off)
 
-    off = experiment.trajectory.pose[-1] * (1.0, 1.0, arm) - ends.mean(axis=0)
-    return np.mean(distance(ends - ends.mean(axis=0)) < distance(off[None])) < 0.9
+    measured = experiment.trajectory.pose[-1] * (1.0, 1.0, arm)
+    return np.mean(distance(ends[:, None] + errors) < distance(measured)) < 0.9

@@ -82,7 +82,7 @@ class Scenarios(NamedTuple):
     fixels: FloatArray | None  # (n, n_fixel, 3) errors of the places of fixels [m, m, rad]
     rest: FloatArray  # (n, 3) error of ends that touch nothing, by rotation, see `rest_at`
     drift: FloatArray  # (n, 3) error of such ends, for any rotation [m, m, rad]
-    # (n, 3) error of ends after a mean motion, in standard deviations, and what these are.
+    # (n, 3) error of ends after a mean motion, over its scale, and what that is.
     misfit: FloatArray
     end_error: EndError | None
     world: IntArray  # (n,) sample of the parameters, which runs share
@@ -264,12 +264,11 @@ class Belief:
             values, start, rest = own.values, start + own.start, own.rest
         elif error is not None:
             arm = math.sqrt(scene.bodies[0].shape.unit_inertia)
-            drawn = np.random.default_rng(_seed(seed, _REST)).standard_normal((n, 3))
-            drawn /= np.array([1.0, 1.0, arm])
+            rng, size = np.random.default_rng(_seed(seed, _REST)), np.array([1.0, 1.0, arm])
             if isinstance(error, EndError):
-                misfit = drawn
+                misfit = EndError.draws(rng, (n,)) / size
             else:
-                drift = error[world, None] * drawn
+                drift = error[world, None] * (rng.standard_normal((n, 3)) / size)
         tool, fixels = self._rig(scene, n, seed)
         end_error = error if isinstance(error, EndError) else None
         return Scenarios(values, start, tool, fixels, rest, drift, misfit, end_error, world)

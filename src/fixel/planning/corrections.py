@@ -19,7 +19,7 @@ from fixel.planning.candidates import embedded, goal_poses, simulator_alone, spr
 from fixel.planning.rollout import CARRIED_OUT, WORST_MARGIN, PlanSimulator
 from fixel.simulation.vary import composed, inverted
 from fixel.typing import FloatArray, IntArray
-from fixel.uncertainty.predictive import motion_of
+from fixel.uncertainty.predictive import EndError, motion_of
 from fixel.uncertainty.run_to_run import arm_of
 from fixel.uncertainty.starts import StartError
 
@@ -115,8 +115,9 @@ class CorrectionTable:
 
     @cached_property
     def draws(self) -> FloatArray:
-        """Standard normal draws (2, w, 3): of errors of seen poses, and of the model."""
-        return np.random.default_rng([self.seed, 9]).standard_normal((2, WORLDS, 3))
+        """Errors of scale 1 (2, w, 3), drawn: of seen poses, and of the model."""
+        rng = np.random.default_rng([self.seed, 9])
+        return np.stack((rng.standard_normal((WORLDS, 3)), EndError.draws(rng, (WORLDS,))))
 
     def after(self, row: IntArray, start: FloatArray) -> FloatArray:
         """Return poses (n, w, 3) after pushes `row` (n,) from poses (n, w, 3)."""
@@ -124,7 +125,7 @@ class CorrectionTable:
         return np.asarray(ends + self.deviation(start, ends) * self.draws[1])
 
     def deviation(self, start: FloatArray, end: FloatArray) -> FloatArray:
-        """Return standard deviations (n, w, 3) of the model's error of ends [m, m, rad]."""
+        """Return the scales (n, w, 3) of the model's error of ends [m, m, rad]."""
         if self.worlds.end_error is None:
             return np.zeros_like(end)
         moved = motion_of(start.reshape(-1, 3), end.reshape(-1, 3), self.arm)
