@@ -81,6 +81,26 @@ def test_a_polygon_that_cannot_be_is_refused(vertices, where, words):
     assert words in str(refusal.value)
 
 
+def test_a_star_drawn_in_one_line_is_refused():
+    """It turns to the left at every corner, like a convex polygon, but twice around."""
+    angle = np.arange(5) * (4 * pi / 5)
+    with pytest.raises(InvalidInput, match="crosses"):
+        Polygon(np.column_stack((np.cos(angle), np.sin(angle))))
+
+
+@given(st.lists(st.tuples(st.integers(0, 6), st.integers(0, 6)), min_size=3, max_size=7))
+def test_those_outlines_are_accepted_that_shapely_accepts(points):
+    corners = [
+        p for p, before in zip(points, points[-1:] + points[:-1], strict=True) if p != before
+    ]
+    try:
+        Polygon(points)
+    except InvalidInput:
+        assert len(corners) < 3 or not shapely.Polygon(corners).is_valid
+    else:
+        assert shapely.Polygon(corners).is_valid
+
+
 @pytest.mark.parametrize(
     "radius", [0.0, -1.0, 1e300, 1e-200, float("nan"), float("inf"), "1", True, None]
 )
@@ -142,7 +162,7 @@ def test_pieces_are_convex_and_tile_the_polygon(vertices):
     pieces = [Polygon(corners) for corners, _ in polygon.pieces]
     assert all(is_convex(corners) for corners, _ in polygon.pieces)
     assert sum(piece.area for piece in pieces) == pytest.approx(polygon.area, rel=1e-9)
-    assert (len(pieces) == 1) == polygon.is_convex
+    assert (len(pieces) == 1) == polygon.is_convex == is_convex(polygon.vertices)
     assert len(pieces) <= max(1, len(polygon.vertices) - 2)
 
 
