@@ -42,19 +42,11 @@ _Use = Callable[[IntArray, PackedBatch, BatchRecord], None]
 
 @final
 class Ensemble:
-    """Set of scenes that are simulated many times.
+    """Set of scenes that are simulated many times, each with one free body and at most one pusher.
 
     Results depend bit for bit on a case, its parameters and the method only: not on other cases,
-    their order or the number of threads.
-
-    Parameters
-    ----------
-    cases : sequence of RolloutCase
-        Cases, each with one free body and at most one pusher.
-    motion, stepper, solver : optional
-        Method; `QuasiStatic()`, `Adaptive()` and `Newton()` by default.
-    threads : int, optional
-        Number of threads; all cores by default.
+    their order or the number of threads, by default that of the cores. The method is by default
+    `QuasiStatic()`, `Adaptive()` and `Newton()`.
     """
 
     def __init__(
@@ -101,18 +93,10 @@ class Ensemble:
         solver: AbstractSolver | None = None,
         threads: int | None = None,
     ) -> Ensemble:
-        """Return an ensemble of pushes of one scene, without a scene for each.
+        """Return an ensemble of pushes of one scene with one pusher, without a scene for each.
 
-        Parameters
-        ----------
-        scene : Scene
-            Scene with one pusher; all but its path is the same for all pushes.
-        start : (n, 3) float64
-            Start poses of the body [m, m, rad].
-        path : (n, n_waypoint, 4) float64
-            Waypoints of the pusher [s, m, m, rad]; each simulation ends at the last.
-        n_sample : int
-            Number of samples of each push, at equal intervals of time.
+        They have start poses (n, 3) of the body [m, m, rad], paths (n, n_waypoint, 4) of the pusher
+        [s, m, m, rad], at whose ends they end, and `n_sample` samples at equal intervals.
         """
         share = np.arange(1, n_sample + 1) / n_sample
         times = path[:, -1, :1] * share
@@ -131,22 +115,11 @@ class Ensemble:
     def simulate(
         self, which: IntArray, values: Mapping[str, FloatArray], fixels: FloatArray | None = None
     ) -> EnsembleOutcome:
-        """Simulate cases under parameters.
+        """Simulate cases by their indices `which` (n,) under parameters (n,) by name.
 
-        Parameters
-        ----------
-        which : (n,) int
-            Index of the case of each rollout.
-        values : mapping of name to (n,) float64
-            Parameters of each rollout.
-        fixels : (n, n_fixel, 3) float64, optional
-            Errors of the poses of the fixels, added to those of the scene [m, m, rad]; `n_fixel` is
-            at least the number of fixels of every case, and further rows are ignored.
-
-        Raises
-        ------
-        InvalidInput
-            `fixels` has another shape, or a number that is not finite.
+        `fixels` (n, n_fixel, 3) are added to the poses of the fixels [m, m, rad]; `n_fixel` is at
+        least the number of fixels of every case, and further rows are ignored. Raises
+        `InvalidInput` for another shape, or a number that is not finite.
         """
         if fixels is not None:
             fixels = self._checked_fixels(fixels, len(which))
@@ -173,23 +146,10 @@ class Ensemble:
         """Simulate cases under parameters, and pass their poses to a function at once.
 
         This is faster than `simulate` for functions that reduce poses to a few numbers: all threads
-        share their work too, and neither forces nor all poses are stored.
-
-        Parameters
-        ----------
-        use : callable
-            Called as `use(rollouts, pose)` from several threads, each time with the numbers (k,) of
-            other rollouts and their poses (k, n_sample, 3); not called for infeasible ones.
-        which : (n,) int
-            Index of the case of each rollout.
-        values : mapping of name to (n,) float64
-            Parameters of each rollout.
-
-        Returns
-        -------
-        converged : (n,) bool
-        reasons : list of str
-            Why there is no simulation, or it ended early; empty for others.
+        share their work too, and neither forces nor all poses are stored. Several threads call
+        ``use(rollouts, pose)``, each time with the numbers (k,) of other rollouts and their poses
+        (k, n_sample, 3), without infeasible ones. Returns which converged (n,), and reasons why
+        others have no simulation or ended early; empty for those that converged.
         """
 
         def pass_on(own: IntArray, packed: PackedBatch, record: BatchRecord) -> None:

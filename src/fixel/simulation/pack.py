@@ -36,7 +36,7 @@ from fixel.model import (
 from fixel.simulation.geometry import contact_outline, contact_pieces
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import STEPPERS, AbstractStepper, Adaptive
-from fixel.simulation.vary import Elements, Variation, VariedScene, composed, vary
+from fixel.simulation.vary import AS_IT_IS, Elements, Variation, VariedScene, composed, vary
 from fixel.typing import FloatArray, IntArray
 
 # Share of the time in which the fastest body moves by one characteristic length; friction impulses
@@ -88,17 +88,8 @@ def characteristic_units(
     """Compute the units of a scene: radius of gyration, fastest prescribed or initial motion (or a
     given `speed` [m/s]), mass or friction.
 
-    Parameters
-    ----------
-    scene : Scene
-    speed : float, optional
-    friction : (n_free,) sequence of float, optional
-        Largest friction force under each body [N], where it is known.
-
-    Raises
-    ------
-    InvalidInput
-        Products of speeds, sizes, masses and forces overflow.
+    `friction` is the largest friction force under each body [N], where it is known. Raises
+    `InvalidInput` where products of speeds, sizes, masses and forces overflow.
     """
     try:
         units = _units(scene, speed, friction or _friction_forces(supports_of(scene), scene))
@@ -340,8 +331,7 @@ def pack(
     duration: float,
 ) -> PackedBatch:
     """Pack the arrays of `n` rollouts of a scene, which last `duration` [s]."""
-    plain = n == 1 and not variation.parameters and all(array is None for array in variation[1:])
-    if plain and type(stepper) in STEPPERS:
+    if n == 1 and variation is AS_IT_IS and type(stepper) in STEPPERS:
         return _packed_once(_Same(scene), motion, stepper, duration)
     return Template(scene, motion, stepper).packed(variation, n, duration)
 
@@ -350,7 +340,7 @@ def pack(
 def _packed_once(
     key: _Same, motion: AbstractMotionModel, stepper: AbstractStepper, duration: float
 ) -> PackedBatch:
-    return Template(key.objects[0], motion, stepper).packed(Variation({}), 1, duration)
+    return Template(key.objects[0], motion, stepper).packed(AS_IT_IS, 1, duration)
 
 
 class SceneArrays(NamedTuple):
@@ -477,16 +467,8 @@ def _scaled_poses(pose: FloatArray, com: FloatArray, length: float) -> FloatArra
 
 @final
 class Template:
-    """Scene as arrays, to be completed by the quantities that vary between rollouts.
-
-    Parameters
-    ----------
-    scene : Scene
-    motion, stepper
-        Method.
-    speed : float, optional
-        Characteristic speed [m/s]; the scene's own by default.
-    """
+    """Scene as arrays, to be completed by the quantities that vary between rollouts, for a method
+    and a characteristic speed [m/s], by default the scene's own."""
 
     def __init__(
         self,

@@ -32,21 +32,30 @@ from fixel.model.fields import frozen, instance, settle
 from fixel.registry import offered
 from fixel.simulation.first_code import is_missing, roll_in_python
 from fixel.simulation.motion import AbstractMotionModel, OtherEngine, motion_model, named_part
-from fixel.simulation.pack import PackedBatch, pack
+from fixel.simulation.pack import RECENT_SCENES, PackedBatch, Units, pack
 from fixel.simulation.plain import rollout_in_python
-from fixel.simulation.record import borrowed_record, empty_record, ends_of, give_back, shape_poses
+from fixel.simulation.record import (
+    borrowed_record,
+    empty_record,
+    ends_of,
+    give_back,
+    pose_units,
+    shape_poses,
+)
 from fixel.simulation.result import CONTACT_FIELDS, PusherTrajectory, Simulation
 from fixel.simulation.solver import SOLVERS, AbstractSolver, GaussSeidel, Lemke, Newton
 from fixel.simulation.stepper import STEPPERS, AbstractStepper, Adaptive
 from fixel.simulation.threads import rollout_in_threads
 from fixel.simulation.trust import permit
-from fixel.simulation.vary import Variation, variation_of
+from fixel.simulation.vary import AS_IT_IS, Variation, variation_of
 from fixel.typing import FloatArray, IntArray
 
 MAX_STEPS = 1_000_000  # of a stepper without a limit
 MAX_SAMPLES = 200_000
 USUAL_SAMPLES = 1_000  # steps of an adaptive stepper, of which most scenes take fewer
 INSTANT = 1e-6  # duration of a start-up simulation [s]: one step of any stepper
+DEFAULT_STEPPER = Adaptive()
+DEFAULT_SOLVER = Newton()
 CONTACTS_PER_BODY = 8  # rows of the contact table per sample and moving body
 
 
@@ -209,11 +218,11 @@ class Simulator:
             scene = file.scene
         self.scene = scene
         self.motion = motion_model(motion)
-        self.stepper = stepper or Adaptive()
-        self.solver = named_part(solver or Newton.name, SOLVERS, "solver")
+        self.stepper = stepper or DEFAULT_STEPPER
+        self.solver = named_part(solver or DEFAULT_SOLVER, SOLVERS, "solver")
         check_method(scene, self.solver)
         parts = (self.motion, self.stepper, self.solver)
-        own = all(is_compiled(part) for part in parts)
+        own = is_compiled(self.motion) and is_compiled(self.stepper) and is_compiled(self.solver)
         convert = _converted if own else _converted.__wrapped__
         self._method, self._described = convert(*parts, max_contacts)
         self._plain = plain or not own
@@ -435,8 +444,9 @@ def positive_time(where: str, value: float) -> float:
 
 def one_variation(parameters: Parameters | None) -> Variation:
     """Create the variation of a single rollout."""
-    values = {} if parameters is None else dict(parameters)
-    return Variation({k: np.array([v]) for k, v in values.items()})
+    if not parameters:
+        return AS_IT_IS
+    return Variation({k: np.array([v]) for k, v in parameters.items()})
 
 
 def check_method(scene: Scene, solver: AbstractSolver) -> None:
@@ -471,9 +481,7 @@ def method_of(
 
 def is_compiled(part: AbstractMotionModel | AbstractStepper | AbstractSolver) -> bool:
     """Whether the compiled loop supports this part of a method; plug-ins need the plain loop."""
-    if isinstance(part, AbstractStepper):
-        return type(part) in STEPPERS
-    return part.kind != codes.EXTERNAL
+    return type(part) in STEPPERS or getattr(part, "kind", codes.EXTERNAL) != codes.EXTERNAL
 
 
 def get_ready(scene: Scene, solver: AbstractSolver | None = None, plain: bool = False) -> None:
@@ -481,7 +489,7 @@ def get_ready(scene: Scene, solver: AbstractSolver | None = None, plain: bool = 
 
     Where plain Python computes the same bits, it starts the compilation and does not wait for it.
     """
-    solver = solver or Newton()
+    solver = solver or DEFAULT_SOLVER
     plain = plain or not is_compiled(solver)
     simulate(scene, duration=min(INSTANT, scene.duration), solver=solver, plain=plain)
 
@@ -579,9 +587,9 @@ def _unpacked(
     n_sample, n_contact, steps, fallbacks = record.count[0].tolist()
     time = record.time[0, :n_sample] * units.time
     poses = shape_poses(packed, record.pose[0, :n_sample])
-    scale = np.array([units.length, units.length, 1.0]) / units.time
-    twists = record.twist[0, :n_sample] * scale
-    moving = scene.names[: poses.shape[1]]
+    of_twists, of_contacts = _scales(units)
+    twists = record.twist[0, :n_sample] * of_twists
+    moving = [body.name for body in scene.bodies] + [pusher.name for pusher in scene.pushers]
     reached = float(record.total[0, REACHED]) * units.time
     status = int(record.status[0])
     pushers = {}
@@ -589,15 +597,15 @@ def _unpacked(
     for k, pusher in enumerate(scene.pushers):
         path = poses[:, len(scene.bodies) + k]
         step = path[1:] - path[:-1]
-        force, stalled = record.drive[0, :n_sample, k].T
+        drive = record.drive[0, :n_sample, k]
         pushers[pusher.name] = trace = object.__new__(PusherTrajectory)
         settle(  # without its checks, which take as long as all else here
             trace,
             time=own_time,
             pose=frozen(path),
-            travel=float(np.hypot(step[:, 0], step[:, 1]).sum()),
-            force=force * units.force,
-            stalled=stalled > 0.0,
+            travel=float(np.add.reduce(np.hypot(step[:, 0], step[:, 1]))),
+            force=drive[:, 0] * units.force,
+            stalled=drive[:, 1] > 0.0,
         )
     return {
         "status": codes.STATUS_NAMES[status],
@@ -606,7 +614,7 @@ def _unpacked(
         "time": time,
         "pose": {name: poses[:, k] for k, name in enumerate(moving)},
         "twist": {name: twists[:, k] for k, name in enumerate(moving)},
-        "contacts": _contact_table(packed, record.contact[0, :n_contact], time),
+        "contacts": _contact_table(record.contact[0, :n_contact] * of_contacts, time),
         "pushers": pushers,
         "steps": steps,
         "fallbacks": fallbacks,
@@ -614,14 +622,20 @@ def _unpacked(
     }
 
 
-def _contact_table(packed: PackedBatch, rows: FloatArray, time: FloatArray) -> NDArray[np.void]:
-    """Convert rows of a record, which have the columns of `CONTACT_FIELDS`."""
-    length, force = packed.units.length, packed.units.force
-    scale = [1.0, 1.0, 1.0, length, 1.0, 1.0, length, length, force, force, packed.units.time]
-    values = rows * np.array(scale)
-    values[:, 0] = time[rows[:, 0].astype(np.int64)]
-    values.view(np.int64)[:, 1:3] = rows[:, 1:3]
-    return np.asarray(values.view(CONTACT_FIELDS)[:, 0])
+@functools.lru_cache(maxsize=RECENT_SCENES)
+def _scales(units: Units) -> tuple[FloatArray, FloatArray]:
+    """Return the units of the columns of twists, and of the contact rows of a record."""
+    length, time, force = units.length, units.time, units.force
+    contact = [1.0, 1.0, 1.0, length, 1.0, 1.0, length, length, force, force, time]
+    return pose_units(units) / time, np.array(contact)
+
+
+def _contact_table(values: FloatArray, time: FloatArray) -> NDArray[np.void]:
+    """Convert rows in SI units, new ones, which have the columns of `CONTACT_FIELDS`."""
+    counts = values[:, :3].astype(np.int64)
+    values[:, 0] = time[counts[:, 0]]
+    values.view(np.int64)[:, 1:3] = counts[:, 1:]
+    return np.ndarray(len(values), CONTACT_FIELDS, values)  # faster than a view
 
 
 @functools.lru_cache(maxsize=16)

@@ -34,23 +34,12 @@ def rollout_in_threads(
     every_step: bool = False,
     then: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Distribute the rollouts among threads, in ranges small enough to balance the load.
+    """Distribute the rollouts among threads, by default one per core, in ranges small enough to
+    balance the load.
 
-    Parameters
-    ----------
-    batch, method, record
-    threads : int, optional
-        Number of threads; all cores by default.
-    every_step : bool
-        See `fixel.kernels.rollout.rollout`.
-    then : callable, optional
-        Called as `then(first, last)` in the thread that has simulated rollouts `first` to
-        ``last - 1``, so that several threads also share the work on the results.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        Ctrl-C; rollouts that did not end have the status INTERRUPTED.
+    The thread that has simulated rollouts `first` to ``last - 1`` calls ``then(first, last)``, so
+    that several threads share the work on the results, too. Ctrl-C raises `KeyboardInterrupt`;
+    rollouts that did not end have the status INTERRUPTED.
     """
     if is_missing():
         wait_for_code()

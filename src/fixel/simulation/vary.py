@@ -43,6 +43,9 @@ class Variation(NamedTuple):
     fixels: FloatArray | None = None  # (n, n_fixel, 3) errors of the poses of the fixels
 
 
+AS_IT_IS = Variation({})
+
+
 class Elements(NamedTuple):
     """Support friction elements of all free bodies."""
 
