@@ -304,8 +304,8 @@ def entry(function: Function) -> Function:
 
 
 def _view(typing_context: Any, buffer: Any, start: Any, shape: Any) -> Any:
-    """Create a view of shape `shape` from entry `start` of the one-dimensional `buffer`, which must
-    outlive it."""
+    """Create a view of shape `shape` from entry `start` of `buffer`, in the order of its memory,
+    which must outlive it."""
     result = types.Array(buffer.dtype, shape.count, "C")
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -331,7 +331,7 @@ def _view(typing_context: Any, buffer: Any, start: Any, shape: Any) -> Any:
 
 
 def _view_in_python(buffer: Any, start: int, shape: tuple[int, ...]) -> Any:
-    return buffer[start : start + math.prod(shape)].reshape(shape)
+    return buffer.reshape(-1)[start : start + math.prod(shape)].reshape(shape)
 
 
 view: Any = _view_in_python if _config.DISABLE_JIT else intrinsic(_view)

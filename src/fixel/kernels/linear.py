@@ -1,7 +1,7 @@
 """Small dense and large banded linear systems, solved in place in a fixed order of operations, so
 that results are bit for bit reproducible."""
 
-from fixel.kernels.jit import kernel
+from fixel.kernels.jit import kernel, view
 from fixel.typing import FloatArray, IntArray
 
 DENSE_LIMIT = 12  # up to this many unknowns, Gauss with row pivots; above, envelope without pivots
@@ -69,11 +69,13 @@ def solve_envelope(
                 first = p + 1 if part == 0 else border
                 last = n if part == 1 else following if body else inner
                 for i in range(first, last):
-                    _subtract(matrix, right, i, p, inner, border, n)
+                    factor = matrix[i, p] * (1.0 / matrix[p, p])
+                    if factor != 0.0:
+                        _subtract(matrix, i, p, factor, p + 1, inner)
+                        _subtract(matrix, i, p, factor, border, n)
+                        right[i] -= factor * right[p]
         if body:
-            for part in range(2):
-                for i in range(following if part == 0 else border, inner if part == 0 else n):
-                    _subtract_three(matrix, right, i, k, inner, border, n)
+            _eliminate_body(matrix, right, k, inner, border, n)
         k = following
     for k in range(n - 1, -1, -1):
         inner = min(reach[k], n_inner) if k < n_inner else k + 1
@@ -87,39 +89,53 @@ def solve_envelope(
 
 
 @kernel
-def _subtract(
-    matrix: FloatArray, right: FloatArray, i: int, k: int, inner: int, border: int, n: int
+def _subtract(matrix: FloatArray, i: int, k: int, factor: float, first: int, last: int) -> None:
+    """Subtract `factor` times the columns `first` to ``last - 1`` of row k from row i."""
+    # Views are counted from zero, so that the processor takes several columns at once.
+    n = last - first
+    if n > 0:
+        row = view(matrix, i * matrix.shape[1] + first, (n,))
+        pivot = view(matrix, k * matrix.shape[1] + first, (n,))
+        for j in range(n):
+            row[j] -= factor * pivot[j]
+
+
+@kernel
+def _eliminate_body(
+    matrix: FloatArray, right: FloatArray, k: int, inner: int, border: int, n: int
 ) -> None:
-    """Subtract from row i the share of pivot row k that makes its entry there zero."""
-    factor = matrix[i, k] * (1.0 / matrix[k, k])
-    if factor == 0.0:
-        return
-    # Along the rows, so that the processor can vectorise.
-    for j in range(k + 1, inner):
-        matrix[i, j] -= factor * matrix[k, j]
-    for j in range(border, n):
-        matrix[i, j] -= factor * matrix[k, j]
-    right[i] -= factor * right[k]
+    """Subtract as `_subtract` does for the pivots k, k + 1 and k + 2, but read and write each row
+    once."""
+    first = 1.0 / matrix[k, k]
+    second = 1.0 / matrix[k + 1, k + 1]
+    third = 1.0 / matrix[k + 2, k + 2]
+    for part in range(2):
+        for i in range(k + 3 if part == 0 else border, inner if part == 0 else n):
+            f = matrix[i, k] * first
+            g = (matrix[i, k + 1] - f * matrix[k, k + 1]) * second
+            h = matrix[i, k + 2] - f * matrix[k, k + 2] - g * matrix[k + 1, k + 2]
+            h *= third
+            if f == 0.0 and g == 0.0 and h == 0.0:
+                continue
+            _subtract_three(matrix, i, k, f, g, h, k + 3, inner)
+            _subtract_three(matrix, i, k, f, g, h, border, n)
+            right[i] = right[i] - f * right[k] - g * right[k + 1] - h * right[k + 2]
 
 
 @kernel
 def _subtract_three(
-    matrix: FloatArray, right: FloatArray, i: int, k: int, inner: int, border: int, n: int
+    matrix: FloatArray, i: int, k: int, f: float, g: float, h: float, first: int, last: int
 ) -> None:
-    """Subtract as `_subtract` does for k, k + 1 and k + 2, but read and write row i once."""
-    f = matrix[i, k] * (1.0 / matrix[k, k])
-    g = (matrix[i, k + 1] - f * matrix[k, k + 1]) * (1.0 / matrix[k + 1, k + 1])
-    h = matrix[i, k + 2] - f * matrix[k, k + 2] - g * matrix[k + 1, k + 2]
-    h *= 1.0 / matrix[k + 2, k + 2]
-    if f == 0.0 and g == 0.0 and h == 0.0:
-        return
-    for j in range(k + 3, inner):
-        less = matrix[i, j] - f * matrix[k, j] - g * matrix[k + 1, j]
-        matrix[i, j] = less - h * matrix[k + 2, j]
-    for j in range(border, n):
-        less = matrix[i, j] - f * matrix[k, j] - g * matrix[k + 1, j]
-        matrix[i, j] = less - h * matrix[k + 2, j]
-    right[i] = right[i] - f * right[k] - g * right[k + 1] - h * right[k + 2]
+    """Subtract the columns `first` to ``last - 1`` of three rows from row i."""
+    n = last - first
+    if n > 0:
+        wide = matrix.shape[1]
+        row = view(matrix, i * wide + first, (n,))
+        x = view(matrix, k * wide + first, (n,))
+        y = view(matrix, (k + 1) * wide + first, (n,))
+        z = view(matrix, (k + 2) * wide + first, (n,))
+        for j in range(n):
+            row[j] = row[j] - f * x[j] - g * y[j] - h * z[j]
 
 
 @kernel

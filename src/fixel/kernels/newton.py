@@ -22,7 +22,7 @@ from fixel.kernels.arrays import (
     Problem,
     Workspace,
 )
-from fixel.kernels.jit import kernel
+from fixel.kernels.jit import kernel, view
 from fixel.kernels.linear import solve_dense, solve_envelope
 from fixel.kernels.one_body import is_one_body, newton_one_body
 from fixel.kernels.points import LANES, add_points, is_group, step_points
@@ -160,8 +160,9 @@ def _clear_envelope(problem: Problem, work: Workspace) -> None:
     for k in range(n_free):
         while work.profile[first] <= k:
             first += 1
-        for j in range(first, work.profile[k]):
-            matrix[k, j] = 0.0
+        zeros = view(matrix, k * matrix.shape[1] + first, (work.profile[k] - first,))
+        for j in range(work.profile[k] - first):
+            zeros[j] = 0.0
         for j in range(n_free, n_dof):
             matrix[k, j] = 0.0
             matrix[j, k] = 0.0
