@@ -10,10 +10,11 @@ from fixel.kernels.solve import MAX_ATTEMPTS
 TOLERANCE = 1e-9  # the judge's
 
 
-def pushed_body(seed, inertia, n_point, drive_limit):
+def pushed_body(seed, inertia, n_point, drive_limit, axes):
     """A body on points in the corner of a fixed wall and a pusher, without a solution yet.
 
-    The pusher is a drive with this limit; rigid for none.
+    The pusher is a drive with this limit; rigid for none. The rows of `axes` (2, 2) are the axes of
+    friction, scaled.
     """
     rng = np.random.default_rng(seed)
     driven = drive_limit is not None
@@ -36,8 +37,7 @@ def pushed_body(seed, inertia, n_point, drive_limit):
             problem.bias[i] = -nx, ny
     for e in range(n_point):
         x, y = rng.uniform(-1.0, 1.0, 2)
-        problem.element_row[e, 0] = 1.0, 0.0, -y
-        problem.element_row[e, 1] = 0.0, 1.0, x
+        problem.element_row[e, :2] = axes @ [[1.0, 0.0, -y], [0.0, 1.0, x]]
         problem.element_limit[e] = rng.uniform(0.5, 1.5) / n_point
     if driven:
         problem.element_dof[n_point] = 3
@@ -49,13 +49,16 @@ def pushed_body(seed, inertia, n_point, drive_limit):
 
 
 @pytest.mark.parametrize("drive_limit", [None, 0.3, 30.0], ids=["rigid", "stalls", "drives"])
-@pytest.mark.parametrize("n_point", [1, 3, 7])
+@pytest.mark.parametrize("n_point", [1, 3, 7, 20])
+@pytest.mark.parametrize(
+    "axes", [np.eye(2), np.array([[0.7, 0.4], [-0.6, 1.1]])], ids=["even", "uneven"]
+)
 @pytest.mark.parametrize("inertia", [0.01, 1.0])
 @pytest.mark.parametrize("seed", range(4))
-def test_solution_is_that_of_any_number_of_bodies(seed, inertia, n_point, drive_limit):
+def test_solution_is_that_of_any_number_of_bodies(seed, inertia, n_point, drive_limit, axes):
     solutions = []
     for known in (0, n_point):
-        problem, work = pushed_body(seed, inertia, n_point, drive_limit)
+        problem, work = pushed_body(seed, inertia, n_point, drive_limit, axes)
         problem.size[N_POINT] = known
         guess = np.zeros_like(problem.velocity)
         worst, _ = entries.solve_problem(problem, work, guess, codes.NEWTON, 0, MAX_ATTEMPTS)

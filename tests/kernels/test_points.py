@@ -16,7 +16,12 @@ def solve(problem, work):
     return entries.solve_problem(problem, work, guess, codes.NEWTON, 0, MAX_ATTEMPTS)
 
 
-def pushed_bodies(seed, n_points, inertia=1.0):
+EVEN = np.eye(2)
+# An ellipse of friction with half-axes of 0.8 and 1.3, turned by 0.4 rad.
+UNEVEN = np.array([[0.8 * np.cos(0.4), 0.8 * np.sin(0.4)], [-1.3 * np.sin(0.4), 1.3 * np.cos(0.4)]])
+
+
+def pushed_bodies(seed, n_points, inertia=1.0, axes=EVEN):
     """Bodies on points, each pushed on one side by a wall that moves, without a solution yet."""
     rng = np.random.default_rng(seed)
     n_body, n = len(n_points), sum(n_points)
@@ -35,8 +40,7 @@ def pushed_bodies(seed, n_points, inertia=1.0):
         for _ in range(own):
             x, y = rng.uniform(-1.0, 1.0, 2)
             problem.element_dof[e] = o
-            problem.element_row[e, 0] = 1.0, 0.0, -y
-            problem.element_row[e, 1] = 0.0, 1.0, x
+            problem.element_row[e, :2] = axes @ [[1.0, 0.0, -y], [0.0, 1.0, x]]
             problem.element_limit[e] = rng.uniform(0.5, 1.5) / own
             e += 1
     entries.set_stiffness(problem, n)
@@ -46,12 +50,13 @@ def pushed_bodies(seed, n_points, inertia=1.0):
 @pytest.mark.parametrize(
     "n_points", [(64,), (25,), (LANES,), (24, 64), (13, 20, 3)], ids=lambda n: "+".join(map(str, n))
 )
+@pytest.mark.parametrize("axes", [EVEN, UNEVEN], ids=["even", "uneven"])
 @pytest.mark.parametrize("inertia", [0.0, 1.0])
 @pytest.mark.parametrize("seed", range(3))
-def test_groups_have_the_solution_of_single_points(n_points, inertia, seed):
-    single, work = pushed_bodies(seed, n_points, inertia)
+def test_groups_have_the_solution_of_single_points(n_points, inertia, axes, seed):
+    single, work = pushed_bodies(seed, n_points, inertia, axes)
     assert solve(single, work)[0] <= TOLERANCE
-    grouped, work = pushed_bodies(seed, n_points, inertia)
+    grouped, work = pushed_bodies(seed, n_points, inertia, axes)
     grouped.size[N_POINT] = sum(n_points)
     assert solve(grouped, work)[0] <= TOLERANCE
     assert grouped.velocity == pytest.approx(single.velocity, abs=1e-7)

@@ -63,7 +63,7 @@ N_DOF = 0
 N_CONTACT = 1
 N_ELEMENT = 2
 N_FREE_DOF = 3  # degrees of freedom of the free bodies
-N_POINT = 4  # of the first elements: points on an even plane; zero for unknown
+N_POINT = 4  # of the first elements: points without torque of their own; zero for unknown
 N_SIZE = 5
 LANE_FIELDS = 18  # numbers of a point in `Workspace.lanes`
 # Columns of `Problem.contact_place`.

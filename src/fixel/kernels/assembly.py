@@ -131,7 +131,7 @@ def assemble_elements(
         return 0
     row = problem.element_row
     even = model.plane[0] == 1.0 and model.plane[1] == 1.0
-    n_point = model.element_body.size if even and model.sides == 0 else 0
+    n_point = model.element_body.size if model.sides == 0 else 0
     last = -1
     c = 1.0
     s = 0.0

@@ -17,7 +17,14 @@ from fixel.kernels.arrays import (
     Workspace,
 )
 from fixel.kernels.jit import kernel
-from fixel.kernels.points import LANES, change_points, gather_points, linearise_points
+from fixel.kernels.points import (
+    LANES,
+    change_points,
+    from_axes,
+    gather_points,
+    linearise_points,
+    to_axes,
+)
 from fixel.kernels.residual import residual
 
 
@@ -60,6 +67,10 @@ def newton_one_body(
     n_point = problem.size[N_POINT]
     n_group = n_point - n_point % LANES  # points that are taken in groups
     driven = problem.size[N_DOF] == 4
+    # Whether friction of the last few points has axes of its own.
+    uneven = n_group < n_point and (
+        row[n_group, 0, 0] != 1.0 or row[n_group, 0, 1] != 0.0 or row[n_group, 1, 1] != 1.0
+    )
     if n_group > 0:
         gather_points(problem, work, 0, n_group)
     rho = problem.stiffness[0]  # that of a drive, too
@@ -116,14 +127,18 @@ def newton_one_body(
             yt += kyt
             ty += kyt
             tt += zy
+        wx = vx
+        wy = vy
+        if uneven:
+            wx, wy = to_axes(row[n_group], vx, vy)
         for e in range(n_group, n_point):
             ax = row[e, 0, 2]
             ay = row[e, 1, 2]
             limit = problem.element_limit[e]
             px = q[e, 0]
             py = q[e, 1]
-            ux = vx + ax * vt
-            uy = vy + ay * vt
+            ux = wx + ax * vt
+            uy = wy + ay * vt
             zx = px - rho * ux
             zy = py - rho * uy
             length = math.sqrt(zx * zx + zy * zy)
@@ -155,18 +170,20 @@ def newton_one_body(
             element_change[e, 5] = gy
             px += cx
             py += cy
-            rx += px
-            ry += py
             rt += ax * px + ay * py
             cross = gx * ax + gy * ay
             kxx = kappa * (1.0 - gx * gx)
-            kxy = kappa * gx * gy
+            kxy = -kappa * gx * gy
             kyy = kappa * (1.0 - gy * gy)
             kxt = kappa * (ax - gx * cross)
             kyt = kappa * (ay - gy * cross)
+            if uneven:
+                px, py, kxx, kxy, kyy, kxt, kyt = from_axes(row[e], px, py, kxx, kxy, kyy, kxt, kyt)
+            rx += px
+            ry += py
             xx += kxx
-            xy -= kxy
-            yx -= kxy
+            xy += kxy
+            yx += kxy
             yy += kyy
             xt += kxt
             tx += kxt
@@ -338,9 +355,13 @@ def newton_one_body(
         v[2] = vt
         if n_group > 0:
             change_points(problem, work, 0, n_group, dx, dy, dt)
+        wx = dx
+        wy = dy
+        if uneven:
+            wx, wy = to_axes(row[n_group], dx, dy)
         for e in range(n_group, n_point):
-            ux = dx + row[e, 0, 2] * dt
-            uy = dy + row[e, 1, 2] * dt
+            ux = wx + row[e, 0, 2] * dt
+            uy = wy + row[e, 1, 2] * dt
             gx = element_change[e, 4]
             gy = element_change[e, 5]
             kappa = element_change[e, 3]

@@ -1,15 +1,17 @@
 """Newton's linearisation of many pressure points at once.
 
-Points on an even plane are taken in groups of LANES that belong to one body. The same field of all
-points of a group is contiguous, so that the compiler computes a group by vector instructions, with
-the bits of one point at a time. `newton.py` linearises all other friction elements; the equations
-are the same.
+Points are taken in groups of LANES that belong to one body. The same field of all points of a group
+is contiguous, so that the compiler computes a group by vector instructions, with the bits of one
+point at a time. Velocities and impulses of a group are those along the axes of friction, scaled by
+its half-axes: the rows of a point are then (1, 0, x) and (0, 1, y). `newton.py` linearises all
+other friction elements; the equations are the same.
 """
 
 import math
 
 from fixel.kernels.arrays import LANE_FIELDS, N_POINT, Problem, Workspace
 from fixel.kernels.jit import kernel, large_kernel, view
+from fixel.typing import FloatArray
 
 LANES = 8
 # Fields of a point in `work.lanes`: its arm, its impulse and limit, how its impulse changes as in
@@ -58,6 +60,25 @@ def gather_points(problem: Problem, work: Workspace, first: int, last: int) -> N
             f[_LIMIT, j] = problem.element_limit[e + j]
 
 
+@kernel
+def to_axes(row: FloatArray, x: float, y: float) -> tuple[float, float]:
+    """Transform a velocity of the world to the axes of friction of a point with this row."""
+    return row[0, 0] * x + row[0, 1] * y, row[1, 0] * x + row[1, 1] * y
+
+
+@kernel
+def from_axes(
+    row: FloatArray, px: float, py: float, xx: float, xy: float, yy: float, xt: float, yt: float
+) -> tuple[float, float, float, float, float, float, float]:
+    """Transform an impulse and a stiffness from these axes to those of the world."""
+    px, py = row[0, 0] * px + row[1, 0] * py, row[0, 1] * px + row[1, 1] * py
+    xt, yt = row[0, 0] * xt + row[1, 0] * yt, row[0, 1] * xt + row[1, 1] * yt
+    left, right = xx * row[0, 0] + xy * row[1, 0], xx * row[0, 1] + xy * row[1, 1]
+    low, high = xy * row[0, 0] + yy * row[1, 0], xy * row[0, 1] + yy * row[1, 1]
+    xx, xy = row[0, 0] * left + row[1, 0] * low, row[0, 0] * right + row[1, 0] * high
+    return px, py, xx, xy, row[0, 1] * right + row[1, 1] * high, xt, yt
+
+
 @large_kernel
 def linearise_points(
     problem: Problem, work: Workspace, first: int, last: int, epsilon: float
@@ -65,7 +86,7 @@ def linearise_points(
     """Linearise the groups of one body, elements `first` to ``last - 1``.
 
     Returns the largest entry of their natural map, their wrench (x, y, turn) and their stiffness
-    (xx, xy, yy, xt, yt, tt).
+    (xx, xy, yy, xt, yt, tt), in the axes of the world.
     """
     for e in range(first, last, LANES):
         _linearise_group(problem, work, e, epsilon)
@@ -92,6 +113,8 @@ def linearise_points(
             xt += f[_XT, j]
             yt += f[_YT, j]
             tt += f[_TT, j]
+    row = problem.element_row[first]
+    px, py, xx, xy, yy, xt, yt = from_axes(row, px, py, xx, xy, yy, xt, yt)
     return worst, px, py, turn, xx, xy, yy, xt, yt, tt
 
 
@@ -100,8 +123,7 @@ def _linearise_group(problem: Problem, work: Workspace, e: int, epsilon: float) 
     """Compute the fields of a group at the present velocity and impulses."""
     f = view(work.lanes, LANE_FIELDS * e, (LANE_FIELDS, LANES))
     o = problem.element_dof[e]
-    vx = problem.velocity[o]
-    vy = problem.velocity[o + 1]
+    vx, vy = to_axes(problem.element_row[e], problem.velocity[o], problem.velocity[o + 1])
     spin = problem.velocity[o + 2]
     rho = problem.stiffness[o]
     per_rho = 1.0 / rho
@@ -152,6 +174,7 @@ def change_points(
 ) -> None:
     """Change the impulses of the groups of one body by a change of its velocity."""
     p = problem.element_impulse
+    vx, vy = to_axes(problem.element_row[first], vx, vy)
     for e in range(first, last, LANES):
         f = view(work.lanes, LANE_FIELDS * e, (LANE_FIELDS, LANES))
         for j in range(LANES):
