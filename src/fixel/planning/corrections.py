@@ -15,13 +15,18 @@ from fixel.errors import InvalidInput
 from fixel.model.goals import BodyTrack
 from fixel.model.trajectory import wrapped
 from fixel.planning.belief import Belief, Scenarios
-from fixel.planning.candidates import embedded, goal_poses, simulator_alone, spread_pushes
+from fixel.planning.candidates import (
+    embedded,
+    goal_poses,
+    poses_within,
+    simulator_alone,
+    spread_pushes,
+)
 from fixel.planning.rollout import CARRIED_OUT, WORST_MARGIN, PlanSimulator
 from fixel.simulation.vary import composed, inverted
 from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.predictive import EndError, motion_of
 from fixel.uncertainty.run_to_run import arm_of
-from fixel.uncertainty.starts import StartError
 
 WORLDS: Final = 32  # draws of what is unknown in a table
 WAYS: Final = (128, 2048)  # least and largest number of contacts and directions in it
@@ -30,6 +35,13 @@ SHARE: Final = 0.25  # of the rollouts of a search that its table may use
 NEAREST: Final = 24  # pushes that are compared for a seen pose
 TRIED: Final = 6  # of these, simulated among the fixels
 TRIED_WORLDS: Final = 8
+AIMS: Final = 3  # poses in a region of the goal that corrections aim at
+ITERATIONS: Final = 4  # of Gauss-Newton
+SLOPE, REACH = 1e-3, 0.1  # its step for slopes, and longest step, in shares of the ranges
+ENOUGH: Final = 0.95  # probability from which a push is not refined
+PARENTS, CHILDREN = 4, 12  # pushes of each generation of a refinement
+GENERATIONS: Final = 6
+STEPS: Final = (0.03, 0.003)  # largest and smallest of its children, in shares of the ranges
 FAR: Final = 1e-3  # weight of the distance from the goal beside the probability of meeting it
 SHORTER: Final = (
     0.2  # least length of a correction, relative to that of a push, where none is given
@@ -40,11 +52,16 @@ CHUNK: Final = 256  # seen poses that are compared at a time, which bounds the m
 WIDER: Final = (0.0, 0.05, 0.1, 0.2, 0.4, 0.8)
 
 
+# Seen poses (n, 3), weights (n, w) of the worlds, and poses (n, w, 3) of the part in each.
+SeenParts = tuple[FloatArray, ...]
+
+
 class Correction(NamedTuple):
     """Pushes that are chosen for n seen poses."""
 
     row: IntArray  # (n,) of the table; -1 where no push is better
     probability: FloatArray  # (n,) that the goal is met after it
+    numbers: FloatArray  # (n, d) of the push, which may be refined
 
 
 @final
@@ -135,27 +152,21 @@ class CorrectionTable:
     def chosen(
         self,
         simulator: PlanSimulator,
-        seen: FloatArray,
-        weight: FloatArray,
-        camera: StartError,
+        case: SeenParts,
         towards: FloatArray,
+        refined: bool = True,
     ) -> Correction:
-        """Choose a push for each seen pose (n, 3), or none, with weights (n, w) of the worlds.
+        """Choose a push, or none, for each of n seen parts.
 
-        The pushes that lead nearest to the poses `towards` (t, 3) in the goal are compared.
+        The pushes that lead nearest to the poses `towards` (t, 3) in the goal are compared. Where
+        none of them is good enough, they are refined.
         """
-        if len(seen) > CHUNK:
-            parts = [
-                self.chosen(simulator, own, mine, camera, towards)
-                for own, mine in zip(
-                    *(np.array_split(x, -(-len(seen) // CHUNK)) for x in (seen, weight)),
-                    strict=True,
-                )
-            ]
-            return Correction(*(np.concatenate(own) for own in zip(*parts, strict=True)))
-        start = seen[:, None] + camera.deviation * self.draws[0]
-        score, meets = self._scores(simulator, start[:, None], weight[:, None])
-        rows = np.full((len(seen), 1), -1)
+        if len(case[0]) > CHUNK:
+            cases = zip(*(np.array_split(x, -(-len(x) // CHUNK)) for x in case), strict=True)
+            found = [self.chosen(simulator, own, towards, refined) for own in cases]
+            return Correction(*(np.concatenate(own) for own in zip(*found, strict=True)))
+        seen, weight, start = case
+        rest = self._scores(simulator, start[:, None], weight[:, None])
         ranks = np.arange(1, min(NEAREST, len(self.numbers)) + 1)
         near = np.hstack([
             self.tree.query(embedded(composed(inverted(seen), pose), self.arm), k=ranks)[1]
@@ -164,13 +175,18 @@ class CorrectionTable:
         many = near.shape[1]
         ends = self.after(near.reshape(-1), np.repeat(start, many, axis=0))
         ends = ends.reshape(len(seen), many, WORLDS, 3)
-        others = self._scores(simulator, ends, weight[:, None])
+        pushes = np.dstack((near, *self._scores(simulator, ends, weight[:, None])))
+        pushes = np.dstack((pushes, self.numbers[near]))
         if simulator.scene.fixels or simulator.choice.obstacles:
-            near, others = self._tried(simulator, seen, weight, near, others, start)
-        rows, score = np.hstack((rows, near)), np.hstack((score, others[0]))
-        best = np.argmax(score, axis=1)[:, None]
-        found = np.take_along_axis(np.hstack((meets, others[1])), best, axis=1)
-        return Correction(np.take_along_axis(rows, best, axis=1)[:, 0], found[:, 0])
+            pushes = self._tried(simulator, case, _best(pushes, TRIED), TRIED_WORLDS)
+        best = _best(pushes, 1)[:, 0]
+        low = np.flatnonzero(np.maximum(rest[1][:, 0], best[:, 2]) < ENOUGH)
+        if refined and len(low):
+            own: SeenParts = (seen[low], weight[low], start[low])
+            first = near[low, :: many // len(towards)]  # nearest to each aim
+            best[low] = self._refined(simulator, own, pushes[low], first, towards)
+        row = np.where(rest[0][:, 0] >= best[:, 1], -1, best[:, 0]).astype(np.int64)
+        return Correction(row, np.where(row < 0, rest[1][:, 0], best[:, 2]), best[:, 3:])
 
     def _scores(
         self, simulator: PlanSimulator, ends: FloatArray, weight: FloatArray
@@ -182,33 +198,99 @@ class CorrectionTable:
         return _scored(np.where(good, np.maximum(margin, WORST_MARGIN), WORST_MARGIN), weight)
 
     def _tried(
-        self,
-        simulator: PlanSimulator,
-        seen: FloatArray,
-        weight: FloatArray,
-        near: IntArray,
-        scores: tuple[FloatArray, FloatArray],
-        start: FloatArray,
-    ) -> tuple[IntArray, tuple[FloatArray, FloatArray]]:
-        """Simulate the best of some pushes among the fixels, in the likeliest worlds."""
-        n, tried = len(seen), min(TRIED, near.shape[1])
-        best = np.argsort(-scores[0], axis=1)[:, :tried]
-        rows = np.take_along_axis(near, best, axis=1)
-        likely = np.argsort(-weight, axis=1)[:, :TRIED_WORLDS]
+        self, simulator: PlanSimulator, case: SeenParts, pushes: FloatArray, worlds: int
+    ) -> FloatArray:
+        """Simulate pushes (n, m, 3 + d) among the fixels, in the likeliest worlds."""
+        (seen, weight, start), (n, m, _) = case, pushes.shape
+        likely = np.argsort(-weight, axis=1, kind="stable")[:, :worlds]
         planned = simulator.planned(
-            self.numbers[rows.reshape(-1)][:, None], np.repeat(seen, tried, axis=0)
+            pushes[:, :, 3:].reshape(n * m, 1, -1), np.repeat(seen, m, axis=0)
         )
-        which = np.repeat(np.arange(n * tried), TRIED_WORLDS)
-        world = np.repeat(likely, tried, axis=0).reshape(-1)
+        which = np.repeat(np.arange(n * m), worlds)
+        world = np.repeat(likely, m, axis=0).reshape(-1)
         error = np.take_along_axis(start - seen[:, None], likely[..., None], axis=1)
         scenarios = self.worlds.rows(world)._replace(
-            start=np.repeat(error, tried, axis=0).reshape(-1, 3),
+            start=np.repeat(error, m, axis=0).reshape(-1, 3),
             misfit=self.draws[1][world] / np.array([1.0, 1.0, self.arm]),
         )
         margin = simulator.margins(simulator.run(planned, which, scenarios))
-        margin = np.where(planned.collides[which], WORST_MARGIN, margin)
+        margin = np.where(planned.collides[which], WORST_MARGIN, margin).reshape(n, m, worlds)
         own = np.take_along_axis(weight, likely, axis=1)[:, None]
-        return rows, _scored(margin.reshape(n, tried, TRIED_WORLDS), own)
+        return np.dstack((pushes[:, :, 0], *_scored(margin, own), pushes[:, :, 3:]))
+
+    def _refined(
+        self,
+        simulator: PlanSimulator,
+        case: SeenParts,
+        pushes: FloatArray,
+        near: IntArray,
+        towards: FloatArray,
+    ) -> FloatArray:
+        """Return the best push (n, 3 + d) of an evolution strategy that ends where it is enough.
+
+        Parents are given pushes (n, m, 3 + d), and those of the table, `near` (n, t), moved to the
+        aims (t, 3). Where no push meets the goal, the first parents stay: before a slot, the
+        distance from the goal misleads.
+
+        Source
+        ------
+        Beyer & Schwefel (2002), Natural Computing 1, 3-52: parents and children compete.
+        """
+        low, high = simulator.choice.bounds(simulator.scene)
+        span, rng = high - low, np.random.default_rng([self.seed, 13])
+        low[0], high[0] = -np.inf, np.inf  # the way round the outline is closed
+        aimed = self._aimed(simulator, case, self.numbers[near], towards)
+        aimed = np.dstack((near, near, near, np.clip(aimed, low, high)))
+        own = self._tried(simulator, case, np.hstack((aimed, _best(pushes, PARENTS))), TRIED_WORLDS)
+        found = _best(own, PARENTS, by=2)
+        parents = np.arange(CHILDREN) % found.shape[1]
+        for _ in range(GENERATIONS):
+            moved = np.geomspace(*STEPS, CHILDREN)[:, None] * span
+            moved = moved * rng.standard_normal(moved.shape)
+            busy = np.flatnonzero(found[:, :, 2].max(axis=1) < ENOUGH)
+            if not len(busy):
+                break
+            children = found[busy][:, parents]
+            children[:, :, 3:] = np.clip(children[:, :, 3:] + moved, low, high)
+            mine: SeenParts = tuple(x[busy] for x in case)
+            children = self._tried(simulator, mine, children, TRIED_WORLDS)
+            found[busy] = _best(np.hstack((found[busy], children)), PARENTS, by=2)
+        last = np.hstack((found[:, :1], _best(pushes, 1)))
+        return _best(self._tried(simulator, case, last, WORLDS), 1)[:, 0]
+
+    def _aimed(
+        self, simulator: PlanSimulator, case: SeenParts, numbers: FloatArray, towards: FloatArray
+    ) -> FloatArray:
+        """Return pushes (n, t, d) moved until they lead to the aims (t, 3) where there is no fixel.
+
+        By Gauss-Newton with difference quotients, in the likeliest world.
+        """
+        alone, (seen, weight, _) = simulator_alone(simulator), case
+        n, t, d = numbers.shape
+        low, high = alone.choice.bounds(alone.scene)
+        steps = np.vstack((np.zeros(d), SLOPE * np.diag(high - low)))
+        wanted = np.stack([composed(inverted(seen), pose) for pose in towards], axis=1)
+        scenarios = self.worlds.rows(np.repeat(weight.argmax(axis=1), t * (d + 1)))
+        best, least = numbers, np.full((n, t), np.inf)
+        for _ in range(ITERATIONS):
+            trial = (numbers[:, :, None] + steps).reshape(-1, 1, d)
+            runs = alone.run(alone.planned(trial), np.arange(len(trial)), scenarios)
+            off = wanted[:, :, None] - runs.pose[:, -1].reshape(n, t, d + 1, 3)
+            off[..., 2] = self.arm * wrapped(off[..., 2])
+            size = np.linalg.norm(off[:, :, 0], axis=-1)
+            best = np.where((size < least)[..., None], numbers, best)
+            least = np.minimum(size, least)
+            slope = (off[:, :, :1] - off[:, :, 1:]).swapaxes(-1, -2) / SLOPE
+            step = (np.linalg.pinv(slope, rcond=1e-3) @ off[:, :, 0, :, None])[..., 0]
+            numbers = numbers + (high - low) * np.clip(step, -REACH, REACH)
+            numbers[..., 2] = np.clip(numbers[..., 2], low[2], high[2])
+        return best
+
+
+def _best(pushes: FloatArray, k: int, by: int = 1) -> FloatArray:
+    """Return the k best of pushes (n, m, 3 + d): row, score, probability and numbers."""
+    order = np.argsort(-pushes[:, :, by], axis=1, kind="stable")[:, :k]
+    return np.take_along_axis(pushes, order[..., None], axis=1)
 
 
 def _scored(margin: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -248,10 +330,19 @@ def likelihoods(
     return found
 
 
-def towards(simulator: PlanSimulator, end: FloatArray) -> FloatArray:
-    """Return the poses (t, 3) that corrections aim at: of the goal, else the planned end."""
+def towards(simulator: PlanSimulator, end: FloatArray, seed: int) -> FloatArray:
+    """Return the poses (t, 3) that corrections aim at: of the goal, else the planned end.
+
+    Poses well inside a region of the goal, the nearest to that end, are added.
+    """
     poses = goal_poses(simulator.scene, simulator.goal)
-    return poses if len(poses) else end[None]
+    within = poses_within(simulator, seed)
+    if len(poses) or not len(within):
+        return poses if len(poses) else end[None]
+    margin = simulator.goal.margin(simulator.scene, BodyTrack.of_ends(within))
+    within, arm = within[np.argsort(-margin)[: len(within) // 4]], arm_of(simulator.scene)
+    near = np.linalg.norm(embedded(within, arm) - embedded(end[None], arm), axis=1)
+    return np.vstack((within[np.argsort(near)[:AIMS]], end))
 
 
 def _lengths(path: FloatArray, longest: FloatArray) -> FloatArray:

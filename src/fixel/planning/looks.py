@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Final, NamedTuple, final
@@ -13,6 +13,7 @@ import numpy as np
 from fixel.errors import InvalidInput
 from fixel.model.fields import instance
 from fixel.model.goals import Beyond, Inside, PoseRegion
+from fixel.model.trajectory import wrapped
 from fixel.planning.belief import Belief, Scenarios
 from fixel.planning.candidates import Numbers
 from fixel.planning.corrections import (
@@ -36,6 +37,7 @@ LEAST: Final = 1e-9  # weight of a world that a seen pose speaks against
 RUNS: Final = 24  # of each world, to tell from a seen pose which worlds are likely
 COUNTING: Final = 24.0  # effective number of runs that must agree with a seen pose
 COUNTING_WORLDS: Final = 6.0
+UNKNOWN: Final = 1e3  # deviation of ends that are not predicted [m], [rad]
 COMPARED: Final = 4  # plans of the search whose policies are compared
 COMPARED_RUNS: Final = 400
 
@@ -118,6 +120,7 @@ class Policy:
     planned: PlannedMotions  # of the first pushes
     table: CorrectionTable
     views: Views
+    refined: bool = True  # whether the pushes of the table are refined
 
     def walk(self, scenarios: Scenarios, seed: int) -> Walk:
         """Carry out the policy once in each scenario, each with its own errors of the camera."""
@@ -134,9 +137,10 @@ class Policy:
             lost = rng.random(n) < self.views.lost_views
             weight = self._likely(seen, before)
             weight[lost] = 1.0 if before is None else before[0][lost]
-            found = self._chosen(seen, weight)
+            start = self._starts(seen, before)
+            found = self._chosen(seen, weight, start)
             found = found._replace(row=np.where(lost, -1, found.row))
-            before = weight, *self._expected(seen, found.row)
+            before = weight, *self._expected(seen, start, found)
             first = first or (seen, found)
             own = np.flatnonzero((found.row >= 0) & (failure == CARRIED_OUT))
             if len(own):
@@ -145,8 +149,7 @@ class Policy:
                     start=pose[own] - seen[own],
                     rest=drawn.rest, drift=drawn.drift, misfit=drawn.misfit,
                 )  # fmt: skip
-                numbers = self.table.numbers[found.row[own]][:, None]
-                planned = self.simulator.planned(numbers, seen[own])
+                planned = self.simulator.planned(found.numbers[own][:, None], seen[own])
                 runs = self.simulator.run(planned, np.arange(len(own)), mine)
                 pose[own], failure[own] = runs.pose[:, -1], runs.failure
                 after = np.where(planned.collides, WORST_MARGIN, self.simulator.margins(runs))
@@ -164,17 +167,18 @@ class Policy:
         """Choose the push after the last of some seen poses (k, 3), one after each push."""
         before: Before | None = None
         for pose in np.asarray(seen, np.float64).reshape(-1, 1, 3):
-            weight = self._likely(pose, before)
-            found = self._chosen(pose, weight)
-            before = weight, *self._expected(pose, found.row)
+            weight, start = self._likely(pose, before), self._starts(pose, before)
+            found = self._chosen(pose, weight, start)
+            before = weight, *self._expected(pose, start, found)
         return found
 
-    def _chosen(self, seen: FloatArray, weight: FloatArray) -> Correction:
-        return self.table.chosen(self.simulator, seen, weight, self.views.camera, self._aims)
+    def _chosen(self, seen: FloatArray, weight: FloatArray, start: FloatArray) -> Correction:
+        case = (seen, weight, start)
+        return self.table.chosen(self.simulator, case, self._aims, self.refined)
 
     @cached_property
     def _aims(self) -> FloatArray:
-        return towards(self.simulator, self.planned.nominal.pose[0, -1])
+        return towards(self.simulator, self.planned.nominal.pose[0, -1], self.table.seed)
 
     @cached_property
     def _ends(self) -> FloatArray:
@@ -193,13 +197,45 @@ class Policy:
         weight, ends, deviation = before
         return np.asarray(weight * likelihoods(seen, ends, deviation, COUNTING_WORLDS) + LEAST)
 
-    def _expected(self, seen: FloatArray, row: IntArray) -> tuple[FloatArray, FloatArray]:
+    def _starts(self, seen: FloatArray, before: Before | None) -> FloatArray:
+        """Draw the poses (n, w, 3) of seen parts in each world, from prediction and view.
+
+        The first look has predictions. A world whose prediction is unlike the seen pose counts by
+        as much less as it is off.
+
+        Source
+        ------
+        Kalman (1960); Evensen (1994), who estimates the covariance by an ensemble.
+        """
+        view = np.diag(np.maximum(self.views.camera.deviation, 1e-9) ** 2)
+        if before is not None:
+            return seen[:, None] + self.views.camera.deviation * self.table.draws[0]
+        ends = self._ends.reshape(WORLDS, RUNS, 3)
+        good = np.isfinite(ends).all(axis=(1, 2))[:, None]
+        mean = np.where(good, ends.mean(axis=1), 0.0)
+        ends = ends - ends.mean(axis=1, keepdims=True)
+        spread = np.einsum("wri,wrj->wij", ends, ends) / (RUNS - 1)
+        spread = np.where(good[..., None], spread, np.eye(3))
+        off = seen[:, None] - mean
+        off[..., 2] = wrapped(off[..., 2])
+        far = np.einsum("nwi,wij,nwj->nw", off, np.linalg.inv(spread + view), off) / 3.0
+        spread = np.maximum(far, 1.0)[..., None, None] * spread + 1e-18 * np.eye(3)
+        gain = spread @ np.linalg.inv(spread + view)
+        root = np.linalg.cholesky(gain @ view)
+        drawn = root @ self.table.draws[0][..., None] + gain @ off[..., None]
+        return np.asarray(mean + drawn[..., 0])
+
+    def _expected(
+        self, seen: FloatArray, start: FloatArray, found: Correction
+    ) -> tuple[FloatArray, FloatArray]:
         """Return the ends (n, w, 3) of chosen pushes in each world, and their deviations."""
-        deviation = self.views.camera.deviation
-        start = seen[:, None] + deviation * self.table.draws[0]
-        ends = composed(start, self.table.moved[row].astype(np.float64))
-        ends = np.where((row >= 0)[:, None, None], ends, start)
-        return ends, np.hypot(deviation, self.table.deviation(start, ends))
+        ends = composed(start, self.table.moved[found.row].astype(np.float64))
+        ends = np.where((found.row >= 0)[:, None, None], ends, start)
+        deviation = self.table.deviation(start, ends)
+        # The ends of a refined push are unknown, so that the next view changes no weights.
+        refined = (found.row >= 0) & (found.numbers != self.table.numbers[found.row]).any(axis=1)
+        deviation[refined] = UNKNOWN
+        return ends, np.hypot(self.views.camera.deviation, deviation)
 
 
 def policy_of(
@@ -218,13 +254,14 @@ def policy_of(
         for after in range(min(1, len(plan)), len(plan) + 1):
             policy = Policy(
                 simulator=simulator, belief=belief, planned=simulator.planned(plan[None, :after]),
-                table=table, views=search.views,
+                table=table, views=search.views, refined=False,
             )  # fmt: skip
             done = policy.walk(scenarios, seed + CHOICE)
-            rank = (int((done.margin[-1] >= 0.0).sum()), -int(done.pushes.sum()))
+            far = np.log1p(np.maximum(-done.margin[-1], 0.0)).sum()
+            rank = (int((done.margin[-1] >= 0.0).sum()), -far, -int(done.pushes.sum()))
             found.append((rank, plan[:after], policy))
     _, numbers, policy = max(found, key=lambda own: own[0])
-    return numbers, policy
+    return numbers, replace(policy, refined=True)
 
 
 def looks_of(
