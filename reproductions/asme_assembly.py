@@ -36,12 +36,13 @@ from fixel.model import (
     Support,
     SupportPoints,
 )
-from fixel.model.goals import BodyTrack, Inside
+from fixel.model.goals import BodyTrack, Inside, PoseRegion
 from fixel.planning.belief import Belief
-from fixel.planning.looks import looks_of, policy_of
-from fixel.planning.plan import simulator_of
-from fixel.planning.pushes import FreePushes
-from fixel.planning.search import MarginRequest, PlanSearch, Views
+from fixel.planning.corrections import CorrectionTable
+from fixel.planning.looks import Policy, looks_of, policy_of
+from fixel.planning.plan import PlanRuns, simulator_of
+from fixel.planning.pushes import FreePushes, scene_of_push
+from fixel.planning.search import DRAWS, MarginRequest, PlanSearch, SearchStage, Views
 from fixel.replay.base import Row
 from fixel.sampling.published import PART_LENGTH, PART_MASS, PART_WIDTH, PROBE_SIDE
 from fixel.simulation.ensemble import Ensemble
@@ -81,6 +82,12 @@ NORMAL: Final = StartError(x=2.5 * UM, y=2.5 * UM, theta=math.radians(0.25), kin
 FINE: Final = StartError(x=UM, y=UM, theta=math.radians(0.1), kind="uniform")
 CAMERAS: Final = {"look_5um": ASME, "look_1um": FINE}
 STARTS: Final = {"normal": NORMAL, "box": ASME}
+# Where no blind plan is found, the way ends in front of the mouth, and a look follows.
+BEFORE_MOUTH: Final = PoseRegion(
+    row(-100 * UM - 0.5 * PART_LENGTH, 0.0, 0.5 * math.pi),
+    position=60 * UM, angle=math.radians(2.0), symmetry=2,
+)  # fmt: skip
+STATED, HELD = 128, 68  # runs from which such a policy is stated, and in which it is carried out
 START_A: Final = row(-2.6e-3, -0.4e-3, 0.0)  # the long side lies across the slot
 Values = Mapping[str, float]
 
@@ -261,7 +268,10 @@ def assembled(clearance: int, sets: Sequence[Values], rollouts: int, trees: int)
     try:
         plan = fixel.plan(scene, goal, choose, belief, rollouts=rollouts, progress=False)
     except InvalidInput as problem:
-        return Assembly(clearance, None, {**row, "found": problem.found})
+        row["found"] = problem.found
+        way = replace(choose, most=3)
+        plan = fixel.plan(scene, BEFORE_MOUTH, way, belief, rollouts=rollouts, progress=False)
+        return _corrected(clearance, plan, goal, row)
     simulator = simulator_of(plan.scene, goal, choose, belief, None, None, None)
     judge = PlanSearch(simulator=simulator, belief=belief, rollouts=rollouts)
     row |= {"found": "a plan", "pushes": len(plan.pushes), **_rates("blind", plan.success)}
@@ -278,6 +288,49 @@ def assembled(clearance: int, sets: Sequence[Values], rollouts: int, trees: int)
         row |= {**_rates(name, looks.worth[1]), f"{name}_after": len(first)}
         row[f"{name}_before"], row[f"{name}_pushes"] = looks.worth[0].mean, looks.pushes
     return Assembly(clearance, plan, row)
+
+
+def _corrected(clearance: int, way: fixel.PushPlan, goal: Inside, row: Row) -> Assembly:
+    """State and carry out the policy of one look after the way to the mouth, and one push."""
+    simulator = simulator_of(way.scene, goal, way.choose, way.belief, None, None, None)
+    table = CorrectionTable.of(simulator, way.belief, way.rollouts, 11)
+    row |= {"pushes": len(way.pushes), "before_mouth": way.success.mean}
+    planned, plan = simulator.planned(way.choose.numbers(way.pushes)[None]), way
+    sets = len(way.belief.parameters)
+    for name, camera in CAMERAS.items():
+        policy = Policy(
+            simulator=simulator, belief=way.belief, planned=planned, table=table,
+            views=Views(1, camera),
+        )  # fmt: skip
+        looks, drawn = looks_of(policy, [SearchStage(DRAWS, STATED, 1)], 1)
+        rngs = np.random.default_rng(13).spawn(HELD)
+        held = [carried_out(policy, k % sets, rng) for k, rng in enumerate(rngs)]
+        row |= {**_rates(name, looks.worth[1]), f"{name}_after": len(way.pushes)}
+        row |= {f"{name}_held": sum(held) / HELD, f"{name}_pushes": looks.pushes}
+        missed = tuple("" if own >= 0.0 else "missed" for own in looks.walk.margin[1])
+        runs = PlanRuns(drawn, looks.walk.margin[1], looks.walk.pose, missed)
+        plan = replace(way, runs=runs, success=looks.worth[1])
+    return Assembly(clearance, plan, row)
+
+
+def carried_out(policy: Policy, k: int, rng: np.random.Generator) -> bool:
+    """Carry out a policy of one look under the parameter set k, by single simulations."""
+    simulator, camera = policy.simulator, policy.views.camera
+    world, scene = policy.belief.parameters[k], simulator.scene
+    pose = START_A + rng.uniform(-1.0, 1.0, 3) * ASME.size
+    for path in policy.planned.path[0]:
+        pose = _pushed(scene, pose, path, world)
+    seen = pose + rng.uniform(-1.0, 1.0, 3) * camera.size
+    chosen = policy.next(seen)
+    if chosen.row[0] >= 0:
+        path = simulator.choice.motions(scene, chosen.numbers, seen[None]).path[0]
+        pose = _pushed(scene, pose, path, world)
+    return bool(simulator.goal.met(scene, BodyTrack.of_ends(pose))[0])
+
+
+def _pushed(scene: Scene, pose: FloatArray, path: FloatArray, world: Values) -> FloatArray:
+    push = scene_of_push(scene, pose, path)
+    return np.asarray(fixel.simulate(push, world, motion="quasistatic")["part"].pose[-1])
 
 
 def _rates(name: str, success: fixel.SuccessProbability) -> Row:
@@ -303,7 +356,15 @@ def _conclusions(curve: Sequence[Row], under_sets: Sequence[Row], rows: Sequence
     for one in rows:
         name = f"A to B at {one['clearance_um']} um"
         if one["found"] != "a plan":
-            sentences.append(f"{name}: no plan; {one['found']}.")
+            looks = ", ".join(
+                f"{own.removeprefix('look_')} {one[own]:.3f} ({one[f'{own}_low']:.3f});"
+                f" held {one[f'{own}_held']:.3f} of {HELD}"
+                for own in CAMERAS
+            )
+            sentences.append(
+                f"{name}: no blind plan; {one['found']}. {one['pushes']} pushes to the mouth, one"
+                f" look and one push: {looks}."
+            )
             continue
         trees = one.get("trees", [])
         tree = f"{np.mean(trees):.3f} (mean of {len(trees)})" if trees else "not found"

@@ -9,7 +9,9 @@ import fixel
 from fixel import Belief, FreePushes, InvalidInput, PoseRegion, Seated, StartError
 from fixel.drawing.planning import looks_chart
 from fixel.planning.corrections import CorrectionTable, likelihoods
+from fixel.planning.looks import Policy
 from fixel.planning.plan import search_of
+from fixel.planning.search import Views
 from fixel.testing.scenes import grasp, pushed_square
 from fixel.units import deg, mm
 
@@ -100,6 +102,85 @@ def test_entries_of_the_table_are_pushes_of_their_length():
         # Within the tolerances of the stepper.
         off = np.abs(table.moved[row, world] - end)
         assert (off < (3e-5, 3e-5, 5e-4)).all()
+
+
+def searched(goal=GOAL, looks=1):
+    choose = FreePushes(length=(2 * mm, 60 * mm))
+    return search_of(
+        pushed_square(), goal, choose, UNKNOWN, rollouts=4_000, seed=0, views=Views(looks, CAMERA)
+    )
+
+
+@pytest.fixture(scope="module")
+def policy():
+    """Policy that looks before any push, at a goal tighter than the pushes of its table."""
+    goal = replace(GOAL, position=0.7 * mm, angle=1.0 * deg)
+    search = searched(goal)
+    table = CorrectionTable.of(search.simulator, UNKNOWN, 4_000, 3)
+    planned = search.simulator.planned(np.zeros((1, 0, 3)))
+    return Policy(
+        simulator=search.simulator, belief=UNKNOWN, planned=planned, table=table, views=search.views
+    )
+
+
+def test_a_refined_push_reaches_a_goal_that_the_table_misses(policy):
+    """Carried out by single simulations, in a world that is known to the policy."""
+    known = replace(
+        policy.table,
+        worlds=policy.table.worlds._replace(
+            values={"mu_pusher": np.full(32, 0.3), "friction_centre_y": np.zeros(32)}
+        ),
+    )
+    seen = pushed_square().bodies[0].pose + np.array([[1, 2, 0.05], [0, -1, 0.0]]) * (mm, mm, 1.0)
+    ends = {}
+    for refined in (False, True):
+        own = replace(policy, table=known, refined=refined)
+        start = np.repeat(seen[:, None], 32, axis=1)
+        found = own._chosen(seen, np.ones((2, 32)), start)
+        path = own.simulator.choice.motions(own.simulator.scene, found.numbers, seen).path
+        for k in range(2):
+            push = fixel.planning.pushes.scene_of_push(own.simulator.scene, seen[k], path[k])
+            world = {"mu_pusher": 0.3, "friction_centre_y": 0.0}
+            end = fixel.simulate(push, world, motion="quasistatic")["part"].pose[-1]
+            ends[k, refined] = np.hypot(*(end - GOAL.pose)[:2])
+    assert max(ends[k, True] for k in range(2)) < 0.7 * mm
+    assert min(ends[k, False] for k in range(2)) > 0.7 * mm
+
+
+def test_refined_pushes_stay_near_those_of_the_table(policy):
+    seen = pushed_square().bodies[0].pose + np.array([[1, 2, 0.05], [0, -1, 0.0]]) * (mm, mm, 1.0)
+    start = policy._starts(seen, None)
+    found = policy._chosen(seen, np.ones((2, 32)), start)
+    low, high = policy.simulator.choice.bounds(policy.simulator.scene)
+    off = (found.numbers - policy.table.numbers[found.row]) / (high - low)
+    assert (np.abs(off) <= 0.15 + 1e-9).all()
+    assert (found.numbers[:, 2] <= high[2]).all()
+    # A pose alone and among others has the same correction.
+    alone = policy._chosen(seen[1:], np.ones((1, 32)), start[1:])
+    assert (alone.numbers[0] == found.numbers[1]).all()
+
+
+def test_starts_are_the_product_of_prediction_and_view(policy):
+    """By importance weights of many poses, which know nothing of gains."""
+    rng = np.random.default_rng(8)
+    draws = rng.standard_normal((2, 32, 3))
+    size = np.array([0.08 * mm, 0.15 * mm, 0.1 * deg])
+    ends = size * rng.standard_normal((32, 24, 3))
+    own = replace(policy, table=replace(policy.table))
+    vars(own).update(_ends=ends.reshape(-1, 3))
+    seen = np.array([[0.1 * mm, -0.1 * mm, 0.1 * deg]])
+    vars(own.table).update(draws=draws)
+    found = own._starts(seen, None)[0]
+    for world in range(3):
+        many = rng.multivariate_normal(ends[world].mean(axis=0), np.cov(ends[world].T), 100_000)
+        weight = np.exp(-0.5 * np.sum(((many - seen) / CAMERA.size) ** 2, axis=1))
+        mean = weight @ many / weight.sum()
+        root = np.linalg.cholesky(np.cov(many.T, aweights=weight))
+        expected = mean + root @ draws[0, world]
+        assert found[world] == pytest.approx(expected, abs=0.02 * mm)
+    far = seen + np.array([10 * mm, 10 * mm, 0.0])
+    off = np.abs(own._starts(far, None)[0] - far).max(axis=0)
+    assert (off < (0.5 * mm, 0.5 * mm, 1.0 * deg)).all()  # about the view, not the prediction
 
 
 def test_a_table_of_no_trusted_pushes_is_refused():

@@ -37,7 +37,8 @@ TRIED: Final = 6  # of these, simulated among the fixels
 TRIED_WORLDS: Final = 8
 AIMS: Final = 3  # poses in a region of the goal that corrections aim at
 ITERATIONS: Final = 4  # of Gauss-Newton
-SLOPE, REACH = 1e-3, 0.1  # its step for slopes, and longest step, in shares of the ranges
+SLOPE: Final = 1e-3  # its steps for slopes, in shares of the ranges
+REACH: Final = 0.15  # largest distance of a refined push from one of the table, in such shares
 ENOUGH: Final = 0.95  # probability from which a push is not refined
 PARENTS, CHILDREN = 4, 12  # pushes of each generation of a refinement
 GENERATIONS: Final = 6
@@ -238,9 +239,8 @@ class CorrectionTable:
         """
         low, high = simulator.choice.bounds(simulator.scene)
         span, rng = high - low, np.random.default_rng([self.seed, 13])
-        low[0], high[0] = -np.inf, np.inf  # the way round the outline is closed
-        aimed = self._aimed(simulator, case, self.numbers[near], towards)
-        aimed = np.dstack((near, near, near, np.clip(aimed, low, high)))
+        aimed = self._aimed(simulator, case, near, towards)
+        aimed = np.dstack((near, near, near, aimed))
         own = self._tried(simulator, case, np.hstack((aimed, _best(pushes, PARENTS))), TRIED_WORLDS)
         found = _best(own, PARENTS, by=2)
         parents = np.arange(CHILDREN) % found.shape[1]
@@ -251,21 +251,23 @@ class CorrectionTable:
             if not len(busy):
                 break
             children = found[busy][:, parents]
-            children[:, :, 3:] = np.clip(children[:, :, 3:] + moved, low, high)
+            row = children[:, :, 0].astype(np.int64)
+            children[:, :, 3:] = self._near(simulator, children[:, :, 3:] + moved, row)
             mine: SeenParts = tuple(x[busy] for x in case)
             children = self._tried(simulator, mine, children, TRIED_WORLDS)
             found[busy] = _best(np.hstack((found[busy], children)), PARENTS, by=2)
         last = np.hstack((found[:, :1], _best(pushes, 1)))
-        return _best(self._tried(simulator, case, last, WORLDS), 1)[:, 0]
+        return np.asarray(_best(self._tried(simulator, case, last, WORLDS), 1)[:, 0])
 
     def _aimed(
-        self, simulator: PlanSimulator, case: SeenParts, numbers: FloatArray, towards: FloatArray
+        self, simulator: PlanSimulator, case: SeenParts, row: IntArray, towards: FloatArray
     ) -> FloatArray:
-        """Return pushes (n, t, d) moved until they lead to the aims (t, 3) where there is no fixel.
+        """Move pushes `row` (n, t) until they lead to the aims (t, 3) where there is no fixel.
 
         By Gauss-Newton with difference quotients, in the likeliest world.
         """
         alone, (seen, weight, _) = simulator_alone(simulator), case
+        numbers = self.numbers[row]
         n, t, d = numbers.shape
         low, high = alone.choice.bounds(alone.scene)
         steps = np.vstack((np.zeros(d), SLOPE * np.diag(high - low)))
@@ -282,9 +284,19 @@ class CorrectionTable:
             least = np.minimum(size, least)
             slope = (off[:, :, :1] - off[:, :, 1:]).swapaxes(-1, -2) / SLOPE
             step = (np.linalg.pinv(slope, rcond=1e-3) @ off[:, :, 0, :, None])[..., 0]
-            numbers = numbers + (high - low) * np.clip(step, -REACH, REACH)
-            numbers[..., 2] = np.clip(numbers[..., 2], low[2], high[2])
+            numbers = self._near(alone, numbers + (high - low) * step, row)
         return best
+
+    def _near(self, simulator: PlanSimulator, numbers: FloatArray, row: IntArray) -> FloatArray:
+        """Return pushes (n, m, d) limited to the ranges, and to the reach of pushes of the table.
+
+        So they resemble the experiments that pushes of the table resemble.
+        """
+        low, high = simulator.choice.bounds(simulator.scene)
+        own, reach = self.numbers[row], REACH * (high - low)
+        low[0], high[0] = -np.inf, np.inf  # the way round the outline is closed
+        low, high = np.maximum(low, own - reach), np.minimum(high, own + reach)
+        return np.asarray(np.clip(numbers, low, high))
 
 
 def _best(pushes: FloatArray, k: int, by: int = 1) -> FloatArray:

@@ -209,9 +209,9 @@ class Policy:
         """
         view = np.diag(np.maximum(self.views.camera.deviation, 1e-9) ** 2)
         if before is not None:
-            return seen[:, None] + self.views.camera.deviation * self.table.draws[0]
+            return np.asarray(seen[:, None] + self.views.camera.deviation * self.table.draws[0])
         ends = self._ends.reshape(WORLDS, RUNS, 3)
-        good = np.isfinite(ends).all(axis=(1, 2))[:, None]
+        good = np.asarray(np.isfinite(ends).all(axis=(1, 2)))[:, None]
         mean = np.where(good, ends.mean(axis=1), 0.0)
         ends = ends - ends.mean(axis=1, keepdims=True)
         spread = np.einsum("wri,wrj->wij", ends, ends) / (RUNS - 1)

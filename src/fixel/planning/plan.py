@@ -377,7 +377,7 @@ class PushPlan(Result):
         row, probability = int(found.row[0]), float(found.probability[0])
         if row < 0:
             return PlanCorrection(None, None, probability)
-        numbers = policy.table.numbers[row][None]
+        numbers = found.numbers[:1]
         path = self.choose.motions(self.scene, numbers, poses[-1:]).path[0]
         return PlanCorrection(
             self.choose.pushes(self.scene, numbers)[0],
