@@ -87,7 +87,7 @@ BEFORE_MOUTH: Final = PoseRegion(
     row(-100 * UM - 0.5 * PART_LENGTH, 0.0, 0.5 * math.pi),
     position=60 * UM, angle=math.radians(2.0), symmetry=2,
 )  # fmt: skip
-STATED, HELD = 128, 68  # runs from which such a policy is stated, and in which it is carried out
+STATED, HELD = 200, 68  # runs from which such a policy is stated, and in which it is carried out
 START_A: Final = row(-2.6e-3, -0.4e-3, 0.0)  # the long side lies across the slot
 Values = Mapping[str, float]
 

@@ -201,7 +201,7 @@ class CorrectionTable:
     def _tried(
         self, simulator: PlanSimulator, case: SeenParts, pushes: FloatArray, worlds: int
     ) -> FloatArray:
-        """Simulate pushes (n, m, 3 + d) among the fixels, in the likeliest worlds."""
+        """Simulate pushes (n, m, 3 + d) among the fixels, in the most likely worlds."""
         (seen, weight, start), (n, m, _) = case, pushes.shape
         likely = np.argsort(-weight, axis=1, kind="stable")[:, :worlds]
         planned = simulator.planned(
@@ -264,7 +264,7 @@ class CorrectionTable:
     ) -> FloatArray:
         """Move pushes `row` (n, t) until they lead to the aims (t, 3) where there is no fixel.
 
-        By Gauss-Newton with difference quotients, in the likeliest world.
+        By Gauss-Newton with difference quotients, in the most likely world.
         """
         alone, (seen, weight, _) = simulator_alone(simulator), case
         numbers = self.numbers[row]
