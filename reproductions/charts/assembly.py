@@ -35,10 +35,13 @@ def assembly_figure(curve: Sequence[Row], plans: Sequence[tuple[PushPlan, int]])
     plans : sequence of (PushPlan, int)
         Plans with their clearances [um].
     """
-    figure = sheet(WIDE, 2.6)
-    left, *others = figure.subplots(1, 1 + len(plans), squeeze=False)[0]
+    rows = 1 + len(plans) // 2
+    figure = sheet(WIDE, 2.4 * rows)
+    left, *others = figure.subplots(rows, 2, squeeze=False).ravel()
     _curves(left, [one for one in curve if one["start"] == "normal"])
-    for axes, (plan, clearance) in zip(others, plans, strict=True):
+    for axes in others[len(plans) :]:
+        axes.axis("off")
+    for axes, (plan, clearance) in zip(others, plans, strict=False):
         _plan(axes, plan)
         axes.set_title(f"{clearance} µm: stated {plan.success.stated:.2f}", loc="left")
     return figure
