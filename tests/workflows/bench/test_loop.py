@@ -87,7 +87,7 @@ def test_a_plan_is_performed_tracked_stored_and_calibrated(bench):
     project, _ = bench
     truth = []
     with opened(bench, auto=True, limit=1) as loop:
-        assert loop.run() == "1 of 2 rows are experiments, which is the limit"
+        assert loop.run() == "the limit is reached"
         truth += [moment.part for moment in loop.devices.laboratory.moments]
     with opened(bench, auto=True) as loop:
         statuses = []

@@ -228,9 +228,7 @@ class BenchLoop:
             if not self.campaign.left:
                 self.finish = "every row of the plan is done"
             elif self.options.limit is not None and n >= self.options.limit:
-                self.finish = (
-                    f"{n} of {len(self.campaign.rows)} rows are experiments, which is the limit"
-                )
+                self.finish = "the limit is reached"
         return bool(self.finish)
 
     def _in_trouble(self) -> bool:
