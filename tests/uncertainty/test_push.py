@@ -20,7 +20,7 @@ def test_the_intervals_of_an_experiment_are_those_under_its_conditions():
         motion=QuasiStatic(),
         estimates=estimates,
         values_for=lambda **conditions: {"mu_pusher": 0.3},
-        samples=None,
+        samples=lambda n, seed, **conditions: {},
     )
     assert push_of(one, model).intervals == {"mu_pusher": (0.2, 0.4)}
     assert push_of(other, model).intervals == {"mu_pusher": (0.1, 0.4)}

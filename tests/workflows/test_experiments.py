@@ -103,7 +103,8 @@ def test_columns_and_units_are_chosen_where_the_header_does_not_say():
 
 def test_units_that_contradict_the_header_are_refused():
     table = columns(0.01)
-    with pytest.raises(InvalidInput, match=r"column x_m: found the unit m .* but mm was given"):
+    contradiction = r"column x_m \(push p0\): found the unit m .* but mm was given"
+    with pytest.raises(InvalidInput, match=contradiction):
         read(table, units={"length": "mm"})
     agreed = read(table, units={"length": "m", "time": "s", "angle": "rad"})
     assert agreed[0].trajectory.pose == pytest.approx(read(table)[0].trajectory.pose)

@@ -165,10 +165,12 @@ def plan_table(
         except InvalidInput as problem:
             if value is None:
                 raise
-            where = f"{problem.where} ({split_by} {value})"
-            problems[f"{stem}/{value}"] = InvalidInput(
-                where, found=problem.found, expected=problem.expected, hint=problem.hint
-            )
+            if problem.where.startswith(table.source):
+                where = f"{problem.where} ({split_by} {value})"
+                problem = InvalidInput(
+                    where, found=problem.found, expected=problem.expected, hint=problem.hint
+                )
+            problems[f"{stem}/{value}"] = problem
             continue
         experiments.append(experiment)
         sentences.append(understood + more)

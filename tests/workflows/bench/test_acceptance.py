@@ -66,9 +66,9 @@ def test_the_delay_of_the_board_from_a_part_that_moves_against_a_fixel(delay):
         read = time + rng.uniform(0.0, 0.01, 30)
         touched = np.column_stack([read > 0.5 + delay, np.zeros(30)]).astype(float)
         touched[rng.integers(1, 10)] = 1.0  # a false report, long before
-        channel = SimpleNamespace(name="tactile", time=read, values=touched)
+        channel = SimpleNamespace(time=read, values=touched)
         path = SimpleNamespace(time=time, pose=poses)
-        experiment = SimpleNamespace(trajectory=path, channels=(channel,))
+        experiment = SimpleNamespace(trajectory=path, channel={"tactile": channel}.get)
         found += acceptance.contact_delays(BenchRun(None, scene, experiment))
     assert len(found) == 40  # the peg far away was never touched
     assert np.median(found) == pytest.approx(delay, abs=5e-3)
