@@ -56,12 +56,16 @@ settings.load_profile(
 
 # Files that compile or wait for browsers and processes, and take longest.
 _FIRST = (
-    ("kernels/",),
+    ("kernels/", "modes/"),
     ("_browser", "benchmarks", "database", "docs", "jobs", "contracts", "workflows", "cli"),
     ("environments", "filtering", "simulation"),
 )
 
-
+# Files whose tests compile the same code: in one process, it is compiled once.
+_TOGETHER = {
+    "tests/kernels": ("tests/kernels/",),
+    "tests/modes": ("tests/modes/", "tests/simulation/test_load_map.py"),
+}
 _APART = ("tests/docs/test_pages.py", "tests/docs/test_docstrings.py",
           "tests/benchmarks/test_benchmarks.py")  # fmt: skip
 
@@ -79,8 +83,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
-    """Run all files of kernels in one process, where they share what they compile, and long files
-    whose tests share nothing in several."""
+    """Run files that compile the same in one process, and long files whose tests share nothing in
+    several."""
     from xdist.scheduler import LoadFileScheduling
 
     class Scheduling(LoadFileScheduling):
@@ -88,7 +92,8 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
             file = super()._split_scope(nodeid)
             if file in _APART:
                 return nodeid
-            return "tests/kernels" if file.startswith("tests/kernels/") else file
+            found = (name for name, files in _TOGETHER.items() if file.startswith(files))
+            return next(found, file)
 
     return Scheduling(config, log) if config.getvalue("dist") == "loadfile" else None
 
