@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Final, NamedTuple, final
@@ -87,11 +87,11 @@ class Looks:
     most: int
     camera: StartError
     lost_views: float
-    table: CorrectionTable
+    table: CorrectionTable = field(repr=False)
     worth: tuple[SuccessProbability, ...]
     pushes: float
     stops: float
-    walk: Walk
+    walk: Walk = field(repr=False)
 
     @property
     def sentences(self) -> list[str]:
