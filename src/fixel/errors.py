@@ -113,9 +113,11 @@ class InvalidInput(FixelError, ValueError):
     def within(self, parent: str) -> InvalidInput:
         """Return the error with a longer path: `mass` within `bodies[0]` is `bodies[0].mass`."""
         joint = "" if self.where.startswith("[") else "."
-        return InvalidInput(
-            f"{parent}{joint}{self.where}", found=self.found, expected=self.expected, hint=self.hint
-        )
+        return self.at(f"{parent}{joint}{self.where}")
+
+    def at(self, where: str) -> InvalidInput:
+        """Return the error at another place."""
+        return InvalidInput(where, found=self.found, expected=self.expected, hint=self.hint)
 
     def _sentence(self) -> str:
         sentence, found, expected = self.where, self.found, self.expected

@@ -161,7 +161,7 @@ def test_refined_pushes_stay_near_those_of_the_table(policy):
 
 
 def test_starts_are_the_product_of_prediction_and_view(policy):
-    """By importance weights of many poses, which know nothing of gains."""
+    """Drawn starts agree with importance weights of many poses, another method."""
     rng = np.random.default_rng(8)
     draws = rng.standard_normal((2, 32, 3))
     size = np.array([0.08 * mm, 0.15 * mm, 0.1 * deg])
@@ -272,7 +272,7 @@ def test_a_correction_after_the_last_look_has_no_probability(plan, looks):
 
 @pytest.mark.system
 def test_a_plan_judges_what_it_sees_by_its_own_belief_in_any_world(plan, monkeypatch):
-    """As `correction` does where it is carried out, which does not know the world either."""
+    """Success in another world weighs seen poses by the plan's own belief, as corrections do."""
     compared = []
 
     def recorded(seen, predicted, deviation, least):

@@ -166,10 +166,7 @@ def plan_table(
             if value is None:
                 raise
             if problem.where.startswith(table.source):
-                where = f"{problem.where} ({split_by} {value})"
-                problem = InvalidInput(
-                    where, found=problem.found, expected=problem.expected, hint=problem.hint
-                )
+                problem = problem.at(f"{problem.where} ({split_by} {value})")
             problems[f"{stem}/{value}"] = problem
             continue
         experiments.append(experiment)

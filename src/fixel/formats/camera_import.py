@@ -75,9 +75,7 @@ def import_camera(
         where = str(path) if problem.where == "file" else problem.where
         if not where.startswith(str(path)):
             where = f"{path}: {where}"
-        raise InvalidInput(
-            where, found=problem.found, expected=problem.expected, hint=problem.hint
-        ) from None
+        raise problem.at(where) from None
     if size is not None and tuple(size) != camera.lens.image_size:
         camera.for_pictures_of(size)
     return ImportedCamera(replace(camera, source=f"{path.name}, {kind}"), kind, remarks)

@@ -388,9 +388,7 @@ def within(path: str, *words: str) -> Iterator[None]:
         for word in filter(None, words):
             if where.startswith(word) and where[len(word) : len(word) + 1] in ("", ".", "["):
                 where = where[len(word) :].removeprefix(".")
-        moved = InvalidInput(
-            where or path, found=problem.found, expected=problem.expected, hint=problem.hint
-        )
+        moved = problem.at(where or path)
         raise (moved.within(path) if where and path else moved) from None
 
 

@@ -176,8 +176,8 @@ class CorrectionTable:
         many = near.shape[1]
         ends = self.after(near.reshape(-1), np.repeat(start, many, axis=0))
         ends = ends.reshape(len(seen), many, WORLDS, 3)
-        pushes = np.dstack((near, *self._scores(simulator, ends, weight[:, None])))
-        pushes = np.dstack((pushes, self.numbers[near]))
+        scores = self._scores(simulator, ends, weight[:, None])
+        pushes = np.dstack((near, *scores, self.numbers[near]))
         if simulator.scene.fixels or simulator.choice.obstacles:
             pushes = self._tried(simulator, case, _best(pushes, TRIED), TRIED_WORLDS)
         best = _best(pushes, 1)[:, 0]
