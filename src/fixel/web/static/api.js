@@ -23,11 +23,7 @@ export function word() {
   return meta instanceof HTMLMetaElement ? meta.content : "";
 }
 
-/**
- * @param {string} path below /api/v1
- * @param {Record<string, string>} [query]
- * @returns {Promise<any>}
- */
+/** @param {string} path below /api/v1 @param {Record<string, string>} [query] @returns {Promise<any>} */
 export const get = (path, query = {}) => ask(`${path}?${new URLSearchParams(query)}`, {});
 
 /**
@@ -43,10 +39,7 @@ export function send(path, body, method = "POST", signal) {
   return ask(path, { method, headers, signal, body: body === undefined ? undefined : JSON.stringify(body) });
 }
 
-/**
- * @param {string} path
- * @param {RequestInit} options
- */
+/** @param {string} path @param {RequestInit} options */
 async function ask(path, options) {
   let answer;
   try {
@@ -99,10 +92,7 @@ export function complain(problem) {
   toast(problem instanceof Error ? problem.message : String(problem), { bad: true });
 }
 
-/**
- * @param {string} text
- * @param {string} what it is
- */
+/** @param {string} text @param {string} what it is */
 export async function copy(text, what) {
   try {
     await navigator.clipboard.writeText(text);

@@ -49,10 +49,7 @@ export class Charts extends EventTarget {
     this.#listen();
   }
 
-  /**
-   * @param {Panel[]} panels
-   * @param {[number, number]} span first and last instant [s]
-   */
+  /** @param {Panel[]} panels @param {[number, number]} span first and last instant [s] */
   show(panels, span) {
     this.panels = panels;
     [this.from, this.to] = span[1] > span[0] ? span : [span[0], span[0] + 1];
@@ -78,10 +75,7 @@ export class Charts extends EventTarget {
     this.cursor(this.time);
   }
 
-  /**
-   * @param {Panel} panel
-   * @param {boolean} last
-   */
+  /** @param {Panel} panel @param {boolean} last */
   #chart(panel, last) {
     const bottom = "strips" in panel ? panel.strips.length * ROW + 4 : HEIGHT - 4;
     const height = bottom + (last ? AXIS : 4);
@@ -100,10 +94,7 @@ export class Charts extends EventTarget {
         ...("strips" in panel ? this.#strips(panel) : this.#lines(panel, bottom))));
   }
 
-  /**
-   * @param {number} bottom
-   * @param {boolean} last
-   */
+  /** @param {number} bottom @param {boolean} last */
   #grid(bottom, last) {
     const step = roundNumber((this.to - this.from) / 4);
     const drawn = [];
@@ -116,10 +107,7 @@ export class Charts extends EventTarget {
     return drawn;
   }
 
-  /**
-   * @param {LinePanel} panel
-   * @param {number} bottom
-   */
+  /** @param {LinePanel} panel @param {number} bottom */
   #lines(panel, bottom) {
     const [low, high] = limits(panel.series);
     /** @param {number} value */
@@ -239,17 +227,12 @@ export function usualPanels(host, motions, object) {
     }));
   const judged = motions.filter((motion) => motion.errors);
   if (judged.length) {
-    panels.push({
-      title: "position error", unit: "mm", digits: 2, series: judged.map((motion) => ({
+    panels.push(.../** @type {const} */ ([["position", "mm", 1e3], ["angle", "deg", 180 / Math.PI]]).map(([what, unit, factor]) => ({
+      title: `${what} error`, unit, digits: 2, series: judged.map((motion) => ({
         label: motion.label, ...style(motion), time: motion.errors?.time ?? [],
-        values: Float64Array.from(motion.errors?.position ?? [], (value) => 1e3 * value),
+        values: Float64Array.from(motion.errors?.[what] ?? [], (value) => factor * value),
       })),
-    }, {
-      title: "angle error", unit: "deg", digits: 2, series: judged.map((motion) => ({
-        label: motion.label, ...style(motion), time: motion.errors?.time ?? [],
-        values: Float64Array.from(motion.errors?.angle ?? [], (value) => (value * 180) / Math.PI),
-      })),
-    });
+    })));
   }
   const felt = motions.filter((motion) => motion.touch && motion.touch.names.length);
   const names = felt[0]?.touch?.names ?? [];
@@ -267,11 +250,7 @@ export function usualPanels(host, motions, object) {
   return panels;
 }
 
-/**
- * Keep a player and charts at one time.
- * @param {import("./player.js").Player} player
- * @param {Charts} charts
- */
+/** Keep a player and charts at one time. @param {import("./player.js").Player} player @param {Charts} charts */
 export function inStep(player, charts) {
   player.addEventListener("time", () => charts.cursor(player.time));
   charts.addEventListener("seek", (event) => {

@@ -1,22 +1,14 @@
 // @ts-check
 // Small functions for pages that are put together here. Texts go in as text, never as markup.
 
-/**
- * The element of an id; it is there, or the page is wrong.
- * @param {string} id
- * @returns {HTMLElement}
- */
+/** The element of an id; it is there, or the page is wrong. @param {string} id @returns {HTMLElement} */
 export function at(id) {
   const node = document.getElementById(id);
   if (!node) throw new Error(`no element ${id}`);
   return node;
 }
 
-/**
- * The input of an id.
- * @param {string} id
- * @returns {HTMLInputElement}
- */
+/** The input of an id. @param {string} id @returns {HTMLInputElement} */
 export const input = (id) => /** @type {HTMLInputElement} */ (at(id));
 
 /**
@@ -48,10 +40,7 @@ export function svg(tag, attributes = {}, ...children) {
   return node;
 }
 
-/**
- * @param {Element} node
- * @param {Record<string, any>} attributes
- */
+/** @param {Element} node @param {Record<string, any>} attributes */
 function set(node, attributes) {
   for (const [name, value] of Object.entries(attributes)) {
     if (value === null || value === undefined || value === false) continue;
@@ -60,10 +49,7 @@ function set(node, attributes) {
   }
 }
 
-/**
- * @param {Element} node
- * @param {(Node | string | number | null | undefined)[]} children
- */
+/** @param {Element} node @param {(Node | string | number | null | undefined)[]} children */
 function append(node, children) {
   for (const child of children) {
     if (child !== null && child !== undefined) node.append(child instanceof Node ? child : String(child));

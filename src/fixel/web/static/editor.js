@@ -42,10 +42,7 @@ export class Editor extends EventTarget {
 
   // --- the scene ------------------------------------------------------------------------------
 
-  /**
-   * Another scene, with nothing to take back.
-   * @param {Scene} scene
-   */
+  /** Another scene, with nothing to take back. @param {Scene} scene */
   open(scene) {
     this.history = new History(JSON.stringify(scene));
     this.#restore(JSON.stringify(scene));
@@ -119,10 +116,7 @@ export class Editor extends EventTarget {
 
   // --- pointer and keys -----------------------------------------------------------------------
 
-  /**
-   * @param {PointerEvent} event
-   * @param {[number, number]} world
-   */
+  /** @param {PointerEvent} event @param {[number, number]} world */
   #press(event, world) {
     this.stage.canvas.focus();
     const [x, y] = this.stage.toScreen(world);
@@ -138,11 +132,7 @@ export class Editor extends EventTarget {
     return this.#take(event, "move", [world[0] - px, world[1] - py]);
   }
 
-  /**
-   * @param {PointerEvent} event
-   * @param {Hold["deed"]} deed
-   * @param {[number, number]} grip
-   */
+  /** @param {PointerEvent} event @param {Hold["deed"]} deed @param {[number, number]} grip */
   #take(event, deed, grip) {
     this.stage.canvas.setPointerCapture(event.pointerId);
     this.hold = { deed, grip, began: JSON.stringify(this.scene) };
@@ -185,12 +175,7 @@ export class Editor extends EventTarget {
     if (moved) this.changed();
   }
 
-  /**
-   * Move the chosen thing a little.
-   * @param {number} dx [m]
-   * @param {number} dy [m]
-   * @param {number} turn [rad]
-   */
+  /** Move the chosen thing a little. @param {number} dx [m] @param {number} dy [m] @param {number} turn [rad] */
   nudge(dx, dy, turn) {
     const thing = this.chosen;
     if (!thing) return;
@@ -276,11 +261,7 @@ export class Editor extends EventTarget {
     context.stroke();
   }
 
-  /**
-   * @param {CanvasRenderingContext2D} context
-   * @param {Kind} kind
-   * @param {Record<string, any>} thing
-   */
+  /** @param {CanvasRenderingContext2D} context @param {Kind} kind @param {Record<string, any>} thing */
   #thing(context, kind, thing) {
     const { stage } = this;
     const name = { bodies: "body", pushers: "pusher", fixels: "fixel" }[kind];
@@ -297,13 +278,8 @@ export class Editor extends EventTarget {
     context.lineWidth = chosen ? 3 : 1.6;
     context.stroke();
     context.setLineDash([]);
-    for (const point of feetOf(thing)) {
-      const [x, y] = stage.toScreen(placed(pose, point));
-      context.beginPath();
-      context.arc(x, y, 3, 0, 2 * Math.PI);
-      context.fillStyle = colour(stage.canvas, "soft", "#59636d");
-      context.fill();
-    }
+    context.fillStyle = colour(stage.canvas, "soft", "#59636d");
+    for (const point of feetOf(thing)) stage.dot(placed(pose, point), 3);
   }
 
   /** Where everything would end. @param {CanvasRenderingContext2D} context */
@@ -330,10 +306,7 @@ export class Editor extends EventTarget {
     context.stroke();
   }
 
-  /**
-   * @param {CanvasRenderingContext2D} context
-   * @param {Record<string, any>} thing
-   */
+  /** @param {CanvasRenderingContext2D} context @param {Record<string, any>} thing */
   #drive(context, thing) {
     const { stage } = this;
     context.strokeStyle = context.fillStyle = colour(stage.canvas, "pusher-text", "#8a5a00");
@@ -353,10 +326,7 @@ export class Editor extends EventTarget {
     if (thing === this.chosen) this.#knob(context, ex, ey);
   }
 
-  /**
-   * @param {CanvasRenderingContext2D} context
-   * @param {Record<string, any>} thing
-   */
+  /** @param {CanvasRenderingContext2D} context @param {Record<string, any>} thing */
   #handles(context, thing) {
     const handle = this.#handle(thing);
     if (!handle) return;
@@ -372,11 +342,7 @@ export class Editor extends EventTarget {
     this.#knob(context, ...handle);
   }
 
-  /**
-   * @param {CanvasRenderingContext2D} context
-   * @param {number} x
-   * @param {number} y
-   */
+  /** @param {CanvasRenderingContext2D} context @param {number} x @param {number} y */
   #knob(context, x, y) {
     context.beginPath();
     context.arc(x, y, 7, 0, 2 * Math.PI);

@@ -77,12 +77,7 @@ const numbers = (thing, where, ...known) => known.flatMap(([path, label, unit, e
   }, empty === undefined ? {} : { empty: true, hint: `empty: ${empty}` })];
 });
 
-/**
- * Fields of a thing.
- * @param {Record<string, any>} thing
- * @param {Choice} choice
- * @returns {Field[]}
- */
+/** Fields of a thing. @param {Record<string, any>} thing @param {Choice} choice @returns {Field[]} */
 export function thingFields(thing, choice) {
   const where = `${choice.kind}[${choice.index}]`;
   const { drive } = thing;
@@ -107,11 +102,7 @@ export function thingFields(thing, choice) {
   ];
 }
 
-/**
- * @param {Record<string, any>} thing
- * @param {string} where
- * @returns {Field[]}
- */
+/** @param {Record<string, any>} thing @param {string} where @returns {Field[]} */
 function shapeFields(thing, where) {
   const shape = thing.shape;
   const now = shape.disk !== undefined ? "disk" : isBox(shape.polygon) ? "box" : "polygon";
@@ -162,11 +153,7 @@ function sizeOf(shape) {
   return [width, height];
 }
 
-/**
- * @param {Record<string, any>} body
- * @param {string} where
- * @returns {Field[]}
- */
+/** @param {Record<string, any>} body @param {string} where @returns {Field[]} */
 function bodyFields(body, where) {
   const kind = Object.keys(body.support ?? { none: {} })[0];
   /** @type {[string, string][]} */
@@ -183,11 +170,7 @@ function bodyFields(body, where) {
   ];
 }
 
-/**
- * A support of a kind that suits a body.
- * @param {string} kind
- * @param {Record<string, any>} body
- */
+/** A support of a kind that suits a body. @param {string} kind @param {Record<string, any>} body */
 function support(kind, body) {
   const old = body.support ?? {};
   const mu = old.tripod?.friction ?? old.uniform?.friction ?? 0.25;
@@ -202,11 +185,7 @@ function support(kind, body) {
   }[kind] ?? old;
 }
 
-/**
- * Fields of the scene itself.
- * @param {Scene} scene
- * @returns {Field[]}
- */
+/** Fields of the scene itself. @param {Scene} scene @returns {Field[]} */
 export const sceneFields = (scene) => [
   number("duration", "s", "duration", () => scene.duration, (value) => { scene.duration = value; }),
   {
@@ -217,11 +196,7 @@ export const sceneFields = (scene) => [
   },
 ];
 
-/**
- * Fields as elements.
- * @param {Field[]} fields
- * @param {(field: Field, rebuild: boolean) => void} changed
- */
+/** Fields as elements. @param {Field[]} fields @param {(field: Field, rebuild: boolean) => void} changed */
 export function rows(fields, changed) {
   return fields.map((field) => {
     const id = `field-${field.where.replace(/\W+/g, "-")}-${field.label.replace(/\W+/g, "-")}`;

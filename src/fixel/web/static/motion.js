@@ -137,11 +137,7 @@ export class Motion {
     return [this.time[0], this.time[this.time.length - 1]];
   }
 
-  /**
-   * @param {string} name
-   * @param {number} time
-   * @returns {Pose | null} null for what this motion does not move
-   */
+  /** @param {string} name @param {number} time @returns {Pose | null} null for what this motion does not move */
   poseAt(name, time) {
     const rows = this.pose.get(name);
     if (!rows) return null;
@@ -158,11 +154,7 @@ export class Motion {
     return [between(0), between(1), between(2)];
   }
 
-  /**
-   * Contacts at a time: those of the sample before it.
-   * @param {number} time
-   * @returns {Contact[]}
-   */
+  /** Contacts at a time: those of the sample before it. @param {number} time @returns {Contact[]} */
   contactsAt(time) {
     const all = this.contacts;
     if (!all) return [];

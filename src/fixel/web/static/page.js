@@ -20,10 +20,7 @@ import { settled, typing } from "./dom.js";
 let newest = 0;
 let timer = 0;
 
-/**
- * Fetch this page, or one that it leads to, and show its parts.
- * @param {string} [address]
- */
+/** Fetch this page, or one that it leads to, and show its parts. @param {string} [address] */
 export async function renew(address = location.href) {
   newest += 1;
   const mine = newest;

@@ -24,10 +24,7 @@ const ICONS = {
 /** @param {keyof typeof ICONS} name */
 const icon = (name) => svg("svg", { viewBox: "0 0 24 24", "aria-hidden": "true" }, svg("path", { d: ICONS[name] }));
 
-/**
- * @param {keyof typeof ICONS} name
- * @param {string} label
- */
+/** @param {keyof typeof ICONS} name @param {string} label */
 const iconButton = (name, label) =>
   make("button", { type: "button", class: "icon", "aria-label": label, title: label }, icon(name));
 
@@ -83,10 +80,7 @@ export class Player extends EventTarget {
 
   // --- what is shown ------------------------------------------------------------------------
 
-  /**
-   * @param {MotionDocument} content
-   * @param {{keepView?: boolean, keepTime?: boolean}} [keep]
-   */
+  /** @param {MotionDocument} content @param {{keepView?: boolean, keepTime?: boolean}} [keep] */
   show(content, keep = {}) {
     const { view, stage } = this;
     view.things = content.things;
@@ -99,11 +93,7 @@ export class Player extends EventTarget {
     if (this.autoplay && !keep.keepTime) this.play();
   }
 
-  /**
-   * Other motions of the same things.
-   * @param {Motion[]} motions
-   * @param {{keepTime?: boolean}} [keep]
-   */
+  /** Other motions of the same things. @param {Motion[]} motions @param {{keepTime?: boolean}} [keep] */
   setMotions(motions, keep = {}) {
     this.view.setMotions(motions);
     this.start = Math.min(...motions.map((motion) => motion.span[0]));
@@ -146,10 +136,7 @@ export class Player extends EventTarget {
     else this.play();
   }
 
-  /**
-   * To another frame of the first motion.
-   * @param {number} frames
-   */
+  /** To another frame of the first motion. @param {number} frames */
   step(frames) {
     this.pause();
     const instants = this.motions[0]?.time;

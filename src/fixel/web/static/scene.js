@@ -23,10 +23,7 @@ export class History {
     this.at = 0;
   }
 
-  /**
-   * @param {string} state
-   * @param {string} key changes of one key that follow at once count as one; empty: never
-   */
+  /** @param {string} state @param {string} key changes of one key that follow at once count as one; empty: never */
   push(state, key = "") {
     if (state === this.past[this.past.length - 1]) return;
     const now = performance.now();
@@ -62,11 +59,7 @@ export function poseOf(thing) {
   return first ? first.slice(1) : thing.pose;
 }
 
-/**
- * Put a thing somewhere else; a path goes along.
- * @param {Record<string, any>} thing
- * @param {number[]} pose
- */
+/** Put a thing somewhere else; a path goes along. @param {Record<string, any>} thing @param {number[]} pose */
 export function place(thing, pose) {
   const path = thing.drive?.waypoints;
   if (!path) {
@@ -96,10 +89,7 @@ export function endOf(thing, otherwise) {
 export const reachOf = (shape) =>
   shape.disk ?? Math.max(...(shape.polygon ?? [[0, 0]]).map((/** @type {number[]} */ [x, y]) => Math.hypot(x, y)));
 
-/**
- * @param {Record<string, any>} thing
- * @param {[number, number]} world
- */
+/** @param {Record<string, any>} thing @param {[number, number]} world */
 export function inside(thing, world) {
   const [px, py, angle] = poseOf(thing);
   const [dx, dy] = [world[0] - px, world[1] - py];

@@ -116,10 +116,7 @@ function failed(problem) {
   if (ran) complain(problem);
 }
 
-/**
- * Show what is wrong where it is, and nothing where nothing is.
- * @param {any} problem
- */
+/** Show what is wrong where it is, and nothing where nothing is. @param {any} problem */
 function clear(problem) {
   const named = [...(problem?.where ?? "").matchAll(/'([^']+)'/g)].map(([, name]) => name);
   const place = /^(bodies|pushers|fixels)\[(\d+)\]/.exec(problem?.where ?? "");
@@ -192,15 +189,15 @@ function buttons() {
 }
 
 function list() {
-  const focused = document.activeElement?.closest("#things") !== null && document.activeElement !== null;
+  const focused = at("things").contains(document.activeElement);
   at("things").replaceChildren(...editor.things.map(({ kind, index, thing }) => {
     const on = thing === editor.chosen;
     const radio = make("input", { type: "radio", name: "thing", checked: on });
     radio.addEventListener("change", () => editor.choose({ kind, index }));
     return make("label", { class: "thing", "data-kind": kind }, radio, make("span", {}, thing.name));
   }));
-  if (focused) at("things").querySelector("input:checked") instanceof HTMLElement
-    && /** @type {HTMLElement} */ (at("things").querySelector("input:checked")).focus();
+  const checked = at("things").querySelector("input:checked");
+  if (focused && checked instanceof HTMLElement) checked.focus();
 }
 
 function fields() {
@@ -251,28 +248,30 @@ function freeName(stem) {
 
 /** A place at the edge of what is there, where nothing lies. @param {number} reach */
 function freePlace(reach) {
-  const [x0, , , y1] = editor.box();
+  const [, y0, , y1] = editor.box();
   const right = Math.max(...editor.things.map(({ thing }) => (thing.pose ?? [0])[0] + reachOf(thing.shape)));
-  return [right + 2 * reach, (y1 + editor.box()[1]) / 2 + 0 * x0, 0];
+  return [right + 2 * reach, (y0 + y1) / 2, 0];
+}
+
+/** @param {Choice} choice where @param {Record<string, any>} thing */
+function insert({ kind, index }, thing) {
+  editor.scene[kind] = (editor.scene[kind] ?? []).toSpliced(index, 0, thing);
+  editor.choice = { kind, index: editor.scene[kind].indexOf(thing) };
+  editor.changed();
+  editor.choose(editor.choice);
 }
 
 at("add-fixel").addEventListener("click", () => {
   const like = editor.scene.fixels?.[0];
   const shape = like ? structuredClone(like.shape) : { disk: 0.005 };
   const fixel = { name: freeName("fixel"), shape, pose: freePlace(reachOf(shape)), friction: like?.friction ?? 0.2 };
-  editor.scene.fixels = [...(editor.scene.fixels ?? []), fixel];
-  editor.choice = { kind: "fixels", index: editor.scene.fixels.length - 1 };
-  editor.changed();
-  editor.choose(editor.choice);
+  insert({ kind: "fixels", index: editor.scene.fixels?.length ?? 0 }, fixel);
 });
 at("add-pusher").addEventListener("click", () => {
   const shape = { polygon: box(0.02, 0.02) };
   const drive = { direction: [-1, 0], speed: 0.01, travel: 0.05 };
   const pusher = { name: freeName("pusher"), shape, pose: freePlace(reachOf(shape)), drive, friction: 0.25 };
-  editor.scene.pushers = [...(editor.scene.pushers ?? []), pusher];
-  editor.choice = { kind: "pushers", index: editor.scene.pushers.length - 1 };
-  editor.changed();
-  editor.choose(editor.choice);
+  insert({ kind: "pushers", index: editor.scene.pushers?.length ?? 0 }, pusher);
 });
 at("remove").addEventListener("click", () => {
   const { choice } = editor;
@@ -286,10 +285,7 @@ at("remove").addEventListener("click", () => {
     undo: async () => { // whatever has been changed since, but not in another scene
       if (at("origin").textContent !== origin) throw new Error("Another scene has been opened.");
       if (editor.things.some((one) => one.thing.name === thing.name)) return; // Ctrl-Z was faster
-      editor.scene[choice.kind] = [...(editor.scene[choice.kind] ?? []).slice(0, choice.index), thing, ...(editor.scene[choice.kind] ?? []).slice(choice.index)];
-      editor.choice = { ...choice, index: editor.scene[choice.kind].indexOf(thing) };
-      editor.changed();
-      editor.choose(editor.choice);
+      insert(choice, thing);
     },
   });
 });

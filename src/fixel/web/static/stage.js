@@ -9,30 +9,21 @@ const MOST_SCALE = 1e9;
 const MARGIN = 0.06; // of the width, about what is fitted in
 const BAR_WIDTH = 110; // [px] at most
 
-/**
- * The largest of 1, 2, 5 times a power of ten that is not above a positive value.
- * @param {number} value
- */
+/** The largest of 1, 2, 5 times a power of ten that is not above a positive value. @param {number} value */
 export function roundNumber(value) {
   const power = 10 ** Math.floor(Math.log10(value));
   const steps = [5, 2, 1].filter((step) => step * power <= value * (1 + 1e-9));
   return (steps[0] ?? 1) * power;
 }
 
-/**
- * A length with the unit that suits it.
- * @param {number} metres
- */
+/** A length with the unit that suits it. @param {number} metres */
 export function lengthText(metres) {
   if (metres >= 1) return `${+metres.toPrecision(6)} m`;
   if (metres >= 1e-3) return `${+(metres * 1e3).toPrecision(6)} mm`;
   return `${+(metres * 1e6).toPrecision(6)} \u00b5m`;
 }
 
-/**
- * A force with the unit that suits it.
- * @param {number} newtons
- */
+/** A force with the unit that suits it. @param {number} newtons */
 export function forceText(newtons) {
   if (newtons >= 1 || newtons === 0) return `${+newtons.toPrecision(3)} N`;
   if (newtons >= 1e-3) return `${+(newtons * 1e3).toPrecision(3)} mN`;
@@ -50,10 +41,7 @@ export function colour(element, name, otherwise) {
 }
 
 export class Stage {
-  /**
-   * @param {HTMLCanvasElement} canvas
-   * @param {(context: CanvasRenderingContext2D, stage: Stage) => void} draw
-   */
+  /** @param {HTMLCanvasElement} canvas @param {(context: CanvasRenderingContext2D, stage: Stage) => void} draw */
   constructor(canvas, draw) {
     this.canvas = canvas;
     this.draw = draw;
@@ -93,10 +81,7 @@ export class Stage {
     this.canvas.height = Math.round(this.height * ratio);
   }
 
-  /**
-   * Show all of a box.
-   * @param {number[]} [box] x and y of the lower left, x and y of the upper right [m]
-   */
+  /** Show all of a box. @param {number[]} [box] x and y of the lower left, x and y of the upper right [m] */
   fit(box) {
     if (box) this.box = box;
     const [x0, y0, x1, y1] = this.box;
@@ -128,10 +113,7 @@ export class Stage {
     this.drawn += 1;
   }
 
-  /**
-   * @param {ArrayLike<number>} point [m]
-   * @returns {[number, number]} [px]
-   */
+  /** @param {ArrayLike<number>} point [m] @returns {[number, number]} [px] */
   toScreen(point) {
     return [
       this.width / 2 + (point[0] - this.centre[0]) * this.scale,
@@ -139,11 +121,7 @@ export class Stage {
     ];
   }
 
-  /**
-   * @param {number} x [px]
-   * @param {number} y [px]
-   * @returns {[number, number]} [m]
-   */
+  /** @param {number} x [px] @param {number} y [px] @returns {[number, number]} [m] */
   toWorld(x, y) {
     return [
       this.centre[0] + (x - this.width / 2) / this.scale,
@@ -151,10 +129,7 @@ export class Stage {
     ];
   }
 
-  /**
-   * Where in the world an event happened.
-   * @param {MouseEvent} event
-   */
+  /** Where in the world an event happened. @param {MouseEvent} event */
   worldOf(event) {
     const frame = this.canvas.getBoundingClientRect();
     return this.toWorld(event.clientX - frame.left, event.clientY - frame.top);
@@ -177,21 +152,14 @@ export class Stage {
     this.request();
   }
 
-  /**
-   * @param {number} dx [px]
-   * @param {number} dy [px]
-   */
+  /** @param {number} dx [px] @param {number} dy [px] */
   pan(dx, dy) {
     this.centre = [this.centre[0] - dx / this.scale, this.centre[1] + dy / this.scale];
     this.fitted = false;
     this.request();
   }
 
-  /**
-   * Begin a path along an outline.
-   * @param {Shape} shape
-   * @param {ArrayLike<number>} pose
-   */
+  /** Begin a path along an outline. @param {Shape} shape @param {ArrayLike<number>} pose */
   outline(shape, pose) {
     const { context, scale } = this;
     const [x, y] = this.toScreen(pose);
@@ -232,6 +200,14 @@ export class Stage {
     context.lineTo(ex - head * u + 0.45 * head * v, ey - head * v - 0.45 * head * u);
     context.closePath();
     context.fill();
+  }
+
+  /** A filled circle about a point of the world. @param {ArrayLike<number>} point [m] @param {number} radius [px] */
+  dot(point, radius) {
+    const [x, y] = this.toScreen(point);
+    this.context.beginPath();
+    this.context.arc(x, y, radius, 0, 2 * Math.PI);
+    this.context.fill();
   }
 
   /** A bar of a round length in the lower left corner, with its unit. */
@@ -296,10 +272,7 @@ export class Stage {
     }
   }
 
-  /**
-   * @param {PointerEvent} event
-   * @param {[number, number]} before
-   */
+  /** @param {PointerEvent} event @param {[number, number]} before */
   #pinch(event, before) {
     const other = [...this.pointers].find(([id]) => id !== event.pointerId)?.[1];
     if (!other) return;

@@ -9,11 +9,7 @@ const LATE = 0.08; // [s] that a playing video may be off before it is put right
 const SAME = 0.004; // [s] that nobody sees
 
 export class Film {
-  /**
-   * @param {HTMLVideoElement} video
-   * @param {HTMLCanvasElement} over
-   * @param {import("./player.js").Player} player
-   */
+  /** @param {HTMLVideoElement} video @param {HTMLCanvasElement} over @param {import("./player.js").Player} player */
   constructor(video, over, player) {
     this.video = video;
     this.over = over;

@@ -37,10 +37,7 @@ export function stylesOf(element, motions) {
   }));
 }
 
-/**
- * A short line as a motion is drawn.
- * @param {{colour: string, dash: number[]} | undefined} style
- */
+/** A short line as a motion is drawn. @param {{colour: string, dash: number[]} | undefined} style */
 export const swatch = (style) => svg(
   "svg", { class: "line", viewBox: "0 0 28 8", "aria-hidden": "true" },
   svg("path", {
@@ -88,10 +85,7 @@ export class TopView {
     this.perNewton = typical > 0 ? usual / typical : 0;
   }
 
-  /**
-   * @param {CanvasRenderingContext2D} context
-   * @param {Stage} stage
-   */
+  /** @param {CanvasRenderingContext2D} context @param {Stage} stage */
   #draw(context, stage) {
     if (this.motions.length === 0) return;
     const shown = this.motions.filter((motion) => !this.hidden.has(motion.id));
@@ -101,7 +95,7 @@ export class TopView {
       if (thing.role === "fixel") this.#solid(stage, thing, thing.pose, touched.has(k));
     });
     for (const motion of shown) this.#trail(context, stage, motion);
-    for (const motion of shown) this.#moving(context, stage, motion);
+    for (const motion of shown) this.#moving(stage, motion);
     // Those of one motion: more would lie on each other.
     const pushed = shown.find((motion) => motion.contacts);
     if (this.withForces && pushed) this.#contacts(context, stage, pushed);
@@ -112,12 +106,7 @@ export class TopView {
     stage.text(`t = ${this.time.toFixed(2)} s`, stage.width - 14, 24, "right", "600");
   }
 
-  /**
-   * @param {Stage} stage
-   * @param {Thing} thing
-   * @param {ArrayLike<number>} pose
-   * @param {boolean} touched
-   */
+  /** @param {Stage} stage @param {Thing} thing @param {ArrayLike<number>} pose @param {boolean} touched */
   #solid(stage, thing, pose, touched) {
     const { context } = stage;
     const kind = thing.role === "pusher" ? ["pusher", "#e69f00"] : ["fixel", "#7f7f7f"];
@@ -134,14 +123,8 @@ export class TopView {
     context.stroke();
   }
 
-  /**
-   * Everything a motion moves.
-   * @param {CanvasRenderingContext2D} context
-   * @param {Stage} stage
-   * @param {Motion} motion
-   */
-  #moving(context, stage, motion) {
-    const style = this.styles.get(motion.id);
+  /** Everything a motion moves. @param {Stage} stage @param {Motion} motion */
+  #moving(stage, motion) {
     const shown = this.motions.filter((one) => !this.hidden.has(one.id));
     const first = shown[0];
     for (const thing of this.things) {
@@ -158,19 +141,31 @@ export class TopView {
         if (motion === leader) this.#solid(stage, thing, pose, false);
         continue;
       }
-      stage.outline(thing.shape, pose);
-      context.setLineDash(style?.dash ?? []);
-      context.strokeStyle = context.fillStyle = style?.colour ?? "#0072b2";
-      context.globalAlpha = motion === first ? 0.13 : 0.06;
-      context.fill();
-      context.globalAlpha = 1;
-      context.lineWidth = 2.5;
-      context.stroke();
-      const [x, y] = stage.toScreen(placed(pose, thing.name === this.object ? this.reference : [0, 0]));
-      context.beginPath();
-      context.arc(x, y, 3.5, 0, 2 * Math.PI);
-      context.fill();
+      this.#part(stage, thing, motion, pose, { fill: motion === first ? 0.13 : 0.06 });
     }
+  }
+
+  /**
+   * Outline of a part, and its reference point.
+   * @param {Stage} stage
+   * @param {Thing} thing
+   * @param {Motion} motion
+   * @param {ArrayLike<number>} pose
+   * @param {{fill: number, line?: number, dash?: number[]}} style opacities, and a dash other than that of the motion
+   */
+  #part(stage, thing, motion, pose, { fill, line = 1, dash }) {
+    const { context } = stage;
+    const style = this.styles.get(motion.id);
+    stage.outline(thing.shape, pose);
+    context.setLineDash(dash ?? style?.dash ?? []);
+    context.strokeStyle = context.fillStyle = style?.colour ?? "#0072b2";
+    context.globalAlpha = fill;
+    context.fill();
+    context.globalAlpha = line;
+    context.lineWidth = 2.5;
+    context.stroke();
+    context.globalAlpha = 1;
+    stage.dot(placed(pose, thing.name === this.object ? this.reference : [0, 0]), 3.5);
   }
 
   /**
@@ -180,25 +175,11 @@ export class TopView {
    * @param {Motion} motion
    */
   #ends(stage, thing, motion) {
-    const { context } = stage;
-    const style = this.styles.get(motion.id);
     const rows = /** @type {import("./motion.js").Numbers} */ (motion.pose.get(thing.name));
-    for (let k = 0; k < motion.time.length; k += 1) {
-      const last = k === motion.time.length - 1;
+    const last = motion.time.length - 1;
+    for (let k = 0; k <= last; k += 1) {
       const pose = rows.subarray(3 * k, 3 * k + 3);
-      stage.outline(thing.shape, pose);
-      context.setLineDash(last ? [] : [5, 4]);
-      context.strokeStyle = context.fillStyle = style?.colour ?? "#0072b2";
-      context.globalAlpha = last ? 0.13 : 0.03;
-      context.fill();
-      context.globalAlpha = last ? 1 : 0.6;
-      context.lineWidth = 2.5;
-      context.stroke();
-      context.globalAlpha = 1;
-      const [x, y] = stage.toScreen(placed(pose, this.reference));
-      context.beginPath();
-      context.arc(x, y, 3.5, 0, 2 * Math.PI);
-      context.fill();
+      this.#part(stage, thing, motion, pose, k === last ? { fill: 0.13, dash: [] } : { fill: 0.03, line: 0.6, dash: [5, 4] });
     }
   }
 
@@ -256,11 +237,7 @@ export class TopView {
     }
   }
 
-  /**
-   * An arrow of a round force, beside the scale bar.
-   * @param {CanvasRenderingContext2D} context
-   * @param {Stage} stage
-   */
+  /** An arrow of a round force, beside the scale bar. @param {CanvasRenderingContext2D} context @param {Stage} stage */
   #forceKey(context, stage) {
     const newtons = roundNumber(Math.max(1e-9, 70 / (this.perNewton * stage.scale)));
     const length = newtons * this.perNewton * stage.scale;
