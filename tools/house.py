@@ -101,6 +101,7 @@ def measure(modules: Modules) -> dict[str, Figure]:
         ),
         "repeated_class_names": _listed("class names defined twice or more", _repeated(modules)),
         "participle_classes": _listed("classes named by a bare participle", _participles(modules)),
+        "pages_lines": Figure("lines of scripts, styles and templates of pages", _page_lines()),
         "web_mirrors": _listed("web classes named ...In or ...Out", _mirrors(modules)),
         "progress_aliases": _listed("aliases of a progress callback", _progress_aliases(modules)),
         "circles": _listed("circles of imports", map(" <-> ".join, circles(edges))),
@@ -129,6 +130,12 @@ def measure(modules: Modules) -> dict[str, Figure]:
         "calibrate_modules": _listed("modules reached by `fixel calibrate`", _names(campaign)),
         "calibrate_lines": Figure("lines of these modules", sum(m.n_lines for m in campaign)),
     }
+
+
+def _page_lines() -> int:
+    kinds = {".js", ".css", ".html"}
+    files = (file for file in (PACKAGE / "web").rglob("*") if file.suffix in kinds)
+    return sum(len(file.read_text().splitlines()) for file in files)
 
 
 def _doors(modules: Modules) -> Iterator[tuple[str, Figure]]:
