@@ -15,6 +15,7 @@ import fixel
 from fixel.errors import DeviceFailed, InvalidInput
 from fixel.formats.recording import open_recording
 from fixel.model.fields import pose_of
+from fixel.planning.plan import PlanCorrection
 from fixel.testbed.emulators.grbl import EmulatedGrbl
 from fixel.testbed.motion import SimulatedActuator
 from fixel.testbed.motion_grbl import GrblActuator
@@ -80,9 +81,13 @@ def test_trials_on_the_testbed_are_those_of_its_own_runs(tmp_path: Path):
         assert trial.met == (max(off, turn) <= 1.0)
 
 
-def test_trials_with_looks_see_and_push_until_nothing_is_better(tmp_path: Path):
-    """Pushes of one trial are repeated here in one go: the run has the same friction in all."""
-    goal = fixel.PoseRegion((0.03, 0.01, 0.2), position=2 * mm, angle=3 * deg)
+def test_trials_with_looks_use_all_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Pushes of one trial are repeated here in one go: the run has the same friction in all.
+
+    A look after which no push is better does not end a trial: the next view may differ, and the
+    stated probability counts on it.
+    """
+    goal = fixel.PoseRegion((0.03, 0.01, 0.2), position=3.5 * mm, angle=5 * deg)
     start = fixel.StartError(x=2 * mm, y=2 * mm, theta=2 * deg, kind="uniform")
     choose, belief = fixel.FreePushes(length=(2 * mm, 60 * mm)), fixel.Belief(start=start)
     plan = fixel.plan(
@@ -90,21 +95,29 @@ def test_trials_with_looks_see_and_push_until_nothing_is_better(tmp_path: Path):
         camera=fixel.StartError(x=1e-9, kind="normal"), rollouts=4000, progress=False,
     )  # fmt: skip
     path = stored(plan, tmp_path / "a.plan")
+    looked, correction = [], fixel.PushPlan.correction
+
+    def counted(self: fixel.PushPlan, *seen: np.ndarray) -> PlanCorrection:
+        looked.append(len(seen))
+        return correction(self, *seen)
+
+    monkeypatch.setattr(fixel.PushPlan, "correction", counted)
     found = run_on_testbed(path, trials=4, seed=4)
-    name = load_plan(path).id
+    assert looked == 4 * [1, 2]
+    name, stops = load_plan(path).id, 0
     for k, trial in enumerate(found.trials):
         start = np.array([trial.start])
         bench, scenes, seen = SimulatedTestbed(seed=4), list(plan.scenes), []
-        while True:
+        for _ in range(3):
             own = repeat_pushes(bench, scenes, start, name=f"{name}-{k}", threads=1)
             seen.append(own.pose[0, -1])
             push = plan.correction(*seen).scene if len(seen) <= 2 else None
-            if push is None:
-                break
-            scenes.append(push)
+            stops += push is None and len(seen) == 1
+            scenes += [] if push is None else [push]
         np.testing.assert_allclose(trial.end, seen[-1], atol=1e-7)
         off = np.hypot(*(seen[-1][:2] - goal.pose[:2])) / goal.position
         assert trial.met == (max(off, abs(seen[-1][2] - 0.2) / goal.angle) <= 1.0)
+    assert stops  # else this test would not show it
     blind = repeat_pushes(
         SimulatedTestbed(seed=4), plan.scenes, np.array([t.start for t in found.trials]), threads=1
     )

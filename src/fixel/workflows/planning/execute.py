@@ -16,7 +16,7 @@ import numpy as np
 from fixel.database.project import Project
 from fixel.errors import FixelError, InvalidInput
 from fixel.formats.recording import SCENE_FILE
-from fixel.model import Experiment
+from fixel.model import Experiment, Scene
 from fixel.model.goals import BodyTrack
 from fixel.model.trajectory import wrapped
 from fixel.planning.belief import Belief
@@ -116,28 +116,23 @@ def _with_looks(
     rng: np.random.Generator,
 ) -> tuple[FloatArray, str]:
     """Carry out a plan with looks once; return the end pose (3,) and the reason of a failure."""
-    seen: list[FloatArray] = []
-    scenes, looks = plan.scenes, plan.looks
+    looks, failure = plan.looks, ""
     assert looks is not None
-    left = looks.most
-    while True:
-        for scene in scenes:
+
+    def push(scene: Scene) -> None:
+        nonlocal pose, failure
+        if not failure:
             # The conditions of a run depend on its name: they are the same for all its pushes.
             done = repeat_pushes(testbed, [scene], pose[None], name=name)
-            pose = done.pose[0, -1]
-            if done.failure[0]:
-                return pose, done.failure[0]
-        scenes = ()
-        if left == 0:
-            return pose, ""
-        left -= 1
-        if rng.random() < looks.lost_views:
-            continue
-        seen.append(pose + looks.camera.samples(1, int(rng.integers(2**31)))[0])
-        push = plan.correction(*seen).scene
-        if push is None:
-            return pose, ""
-        scenes = (push,)
+            pose, failure = done.pose[0, -1], done.failure[0]
+
+    def look() -> FloatArray | None:
+        if failure or rng.random() < looks.lost_views:
+            return None
+        return pose + looks.camera.samples(1, int(rng.integers(2**31)))[0]
+
+    plan.perform(push, look)
+    return pose, failure
 
 
 def run_on_drive(
