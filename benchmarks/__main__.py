@@ -58,6 +58,7 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
         "run",
         "stated errors of cameras calibrated from pictures of another renderer",
     ),
+    "bench": ("bench", "run", "what a person at the bench waits for, and frames that are lost"),
     "arrival": ("arrival", "run", "poses lost and time taken where frames arrive unevenly"),
     "memory": ("processes", "run_memory", "memory of a batch"),
     "record": ("recording", "run", "frames written and read, by codec"),
@@ -74,7 +75,7 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
 ONLY_WHEN_ASKED = {
     *("peers", "varied", "seated", "tracking", "arrival", "coverage", "misfit", "domain", "sbc"),
     *("new-parts", "next-rows", "camera", "other-camera", "web", "filter-coverage", "filter-wrong"),
-    *("planning", "planning-statistics", "push-t", "push-t-planner"),
+    *("planning", "planning-statistics", "push-t", "push-t-planner", "bench"),
 }
 
 

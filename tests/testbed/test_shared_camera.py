@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fixel.testbed.frame_source import CameraPicture, FrameQueue, FrameSource, Stream
+from fixel.testbed.frame_source import HELD, CameraPicture, FrameQueue, FrameSource, Stream
 from fixel.testbed.shared_camera import SharedCamera
 
 
@@ -65,9 +65,28 @@ def test_a_slow_reader_of_a_live_camera_loses_pictures_alone():
     camera = SharedCamera(lambda: Counting(live=True, pause=0.001))
     lazy, keen = camera.view(), camera.view()
     assert len(numbers(keen, 300)) == 300
-    waiting = numbers(lazy, 30)
-    assert len(waiting) == 30
+    dropped = lazy.dropped
+    assert dropped >= 300 - HELD - 1
+    assert len(numbers(lazy, 30)) == 30
+    assert keen.dropped == 0
     camera.close()
+    queue = FrameQueue(lazy, live=True)
+    assert queue.lost >= dropped  # a recording states them
+
+
+def test_a_view_counts_the_torn_pictures_of_its_own_time():
+    camera = SharedCamera(lambda: Counting(live=True, pause=0.01))
+    camera.source.torn = 3
+    view = camera.view()
+    assert len(numbers(view, 5)) == 5
+    assert view.torn == 0
+    camera.source.torn = 5
+    assert len(numbers(camera.view(), 3)) == 3
+    until = time.monotonic() + 20.0
+    while view.torn != 2 and time.monotonic() < until:
+        time.sleep(0.01)
+    camera.close()
+    assert view.torn == 2
 
 
 def test_the_end_of_the_camera_ends_every_view_and_it_can_be_opened_again():

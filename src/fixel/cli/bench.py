@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from select import select
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from fixel.cli.capability import typer_command
 from fixel.cli.screen import command_of, notify, paragraphs, print_answer
@@ -51,10 +51,12 @@ def _perform(request: "BaseModel", folder: Path, as_json: bool) -> None:
         analysis = report_of(loop).analysis
     finally:  # also stops the drive, on Ctrl-C
         context.close()
-    performed = request.model_copy(update={"dry_run": False, "check": False})
-    again = command_of(*BENCH.words(performed), project=folder)
+    changed: dict[str, Any] = {"dry_run": False, "check": False}
+    changed |= {"limit": None} if loop.limit_reached else {}
+    again = command_of(*BENCH.words(request.model_copy(update=changed)), project=folder)
     after = command_of("calibrate", "--dataset", loop.options.dataset, project=folder)
-    done = not loop.campaign.left
+    # Where enough is known, the same command would perform nothing.
+    done = not loop.campaign.left or (loop.live is not None and loop.live.finish)
     print_answer(
         as_json,
         lambda: analysis.numbers,
@@ -76,16 +78,19 @@ def _take(session: "BenchSession", key: str) -> None:
 
 
 def _show(session: "BenchSession", last: str) -> str:
-    """Print the status, on a terminal over the last one; return it."""
+    """Print the status over the last one, without a terminal only new trouble; return it."""
     report = json.loads(session.view.report)
     if not report:
         return last
     look = report["look"] or {}
-    words = "; ".join(report["problems"]) or (
-        look.get("sentence", "") if report["phase"] == "placing" else ""
-    )
+    trouble = "; ".join(report["problems"])
+    words = trouble or (look.get("sentence", "") if report["phase"] == "placing" else "")
     line = f"row {report['number']}/{report['rows']} {report['row']}: {report['phase']} {words}"
-    if sys.stderr.isatty() and line != last:
+    if not sys.stderr.isatty():
+        line = trouble
+        if trouble and trouble != last:
+            notify(f"trouble: {trouble}")
+    elif line != last:
         print(f"\r{line:<{len(last)}}", end="", file=sys.stderr, flush=True)
     return line
 

@@ -68,10 +68,11 @@ class Ensemble:
         self.cases = tuple(cases)
         self._threads = threads
         self._method = method_of(self.motion, self.stepper, self.solver, 4096)
-        keys = [_key(case.scene) for case in cases]
-        number = {key: k for k, key in enumerate(dict.fromkeys(keys))}
-        self._group = np.array([number[key] for key in keys])
-        self._templates = [self._template(key, keys) for key in number]
+        # Hashing and comparing scenes takes long: once for each case.
+        number: dict[Any, int] = {}
+        groups = [number.setdefault(_key(case.scene), len(number)) for case in cases]
+        self._group, firsts = np.array(groups), np.unique(groups, return_index=True)[1]
+        self._templates = [self._template(cases[k].scene) for k in firsts]
         self._start = np.array([case.scene.bodies[0].pose for case in cases])
         self._duration = np.array([case.times[-1] for case in cases])
         self._place, self._paths = self._stacked_paths()
@@ -264,8 +265,7 @@ class Ensemble:
             packed.append(self._templates[g].packed(variation, len(own), self._duration[cases]))
         return rows, packed
 
-    def _template(self, key: Any, keys: list[Any]) -> Template:
-        scene = self.cases[keys.index(key)].scene
+    def _template(self, scene: Scene) -> Template:
         return Template(scene, self.motion, self.stepper, _round_speed(scene) or None)
 
     def _stacked_paths(self) -> tuple[IntArray, list[FloatArray | None]]:

@@ -72,6 +72,7 @@ class FrameSource(abc.ABC):
     ended: str = ""  # reason why the pictures ended; empty before
     complete: bool = False  # whether a file was read to its end, without damage
     torn: int = 0  # number of incomplete pictures, which are skipped
+    dropped: int = 0  # number of pictures that arrived while too many waited
 
     @abc.abstractmethod
     def open(self) -> Stream:
@@ -148,7 +149,7 @@ class FrameQueue:
     @property
     def lost(self) -> int:
         """Number of pictures lost so far."""
-        return self._refused + self._given_up
+        return self._refused + self._given_up + self._source.dropped
 
     @property
     def over(self) -> bool:

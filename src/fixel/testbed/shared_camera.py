@@ -109,7 +109,7 @@ class CameraView(FrameSource):
 
     def __init__(self, camera: SharedCamera) -> None:
         self.name = camera.source.name
-        self._camera = camera
+        self._camera, self._torn_before = camera, camera.source.torn
         self._waiting: queue.Queue[CameraPicture] = queue.Queue(HELD)
         self._closed = threading.Event()
 
@@ -120,12 +120,14 @@ class CameraView(FrameSource):
     def put(self, picture: CameraPicture) -> None:
         """Add a picture; one of a camera that does not wait for its reader is lost if many wait."""
         live = self._camera.stream.live
+        self.torn = self._camera.source.torn - self._torn_before
         while not self._closed.is_set():
             try:
                 self._waiting.put(picture, block=not live, timeout=GLANCE)
                 return
             except queue.Full:
                 if live:
+                    self.dropped += 1
                     return
 
     def frames(self) -> Iterator[CameraPicture]:

@@ -25,3 +25,11 @@ def test_a_jammed_head_is_noticed_and_the_row_repeated(bench, monkeypatch):  # n
     assert any("overload" in reason for reason in first[0])
     assert first[1] == ()
     assert [own.state for own in again] == ["accepted"]
+
+
+@pytest.mark.system
+def test_a_hidden_part_is_noticed_and_the_row_repeated(bench, monkeypatch):  # noqa: F811
+    first, again = reasons(bench, monkeypatch, hidden=slice(1))
+    assert any("was not seen for" in reason for reason in first[0])
+    assert first[1] == ()
+    assert [own.state for own in again] == ["accepted"]

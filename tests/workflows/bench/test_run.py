@@ -135,7 +135,7 @@ def test_what_is_missing_or_unknown_is_named(folder, options, where, found):
     [
         ({"rig": "thesis-tags"}, "video.mjpg"),  # whose pictures are larger
         ({"port": "/dev/ttyNone"}, "/dev/ttyNone"),
-        ({"tactile": "/dev/ttyNone"}, "/dev/ttyNone"),
+        ({"tactile": "/dev/ttyNone"}, "tactile /dev/ttyNone"),
         ({"driver": "servo"}, "driver"),
         ({"axes": "XY"}, "drive_pose"),
         ({"axes": "XY", "drive_pose": "500,0,0"}, "row 1-"),

@@ -95,12 +95,10 @@ class BenchDevices:
             self.drive.check(to=push.travel, speed=push.speed)
             self._fast = self._fast or self._way_speed(push)
         except InvalidInput as problem:
-            raise InvalidInput(
-                f"row {row.name}: {problem.where}",
-                found=problem.found,
-                expected=problem.expected,
-                hint=problem.hint or "change the row, or where and how fast the drive can move",
-            ) from None
+            problem.hint = (
+                problem.hint or "change the row, or where and how fast the drive can move"
+            )
+            raise problem.at(f"row {row.name}: {problem.where}") from None
 
     def _way_speed(self, push: Stroke) -> float:
         """Return the speed [m/s] at which the head moves to a start."""
@@ -262,7 +260,10 @@ def open_devices(settings: Mapping[str, Any], *, notify: Notify = print) -> Iter
         if settings["tactile"]:
             from fixel.testbed.tactile import TactileReader
 
-            tactile = stack.enter_context(TactileReader(settings["tactile"]))
+            try:
+                tactile = stack.enter_context(TactileReader(settings["tactile"]))
+            except InvalidInput as problem:  # its port is not the option --port
+                raise problem.at(f"tactile {settings['tactile']}") from None
         drive = stack.enter_context(
             chosen_actuator(
                 settings["driver"], settings["port"] or None, axes=settings["axes"],

@@ -19,6 +19,7 @@ from fixel.workflows.acquisition.track import track_film
 
 REST: Final = 0.3  # [s] at the end in which the part must be at rest
 MOVED: Final = 0.3e-3  # [m] in that time that counts as motion
+UNSEEN: Final = 0.5  # [s] without a pose of the part, which a hand or the head hides
 SHORT: Final = 0.97  # share of the planned travel below which the drive was overloaded
 
 
@@ -54,6 +55,8 @@ def _reasons(
         yield f"{end.lost} frames were lost"
     yield from (f"{flag.name}: {flag.detail}" for flag in experiment.flags if flag.fault)
     track, drive = experiment.trajectory, planned.pushers[0].drive
+    if (unseen := float(np.diff(track.time).max(initial=0.0))) > UNSEEN:
+        yield f"the part was not seen for {unseen:.1f} s"
     last = track.pose[track.time >= track.time[-1] - REST, :2]
     moved = float(np.hypot(*np.ptp(last, axis=0)))
     if moved > MOVED:

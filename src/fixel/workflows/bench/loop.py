@@ -157,6 +157,12 @@ class BenchLoop:
         self._outdated = False  # whether the estimates lack an experiment that no call has
         self._tracked_ones: dict[str, TrackedAttempt] = {}  # by the name of the attempt
 
+    @property
+    def limit_reached(self) -> bool:
+        """Whether the campaign has as many experiments as it may have."""
+        limit = self.options.limit
+        return limit is not None and len(self.campaign.accepted) >= limit
+
     # --- from any thread ------------------------------------------------------------------------
 
     def ask(self, do: str, row: str = "", by: str = "key") -> None:
@@ -224,10 +230,9 @@ class BenchLoop:
         if self.finish:
             return True
         if not self.campaign.undecided and not self._estimator.waiting:
-            n = len(self.campaign.accepted)
             if not self.campaign.left:
                 self.finish = "every row of the plan is done"
-            elif self.options.limit is not None and n >= self.options.limit:
+            elif self.limit_reached:
                 self.finish = "the limit is reached"
         return bool(self.finish)
 
