@@ -15,6 +15,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 from benchmarks.figures import Figure, Size, at_most
 from fixel.database.project import Project
@@ -79,14 +80,10 @@ def measured(function: Callable[..., Any], *arguments: Any) -> Call:
 def run(size: Size) -> list[Figure]:
     """Tracking with a recording beside, and live estimates."""
     n = 20 if size.rollouts >= 500 else 2
-    usual, devices.SMALLER = devices.SMALLER, 1.0
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            film, row = _filmed(Path(folder), n)
-            done, rows = _performed(Path(folder), n)
-            return [*_tracking(film, row, Path(folder), n), *_estimates(done, rows)]
-    finally:
-        devices.SMALLER = usual
+    with tempfile.TemporaryDirectory() as folder, patch.object(devices, "SMALLER", 1.0):
+        film, row = _filmed(Path(folder), n)
+        done, rows = _performed(Path(folder), n)
+        return [*_tracking(film, row, Path(folder), n), *_estimates(done, rows)]
 
 
 def _campaign(folder: Path, name: str, speed: float, n: int) -> tuple[Project, Any]:
@@ -182,7 +179,6 @@ def _estimates(done: list[Experiment], rows: list[PlannedExperiment]) -> list[Fi
             if isinstance(answer, Exception):
                 raise answer
             wait, work, known = time.perf_counter() - begun, answer.work, answer.answer
-            print(k, round(wait, 2), round(work, 2), flush=True)
         estimator.close()
         name = f"bench, estimates after {len(done)} experiments, {label}"
         figures += [

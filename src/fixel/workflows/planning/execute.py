@@ -129,7 +129,7 @@ def _with_looks(
     def look() -> FloatArray | None:
         if failure or rng.random() < looks.lost_views:
             return None
-        return pose + looks.camera.samples(1, int(rng.integers(2**31)))[0]
+        return np.asarray(pose + looks.camera.samples(1, int(rng.integers(2**31)))[0])
 
     plan.perform(push, look)
     return pose, failure
