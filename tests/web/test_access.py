@@ -18,7 +18,7 @@ from tests.web.bench import filled
 from fixel.errors import InvalidInput
 from fixel.web import security
 from fixel.web.live import LiveView
-from fixel.web.overlay_page import overlay_page
+from fixel.web.live_pages import overlay_page
 from fixel.web.serve import WebServer
 
 METHODS = ("GET", "HEAD", "OPTIONS", "POST", "PUT", "PATCH", "DELETE", "TRACE")

@@ -12,8 +12,7 @@ from tests.laboratories import trusted_laboratory
 
 from fixel.testing.toy_work import MAKER
 from fixel.web.live import LiveView
-from fixel.web.overlay_page import overlay_page
-from fixel.web.record_page import RecordPreview
+from fixel.web.live_pages import RecordPreview, overlay_page
 from fixel.web.serve import WebServer
 from fixel.workflows import jobs
 

@@ -10,8 +10,7 @@ from tests.workflows.acquisition.test_overlay import SCENE, TOLERANCE, WANTED
 from fixel.formats.video_file import VideoWriter, open_video
 from fixel.vision.frame import Frame
 from fixel.web.live import LiveView
-from fixel.web.overlay_page import overlay_page
-from fixel.web.record_page import RecordPreview
+from fixel.web.live_pages import RecordPreview, overlay_page
 from fixel.web.serve import WebServer
 from fixel.workflows.acquisition.overlay import Overlay, watch
 

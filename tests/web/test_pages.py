@@ -9,8 +9,7 @@ from tests.web.client import Client
 
 from fixel.web.app import create_app
 from fixel.web.live import LiveView
-from fixel.web.overlay_page import overlay_page
-from fixel.web.record_page import RecordPreview
+from fixel.web.live_pages import RecordPreview, overlay_page
 from fixel.web.security import HEADERS, WORD_HEADER, Gate
 
 HERE = "http://127.0.0.1:8000"

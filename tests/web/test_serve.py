@@ -12,7 +12,7 @@ import pytest
 
 from fixel.errors import InvalidInput
 from fixel.web.live import LiveView
-from fixel.web.overlay_page import overlay_page
+from fixel.web.live_pages import overlay_page
 from fixel.web.serve import WebServer
 
 

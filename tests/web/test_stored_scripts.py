@@ -15,8 +15,7 @@ from fixel.database.project import Project
 from fixel.model import Flag
 from fixel.testing.toy_work import MAKER
 from fixel.web.live import LiveView
-from fixel.web.overlay_page import overlay_page
-from fixel.web.record_page import RecordPreview
+from fixel.web.live_pages import RecordPreview, overlay_page
 from fixel.web.serve import WebServer
 from fixel.workflows import jobs
 from fixel.workflows.project.filters import view_of

@@ -473,7 +473,7 @@ def _live(
 ) -> "Look":
     """Show the overlay in a browser until the pictures end, or Ctrl-C."""
     from fixel.web.live import LiveView
-    from fixel.web.overlay_page import overlay_page
+    from fixel.web.live_pages import overlay_page
     from fixel.web.serve import WebServer
     from fixel.workflows.acquisition.overlay import frames_of, watch
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from fixel.formats.recording import Recording
     from fixel.testbed.frame_source import CameraPicture
     from fixel.testbed.recorder import RecordingStatus, RecordingSummary
-    from fixel.web.record_page import RecordPreview
+    from fixel.web.live_pages import RecordPreview
     from fixel.workflows.acquisition.record import RecordPlan
     from fixel.workflows.acquisition.track import TrackAnswer
 
@@ -171,7 +171,7 @@ def _shown(plan: "RecordPlan", preview: bool, wish: "StopWish") -> Iterator[Any]
     with ExitStack() as stack:
         page: RecordPreview | None = None
         if preview:
-            from fixel.web.record_page import RecordPreview as Preview
+            from fixel.web.live_pages import RecordPreview as Preview
             from fixel.web.serve import WebServer
 
             page = Preview(str(plan.folder))

@@ -38,7 +38,9 @@ class ProjectContext:
         # A plot by id and kind, a thumbnail by id and checksum, a map by name and time.
         self._details = lru_cache(MAX_KEPT)(partial(load_detail, project, self.store))
         self.calibration_plot = lru_cache(MAX_KEPT)(partial(plot, project))
-        self.thumbnail = lru_cache(MAX_THUMBNAILS)(self._thumbnail)
+        self.thumbnail = lru_cache(MAX_THUMBNAILS)(
+            lambda number, checksum: thumbnail(self.store.experiment(number))
+        )
         self.domain = lru_cache(MAX_MAPS)(partial(load_view, project, self.store))
 
     @property
@@ -57,9 +59,6 @@ class ProjectContext:
         if not found.complete:
             self._details.cache_clear()  # its job may be restored
         return found
-
-    def _thumbnail(self, number: int, checksum: str) -> str:
-        return thumbnail(self.store.experiment(number))
 
     def close(self) -> None:
         """End the campaign of the bench, and close the store."""

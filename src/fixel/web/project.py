@@ -12,17 +12,7 @@ from typing import Final
 from fastapi import FastAPI
 
 import fixel
-from fixel.web.api import (
-    analyses,
-    calibration,
-    changes,
-    compare,
-    domain,
-    experiments,
-    jobs,
-    scenes,
-    system,
-)
+from fixel.web.api import analyses, calibration, changes, compare, experiments, jobs, scenes, system
 from fixel.web.context import ProjectContext
 from fixel.web.pages.site import project_pages
 from fixel.web.problems import Refusal, answer_errors
@@ -30,15 +20,10 @@ from fixel.web.serve import HERE_ONLY, WebServer
 from fixel.web.views.live_comparison import warm_up
 
 ROUTERS: Final = (
-    jobs.runs,
-    analyses.plans,
-    *(
-        resource.router
-        for resource in (
-            analyses, calibration, changes, compare, domain, experiments, jobs, scenes, system,
-        )
-    ),
-)  # fmt: skip
+    *(jobs.runs, analyses.plans, analyses.maps, analyses.router, calibration.router),
+    *(changes.router, compare.router, experiments.router, jobs.router, scenes.router),
+    system.router,
+)
 
 ABOUT: Final = """Experiments, simulations, calibrations and domains of one project.
 

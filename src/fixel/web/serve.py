@@ -35,7 +35,7 @@ class WebServer:
     Examples
     --------
     >>> from fixel.web.live import LiveView
-    >>> from fixel.web.overlay_page import overlay_page
+    >>> from fixel.web.live_pages import overlay_page
     >>> with WebServer([overlay_page(LiveView(), "a title")]) as server:
     ...     print(server.link.partition("token")[0].rpartition(":")[0])
     http://127.0.0.1

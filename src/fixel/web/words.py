@@ -121,18 +121,7 @@ def html(table: Table) -> Markup:
 FILTERS: Final[Mapping[str, Callable[..., Any]]] = {
     filter.__name__: filter
     for filter in (
-        fixed,
-        short,
-        minus,
-        count,
-        several,
-        lasting,
-        size,
-        instant,
-        touched,
-        rms,
-        verdict,
-        corners,
+        fixed, short, minus, count, several, lasting, size, instant, touched, rms, verdict, corners,
         html,
     )
-}
+}  # fmt: skip

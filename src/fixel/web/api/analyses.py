@@ -1,17 +1,19 @@
-"""Stored analyses: results, charts and the numbers behind those."""
+"""Stored analyses: results, charts and the numbers behind those; maps at any threshold."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Query
 from fastapi.responses import FileResponse
 from pydantic import Field
 
 from fixel.errors import FixelError, NotStored
-from fixel.web.context import Context
+from fixel.web.context import Context, ProjectContext
 from fixel.web.values import Answer
+from fixel.web.views import domain_views
+from fixel.web.views.domain_views import ClaimQuery, MapDocument, MapView, SuggestedExperiment
 from fixel.workflows.analysis import Analysis, find_analysis, load_with_errors
 from fixel.workflows.planning.execute import run_on_testbed
 from fixel.workflows.planning.report import FILE
@@ -20,6 +22,7 @@ from fixel.workflows.planning.request import load_plan, load_trials
 TYPES: Final = {"png": "image/png", "pdf": "application/pdf", "csv": "text/csv"}
 
 router = APIRouter(prefix="/analyses", tags=["analyses"])
+maps = APIRouter(prefix="/domain", tags=["domain"])
 plans = APIRouter(prefix="/plan", tags=["planning"])
 
 
@@ -100,3 +103,27 @@ def trials_of(folder: Path) -> list[str]:
     except FixelError as problem:
         return [str(problem)]
     return str(found).splitlines() if found.n else []
+
+
+class NextExperiments(Answer):
+    """Experiments to try next."""
+
+    proposals: list[SuggestedExperiment]
+
+
+def _view(context: ProjectContext, name: str) -> MapView:
+    return context.domain(name, find_analysis(context.project, name, "domain").analysis.created)
+
+
+@maps.get("/{name}", summary="Get a map at a threshold")
+def at_threshold(context: Context, name: str, query: Annotated[ClaimQuery, Query()]) -> MapDocument:
+    one = _view(context, name)
+    return domain_views.document(one, query.claim(one), context.folder)
+
+
+@maps.get("/{name}/next", summary="Get suggested experiments")
+def next_experiments(
+    context: Context, name: str, query: Annotated[ClaimQuery, Query()]
+) -> NextExperiments:
+    one = _view(context, name)
+    return NextExperiments(proposals=domain_views.suggested(one, query.claim(one)))

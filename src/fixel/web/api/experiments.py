@@ -303,10 +303,10 @@ def video(context: Context, number: Id) -> Response:
         raise NotStored(
             f"video of experiment {number}", hint="this experiment was recorded without video"
         )
-    found = browser_video(context.project, path)
+    playable, media_type = browser_video(context.project, path)
     # The address stays when a correction brings another video, so it is validated each time.
     headers = {"cache-control": "private, no-cache"}
-    return FileResponse(found.path, media_type=found.media_type, headers=headers)
+    return FileResponse(playable, media_type=media_type, headers=headers)
 
 
 @router.get("/experiments/{number}/outlines", summary="Get the outline of the object in the video")

@@ -39,7 +39,6 @@ BACKUPS: Final = "backups"  # folder of a project
 MAX_FILES: Final = 100_000  # largest number of files of the media folder to count
 SELF_TEST_LIMIT: Final = 600.0  # [s]; with an engine to compile, it takes about two minutes
 _BACKUP_NAME: Final = re.compile(r"experiments-[0-9]{8}-[0-9]{6}(-[0-9]{1,4})?\.db")
-_making = threading.Lock()
 
 router = APIRouter()
 
@@ -183,7 +182,9 @@ def check(context: Context) -> DatabaseCheck:
 @router.post("/system/backups", summary="Back up the database", tags=["system"])
 def back_up(context: Context) -> NewBackup:
     with _only_one(context, "the backup"):
-        done = _backed_up(context.project)
+        folder = context.project.folder / BACKUPS
+        folder.mkdir(exist_ok=True)
+        done = maintenance.backup(context.project, _new_name(folder))
     return NewBackup(
         backup=backup_named(context.project, done.file.name),
         sha256=done.sha256,
@@ -274,14 +275,6 @@ def self_tested() -> dict[str, Any]:
 def _examined(_: None) -> dict[str, Any]:
     found: dict[str, Any] = plain_numbers(diagnostics.examine().summary())
     return found
-
-
-def _backed_up(project: Project) -> maintenance.Backup:
-    """Copy the database into the folder of backups, under a name with the time."""
-    folder = project.folder / BACKUPS
-    with _making:  # or two might choose the same name
-        folder.mkdir(exist_ok=True)
-        return maintenance.backup(project, _new_name(folder))
 
 
 def _new_name(folder: Path) -> Path:

@@ -33,14 +33,7 @@ from fixel.workflows.calibration.result import found_of
 
 SEARCHES: Final = ("all together", "squares")  # stages whose errors are the objective
 ALONE: Final = "alone"
-OF_JOB: Final = (
-    "state",
-    "ended",
-    "reason",
-    "note",
-    "share",
-    "started_utc",
-)  # as the status has them
+OF_JOB: Final = ("state", "ended", "reason", "note", "share", "started_utc")  # of the status
 NOMINAL: Final = "nominal"
 RATE_WINDOW_S: Final = 30.0
 
@@ -181,11 +174,10 @@ class ProgressReader:
         """
         made = {one: files.read_job(one).made_utc for one in self._folders().values()}
         newest = sorted(made, key=made.__getitem__, reverse=True)
-        found, unreadable = each_readable(self._look_if_open, newest)
+        found, unreadable = each_readable(
+            lambda folder: None if stored_ids(folder) else self.look(folder), newest
+        )
         return [seen for seen in found if seen is not None and not seen.stored], unreadable
-
-    def _look_if_open(self, folder: Path) -> LiveProgress | None:
-        return None if stored_ids(folder) else self.look(folder)
 
     def look(self, folder: Path) -> LiveProgress:
         """Return the progress of one."""

@@ -246,14 +246,7 @@ def suggested(view: MapView, claim: Claim, most: int = 3) -> list[SuggestedExper
     """Propose the most informative experiments."""
     found = view.domain.proposals(claim, most)
     return [
-        SuggestedExperiment(
-            group=one.group,
-            cell=one.cell,
-            where=one.where,
-            place=view.domain.cells.values(one.cell),
-            bits=one.bits,
-            reason=one.reason,
-        )
+        SuggestedExperiment(place=view.domain.cells.values(one.cell), **one._asdict())
         for one in found
     ]
 

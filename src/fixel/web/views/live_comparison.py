@@ -12,7 +12,6 @@ from typing import Final, Literal, final
 import numpy as np
 from pydantic import Field
 
-from fixel.calibration.known_pushes import KnownPushes
 from fixel.calibration.target import scene_of, target_of
 from fixel.calibration.usual_parameters import default_unknowns, usual_unknown
 from fixel.database.store import Store
@@ -108,8 +107,10 @@ class LiveComparison:
         self.experiment = lru_cache(MAX_KEPT)(store.experiment)  # an experiment never changes
         self.sliders = lru_cache(MAX_KEPT)(self._sliders)
         # Of the sets that a page shows, only the adjusted one changes.
-        self.repeated = lru_cache(MAX_KEPT)(self._with_values)
-        self._known = lru_cache(MAX_SETS)(self._known_pushes)
+        self.repeated = lru_cache(MAX_KEPT)(self.compared)
+        self._known = lru_cache(MAX_SETS)(
+            lambda id_: known_pushes(store, CalibratedValues(id_, store.calibration(id_)))
+        )
 
     def _sliders(self, experiment_id: int) -> list[ParameterSlider]:
         """Return every parameter that has a meaning in the experiment's scene, with its usual
@@ -159,15 +160,15 @@ class LiveComparison:
             found.append(_simulated_set(id_, self._store.simulation(id_)))
         return found
 
-    def _known_pushes(self, calibration: int) -> KnownPushes:
-        record = self._store.calibration(calibration)
-        return known_pushes(self._store, CalibratedValues(calibration, record))
-
     def compared(
-        self, experiment_id: int, parameters: Mapping[str, float], motion: str, folder: Path
+        self,
+        experiment_id: int,
+        parameters: Mapping[str, float] | tuple[tuple[str, float], ...],
+        motion: str,
+        folder: Path,
     ) -> ComparedSimulation:
         """Simulate an experiment of the project in a folder; compare it with the measurement."""
-        answer = self._comparison(experiment_id, parameters, motion)
+        answer = self._comparison(experiment_id, dict(parameters), motion)
         return ComparedSimulation(
             motion=compared_motion(answer, "simulated", id="simulated"),
             position_rms=answer.position_rms,
@@ -178,15 +179,6 @@ class LiveComparison:
             wall_time_s=answer.simulation.wall_time_s,
             **_repeated(answer.experiment, folder, answer.parameters, motion),
         )
-
-    def _with_values(
-        self,
-        experiment_id: int,
-        parameters: tuple[tuple[str, float], ...],
-        motion: str,
-        folder: Path,
-    ) -> ComparedSimulation:
-        return self.compared(experiment_id, dict(parameters), motion, folder)
 
     def _comparison(
         self, experiment_id: int, parameters: Mapping[str, float], motion: str
@@ -302,17 +294,11 @@ def python_of(
     experiment: Experiment, folder: Path, parameters: Mapping[str, float], motion: str
 ) -> str:
     """Return the script for the same comparison."""
-    return "\n".join(
-        (
-            "import fixel",
-            "",
-            f"lab = fixel.Project({str(folder)!r})",
-            f"experiment = lab.experiment({experiment.key!r})",
-            f"found = fixel.compare(experiment, {dict(parameters)!r}, motion={motion!r})",
-            "print(found)",
-            "found.plot()",
-            "",
-        )
+    return (
+        f"import fixel\n\nlab = fixel.Project({str(folder)!r})\n"
+        f"experiment = lab.experiment({experiment.key!r})\n"
+        f"found = fixel.compare(experiment, {dict(parameters)!r}, motion={motion!r})\n"
+        "print(found)\nfound.plot()\n"
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from threading import Lock
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from pydantic import Field
@@ -29,29 +29,22 @@ RIGS: Final = "rigs"  # folder of a project for the rig files of its benches
 MAX_OUTLINES: Final = 600  # outlines; in between the part is drawn at the nearest
 
 
-class BrowserVideo(NamedTuple):
-    """Video file that a browser can play."""
+def browser_video(project: Project, video: Path) -> tuple[Path, str]:
+    """Return a file that a browser plays, and its media type: the video, or a smaller copy.
 
-    path: Path
-    media_type: str
-
-
-def browser_video(project: Project, video: Path) -> BrowserVideo:
-    """Return the video itself if a browser plays it, else a smaller copy in the project's cache.
-
-    The copy has the times of the video. Writing it takes about as long as the video lasts. A file
-    that is no video raises `InvalidInput`.
+    The copy is in the project's cache, and has the times of the video. Writing it takes about as
+    long as the video lasts. A file that is no video raises `InvalidInput`.
     """
     with video.open("rb") as stream:
         container = _container(stream.read(16))
     if container is not None and open_video(video).codec in PLAYED:
-        return BrowserVideo(video, container)
+        return video, container
     copy = project.folder / CACHE / f"video-{video.stem[:32]}.mp4"
     if not copy.is_file():  # checked first: a finished copy need not wait for others being written
         with _one_at_a_time:
             if not copy.is_file():
                 _write(video, copy)
-    return BrowserVideo(copy, "video/mp4")
+    return copy, "video/mp4"
 
 
 def _container(start: bytes) -> str | None:

@@ -1,4 +1,4 @@
-"""Page that shows a running recording, and can end it."""
+"""Pages with a live picture: of a running recording, and for placing a part by hand."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from fixel.web.live import LiveView
 
 # Names of the fixels that are bits of the tactile byte: blue, red, green.
 FIXELS = ("blue", "red", "green")
-NOTHING: Final[dict[str, list[str]]] = {"problems": [], "tactile": []}  # before the first frame
+# Before the first picture.
+NOTHING: Final[dict[str, list[str]]] = {"problems": [], "remarks": [], "parts": [], "tactile": []}
 
 
 @final
@@ -113,3 +114,19 @@ class RecordPreview:
             return JSONResponse({"stopping": True})
 
         return router
+
+
+def overlay_page(view: LiveView, heading: str) -> Page:
+    """Create the page for placing a part, with the outlines and errors in the live picture.
+
+    The status of the view is a `fixel.workflows.acquisition.overlay.Look.summary()`.
+    """
+    return Page(
+        path="/overlay",
+        title="Placing",
+        template="overlay.html",
+        context={"heading": heading},
+        fill=lambda _: {"report": NOTHING | json.loads(view.report)},
+        router=view.router(),
+        views=(view,),
+    )
