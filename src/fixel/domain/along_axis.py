@@ -152,7 +152,9 @@ class AxisStudies:
         for group in groups:
             self._layouts.setdefault(group.shape, []).append(group)
         self._sizes = _checked(sizes)
-        self._plan: list[_PlannedStep] = []
+        # Studies whose errors are still unknown, and (n_layout, n_step) indices of their rollouts;
+        # -1 for none.
+        self._plan: list[tuple[AxisStudy, IntArray]] = []
 
     def ask(self, wanted: RolloutQueue) -> None:
         """Add the required rollouts to a queue."""
@@ -164,13 +166,19 @@ class AxisStudies:
             for size in self._sizes[axis]
         ]
 
-    def _planned(self, shape: str, axis: str, size: int, wanted: RolloutQueue) -> _PlannedStep:
+    def _planned(
+        self, shape: str, axis: str, size: int, wanted: RolloutQueue
+    ) -> tuple[AxisStudy, IntArray]:
         groups, (low, high) = self._layouts[shape], interval(axis, size)
         on_axis = {p.step for group in groups for p in group.at if p.axis == axis}
         steps = np.array(sorted(on_axis | {0}))
         inside = [along(axis, k) for k in range(low, high + 1)]
         sets, places = [], np.full((len(groups), len(steps)), -1)
+        own = np.full(places.shape, np.nan)
         for row, group in enumerate(groups):
+            for column, step in enumerate(steps.tolist()):
+                if (place := along(axis, step)) in group.at:
+                    own[row, column] = self.singles.errors[group.at[place]]
             missing = group.missing(inside)
             members = group.found(inside)
             if missing:
@@ -183,41 +191,16 @@ class AxisStudies:
                 place = along(axis, step)
                 if point is not None and place in group.at:
                     places[row, column] = wanted.add(group.at[place], point)
-        return _PlannedStep(shape, axis, size, steps, tuple(sets), places)
+        layouts, none = tuple(group.layout for group in groups), np.full(places.shape, np.nan)
+        study = AxisStudy(shape, axis, size, (low, high), steps, layouts, tuple(sets), none, own)
+        return study, places
 
     def read(self, answer: Evaluation) -> list[AxisStudy]:
         """Return the studies from the results of the queue."""
-        return [self._study(planned, answer) for planned in self._plan]
-
-    def _study(self, planned: _PlannedStep, answer: Evaluation) -> AxisStudy:
-        groups = self._layouts[planned.shape]
-        error = np.where(planned.places >= 0, answer.error[planned.places], np.nan)
-        own = np.full(error.shape, np.nan)
-        for row, group in enumerate(groups):
-            for column, step in enumerate(planned.steps.tolist()):
-                place = along(planned.axis, step)
-                if place in group.at:
-                    own[row, column] = self.singles.errors[group.at[place]]
-        return AxisStudy(
-            shape=planned.shape,
-            axis=planned.axis,
-            size=planned.size,
-            interval=interval(planned.axis, planned.size),
-            steps=planned.steps,
-            layouts=tuple(group.layout for group in groups),
-            sets=planned.sets,
-            error=error,
-            own=own,
-        )
-
-
-class _PlannedStep(NamedTuple):
-    shape: str
-    axis: str
-    size: int
-    steps: IntArray
-    sets: tuple[GroupParameters, ...]
-    places: IntArray  # (n_layout, n_step) indices of the rollouts; -1 for none
+        return [
+            study._replace(error=np.where(places >= 0, answer.error[places], np.nan))
+            for study, places in self._plan
+        ]
 
 
 def _checked(sizes: Mapping[str, Sequence[int]]) -> dict[str, tuple[int, ...]]:

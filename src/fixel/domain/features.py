@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -212,10 +212,8 @@ SHARE_OF_FEATURES: Final = 1.0 / 3.0
 NEIGHBOURS: Final = 12
 
 
-class ScaleModel(Protocol):
-    """Function from features (n, f) to expected powers of errors (n,)."""
-
-    def __call__(self, features: FloatArray, /) -> FloatArray: ...
+# Function from features (n, f) to expected powers of errors (n,).
+ScaleModel = Callable[[FloatArray], FloatArray]
 
 
 def powered(errors: FloatArray) -> FloatArray:
@@ -248,7 +246,7 @@ def fitted_model(name: str, features: FloatArray, values: FloatArray, seed: int)
     if name == "forest":
         return _forest(features, values, seed)
     if name == "neighbours":
-        return _Neighbours(Scale.of(features), features, values)
+        return partial(_neighbours, Scale.of(features), features, values)
     return partial(_constant, float(np.median(values)) if len(values) else 0.0)
 
 
@@ -273,29 +271,24 @@ def _constant(value: float, features: FloatArray, /) -> FloatArray:
     return np.full(len(features), value)
 
 
-class _Neighbours(NamedTuple):
-    scale: Scale
-    features: FloatArray
-    values: FloatArray
+def _neighbours(
+    scale: Scale, known: FloatArray, values: FloatArray, features: FloatArray, /
+) -> FloatArray:
+    """Return the means of the values of the nearest known features."""
+    from scipy.spatial import KDTree
 
-    def __call__(self, features: FloatArray, /) -> FloatArray:
-        from scipy.spatial import KDTree
-
-        k = min(NEIGHBOURS, len(self.values))
-        tree = KDTree(self.scale(self.features))
-        _, near = tree.query(self.scale(features), k=range(1, k + 1))
-        return np.asarray(self.values[near].mean(axis=1))
+    k = min(NEIGHBOURS, len(values))
+    _, near = KDTree(scale(known)).query(scale(features), k=range(1, k + 1))
+    return np.asarray(values[near].mean(axis=1))
 
 
-class _Forest(NamedTuple):
-    trees: Any
-
-    def __call__(self, features: FloatArray, /) -> FloatArray:
-        rows = features.astype(np.float32)
-        total = np.zeros(len(rows))
-        for tree in self.trees:
-            total += tree.predict(rows)[:, 0]
-        return np.asarray(total / len(self.trees))
+def _predicted(trees: list[Any], features: FloatArray, /) -> FloatArray:
+    """Return the mean predictions of trees."""
+    rows = features.astype(np.float32)
+    total = np.zeros(len(rows))
+    for tree in trees:
+        total += tree.predict(rows)[:, 0]
+    return np.asarray(total / len(trees))
 
 
 def _forest(features: FloatArray, values: FloatArray, seed: int) -> ScaleModel:
@@ -313,4 +306,4 @@ def _forest(features: FloatArray, values: FloatArray, seed: int) -> ScaleModel:
             ).fit(rows, targets, check_input=False)
             for _ in range(TREES)
         ]  # fmt: skip
-    return _Forest([tree.tree_ for tree in trees])
+    return partial(_predicted, [tree.tree_ for tree in trees])
