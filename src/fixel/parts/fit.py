@@ -251,24 +251,20 @@ NOISE: Final = 2.5e-3
 MISFIT_SHARE: Final = 0.35
 
 
-class ChosenPushes(NamedTuple):
-    """Pushes in the order in which they should be made."""
-
-    which: IntArray  # (k,)
-    variance: FloatArray  # (k + 1,) mean variance of the intended ends before and after each [m^2]
-
-
 def errors_of(table: FloatArray, noise: float) -> FloatArray:
     """Return the sizes (k,) of the errors of pushes with derivatives (k, 3, n_param) [m]."""
     return np.asarray(np.sqrt(noise**2 + MISFIT_SHARE**2 * np.einsum("kci,kci->k", table, table)))
 
 
-def choose_pushes(candidates: FloatArray, intended: FloatArray, n: int) -> ChosenPushes:
+def choose_pushes(
+    candidates: FloatArray, intended: FloatArray, n: int
+) -> tuple[IntArray, FloatArray]:
     """Choose n pushes that reduce the mean variance of predicted ends most, one after another.
 
     Of candidates (m, 3, n_param) there are derivatives of the ends along standard normal
     coordinates of the parameters [m], angles times a length; and the same of `intended`
-    (i, 3, n_param), the pushes whose ends matter.
+    (i, 3, n_param), the pushes whose ends matter. Return the chosen ones (k,) in order, and the
+    mean variance (k + 1,) of the intended ends before and after each [m^2].
     """
     covariance = np.eye(candidates.shape[2])
     wanted = np.einsum("kci,kcj->ij", intended, intended) / max(len(intended), 1)
@@ -284,7 +280,7 @@ def choose_pushes(candidates: FloatArray, intended: FloatArray, n: int) -> Chose
         chosen.append(best)
         covariance = covariance - along[best].T @ np.linalg.solve(seen[best], along[best])
         variance.append(float(np.trace(wanted @ covariance)))
-    return ChosenPushes(np.array(chosen, np.int64), np.array(variance))
+    return np.array(chosen, np.int64), np.array(variance)
 
 
 # Quasi-static pushes do not depend on time: all are simulated at one speed, in steps of 1 mm.

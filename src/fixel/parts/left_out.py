@@ -117,7 +117,7 @@ def chosen_order(group: PartPushes, pool: IntArray, prior: SupportPrior, n: int)
     """Return the n pushes (n,) of a pool that `choose_pushes` makes first."""
     pool = np.sort(pool)
     table = slopes(group, pool, prior)
-    return np.asarray(pool[choose_pushes(table, table, n).which])
+    return np.asarray(pool[choose_pushes(table, table, n)[0]])
 
 
 def after(

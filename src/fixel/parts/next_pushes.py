@@ -218,8 +218,8 @@ def propose(
     features, _, good = bound_features(wanted, np.arange(len(wanted)), prior)
     bounds = bounds_of(features, good)
     intended = slopes(wanted, np.flatnonzero(good), prior)
-    chosen = choose_pushes(slopes(offered, moving, prior), intended, n)
-    which = moving[chosen.which]
+    chosen, variance = choose_pushes(slopes(offered, moving, prior), intended, n)
+    which = moving[chosen]
     some = [own for own in bounds if own.position is not None]
     position, angle = (
         np.mean([[getattr(own, name), getattr(own, f"cautious_{name}")] for own in some], axis=0)
@@ -235,7 +235,7 @@ def propose(
         end=offered.in_frame(offered.tip_end)[which],
         outline=offered.body.shape.outline,
         radius=offered.radius,
-        variance=chosen.variance,
+        variance=variance,
         error=error,
         misfit=misfit,
         position=position,

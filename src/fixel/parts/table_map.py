@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final, NamedTuple, TypeVar, final
+from typing import Any, Final, NamedTuple, TypeVar, final
 
 import numpy as np
 
@@ -360,22 +360,15 @@ def by_part(
     return {name: pushes for (_, name), pushes in groups.items()}
 
 
-class FittedMap(NamedTuple):
-    """Map on its grid, with its weight, and what is the parts' own."""
-
-    load_map: LoadMap
-    spread: FloatArray  # (n_node, k)
-    own: dict[str, OwnFit]
-    weight: float
-    judgement: MapJudgement
-
-
 def fitted_map(
     groups: Mapping[str, PartPushes],
     values: Mapping[str, Mapping[str, float]],
     progress: ProgressCallback | None = None,
-) -> FittedMap:
-    """Fit a map to the pushes of all parts, and judge it by leaving parts and sides out."""
+) -> dict[str, Any]:
+    """Fit a map to the pushes of all parts, and judge it by leaving parts and sides out.
+
+    Return the fields of a `TableMap` that follow.
+    """
     parts = {}
     for done, (name, group) in enumerate(groups.items()):
         parts[name] = StandingPart(group, values[name])
@@ -389,13 +382,13 @@ def fitted_map(
         weight, judgement = _weighed(_without_parts(parts, fit, grid))
     else:
         weight, judgement = _weighed(_without_sides(parts, rows, grid))
-    return FittedMap(
-        grid.load_map(weight * grid.levelled(grid.root @ fit.mean, places)),
-        grid.levelled(grid.root @ fit.factor, places),
-        {name: own_fit(own, weight * fit.mean) for name, own in rows.items()},
-        weight,
-        judgement,
-    )
+    return {
+        "load_map": grid.load_map(weight * grid.levelled(grid.root @ fit.mean, places)),
+        "spread": grid.levelled(grid.root @ fit.factor, places),
+        "own": {name: own_fit(own, weight * fit.mean) for name, own in rows.items()},
+        "weight": weight,
+        "judgement": judgement,
+    }
 
 
 def _weighed(judged: Mapping[float, MapJudgement]) -> tuple[float, MapJudgement]:

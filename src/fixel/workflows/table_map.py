@@ -121,7 +121,7 @@ def table_map(
         part=part,
         values=values,
         experiments=tuple(own.key for own in used),
-        **found_map._asdict(),
+        **found_map,
     )
 
 
