@@ -206,9 +206,9 @@ class _Stage:
             # A gap that closes at the end of this step is still open.
             before = {(r["body"], r["other"]) for r in self._rows(sample - 1)}
             rows = rows[np.array([(r["body"], r["other"]) in before for r in rows], np.bool_)]
-        contacts = carried(run, rows, time)
-        largest, arrows = largest_force(contacts.force), []
-        for point, force in zip(contacts.point, contacts.force, strict=True):
+        points, _, forces = carried(run, rows, time)
+        largest, arrows = largest_force(forces), []
+        for point, force in zip(points, forces, strict=True):
             size = float(np.hypot(*force))
             if 1e-4 * self.largest < size < np.inf:
                 # Length grows with the root, so that weak and very strong forces are readable.

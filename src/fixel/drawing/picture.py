@@ -218,18 +218,15 @@ def _forces(
 ) -> list[Artist]:
     end = float(simulation.time[-1])
     rows = contacts_at(simulation, end)
-    contacts = carried(simulation, rows, end)
-    force = contacts.force
+    points, normal, force = carried(simulation, rows, end)
     largest = largest_force(force)
     if not largest > 0.0 or not np.isfinite(largest):
         return []
-    points = contacts.point * unit.factor
+    points = points * unit.factor
     per_newton = arrow_length_per_newton(largest, box.size) * unit.factor
     if many:
         return _force_chains(axes, points, force, largest)
-    handles = _cones(
-        axes, frictions(simulation, rows), points, contacts.normal, largest * per_newton
-    )
+    handles = _cones(axes, frictions(simulation, rows), points, normal, largest * per_newton)
     seen = np.hypot(*force.T) > 0.01 * largest
     for point, length in zip(points[seen], force[seen] * per_newton, strict=True):
         add_arrow(axes, point, point + length, **ARROW, zorder=6, annotation_clip=False)

@@ -124,40 +124,34 @@ def forces(rows: NDArray[np.void]) -> FloatArray:
     return np.asarray(along, dtype=np.float64).reshape(-1, 2)
 
 
-class MovedContacts(NamedTuple):
-    """Contacts of a step, moved with their bodies to another time of that step."""
-
-    point: FloatArray  # (n, 2) [m]
-    normal: FloatArray  # (n, 2)
-    force: FloatArray  # (n, 2) on the first body [N]
-
-
 def pose_at(time: FloatArray, poses: FloatArray, moment: float) -> FloatArray:
     """Pose (3,) at a time, interpolated linearly between samples [m, m, rad]."""
     return np.array([np.interp(moment, time, column) for column in poses.T])
 
 
-def carried(simulation: Simulation, rows: NDArray[np.void], moment: float) -> MovedContacts:
+def carried(
+    simulation: Simulation, rows: NDArray[np.void], moment: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Move rows of the contact table with their bodies to a given time [s].
+
+    Return points [m], normals and forces on the first bodies [N], each (n, 2).
 
     The table has contacts where the equations of their step were evaluated: at its start, or half a
     step later.
     """
     lead = 0.0 if simulation.method["stepper"] == "stewart-trinkle" else 0.5
     time, force = simulation.time, forces(rows)
-    answer = MovedContacts(
-        np.zeros((len(rows), 2)), np.zeros((len(rows), 2)), np.zeros((len(rows), 2))
-    )
+    point, normal = np.zeros((2, len(rows), 2))
     for k, row in enumerate(rows):
         poses = simulation.pose[simulation.names[row["body"]]]
         then = pose_at(time, poses, float(row["time"] - (1.0 - lead) * row["step"]))
         now = pose_at(time, poses, moment)
         c, s = np.cos(now[2] - then[2]), np.sin(now[2] - then[2])
         turn = np.array([[c, s], [-s, c]])
-        answer.point[k] = now[:2] + (row["point"] - then[:2]) @ turn
-        answer.normal[k] = row["normal"] @ turn
-        answer.force[k] = force[k] @ turn
-    return answer
+        point[k] = now[:2] + (row["point"] - then[:2]) @ turn
+        normal[k] = row["normal"] @ turn
+        force[k] = force[k] @ turn
+    return point, normal, force
 
 
 def frictions(simulation: Simulation, rows: NDArray[np.void]) -> FloatArray:
