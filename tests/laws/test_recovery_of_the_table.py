@@ -52,7 +52,7 @@ def push(angle: float, aside: float) -> RolloutCase:
         shape=PLATE,
         mass=0.8,
         pose=(0.0, 0.0, angle),
-        support=SupportPoints(points=support_grid(PLATE).points, friction=0.3),
+        support=SupportPoints(points=support_grid(PLATE)[0], friction=0.3),
     )
     tip = Pusher(
         name="tip",

@@ -40,7 +40,7 @@ def pushes_of(support, n=16):
 
 @pytest.fixture(scope="module")
 def pushes():
-    points = support_grid(TRIANGLE).points
+    points = support_grid(TRIANGLE)[0]
     loads = np.random.default_rng(2).uniform(0.2, 2.0, len(points))
     return pushes_of(SupportPoints(points=points, friction=0.3, loads=loads))
 
@@ -59,7 +59,7 @@ def test_a_fit_predicts_pushes_that_it_has_not_seen_better_than_the_prior(pushes
 
 def test_a_part_that_stands_on_its_middle_is_fitted_inside_the_bounds():
     """Real plates do: one stood at a bound of -4, and beyond it without."""
-    points = support_grid(TRIANGLE).points
+    points = support_grid(TRIANGLE)[0]
     away = np.hypot(*(points - TRIANGLE.centroid).T)
     middle = pushes_of(
         SupportPoints(points=points, friction=0.3, loads=np.exp(-((away / 0.023) ** 2)))

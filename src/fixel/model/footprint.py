@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from math import pi
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 import shapely
@@ -117,15 +117,13 @@ def _similar_cells(per_side: int) -> FloatArray:
     return np.column_stack((1.0 - first - second, first, second))
 
 
-class SupportGrid(NamedTuple):
-    """Points under a footprint, with the part of it that each represents."""
+def support_grid(
+    shape: Shape, *, outer: float = OUTER, inner: float = INNER
+) -> tuple[FloatArray, NDArray[np.str_]]:
+    """Create support points (n, 2) on two scaled outlines and at the centroid [m].
 
-    points: FloatArray  # (n, 2) in the frame of the shape [m]
-    part: NDArray[np.str_]  # (n,) `corner`, `edge`, `ring` of a smooth outline, or `inside`
-
-
-def support_grid(shape: Shape, *, outer: float = OUTER, inner: float = INNER) -> SupportGrid:
-    """Create support points, with their parts, on two scaled outlines and at the centroid.
+    Return also the part (n,) of the outline that each represents: `corner`, `edge`, `ring` of a
+    smooth one, or `inside`.
 
     For outlines with corners these are all corners and the middles of the edges of the outer copy,
     and the corners of the inner one. For smooth ones they are evenly spaced, with those of the
@@ -155,7 +153,7 @@ def support_grid(shape: Shape, *, outer: float = OUTER, inner: float = INNER) ->
     points = np.concatenate(list(rings.values()))
     part = np.concatenate([np.full(len(ring), name) for name, ring in rings.items()])
     inside = shapely.intersects_xy(shapely.Polygon(shape.outline), points[:, 0], points[:, 1])
-    return SupportGrid(points[inside], part[inside])
+    return points[inside], part[inside]
 
 
 def _evenly(shape: Shape, size: float, n: int, lead: float) -> FloatArray:
