@@ -26,7 +26,6 @@ from fixel.vision.render.canvas import Canvas, FloatPicture, PictureWindow, cove
 from fixel.vision.render.looks import CameraEffects
 from fixel.vision.render.solids import (
     PlacedSolid,
-    ShadowHull,
     Solid,
     painting_order,
     place,
@@ -212,7 +211,7 @@ def shade(
     left, top = window.left % COARSE, window.top % COARSE
     w, h = -(-(window.width + left) // COARSE), -(-(window.height + top) // COARSE)
     corner = np.array([window.left - left, window.top - top])
-    ends = (np.array([hull.ends for hull in hulls]) + 0.5 - corner) / COARSE - 0.5
+    ends = (np.array([ends for _, ends in hulls]) + 0.5 - corner) / COARSE - 0.5
     meets = (ends[:, 0] < (w, h)).all(axis=1) & (ends[:, 1] > -1.0).all(axis=1)
     if not meets.any():
         return None
@@ -222,7 +221,7 @@ def shade(
     for ray, share in enumerate(SHARES):
         one[:] = 0.0
         for k in np.flatnonzero(meets[ray :: len(RAYS)]).tolist():
-            cover(one, room, (hulls[ray + k * len(RAYS)].corners + 0.5 - corner) / COARSE - 0.5)
+            cover(one, room, (hulls[ray + k * len(RAYS)][0] + 0.5 - corner) / COARSE - 0.5)
         lost += share * one
     cv2 = opencv()
     smooth = cv2.GaussianBlur(lost, (0, 0), 0.7)
@@ -231,7 +230,9 @@ def shade(
     return np.asarray(1.0 - np.float32(depth) * part)
 
 
-def _hulls(thing: PlacedSolid, level: float, eye: Projection) -> list[ShadowHull]:
+def _hulls(
+    thing: PlacedSolid, level: float, eye: Projection
+) -> list[tuple[FloatArray, FloatArray]]:
     """Shadows of the pieces of a solid on a horizontal face, for every ray; computed once."""
     if level not in thing.shadows:
         low, high = thing.solid.low, thing.solid.high
@@ -243,11 +244,11 @@ def _hulls(thing: PlacedSolid, level: float, eye: Projection) -> list[ShadowHull
 
 def _swept(
     piece: FloatArray, low: float, high: float, level: float, eye: Projection
-) -> list[ShadowHull]:
-    """Shadow of a convex piece for every ray, as convex polygons [px]."""
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Shadow of a convex piece for every ray, as convex polygons with their ends [px]."""
     cv2 = opencv()
     near, far = max(low - level, 0.0), high - level
     ends = np.concatenate((piece + near * RAYS[:, None], piece + far * RAYS[:, None]), axis=1)
     pixels = eye.project_at(ends, level).astype(np.float32)
     hulls = [np.asarray(cv2.convexHull(ray)[:, 0], dtype=np.float64) for ray in pixels]
-    return [ShadowHull(hull, np.array([hull.min(axis=0), hull.max(axis=0)])) for hull in hulls]
+    return [(hull, np.array([hull.min(axis=0), hull.max(axis=0)])) for hull in hulls]

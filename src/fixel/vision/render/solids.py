@@ -115,13 +115,6 @@ class Solid(NamedTuple):
         return max(slab.high for slab in self.slabs)
 
 
-class ShadowHull(NamedTuple):
-    """Shadow of a convex piece in the light from one point."""
-
-    corners: FloatArray  # (n, 2) of its convex polygon [px]
-    ends: FloatArray  # (2, 2) smallest and largest coordinates [px]
-
-
 class PlacedSolid(NamedTuple):
     """Solid at a pose, as polygons in the picture."""
 
@@ -130,8 +123,9 @@ class PlacedSolid(NamedTuple):
     # Strokes in the order of painting; upper faces with the height at which shadows fall [m].
     strokes: tuple[tuple[FilledPolygons, float | None], ...]
     window: PictureWindow  # window of all strokes
-    # Shadows on horizontal faces by their heights [m], as far as they were computed.
-    shadows: dict[float, list[ShadowHull]]
+    # Shadows on horizontal faces by their heights [m], as far as they were computed: corners (n, 2)
+    # of convex polygons, and their smallest and largest coordinates (2, 2) [px].
+    shadows: dict[float, list[tuple[FloatArray, FloatArray]]]
 
 
 GRAIN_PITCH: Final = 5e-4  # [m] between values of a solid's grain
