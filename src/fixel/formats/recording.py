@@ -20,7 +20,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Final, NamedTuple, final
+from typing import Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,14 +121,6 @@ class Recording:
             yield frame
 
 
-class _Agreement(NamedTuple):
-    """Rows of a recording, and the number of them whose pictures match."""
-
-    rows: RecordingRows
-    matched: int
-    seen: int  # pictures in the video
-
-
 def is_recording(folder: str | Path) -> bool:
     """Whether a folder contains a recording."""
     return (Path(folder) / HEADER).is_file()
@@ -141,15 +133,11 @@ def open_recording(folder: str | Path) -> Recording:
     """
     folder = Path(folder)
     header, end = read_header(folder), read_end(folder)
-    check = _checked(folder)
-    n = check.matched
-    rows = check.rows.rows[:n]
-    if end is not None and len(check.rows.rows) > end.frames:
-        raise InvalidInput(
-            str(folder / ROWS),
-            found=f"{len(check.rows.rows)} rows",
-            expected=f"{end.frames} rows, as in {END}",
-        )
+    every, n, seen = _checked(folder)
+    rows, n_rows = every.rows[:n], len(every.rows)
+    if end is not None and n_rows > end.frames:
+        expected = f"{end.frames} rows, as in {END}"
+        raise InvalidInput(str(folder / ROWS), found=f"{n_rows} rows", expected=expected)
     reading_us = np.array([row.reading_time_us for row in rows], dtype=np.float64)
     return Recording(
         folder=folder,
@@ -159,7 +147,7 @@ def open_recording(folder: str | Path) -> Recording:
         readings=np.array([row.reading for row in rows], dtype=np.int64),
         reading_time=np.where(reading_us < 0.0, np.nan, reading_us / MICRO),
         video=folder / VIDEO,
-        problems=tuple(_problems(check, end)),
+        problems=tuple(_problems(every, n, seen, end)),
     )
 
 
@@ -170,10 +158,10 @@ def repair_recording(folder: str | Path) -> Recording:
     """
     folder = Path(folder)
     recording = open_recording(folder)
-    check = _checked(folder)
-    last = check.rows.rows[check.matched - 1]
+    rows, n, seen = _checked(folder)
+    last = rows.rows[n - 1]
     try:
-        os.truncate(folder / ROWS, check.rows.ends[check.matched - 1])
+        os.truncate(folder / ROWS, rows.ends[n - 1])
         os.truncate(folder / VIDEO, last.video_end)
         (folder / RESERVE).unlink(missing_ok=True)
     except OSError as problem:
@@ -186,18 +174,24 @@ def repair_recording(folder: str | Path) -> Recording:
         write_end(
             folder,
             RecordingEnd(
-                frames=check.matched,
+                frames=n,
                 seconds=last.time_us / MICRO,
                 reason=reason,
                 lost=before.lost if before else 0,
-                problems=tuple(_broken_off(check, before)) + (before.problems if before else ()),
+                problems=(
+                    *_broken_off(rows, n, seen, before),
+                    *(before.problems if before else ()),
+                ),
             ),
         )
     return open_recording(folder)
 
 
-def _checked(folder: Path) -> _Agreement:
-    """Compare rows with pictures; raise if more than the end of the recording is damaged."""
+def _checked(folder: Path) -> tuple[RecordingRows, int, int]:
+    """Compare rows with pictures; raise if more than the end of the recording is damaged.
+
+    Return the rows, the number of those whose pictures match, and that of pictures in the video.
+    """
     rows = read_rows(folder / ROWS)
     matched = seen = 0
     for seen, packet in enumerate(packets(folder / VIDEO), 1):
@@ -217,36 +211,37 @@ def _checked(folder: Path) -> _Agreement:
             found="a recording that ended before its first frame was whole",
             expected="one frame at least",
         )
-    return _Agreement(rows, matched, seen)
+    return rows, matched, seen
 
 
 def _belong(row: RecordingRow, time_us: int, data: bytes) -> bool:
     return (row.time_us, row.size) == (time_us, len(data)) and row.crc == zlib.crc32(data)
 
 
-def _problems(check: _Agreement, end: RecordingEnd | None) -> Iterator[str]:
+def _problems(
+    rows: RecordingRows, matched: int, seen: int, end: RecordingEnd | None
+) -> Iterator[str]:
     """Defects of a recording, one sentence each."""
-    yield from _broken_off(check, end)
+    yield from _broken_off(rows, matched, seen, end)
     if end is not None:
         yield from end.problems
         if end.lost:
             yield f"{_frames(end.lost)} lost while recording"
 
 
-def _broken_off(check: _Agreement, end: RecordingEnd | None) -> Iterator[str]:
-    """Defects at the end of a recording, one sentence each."""
-    n, n_rows = check.matched, len(check.rows.rows)
-    seconds = check.rows.rows[n - 1].time_us / MICRO
+def _broken_off(rows: RecordingRows, n: int, seen: int, end: RecordingEnd | None) -> Iterator[str]:
+    """Defects at the end of a recording with n whole frames, one sentence each."""
+    n_rows, seconds = len(rows.rows), rows.rows[n - 1].time_us / MICRO
     if end is None:
         yield f"interrupted at t = {seconds:.3f} s: no end mark"
     elif end.frames > n:
         yield (f"interrupted at t = {seconds:.3f} s: {n} of {end.frames} frames are left")
-    if check.rows.torn:
+    if rows.torn:
         yield f"the last row of {ROWS} is torn; left out"
     if n_rows > n:
         yield f"{_frames(n_rows - n)} at the end without a whole picture; left out"
-    if check.seen > n_rows:
-        yield f"{_frames(check.seen - n_rows)} at the end without a row; left out"
+    if seen > n_rows:
+        yield f"{_frames(seen - n_rows)} at the end without a row; left out"
 
 
 def _frames(n: int) -> str:
