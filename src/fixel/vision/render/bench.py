@@ -11,17 +11,7 @@ from fixel.model import Scene
 from fixel.typing import FloatArray
 from fixel.vision.frame import opencv
 from fixel.vision.marks import Rig
-from fixel.vision.render.bodies import (
-    backdrop,
-    body_solid,
-    falloff,
-    fixel_solid,
-    grain,
-    hand_solid,
-    housing_solid,
-    pixel_of,
-    pusher_solids,
-)
+from fixel.vision.render import bodies
 from fixel.vision.render.canvas import Canvas, FloatPicture, PictureWindow, cover, window_of
 from fixel.vision.render.looks import CameraEffects
 from fixel.vision.render.solids import (
@@ -56,22 +46,25 @@ class RenderedBench:
         self._rig, self._looks = rig, looks
         self._eye = Projection(rig.camera)
         self.size = self._eye.size  # width and height [px]
-        pixel = pixel_of(rig)
-        dull, turned = grain(seed, "plastic", 0.03), grain(seed, "milled", 0.02)
+        pixel = bodies.pixel_of(rig)
+        dull, turned = bodies.grain(seed, "plastic", 0.03), bodies.grain(seed, "milled", 0.02)
         self._moving: list[tuple[str, Solid]] = [
-            (body.name, body_solid(body, rig, pixel, dull)) for body in scene.bodies
+            (body.name, bodies.body_solid(body, rig, pixel, dull)) for body in scene.bodies
         ]
         resting = [
-            (fixel_solid(fixel, rig.fixel_height, pixel), fixel.pose) for fixel in scene.fixels
+            (bodies.fixel_solid(fixel, rig.fixel_height, pixel), fixel.pose)
+            for fixel in scene.fixels
         ]
         for pusher in scene.pushers:
-            solids = pusher_solids(pusher, rig, pixel, turned)
+            solids = bodies.pusher_solids(pusher, rig, pixel, turned)
             self._moving += [(pusher.name, solid) for solid in solids]
-            resting.append((housing_solid(pusher, pixel), pusher.pose))
-        self._hand = hand_solid(4.0 * pixel)
+            resting.append((bodies.housing_solid(pusher, pixel), pusher.pose))
+        self._hand = bodies.hand_solid(4.0 * pixel)
         self._resting = [place(solid, pose, self._eye) for solid, pose in resting]
-        self._plate: FloatPicture = backdrop(rig, self._eye, seed) if like is None else like._plate
-        self._falloff = falloff(self._eye, looks.vignetting)
+        self._plate: FloatPicture = (
+            bodies.backdrop(rig, self._eye, seed) if like is None else like._plate
+        )
+        self._falloff = bodies.falloff(self._eye, looks.vignetting)
         self._still = self._developed(PictureWindow(0, 0, *self.size), self._painted([]))
 
     def light(self, instants: Sequence[Poses]) -> FloatPicture:

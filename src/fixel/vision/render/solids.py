@@ -11,14 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from fixel.model import Disk, Shape
 from fixel.model.shape import placed
 from fixel.typing import FloatArray
-from fixel.vision.render.canvas import (
-    PLAIN,
-    FilledPolygons,
-    FloatPicture,
-    PictureWindow,
-    Texture,
-    filled_polygons,
-)
+from fixel.vision.render import canvas
 from fixel.vision.render.virtual_camera import Projection
 
 CHORD: Final = 8.0  # [px] longest piece of a straight edge drawn as a line, in spite of distortion
@@ -102,7 +95,7 @@ class Solid(NamedTuple):
     footprint: tuple[FloatArray, ...]
     markings: tuple[Marking, ...] = ()
     # Texture of the upper faces, fixed to the solid, half a millimetre per value.
-    grain: FloatPicture | None = None
+    grain: canvas.FloatPicture | None = None
 
     @property
     def low(self) -> float:
@@ -121,8 +114,8 @@ class PlacedSolid(NamedTuple):
     solid: Solid
     footprint: tuple[FloatArray, ...]  # convex pieces in the world [m]
     # Strokes in the order of painting; upper faces with the height at which shadows fall [m].
-    strokes: tuple[tuple[FilledPolygons, float | None], ...]
-    window: PictureWindow  # window of all strokes
+    strokes: tuple[tuple[canvas.FilledPolygons, float | None], ...]
+    window: canvas.PictureWindow  # window of all strokes
     # Shadows on horizontal faces by their heights [m], as far as they were computed: corners (n, 2)
     # of convex polygons, and their smallest and largest coordinates (2, 2) [px].
     shadows: dict[float, list[tuple[FloatArray, FloatArray]]]
@@ -133,7 +126,7 @@ GRAIN_PITCH: Final = 5e-4  # [m] between values of a solid's grain
 
 def place(solid: Solid, pose: FloatArray, eye: Projection) -> PlacedSolid:
     """Project a solid at a pose (3,) [m, m, rad]."""
-    strokes: list[tuple[FilledPolygons, float | None]] = []
+    strokes: list[tuple[canvas.FilledPolygons, float | None]] = []
     grain = _grain(solid, pose, eye)
     for slab in solid.slabs:
         strokes += _slab_strokes(slab, pose, eye, grain)
@@ -148,8 +141,8 @@ def place(solid: Solid, pose: FloatArray, eye: Projection) -> PlacedSolid:
 
 
 def _slab_strokes(
-    slab: Slab, pose: FloatArray, eye: Projection, grain: Texture
-) -> list[tuple[FilledPolygons, float | None]]:
+    slab: Slab, pose: FloatArray, eye: Projection, grain: canvas.Texture
+) -> list[tuple[canvas.FilledPolygons, float | None]]:
     size = eye.size
     world = placed(slab.outline.points, pose)
     low, high = eye.project_at(world, slab.low), eye.project_at(world, slab.high)
@@ -157,7 +150,7 @@ def _slab_strokes(
     inward = middle - high
     under = high + inward * (OVERLAP / np.maximum(np.hypot(*inward.T), OVERLAP))[:, None]
     n = len(world)
-    strokes: list[tuple[FilledPolygons, float | None]] = []
+    strokes: list[tuple[canvas.FilledPolygons, float | None]] = []
     flat = slab.high <= slab.low
     for first, last, shade in [] if flat else _seen_faces(slab.outline, world, eye.position):
         k = np.arange(first, last + 1) % n
@@ -166,12 +159,12 @@ def _slab_strokes(
         points = np.concatenate(
             (low[k], low[k[-1:]] + step[0], high[k[-1:]] + step[1], under[k[::-1]])
         )
-        strokes.append((filled_polygons(points, slab.side * shade, size), None))
+        strokes.append((canvas.filled_polygons(points, slab.side * shade, size), None))
     if slab.rim > 0.0:
         bright = np.minimum(slab.top * 1.25 + 14.0, 250.0)
-        strokes.append((filled_polygons(high, bright, size), slab.high))
+        strokes.append((canvas.filled_polygons(high, bright, size), slab.high))
         high = eye.project_at(placed(slab.outline.shrunk(slab.rim).points, pose), slab.high)
-    strokes.append((filled_polygons(high, slab.top, size, grain=grain), slab.high))
+    strokes.append((canvas.filled_polygons(high, slab.top, size, grain=grain), slab.high))
     return strokes
 
 
@@ -197,16 +190,16 @@ def _towards(a: FloatArray, b: FloatArray) -> FloatArray:
     return way * (min(OVERLAP, length) / length) if length > 0.0 else way
 
 
-def _grain(solid: Solid, pose: FloatArray, eye: Projection) -> Texture:
+def _grain(solid: Solid, pose: FloatArray, eye: Projection) -> canvas.Texture:
     """Place a solid's grain by a linear map near its middle, sufficient for a texture."""
     if solid.grain is None:
-        return PLAIN
+        return canvas.PLAIN
     local = np.array([[0.0, 0.0], [0.01, 0.0], [0.0, 0.01]])
     pixels = eye.project_at(placed(local, pose), solid.high)
     pixel_from_local = np.column_stack(((pixels[1:] - pixels[0]).T / 0.01, pixels[0]))
     inverse = np.linalg.inv(pixel_from_local[:, :2])
     matrix = np.column_stack((inverse, -inverse @ pixel_from_local[:, 2]))
-    return Texture(solid.grain, matrix / GRAIN_PITCH)
+    return canvas.Texture(solid.grain, matrix / GRAIN_PITCH)
 
 
 def painting_order(things: list[PlacedSolid], eye: FloatArray) -> list[PlacedSolid]:

@@ -14,6 +14,7 @@ from fixel.typing import FloatArray
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig, Tag
 from fixel.vision.plane_errors import pose_covariance
+from fixel.vision.tracking import checks
 from fixel.vision.tracking.base import (
     AbstractFollower,
     AbstractTracking,
@@ -22,15 +23,6 @@ from fixel.vision.tracking.base import (
     PartObservation,
     PartTrack,
     Thing,
-)
-from fixel.vision.tracking.checks import (
-    UNWATCHED,
-    PlateWatch,
-    bad_light,
-    check_camera_place,
-    check_orientation,
-    check_size,
-    registered,
 )
 from fixel.vision.tracking.judge import judged, stamp_scatter
 from fixel.vision.tracking.outline import OutlineEdges, PoseFit, circle_edges, fit_pose, window_of
@@ -70,7 +62,7 @@ def track(
     things = {} if scene is None else things_of(scene)
     followers: list[AbstractFollower] = []
     finder: FixelFinder | None = None
-    plate = PlateWatch(rig)
+    plate = checks.PlateWatch(rig)
     sightings: dict[str, list[PartObservation]] = {}
     times: list[float] = []
     first: Frame | None = None
@@ -80,7 +72,7 @@ def track(
         if first is None:
             first = frame
             rig, remarks = _checked(rig, frame, register=register)
-            plate = PlateWatch(rig)
+            plate = checks.PlateWatch(rig)
             names, followers = followers_of(rig, things, method)
             sightings = {name: [] for name in names}
             finder = FixelFinder(rig, scene.fixels) if scene is not None else None
@@ -89,7 +81,7 @@ def track(
             for name, sight in follower.see(frame).items():
                 sightings[name].append(sight)
         if index == 0 and any(own[0].pose is None for own in sightings.values()):
-            check_orientation(rig, frame.luma)
+            checks.check_orientation(rig, frame.luma)
         plate.see(frame, index)
         if finder is not None and index % FIXELS_EVERY == 0 and plate.in_place:
             finder.see(frame)
@@ -160,11 +152,11 @@ def things_of(scene: Scene) -> dict[str, Thing]:
 
 def _checked(rig: Rig, frame: Frame, *, register: bool) -> tuple[Rig, list[str]]:
     """Check the first frame; return the rig, with its camera registered, and remarks."""
-    check_size(rig, frame)
+    checks.check_size(rig, frame)
     if not register:
-        watched = check_camera_place(rig, frame) or not rig.plate
-        return rig, [] if watched else [UNWATCHED]
-    found = registered(rig, frame)
+        watched = checks.check_camera_place(rig, frame) or not rig.plate
+        return rig, [] if watched else [checks.UNWATCHED]
+    found = checks.registered(rig, frame)
     shift = float(np.hypot(*(found.camera.position - rig.camera.position)[:2]))
     remark = (
         "the camera pose was estimated again from the tags on the plate; it changed by "
@@ -218,7 +210,7 @@ def _refuse_unseen(rig: Rig, sightings: Mapping[str, list[PartObservation]], fir
             f"part {name!r}",
             found=f"it in none of {len(own)} frames: {max(set(reasons), key=reasons.count)}{there}",
             expected="a visible part",
-            hint=bad_light(first) or "check that the film was recorded with this rig",
+            hint=checks.bad_light(first) or "check that the film was recorded with this rig",
         )
 
 
@@ -369,7 +361,7 @@ class Locator:
     def see(self, frame: Frame) -> FramePoses:
         """Locate parts and fixels in a frame."""
         try:
-            check_size(self.rig, frame)
+            checks.check_size(self.rig, frame)
             parts = {
                 name: sight
                 for follower in self._followers
@@ -389,12 +381,12 @@ class Locator:
     def _what_stands(self, frame: Frame, seen: bool) -> FramePoses:
         """Check camera and plate, and locate the fixels."""
         try:
-            watched = check_camera_place(self.rig, frame)
+            watched = checks.check_camera_place(self.rig, frame)
             if not seen:
-                check_orientation(self.rig, frame.luma)
+                checks.check_orientation(self.rig, frame.luma)
         except InvalidInput as problem:
             return FramePoses(problems=(_told(problem),))
-        remarks = (UNWATCHED,) if self.rig.plate and not watched else ()
+        remarks = (checks.UNWATCHED,) if self.rig.plate and not watched else ()
         return FramePoses(fixels=self._fixels(frame), remarks=remarks)
 
     def _fixels(self, frame: Frame) -> dict[str, FloatArray]:

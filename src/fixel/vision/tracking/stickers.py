@@ -17,15 +17,7 @@ from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Gray, Picture, opencv
 from fixel.vision.marks import Rig, Sticker
-from fixel.vision.tracking.base import (
-    AbstractFollower,
-    AbstractTracking,
-    PartFollower,
-    PartFollowers,
-    PartObservation,
-    Thing,
-    vague,
-)
+from fixel.vision.tracking import base
 from fixel.vision.tracking.loops import box_of, optics_of, seen_at
 from fixel.vision.tracking.outline import OutlineEdges, PoseFit, circle_edges, fit_pose
 from fixel.vision.tracking.tags import rigid
@@ -39,7 +31,7 @@ MIN_SHARE: Final = 0.35  # of a sticker's edge
 
 @final
 @dataclass(frozen=True, slots=True)
-class Stickers(AbstractTracking):
+class Stickers(base.AbstractTracking):
     """Tracking by round stickers of one colour each, two or more per part.
 
     Stickers are found by hue and followed by their edges; see `colour.fit_sticker`. Distances that
@@ -53,14 +45,14 @@ class Stickers(AbstractTracking):
     name: ClassVar[str] = "stickers"
     needs: ClassVar[str] = "two stickers, since one does not determine an angle"
 
-    def parts(self, rig: Rig, things: Mapping[str, Thing]) -> tuple[str, ...]:
+    def parts(self, rig: Rig, things: Mapping[str, base.Thing]) -> tuple[str, ...]:
         """Parts with at least two stickers."""
         return tuple(name for name in rig.parts if len(_stickers(rig, name)) >= 2)
 
-    def follow(self, rig: Rig, things: Mapping[str, Thing]) -> AbstractFollower:
+    def follow(self, rig: Rig, things: Mapping[str, base.Thing]) -> base.AbstractFollower:
         """Create a follower; see `AbstractTracking.follow`."""
         everything = tuple(sticker for name in rig.parts for sticker in _stickers(rig, name))
-        return PartFollowers(
+        return base.PartFollowers(
             {
                 name: _StickeredPart(rig.camera, _stickers(rig, name), everything)
                 for name in self.parts(rig, things)
@@ -73,7 +65,7 @@ def _stickers(rig: Rig, name: str) -> tuple[Sticker, ...]:
 
 
 @final
-class _StickeredPart(PartFollower):
+class _StickeredPart(base.PartFollower):
     """Follower of one part from frame to frame."""
 
     def __init__(
@@ -86,14 +78,14 @@ class _StickeredPart(PartFollower):
         self._scale = camera.metres_per_pixel(max(sticker.height for sticker in own))
         self._place = np.array([sticker.place for sticker in own])
 
-    def _measured(self, frame: Frame, pose: FloatArray) -> PartObservation:
+    def _measured(self, frame: Frame, pose: FloatArray) -> base.PartObservation:
         return self._fitted(frame, placed(self._place, pose))
 
-    def _searched(self, frame: Frame, followed: PartObservation) -> PartObservation:
+    def _searched(self, frame: Frame, followed: base.PartObservation) -> base.PartObservation:
         found, reason = self._found(frame)
-        return PartObservation(reason=reason) if found is None else self._fitted(frame, found)
+        return base.PartObservation(reason=reason) if found is None else self._fitted(frame, found)
 
-    def _fitted(self, frame: Frame, places: FloatArray) -> PartObservation:
+    def _fitted(self, frame: Frame, places: FloatArray) -> base.PartObservation:
         """Measure the pose from stickers near places (n, 2) [m]."""
         fits = [
             fit_sticker(frame, self._camera, sticker, place, STICKER_REACH)
@@ -106,21 +98,23 @@ class _StickeredPart(PartFollower):
             if not isinstance(fit, str) and fit.share >= MIN_SHARE and fit.residual <= MAX_RESIDUAL
         ]
         if len(good) < 2:
-            return PartObservation(reason=missing[0] if missing else "its stickers are not round")
+            return base.PartObservation(
+                reason=missing[0] if missing else "its stickers are not round"
+            )
         index = [k for k, _ in good]
         seen = np.array([fit.pose[:2] for _, fit in good])
         own = self._place[index]
         wrong = self._wrong_distance(index, own, seen)
         if wrong:
-            return PartObservation(reason=wrong)
+            return base.PartObservation(reason=wrong)
         pose = rigid(own, seen)
         sd = spread_of(seen, [fit.covariance[:2, :2] for _, fit in good])
-        if vague(sd, self._scale):
-            return PartObservation(
+        if base.vague(sd, self._scale):
+            return base.PartObservation(
                 reason="too little of its stickers is visible to estimate a pose"
             )
         off = np.hypot(*(placed(own, pose) - seen).T) / self._scale
-        return PartObservation(
+        return base.PartObservation(
             pose=pose,
             residual=max(
                 float(np.sqrt(np.mean(off**2))), float(np.mean([fit.residual for _, fit in good]))

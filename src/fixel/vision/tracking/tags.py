@@ -15,16 +15,7 @@ from fixel.typing import BoolArray, FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Gray
 from fixel.vision.marks import Rig, Tag, cells
-from fixel.vision.tracking.base import (
-    MARGIN,
-    AbstractFollower,
-    AbstractTracking,
-    PartFollower,
-    PartFollowers,
-    PartObservation,
-    Thing,
-    vague,
-)
+from fixel.vision.tracking import base
 from fixel.vision.tracking.loops import cells_right, cells_shown, optics_of
 from fixel.vision.tracking.outline import OutlineEdges, PoseFit, fit_spread, window_of
 from fixel.vision.tracking.tag_reader import CORNERS, TagName, on_tag, read_tags, tag_corners
@@ -48,7 +39,7 @@ WRONG_SIZE: Final = 0.06  # of its side, largest deviation of a tag from the rig
 
 @final
 @dataclass(frozen=True, slots=True)
-class Tags(AbstractTracking):
+class Tags(base.AbstractTracking):
     """Tracking by AprilTag or ArUco tags on the parts.
 
     One planar pose is fitted to all edges of all tags of a part, with the full camera model at the
@@ -66,25 +57,25 @@ class Tags(AbstractTracking):
     name: ClassVar[str] = "tags"
     needs: ClassVar[str] = "a tag"
 
-    def parts(self, rig: Rig, things: Mapping[str, Thing]) -> tuple[str, ...]:
+    def parts(self, rig: Rig, things: Mapping[str, base.Thing]) -> tuple[str, ...]:
         """Parts with at least one tag."""
         return tuple(
             name for name, part in rig.parts.items() if any(isinstance(m, Tag) for m in part.marks)
         )
 
-    def follow(self, rig: Rig, things: Mapping[str, Thing]) -> AbstractFollower:
+    def follow(self, rig: Rig, things: Mapping[str, base.Thing]) -> base.AbstractFollower:
         """Create a follower; see `AbstractTracking.follow`."""
         tags = {
             name: tuple(m for m in rig.parts[name].marks if isinstance(m, Tag))
             for name in self.parts(rig, things)
         }
-        return PartFollowers(
+        return base.PartFollowers(
             {name: _TaggedPart(rig.camera, name, own) for name, own in tags.items()}
         )
 
 
 @final
-class _TaggedPart(PartFollower):
+class _TaggedPart(base.PartFollower):
     """Follower of one part from frame to frame."""
 
     def __init__(self, camera: Camera, name: str, tags: Sequence[Tag]) -> None:
@@ -98,37 +89,39 @@ class _TaggedPart(PartFollower):
         self._scale = camera.metres_per_pixel(max(tag.height for tag in tags))
         self._spread = 0.0
 
-    def _searched(self, frame: Frame, followed: PartObservation) -> PartObservation:
+    def _searched(self, frame: Frame, followed: base.PartObservation) -> base.PartObservation:
         read, reason = self._read(frame)
         if read is not None:
             return self._measured(frame, read, REACH_READ)
         if reason or self._prediction.pose is None:
-            return PartObservation(reason=reason or f"no tag of {self._name} in the picture")
+            return base.PartObservation(reason=reason or f"no tag of {self._name} in the picture")
         return followed
 
     def _measured(
         self, frame: Frame, pose: FloatArray, reach: float = TAG_REACH
-    ) -> PartObservation:
+    ) -> base.PartObservation:
         window = window_of(frame, self._camera, self._edges, pose, reach)
         if window is None:
-            return PartObservation(reason="its tags are out of the picture")
+            return base.PartObservation(reason="its tags are out of the picture")
         picture, corner = window
         fit = fit_spread(
             picture, self._camera, self._edges, pose, reach=reach, last=self._spread, corner=corner
         )
         if fit is None:
-            return PartObservation(reason="too few edges of its tags are visible")
+            return base.PartObservation(reason="too few edges of its tags are visible")
         sd = fit.deviations
         agreeing = self._agreeing(picture, corner, fit)
         if not agreeing and self._prediction.fresh(frame.time) and self._near(fit, pose):
             agreeing = self._agreeing_partly(picture, corner, fit)
             sd *= PARTLY
         if not agreeing:
-            return PartObservation(reason="the picture there does not decode as its tags")
+            return base.PartObservation(reason="the picture there does not decode as its tags")
         if fit.residual > MAX_RESIDUAL:
-            return PartObservation(reason=f"edges scatter by {fit.residual:.2f} px")
-        if vague(sd, self._scale):
-            return PartObservation(reason="too little of its tags is visible to estimate a pose")
+            return base.PartObservation(reason=f"edges scatter by {fit.residual:.2f} px")
+        if base.vague(sd, self._scale):
+            return base.PartObservation(
+                reason="too little of its tags is visible to estimate a pose"
+            )
         self._spread = fit.spread
         return fit.observed(self._scale, sd, agreeing)
 
@@ -199,7 +192,7 @@ class _TaggedPart(PartFollower):
         width, height = frame.size
         left, top = max(int(low[0]), 0), max(int(low[1]), 0)
         right, bottom = min(int(high[0]), width), min(int(high[1]), height)
-        if right - left < MARGIN or bottom - top < MARGIN:
+        if right - left < base.MARGIN or bottom - top < base.MARGIN:
             return frame.luma, np.zeros(2)
         window = frame.luma[top:bottom, left:right]
         return window, np.array([left, top], dtype=np.float64)
