@@ -22,18 +22,10 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 import fixel
 from fixel.errors import FixelError
+from fixel.web import security
 from fixel.web.live import LiveView
 from fixel.web.palette import palette_css
 from fixel.web.problems import OUR_MISTAKE, Refusal, answer, problem_of
-from fixel.web.security import (
-    LOOPBACK,
-    WORD_FIELD,
-    BodyLimit,
-    Gate,
-    Guard,
-    SecurityHeaders,
-    form_fields,
-)
 from fixel.web.words import FILTERS
 
 HERE: Final = Path(str(files("fixel.web")))
@@ -74,8 +66,8 @@ class Page:
 
 def create_app(
     pages: Sequence[Page],
-    gate: Gate,
-    hosts: Sequence[str] = LOOPBACK,
+    gate: security.Gate,
+    hosts: Sequence[str] = security.LOOPBACK,
     *,
     api: FastAPI | None = None,
     name: str = "",
@@ -120,10 +112,10 @@ def create_app(
     _answer_errors(app, render)
 
     app.add_middleware(InternalErrorHandler)  # innermost
-    app.add_middleware(BodyLimit)
-    app.add_middleware(Guard, gate=gate)
+    app.add_middleware(security.BodyLimit)
+    app.add_middleware(security.Guard, gate=gate)
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=list(hosts), www_redirect=False)
-    app.add_middleware(SecurityHeaders)
+    app.add_middleware(security.SecurityHeaders)
     return app
 
 
@@ -156,7 +148,7 @@ class _Documentation(StaticFiles):
         return response
 
 
-def _renderer(pages: Sequence[Page], name: str, gate: Gate, has_docs: bool) -> Any:
+def _renderer(pages: Sequence[Page], name: str, gate: security.Gate, has_docs: bool) -> Any:
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(HERE / "templates"),
         autoescape=True,
@@ -209,8 +201,8 @@ def _markup(page: Page, render: Any) -> str:
 def _posted(page: Page, render: Any, root: str) -> Any:
     async def take(request: Request) -> Response:
         assert page.post is not None
-        fields = form_fields(await request.body())
-        fields.pop(WORD_FIELD, None)
+        fields = security.form_fields(await request.body())
+        fields.pop(security.WORD_FIELD, None)
         done = await run_in_threadpool(page.post, request, fields)
         if isinstance(done, str):
             return RedirectResponse(root + done, status_code=303)

@@ -44,8 +44,7 @@ class BenchSession:
         """
         if self.running:
             raise JobRefused("a campaign is running already", hint="end it first")
-        self.loop = self._failure = None  # those of the campaign before
-        self._ready.clear()
+        self._forget()
         shown = self.view.newest.number
         self._thread = threading.Thread(target=self._run, args=(opened,), name="fixel-bench")
         self._thread.start()
@@ -57,6 +56,11 @@ class BenchSession:
         while self._thread.is_alive() and self.view.newest.number == shown:
             time.sleep(GLANCE)  # else a page would find no status, or that of the campaign before
         return self.loop
+
+    def _forget(self) -> None:
+        """Forget the campaign before."""
+        self.loop = self._failure = None
+        self._ready.clear()
 
     def _run(self, opened: AbstractContextManager[BenchLoop]) -> None:
         try:

@@ -11,15 +11,7 @@ from fastapi.responses import JSONResponse
 from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException
 
-from fixel.errors import (
-    DatasetMissing,
-    FixelError,
-    InvalidInput,
-    JobRefused,
-    NotStored,
-    StoreRefused,
-    machine_failure,
-)
+from fixel import errors
 
 OUR_MISTAKE = "Internal error of fixel. The terminal in which the server runs shows the details."
 UNPROCESSABLE = 422
@@ -38,11 +30,11 @@ class Refusal(BaseModel):
     hint: str | None = Field(default=None, description="advice")
 
 
-def problem_of(error: FixelError) -> Refusal:
+def problem_of(error: errors.FixelError) -> Refusal:
     """Convert an error that fixel raises on purpose to its document."""
     sentence = str(error)
     match error:
-        case InvalidInput():
+        case errors.InvalidInput():
             found: Any = error.found
             missing = repr(found) == "ABSENT"
             return Refusal(
@@ -53,11 +45,11 @@ def problem_of(error: FixelError) -> Refusal:
                 expected=error.expected,
                 hint=error.hint,
             )
-        case NotStored():
+        case errors.NotStored():
             return Refusal(status=ABSENT, sentence=sentence, where=error.what, hint=error.hint)
-        case DatasetMissing():
+        case errors.DatasetMissing():
             return Refusal(status=ABSENT, sentence=sentence, where=error.folder, hint=error.hint)
-        case StoreRefused() | JobRefused():
+        case errors.StoreRefused() | errors.JobRefused():
             return Refusal(status=CONFLICT, sentence=sentence, where=error.reason, hint=error.hint)
         case _:
             return Refusal(status=UNPROCESSABLE, sentence=sentence)
@@ -66,8 +58,8 @@ def problem_of(error: FixelError) -> Refusal:
 def answer_errors(api: FastAPI) -> None:
     """Answer every failure of an API with a `Refusal`."""
 
-    @api.exception_handler(FixelError)
-    def refused(_: Request, error: FixelError) -> JSONResponse:
+    @api.exception_handler(errors.FixelError)
+    def refused(_: Request, error: errors.FixelError) -> JSONResponse:
         return answer(problem_of(error))
 
     @api.exception_handler(RequestValidationError)
@@ -87,7 +79,7 @@ def answer_errors(api: FastAPI) -> None:
 
     @api.exception_handler(OSError)
     def of_the_machine(_: Request, error: OSError) -> JSONResponse:
-        failure = machine_failure(error)
+        failure = errors.machine_failure(error)
         if failure is None:
             raise error
         return answer(problem_of(failure))

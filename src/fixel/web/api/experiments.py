@@ -16,14 +16,8 @@ from fixel.model.selection import ExperimentDetails, ExperimentRow, meant_filter
 from fixel.web.context import Context, ProjectContext
 from fixel.web.values import MAX_ID, Answer, Array, Id
 from fixel.web.views.video import VideoOutlines, browser_video, outlines_in_video
+from fixel.workflows.project import filters
 from fixel.workflows.project.compare import summary
-from fixel.workflows.project.filters import (
-    Coverage,
-    Vocabulary,
-    coverage,
-    view_of,
-    vocabulary,
-)
 
 MAX_ROWS: Final = 500  # on one page
 FOR_EVER: Final = "private, max-age=31536000, immutable"  # the address changes with the content
@@ -174,7 +168,7 @@ def table(
     limit: Annotated[int, Query(ge=1, le=MAX_ROWS)] = 100,
     offset: Annotated[int, Query(ge=0, le=MAX_ID)] = 0,
 ) -> TablePage:
-    view = view_of(filter, sort=sort, descending=descending, limit=limit, offset=offset)
+    view = filters.view_of(filter, sort=sort, descending=descending, limit=limit, offset=offset)
     page = context.store.experiments(view, details=True)
     return TablePage(
         experiments=[_table_row(*both) for both in zip(page.rows, page.details, strict=True)],
@@ -188,7 +182,7 @@ def table(
 def ids(
     context: Context, filter: Filter = "", sort: Sort = "id", descending: bool = False
 ) -> ExperimentIds:
-    view = view_of(filter, sort=sort, descending=descending)
+    view = filters.view_of(filter, sort=sort, descending=descending)
     return ExperimentIds(ids=context.store.experiment_ids(view))
 
 
@@ -197,12 +191,12 @@ def ids(
     summary="List ids of matching experiments without a simulation with nominal values",
 )
 def unsimulated(context: Context, filter: Filter = "") -> ExperimentIds:
-    return ExperimentIds(ids=context.store.unsimulated_ids(view_of(filter)))
+    return ExperimentIds(ids=context.store.unsimulated_ids(filters.view_of(filter)))
 
 
 @router.get("/vocabulary", summary="List conditions and their values")
-def words(context: Context) -> Vocabulary:
-    return vocabulary(context.store)
+def words(context: Context) -> filters.Vocabulary:
+    return filters.vocabulary(context.store)
 
 
 @router.get("/coverage", summary="Count experiments by configuration")
@@ -211,8 +205,8 @@ def covered(
     filter: Filter = "",
     x: Annotated[str | None, Query(max_length=100)] = None,
     y: Annotated[str | None, Query(max_length=100)] = None,
-) -> Coverage:
-    return coverage(context.store, view_of(filter), x, y)
+) -> filters.Coverage:
+    return filters.coverage(context.store, filters.view_of(filter), x, y)
 
 
 @router.get("/experiments/{number}", summary="Get an experiment")
