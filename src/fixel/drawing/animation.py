@@ -15,23 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fixel.drawing import palette
+from fixel.drawing import palette, view
 from fixel.drawing.chart import DisplayUnit, Style, refuse_ending, tint
 from fixel.drawing.picture import force_text
 from fixel.drawing.top_view import DASHED, add_outlines, fixel_outlines, frame_axes, hollow, solid
-from fixel.drawing.view import (
-    Rectangle,
-    arrow_length_per_newton,
-    carried,
-    centre_path,
-    extent,
-    forces,
-    largest_force,
-    pose_at,
-    round_number,
-    shapes_of,
-    unit_for,
-)
+from fixel.drawing.view import forces
 from fixel.errors import require
 from fixel.io.atomic import written_whole
 from fixel.model import placed
@@ -95,9 +83,9 @@ def film_ending() -> str:
 def usual_speed(duration: float) -> float:
     """Default speed: 1 for motions of 2 to 30 s, else a round factor that scales to that range."""
     if duration > LONGEST:
-        return 1.0 / round_number(LONGEST / duration)
+        return 1.0 / view.round_number(LONGEST / duration)
     if 0.0 < duration < SHORTEST:
-        return round_number(duration / SHORTEST)
+        return view.round_number(duration / SHORTEST)
     return 1.0
 
 
@@ -119,9 +107,9 @@ class _Stage:
         self.simulation = simulation
         self.speed = speed
         self.others = tuple(others)
-        boxes = [extent(own) for own in (simulation, *others)]
-        self.box = Rectangle.around(np.concatenate([np.array((b.x, b.y)).T for b in boxes]))
-        self.unit = unit_for(self.box.size)
+        boxes = [view.extent(own) for own in (simulation, *others)]
+        self.box = view.Rectangle.around(np.concatenate([np.array((b.x, b.y)).T for b in boxes]))
+        self.unit = view.unit_for(self.box.size)
         with mpl.rc_context(palette.STYLE):  # type: ignore[arg-type]
             figure, self.axes = _figure(self.box, self.unit)
             self.canvas = FigureCanvasAgg(figure)
@@ -141,8 +129,10 @@ class _Stage:
         from matplotlib.collections import LineCollection, PolyCollection
 
         run = self.simulation
-        self.shapes = shapes_of(run)
-        self.trail_points = [centre_path(run, b.name) * self.unit.factor for b in run.scene.bodies]
+        self.shapes = view.shapes_of(run)
+        self.trail_points = [
+            view.centre_path(run, b.name) * self.unit.factor for b in run.scene.bodies
+        ]
         thin = 0.5 if len(run.scene.bodies) > 8 else 1.0
         self.bodies = PolyCollection([], **solid(tint(palette.BODY, 0.3), palette.BODY, thin))
         self.pushers = PolyCollection([], **solid(palette.PUSHER))
@@ -165,17 +155,19 @@ class _Stage:
         # An impact may exceed all later forces by far, so the scale is a high quantile.
         sizes = np.hypot(*forces(known).T) if len(known) else np.zeros(1)
         self.largest = float(np.quantile(sizes, 0.98))
-        self.per_newton = arrow_length_per_newton(self.largest, self.box.size) * self.unit.factor
+        self.per_newton = (
+            view.arrow_length_per_newton(self.largest, self.box.size) * self.unit.factor
+        )
 
     def frame(self, time: float) -> Any:
         """Draw the frame at a time [s]: (height, width, 4) uint8."""
         run, scale = self.simulation, self.unit.factor
-        poses = {name: pose_at(run.time, p, time) for name, p in run.pose.items()}
+        poses = {name: view.pose_at(run.time, p, time) for name, p in run.pose.items()}
         outlines = {n: placed(self.shapes[n].outline, p) * scale for n, p in poses.items()}
         self.bodies.set_verts([outlines[b.name] for b in run.scene.bodies])
         self.pushers.set_verts([outlines[p.name] for p in run.scene.pushers])
         self.outlines.set_verts([
-            placed(body.shape.outline, pose_at(own.time, own.pose[body.name], time)) * scale
+            placed(body.shape.outline, view.pose_at(own.time, own.pose[body.name], time)) * scale
             for own in self.others for body in run.scene.bodies
         ])  # fmt: skip
         seen = int(np.searchsorted(run.time, time, side="right"))
@@ -206,8 +198,8 @@ class _Stage:
             # A gap that closes at the end of this step is still open.
             before = {(r["body"], r["other"]) for r in self._rows(sample - 1)}
             rows = rows[np.array([(r["body"], r["other"]) in before for r in rows], np.bool_)]
-        points, _, forces = carried(run, rows, time)
-        largest, arrows = largest_force(forces), []
+        points, _, forces = view.carried(run, rows, time)
+        largest, arrows = view.largest_force(forces), []
         for point, force in zip(points, forces, strict=True):
             size = float(np.hypot(*force))
             if 1e-4 * self.largest < size < np.inf:
@@ -222,7 +214,7 @@ class _Stage:
         self.touched.set_verts([placed(f.shape.outline, f.pose) * scale for f in fixels])
 
 
-def _figure(box: Rectangle, unit: DisplayUnit) -> tuple[Figure, Any]:
+def _figure(box: view.Rectangle, unit: DisplayUnit) -> tuple[Figure, Any]:
     from matplotlib.figure import Figure
 
     left, right, bottom, top = 0.55, 0.12, 0.42, 0.28

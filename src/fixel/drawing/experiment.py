@@ -7,27 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from fixel.drawing import palette
+from fixel.drawing import palette, top_view
 from fixel.drawing.chart import Style, plot_axes, plot_of
-from fixel.drawing.top_view import (
-    DASHED,
-    FEW_POSES,
-    MM,
-    PANEL,
-    ColumnPage,
-    add_fixels,
-    add_outlines,
-    add_start_and_end,
-    column_page,
-    extent_of,
-    finish_page,
-    frame_axes,
-    hollow,
-    readings,
-    solid,
-    swept_points,
-    time_axes,
-)
 from fixel.drawing.view import Rectangle, evenly, ghosts
 from fixel.errors import InvalidInput
 from fixel.model import Channel, Experiment, Shape, Trajectory, placed, pose_error
@@ -48,9 +29,9 @@ def plot_path(experiment: Experiment, *, ax: Axes | None = None) -> Axes:
     from matplotlib import pyplot
 
     axes = ax or pyplot.subplots(figsize=(4.9, 3.5), layout="constrained")[1]
-    handles = add_fixels(axes, experiment.scene, experiment.contact_mode)
+    handles = top_view.add_fixels(axes, experiment.scene, experiment.contact_mode)
     handles += _draw_pusher(axes, experiment) + _draw_object(axes, experiment)
-    frame_axes(axes, _extent(experiment, experiment.trajectory))
+    top_view.frame_axes(axes, _extent(experiment, experiment.trajectory))
     axes.set_title(experiment.key)
     return axes
 
@@ -67,16 +48,18 @@ def plot_paths(experiments: Sequence[Experiment], *, ax: Axes | None = None) -> 
         shape, pose = _shape(experiment), experiment.trajectory.pose
         _path(axes, experiment.trajectory, "", color=palette.BODY, linewidth=0.6, alpha=0.6)
         for row, fill in ((0, "white"), (-1, palette.BODY)):
-            axes.plot(*(pose[row, :2] * MM.factor), markerfacecolor=fill, zorder=3.6, **dot)
+            axes.plot(
+                *(pose[row, :2] * top_view.MM.factor), markerfacecolor=fill, zorder=3.6, **dot
+            )
             if shape is not None and len(experiments) <= MAX_DRAWN:
                 outline = placed(shape.outline, pose[row])
-                thin = hollow(palette.BODY, 0.4, linestyle="-" if row else DASHED)
-                add_outlines(axes, [outline], **thin)
-                axes.update_datalim(outline * MM.factor)
+                thin = top_view.hollow(palette.BODY, 0.4, linestyle="-" if row else top_view.DASHED)
+                top_view.add_outlines(axes, [outline], **thin)
+                axes.update_datalim(outline * top_view.MM.factor)
     axes.autoscale_view()
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel(f"x [{MM.name}]")
-    axes.set_ylabel(f"y [{MM.name}]")
+    axes.set_xlabel(f"x [{top_view.MM.name}]")
+    axes.set_ylabel(f"y [{top_view.MM.name}]")
     n, shown = len(experiments), len(chosen)
     axes.set_title(f"{n} experiments" + (f", {shown} of them drawn" if shown < n else ""))
     return axes
@@ -137,17 +120,19 @@ def experiment_figure(experiment: Experiment) -> Figure:
 
     Of an experiment without a scene, only its path is drawn.
     """
-    track, felt = experiment.trajectory, readings(experiment.channel("tactile"))
+    track, felt = experiment.trajectory, top_view.readings(experiment.channel("tactile"))
     labels = ("x [mm]", "y [mm]", "θ [deg]")
-    page = column_page(_extent(experiment, track), labels, [PANEL] * 3, tuple(felt))
-    handles = add_fixels(page.view, experiment.scene, experiment.contact_mode)
+    page = top_view.column_page(
+        _extent(experiment, track), labels, [top_view.PANEL] * 3, tuple(felt)
+    )
+    handles = top_view.add_fixels(page.view, experiment.scene, experiment.contact_mode)
     handles += _draw_pusher(page.view, experiment) + _draw_object(page.view, experiment)
-    columns = (*(track.pose[:, :2].T * MM.factor), np.degrees(np.unwrap(track.pose[:, 2])))
+    columns = (*(track.pose[:, :2].T * top_view.MM.factor), np.degrees(np.unwrap(track.pose[:, 2])))
     for axes, values in zip(page.panels, columns, strict=True):
         axes.plot(track.time, values, color=palette.BODY, linewidth=1.0, **_joined(track))
     _draw_touches(page.strip, felt, palette.TOUCHED)
     _set_time(page, experiment)
-    return finish_page(page, handles, experiment.key, experiment)
+    return top_view.finish_page(page, handles, experiment.key, experiment)
 
 
 def comparison_figure(
@@ -159,18 +144,18 @@ def comparison_figure(
     simulation that does not overlap in time raises `InvalidInput`.
     """
     compared = _common_time(experiment, simulated)
-    felt, touched = readings(experiment.channel("tactile")), readings(contacts)
+    felt, touched = top_view.readings(experiment.channel("tactile")), top_view.readings(contacts)
     labels = ("position\nerror [mm]", "angle\nerror [deg]")
     box = _extent(experiment, experiment.trajectory, simulated)
-    page = column_page(box, labels, [PANEL] * 2, tuple(felt or touched))
-    handles = add_fixels(page.view, experiment.scene, experiment.contact_mode)
+    page = top_view.column_page(box, labels, [top_view.PANEL] * 2, tuple(felt or touched))
+    handles = top_view.add_fixels(page.view, experiment.scene, experiment.contact_mode)
     handles += _draw_pusher(page.view, experiment)
     handles += _draw_both(page.view, experiment, simulated)
     _draw_errors(page.panels, compared, simulated)
     _draw_touches(page.strip, felt, palette.INK, (-0.35, 0.35) if not touched else (0.05, 0.42))
     _draw_touches(page.strip, touched, palette.BODY, (-0.42, -0.05))
     _set_time(page, experiment)
-    return finish_page(page, handles, experiment.key, experiment)
+    return top_view.finish_page(page, handles, experiment.key, experiment)
 
 
 def _common_time(experiment: Experiment, simulated: Trajectory) -> Trajectory:
@@ -200,11 +185,13 @@ def _pusher_shape(experiment: Experiment) -> Shape | None:
 
 def _extent(experiment: Experiment, *tracks: Trajectory) -> Rectangle:
     corners = [
-        points for track in tracks for points in swept_points(_shape(experiment), track.pose)
+        points
+        for track in tracks
+        for points in top_view.swept_points(_shape(experiment), track.pose)
     ]
     if experiment.pusher is not None:
-        corners += swept_points(_pusher_shape(experiment), experiment.pusher.pose)
-    return extent_of(corners, () if experiment.scene is None else experiment.scene.fixels)
+        corners += top_view.swept_points(_pusher_shape(experiment), experiment.pusher.pose)
+    return top_view.extent_of(corners, () if experiment.scene is None else experiment.scene.fixels)
 
 
 def _draw_pusher(axes: Axes, experiment: Experiment) -> list[Artist]:
@@ -212,7 +199,7 @@ def _draw_pusher(axes: Axes, experiment: Experiment) -> list[Artist]:
     if track is None:
         return []
     colour = palette.PUSHER
-    handles = [] if shape is None else add_start_and_end(
+    handles = [] if shape is None else top_view.add_start_and_end(
         axes, "pusher", shape, track.pose, colour, 0.45
     )  # fmt: skip
     return [*handles, _path(axes, track, "pusher", color=colour, linewidth=0.9, zorder=3.2)]
@@ -223,18 +210,20 @@ def _draw_object(axes: Axes, experiment: Experiment) -> list[Artist]:
     track, shape, name = experiment.trajectory, _shape(experiment), experiment.object_name
     handles: list[Artist] = []
     if shape is not None:
-        handles = add_start_and_end(axes, name, shape, track.pose, palette.BODY, 0.30)
+        handles = top_view.add_start_and_end(axes, name, shape, track.pose, palette.BODY, 0.30)
         # With only a few poses the motion between them is unknown.
-        if len(track.time) > FEW_POSES:
+        if len(track.time) > top_view.FEW_POSES:
             unwound = np.column_stack((track.pose[:, :2], np.unwrap(track.pose[:, 2])))
             outlines = [placed(shape.outline, pose) for pose in ghosts(unwound, shape, 4)]
-            add_outlines(axes, outlines, **hollow(palette.BODY, 0.5, alpha=0.35, zorder=1.2))
+            top_view.add_outlines(
+                axes, outlines, **top_view.hollow(palette.BODY, 0.5, alpha=0.35, zorder=1.2)
+            )
     handles.append(_path(axes, track, name, color=palette.BODY, linewidth=1.0, zorder=3.5))
     if shape is None:
         for row, fill, label in ((0, "white", "start"), (-1, palette.BODY, "end")):
             dot: Style = {"marker": "o", "markersize": 4.0, "linestyle": "none"}
             dot |= {"color": palette.BODY, "markerfacecolor": fill, "zorder": 3.6}
-            place = track.pose[row : row + 1 or None, :2].T * MM.factor
+            place = track.pose[row : row + 1 or None, :2].T * top_view.MM.factor
             handles += axes.plot(*place, label=f"{name}, {label}", **dot)
     return handles
 
@@ -251,17 +240,19 @@ def _draw_both(axes: Axes, experiment: Experiment, simulated: Trajectory) -> lis
     start = max(track.time[0], simulated.time[0])
     handles: list[Artist] = []
     if shape is not None:
-        steps = STEPS if len(track.time) > FEW_POSES else 0
+        steps = STEPS if len(track.time) > top_view.FEW_POSES else 0
         between = np.linspace(start, end, steps + 2)[1:-1]
         for source, colour, label in both:
             outlines = [placed(shape.outline, pose) for pose in source.at(between)]
-            add_outlines(axes, outlines, **hollow(colour, 0.5, alpha=0.4, zorder=1.3))
+            top_view.add_outlines(
+                axes, outlines, **top_view.hollow(colour, 0.5, alpha=0.4, zorder=1.3)
+            )
             last = placed(shape.outline, source.at(end))
-            full = solid((*to_rgb(colour), 0.12), colour, 1.0, zorder=2.5)
-            handles += add_outlines(axes, [last], label=f"{label}, end", **full)
+            full = top_view.solid((*to_rgb(colour), 0.12), colour, 1.0, zorder=2.5)
+            handles += top_view.add_outlines(axes, [last], label=f"{label}, end", **full)
         first = placed(shape.outline, track.at(start))
-        dashed = hollow(palette.FIXEL, 0.7, linestyle=DASHED, zorder=1.5)
-        handles += add_outlines(axes, [first], label="start", **dashed)
+        dashed = top_view.hollow(palette.FIXEL, 0.7, linestyle=top_view.DASHED, zorder=1.5)
+        handles += top_view.add_outlines(axes, [first], label="start", **dashed)
     return handles + [
         _path(axes, source, label, color=colour, linewidth=1.0, zorder=3.5)
         for source, colour, label in both
@@ -270,14 +261,14 @@ def _draw_both(axes: Axes, experiment: Experiment, simulated: Trajectory) -> lis
 
 def _joined(track: Trajectory) -> Style:
     """Style of a path: a line, or dots if there are only a few poses."""
-    if len(track.time) > FEW_POSES:
+    if len(track.time) > top_view.FEW_POSES:
         return {"linestyle": "-"}
     return {"linestyle": "none", "marker": "o", "markersize": 3.0}
 
 
 def _path(axes: Axes, track: Trajectory, name: str, **style: Any) -> Artist:
-    label = f"{name}, {'path' if len(track.time) > FEW_POSES else 'poses'}"
-    place = track.pose[:, :2].T * MM.factor
+    label = f"{name}, {'path' if len(track.time) > top_view.FEW_POSES else 'poses'}"
+    place = track.pose[:, :2].T * top_view.MM.factor
     (line,) = axes.plot(*place, label=label, **style, **_joined(track))
     return line
 
@@ -285,7 +276,7 @@ def _path(axes: Axes, track: Trajectory, name: str, **style: Any) -> Artist:
 def _draw_errors(panels: Sequence[Axes], measured: Trajectory, simulated: Trajectory) -> None:
     position, angle = pose_error(simulated.at(measured.time), measured.pose)
     style: Style = {"color": palette.BODY, "linewidth": 1.0, **_joined(measured)}
-    panels[0].plot(measured.time, position * MM.factor, **style)
+    panels[0].plot(measured.time, position * top_view.MM.factor, **style)
     panels[0].set_ylim(bottom=0.0)
     panels[1].plot(measured.time, np.degrees(angle), **style)
     panels[1].axhline(0.0, color=palette.FIXEL, linewidth=0.4, zorder=0.5)
@@ -304,9 +295,9 @@ def _draw_touches(
         )
 
 
-def _set_time(page: ColumnPage, experiment: Experiment) -> None:
+def _set_time(page: top_view.ColumnPage, experiment: Experiment) -> None:
     """Set the time axes of all panels, and shade what is outside the useful data."""
-    left, right = time_axes(page.against_time, experiment.trajectory.time)
+    left, right = top_view.time_axes(page.against_time, experiment.trajectory.time)
     margin = experiment.trajectory.time[0] - left
     first, last = experiment.effective or (left, right)
     for start, end in ((left, first), (last, right)):

@@ -7,25 +7,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from fixel.drawing import palette
+from fixel.drawing import palette, top_view
 from fixel.drawing.chart import plot_of, tint
-from fixel.drawing.top_view import (
-    DASHED,
-    DOTTED,
-    MM,
-    PANEL,
-    STRIP_ROW,
-    add_fixels,
-    add_outlines,
-    column_page,
-    extent_of,
-    finish_page,
-    hollow,
-    solid,
-    swept_points,
-    time_axes,
-    touch_spans,
-)
 from fixel.filtering.recorded import FilterRun
 from fixel.model import Experiment, Scene, Shape, Trajectory, placed, wrapped
 from fixel.typing import FloatArray
@@ -55,16 +38,16 @@ def filter_figure(estimates: FilterRun) -> Figure:
     experiment = estimates.experiment
     scene, measured = _scene(experiment), _cut(experiment.trajectory, estimates)
     pusher = _pusher(experiment, estimates)
-    corners = swept_points(scene.pushers[0].shape, pusher.pose)
+    corners = top_view.swept_points(scene.pushers[0].shape, pusher.pose)
     for track in (measured, estimates.trajectory):
-        corners += swept_points(scene.bodies[0].shape, track.pose)
+        corners += top_view.swept_points(scene.bodies[0].shape, track.pose)
     names, n_fixel = estimates.prior.names, estimates.touch.shape[1]
-    page = column_page(
-        extent_of(corners, scene.fixels),
+    page = top_view.column_page(
+        top_view.extent_of(corners, scene.fixels),
         ("x [mm]", "y [mm]", "θ [deg]", *(LABELS.get(name, name) for name in names)),
-        [PANEL] * 3 + [FLAT * PANEL] * len(names),
+        [top_view.PANEL] * 3 + [FLAT * top_view.PANEL] * len(names),
         [f.name for f in scene.fixels][:n_fixel],
-        2.0 * STRIP_ROW,
+        2.0 * top_view.STRIP_ROW,
     )
     handles = _draw_view(page.view, experiment, estimates)
     _draw_poses(page.panels[:3], measured, estimates)
@@ -75,7 +58,7 @@ def filter_figure(estimates: FilterRun) -> Figure:
     if n_fixel:
         handles.append(Patch(facecolor=palette.INK, label="fixel in contact"))
         handles.append(Patch(facecolor=palette.TOUCHED, label="contact, estimated"))
-    return finish_page(page, handles, f"{experiment.key}, filtered", experiment)
+    return top_view.finish_page(page, handles, f"{experiment.key}, filtered", experiment)
 
 
 def _scene(experiment: Experiment) -> Scene:
@@ -97,14 +80,15 @@ def _cut(track: Trajectory, estimates: FilterRun) -> Trajectory:
 def _draw_view(axes: Axes, experiment: Experiment, estimates: FilterRun) -> list[Artist]:
     scene, measured = _scene(experiment), _cut(experiment.trajectory, estimates)
     shape, pusher = scene.bodies[0].shape, _pusher(experiment, estimates)
-    handles = add_fixels(axes, scene)
-    style = solid(tint(palette.PUSHER, 0.45), palette.PUSHER, 0.8, zorder=1.9)
+    handles = top_view.add_fixels(axes, scene)
+    style = top_view.solid(tint(palette.PUSHER, 0.45), palette.PUSHER, 0.8, zorder=1.9)
     outlines = [placed(scene.pushers[0].shape.outline, pusher.pose[-1])]
-    handles += add_outlines(axes, outlines, label="pusher, end", **style)
+    handles += top_view.add_outlines(axes, outlines, label="pusher, end", **style)
     what = "measured" if experiment.real else "recorded"
     handles += _outlines(axes, shape, measured, estimates, what)
-    (line,) = axes.plot(*(measured.pose[:, :2].T * MM.factor), color=palette.INK, linewidth=1.0,
-                        label=f"{what}, trajectory", zorder=3.4)  # fmt: skip
+    way = measured.pose[:, :2].T * top_view.MM.factor
+    (line,) = axes.plot(*way, color=palette.INK, linewidth=1.0, zorder=3.4,
+                        label=f"{what}, trajectory")  # fmt: skip
     return [*handles, line, *_estimated_path(axes, estimates)]
 
 
@@ -112,9 +96,9 @@ def _outlines(
     axes: Axes, shape: Shape, measured: Trajectory, estimates: FilterRun, what: str
 ) -> list[Artist]:
     """Draw the object at start, end and the end of the occlusion, where errors are largest."""
-    dotted = hollow(palette.FIXEL, linestyle=DOTTED, zorder=1.5)
+    dotted = top_view.hollow(palette.FIXEL, linestyle=top_view.DOTTED, zorder=1.5)
     first = placed(shape.outline, measured.pose[0])
-    handles = add_outlines(axes, [first], label="start", **dotted)
+    handles = top_view.add_outlines(axes, [first], label="start", **dotted)
     instants = [estimates.time[-1]]
     if estimates.hidden.any():
         instants.append(estimates.time[estimates.hidden][-1])
@@ -123,16 +107,18 @@ def _outlines(
         (estimates.trajectory, palette.BODY, "estimated"),
     ):
         outlines = [placed(shape.outline, track.at(instant)) for instant in instants]
-        full = hollow(colour, label=f"{label}, end", zorder=2.5)
-        handles += add_outlines(axes, outlines[:1], **full)
+        full = top_view.hollow(colour, label=f"{label}, end", zorder=2.5)
+        handles += top_view.add_outlines(axes, outlines[:1], **full)
         if len(outlines) > 1:
-            dashed = hollow(colour, label=f"{label}, last hidden", linestyle=DASHED, zorder=2.4)
-            handles += add_outlines(axes, outlines[1:], **dashed)
+            dashed = top_view.hollow(
+                colour, label=f"{label}, last hidden", linestyle=top_view.DASHED, zorder=2.4
+            )
+            handles += top_view.add_outlines(axes, outlines[1:], **dashed)
     return handles
 
 
 def _estimated_path(axes: Axes, estimates: FilterRun) -> list[Artist]:
-    way = estimates.pose[:, :2] * MM.factor
+    way = estimates.pose[:, :2] * top_view.MM.factor
     (seen,) = axes.plot(*way.T, color=palette.BODY, linewidth=1.0, zorder=3.5,
                         label="estimated trajectory")  # fmt: skip
     hidden = estimates.hidden
@@ -152,7 +138,7 @@ def _draw_poses(panels: Sequence[Axes], measured: Trajectory, estimates: FilterR
     shift = estimates.pose[0, 2] - angle[0]
     angle = angle + shift - wrapped(shift)
     columns = (measured.pose[:, 0], measured.pose[:, 1], angle)
-    factors = (MM.factor, MM.factor, 180.0 / np.pi)
+    factors = (top_view.MM.factor, top_view.MM.factor, 180.0 / np.pi)
     for k, (axes, column, factor) in enumerate(zip(panels, columns, factors, strict=True)):
         middle, half = estimates.pose[:, k], NINETY * deviation[:, k]
         _band(axes, estimates.time, factor * (middle - half), factor * (middle + half))
@@ -187,7 +173,7 @@ def _draw_touches(axes: Axes | None, experiment: Experiment, estimates: FilterRu
         if channel is not None and row < channel.values.shape[1]:
             felt = channel.values[:, row] > 0.5
             kept = (channel.time >= time[0] - 1e-6) & (channel.time <= time[-1] + 1e-6)
-            spans = touch_spans(channel.time[kept], felt[kept])
+            spans = top_view.touch_spans(channel.time[kept], felt[kept])
             axes.broken_barh(spans, (row - 0.40, 0.36), facecolor=palette.INK, linewidth=0.0)
         base, height = row + 0.40, 0.36
         top = base - height * estimates.touch[:, row]
@@ -196,7 +182,7 @@ def _draw_touches(axes: Axes | None, experiment: Experiment, estimates: FilterRu
 
 def _set_time(every: Sequence[Axes], estimates: FilterRun) -> None:
     """Set the time axes of all panels, with a shade while the object is hidden."""
-    time_axes(every, estimates.time)
+    top_view.time_axes(every, estimates.time)
     for k, axes in enumerate(every):
         if estimates.occlusion is not None:
             axes.axvspan(*estimates.occlusion, color=HIDDEN, alpha=0.12, linewidth=0.0, zorder=0.1)

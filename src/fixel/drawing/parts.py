@@ -6,21 +6,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from fixel.drawing import palette
-from fixel.drawing.chart import (
-    DASHED,
-    WIDE,
-    Chart,
-    Mark,
-    bars,
-    legend_below,
-    line,
-    panel,
-    panels,
-    plot_of,
-    tint,
-    vline,
-)
+from fixel.drawing import chart, palette
+from fixel.drawing.chart import line
 from fixel.drawing.top_view import closed_line, plain_view
 from fixel.drawing.view import unit_for
 from fixel.parts.model import PartModel
@@ -38,7 +25,7 @@ SIDE: Final = 3.6  # [inch]
 ARROW: Final = 0.3  # largest length of an arrow, as a share of the part
 
 
-def left_out_chart(model: PartModel) -> Chart:
+def left_out_chart(model: PartModel) -> chart.Chart:
     """Draw the mean errors of parts that were left out, after as many of their pushes."""
     left = model.left_out
     group, names = np.array(left.group), list(dict.fromkeys(left.group))
@@ -48,34 +35,34 @@ def left_out_chart(model: PartModel) -> Chart:
         own = own[np.isfinite(own).all(axis=1)]  # pushes whose simulations ended
         if len(own):
             means[k] = own.mean(axis=0)
-    row: list[Mark] = []
+    row: list[chart.Mark] = []
     for what, unit, values in zip(
         ("position", "angle"), ("mm", "deg"), (means * (1e3, np.degrees(1.0))).T, strict=True
     ):
         mean = float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
         row.append(
-            panel(
-                bars(np.arange(len(names)), values, 0.62, color=palette.BODY),
-                vline(mean, color=palette.INK, linewidth=1.0, label="mean of the groups"),
+            chart.panel(
+                chart.bars(np.arange(len(names)), values, 0.62, color=palette.BODY),
+                chart.vline(mean, color=palette.INK, linewidth=1.0, label="mean of the groups"),
                 rows=() if row else names,
                 xlabel=f"mean error of the {what} [{unit}]",
             )
         )
     n = left.pushes
     when = f"after {n} of their pushes" if n else "before any of their pushes"
-    return Chart(
+    return chart.Chart(
         title=f"Parts that were left out, {when}",
-        size=(WIDE, 0.9 + 0.2 * len(names)),
-        fill=panels([row], sharey=True),
+        size=(chart.WIDE, 0.9 + 0.2 * len(names)),
+        fill=chart.panels([row], sharey=True),
         data=Table.from_columns(
             {"left_out": names, "position_m": means[:, 0], "angle_rad": means[:, 1]}
         ),
     )
 
 
-def next_pushes_chart(pushes: NextPushes, title: str = "Next pushes") -> Chart:
+def next_pushes_chart(pushes: NextPushes, title: str = "Next pushes") -> chart.Chart:
     """Draw the outline of a part with the proposed pushes as numbered arrows."""
-    return Chart(
+    return chart.Chart(
         title=title,
         size=(SIDE, SIDE),
         fill=lambda figure: _draw_pushes(figure, pushes),
@@ -99,7 +86,7 @@ def _draw_pushes(figure: Figure, own: NextPushes) -> None:
     size = float(np.ptp(own.outline, axis=0).max())
     unit = unit_for(size)
     line = closed_line(own.outline, unit)
-    axes.fill(*line, color=tint(palette.BODY, 0.25), linewidth=0.0)
+    axes.fill(*line, color=chart.tint(palette.BODY, 0.25), linewidth=0.0)
     axes.plot(*line, color=palette.BODY, linewidth=1.2)
     for k, (start, end) in enumerate(zip(own.start, own.end, strict=True), 1):
         way = end - start
@@ -117,7 +104,7 @@ def _draw_pushes(figure: Figure, own: NextPushes) -> None:
         )
         axes.add_patch(
             Circle(tuple(tip.tolist()), unit.factor * own.radius,
-                   facecolor=tint(palette.PUSHER, 0.5), linewidth=0.0)
+                   facecolor=chart.tint(palette.PUSHER, 0.5), linewidth=0.0)
         )  # fmt: skip
         axes.plot(*tail, ".", alpha=0.0)  # so that the limits include the numbers
     axes.plot(0.0, 0.0, "+", color=palette.INK, markersize=6.0)
@@ -127,7 +114,7 @@ def _draw_pushes(figure: Figure, own: NextPushes) -> None:
 BINS: Final = 8  # of distance, beyond one spot
 
 
-def table_chart(check: TableCheck) -> Chart:
+def table_chart(check: TableCheck) -> chart.Chart:
     """Draw the differences of equal pushes against distance, by their turn on the table."""
     x, turn, *away = check.pairs.T
     bins = np.digitize(x, np.linspace(SPOT[0], max(x.max(), 2.0 * SPOT[0]), BINS + 1)[:-1])
@@ -139,31 +126,31 @@ def table_chart(check: TableCheck) -> Chart:
     for what, factor, values in zip(
         ("position [mm]", "angle [deg]"), (1e3, np.degrees(1.0)), away, strict=True
     ):
-        marks: list[Mark] = []
+        marks: list[chart.Mark] = []
         for name, (own, colour) in kinds.items():
             points = np.column_stack((1e3 * x, factor * values))
             groups = [points[own & (bins == k)] for k in np.unique(bins[own])]
             means = np.array([group.mean(axis=0) for group in groups]).reshape(-1, 2)
-            marks.append(line(*points[own].T, ".", color=tint(colour, 0.4), markersize=2.5))
+            marks.append(line(*points[own].T, ".", color=chart.tint(colour, 0.4), markersize=2.5))
             marks.append(line(*means.T, "o-", color=colour, markersize=3.5, label=name, zorder=3))
-        row.append(panel(*marks, xlabel="distance [mm]", ylabel=f"difference of the {what}"))
+        row.append(chart.panel(*marks, xlabel="distance [mm]", ylabel=f"difference of the {what}"))
     names = ("distance_m", "turn_rad", "position_m", "angle_rad")
-    return Chart(
+    return chart.Chart(
         title="Pushes that are equal in the frame of the part",
-        size=(WIDE, 2.6),
-        fill=panels([row]),
+        size=(chart.WIDE, 2.6),
+        fill=chart.panels([row]),
         data=Table(names, check.pairs.tolist()),
     )
 
 
-def map_chart(table: TableMap) -> Chart:
+def map_chart(table: TableMap) -> chart.Chart:
     """Draw the map of a table, its standard deviation, and the places of the pushes."""
     places = np.concatenate([own.pose[:, :2] for own in table.own.values()])
     rows = [("node", *row) for row in table._data().rows]
     rows += [("push", x, y, None, None) for x, y in places.tolist()]
-    return Chart(
+    return chart.Chart(
         title=f"Table {table.name}".rstrip(),
-        size=(WIDE, 3.7),
+        size=(chart.WIDE, 3.7),
         fill=lambda figure: _draw_map(figure, table, places),
         data=Table(("what", "x_m", "y_m", "log_load", "deviation"), rows),
     )
@@ -193,15 +180,15 @@ def _draw_map(figure: Figure, table: TableMap, places: FloatArray) -> None:
             axes.plot(
                 *(unit.factor * places.T), ".", color=palette.INK, markersize=1.0, label="push"
             )
-        style = {"linestyles": [DASHED], "linewidths": 0.8, "colors": palette.INK}
+        style = {"linestyles": [chart.DASHED], "linewidths": 0.8, "colors": palette.INK}
         axes.contour(x, y, table.deviation, [UNSEEN * DEVIATION], **style)
-        axes.plot([], [], linestyle=DASHED, color=palette.INK, label="border of places seen")
+        axes.plot([], [], linestyle=chart.DASHED, color=palette.INK, label="border of places seen")
         figure.colorbar(shown, ax=axes, location="bottom", shrink=0.7, aspect=30, label=label)
         axes.set(xlabel=f"x [{unit.name}]", ylabel=f"y [{unit.name}]", aspect="equal")
-    legend_below(figure, figure.axes[1:2])
+    chart.legend_below(figure, figure.axes[1:2])
 
 
-draw_errors = plot_of(left_out_chart)
-draw_map = plot_of(map_chart)
-draw_table = plot_of(table_chart)
-draw_next = plot_of(next_pushes_chart)
+draw_errors = chart.plot_of(left_out_chart)
+draw_map = chart.plot_of(map_chart)
+draw_table = chart.plot_of(table_chart)
+draw_next = chart.plot_of(next_pushes_chart)

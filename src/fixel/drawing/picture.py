@@ -8,37 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from fixel.drawing import palette
+from fixel.drawing import palette, top_view, view
 from fixel.drawing.chart import DisplayUnit, Style, plot_axes, save_figure, tint
-from fixel.drawing.top_view import (
-    DASHED,
-    DOTTED,
-    LETTER,
-    WIDTH,
-    add_arrow,
-    add_name,
-    add_outlines,
-    column_page,
-    finish_page,
-    fixel_outlines,
-    frame_axes,
-    hollow,
-    solid,
-)
-from fixel.drawing.view import (
-    Rectangle,
-    arrow_length_per_newton,
-    carried,
-    centre_path,
-    contacts_at,
-    ever_touched,
-    extent,
-    frictions,
-    ghosts,
-    largest_force,
-    round_number,
-    unit_for,
-)
 from fixel.model import Ellipsoid, Fixel, placed, support_points
 from fixel.simulation import Simulation
 from fixel.typing import FloatArray
@@ -64,9 +35,9 @@ def draw_simulation(simulation: Simulation, target: str | Path | Axes) -> None:
 
     if isinstance(target, Axes):
         with mpl.rc_context(palette.STYLE):  # type: ignore[arg-type]
-            box = extent(simulation)
-            unit = unit_for(box.size)
-            frame_axes(target, box, unit)
+            box = view.extent(simulation)
+            unit = view.unit_for(box.size)
+            top_view.frame_axes(target, box, unit)
             target.legend(handles=_draw(simulation, target, box, unit), frameon=False)
     else:
         save_figure(lambda: _figure(simulation), target)
@@ -82,16 +53,18 @@ def plot_simulation(simulation: Simulation, *, ax: Axes | None = None) -> Axes:
 
 
 def _figure(simulation: Simulation) -> Figure:
-    box = _with_names(simulation, extent(simulation), WIDTH)
-    unit = unit_for(box.size)
-    page = column_page(box, unit=unit)
-    return finish_page(page, _draw(simulation, page.view, box, unit))
+    box = _with_names(simulation, view.extent(simulation), top_view.WIDTH)
+    unit = view.unit_for(box.size)
+    page = top_view.column_page(box, unit=unit)
+    return top_view.finish_page(page, _draw(simulation, page.view, box, unit))
 
 
-def _draw(simulation: Simulation, axes: Axes, box: Rectangle, unit: DisplayUnit) -> list[Artist]:
+def _draw(
+    simulation: Simulation, axes: Axes, box: view.Rectangle, unit: DisplayUnit
+) -> list[Artist]:
     many = len(simulation.scene.bodies) >= MANY
-    fixels, touched = simulation.scene.fixels, ever_touched(simulation)
-    handles = fixel_outlines(axes, fixels, touched, unit, zorder=3)
+    fixels, touched = simulation.scene.fixels, view.ever_touched(simulation)
+    handles = top_view.fixel_outlines(axes, fixels, touched, unit, zorder=3)
     _fixel_names(simulation, axes, unit)
     handles += _pushers(simulation, axes, unit)
     handles += _bodies(simulation, axes, unit, many)
@@ -129,16 +102,16 @@ def _named_fixels(simulation: Simulation) -> list[tuple[Fixel, FloatArray]]:
     return sides
 
 
-def _with_names(simulation: Simulation, box: Rectangle, width: float) -> Rectangle:
+def _with_names(simulation: Simulation, box: view.Rectangle, width: float) -> view.Rectangle:
     """Widen a rectangle for the names of fixels; `width` of the axes [inch]."""
     (left, right), per_inch = box.x, (box.x[1] - box.x[0]) / width
     for fixel, (side, _) in _named_fixels(simulation):
-        reach = fixel.shape.radius + (LETTER * len(fixel.name) + 0.06) * per_inch
+        reach = fixel.shape.radius + (top_view.LETTER * len(fixel.name) + 0.06) * per_inch
         if side > 0.0:
             right = max(right, float(fixel.pose[0]) + reach)
         elif side < 0.0:
             left = min(left, float(fixel.pose[0]) - reach)
-    return Rectangle((left, right), box.y)
+    return view.Rectangle((left, right), box.y)
 
 
 def _fixel_names(simulation: Simulation, axes: Axes, unit: DisplayUnit) -> None:
@@ -150,7 +123,9 @@ def _fixel_names(simulation: Simulation, axes: Axes, unit: DisplayUnit) -> None:
             side: Style = {"ha": "center", "va": "bottom" if away[1] > 0 else "top"}
         else:
             side = {"ha": "left" if away[0] > 0 else "right", "va": "center"}
-        add_name(axes, fixel.name, edge.tolist(), xytext=(3.0 * np.sign(away)).tolist(), **side)
+        top_view.add_name(
+            axes, fixel.name, edge.tolist(), xytext=(3.0 * np.sign(away)).tolist(), **side
+        )
 
 
 def _pushers(simulation: Simulation, axes: Axes, unit: DisplayUnit) -> list[Artist]:
@@ -160,11 +135,18 @@ def _pushers(simulation: Simulation, axes: Axes, unit: DisplayUnit) -> list[Arti
     for pusher in pushers:
         poses = simulation.pose[pusher.name]
         first, last = (placed(pusher.shape.outline, poses[k]) for k in (0, -1))
-        add_outlines(axes, [first], unit, **hollow(palette.PUSHER, linestyle=DASHED, zorder=2))
-        handles = add_outlines(axes, [last], unit, names, **solid(palette.PUSHER, zorder=3))
+        top_view.add_outlines(
+            axes,
+            [first],
+            unit,
+            **top_view.hollow(palette.PUSHER, linestyle=top_view.DASHED, zorder=2),
+        )
+        handles = top_view.add_outlines(
+            axes, [last], unit, names, **top_view.solid(palette.PUSHER, zorder=3)
+        )
         start, end = poses[[0, -1], :2] * unit.factor
         if np.hypot(*(end - start)) > 0.3 * unit.factor * float(np.ptp(first, axis=0).max()):
-            add_arrow(axes, start, end, color=palette.INK, linewidth=0.7, zorder=4)
+            top_view.add_arrow(axes, start, end, color=palette.INK, linewidth=0.7, zorder=4)
     return handles
 
 
@@ -176,18 +158,18 @@ def _bodies(simulation: Simulation, axes: Axes, unit: DisplayUnit, many: bool) -
     width, faint = (0.4, {"alpha": 0.4}) if many else (0.8, {})
     handles: list[Artist] = []
     for row, label, style in (
-        (0, "start", hollow(blue, width, linestyle=DASHED, zorder=1.5, **faint)),
-        (-1, "end", solid(tint(blue, 0.30), blue, width, zorder=2.5)),
+        (0, "start", top_view.hollow(blue, width, linestyle=top_view.DASHED, zorder=1.5, **faint)),
+        (-1, "end", top_view.solid(tint(blue, 0.30), blue, width, zorder=2.5)),
     ):
         outlines = [placed(b.shape.outline, simulation.pose[b.name][row]) for b in bodies]
-        handles += add_outlines(axes, outlines, unit, f"{name}, {label}", **style)
+        handles += top_view.add_outlines(axes, outlines, unit, f"{name}, {label}", **style)
     for body in () if many else bodies:
-        between = ghosts(simulation.pose[body.name], body.shape)
+        between = view.ghosts(simulation.pose[body.name], body.shape)
         for pose, strength in zip(between, np.linspace(*RAMP, max(len(between), 2)), strict=False):
-            style = hollow(blue, 0.6, alpha=float(strength), zorder=1.2)
-            add_outlines(axes, [placed(body.shape.outline, pose)], unit, **style)
-    trails = [centre_path(simulation, b.name) * unit.factor for b in bodies]
-    trail: Style = {"color": blue, "linewidth": 0.5 if many else 0.9, "linestyle": DOTTED}
+            style = top_view.hollow(blue, 0.6, alpha=float(strength), zorder=1.2)
+            top_view.add_outlines(axes, [placed(body.shape.outline, pose)], unit, **style)
+    trails = [view.centre_path(simulation, b.name) * unit.factor for b in bodies]
+    trail: Style = {"color": blue, "linewidth": 0.5 if many else 0.9, "linestyle": top_view.DOTTED}
     axes.add_collection(LineCollection(trails, zorder=3.5, **trail), autolim=False)
     handles.append(_entry(label="centre of mass", **trail))
     if not many and not any(isinstance(b.support, Ellipsoid) for b in bodies):
@@ -214,22 +196,22 @@ def _supports(simulation: Simulation, axes: Axes, unit: DisplayUnit) -> list[Art
 
 
 def _forces(
-    simulation: Simulation, axes: Axes, unit: DisplayUnit, box: Rectangle, many: bool
+    simulation: Simulation, axes: Axes, unit: DisplayUnit, box: view.Rectangle, many: bool
 ) -> list[Artist]:
     end = float(simulation.time[-1])
-    rows = contacts_at(simulation, end)
-    points, normal, force = carried(simulation, rows, end)
-    largest = largest_force(force)
+    rows = view.contacts_at(simulation, end)
+    points, normal, force = view.carried(simulation, rows, end)
+    largest = view.largest_force(force)
     if not largest > 0.0 or not np.isfinite(largest):
         return []
     points = points * unit.factor
-    per_newton = arrow_length_per_newton(largest, box.size) * unit.factor
+    per_newton = view.arrow_length_per_newton(largest, box.size) * unit.factor
     if many:
         return _force_chains(axes, points, force, largest)
-    handles = _cones(axes, frictions(simulation, rows), points, normal, largest * per_newton)
+    handles = _cones(axes, view.frictions(simulation, rows), points, normal, largest * per_newton)
     seen = np.hypot(*force.T) > 0.01 * largest
     for point, length in zip(points[seen], force[seen] * per_newton, strict=True):
-        add_arrow(axes, point, point + length, **ARROW, zorder=6, annotation_clip=False)
+        top_view.add_arrow(axes, point, point + length, **ARROW, zorder=6, annotation_clip=False)
     _scale(axes, per_newton, largest)
     style: Style = {"color": palette.FORCE, "linewidth": 1.2}
     return [*handles, _entry(label="contact force", **style)]
@@ -239,14 +221,14 @@ def _scale(axes: Axes, per_newton: float, largest: float) -> None:
     """Draw a scale above the axes: an arrow as long as a round force."""
     from matplotlib.transforms import ScaledTranslation, blended_transform_factory
 
-    newtons = round_number(0.7 * largest)
+    newtons = view.round_number(0.7 * largest)
     right = axes.get_xlim()[1]
     begin = right - newtons * per_newton
     above = ScaledTranslation(0.0, 0.1, axes.figure.dpi_scale_trans)
     where = blended_transform_factory(axes.transData, axes.transAxes) + above
     place: Style = {"xycoords": where, "annotation_clip": False}
     start, end = np.array([[begin, 1.0], [right, 1.0]])
-    add_arrow(axes, start, end, **ARROW, textcoords=where, **place)
+    top_view.add_arrow(axes, start, end, **ARROW, textcoords=where, **place)
     axes.annotate(
         force_text(newtons),
         (begin, 1.0),
@@ -309,7 +291,7 @@ def _stop(simulation: Simulation, axes: Axes, unit: DisplayUnit) -> list[Artist]
     """Draw crosses at the bodies where a simulation stopped early."""
     if simulation.converged:
         return []
-    places = [centre_path(simulation, b.name)[-1] for b in simulation.scene.bodies]
+    places = [view.centre_path(simulation, b.name)[-1] for b in simulation.scene.bodies]
     style: Style = {"marker": "X", "linestyle": "none", "color": palette.FORCE, "markersize": 6.0,
                     "markeredgecolor": "white", "markeredgewidth": 0.6}  # fmt: skip
     axes.plot(*(np.array(places) * unit.factor).T, zorder=8, **style)
