@@ -29,19 +29,7 @@ from fixel.formats.records import (
     within,
 )
 from fixel.io.document import read_document
-from fixel.model import Disk, Polygon
-from fixel.model.goals import (
-    AllOf,
-    AnyOf,
-    Beyond,
-    Contact,
-    Exit,
-    ForceAbove,
-    Goal,
-    Inside,
-    PoseRegion,
-    Seated,
-)
+from fixel.model import Disk, Polygon, goals
 from fixel.model.parameters import info_of
 from fixel.planning.belief import Belief, RigError
 from fixel.planning.pushes import Cost, FreePushes, RigPushes
@@ -54,16 +42,22 @@ Values = dict[str, Number | Range]
 
 ENDINGS: Final = {"m": "_mm", "rad": "_deg"}  # of keys of parameters, by unit
 
-record_of(PoseRegion, "goal", units=True, symmetry=Annotated[int, Field(ge=1)])
-_SEATED: Any = record_of(Seated, "goal", units=True, fixels=Names)
-_SEATED.makes = lambda fixels, **own: Seated(*fixels, **own)
-record_of(Beyond, "goal", units=True)
-record_of(Contact, "goal", units=True)
-for _kind in (Inside, Exit):
+record_of(goals.PoseRegion, "goal", units=True, symmetry=Annotated[int, Field(ge=1)])
+_SEATED: Any = record_of(goals.Seated, "goal", units=True, fixels=Names)
+_SEATED.makes = lambda fixels, **own: goals.Seated(*fixels, **own)
+record_of(goals.Beyond, "goal", units=True)
+record_of(goals.Contact, "goal", units=True)
+for _kind in (goals.Inside, goals.Exit):
     record_of(_kind, "goal", units=True, names={"region": "region_mm"}, region=Corners)
-EventRecord: Any = choice_of("EventRecord", contact=Contact, exit=Exit, force_above=ForceAbove)
+EventRecord: Any = choice_of(
+    "EventRecord", contact=goals.Contact, exit=goals.Exit, force_above=goals.ForceAbove
+)
 _GoalForms: Any = choice_of(
-    "_GoalForms", pose=PoseRegion, seated=Seated, inside=Inside, beyond=Beyond
+    "_GoalForms",
+    pose=goals.PoseRegion,
+    seated=goals.Seated,
+    inside=goals.Inside,
+    beyond=goals.Beyond,
 )
 
 
@@ -163,7 +157,7 @@ class GoalFileRecord(FileRecord):
 class GoalFile:
     """Content of a goal file."""
 
-    goal: Goal
+    goal: goals.Goal
     choose: FreePushes | RigPushes | None = None
     belief: Belief = field(default_factory=Belief)  # without the parameters of `calibration`
     calibration: int | None = None  # id of the stored calibration whose parameters the belief takes
@@ -228,21 +222,21 @@ def goal_file_from_dict(raw: Any, folder: Path | None = None) -> GoalFile:
 # --- from records ---------------------------------------------------------------------------------
 
 
-def _goal(record: Any, path: str) -> Goal:
+def _goal(record: Any, path: str) -> goals.Goal:
     form = only_form(record, path, [key for key in type(record).model_fields if key != "never"])
     inner: Any = getattr(record, form)
     where = f"{path}.{form}"
     never = [made(one, f"{path}.never[{k}]") for k, one in enumerate(record.never)]
-    goal: Goal
+    goal: goals.Goal
     if isinstance(inner, list):
         parts = [_goal(one, f"{where}[{k}]") for k, one in enumerate(inner)]
         with within(where, "goal"):
             if form == "all":
-                return AllOf(*parts, never=never)
-            goal = AnyOf(*parts)
+                return goals.AllOf(*parts, never=never)
+            goal = goals.AnyOf(*parts)
     else:
         goal = made(inner, where)
-    return AllOf(goal, never=never) if never else goal
+    return goals.AllOf(goal, never=never) if never else goal
 
 
 def _belief(record: BeliefRecord, path: str) -> Belief:
