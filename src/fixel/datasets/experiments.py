@@ -13,21 +13,10 @@ from typing import Any, NamedTuple, final, overload
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.model import Experiment
+from fixel.model import Experiment, selection
 from fixel.model.fields import instance
 from fixel.model.records import SimulationRecord
 from fixel.model.scene import SceneChoice
-from fixel.model.selection import (
-    ERRORS,
-    ExperimentDetails,
-    ExperimentRow,
-    KnownNames,
-    UnknownName,
-    described,
-    holds,
-    parse_filter,
-    refuse_unknown,
-)
 from fixel.results import Result, Summary
 from fixel.table import Column, Table
 
@@ -37,8 +26,8 @@ MAX_LISTED = 20  # experiments that a summary lists
 class ExperimentEntry(NamedTuple):
     """One of several experiments: its facts, and the experiment unless it is read when needed."""
 
-    row: ExperimentRow
-    details: ExperimentDetails
+    row: selection.ExperimentRow
+    details: selection.ExperimentDetails
     experiment: Experiment | None = None
 
 
@@ -106,7 +95,9 @@ class Experiments(Result, Sequence[Experiment]):
         several = [experiments] if isinstance(experiments, Experiment) else [*experiments]
         for k, one in enumerate(several):
             instance(one, Experiment, f"experiments[{k}]", "an Experiment")
-        entries = (ExperimentEntry(*described(one, k), one) for k, one in enumerate(several))
+        entries = (
+            ExperimentEntry(*selection.described(one, k), one) for k, one in enumerate(several)
+        )
         return cls(tuple(entries), None, tuple(notes), tuple(skipped), dict(simulations or {}))
 
     def __len__(self) -> int:
@@ -159,11 +150,11 @@ class Experiments(Result, Sequence[Experiment]):
         >>> len(pushes.where("surface=plywood turned>20"))
         8
         """
-        query = parse_filter(*filters, include_faulty=True)
-        kept = [entry for entry in self.entries if holds(query, entry.row, entry.details)]
-        known = KnownNames.of((entry.row, entry.details) for entry in self.entries)
-        refuse_unknown(query, known, found=bool(kept))
-        asked = next((bound.name for bound in query.bounds if bound.name in ERRORS), None)
+        query = selection.parse_filter(*filters, include_faulty=True)
+        kept = [entry for entry in self.entries if selection.holds(query, entry.row, entry.details)]
+        known = selection.KnownNames.of((entry.row, entry.details) for entry in self.entries)
+        selection.refuse_unknown(query, known, found=bool(kept))
+        asked = next((bound.name for bound in query.bounds if bound.name in selection.ERRORS), None)
         if asked and not any(entry.details.error_mm2 is not None for entry in self.entries):
             raise InvalidInput(
                 f"filter: {asked.removesuffix('_mm')}",
@@ -241,7 +232,7 @@ class Experiments(Result, Sequence[Experiment]):
             found.setdefault(known.get(condition), []).append(entry)
         if self.entries and found.keys() == {None}:
             names = {name for entry in self.entries for name in entry.row.conditions}
-            raise UnknownName("condition", condition, (*sorted(names), "dataset")).error()
+            raise selection.UnknownName("condition", condition, (*sorted(names), "dataset")).error()
         return {value: self._with(entries) for value, entries in found.items()}
 
     def with_scene(

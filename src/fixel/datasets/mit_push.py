@@ -15,23 +15,10 @@ from typing import ClassVar, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
+from fixel.datasets import mit_push_records as records
 from fixel.datasets.base import Importer, ImportPlan, Origin, guarded, named
 from fixel.datasets.contact import MAX_CORRECTION, moved_to_contact, pushed_scene
 from fixel.datasets.files import MM, Problems, has_files, only_file, read_json, read_table
-from fixel.datasets.mit_push_records import (
-    DATASET,
-    MU_PUSHER,
-    MU_SUPPORT,
-    OBJECT,
-    PUBLISHED,
-    RECORDS,
-    SHAPES,
-    TIP,
-    known_doubts,
-    plan_of_records,
-    plate,
-    shapes_of,
-)
 from fixel.errors import FixelError, InvalidInput
 from fixel.model import Body, Experiment, Flag, Provenance, Trajectory
 from fixel.typing import BoolArray, FloatArray, IntArray
@@ -51,14 +38,18 @@ MAX_STROKE_ERROR: Final = 1e-3
 
 # Nothing is fitted: friction at the tip as in the published simulator, even pressure. Friction of
 # the plane has no effect on quasi-static motion.
-NOMINAL: Final = {"mu_pusher": MU_PUSHER, "mu_support": MU_SUPPORT, "support_points": 64}
+NOMINAL: Final = {
+    "mu_pusher": records.MU_PUSHER,
+    "mu_support": records.MU_SUPPORT,
+    "support_points": 64,
+}
 
 
 @final
 class MitPush(Importer):
     """Importer of straight pushes of steel plates by a round tip."""
 
-    name = DATASET
+    name = records.DATASET
     title = "MIT push dataset: straight pushes of steel plates (2016)"
     licence = "none stated for the data; the end-point table comes from an Apache-2.0 repository"
     citation = (
@@ -72,20 +63,20 @@ class MitPush(Importer):
     def recognised(self, source: Path) -> bool:
         """Whether this is the end-point set, a folder of motion_surface=... files, or one push."""
         if source.is_file():
-            return any(source.match(mask) for mask in RECORDS)
-        published = any(next(source.glob(mask), None) for mask in PUBLISHED)
+            return any(source.match(mask) for mask in records.RECORDS)
+        published = any(next(source.glob(mask), None) for mask in records.PUBLISHED)
         return published or has_pushes(source)
 
     def _plan(self, source: Path, options: Mapping[str, object]) -> ImportPlan:
         if has_pushes(source):
             return _plan_of_table(source)
         given = options.get("shapes")
-        return plan_of_records(source, None if given is None else Path(str(given)))
+        return records.plan_of_records(source, None if given is None else Path(str(given)))
 
 
 def has_pushes(folder: Path) -> bool:
     """Whether a folder contains the end-point set."""
-    return has_files(folder, TABLES, (SHAPES,))
+    return has_files(folder, TABLES, (records.SHAPES,))
 
 
 @final
@@ -158,19 +149,19 @@ def _plan_of_table(folder: Path) -> ImportPlan:
     n = len(pushes)
     origin = Origin()
     path = folder / pushes.source
-    names = [f"{DATASET}/{name}" for name in pushes.names]
+    names = [f"{records.DATASET}/{name}" for name in pushes.names]
     corrected = int((pushes.gap < 0.0).sum())
     hopeless = int((pushes.gap < -MAX_CORRECTION).sum())
     return ImportPlan(
-        DATASET,
+        records.DATASET,
         folder,
         (
             f"{n} pushes in {pushes.source}, each with the pose of object and tip at"
             " the start (t = 0) and at the end (0.05 m by the nominal speed).",
             "Poses in m and rad as they stand, in the frame of the robot; speed and gaps from mm.",
             f"Scenes: plates of known mass with even pressure, a round tip of"
-            f" {TIP.radius / MM:g} mm on its measured line, nominal friction"
-            f" {MU_PUSHER:g} at the tip and {MU_SUPPORT:g} on the plane.",
+            f" {records.TIP.radius / MM:g} mm on its measured line, nominal friction"
+            f" {records.MU_PUSHER:g} at the tip and {records.MU_SUPPORT:g} on the plane.",
             f"{corrected} pushes start with the tip inside the object by their measurement: "
             f"{corrected - hopeless} tips are moved to contact in the scene "
             f"(pusher-moved-to-contact); {hopeless} with overlaps of more than "
@@ -180,7 +171,7 @@ def _plan_of_table(folder: Path) -> ImportPlan:
         ),
         names,
         lambda row: _push(pushes, row, origin.of(path)),
-        named(DATASET, pushes.problems),
+        named(records.DATASET, pushes.problems),
     )
 
 
@@ -204,11 +195,11 @@ def _read(folder: Path) -> MitPushes:
         "push_id", NUMBERS, once=True
     )
     table.require(["surface", "shape"])
-    shapes, damaged = shapes_of(read_json(only_file(folder, SHAPES)))
+    shapes, damaged = records.shapes_of(read_json(only_file(folder, records.SHAPES)))
     wrong: dict[int, FixelError] = {}
     for row, name in enumerate(table.columns["shape"]):
         if name not in shapes:
-            expected = f"a shape in {SHAPES}: {', '.join(shapes)}"
+            expected = f"a shape in {records.SHAPES}: {', '.join(shapes)}"
             unknown = InvalidInput(table.source, found=f"the shape {name}", expected=expected)
             wrong[row] = damaged.get(name, unknown)
     speed = table.numbers("speed_mm_s") * MM
@@ -231,7 +222,7 @@ def _read(folder: Path) -> MitPushes:
     for name in used:
         rows = np.flatnonzero(shape == name)
         gap[rows], offset[rows] = moved_to_contact(
-            shapes[name], TIP.radius, start[rows], tip_start[rows]
+            shapes[name], records.TIP.radius, start[rows], tip_start[rows]
         )
     return MitPushes(
         folder=folder,
@@ -248,7 +239,7 @@ def _read(folder: Path) -> MitPushes:
         gap_end=table.numbers("gap1_mm") * MM,
         gap=gap,
         offset=offset,
-        bodies={name: plate(name, shapes[name], np.zeros(3)) for name in used},
+        bodies={name: records.plate(name, shapes[name], np.zeros(3)) for name in used},
         problems=problems,
     )
 
@@ -261,17 +252,17 @@ def _push(pushes: MitPushes, row: int, provenance: Provenance) -> Experiment:
     tip = np.column_stack((time, (pushes.tip_start[row], pushes.tip_end[row]), np.zeros(2)))
     scene, flags = pushed_scene(
         replace(pushes.bodies[shape], pose=start),
-        TIP,
+        records.TIP,
         tip,
-        friction=MU_PUSHER,
+        friction=records.MU_PUSHER,
         contact=(float(pushes.gap[row]), pushes.offset[row]),
     )
     return Experiment(
-        dataset=DATASET,
+        dataset=records.DATASET,
         name=str(pushes.names[row]),
         real=True,
         provenance=provenance,
-        object_name=OBJECT,
+        object_name=records.OBJECT,
         trajectory=Trajectory(time=time, pose=np.stack((start, pushes.end[row]))),
         pusher=Trajectory(time=time, pose=tip[:, 1:]),
         scene=scene,
@@ -294,6 +285,6 @@ def _doubts(pushes: MitPushes, row: int) -> Iterator[Flag]:
             "misregistered",
             f"tip {start / MM:.3g} mm from the outline at the start, {end / MM:.3g} mm at the end",
         )
-    yield from known_doubts(
+    yield from records.known_doubts(
         str(pushes.surface[row]), str(pushes.shape[row]), float(pushes.speed[row])
     )

@@ -15,17 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fixel.calibration.target import errors_of, squared_error
-from fixel.datasets.base import (
-    Importer,
-    ImportPlan,
-    Origin,
-    collected,
-    guarded,
-    named,
-    remark,
-    scene_or_flag,
-    trajectory_of,
-)
+from fixel.datasets import base
 from fixel.datasets.files import (
     MM,
     CsvRows,
@@ -82,7 +72,7 @@ OUTLINE_UNKNOWN = 17
 
 
 @final
-class Rpi2dgad(Importer):
+class Rpi2dgad(base.Importer):
     """Importer of grasp acquisition trials filmed from above."""
 
     name = DATASET
@@ -97,7 +87,7 @@ class Rpi2dgad(Importer):
         """Whether a folder has experiments.csv and a table of the tracked object."""
         return has_files(source, TRACKS, (EXPERIMENTS,))
 
-    def _plan(self, source: Path, options: Mapping[str, object]) -> ImportPlan:
+    def _plan(self, source: Path, options: Mapping[str, object]) -> base.ImportPlan:
         listed, unread = read_table(only_file(source, EXPERIMENTS), torn=True).sound(
             ID, (), (ID, *WHOLE), once=True
         )
@@ -113,9 +103,9 @@ class Rpi2dgad(Importer):
         ]
         sound = [names[row] for row in rows]
         lost = {name: failed[name] for name in names if name not in sound}
-        problems |= named(DATASET, unread | lost)
+        problems |= base.named(DATASET, unread | lost)
         whole = sorted(int(name) for name in sound if name in folder.complete)
-        return ImportPlan(
+        return base.ImportPlan(
             DATASET,
             source,
             _understood(len(rows), len(folder.tracks.frame), whole),
@@ -188,7 +178,7 @@ class _Folder(NamedTuple):
     tracks: _Tracks
     untracked: Problems  # of experiments without a trajectory
     simulated: _Tracks  # by the laboratory
-    origin: Origin
+    origin: base.Origin
 
 
 def _read(source: Path, listed: CsvRows) -> tuple[_Folder, Problems]:
@@ -207,16 +197,16 @@ def _read(source: Path, listed: CsvRows) -> tuple[_Folder, Problems]:
     file = next((source / name for name in SIMULATED if (source / name).is_file()), None)
     simulated = _no_tracks(source)
     if file is not None:
-        with collected(problems, file.name, file.name):
+        with base.collected(problems, file.name, file.name):
             simulated = _tracks(file)
     return _Folder(
-        source, listed, complete, broken, tracks, untracked, simulated, Origin()
+        source, listed, complete, broken, tracks, untracked, simulated, base.Origin()
     ), problems
 
 
 def _tracks(path: Path) -> _Tracks:
     """Load a table of poses of several experiments."""
-    with guarded(path.name):
+    with base.guarded(path.name):
         table, problems = read_table(path, torn=True).sound(ID, POSE, ("frame",))
         poses = table.stacked(*POSE) * (MM, MM, 1.0, MM)
         return _Tracks(path, table.whole_numbers("frame"), poses, rows_of(table, ID), problems)
@@ -239,7 +229,7 @@ def _complete(folder: Path) -> tuple[dict[str, _Trial], Problems, Problems]:
                 path.name, found="a name without a number", expected=expected
             )
             continue
-        with collected(broken, match[1], path.name):
+        with base.collected(broken, match[1], path.name):
             trials[match[1]] = _trial(folder, int(match[1]))
     return trials, broken, strange
 
@@ -314,7 +304,7 @@ def _simulation(folder: _Folder, row: int, experiment: Experiment) -> Simulation
     lab = lab_simulation(folder.path, int(name)) if name in folder.complete else None
     if lab is not None:
         path = folder.path / _lab_file(int(name))
-        trajectory = trajectory_of(lab.time, lab.pose)
+        trajectory = base.trajectory_of(lab.time, lab.pose)
         angle = np.full((len(lab.time), 1), folder.complete[name].value(ORIENTATION))
         pusher = Trajectory(time=lab.time, pose=np.hstack((lab.actuator, angle)))
     elif name in folder.simulated.problems:
@@ -324,7 +314,7 @@ def _simulation(folder: _Folder, row: int, experiment: Experiment) -> Simulation
         trial = folder.complete.get(name)
         frames = folder.tracks.frame[folder.tracks.rows[name]] if trial is None else trial.frame
         first = int(frames[0])
-        trajectory = trajectory_of(
+        trajectory = base.trajectory_of(
             _time(folder.simulated.frame[own], first), folder.simulated.poses[own, :3]
         )
     else:
@@ -351,22 +341,25 @@ def _track(folder: _Folder, row: int) -> Experiment:
     time = _time(frame, int(frame[0]))
     digits, flags = _mode(mode)
     if object_id == OUTLINE_UNKNOWN:
-        flags = (*flags, remark("no-shape", f"the outline of object {object_id} was not recovered"))
+        flags = (
+            *flags,
+            base.remark("no-shape", f"the outline of object {object_id} was not recovered"),
+        )
     return Experiment(
         dataset=DATASET,
         name=name,
         real=True,
         provenance=folder.origin.of(folder.tracks.path),
         object_name=OBJECT,
-        trajectory=trajectory_of(time, poses[:, :3]),
+        trajectory=base.trajectory_of(time, poses[:, :3]),
         height=float(poses[0, 3]),
         contact_mode=digits,
         effective=_effective(frame, start, end),
         conditions={"object_id": float(object_id)},
         flags=(
             *flags,
-            remark("no-actuator", "the path of the actuator was not recorded"),
-            remark("no-fixels", "the positions of the fixels were not recorded"),
+            base.remark("no-actuator", "the path of the actuator was not recorded"),
+            base.remark("no-fixels", "the positions of the fixels were not recorded"),
         ),
     )
 
@@ -379,7 +372,7 @@ def _whole(folder: _Folder, row: int, trial: _Trial) -> Experiment:
     time = _time(trial.frame, first)
     angle: FloatArray = np.full(len(time), trial.value(ORIENTATION))
     marker = np.column_stack((time, trial.marker, angle))
-    scene, why_not = scene_or_flag(lambda: _scene(trial, marker, effective[1]))
+    scene, why_not = base.scene_or_flag(lambda: _scene(trial, marker, effective[1]))
     runs_on = float(np.hypot(*(trial.filtered - trial.marker).T).max())
     n_fixel = len(trial.fixels)
     return Experiment(
@@ -388,7 +381,7 @@ def _whole(folder: _Folder, row: int, trial: _Trial) -> Experiment:
         real=True,
         provenance=folder.origin.of(folder.path / trial.source),
         object_name=OBJECT,
-        trajectory=trajectory_of(time, trial.pose),
+        trajectory=base.trajectory_of(time, trial.pose),
         pusher=Trajectory(time=time, pose=marker[:, 1:]),
         scene=scene,
         height=_height(trial.value("object").get("height_mm")),
@@ -411,7 +404,7 @@ def _whole(folder: _Folder, row: int, trial: _Trial) -> Experiment:
         flags=(
             *flags,
             *why_not,
-            remark(
+            base.remark(
                 "actuator-filter-runs-on",
                 f"the smoothed path is up to {runs_on / MM:.2g} mm from the marker",
             ),
@@ -453,7 +446,7 @@ def _mode(mode: int) -> tuple[str, tuple[Flag, ...]]:
     """Digits of fixels 1 to 3 from the authors' number, or a flag if it is invalid."""
     if mode < INVALID_MODE:
         return f"{mode:03b}", ()
-    return "", (remark("contact-mode-invalid", f"the record has {mode}"),)
+    return "", (base.remark("contact-mode-invalid", f"the record has {mode}"),)
 
 
 def _time(frame: NDArray[np.int64], first: int) -> FloatArray:
