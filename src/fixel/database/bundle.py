@@ -24,16 +24,7 @@ from typing import Any, Final, final
 
 import sqlalchemy as sa
 
-from fixel.database import arrays, rows, tables
-from fixel.database.bundle_file import (
-    ANALYSIS_FILE,
-    CHUNK,
-    LIMITS,
-    BundleLimits,
-    damage_refused,
-    opened_bundle,
-    private_url,
-)
+from fixel.database import arrays, bundle_file, rows, tables
 from fixel.database.engine import reading, translated, writing
 from fixel.database.project import ANALYSES, DATABASE, MEDIA
 from fixel.database.query import ALL_EXPERIMENTS
@@ -94,7 +85,7 @@ def export_bundle(
         TemporaryDirectory(prefix=".bundle-", dir=unfinished.parent) as name,
     ):
         folder = Path(name)
-        with Store(private_url(folder / "work.db"), folder / MEDIA) as target:
+        with Store(bundle_file.private_url(folder / "work.db"), folder / MEDIA) as target:
             target.upgrade()
             copy = _Copy(store, target, videos.append)
             copy.run(ids, progress, whole=dataset is None)
@@ -133,15 +124,17 @@ def _add_member(archive: zipfile.ZipFile, file: Path, name: str) -> None:
     """Add a file, packed unless `import_bundle` would reject it as a zip bomb."""
     packer, packed, size = zlib.compressobj(6), 0, file.stat().st_size
     with file.open("rb") as stream:
-        while size > LIMITS.small and (data := stream.read(CHUNK)):
+        while size > bundle_file.LIMITS.small and (data := stream.read(bundle_file.CHUNK)):
             packed += len(packer.compress(data))
-    is_like_a_bomb = size > LIMITS.small and packed * LIMITS.ratio < 2 * size
+    is_like_a_bomb = (
+        size > bundle_file.LIMITS.small and packed * bundle_file.LIMITS.ratio < 2 * size
+    )
     packing = zipfile.ZIP_STORED if is_like_a_bomb else zipfile.ZIP_DEFLATED
     with (
         file.open("rb") as stream,
         archive.open(_info(name, packing), "w", force_zip64=True) as member,
     ):
-        shutil.copyfileobj(stream, member, CHUNK)
+        shutil.copyfileobj(stream, member, bundle_file.CHUNK)
 
 
 def _add_video(archive: zipfile.ZipFile, digest: str, media: Path) -> None:
@@ -149,7 +142,7 @@ def _add_video(archive: zipfile.ZipFile, digest: str, media: Path) -> None:
     info = _info(f"{MEDIA}/{digest[:2]}/{digest}", zipfile.ZIP_STORED)
     try:
         with source.open("rb") as stream, archive.open(info, "w", force_zip64=True) as member:
-            while data := stream.read(CHUNK):
+            while data := stream.read(bundle_file.CHUNK):
                 total.update(data)
                 member.write(data)
     except FileNotFoundError:
@@ -172,7 +165,7 @@ def import_bundle(
     path: Path,
     store: Store,
     *,
-    limits: BundleLimits = LIMITS,
+    limits: bundle_file.BundleLimits = bundle_file.LIMITS,
     progress: ProgressCallback | None = None,
 ) -> dict[str, int]:
     """Add the records of a bundle to a project; return the number of new ones by kind.
@@ -186,10 +179,10 @@ def import_bundle(
     deleted, since a listing shows the experiment added last.
     """
     store.media.mkdir(parents=True, exist_ok=True)
-    with opened_bundle(path, store.media.parent, limits) as source:
+    with bundle_file.opened_bundle(path, store.media.parent, limits) as source:
         ids = source.experiment_ids(ALL_EXPERIMENTS)
         copy = _Copy(source, store, lambda digest: _copy_video(digest, source, store))
-        with damage_refused(path):
+        with bundle_file.damage_refused(path):
             outdated = copy.check(ids)
         copy.run(ids, progress, whole=True, outdated=outdated)
         return copy.new
@@ -382,7 +375,7 @@ class _Copy:
                 continue
             place.mkdir(parents=True)
             for other in sorted(file.parent.iterdir()):
-                if ANALYSIS_FILE.fullmatch(other.name) and other != file:
+                if bundle_file.ANALYSIS_FILE.fullmatch(other.name) and other != file:
                     shutil.copyfile(other, place / other.name)
             write_whole(place / file.name, json.dumps(content | own, indent=1))  # last, as a mark
             self.new["analyses"] += 1

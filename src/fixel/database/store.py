@@ -17,14 +17,7 @@ from fixel.database.engine import insert_one, open_engine, reading, set_journal,
 from fixel.database.query import LIVE
 from fixel.errors import InvalidInput, NotStored, StoreRefused, closest
 from fixel.io.damaged_files import INVALID_CONTENT, one_line
-from fixel.model import Experiment, Flag
-from fixel.model.records import (
-    CalibrationRecord,
-    FilterParameters,
-    FilterRecord,
-    Member,
-    SimulationRecord,
-)
+from fixel.model import Experiment, Flag, records
 
 MAX_NAMES: Final = 20_000  # number of experiments that a mistyped name is compared with
 T = TypeVar("T")
@@ -316,7 +309,7 @@ class Store:
 
     # --- results --------------------------------------------------------------------------------
 
-    def add_simulation(self, record: SimulationRecord) -> int:
+    def add_simulation(self, record: records.SimulationRecord) -> int:
         """Store a simulation of an experiment; return its id."""
         self._require(record.experiment_id)
         series = rows.paths_of(record.trajectory, record.pusher)
@@ -328,7 +321,7 @@ class Store:
         return number
 
     @_damage_named("simulation")
-    def simulation(self, simulation_id: int) -> SimulationRecord:
+    def simulation(self, simulation_id: int) -> records.SimulationRecord:
         """Load a simulation by its id."""
         with reading(self._engine) as connection:
             row = _row(connection, tables.simulation, simulation_id, "simulation")
@@ -338,7 +331,7 @@ class Store:
             )
         paths = {name: rows.trajectory_of(values) for name, _, values in series}
         return rows.record_of(
-            SimulationRecord,
+            records.SimulationRecord,
             row,
             parameters=rows.parameters_of(parameters),
             trajectory=paths["object"],
@@ -358,7 +351,7 @@ class Store:
         with reading(self._engine) as connection:
             return {k: n for k, n in connection.execute(chosen.group_by(table.c.experiment_id))}
 
-    def add_calibration(self, record: CalibrationRecord) -> int:
+    def add_calibration(self, record: records.CalibrationRecord) -> int:
         """Store a finished calibration; return its id."""
         tried = record.evaluations
         reasons = {} if tried is None else {str(k): r for k, r in enumerate(tried.reasons) if r}
@@ -383,7 +376,7 @@ class Store:
         return number
 
     @_damage_named("calibration")
-    def calibration(self, calibration_id: int) -> CalibrationRecord:
+    def calibration(self, calibration_id: int) -> records.CalibrationRecord:
         """Load a calibration by its id."""
         table = tables.calibration
         with reading(self._engine) as connection:
@@ -399,7 +392,7 @@ class Store:
         )
 
     @_damage_named("a calibration")
-    def calibration_summaries(self) -> dict[int, CalibrationRecord]:
+    def calibration_summaries(self) -> dict[int, records.CalibrationRecord]:
         """Load all calibrations by id, oldest first, without evaluations, request and result: two
         queries and no file access, even for a thousand calibrations."""
         with reading(self._engine) as connection:
@@ -409,22 +402,22 @@ class Store:
         """Ids of all calibrations, oldest first."""
         return self._ids(tables.calibration)
 
-    def add_filter_parameters(self, record: FilterParameters) -> int:
+    def add_filter_parameters(self, record: records.FilterParameters) -> int:
         """Store settings of a filter; return their id."""
         with writing(self._engine) as connection:
             row = rows.columns_of(record, tables.filter_parameters)
             options = {"options": dict(record.values)}
             return insert_one(connection, tables.filter_parameters, row | options)
 
-    def filter_parameters(self, filter_parameters_id: int) -> FilterParameters:
+    def filter_parameters(self, filter_parameters_id: int) -> records.FilterParameters:
         """Load settings of a filter by their id."""
         with reading(self._engine) as connection:
             row = _row(
                 connection, tables.filter_parameters, filter_parameters_id, "filter parameters"
             )
-        return rows.record_of(FilterParameters, row, values=row.options)
+        return rows.record_of(records.FilterParameters, row, values=row.options)
 
-    def add_filter_run(self, record: FilterRecord) -> int:
+    def add_filter_run(self, record: records.FilterRecord) -> int:
         """Store the run of a filter on an experiment; return its id."""
         self._require(record.experiment_id)
         occlusion = record.occlusion or (None, None)
@@ -436,7 +429,7 @@ class Store:
         return number
 
     @_damage_named("filter run")
-    def filter_run(self, filter_run_id: int) -> FilterRecord:
+    def filter_run(self, filter_run_id: int) -> records.FilterRecord:
         """Load a filter run by its id."""
         with reading(self._engine) as connection:
             row = _row(connection, tables.filter_run, filter_run_id, "filter run")
@@ -445,7 +438,7 @@ class Store:
         names, estimates = found.get("estimates", ((), np.zeros((0, 0))))
         hidden = (row.occlusion_start_s, row.occlusion_end_s)
         return rows.record_of(
-            FilterRecord,
+            records.FilterRecord,
             row,
             trajectory=rows.trajectory_of(found["object"][1]),
             occlusion=None if hidden[0] is None else hidden,
@@ -471,7 +464,7 @@ class Store:
 
 def _calibrations(
     connection: sa.Connection, *where: sa.ColumnElement[bool]
-) -> dict[int, CalibrationRecord]:
+) -> dict[int, records.CalibrationRecord]:
     """Load calibrations by id, oldest first, without their evaluations, request and result."""
     table, member, sets = tables.calibration, tables.calibration_member, tables.system_parameters
     shown = [c for c in table.c if c.name not in ("request", "result")]
@@ -488,12 +481,12 @@ def _calibrations(
         .where(member.c.calibration_id.in_(sa.select(table.c.id).where(*where)))
         .order_by(member.c.calibration_id, member.c.place)
     )
-    members: dict[int, list[Member]] = {}
+    members: dict[int, list[records.Member]] = {}
     for calibration_id, *one in connection.execute(of):
-        members.setdefault(calibration_id, []).append(Member(*one))
+        members.setdefault(calibration_id, []).append(records.Member(*one))
     return {
         row.id: rows.record_of(
-            CalibrationRecord,
+            records.CalibrationRecord,
             row,
             parameters=rows.parameters_of(row),
             members=tuple(members[row.id]),
