@@ -8,17 +8,8 @@ from typing import Any, Final, Literal, Unpack, get_args
 import numpy as np
 from gymnasium import spaces
 
+from fixel.environments import vector as base
 from fixel.environments.pictures import scene_picture
-from fixel.environments.vector import (
-    MAX_REDRAWS,
-    BatchEnv,
-    BatchOptions,
-    Info,
-    SingleEnv,
-    check_name,
-    symmetric_box,
-    with_cosine,
-)
 from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, Fixel, Goal, LineDrive, Polygon, Pusher, Scene, Seated, Tripod
 from fixel.model.fields import instance, non_negative, vector
@@ -62,7 +53,7 @@ def grasp_scene() -> Scene:
     return Scene(square, head, pegs, duration=13.0)
 
 
-class GraspVectorEnv(BatchEnv):
+class GraspVectorEnv(base.BatchEnv):
     """The task to seat a part against pegs by a few strokes, n times.
 
     A step is a stroke: the head is placed across its axis, moves along it until its travel ends or
@@ -117,9 +108,9 @@ class GraspVectorEnv(BatchEnv):
         world: WorldName = "nominal",
         parameters: Any = None,
         max_episode_steps: int | None = MAX_STROKES,
-        **options: Unpack[BatchOptions],
+        **options: Unpack[base.BatchOptions],
     ) -> None:
-        check_name("world", world, get_args(WorldName))
+        base.check_name("world", world, get_args(WorldName))
         instance(goal, Goal | None, "goal", "a Goal")
         self.scene = grasp_scene() if scene is None else scene
         self._drive = _stroke(self.scene)
@@ -127,7 +118,7 @@ class GraspVectorEnv(BatchEnv):
         self._offset = non_negative(offset, "offset", "m")
         super().__init__(
             num_envs,
-            symmetric_box([*self._limits(), 1.0, 1.0]),
+            base.symmetric_box([*self._limits(), 1.0, 1.0]),
             spaces.Box(-1.0, 1.0, (2,), np.float32),
             max_episode_steps=max_episode_steps,
             **options,
@@ -147,7 +138,7 @@ class GraspVectorEnv(BatchEnv):
         reach = self._drive.travel + self._offset + head.shape.radius + part.shape.radius
         return np.asarray(np.maximum(at_start, 1.1 * (np.abs(head.pose[:2]) + reach)))
 
-    def _begin(self, which: IntArray, options: Info) -> None:
+    def _begin(self, which: IntArray, options: base.Info) -> None:
         self._success[which], self._simulated[which] = False, True
         self._tool[which] = self.scene.pushers[0].pose
         for k in which.tolist():
@@ -156,12 +147,12 @@ class GraspVectorEnv(BatchEnv):
     def _start(self, rng: np.random.Generator) -> FloatArray:
         """Draw a start that overlaps neither the head nor a fixel."""
         body, tool = self.scene.bodies[0], self.scene.pushers[0].pose[None]
-        for _ in range(MAX_REDRAWS):
+        for _ in range(base.MAX_REDRAWS):
             pose = body.pose + self._range * rng.uniform(-1.0, 1.0, 3)
             depth = part_overlap(self.scene, pose[None], None)[0]
             if max(depth, tool_overlap(self.scene, pose[None], tool)[0]) <= 0.0:
                 return np.asarray(pose)
-        found = f"no start without overlap in {MAX_REDRAWS} draws"
+        found = f"no start without overlap in {base.MAX_REDRAWS} draws"
         raise InvalidInput("start", found=found, expected="a smaller range")
 
     def _advance(self, actions: FloatArray) -> None:
@@ -200,9 +191,9 @@ class GraspVectorEnv(BatchEnv):
         return self._success.astype(np.float64), self._success.copy()
 
     def _observations(self) -> FloatArray:
-        return with_cosine(self._pose)
+        return base.with_cosine(self._pose)
 
-    def _info(self) -> Info:
+    def _info(self) -> base.Info:
         return {
             "is_success": self._success.copy(),
             "pose": self._pose.copy(),
@@ -218,7 +209,7 @@ class GraspVectorEnv(BatchEnv):
         return scene_picture(self.scene, 0.5 * (low + high), half, self._pose[k], self._tool[k])
 
 
-class GraspEnv(SingleEnv):
+class GraspEnv(base.SingleEnv):
     """The task to seat a part against pegs by a few strokes.
 
     Parameters

@@ -9,21 +9,9 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike
 
+from fixel.environments import vector as base
 from fixel.environments.motion import STIFFNESS, PushMotion
 from fixel.environments.pictures import scene_picture
-from fixel.environments.vector import (
-    FORCE,
-    MAX_REDRAWS,
-    BatchEnv,
-    BatchOptions,
-    Info,
-    SingleEnv,
-    check_name,
-    pressure_arm,
-    symmetric_box,
-    usual_parameters,
-    with_cosine,
-)
 from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, Ellipsoid, PathDrive, Polygon, Pusher, Scene
 from fixel.model.fields import positive, vector
@@ -52,14 +40,14 @@ def push_scene(shape: Polygon | Disk | None = None, *, friction: float = 0.25) -
     """
     shape = Polygon.rectangle(0.12, 0.08) if shape is None else shape
     body = Body("part", shape, mass=1.0, support=Ellipsoid(force=1.0, torque=1.0))
-    arm = FORCE * pressure_arm(body)
-    support = Ellipsoid(force=FORCE, torque=FORCE * arm, centre=shape.centroid)
+    arm = base.FORCE * base.pressure_arm(body)
+    support = Ellipsoid(force=base.FORCE, torque=base.FORCE * arm, centre=shape.centroid)
     away = [[0.0, -2.0 * (shape.radius + HALF_SIDE), 0.0, 0.0]]
     agent = Pusher("agent", Disk(0.0125), friction=friction, drive=PathDrive(away))
     return Scene(Body("part", shape, mass=1.0, support=support), agent, duration=1.0)
 
 
-class PushVectorEnv(BatchEnv):
+class PushVectorEnv(base.BatchEnv):
     """The task to push a body to a goal pose, n times.
 
     An action is the target of the agent, (-1, -1) to (1, 1) over the table. Observations are
@@ -120,10 +108,10 @@ class PushVectorEnv(BatchEnv):
         world: WorldName = "nominal",
         parameters: Any = None,
         max_episode_steps: int | None = MAX_STEPS,
-        **options: Unpack[BatchOptions],
+        **options: Unpack[base.BatchOptions],
     ) -> None:
-        check_name("reward", reward, get_args(RewardName))
-        check_name("world", world, get_args(WorldName))
+        base.check_name("reward", reward, get_args(RewardName))
+        base.check_name("world", world, get_args(WorldName))
         if symmetry < 1:
             raise InvalidInput("symmetry", found=symmetry, expected="at least 1")
         self.goal = None if goal is None else vector(goal, "goal", "x [m], y [m], angle [rad]")
@@ -140,9 +128,9 @@ class PushVectorEnv(BatchEnv):
         speed = 0.5 * math.sqrt(STIFFNESS) * 2.0 * self.half_side
         pose = [place, place, 1.0, 1.0]
         boxes: dict[str, spaces.Space[Any]] = {
-            "observation": symmetric_box([place, place, speed, speed, *pose]),
-            "achieved_goal": symmetric_box(pose),
-            "desired_goal": symmetric_box(pose),
+            "observation": base.symmetric_box([place, place, speed, speed, *pose]),
+            "achieved_goal": base.symmetric_box(pose),
+            "desired_goal": base.symmetric_box(pose),
         }
         super().__init__(
             num_envs,
@@ -151,13 +139,13 @@ class PushVectorEnv(BatchEnv):
             max_episode_steps=max_episode_steps,
             **options,
         )
-        usual = usual_parameters(FRICTION_RANGE, pressure_arm(body))
+        usual = base.usual_parameters(FRICTION_RANGE, base.pressure_arm(body))
         self.scene = self._set_world(world, own, parameters, usual)
         self._arm = math.sqrt(body.moment_of_inertia / body.mass)
         self._motion = PushMotion(self.scene, num_envs, unit=1.0, threads=self.threads)
         self._goals = np.zeros((num_envs, 3))
 
-    def _begin(self, which: IntArray, options: Info) -> None:
+    def _begin(self, which: IntArray, options: base.Info) -> None:
         drawn = np.array([self._start(k) for k in which.tolist()])
         self._motion.place(which, drawn[:, :2], drawn[:, 2:5])
         self._goals[which] = drawn[:, 5:]
@@ -165,7 +153,7 @@ class PushVectorEnv(BatchEnv):
     def _start(self, k: int) -> FloatArray:
         """Draw agent, body and goal without overlap, and with the body away from its goal."""
         rng, most = self.rngs[k], START_SHARE * self.half_side
-        for _ in range(MAX_REDRAWS):
+        for _ in range(base.MAX_REDRAWS):
             poses = rng.uniform(-1.0, 1.0, (2, 3)) * (most, most, np.pi)
             agent = rng.uniform(-1.0, 1.0, 2) * self.half_side
             if self.goal is not None:
@@ -179,7 +167,7 @@ class PushVectorEnv(BatchEnv):
                 return np.array([*agent, *poses.ravel()])
         raise InvalidInput(
             "scene",
-            found=f"no start without overlap in {MAX_REDRAWS} draws",
+            found=f"no start without overlap in {base.MAX_REDRAWS} draws",
             expected="room on the table",
             hint="increase half_side, or move the goal away from the fixels",
         )
@@ -188,7 +176,7 @@ class PushVectorEnv(BatchEnv):
         self._motion.step(self.half_side * np.clip(actions, -1.0, 1.0))
 
     def _rewards(self) -> tuple[FloatArray, BoolArray]:
-        now, goals = with_cosine(self._motion.poses()), with_cosine(self._goals)
+        now, goals = base.with_cosine(self._motion.poses()), base.with_cosine(self._goals)
         return self.compute_reward(now, goals, {}), self.compute_terminated(now, goals, {})
 
     def compute_reward(self, achieved: FloatArray, desired: FloatArray, info: Any) -> FloatArray:
@@ -228,14 +216,14 @@ class PushVectorEnv(BatchEnv):
         return np.asarray((distance <= self.position) & (angle <= self.angle))
 
     def _observations(self) -> Any:
-        achieved = with_cosine(self._motion.poses())
+        achieved = base.with_cosine(self._motion.poses())
         return {
             "observation": np.concatenate((self._motion.state.agent, achieved), axis=1),
             "achieved_goal": achieved,
-            "desired_goal": with_cosine(self._goals),
+            "desired_goal": base.with_cosine(self._goals),
         }
 
-    def _info(self) -> Info:
+    def _info(self) -> base.Info:
         poses = self._motion.poses()
         distance, angle = self._apart(poses, self._goals)
         success = self._success(poses, self._goals)
@@ -251,7 +239,7 @@ class PushVectorEnv(BatchEnv):
         )  # fmt: skip
 
 
-class PushEnv(SingleEnv):
+class PushEnv(base.SingleEnv):
     """The task to push a body of any shape to a goal pose.
 
     Parameters

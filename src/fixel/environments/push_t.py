@@ -14,19 +14,10 @@ from typing import Any, Final, Literal, Unpack, get_args
 import numpy as np
 from gymnasium import spaces
 
+from fixel.environments import vector as base
 from fixel.environments.loops import STILL, coverage
 from fixel.environments.motion import PushMotion
 from fixel.environments.pictures import picture
-from fixel.environments.vector import (
-    FORCE,
-    MAX_REDRAWS,
-    BatchEnv,
-    BatchOptions,
-    Info,
-    SingleEnv,
-    check_name,
-    usual_parameters,
-)
 from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, Ellipsoid, Fixel, PathDrive, Polygon, Pusher, Scene, rotated
 from fixel.model.fields import vector
@@ -79,7 +70,7 @@ def push_t_scene(
     """
     shape = Polygon(OUTLINE * PIXEL)
     centre = shape.centroid if com is None else com * PIXEL
-    support = Ellipsoid(force=FORCE, torque=FORCE * arm * PIXEL, centre=centre)
+    support = Ellipsoid(force=base.FORCE, torque=base.FORCE * arm * PIXEL, centre=centre)
     at = np.array([SIDE / 2.0, SIDE / 2.0, 0.0]) * PIXEL
     block = Body("block", shape, mass=1.0, pose=at, support=support, centre_of_mass=centre)
     still = PathDrive([[0.0, 2.0 * AGENT_RADIUS * PIXEL, 2.0 * AGENT_RADIUS * PIXEL, 0.0]])
@@ -105,7 +96,7 @@ def push_t_scene_of(world: str, com: FloatArray | None = None) -> Scene:
     return push_t_scene(com)
 
 
-class PushTVectorEnv(BatchEnv):
+class PushTVectorEnv(base.BatchEnv):
     """The Push-T task, n times.
 
     Parameters
@@ -162,11 +153,11 @@ class PushTVectorEnv(BatchEnv):
         parameters: Any = None,
         seeds: SeedsName = "0.1.8",
         max_episode_steps: int | None = MAX_STEPS,
-        **options: Unpack[BatchOptions],
+        **options: Unpack[base.BatchOptions],
     ) -> None:
-        check_name("obs_type", obs_type, get_args(ObservationName))
-        check_name("world", world, get_args(WorldName))
-        check_name("seeds", seeds, get_args(SeedsName))
+        base.check_name("obs_type", obs_type, get_args(ObservationName))
+        base.check_name("world", world, get_args(WorldName))
+        base.check_name("seeds", seeds, get_args(SeedsName))
         if damping:
             raise InvalidInput("damping", found=damping, expected="0: motion is quasi-static")
         self.obs_type, self.world, self.seeds_of = obs_type, world, seeds
@@ -185,14 +176,14 @@ class PushTVectorEnv(BatchEnv):
             max_episode_steps=max_episode_steps,
             **options,
         )
-        usual = usual_parameters(FRICTION_RANGE, ARM * PIXEL)
+        usual = base.usual_parameters(FRICTION_RANGE, ARM * PIXEL)
         self.scene = self._set_world(world, push_t_scene_of(world, com), parameters, usual)
         self._motion = PushMotion(self.scene, num_envs, unit=PIXEL, threads=self.threads)
         self._action = np.full((num_envs, 2), np.nan)  # none yet
         self._coverage = np.zeros(num_envs)
         self._goal = placed_pieces(GOAL)
 
-    def _begin(self, which: IntArray, options: Info) -> None:
+    def _begin(self, which: IntArray, options: base.Info) -> None:
         states = np.array([self._start(k) for k in which.tolist()])
         given = options.get("reset_to_state")
         if given is not None:
@@ -217,7 +208,7 @@ class PushTVectorEnv(BatchEnv):
         if self.seeds_of == "0.1.5":
             own = self.seeds[k]
             old = np.random.RandomState(int(rng.integers(2**31)) if own is None else own)
-        for _ in range(MAX_REDRAWS):
+        for _ in range(base.MAX_REDRAWS):
             spans = (AGENT_STARTS, AGENT_STARTS, T_STARTS, T_STARTS)
             if old is not None:
                 places = [int(old.randint(*span)) for span in spans]
@@ -260,7 +251,7 @@ class PushTVectorEnv(BatchEnv):
         )
         return pixels if self.obs_type == "pixels" else {"pixels": pixels, "agent_pos": agent}
 
-    def _info(self) -> Info:
+    def _info(self) -> base.Info:
         state = self._motion.state
         return {
             "pos_agent": state.agent[:, :2].copy(),
@@ -287,7 +278,7 @@ class PushTVectorEnv(BatchEnv):
         return picture(agent, placed_pieces(pose), self._goal, size, action)
 
 
-class PushTEnv(SingleEnv):
+class PushTEnv(base.SingleEnv):
     """The Push-T task: spaces, rewards and seeds of gym-pusht, with a choice of the world.
 
     Parameters

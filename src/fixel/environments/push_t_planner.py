@@ -7,17 +7,8 @@ from typing import Final, final
 
 import numpy as np
 
+from fixel.environments import push_t
 from fixel.environments.motion import PushMotion
-from fixel.environments.push_t import (
-    AGENT_RADIUS,
-    GOAL,
-    OUTLINE,
-    PIXEL,
-    SIDE,
-    WorldName,
-    keypoints,
-    push_t_scene_of,
-)
 from fixel.typing import FloatArray, IntArray
 
 CANDIDATES: Final = 192  # pushes simulated for each choice
@@ -60,10 +51,10 @@ class PushTPlanner:
     (2, 2)
     """
 
-    def __init__(self, n: int, *, world: WorldName = "legacy", seed: int = 0) -> None:
+    def __init__(self, n: int, *, world: push_t.WorldName = "legacy", seed: int = 0) -> None:
         self._rng = np.random.default_rng(seed)
-        self._motion = PushMotion(push_t_scene_of(world), CANDIDATES, unit=PIXEL)
-        self._goal = keypoints(GOAL[None])[0]
+        self._motion = PushMotion(push_t.push_t_scene_of(world), CANDIDATES, unit=push_t.PIXEL)
+        self._goal = push_t.keypoints(push_t.GOAL[None])[0]
         self._phase = np.full(n, CHOOSE)
         self._steps = np.zeros(n, np.int64)
         self._start = np.zeros((n, 2))
@@ -125,19 +116,19 @@ class PushTPlanner:
         self._motion.place(np.arange(CANDIDATES), start, np.tile(pose, (CANDIDATES, 1)))
         for _ in range(PUSH_STEPS):
             self._motion.step(end)
-        off = ((keypoints(self._motion.poses()) - self._goal) ** 2).mean(axis=(1, 2))
+        off = ((push_t.keypoints(self._motion.poses()) - self._goal) ** 2).mean(axis=(1, 2))
         best = int(off.argmin())
         return start[best], end[best]
 
     def _candidates(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Draw starts and ends (CANDIDATES, 2) of the agent."""
         rng, n = self._rng, 8 * CANDIDATES
-        edge = np.roll(OUTLINE, -1, axis=0) - OUTLINE
+        edge = np.roll(push_t.OUTLINE, -1, axis=0) - push_t.OUTLINE
         length = np.hypot(*edge.T)
         k = rng.choice(len(edge), n, p=length / length.sum())
         inward = np.column_stack((-edge[k, 1], edge[k, 0])) / length[k, None]
-        touched = OUTLINE[k] + rng.uniform(0.03, 0.97, (n, 1)) * edge[k]
-        start = touched - (AGENT_RADIUS + CLEARANCE) * inward
+        touched = push_t.OUTLINE[k] + rng.uniform(0.03, 0.97, (n, 1)) * edge[k]
+        start = touched - (push_t.AGENT_RADIUS + CLEARANCE) * inward
         aside = math.radians(35.0) * rng.uniform(-1.0, 1.0, n)
         c, s = np.cos(aside), np.sin(aside)
         way = np.column_stack(
@@ -149,17 +140,17 @@ class PushTPlanner:
         cos, sin = math.cos(pose[2]), math.sin(pose[2])
         turn = np.array([[cos, sin], [-sin, cos]])
         start, end = start @ turn, end @ turn
-        free = _distance(start, turn) > AGENT_RADIUS + 0.5 * CLEARANCE
+        free = _distance(start, turn) > push_t.AGENT_RADIUS + 0.5 * CLEARANCE
         start, end = start + pose[:2], end + pose[:2]
         both = np.concatenate((start, end), axis=1)
-        free &= (both > MARGIN).all(axis=1) & (both < SIDE - MARGIN).all(axis=1)
+        free &= (both > MARGIN).all(axis=1) & (both < push_t.SIDE - MARGIN).all(axis=1)
         rows = np.resize(np.flatnonzero(free), CANDIDATES)
         return start[rows], end[rows]
 
 
 def _distance(points: FloatArray, turn: FloatArray) -> FloatArray:
     """Distance (n,) of points from the outline of a T about its origin [px]."""
-    corner = OUTLINE @ turn
+    corner = push_t.OUTLINE @ turn
     edge = np.roll(corner, -1, axis=0) - corner
     from_corner = points[:, None] - corner
     u = (from_corner * edge).sum(axis=2) / (edge**2).sum(axis=1)
