@@ -12,18 +12,10 @@ import numpy as np
 from fixel.errors import DeviceFailed, InvalidInput
 from fixel.model.fields import optional_positive
 from fixel.testbed import grbl_lines as grbl
+from fixel.testbed import motion
 from fixel.testbed.emergency import StopGuard
 from fixel.testbed.grbl_lines import AxisSettings
 from fixel.testbed.grbl_link import ASKING, GrblLink, greet
-from fixel.testbed.motion import (
-    DRIVE_REACH,
-    NEAR,
-    SPEED,
-    AbstractActuator,
-    Line,
-    Reach,
-    checked_travels,
-)
 from fixel.testbed.serial_port import chosen_port, closed_on_failure, open_port
 from fixel.typing import FloatArray
 
@@ -40,7 +32,7 @@ SHORT: Final = 0.5  # [s] at rest before the target after which the move has fai
 
 
 @final
-class GrblActuator(AbstractActuator):
+class GrblActuator(motion.AbstractActuator):
     """Axes of a GRBL controller, version 0.9 or 1.1, or of grblHAL or FluidNC.
 
     Coordinates count from the end of each axis at which it homes, or without homing from its place
@@ -81,7 +73,7 @@ class GrblActuator(AbstractActuator):
         *,
         axis: str = "X",
         axes: str | None = None,
-        reach: Reach = DRIVE_REACH,
+        reach: motion.Reach = motion.DRIVE_REACH,
         dead_man: float | None = None,
         keys: bool = False,
         guard: bool = True,
@@ -92,7 +84,7 @@ class GrblActuator(AbstractActuator):
             where, expected = ("axis", "X, Y, Z or A") if axes is None else ("axes", "such as XY")
             raise InvalidInput(where, found=repr(self.axes), expected=expected)
         self.axis = self.axes[0]
-        self.travels = self._wanted_travels = checked_travels(reach, len(self.axes))
+        self.travels = self._wanted_travels = motion.checked_travels(reach, len(self.axes))
         self._set_line(None)
         self.dead_man = optional_positive(dead_man, "dead_man", "s")
         self._keys, self._wants_guard = keys, guard
@@ -173,7 +165,7 @@ class GrblActuator(AbstractActuator):
         for ends, of_axis in zip(self.travels, settings, strict=True):
             if of_axis.homing or of_axis.soft_limits:
                 ends[:] = max(ends[0], 0.0), min(ends[1], 1e-3 * of_axis.travel)
-        self.travels = checked_travels(self.travels.tolist(), len(self.axes))
+        self.travels = motion.checked_travels(self.travels.tolist(), len(self.axes))
         self._set_line(self._aimed)
 
     # --- state --------------------------------------------------------------------------------
@@ -270,7 +262,7 @@ class GrblActuator(AbstractActuator):
     # --- moves --------------------------------------------------------------------------------
 
     def check(
-        self, *, to: float | None = None, by: float | None = None, speed: float = SPEED
+        self, *, to: float | None = None, by: float | None = None, speed: float = motion.SPEED
     ) -> None:
         super().check(to=to, by=by, speed=speed)
         self._refuse_state(self._open.fresh_status().state)
@@ -302,7 +294,7 @@ class GrblActuator(AbstractActuator):
             self._at_rest_since = None
             self._speed = 1e3 * speed
             length = float(np.linalg.norm(end - begin))
-            self._way = Line(begin, (end - begin) / (length or 1.0))
+            self._way = motion.Line(begin, (end - begin) / (length or 1.0))
             self._sent_to, self._target = 0.0, length
 
     def _queue_for(self, speed: float) -> float:
@@ -375,7 +367,7 @@ class GrblActuator(AbstractActuator):
             off = float(np.linalg.norm(self._coordinates(status) - goal))
             now = time.monotonic()
             self._at_rest_since = self._at_rest_since or now
-            if self._sent_to == self._target and off <= 2e3 * NEAR:
+            if self._sent_to == self._target and off <= 2e3 * motion.NEAR:
                 self._target = None
             elif now - self._at_rest_since > SHORT:
                 self._give_up(f"it stopped {off:.3f} mm short of its target")

@@ -26,40 +26,19 @@ from fixel.model import (
     Scene,
     Shape,
     Trajectory,
-)
-from fixel.model.fields import (
-    Value,
-    check_fields,
-    fraction,
-    instance,
-    name_of,
-    non_negative,
-    positive,
-    settle,
-    vector,
+    fields,
 )
 from fixel.model.probability import stream
 from fixel.model.scene import check_push
 from fixel.simulation import Simulation, simulate
 from fixel.simulation.threads import cores
-from fixel.testbed.imperfections import (
-    driven_unevenly,
-    frames_kept,
-    frames_of,
-    planned_support,
-    rough_plane,
-    seen,
-    tactile_channel,
-    touching,
-    uneven_support,
-    uneven_table,
-    with_stall_force,
-)
+from fixel.testbed import imperfections
+from fixel.testbed.imperfections import uneven_table
 from fixel.typing import BoolArray, FloatArray, ProgressCallback
 
-Ratio = Annotated[float, Value(positive)]  # of a true to a nominal value
-NotNegative = Annotated[float, Value(non_negative)]
-Share = Annotated[float, Value(fraction)]
+Ratio = Annotated[float, fields.Value(fields.positive)]  # of a true to a nominal value
+NotNegative = Annotated[float, fields.Value(fields.non_negative)]
+Share = Annotated[float, fields.Value(fields.fraction)]
 TRUTH = "truth_"  # prefix of conditions that a real laboratory could not know
 
 
@@ -147,17 +126,17 @@ class SimulatedTestbed:
     centre_of_pressure: tuple[float, float] = (0.004, -0.003)
     centre_of_pressure_spread: NotNegative = 0.0005
     plate_roughness: NotNegative = 0.1
-    plate_grain: Annotated[float, Value(positive, "m")] = 0.06
+    plate_grain: Annotated[float, fields.Value(fields.positive, "m")] = 0.06
     uneven_table: NotNegative = 0.0
-    table_length: Annotated[float, Value(positive, "m")] = 0.05
+    table_length: Annotated[float, fields.Value(fields.positive, "m")] = 0.05
     table_seed: int = 1
     size: Ratio = 0.998
-    stall_force: Annotated[float | None, Value(positive, "N")] = 34.3
+    stall_force: Annotated[float | None, fields.Value(fields.positive, "N")] = 34.3
     ripple: Share = 0.05
-    ripple_frequency: Annotated[float, Value(positive, "Hz")] = 2.7
+    ripple_frequency: Annotated[float, fields.Value(fields.positive, "Hz")] = 2.7
     speed_spread: NotNegative = 0.01
     lead_in: NotNegative = 0.0
-    frame_rate: Annotated[float, Value(positive, "Hz")] = 30.0
+    frame_rate: Annotated[float, fields.Value(fields.positive, "Hz")] = 30.0
     position_noise: NotNegative = 5e-5
     angle_noise: NotNegative = 0.002
     dropped_frames: Share = 0.01
@@ -165,11 +144,13 @@ class SimulatedTestbed:
     missed_contact: Share = 0.0125
 
     def __post_init__(self) -> None:
-        name_of(self.dataset, "testbed.dataset")
+        fields.name_of(self.dataset, "testbed.dataset")
         _check_counts(self.support_cells, seed=self.seed, table_seed=self.table_seed)
-        check_fields(self, "testbed")
-        centre = vector(self.centre_of_pressure, "testbed.centre_of_pressure", "x [m], y [m]")
-        settle(self, centre_of_pressure=(float(centre[0]), float(centre[1])))
+        fields.check_fields(self, "testbed")
+        centre = fields.vector(
+            self.centre_of_pressure, "testbed.centre_of_pressure", "x [m], y [m]"
+        )
+        fields.settle(self, centre_of_pressure=(float(centre[0]), float(centre[1])))
 
     @classmethod
     def ideal(cls, seed: int = 1) -> SimulatedTestbed:
@@ -240,7 +221,9 @@ class SimulatedTestbed:
     def true_scene(self, planned: PlannedExperiment) -> Scene:
         """Return the scene with the true values that a run of this plan has."""
         scene, drawn = planned.scene, self._draw(planned.name)
-        plane = rough_plane(scene.plane, self.seed, self.plate_roughness, self.plate_grain)
+        plane = imperfections.rough_plane(
+            scene.plane, self.seed, self.plate_roughness, self.plate_grain
+        )
         plane = uneven_table(plane, self.table_seed, self.uneven_table, self.table_length)
         return replace(
             scene,
@@ -270,8 +253,8 @@ class SimulatedTestbed:
     def _true_body(self, body: Body, gravity: float, drawn: _RunConditions) -> Body:
         body = replace(body, shape=_scaled(body.shape, self.size))
         if self.support_cells == 0:
-            return replace(body, support=planned_support(body.support, drawn.support))
-        support = uneven_support(
+            return replace(body, support=imperfections.planned_support(body.support, drawn.support))
+        support = imperfections.uneven_support(
             body,
             gravity,
             self.seed,
@@ -284,8 +267,8 @@ class SimulatedTestbed:
 
     def _true_pusher(self, pusher: Pusher, duration: float, drawn: _RunConditions) -> Pusher:
         pusher = replace(pusher, friction=pusher.friction * drawn.pusher)
-        return driven_unevenly(
-            with_stall_force(pusher, self.stall_force),
+        return imperfections.driven_unevenly(
+            imperfections.with_stall_force(pusher, self.stall_force),
             duration,
             speed_ratio=drawn.speed,
             ripple=self.ripple,
@@ -297,16 +280,16 @@ class SimulatedTestbed:
         """Record a run: poses of the camera, readings of the fixels, and the true values."""
         scene = planned.scene
         rest = round(self.lead_in * self.frame_rate)
-        moving = np.flatnonzero(frames_of(simulation, self.frame_rate))
+        moving = np.flatnonzero(imperfections.frames_of(simulation, self.frame_rate))
         frame = np.concatenate((np.zeros(rest, np.int64), moving))  # nothing moves before the drive
         time = np.arange(len(frame), dtype=np.float64) / self.frame_rate
-        touches = touching(simulation)[frame]
+        touches = imperfections.touching(simulation)[frame]
         camera = stream(self.seed, "camera", planned.name)
-        kept = frames_kept(len(time), self.dropped_frames, camera)
+        kept = imperfections.frames_kept(len(time), self.dropped_frames, camera)
         tracks = [
             Trajectory(
                 time=time[kept],
-                pose=seen(
+                pose=imperfections.seen(
                     simulation.pose[name][frame], self.position_noise, self.angle_noise, camera
                 )[kept],
             )
@@ -336,7 +319,7 @@ class SimulatedTestbed:
             return ()
         rng = stream(self.seed, "tactile", name)
         wrong = self.false_contact, self.missed_contact
-        return (tactile_channel(time, touches, *wrong, rng),)
+        return (imperfections.tactile_channel(time, touches, *wrong, rng),)
 
     def _truth(self, name: str, simulation: Simulation) -> dict[str, str | float]:
         """Return the true values of a run, under names that end with their unit."""
@@ -415,7 +398,7 @@ def _check_counts(cells: object, **seeds: object) -> None:
 def _check_plan(planned: Sequence[PlannedExperiment]) -> None:
     seen_names: set[str] = set()
     for index, item in enumerate(planned):
-        instance(item, PlannedExperiment, f"planned[{index}]", "a PlannedExperiment")
+        fields.instance(item, PlannedExperiment, f"planned[{index}]", "a PlannedExperiment")
         _check_scene(item)
         if item.name in seen_names:
             raise InvalidInput(

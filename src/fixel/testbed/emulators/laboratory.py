@@ -30,17 +30,10 @@ from fixel.testbed.tactile import TactileReading
 from fixel.typing import BoolArray, FloatArray
 from fixel.uncertainty.start_ensemble import Neighbour, remove_overlap
 from fixel.vision.marks import Rig
-from fixel.vision.render import MICROSCOPE, CameraEffects, looks_named
+from fixel.vision.render import MICROSCOPE, CameraEffects, film, looks_named
 from fixel.vision.render.bench import HAND, RenderedBench
 from fixel.vision.render.bodies import direction_of
 from fixel.vision.render.canvas import FloatPicture
-from fixel.vision.render.film import (
-    BrightField,
-    Occlusion,
-    exposure_times,
-    poses_at,
-    view_of,
-)
 from fixel.vision.render.looks import light
 from fixel.vision.render.virtual_camera import Sensor
 
@@ -153,7 +146,7 @@ class EmulatedLaboratory:
         self._sensor = Sensor(self._looks, self.stream.size, seed)
         self._frame = self._placings = 0
         self._pushes: dict[str, int] = {}  # number of pushes by row
-        self._view: RenderedBench | BrightField | None = None
+        self._view: RenderedBench | film.BrightField | None = None
 
     def clock(self) -> float:
         """Return the time of the laboratory [s]."""
@@ -194,8 +187,8 @@ class EmulatedLaboratory:
             self._pushing, self._jam = False, math.inf
             self._commanded = self.drive.place()
             self._head = np.append(self._commanded, head.pose[2])
-            self._hand = Occlusion(scene, self.rig, self._looks, np.zeros(1), self._seed)
-            self._view = view_of(scene, self.rig, self._looks, self._seed, self._view)
+            self._hand = film.Occlusion(scene, self.rig, self._looks, np.zeros(1), self._seed)
+            self._view = film.view_of(scene, self.rig, self._looks, self._seed, self._view)
             self._place(self._faults.placement)
 
     def nudge(self) -> None:
@@ -302,12 +295,12 @@ class EmulatedLaboratory:
         if name in faults.hidden and not done:
             looks = replace(self._looks, occlusion=faults.hand)
             times = self._now + np.array([0.0, seconds])
-            self._hand = Occlusion(self._scene, self.rig, looks, times, self._seed)
+            self._hand = film.Occlusion(self._scene, self.rig, looks, times, self._seed)
 
     # --- picture and fixels -----------------------------------------------------------------------
 
     def _taken(
-        self, view: RenderedBench | BrightField, tracks: dict[str, Trajectory], middle: float
+        self, view: RenderedBench | film.BrightField, tracks: dict[str, Trajectory], middle: float
     ) -> CameraPicture | None:
         """Take the picture of an exposure about `middle` [s]; None if it is lost."""
         random = stream(self._seed, "stamp", str(self._frame))
@@ -316,8 +309,8 @@ class EmulatedLaboratory:
         error = float(np.clip(self._faults.jitter * random.standard_normal(), -most, most))
         stamp = self._zero + middle + error
         lost = bool(random.random() < self._faults.dropped)
-        instants = exposure_times(tracks, middle, self._looks.exposure, self._pixel)
-        poses = [poses_at(tracks, instant, self._hand, self._scene) for instant in instants]
+        instants = film.exposure_times(tracks, middle, self._looks.exposure, self._pixel)
+        poses = [film.poses_at(tracks, instant, self._hand, self._scene) for instant in instants]
         part, head = (track.at(middle) for track in tracks.values())
         hidden, bits = HAND in poses[0], self._felt(random)
         self.moments.append(
