@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from fixel.model import Disk
-from fixel.testing.scenes import PROBE_SIDE, micro_push
+from fixel.sampling.published import PROBE_SIDE
+from fixel.testing.scenes import micro_push
 from fixel.uncertainty.outcomes import sensitivity_of
 from fixel.uncertainty.start_ensemble import simulate_starts
 from fixel.uncertainty.starts import ASME

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from fixel.model import LineDrive, pose_error
+from fixel.sampling.published import PART_LENGTH, PROBE_TRAVEL
 from fixel.simulation import Adaptive, QuasiStatic, StewartTrinkle, simulate
-from fixel.testing.scenes import PART_LENGTH, PROBE_TRAVEL, grasp, micro_push
+from fixel.testing.scenes import grasp, micro_push
 
 TESTS = range(1, 9)
 FINE = Adaptive(tolerance=1e-7)

@@ -6,7 +6,8 @@ import shapely
 
 from fixel.formats.rig_file import rig_of
 from fixel.model.shape import placed
-from fixel.testing.scenes import PART_LENGTH, PART_WIDTH, micro_push
+from fixel.sampling.published import PART_LENGTH, PART_WIDTH
+from fixel.testing.scenes import micro_push
 from fixel.vision.render import CameraEffects, looks_named
 from fixel.vision.render.film import (
     BLACK,

@@ -24,15 +24,7 @@ from fixel.model import (
     Tripod,
     UniformPressure,
 )
-from fixel.sampling import rows
-from fixel.sampling.published import (
-    PART_LENGTH,
-    PART_MASS,
-    PART_WIDTH,
-    PROBE_SIDE,
-    PROBE_TRAVEL,
-    probe_offset,
-)
+from fixel.sampling import published, rows
 from fixel.typing import FloatArray
 
 FIXEL_RADIUS: Final = 0.00476  # [m], 3/8 inch fixels of the thesis, appendix C.3
@@ -161,12 +153,12 @@ def micro_push(
         raise InvalidInput("test", found=test, expected="a test from 1 to 8")
     points, mu_probe, mu_plane = _ESTIMATES[estimate]
     upright = test <= 5
-    depth = PART_WIDTH if upright else PART_LENGTH
-    offset = probe_offset(test)
+    depth = published.PART_WIDTH if upright else published.PART_LENGTH
+    offset = published.probe_offset(test)
     part = Body(
         name="part",
-        shape=box(PART_WIDTH, PART_LENGTH),
-        mass=PART_MASS,
+        shape=box(published.PART_WIDTH, published.PART_LENGTH),
+        mass=published.PART_MASS,
         pose=row(0.0, 0.0, 0.0 if upright else 0.5 * pi),
         support=SupportPoints(
             points=1e-6 * np.array(points), friction=mu_plane if mu_support is None else mu_support
@@ -174,12 +166,12 @@ def micro_push(
     )
     probe = Pusher(
         name="probe",
-        shape=box(PROBE_SIDE, PROBE_SIDE),
-        pose=row(-0.5 * (depth + PROBE_SIDE), offset, 0.0),
-        drive=LineDrive(direction=row(1.0, 0.0), speed=speed, travel=PROBE_TRAVEL),
+        shape=box(published.PROBE_SIDE, published.PROBE_SIDE),
+        pose=row(-0.5 * (depth + published.PROBE_SIDE), offset, 0.0),
+        drive=LineDrive(direction=row(1.0, 0.0), speed=speed, travel=published.PROBE_TRAVEL),
         friction=mu_probe,
     )
-    return Scene(bodies=(part,), pushers=(probe,), duration=PROBE_TRAVEL / speed)
+    return Scene(bodies=(part,), pushers=(probe,), duration=published.PROBE_TRAVEL / speed)
 
 
 def sliding_block(
