@@ -15,25 +15,8 @@ import numpy as np
 import shapely
 
 from fixel.errors import InvalidInput
+from fixel.model import goals
 from fixel.model.bodies import Body
-from fixel.model.goals import (
-    AllOf,
-    AnyOf,
-    Beyond,
-    BodyTrack,
-    Clause,
-    Contact,
-    Exit,
-    Goal,
-    Inside,
-    PoseRegion,
-    Seated,
-    body_of,
-    box_text,
-    check_fixel,
-    hull_lines,
-    tolerance_of,
-)
 from fixel.model.overlap import overlap_depth
 from fixel.model.scene import Scene
 from fixel.model.shape import Disk, Polygon, placed
@@ -48,7 +31,7 @@ ANGLES: Final = np.arange(-pi, pi, STEP)
 ASYMMETRY: Final = 0.02
 
 
-def check_goal(goal: Goal, scene: Scene, field: Polygon | None = None) -> None:
+def check_goal(goal: goals.Goal, scene: Scene, field: Polygon | None = None) -> None:
     """Raise `InvalidInput` for a goal that does not fit a scene, or that no pose meets.
 
     Faults are an unknown fixel or body; an outline without the stated symmetry; a region into which
@@ -74,24 +57,24 @@ def check_goal(goal: Goal, scene: Scene, field: Polygon | None = None) -> None:
             raise InvalidInput(
                 "goal",
                 found=f"{clause}, which is outside the field",
-                expected=f"a goal within {box_text(field)}",
+                expected=f"a goal within {goals.box_text(field)}",
             )
     _check_together(goal, scene)
     for event in _events(goal):
         _check_start(event, scene)
 
 
-def _check_names(clause: Clause, scene: Scene) -> None:
-    body = body_of(scene, clause.body)
-    fixels = clause.fixels if isinstance(clause, Seated) else ()
-    for name in (clause.fixel,) if isinstance(clause, Contact) else fixels:
-        check_fixel(name, scene)
-    if isinstance(clause, PoseRegion):
+def _check_names(clause: goals.Clause, scene: Scene) -> None:
+    body = goals.body_of(scene, clause.body)
+    fixels = clause.fixels if isinstance(clause, goals.Seated) else ()
+    for name in (clause.fixel,) if isinstance(clause, goals.Contact) else fixels:
+        goals.check_fixel(name, scene)
+    if isinstance(clause, goals.PoseRegion):
         _check_symmetry(clause, body)
         _check_fixels_clear(clause, body, scene)
 
 
-def _check_symmetry(clause: PoseRegion, body: Body) -> None:
+def _check_symmetry(clause: goals.PoseRegion, body: Body) -> None:
     if clause.symmetry == 1 or isinstance(body.shape, Disk):
         return
     own = shapely.Polygon(body.shape.vertices)
@@ -109,7 +92,7 @@ def _check_symmetry(clause: PoseRegion, body: Body) -> None:
         )
 
 
-def _check_fixels_clear(clause: PoseRegion, body: Body, scene: Scene) -> None:
+def _check_fixels_clear(clause: goals.PoseRegion, body: Body, scene: Scene) -> None:
     """Raise if each pose of the region overlaps a fixel: depth changes no faster than points do."""
     if clause.position is None:
         return
@@ -132,25 +115,25 @@ def _check_fixels_clear(clause: PoseRegion, body: Body, scene: Scene) -> None:
 # --- positions that clauses allow -----------------------------------------------------------------
 
 
-class _Field(Clause):
+class _Field(goals.Clause):
     """Condition that the body of another clause is inside the field."""
 
     __slots__ = ("body", "region", "tolerance")
 
-    def __init__(self, field: Polygon, clause: Clause) -> None:
+    def __init__(self, field: Polygon, clause: goals.Clause) -> None:
         self.body, self.region, self.tolerance = clause.body, field, None
 
 
-def _possible(clauses: list[Clause], scene: Scene) -> bool:
+def _possible(clauses: list[goals.Clause], scene: Scene) -> bool:
     """Return whether some pose of each body may meet all of its clauses."""
     for body in scene.bodies:
-        own = [clause for clause in clauses if body_of(scene, clause.body) is body]
+        own = [clause for clause in clauses if goals.body_of(scene, clause.body) is body]
         if own and not any(_meet(own, scene, body, float(angle)) for angle in ANGLES):
             return False
     return True
 
 
-def _meet(clauses: list[Clause], scene: Scene, body: Body, angle: float) -> bool:
+def _meet(clauses: list[goals.Clause], scene: Scene, body: Body, angle: float) -> bool:
     area: Any = None
     for clause in clauses:
         own = _positions(clause, scene, body, angle)
@@ -160,28 +143,28 @@ def _meet(clauses: list[Clause], scene: Scene, body: Body, angle: float) -> bool
     return True
 
 
-def _positions(clause: Clause, scene: Scene, body: Body, angle: float) -> Any:
+def _positions(clause: goals.Clause, scene: Scene, body: Body, angle: float) -> Any:
     """Return the positions of a body's frame that a clause allows near an angle; None for all."""
     slack = 0.5 * STEP * body.shape.radius
-    if isinstance(clause, PoseRegion):
+    if isinstance(clause, goals.PoseRegion):
         return _near(clause, body, angle, slack)
-    if isinstance(clause, Seated):
-        slack += body.shape.radius + tolerance_of(clause.tolerance, body)
+    if isinstance(clause, goals.Seated):
+        slack += body.shape.radius + goals.tolerance_of(clause.tolerance, body)
         fixels = [fixel for fixel in scene.fixels if fixel.name in clause.fixels]
         discs = [_disc(fixel.pose[:2], slack + fixel.shape.radius) for fixel in fixels]
         return shapely.intersection_all(discs)
-    if isinstance(clause, Inside | Exit | _Field):
-        slack += tolerance_of(clause.tolerance, body)
-        return _half_planes(hull_lines(clause.region), _outline(body, angle), slack)
-    if isinstance(clause, Beyond):
-        slack += tolerance_of(clause.tolerance, body)
+    if isinstance(clause, goals.Inside | goals.Exit | _Field):
+        slack += goals.tolerance_of(clause.tolerance, body)
+        return _half_planes(goals.hull_lines(clause.region), _outline(body, angle), slack)
+    if isinstance(clause, goals.Beyond):
+        slack += goals.tolerance_of(clause.tolerance, body)
         feature = clause.feature
         points = _outline(body, angle) if feature is None else placed([feature], (0, 0, angle))
         return _half_planes(clause.half_plane, points, slack)
     return None
 
 
-def _near(clause: PoseRegion, body: Body, angle: float, slack: float) -> Any:
+def _near(clause: goals.PoseRegion, body: Body, angle: float, slack: float) -> Any:
     off = np.abs(wrapped(clause.symmetry * (angle - clause.pose[2]))) / clause.symmetry
     if clause.angle is not None and off > clause.angle + 0.5 * STEP:
         return shapely.Point()
@@ -220,7 +203,7 @@ def _half_planes(lines: tuple[FloatArray, FloatArray], points: FloatArray, slack
 # --- clauses together -----------------------------------------------------------------------------
 
 
-def _check_together(goal: Goal, scene: Scene) -> None:
+def _check_together(goal: goals.Goal, scene: Scene) -> None:
     """Raise if the clauses of every alternative contradict each other."""
     ways = _alternatives(goal)
     contradictions = [_contradiction(list(way), scene) for way in ways]
@@ -233,23 +216,23 @@ def _check_together(goal: Goal, scene: Scene) -> None:
         )
 
 
-def _alternatives(goal: Goal) -> list[tuple[Clause, ...]]:
+def _alternatives(goal: goals.Goal) -> list[tuple[goals.Clause, ...]]:
     """Return sets of clauses each of which suffices for the goal."""
-    if isinstance(goal, AnyOf):
+    if isinstance(goal, goals.AnyOf):
         return [way for own in goal.goals for way in _alternatives(own)]
-    if not isinstance(goal, AllOf):
+    if not isinstance(goal, goals.AllOf):
         return [goal.clauses]
-    ways: list[tuple[Clause, ...]] = [goal.never]
+    ways: list[tuple[goals.Clause, ...]] = [goal.never]
     for own in goal.goals:
         ways = [(*first, *second) for first in _alternatives(own) for second in ways]
     return ways
 
 
-def _contradiction(clauses: list[Clause], scene: Scene) -> list[Clause]:
+def _contradiction(clauses: list[goals.Clause], scene: Scene) -> list[goals.Clause]:
     """Return clauses that contradict each other, a pair if possible; none if they do not."""
-    touched = {name: own for own in clauses if isinstance(own, Seated) for name in own.fixels}
+    touched = {name: own for own in clauses if isinstance(own, goals.Seated) for name in own.fixels}
     for own in clauses:
-        if isinstance(own, Contact) and own.fixel in touched:
+        if isinstance(own, goals.Contact) and own.fixel in touched:
             return [touched[own.fixel], own]
     for pair in combinations(clauses, 2):
         if not _possible(list(pair), scene):
@@ -257,9 +240,9 @@ def _contradiction(clauses: list[Clause], scene: Scene) -> list[Clause]:
     return [] if _possible(clauses, scene) else clauses
 
 
-def _impossible(clause: Clause, scene: Scene) -> InvalidInput:
-    body = body_of(scene, clause.body)
-    if isinstance(clause, Seated):
+def _impossible(clause: goals.Clause, scene: Scene) -> InvalidInput:
+    body = goals.body_of(scene, clause.body)
+    if isinstance(clause, goals.Seated):
         return InvalidInput(
             "goal.fixels",
             found=f"fixels too far apart for {body.name!r}: {', '.join(clause.fixels)}",
@@ -272,16 +255,16 @@ def _impossible(clause: Clause, scene: Scene) -> InvalidInput:
     )
 
 
-def _events(goal: Goal) -> list[Clause]:
+def _events(goal: goals.Goal) -> list[goals.Clause]:
     inner = [event for own in getattr(goal, "goals", ()) for event in _events(own)]
     return [*inner, *getattr(goal, "never", ())]
 
 
-def _check_start(event: Clause, scene: Scene) -> None:
-    if not isinstance(event, Contact | Exit):
+def _check_start(event: goals.Clause, scene: Scene) -> None:
+    if not isinstance(event, goals.Contact | goals.Exit):
         return
-    body = body_of(scene, event.body)
-    if not event.met(scene, BodyTrack.of_ends(body.pose))[0]:
+    body = goals.body_of(scene, event.body)
+    if not event.met(scene, goals.BodyTrack.of_ends(body.pose))[0]:
         raise InvalidInput(
             "goal.never",
             found=f"{event}, which the start already does",
