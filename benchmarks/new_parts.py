@@ -152,8 +152,8 @@ def expected(model: PartModel, ladder: tuple[int, ...]) -> dict[int, float]:
         prior = learned_prior([o for o in model.fits if o.part != part], surface, model.share)
         pool = np.sort(halves(len(group), model.seed)[0])
         table = slopes(group, pool, prior)
-        chosen = choose_pushes(table, table, max(ladder))
-        rows.append(ratios_of(chosen.variance, model))
+        _, variance = choose_pushes(table, table, max(ladder))
+        rows.append(ratios_of(variance, model))
     n = min(map(len, rows))
     mean = np.mean([own[:n] for own in rows], axis=0)
     return {k: float(mean[k - 1]) for k in ladder if 0 < k <= n}

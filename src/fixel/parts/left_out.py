@@ -8,18 +8,7 @@ from typing import Final, final
 
 import numpy as np
 
-from fixel.parts.fit import (
-    PartPushes,
-    PartValues,
-    SupportPrior,
-    bound_features,
-    choose_pushes,
-    errors_of,
-    fit_part,
-    learned_prior,
-    simulated,
-    slopes,
-)
+from fixel.parts import fit
 from fixel.typing import FloatArray, IntArray, ProgressCallback
 
 # Weights of the others' mean load among which leaving parts out chooses.
@@ -33,7 +22,7 @@ NOISE_OF_FEW, NOISE_OF_MANY = 5e-3, 2.5e-3
 # Numbers of pushes for which bounds are learned; others use the next smaller one.
 LADDER: Final = (0, 1, 2, 3, 5, 10, 20, 40)
 
-Groups = Mapping[tuple[str, str], PartPushes]  # by surface and part
+Groups = Mapping[tuple[str, str], fit.PartPushes]  # by surface and part
 
 
 @final
@@ -76,7 +65,7 @@ def _enough(n: int, pushes: int) -> bool:
 
 def leave_parts_out(
     groups: Groups,
-    fits: Sequence[PartValues],
+    fits: Sequence[fit.PartValues],
     share: float,
     pushes: int = 0,
     *,
@@ -94,12 +83,12 @@ def leave_parts_out(
     for done, ((surface, part), group) in enumerate(groups.items()):
         pool, test = halves(len(group), seed)
         if _enough(len(group), pushes):
-            prior = learned_prior([own for own in fits if own.part != part], surface, share)
+            prior = fit.learned_prior([own for own in fits if own.part != part], surface, share)
             if pushes:
                 use = chosen_order(group, pool, prior, pushes) if chosen else pool[:pushes]
                 prior = after(group, use, prior)
             test = np.sort(test[:MAX_TEST])
-            features, ends, good = bound_features(group, test, prior)
+            features, ends, good = fit.bound_features(group, test, prior)
             errors = np.where(good[:, None], group.errors(test, ends), np.inf)
             rows.append((part, f"{surface} {part}".strip(), features, errors))
         if progress is not None:
@@ -113,22 +102,24 @@ def leave_parts_out(
     )
 
 
-def chosen_order(group: PartPushes, pool: IntArray, prior: SupportPrior, n: int) -> IntArray:
+def chosen_order(
+    group: fit.PartPushes, pool: IntArray, prior: fit.SupportPrior, n: int
+) -> IntArray:
     """Return the n pushes (n,) of a pool that `choose_pushes` makes first."""
     pool = np.sort(pool)
-    table = slopes(group, pool, prior)
-    return np.asarray(pool[choose_pushes(table, table, n)[0]])
+    table = fit.slopes(group, pool, prior)
+    return np.asarray(pool[fit.choose_pushes(table, table, n)[0]])
 
 
 def after(
-    group: PartPushes, which: IntArray, prior: SupportPrior, repeated: float = 1.0
-) -> SupportPrior:
+    group: fit.PartPushes, which: IntArray, prior: fit.SupportPrior, repeated: float = 1.0
+) -> fit.SupportPrior:
     """Return the distribution of the parameters after pushes `which` (k,) of a part.
 
     Each is believed as far as its end is certain; repeated ones count as one.
     """
     noise = noise_of(round(len(which) / repeated)) * float(np.sqrt(repeated))
-    return fit_part(group, which, prior, errors_of(slopes(group, which, prior), noise))
+    return fit.fit_part(group, which, prior, fit.errors_of(fit.slopes(group, which, prior), noise))
 
 
 def halves(n: int, seed: int) -> tuple[IntArray, IntArray]:
@@ -137,7 +128,7 @@ def halves(n: int, seed: int) -> tuple[IntArray, IntArray]:
     return order[: n // 2], order[n // 2 :]
 
 
-def best_share(groups: Groups, fits: Sequence[PartValues], seed: int = 0) -> float:
+def best_share(groups: Groups, fits: Sequence[fit.PartValues], seed: int = 0) -> float:
     """Return the weight of the others' mean load that predicts parts best that are left out.
 
     Compared are mean errors, with equal weight of all groups; angles count by their length.
@@ -146,9 +137,9 @@ def best_share(groups: Groups, fits: Sequence[PartValues], seed: int = 0) -> flo
     for share in SHARES:
         total = []
         for (surface, part), group in groups.items():
-            prior = learned_prior([own for own in fits if own.part != part], surface, share)
+            prior = fit.learned_prior([own for own in fits if own.part != part], surface, share)
             test = np.sort(halves(len(group), seed)[1][:MAX_TEST])
-            ends, good = simulated(group, test, prior.best[None])
+            ends, good = fit.simulated(group, test, prior.best[None])
             total.append(group.distance(test, ends[0], good[0]))
         costs.append(float(np.mean(total)))
     return SHARES[int(np.argmin(costs))]

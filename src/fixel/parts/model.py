@@ -18,15 +18,7 @@ from fixel.domain.error_bound import CAUTIOUS, NO_DATA, TYPICAL, ConformalBound,
 from fixel.domain.push_bound import UNSEEN, PushBound
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Pose, Scene
-from fixel.parts.fit import (
-    NAMES,
-    PartPushes,
-    PartValues,
-    SupportPrior,
-    bound_features,
-    learned_prior,
-    simulated,
-)
+from fixel.parts import fit
 from fixel.parts.left_out import (
     MAX_TEST,
     LeftOutEnds,
@@ -110,7 +102,7 @@ class PartModel(Result):
     experiments: tuple[Experiment, ...]
     part: str
     surface: str
-    fits: tuple[PartValues, ...]
+    fits: tuple[fit.PartValues, ...]
     share: float
     left_out: LeftOutEnds
     level: float
@@ -155,9 +147,9 @@ class PartModel(Result):
             groups.setdefault((*label, target.case.scene.bodies[0].shape), []).append(k)
         found: dict[int, EndPrediction] = {}
         for (surface, part, _), rows in groups.items():
-            own = PartPushes([targets[k] for k in rows], self.threads)
+            own = fit.PartPushes([targets[k] for k in rows], self.threads)
             prior = self.distribution(str(surface), str(part))
-            features, ends, good = bound_features(own, np.arange(len(own)), prior)
+            features, ends, good = fit.bound_features(own, np.arange(len(own)), prior)
             bounds = self._bounds_of([targets[k] for k in rows], features, good)
             for k, end, bound in zip(rows, ends.tolist(), bounds, strict=True):
                 found[k] = EndPrediction(Pose(*end), bound)
@@ -195,7 +187,7 @@ class PartModel(Result):
         targets = [self._named(target_of(own)) for own in added]
         if targets:
             _one_label(targets, self.surface, self.part, "pushes")
-        k = rung(distinct(PartPushes(targets))) if targets else 0
+        k = rung(distinct(fit.PartPushes(targets))) if targets else 0
         k = min(k, judged_pushes(self._groups, MIN_PARTS))
         left_out = self.left_out
         if k != left_out.pushes or chosen != self.chosen:
@@ -253,8 +245,8 @@ class PartModel(Result):
         wanted = [self._named(push_target(own, conditions)) for own in intended or ()] or offered
         label = _one_label((*offered, *wanted), self.surface, self.part, "candidates")
         return propose(
-            PartPushes(offered, self.threads),
-            PartPushes(wanted, self.threads),
+            fit.PartPushes(offered, self.threads),
+            fit.PartPushes(wanted, self.threads),
             self.distribution(*label),
             lambda features, good: self._bounds_of(wanted, features, good),
             n=n,
@@ -263,17 +255,17 @@ class PartModel(Result):
             misfit=self.misfit,
         )
 
-    def distribution(self, surface: str, part: str = "") -> SupportPrior:
+    def distribution(self, surface: str, part: str = "") -> fit.SupportPrior:
         """Return the distribution of the support parameters of a part on a surface.
 
         It comes from the other parts and the pushes of `after`; a known part counts as new.
         """
         others = [own for own in self.fits if not part or own.part != part]
-        prior = learned_prior(others, surface, self.share)
+        prior = fit.learned_prior(others, surface, self.share)
         if not self.pushes:
             return prior
         targets = [self._named(target_of(own)) for own in self.pushes]
-        pushes = PartPushes(targets, self.threads)
+        pushes = fit.PartPushes(targets, self.threads)
         repeated = len(pushes) / distinct(pushes)
         return after(pushes, np.arange(len(pushes)), prior, repeated)
 
@@ -284,9 +276,9 @@ class PartModel(Result):
 
         They are parameters of scenes, as for `fixel.simulate_batch`.
         """
-        z = np.random.default_rng(seed).normal(size=(k, len(NAMES)))
+        z = np.random.default_rng(seed).normal(size=(k, len(fit.NAMES)))
         found = self.distribution(*(conditions.get(n, "") for n in (self.surface, self.part)))
-        return dict(zip(NAMES, found.at(z).T.copy(), strict=True))
+        return dict(zip(fit.NAMES, found.at(z).T.copy(), strict=True))
 
     def labels(self, push: Scene | Experiment) -> dict[str, str]:
         """Return surface and part of a push; those of the new part's own pushes if it has none."""
@@ -342,7 +334,7 @@ class PartModel(Result):
         for own in self.fits:
             group = self._groups[own.surface, own.part]
             which = np.sort(halves(len(group), self.seed)[1][:MAX_TEST])
-            ends, good = simulated(group, which, own.values[None])
+            ends, good = fit.simulated(group, which, own.values[None])
             errors.append(np.where(good[0], group.errors(which, ends[0])[:, 0], np.inf))
         return _median(np.concatenate(errors))
 
@@ -404,7 +396,7 @@ class PartModel(Result):
         return {TYPICAL: typical, CAUTIOUS: typical.with_rule(CAUTIOUS)}
 
     @cached_property
-    def _groups(self) -> dict[tuple[str, str], PartPushes]:
+    def _groups(self) -> dict[tuple[str, str], fit.PartPushes]:
         targets = [self._named(target_of(own)) for own in self.experiments]
         return grouped(targets, self.surface, self.part, self.threads)
 
@@ -519,15 +511,15 @@ class PartModel(Result):
 
 def grouped(
     targets: Sequence[Target], surface: str, part: str, threads: int | None = None
-) -> dict[tuple[str, str], PartPushes]:
+) -> dict[tuple[str, str], fit.PartPushes]:
     """Return the pushes of every part on every surface, by surface and part."""
     rows: dict[tuple[str, str], list[Target]] = {}
     for target in targets:
         rows.setdefault(_label(target, surface, part), []).append(target)
-    return {label: PartPushes(rows[label], threads) for label in sorted(rows)}
+    return {label: fit.PartPushes(rows[label], threads) for label in sorted(rows)}
 
 
-def distinct(pushes: PartPushes) -> int:
+def distinct(pushes: fit.PartPushes) -> int:
     """Return the number of pushes that differ in contact or direction: repetitions count once."""
     if not len(pushes):
         return 0

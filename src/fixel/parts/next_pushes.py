@@ -16,14 +16,7 @@ from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, LineDrive, Pusher, Scene, placed
 from fixel.model.fields import instance, non_negative, positive
 from fixel.model.scene import check_push
-from fixel.parts.fit import (
-    PartPushes,
-    SupportPrior,
-    bound_features,
-    choose_pushes,
-    simulated,
-    slopes,
-)
+from fixel.parts import fit
 from fixel.results import Result, Summary
 from fixel.table import Column, Table
 from fixel.typing import BoolArray, FloatArray, IntArray
@@ -197,9 +190,9 @@ def _both(bounds: tuple[float, ...]) -> str | None:
 
 
 def propose(
-    offered: PartPushes,
-    wanted: PartPushes,
-    prior: SupportPrior,
+    offered: fit.PartPushes,
+    wanted: fit.PartPushes,
+    prior: fit.SupportPrior,
     bounds_of: Callable[[FloatArray, BoolArray], Sequence[PushBound]],
     *,
     n: int,
@@ -215,10 +208,10 @@ def propose(
     """
     _refuse_other_parts(offered, wanted)
     moving = _moving(offered, prior)
-    features, _, good = bound_features(wanted, np.arange(len(wanted)), prior)
+    features, _, good = fit.bound_features(wanted, np.arange(len(wanted)), prior)
     bounds = bounds_of(features, good)
-    intended = slopes(wanted, np.flatnonzero(good), prior)
-    chosen, variance = choose_pushes(slopes(offered, moving, prior), intended, n)
+    intended = fit.slopes(wanted, np.flatnonzero(good), prior)
+    chosen, variance = fit.choose_pushes(fit.slopes(offered, moving, prior), intended, n)
     which = moving[chosen]
     some = [own for own in bounds if own.position is not None]
     position, angle = (
@@ -249,10 +242,10 @@ def propose(
     )
 
 
-def _moving(offered: PartPushes, prior: SupportPrior) -> IntArray:
+def _moving(offered: fit.PartPushes, prior: fit.SupportPrior) -> IntArray:
     """Return the candidates that can be simulated and move the part."""
     every = np.arange(len(offered))
-    ends, good = simulated(offered, every, prior.best[None])
+    ends, good = fit.simulated(offered, every, prior.best[None])
     away = ends[0] - offered.start
     way = np.hypot(away[:, 0], away[:, 1]) + ANGLE_SCALE * np.abs(away[:, 2])
     moving = np.flatnonzero(good[0] & (way > MOVED))
@@ -267,7 +260,7 @@ def _moving(offered: PartPushes, prior: SupportPrior) -> IntArray:
     return moving
 
 
-def _refuse_other_parts(offered: PartPushes, wanted: PartPushes) -> None:
+def _refuse_other_parts(offered: fit.PartPushes, wanted: fit.PartPushes) -> None:
     """Reject pushes of parts with different outlines."""
     outline = offered.body.shape.outline
     for name, pushes in (("candidates", offered), ("intended", wanted)):

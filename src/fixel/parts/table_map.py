@@ -16,20 +16,9 @@ from fixel.calibration.target import target_of
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, LoadMap, Scene, placed
 from fixel.model.support import support_points
+from fixel.parts import table_fit
 from fixel.parts.fit import PartPushes
 from fixel.parts.model import grouped
-from fixel.parts.table_fit import (
-    DEVIATION,
-    MapGrid,
-    MapRows,
-    OwnFit,
-    StandingPart,
-    TableFit,
-    fit_table,
-    own_fit,
-    own_of,
-    shift_of,
-)
 from fixel.progress import ProgressOption, show_progress
 from fixel.results import Result, Summary
 from fixel.table import Column, Table
@@ -172,7 +161,7 @@ class TableMap(Result):
     values: Mapping[str, Mapping[str, float]]
     load_map: LoadMap
     spread: FloatArray
-    own: Mapping[str, OwnFit]
+    own: Mapping[str, table_fit.OwnFit]
     weight: float
     judgement: MapJudgement
     experiments: tuple[str, ...]
@@ -227,7 +216,7 @@ class TableMap(Result):
         body = scene.bodies[0]
         points = support_points(body.support, body.shape, body.com, body.mass, scene.gravity)[0]
         spread = replace(self.load_map, log_load=self.deviation)
-        far = spread.at(placed(points + body.com, body.pose)) > UNSEEN * DEVIATION
+        far = spread.at(placed(points + body.com, body.pose)) > UNSEEN * table_fit.DEVIATION
         share = float(far.mean())
         if share < 0.5:
             return ""
@@ -256,9 +245,9 @@ class TableMap(Result):
         parts = []
         with show_progress(progress, "differentiating pushes") as report:
             for done, (name, group) in enumerate(groups.items()):
-                parts.append(StandingPart(group, self.values[name]))
+                parts.append(table_fit.StandingPart(group, self.values[name]))
                 report(done + 1, len(groups), name)
-        return BoardShift(*shift_of(parts, self.load_map, self.spread), len(pushes))
+        return BoardShift(*table_fit.shift_of(parts, self.load_map, self.spread), len(pushes))
 
     @cached_property
     def deviation(self) -> FloatArray:
@@ -291,7 +280,7 @@ class TableMap(Result):
         names = np.array([str(own.conditions.get(self.part, "")) for own in pushes])
         ends = np.zeros((len(pushes), 3))
         for name, group in groups.items():
-            part = StandingPart(group, self.values[name], differentiate=False)
+            part = table_fit.StandingPart(group, self.values[name], differentiate=False)
             every, height = np.arange(len(group)), self.load_map.at(part.places)
             ends[names == name] = part.ends(every, height, self.own[name])
         return ends
@@ -316,15 +305,15 @@ class TableMap(Result):
             found = " and ".join(groups) or "none"
             raise InvalidInput("experiments", found=found, expected="pushes of one part")
         ((name, group),) = groups.items()
-        part = StandingPart(group, values)
-        own = own_of(part, self.load_map)
+        part = table_fit.StandingPart(group, values)
+        own = table_fit.own_of(part, self.load_map)
         return replace(
             self, values={**self.values, name: dict(values)}, own={**self.own, name: own}
         )
 
     def _summary(self) -> Summary:
         verdict = f"weight {self.weight:g}" if self.weight else "not used, as it does not help"
-        seen = self.deviation < UNSEEN * DEVIATION
+        seen = self.deviation < UNSEEN * table_fit.DEVIATION
         area = float(seen.sum() * np.prod(self.load_map.cell))
         return Summary(
             f"TableMap of {self.surface}={self.name}: {len(self.experiments)} pushes of"
@@ -371,13 +360,13 @@ def fitted_map(
     """
     parts = {}
     for done, (name, group) in enumerate(groups.items()):
-        parts[name] = StandingPart(group, values[name])
+        parts[name] = table_fit.StandingPart(group, values[name])
         if progress is not None:
             progress(done + 1, len(groups), name)
     places = np.concatenate([own.places.reshape(-1, 2) for own in parts.values()])
-    grid = MapGrid.over(places)
-    rows = {name: MapRows.of(own, grid) for name, own in parts.items()}
-    fit = fit_table(list(rows.values()))
+    grid = table_fit.MapGrid.over(places)
+    rows = {name: table_fit.MapRows.of(own, grid) for name, own in parts.items()}
+    fit = table_fit.fit_table(list(rows.values()))
     if len(parts) >= MIN_PARTS:
         weight, judgement = _weighed(_without_parts(parts, fit, grid))
     else:
@@ -385,7 +374,7 @@ def fitted_map(
     return {
         "load_map": grid.load_map(weight * grid.levelled(grid.root @ fit.mean, places)),
         "spread": grid.levelled(grid.root @ fit.factor, places),
-        "own": {name: own_fit(own, weight * fit.mean) for name, own in rows.items()},
+        "own": {name: table_fit.own_fit(own, weight * fit.mean) for name, own in rows.items()},
         "weight": weight,
         "judgement": judgement,
     }
@@ -405,7 +394,7 @@ def _weighed(judged: Mapping[float, MapJudgement]) -> tuple[float, MapJudgement]
 
 
 def _without_parts(
-    parts: Mapping[str, StandingPart], fit: TableFit, grid: MapGrid
+    parts: Mapping[str, table_fit.StandingPart], fit: table_fit.TableFit, grid: table_fit.MapGrid
 ) -> dict[float, MapJudgement]:
     """Predict the pushes of each part with the map from the others, by its weight."""
     names: list[str] = []
@@ -420,7 +409,9 @@ def _without_parts(
 
 
 def _without_sides(
-    parts: Mapping[str, StandingPart], rows: Mapping[str, MapRows], grid: MapGrid
+    parts: Mapping[str, table_fit.StandingPart],
+    rows: Mapping[str, table_fit.MapRows],
+    grid: table_fit.MapGrid,
 ) -> dict[float, MapJudgement]:
     """Predict the pushes on one half of every outline with the map from the other halves."""
     names: list[str] = []
@@ -428,14 +419,14 @@ def _without_sides(
     half = {name: half_of_outline(own.pushes) for name, own in parts.items()}
     for side in (0, 1):
         seen = [rows[name].rows(np.flatnonzero(half[name] != side)) for name in parts]
-        mean = fit_table(seen).mean
+        mean = table_fit.fit_table(seen).mean
         found = grid.load_map(grid.root @ mean)
         for own, (name, part) in zip(seen, parts.items(), strict=True):
             new = np.flatnonzero(half[name] == side)
             height = found.at(part.places[new])
             names += [name] * len(new)
             ends = [part.base[new]]
-            ends += [part.ends(new, w * height, own_fit(own, w * mean)) for w in WEIGHTS]
+            ends += [part.ends(new, w * height, table_fit.own_fit(own, w * mean)) for w in WEIGHTS]
             errors.append([part.pushes.errors(new, end) for end in ends])
     return _judgements("side", names, errors)
 
