@@ -11,17 +11,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from fixel.calibration.objective import Evaluation
-from fixel.domain.growth import (
-    AXES,
-    NONE,
-    ExperimentGroup,
-    GroupParameters,
-    RolloutQueue,
-    SingleCalibrations,
-    along,
-    group_parameters,
-    interval,
-)
+from fixel.domain import growth
+from fixel.domain.growth import interval
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray, IntArray
 
@@ -75,7 +66,7 @@ class AxisStudy(NamedTuple):
     interval: tuple[int, int]  # first and last step of the samples
     steps: IntArray  # (n_step,) steps of the experiments on the axis, ascending
     layouts: tuple[str, ...]
-    sets: tuple[GroupParameters, ...]  # parameter sets, one per layout
+    sets: tuple[growth.GroupParameters, ...]  # parameter sets, one per layout
     # (n_layout, n_step) Error E with the set; nan without an experiment or set, inf for a failure.
     error: FloatArray
     own: FloatArray  # (n_layout, n_step) error E of each experiment with its own best set
@@ -143,12 +134,12 @@ class AxisStudies:
 
     def __init__(
         self,
-        groups: Sequence[ExperimentGroup],
-        singles: SingleCalibrations,
+        groups: Sequence[growth.ExperimentGroup],
+        singles: growth.SingleCalibrations,
         sizes: Mapping[str, Sequence[int]] = SIZES,
     ) -> None:
         self.singles = singles
-        self._layouts: dict[str, list[ExperimentGroup]] = {}
+        self._layouts: dict[str, list[growth.ExperimentGroup]] = {}
         for group in groups:
             self._layouts.setdefault(group.shape, []).append(group)
         self._sizes = _checked(sizes)
@@ -156,39 +147,39 @@ class AxisStudies:
         # -1 for none.
         self._plan: list[tuple[AxisStudy, IntArray]] = []
 
-    def ask(self, wanted: RolloutQueue) -> None:
+    def ask(self, wanted: growth.RolloutQueue) -> None:
         """Add the required rollouts to a queue."""
         self._plan = [
             self._planned(shape, axis, size, wanted)
             for shape, groups in self._layouts.items()
-            for axis in AXES
+            for axis in growth.AXES
             if any(place.axis == axis for group in groups for place in group.at)
             for size in self._sizes[axis]
         ]
 
     def _planned(
-        self, shape: str, axis: str, size: int, wanted: RolloutQueue
+        self, shape: str, axis: str, size: int, wanted: growth.RolloutQueue
     ) -> tuple[AxisStudy, IntArray]:
         groups, (low, high) = self._layouts[shape], interval(axis, size)
         on_axis = {p.step for group in groups for p in group.at if p.axis == axis}
         steps = np.array(sorted(on_axis | {0}))
-        inside = [along(axis, k) for k in range(low, high + 1)]
+        inside = [growth.along(axis, k) for k in range(low, high + 1)]
         sets, places = [], np.full((len(groups), len(steps)), -1)
         own = np.full(places.shape, np.nan)
         for row, group in enumerate(groups):
             for column, step in enumerate(steps.tolist()):
-                if (place := along(axis, step)) in group.at:
+                if (place := growth.along(axis, step)) in group.at:
                     own[row, column] = self.singles.errors[group.at[place]]
             missing = group.missing(inside)
             members = group.found(inside)
             if missing:
                 reason = "not performed: " + ", ".join(place.name for place in missing)
-                sets.append(GroupParameters(members, None, NONE, reason=reason))
+                sets.append(growth.GroupParameters(members, None, growth.NONE, reason=reason))
                 continue
-            sets.append(group_parameters(members, self.singles))
+            sets.append(growth.group_parameters(members, self.singles))
             point = sets[-1].point
             for column, step in enumerate(steps.tolist()):
-                place = along(axis, step)
+                place = growth.along(axis, step)
                 if point is not None and place in group.at:
                     places[row, column] = wanted.add(group.at[place], point)
         layouts, none = tuple(group.layout for group in groups), np.full(places.shape, np.nan)
@@ -204,7 +195,7 @@ class AxisStudies:
 
 
 def _checked(sizes: Mapping[str, Sequence[int]]) -> dict[str, tuple[int, ...]]:
-    found = {axis: tuple(dict.fromkeys(sizes.get(axis, SIZES[axis]))) for axis in AXES}
+    found = {axis: tuple(dict.fromkeys(sizes.get(axis, SIZES[axis]))) for axis in growth.AXES}
     for axis, own in found.items():
         for size in own:
             if not 2 <= size <= MOST_SAMPLES:

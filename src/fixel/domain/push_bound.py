@@ -10,16 +10,8 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
+from fixel.calibration import known_pushes
 from fixel.calibration.contacts import CONTACT_ANGLE, PART, SIDE, SPEED
-from fixel.calibration.known_pushes import (
-    PARTS,
-    TRAVEL_LENGTH,
-    KnownPushes,
-    Trait,
-    push_target,
-    texts_of,
-    with_dataset,
-)
 from fixel.calibration.target import Target
 from fixel.domain.cells import PUSH, TRAVEL, coordinates_of, label_of, refuse_missing
 from fixel.domain.error_bound import CAUTIOUS, NO_DATA, TYPICAL, ConformalBound, min_experiments
@@ -146,7 +138,7 @@ class ErrorBound(Result):
     groups: tuple[str, ...]
     fold: np.ndarray
     seed: int = 0
-    known: KnownPushes | None = None
+    known: known_pushes.KnownPushes | None = None
     left_out: tuple[LeftOutErrors, ...] = ()
 
     def at(self, scene: Scene | Experiment, **conditions: str | float) -> PushBound:
@@ -172,7 +164,7 @@ class ErrorBound(Result):
         InvalidInput
             A condition of the groups is missing.
         """
-        target = with_dataset(push_target(scene, conditions))
+        target = known_pushes.with_dataset(known_pushes.push_target(scene, conditions))
         values = self.group[0].split() if len(self.groups) > 1 else self.group[:1]
         examples = dict(zip(self.groups, values, strict=False))
         refuse_missing(target.conditions, conditions, examples)
@@ -180,9 +172,9 @@ class ErrorBound(Result):
         unseen = () if self.known is None else self.known.unseen(target)
         new = [own for own in unseen if own.is_given]
         if group not in self.group and not new:
-            new = [Trait(self.groups[0], f"no experiments with {group}")]
+            new = [known_pushes.Trait(self.groups[0], f"no experiments with {group}")]
             unseen = (*new, *unseen)
-        texts = texts_of(unseen)
+        texts = known_pushes.texts_of(unseen)
         table = features_of([target])
         if new:
             return self._of_left_out(new, table, texts)
@@ -194,15 +186,16 @@ class ErrorBound(Result):
         return PushBound(position, angle, BOUNDED, "", texts)
 
     def _of_left_out(
-        self, new: Sequence[Trait], table: FloatArray, texts: tuple[str, ...]
+        self, new: Sequence[known_pushes.Trait], table: FloatArray, texts: tuple[str, ...]
     ) -> PushBound:
         """Return the bounds of a push that is unlike all experiments."""
         names = list(dict.fromkeys(own.what for own in new))
         one = next((k for k, own in enumerate(self.left_out) if self._covers(own, names)), None)
         if one is None:
             option = names[0] if len(names) == 1 else "one that leaves out all of these together"
-            hint = "no bound for a push with another travel" if names == [TRAVEL_LENGTH] else (
-                f"no group of experiments was left out for it; leave_out: {option}")  # fmt: skip
+            hint = f"no group of experiments was left out for it; leave_out: {option}"
+            if names == [known_pushes.TRAVEL_LENGTH]:
+                hint = "no bound for a push with another travel"
             return PushBound(None, None, NO_DATA, f"{texts[0]}; {hint}", texts)
         left = self.left_out[one]
         own = table[:, _columns(left.condition)]
@@ -230,7 +223,7 @@ class ErrorBound(Result):
         return all(self._made_new(left, name) for name in names)
 
     def _made_new(self, left: LeftOutErrors, name: str) -> bool:
-        if name == left.condition or (name == PART and left.condition in PARTS):
+        if name == left.condition or (name == PART and left.condition in known_pushes.PARTS):
             return True
         column = () if self.known is None else self.known.labels.get(name, ())
         if not column or left.condition in (SIDE, SPEED):
