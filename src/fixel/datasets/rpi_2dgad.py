@@ -15,20 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fixel.calibration.target import errors_of, squared_error
-from fixel.datasets import base
-from fixel.datasets.files import (
-    MM,
-    CsvRows,
-    Problems,
-    has_files,
-    increasing,
-    member,
-    missing_rows,
-    only_file,
-    read_json,
-    read_table,
-    rows_of,
-)
+from fixel.datasets import base, files
 from fixel.errors import FixelError, InvalidInput
 from fixel.model import (
     Body,
@@ -85,10 +72,10 @@ class Rpi2dgad(base.Importer):
 
     def recognised(self, source: Path) -> bool:
         """Whether a folder has experiments.csv and a table of the tracked object."""
-        return has_files(source, TRACKS, (EXPERIMENTS,))
+        return files.has_files(source, TRACKS, (EXPERIMENTS,))
 
     def _plan(self, source: Path, options: Mapping[str, object]) -> base.ImportPlan:
-        listed, unread = read_table(only_file(source, EXPERIMENTS), torn=True).sound(
+        listed, unread = files.read_table(files.only_file(source, EXPERIMENTS), torn=True).sound(
             ID, (), (ID, *WHOLE), once=True
         )
         folder, problems = _read(source, listed)
@@ -151,7 +138,7 @@ class _Trial(NamedTuple):
 
     def value(self, path: str) -> Any:
         """Return a value of the setup, such as `"object.mass_kg"`."""
-        return member(self.setup, path, self.setup_file)
+        return files.member(self.setup, path, self.setup_file)
 
     def points(self, path: str) -> FloatArray:
         """Return points (n, 2) of the setup [m]."""
@@ -165,30 +152,30 @@ class _Tracks(NamedTuple):
     frame: IntArray  # (n,)
     poses: FloatArray  # (n, 4) x, y, angle, height [m, m, rad, m]
     rows: Mapping[str, NDArray[np.intp]]  # of each experiment
-    problems: Problems  # of experiments with a damaged row
+    problems: files.Problems  # of experiments with a damaged row
 
 
 class _Folder(NamedTuple):
     """Content of the folder, with the reasons for which experiments cannot be built."""
 
     path: Path
-    listed: CsvRows
+    listed: files.CsvRows
     complete: Mapping[str, _Trial]
-    broken: Problems  # of experiments with a setup that cannot be read
+    broken: files.Problems  # of experiments with a setup that cannot be read
     tracks: _Tracks
-    untracked: Problems  # of experiments without a trajectory
+    untracked: files.Problems  # of experiments without a trajectory
     simulated: _Tracks  # by the laboratory
     origin: base.Origin
 
 
-def _read(source: Path, listed: CsvRows) -> tuple[_Folder, Problems]:
+def _read(source: Path, listed: files.CsvRows) -> tuple[_Folder, files.Problems]:
     """Load the files of a folder; return also the problems of files that no experiment needs."""
     complete, broken, problems = _complete(source)
-    path = only_file(source, *TRACKS)
+    path = files.only_file(source, *TRACKS)
     names = listed.columns[ID]
     try:
         tracks = _tracks(path)
-        short = missing_rows(tracks.rows, path.name, listed, ID)
+        short = files.missing_rows(tracks.rows, path.name, listed, ID)
         untracked = short | tracks.problems
     except FixelError as problem:  # complete trials do not need it
         if not complete:
@@ -207,20 +194,22 @@ def _read(source: Path, listed: CsvRows) -> tuple[_Folder, Problems]:
 def _tracks(path: Path) -> _Tracks:
     """Load a table of poses of several experiments."""
     with base.guarded(path.name):
-        table, problems = read_table(path, torn=True).sound(ID, POSE, ("frame",))
-        poses = table.stacked(*POSE) * (MM, MM, 1.0, MM)
-        return _Tracks(path, table.whole_numbers("frame"), poses, rows_of(table, ID), problems)
+        table, problems = files.read_table(path, torn=True).sound(ID, POSE, ("frame",))
+        poses = table.stacked(*POSE) * (files.MM, files.MM, 1.0, files.MM)
+        return _Tracks(
+            path, table.whole_numbers("frame"), poses, files.rows_of(table, ID), problems
+        )
 
 
 def _no_tracks(path: Path) -> _Tracks:
     return _Tracks(path, np.zeros(0, np.int64), np.zeros((0, 4)), {}, {})
 
 
-def _complete(folder: Path) -> tuple[dict[str, _Trial], Problems, Problems]:
+def _complete(folder: Path) -> tuple[dict[str, _Trial], files.Problems, files.Problems]:
     """Load all complete trials of a folder; return also those with an error, and other files."""
     trials: dict[str, _Trial] = {}
-    broken: Problems = {}
-    strange: Problems = {}
+    broken: files.Problems = {}
+    strange: files.Problems = {}
     for path in sorted(folder.glob("exp*_setup.json")):
         match = re.fullmatch(r"exp(\d+)_setup\.json", path.name)
         if match is None:
@@ -236,10 +225,10 @@ def _complete(folder: Path) -> tuple[dict[str, _Trial], Problems, Problems]:
 
 def _trial(folder: Path, number: int) -> _Trial:
     setup_file = f"exp{number}_setup.json"
-    setup = read_json(folder / setup_file)
-    frames = read_table(only_file(folder, f"exp{number}_frames.csv"))
-    increasing(frames.numbers("time_s"), frames.source)
-    fixels = _points(member(setup, "fixel_positions_mm", setup_file), setup_file)
+    setup = files.read_json(folder / setup_file)
+    frames = files.read_table(files.only_file(folder, f"exp{number}_frames.csv"))
+    files.increasing(frames.numbers("time_s"), frames.source)
+    fixels = _points(files.member(setup, "fixel_positions_mm", setup_file), setup_file)
     tactile = frames.stacked(*(f"tactile_{k + 1}" for k in range(len(fixels))))
     return _Trial(
         source=frames.source,
@@ -247,20 +236,20 @@ def _trial(folder: Path, number: int) -> _Trial:
         setup_file=setup_file,
         frame=frames.whole_numbers("frame"),
         pose=_poses(frames, "object_x_mm", "object_y_mm", "object_theta_rad"),
-        marker=frames.stacked("actuator_marker_x_mm", "actuator_marker_y_mm") * MM,
-        filtered=frames.stacked("actuator_x_mm", "actuator_y_mm") * MM,
+        marker=frames.stacked("actuator_marker_x_mm", "actuator_marker_y_mm") * files.MM,
+        filtered=frames.stacked("actuator_x_mm", "actuator_y_mm") * files.MM,
         tactile=(tactile > 0.5).astype(np.float64),
         fixels=fixels,
     )
 
 
-def _poses(table: CsvRows, *columns: str) -> FloatArray:
-    return table.stacked(*columns) * (MM, MM, 1.0)
+def _poses(table: files.CsvRows, *columns: str) -> FloatArray:
+    return table.stacked(*columns) * (files.MM, files.MM, 1.0)
 
 
 def _points(points: object, source: str) -> FloatArray:
     try:
-        return np.asarray(points, dtype=np.float64).reshape(-1, 2) * MM
+        return np.asarray(points, dtype=np.float64).reshape(-1, 2) * files.MM
     except (TypeError, ValueError):
         raise InvalidInput(source, found=points, expected="pairs of numbers [mm]") from None
 
@@ -278,13 +267,13 @@ def lab_simulation(folder: Path, number: int) -> LabSimulation | None:
     path = folder / _lab_file(number)
     if not path.is_file():
         return None
-    frames = read_table(only_file(folder, f"exp{number}_frames.csv"))
+    frames = files.read_table(files.only_file(folder, f"exp{number}_frames.csv"))
     first = int(frames.whole_numbers("frame")[0])
-    rows = read_table(path)
+    rows = files.read_table(path)
     return LabSimulation(
         _time(rows.whole_numbers("frame"), first),
         _poses(rows, "object_x_mm", "object_y_mm", "object_theta_rad"),
-        rows.stacked("actuator_x_mm", "actuator_y_mm") * MM,
+        rows.stacked("actuator_x_mm", "actuator_y_mm") * files.MM,
     )
 
 
@@ -406,7 +395,7 @@ def _whole(folder: _Folder, row: int, trial: _Trial) -> Experiment:
             *why_not,
             base.remark(
                 "actuator-filter-runs-on",
-                f"the smoothed path is up to {runs_on / MM:.2g} mm from the marker",
+                f"the smoothed path is up to {runs_on / files.MM:.2g} mm from the marker",
             ),
         ),
     )
@@ -418,15 +407,15 @@ def _scene(trial: _Trial, marker: FloatArray, duration: float) -> Scene:
         trial.value(f"{calibrated}.{name}")
         for name in ("tripod_radius_mm", "mu_support", "mu_actuator", "mu_fixel")
     )
-    fixel = Disk(trial.value("fixel_radius_mm") * MM)
+    fixel = Disk(trial.value("fixel_radius_mm") * files.MM)
     body = Body(
         name=OBJECT,
         shape=Polygon(trial.points("object.vertices_mm")),
         mass=trial.value("object.mass_kg"),
-        inertia=trial.value("object.moment_of_inertia_kg_mm2") * MM**2,
+        inertia=trial.value("object.moment_of_inertia_kg_mm2") * files.MM**2,
         centre_of_mass=np.zeros(2),
         pose=trial.pose[0],
-        support=Tripod(radius=radius * MM, friction=mu_support),
+        support=Tripod(radius=radius * files.MM, friction=mu_support),
     )
     actuator = Pusher(
         name=ACTUATOR,
@@ -462,4 +451,4 @@ def _effective(frame: NDArray[np.int64], start: int, end: int) -> tuple[float, f
 
 
 def _height(height: float | None) -> float | None:
-    return None if height is None else height * MM
+    return None if height is None else height * files.MM

@@ -15,19 +15,7 @@ from typing import Annotated, Any, Final, Literal, final
 from pydantic import Field
 
 from fixel.errors import InvalidInput
-from fixel.formats.records import (
-    Corners,
-    FileRecord,
-    Fraction,
-    Number,
-    choice_of,
-    made,
-    only_form,
-    record_of,
-    si_field,
-    validated,
-    within,
-)
+from fixel.formats import records
 from fixel.io.document import read_document
 from fixel.model import Disk, Polygon, goals
 from fixel.model.parameters import info_of
@@ -36,23 +24,25 @@ from fixel.planning.pushes import Cost, FreePushes, RigPushes
 from fixel.uncertainty.run_to_run import RunToRun
 from fixel.uncertainty.starts import StartError, preset
 
-Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
+Range = Annotated[list[records.Number], Field(min_length=2, max_length=2)]
 Names = Annotated[list[str], Field(min_length=1)]
-Values = dict[str, Number | Range]
+Values = dict[str, records.Number | Range]
 
 ENDINGS: Final = {"m": "_mm", "rad": "_deg"}  # of keys of parameters, by unit
 
-record_of(goals.PoseRegion, "goal", units=True, symmetry=Annotated[int, Field(ge=1)])
-_SEATED: Any = record_of(goals.Seated, "goal", units=True, fixels=Names)
+records.record_of(goals.PoseRegion, "goal", units=True, symmetry=Annotated[int, Field(ge=1)])
+_SEATED: Any = records.record_of(goals.Seated, "goal", units=True, fixels=Names)
 _SEATED.makes = lambda fixels, **own: goals.Seated(*fixels, **own)
-record_of(goals.Beyond, "goal", units=True)
-record_of(goals.Contact, "goal", units=True)
+records.record_of(goals.Beyond, "goal", units=True)
+records.record_of(goals.Contact, "goal", units=True)
 for _kind in (goals.Inside, goals.Exit):
-    record_of(_kind, "goal", units=True, names={"region": "region_mm"}, region=Corners)
-EventRecord: Any = choice_of(
+    records.record_of(
+        _kind, "goal", units=True, names={"region": "region_mm"}, region=records.Corners
+    )
+EventRecord: Any = records.choice_of(
     "EventRecord", contact=goals.Contact, exit=goals.Exit, force_above=goals.ForceAbove
 )
-_GoalForms: Any = choice_of(
+_GoalForms: Any = records.choice_of(
     "_GoalForms",
     pose=goals.PoseRegion,
     seated=goals.Seated,
@@ -69,20 +59,20 @@ class GoalRecord(_GoalForms):  # type: ignore[misc]
     never: list[EventRecord] = Field([], description="events that must never happen")
 
 
-record_of(
+records.record_of(
     FreePushes,
     "choose",
     units=True,
     names={"length": "length_mm", "turn": "turn_deg", "obstacles": "obstacles_mm"},
     most=Annotated[int, Field(ge=1, le=4)],
-    tool=choice_of("ToolRecord", disk_mm=Disk, polygon_mm=Polygon),
+    tool=records.choice_of("ToolRecord", disk_mm=Disk, polygon_mm=Polygon),
     length=Range,
     turn=Range,
     cost=Cost,
-    obstacles=list[Corners],
+    obstacles=list[records.Corners],
 )
 _AXES: Final = {"x": "x_mm", "y": "y_mm", "theta": "theta_deg"}
-record_of(
+records.record_of(
     RigPushes,
     "choose",
     units=True,
@@ -93,20 +83,20 @@ record_of(
     theta=Range,
     stroke=Range,
     cost=Cost,
-    obstacles=list[Corners],
+    obstacles=list[records.Corners],
 )
-ChooseRecord: Any = choice_of("ChooseRecord", free=FreePushes, rig=RigPushes)
-StartRecord: Any = record_of(
+ChooseRecord: Any = records.choice_of("ChooseRecord", free=FreePushes, rig=RigPushes)
+StartRecord: Any = records.record_of(
     StartError,
     "start_error",
     units=True,
     kind=Literal["uniform", "normal"],
     more={"preset": (str | None, Field(None, description="asme or rpi-camera"))},
 )
-RigErrorRecord: Any = record_of(RigError, "belief.rig", units=True)
+RigErrorRecord: Any = records.record_of(RigError, "belief.rig", units=True)
 
 
-class BeliefRecord(FileRecord):
+class BeliefRecord(records.FileRecord):
     """Unknowns of a plan."""
 
     calibration: int | None = Field(None, ge=1, description="id of a stored calibration")
@@ -118,7 +108,7 @@ class BeliefRecord(FileRecord):
     start: StartRecord | None = Field(None, description="error of the start pose")
     rig: RigErrorRecord | None = Field(None, description="errors of the rig")
     camera: StartRecord | None = Field(None, description="error of a pose seen between pushes")
-    lost_views: Annotated[Number, Field(ge=0.0, lt=1.0)] = Field(
+    lost_views: Annotated[records.Number, Field(ge=0.0, lt=1.0)] = Field(
         0.0, description="share of the looks that see nothing"
     )
     run_to_run: Literal["learned", "none"] = Field(
@@ -126,22 +116,24 @@ class BeliefRecord(FileRecord):
         description="learned: scatter between runs from experiments that repeat pushes, instead of"
         " the error of the calibrated model",
     )
-    friction_scatter: Annotated[Number, Field(ge=0.0, lt=1.0)] | None = Field(
+    friction_scatter: Annotated[records.Number, Field(ge=0.0, lt=1.0)] | None = Field(
         None,
         description="relative scatter of the friction of tool and fixels between runs, such as 0.2,"
         " instead of the error of the calibrated model",
     )
-    conditions: dict[str, str | Number] = Field({}, description="labels that select parameters")
+    conditions: dict[str, str | records.Number] = Field(
+        {}, description="labels that select parameters"
+    )
 
 
-class WantRecord(FileRecord):
+class WantRecord(records.FileRecord):
     """Wanted success probability."""
 
-    success: Fraction = Field(0.95, description="wanted success probability")
-    confidence: Fraction = Field(0.95, description="confidence level of its bound")
+    success: records.Fraction = Field(0.95, description="wanted success probability")
+    confidence: records.Fraction = Field(0.95, description="confidence level of its bound")
 
 
-class GoalFileRecord(FileRecord):
+class GoalFileRecord(records.FileRecord):
     """Content of a goal file."""
 
     fixel: Literal[1] = Field(description="version of the format")
@@ -200,14 +192,14 @@ def load_goal(path: str | Path) -> GoalFile:
 
 def goal_file_from_dict(raw: Any, folder: Path | None = None) -> GoalFile:
     """Build a goal file from its content; scene files are searched in `folder`."""
-    record = validated(GoalFileRecord, raw, "goal file")
+    record = records.validated(GoalFileRecord, raw, "goal file")
     known = record.belief or BeliefRecord.model_validate({})
     views: dict[str, Any] = {"lost_views": known.lost_views}
     if known.camera is not None:
         views["camera"] = _error(known.camera, "belief.camera")
     return GoalFile(
         goal=_goal(record.goal, "goal"),
-        choose=None if record.choose is None else made(record.choose, "choose"),
+        choose=None if record.choose is None else records.made(record.choose, "choose"),
         belief=_belief(known, "belief"),
         calibration=known.calibration,
         run_to_run=known.run_to_run == "learned",
@@ -223,19 +215,21 @@ def goal_file_from_dict(raw: Any, folder: Path | None = None) -> GoalFile:
 
 
 def _goal(record: Any, path: str) -> goals.Goal:
-    form = only_form(record, path, [key for key in type(record).model_fields if key != "never"])
+    form = records.only_form(
+        record, path, [key for key in type(record).model_fields if key != "never"]
+    )
     inner: Any = getattr(record, form)
     where = f"{path}.{form}"
-    never = [made(one, f"{path}.never[{k}]") for k, one in enumerate(record.never)]
+    never = [records.made(one, f"{path}.never[{k}]") for k, one in enumerate(record.never)]
     goal: goals.Goal
     if isinstance(inner, list):
         parts = [_goal(one, f"{where}[{k}]") for k, one in enumerate(inner)]
-        with within(where, "goal"):
+        with records.within(where, "goal"):
             if form == "all":
                 return goals.AllOf(*parts, never=never)
             goal = goals.AnyOf(*parts)
     else:
-        goal = made(inner, where)
+        goal = records.made(inner, where)
     return goals.AllOf(goal, never=never) if never else goal
 
 
@@ -245,11 +239,11 @@ def _belief(record: BeliefRecord, path: str) -> Belief:
     scatter = record.friction_scatter
     if scatter is not None and record.run_to_run == "learned":
         raise InvalidInput(path, found="two kinds of scatter", expected="one of them")
-    with within(path, "belief"):
+    with records.within(path, "belief"):
         return Belief(
             parameters=_parameters(record.parameters) or None,
             start=None if record.start is None else _error(record.start, "start"),
-            rig=None if record.rig is None else made(record.rig, "rig"),
+            rig=None if record.rig is None else records.made(record.rig, "rig"),
             run_to_run=None if scatter is None else RunToRun.of_friction(scatter),
             conditions=record.conditions,
         )
@@ -259,7 +253,7 @@ def _parameters(given: Values) -> dict[str, Any]:
     """Return values and intervals in SI units by parameter."""
     found = {}
     for key, value in given.items():
-        name, own = si_field(key, value)
+        name, own = records.si_field(key, value)
         expected = name + ENDINGS.get(info_of(name).unit, "")
         if key != expected:
             hint = "keys of lengths and angles name their unit: values are in mm and degrees"
@@ -271,9 +265,9 @@ def _parameters(given: Values) -> dict[str, Any]:
 def _error(record: Any, where: str) -> StartError:
     """Return the error of a start, or of a seen pose, by its preset or its sizes."""
     if record.preset is None:
-        error: StartError = made(record, where)
+        error: StartError = records.made(record, where)
         return error
     if any(own != type(record).model_fields[key].default for key, own in record if key != "preset"):
         raise InvalidInput(where, found="a preset and sizes", expected="one of them")
-    with within(where):
+    with records.within(where):
         return preset(record.preset)

@@ -15,22 +15,8 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import Field
 
 from fixel.errors import InvalidInput
-from fixel.formats.records import (
-    FileRecord,
-    NonNegative,
-    Number,
-    Point,
-    Positive,
-    Triple,
-    arguments,
-    content,
-    keys_of,
-    made,
-    only_form,
-    record_of,
-    validated,
-    within,
-)
+from fixel.formats import records
+from fixel.formats.records import content
 from fixel.io.atomic import write_whole
 from fixel.io.document import read_document, yaml_text
 from fixel.vision.camera import Camera, MeasuredCamera
@@ -38,53 +24,55 @@ from fixel.vision.lens import Lens
 from fixel.vision.marks import MarkedPart, Rig, Sticker, Tag
 
 Size = Annotated[list[Annotated[int, Field(gt=0)]], Field(min_length=2, max_length=2)]
-Matrix = Annotated[list[Triple], Field(min_length=3, max_length=3)]
+Matrix = Annotated[list[records.Triple], Field(min_length=3, max_length=3)]
 
 
-LensRecord: Any = record_of(
+LensRecord: Any = records.record_of(
     Lens,
     "lens",
     units=True,
     names={"image_size": "image_size_px"},
     image_size=Size,
-    focal=Annotated[list[Positive], Field(min_length=2, max_length=2)],
-    distortion=Annotated[list[Number], Field(max_length=8)],
+    focal=Annotated[list[records.Positive], Field(min_length=2, max_length=2)],
+    distortion=Annotated[list[records.Number], Field(max_length=8)],
 )
 
 
-class LookingRecord(FileRecord):
-    height_mm: Positive = Field(description="height of the camera above the plate [mm]")
-    above_mm: Point = Field([0.0, 0.0], description="world position below the camera [mm]")
-    turned_deg: Number = Field(0.0, description="angle from world x to the picture's right [deg]")
-    tilted_deg: Point = Field(
+class LookingRecord(records.FileRecord):
+    height_mm: records.Positive = Field(description="height of the camera above the plate [mm]")
+    above_mm: records.Point = Field([0.0, 0.0], description="world position below the camera [mm]")
+    turned_deg: records.Number = Field(
+        0.0, description="angle from world x to the picture's right [deg]"
+    )
+    tilted_deg: records.Point = Field(
         [0.0, 0.0], description="tilt of the optical axis, down and right in the picture [deg]"
     )
 
 
-MatrixRecord: Any = record_of(
+MatrixRecord: Any = records.record_of(
     Camera, "camera", title="MatrixRecord", units=True, leave_out=["lens"], rotation=Matrix
 )
 
 
-class PlaceRecord(FileRecord):
+class PlaceRecord(records.FileRecord):
     """Pose of a camera, in exactly one form."""
 
     looking: LookingRecord | None = Field(None, description="pose of a camera that looks down")
     matrix: MatrixRecord | None = Field(None, description="pose as rotation and translation")
 
 
-MeasuredRecord: Any = record_of(
+MeasuredRecord: Any = records.record_of(
     MeasuredCamera,
     "measured",
     title="MeasuredRecord",
     units=True,
     leave_out=["lens", "camera", "source"],
-    covariance=list[list[Number]],
-    seen=list[list[NonNegative]],
+    covariance=list[list[records.Number]],
+    seen=list[list[records.NonNegative]],
 )
 
 
-class CameraRecord(FileRecord):
+class CameraRecord(records.FileRecord):
     """Content of a camera file."""
 
     fixel_camera: Literal[1] = Field(1, description="version of the format")
@@ -106,19 +94,19 @@ def load_camera(path: str | Path) -> MeasuredCamera:
             expected="a camera file of fixel",
             hint="to import a file of MATLAB, OpenCV, Kalibr or ROS: fixel camera import FILE",
         )
-    with within(str(path)):
+    with records.within(str(path)):
         return camera_from_dict(raw)
 
 
 def camera_from_dict(raw: Any) -> MeasuredCamera:
     """Build a camera from the content of a camera file, as dicts and lists."""
-    record = validated(CameraRecord, raw, "camera")
+    record = records.validated(CameraRecord, raw, "camera")
     # The default has eight coefficients, of which a fisheye has four.
     usual = {} if "distortion" in record.lens.model_fields_set else {"distortion": [0.0]}
     size = tuple(record.lens.image_size_px)
-    lens = made(record.lens, "lens", image_size=size, **usual)
-    measured = {} if record.measured is None else arguments(record.measured)
-    with within("measured", "measured"):
+    lens = records.made(record.lens, "lens", image_size=size, **usual)
+    measured = {} if record.measured is None else records.arguments(record.measured)
+    with records.within("measured", "measured"):
         for name in ("covariance", "seen"):
             if len({len(row) for row in measured.get(name, ())}) > 1:
                 raise InvalidInput(name, found="rows of several lengths", expected="equal rows")
@@ -131,9 +119,9 @@ def camera_dict(camera: MeasuredCamera) -> dict[str, Any]:
     content: dict[str, Any] = {"fixel_camera": 1}
     if camera.source:
         content["source"] = camera.source
-    content["lens"] = keys_of(camera.lens, LensRecord)
+    content["lens"] = records.keys_of(camera.lens, LensRecord)
     if camera.camera is not None:
-        content["place"] = {"matrix": keys_of(camera.camera, MatrixRecord)}
+        content["place"] = {"matrix": records.keys_of(camera.camera, MatrixRecord)}
     measured: dict[str, Any] = {}
     if camera.names:
         measured |= {"names": list(camera.names), "covariance": camera.covariance.tolist()}
@@ -152,19 +140,19 @@ def save_camera(camera: MeasuredCamera, path: str | Path) -> None:
 def _camera(lens: Lens, record: PlaceRecord | None) -> Camera | None:
     if record is None:
         return None
-    only_form(record, "place")
-    with within("place", "camera"):
+    records.only_form(record, "place")
+    with records.within("place", "camera"):
         if record.matrix:
-            return Camera(lens=lens, **arguments(record.matrix))
-        return Camera.looking_down(lens, **arguments(record.looking))
+            return Camera(lens=lens, **records.arguments(record.matrix))
+        return Camera.looking_down(lens, **records.arguments(record.looking))
 
 
 EXAMPLES = ("thesis-tags", "thesis-stickers", "microscope")
 
 
-TagRecord: Any = record_of(Tag, "tag", units=True)
-StickerRecord: Any = record_of(Sticker, "sticker", units=True)
-PartRecord: Any = record_of(
+TagRecord: Any = records.record_of(Tag, "tag", units=True)
+StickerRecord: Any = records.record_of(Sticker, "sticker", units=True)
+PartRecord: Any = records.record_of(
     MarkedPart,
     "part",
     units=True,
@@ -181,14 +169,14 @@ PartRecord.makes = lambda height, tags, stickers: MarkedPart(
     height=height, marks=(*tags, *stickers)
 )
 _PLACEMENT: Final = {"position_tolerance": "position_mm", "angle_tolerance": "angle_deg"}
-PlacementRecord: Any = record_of(
+PlacementRecord: Any = records.record_of(
     Rig,
     "rig",
     title="PlacementRecord",
     names=_PLACEMENT,
     leave_out=[name for name in Rig.__dataclass_fields__ if name not in _PLACEMENT],
 )
-RigRecord: Any = record_of(
+RigRecord: Any = records.record_of(
     Rig,
     "",
     units=True,
@@ -239,7 +227,7 @@ def markers_of(name_or_path: str | Path) -> tuple[str, dict[str, MarkedPart], tu
         rig = rig_of(name_or_path)
         return rig.name, rig.parts, rig.plate
     raw = read_document(_rig_path(name_or_path), "rig file")
-    found = arguments(validated(RigRecord, raw, "rig"))
+    found = records.arguments(records.validated(RigRecord, raw, "rig"))
     return found["name"], found["parts"], tuple(found["plate"])
 
 
@@ -251,13 +239,13 @@ def load_rig(path: str | Path) -> Rig:
 
 def rig_from_dict(raw: Any, folder: Path | None = None) -> Rig:
     """Build a rig from the content of a rig file; camera files are searched in `folder`."""
-    record = validated(RigRecord, raw, "rig")
+    record = records.validated(RigRecord, raw, "rig")
     measured = _camera_of(record.camera, folder)
-    rig: Rig = made(
+    rig: Rig = records.made(
         record,
         camera=measured.placed(),
         measured=measured if measured.names else None,
-        **arguments(record.placement),
+        **records.arguments(record.placement),
     )
     return rig
 
@@ -268,10 +256,10 @@ def rig_dict(rig: Rig) -> dict[str, Any]:
     camera = camera_dict(measured)
     return {
         "fixel_rig": 1,
-        **keys_of(rig, RigRecord),
+        **records.keys_of(rig, RigRecord),
         "camera": {key: value for key, value in camera.items() if key != "fixel_camera"},
         "parts": {name: _part_content(part) for name, part in rig.parts.items()},
-        "placement": keys_of(rig, PlacementRecord),
+        "placement": records.keys_of(rig, PlacementRecord),
     }
 
 
@@ -285,7 +273,7 @@ def _camera_of(raw: Any, folder: Path | None) -> MeasuredCamera:
         raise InvalidInput(
             "camera", found=raw, expected="a lens and a pose, or the name of a camera file"
         )
-    with within("camera", "camera"):
+    with records.within("camera", "camera"):
         if isinstance(raw, dict):
             found = camera_from_dict(raw)
         else:
@@ -297,5 +285,5 @@ def _camera_of(raw: Any, folder: Path | None) -> MeasuredCamera:
 def _part_content(part: MarkedPart) -> dict[str, Any]:
     tags = [content(mark) for mark in part.marks if isinstance(mark, Tag)]
     stickers = [content(mark) for mark in part.marks if isinstance(mark, Sticker)]
-    found = keys_of(part, PartRecord)
+    found = records.keys_of(part, PartRecord)
     return found | ({"tags": tags} if tags else {}) | ({"stickers": stickers} if stickers else {})

@@ -13,25 +13,8 @@ from typing import Annotated, Any, Final, Literal, final, get_origin
 from pydantic import ConfigDict, Field
 
 from fixel.errors import InvalidInput
-from fixel.formats.records import (
-    FileRecord,
-    KeyPath,
-    NonNegative,
-    Number,
-    Point,
-    Positive,
-    annotation_at,
-    choice_of,
-    content,
-    description_at,
-    made,
-    record_at,
-    record_of,
-    unknown_key,
-    use_record,
-    validated,
-    written,
-)
+from fixel.formats import records
+from fixel.formats.records import content
 from fixel.io.atomic import write_whole
 from fixel.io.document import parse_yaml, read_document, yaml_text
 from fixel.model import (
@@ -61,8 +44,8 @@ from fixel.simulation import AbstractStepper, Adaptive, StewartTrinkle
 
 MAX_KEYS = 1000  # maximum number of keys in one mapping; scenes have about ten
 
-Waypoint = Annotated[list[Number], Field(min_length=4, max_length=4)]
-Pair = Annotated[list[Positive], Field(min_length=2, max_length=2)]
+Waypoint = Annotated[list[records.Number], Field(min_length=4, max_length=4)]
+Pair = Annotated[list[records.Positive], Field(min_length=2, max_length=2)]
 
 # Placeholder in a template for a value that only the user knows.
 FILL_IN: Final = "FILL_IN"
@@ -84,7 +67,7 @@ def _drive(**given: Any) -> Drive:
     return PathDrive(**given)
 
 
-class DriveRecord(FileRecord):
+class DriveRecord(records.FileRecord):
     """Drive of a pusher: either a direction with a speed, or waypoints."""
 
     model_config = ConfigDict(
@@ -92,31 +75,37 @@ class DriveRecord(FileRecord):
     )
     makes, word = staticmethod(_drive), "drive"
 
-    direction: Point | None = Field(None, description="direction of the motion in world axes")
-    speed: NonNegative | None = Field(None, description="speed of the motion [m/s]")
-    travel: NonNegative | None = Field(None, description="distance after which the drive stops [m]")
+    direction: records.Point | None = Field(
+        None, description="direction of the motion in world axes"
+    )
+    speed: records.NonNegative | None = Field(None, description="speed of the motion [m/s]")
+    travel: records.NonNegative | None = Field(
+        None, description="distance after which the drive stops [m]"
+    )
     waypoints: list[Waypoint] | None = Field(
         None, description="poses of the motion: t [s], x [m], y [m], angle [rad]"
     )
-    force_limit: Positive | None = Field(None, description="force at which the drive stalls [N]")
+    force_limit: records.Positive | None = Field(
+        None, description="force at which the drive stalls [N]"
+    )
 
 
-use_record(DriveRecord, LineDrive, PathDrive, Drive)
-ShapeRecord: Any = choice_of("ShapeRecord", Shape, polygon=Polygon, disk=Disk)
-NoneRecord: Any = record_of(NoSupport, "none")
-TripodRecord: Any = record_of(Tripod, "tripod")
-PointsRecord: Any = record_of(
+records.use_record(DriveRecord, LineDrive, PathDrive, Drive)
+ShapeRecord: Any = records.choice_of("ShapeRecord", Shape, polygon=Polygon, disk=Disk)
+NoneRecord: Any = records.record_of(NoSupport, "none")
+TripodRecord: Any = records.record_of(Tripod, "tripod")
+PointsRecord: Any = records.record_of(
     SupportPoints,
     "points",
     names={"points": "at"},
-    friction=NonNegative | list[NonNegative],
-    loads=list[NonNegative],
+    friction=records.NonNegative | list[records.NonNegative],
+    loads=list[records.NonNegative],
 )
-UniformRecord: Any = record_of(
+UniformRecord: Any = records.record_of(
     UniformPressure, "uniform", n_points=Annotated[int, Field(ge=3, le=100_000)]
 )
-record_of(Ellipsoid, "ellipsoid")
-SupportRecord: Any = choice_of(
+records.record_of(Ellipsoid, "ellipsoid")
+SupportRecord: Any = records.choice_of(
     "SupportRecord",
     Support,
     tripod=Tripod,
@@ -125,15 +114,15 @@ SupportRecord: Any = choice_of(
     ellipsoid=Ellipsoid,
     none=NoSupport,
 )
-record_of(Spring, "spring")
-record_of(Body, "body", required=["pose"])
-record_of(Pusher, "pusher", required=["drive"])
-record_of(Fixel, "fixel")
-record_of(PairFriction, "contact_friction")
-record_of(FrictionMap, "friction_map", cell=Pair, factor=list[list[Positive]])
-record_of(LoadMap, "load_map", cell=Pair, log_load=list[list[Number]])
-record_of(Plane, "plane", anisotropy=Pair)
-SceneRecord: Any = record_of(
+records.record_of(Spring, "spring")
+records.record_of(Body, "body", required=["pose"])
+records.record_of(Pusher, "pusher", required=["drive"])
+records.record_of(Fixel, "fixel")
+records.record_of(PairFriction, "contact_friction")
+records.record_of(FrictionMap, "friction_map", cell=Pair, factor=list[list[records.Positive]])
+records.record_of(LoadMap, "load_map", cell=Pair, log_load=list[list[records.Number]])
+records.record_of(Plane, "plane", anisotropy=Pair)
+SceneRecord: Any = records.record_of(
     Scene,
     "",
     first=["fixel", "gravity", "duration"],
@@ -143,11 +132,11 @@ SceneRecord: Any = record_of(
         "fixel": (Literal[1], Field(1, description="version of the format")),
         "motion": (Literal["dynamic", "quasistatic", "first-order"], "dynamic"),
         "step": (
-            Positive | None,
+            records.Positive | None,
             Field(None, description="time step [s]; by default the stepper chooses"),
         ),
         "output_interval": (
-            Positive | None,
+            records.Positive | None,
             Field(
                 None,
                 description="time between two samples of the trajectory [s]; by default every step",
@@ -159,7 +148,7 @@ SceneRecord: Any = record_of(
 
 def scene_of(record: Any) -> Scene:
     """Build the scene that a validated record describes; errors have the path of their key."""
-    scene: Scene = made(record)
+    scene: Scene = records.made(record)
     return scene
 
 
@@ -173,7 +162,7 @@ def scene_record(raw: Any) -> SceneRecord:
     """Validate every key and kind of value in the raw content of a scene file."""
     _refuse_many_keys(raw)
     try:
-        return validated(SceneRecord, raw, "scene")
+        return records.validated(SceneRecord, raw, "scene")
     except InvalidInput:
         if left := list(_placeholders(raw)):
             raise _unfilled(left) from None
@@ -189,7 +178,7 @@ def _refuse_many_keys(raw: Any, where: str = "scene") -> None:
             _refuse_many_keys(value, where)
 
 
-def _placeholders(raw: Any, path: KeyPath = ()) -> Iterator[KeyPath]:
+def _placeholders(raw: Any, path: records.KeyPath = ()) -> Iterator[records.KeyPath]:
     """Yield the paths of placeholders that are left from a template."""
     if raw == FILL_IN:
         yield path
@@ -200,13 +189,13 @@ def _placeholders(raw: Any, path: KeyPath = ()) -> Iterator[KeyPath]:
         yield from _placeholders(value, (*path, key))
 
 
-def _unfilled(left: list[KeyPath]) -> InvalidInput:
-    first, record = left[0], record_at(SceneRecord, left[0])
+def _unfilled(left: list[records.KeyPath]) -> InvalidInput:
+    first, record = left[0], records.record_at(SceneRecord, left[0])
     forms = [f"{{{k}: {v.description}}}" for k, v in record.model_fields.items()] if record else []
-    also = ", ".join(written(path) for path in left[1:])
-    value = description_at(SceneRecord, first) or "see the scene file"
+    also = ", ".join(records.written(path) for path in left[1:])
+    value = records.description_at(SceneRecord, first) or "see the scene file"
     return InvalidInput(
-        written(first),
+        records.written(first),
         found=f"the placeholder {FILL_IN}",
         expected=" or ".join(forms) or f"a value: {value}",
         hint=f"{FILL_IN} also remains at {also}" if also else None,
@@ -332,7 +321,7 @@ def apply_override(raw: Any, override: str) -> None:
         )
     segments = re.sub(r"\[(\d+)\]", r".\1", text.strip()).split(".")
     container = raw
-    path: KeyPath = ()
+    path: records.KeyPath = ()
     for segment in segments[:-1]:
         key = _key(container, segment, path)
         if isinstance(container, dict) and container.get(key) is None:
@@ -342,7 +331,7 @@ def apply_override(raw: Any, override: str) -> None:
     container[key] = parse_yaml(value, f"overrides {override}")
 
 
-def _key(container: Any, segment: str, path: KeyPath) -> str | int:
+def _key(container: Any, segment: str, path: records.KeyPath) -> str | int:
     """Key or list index that a segment of a path refers to in a container."""
     if isinstance(container, list):
         names = [item.get("name") if isinstance(item, dict) else None for item in container]
@@ -352,24 +341,24 @@ def _key(container: Any, segment: str, path: KeyPath) -> str | int:
             return int(segment)
         there = ", ".join(str(name) for name in names if name is not None)
         raise InvalidInput(
-            f"{written(path)}.{segment}",
+            f"{records.written(path)}.{segment}",
             found="no such index",
             expected=f"a number below {len(container)}" + (f", or one of {there}" if there else ""),
         )
     if isinstance(container, dict):
-        record = record_at(SceneRecord, path)
+        record = records.record_at(SceneRecord, path)
         if segment in container or (record and segment in record.model_fields):
             return segment
-        raise unknown_key(SceneRecord, (*path, segment))
+        raise records.unknown_key(SceneRecord, (*path, segment))
     raise InvalidInput(
-        ".".join((written(path), segment)).removeprefix("."),
-        found=f"{container!r} at {written(path) or 'the top'}",
+        ".".join((records.written(path), segment)).removeprefix("."),
+        found=f"{container!r} at {records.written(path) or 'the top'}",
         expected="a list or a mapping",
     )
 
 
-def _empty_at(path: KeyPath) -> dict[str, Any] | list[Any] | None:
+def _empty_at(path: records.KeyPath) -> dict[str, Any] | list[Any] | None:
     """Empty container to insert for a missing key: a list, a dict, or None for a value."""
-    if get_origin(annotation_at(SceneRecord, path)) is list:
+    if get_origin(records.annotation_at(SceneRecord, path)) is list:
         return []
-    return {} if record_at(SceneRecord, path) else None
+    return {} if records.record_at(SceneRecord, path) else None

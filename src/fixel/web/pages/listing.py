@@ -14,14 +14,7 @@ from fastapi import Request
 from fixel.errors import InvalidInput
 from fixel.web import words
 from fixel.web.api.experiments import TablePage, TableRow, table
-from fixel.workflows.project.filters import (
-    CoverageAxis,
-    Vocabulary,
-    coverage,
-    coverage_axes,
-    view_of,
-    vocabulary,
-)
+from fixel.workflows.project import filters
 
 if TYPE_CHECKING:
     from fixel.web.context import ProjectContext
@@ -79,7 +72,9 @@ def experiments_page(context: ProjectContext, request: Request) -> dict[str, Any
         )
         refused = context.comparison.refused
         without_simulation = [
-            one for one in context.store.unsimulated_ids(view_of(filter)) if one not in refused
+            one
+            for one in context.store.unsimulated_ids(filters.view_of(filter))
+            if one not in refused
         ]
     except InvalidInput as error:
         problem = str(error)
@@ -95,7 +90,7 @@ def experiments_page(context: ProjectContext, request: Request) -> dict[str, Any
         "sorted_link": lambda name: _sorted_link(name, given, link),
         "first": offset,
         "rows": ROWS,
-        "picks": picks(vocabulary(context.store), filter),
+        "picks": picks(filters.vocabulary(context.store), filter),
         "flag_names": list(context.store.flags()),
         "deleted": "is:deleted" in tokens(filter),
         "unsimulated": without_simulation,
@@ -154,7 +149,7 @@ def _quoted(text: str) -> str:
     return '"' + text.replace('"', "") + '"' if re.search(r'[\s"]', text) else text
 
 
-def picks(known: Vocabulary, filter: str) -> list[dict[str, Any]]:
+def picks(known: filters.Vocabulary, filter: str) -> list[dict[str, Any]]:
     """Return the choices next to the filter, each with the filter that it leads to."""
     usual = ("shape", "layout")
     names = [name for name, one in known.conditions.items() if len(one.texts) > 1]
@@ -190,10 +185,10 @@ def covered(
 ) -> dict[str, Any]:
     """Return the coverage as it is drawn: a plane of configurations, a table of shapes."""
     filter = given["filter"]
-    axes = coverage_axes(context.store, given["x"], given["y"])
+    axes = filters.coverage_axes(context.store, given["x"], given["y"])
     # What a cell selects does not empty the rest of the picture.
     rest = replaced(filter, (*axes, "shape", "layout"))
-    found = coverage(context.store, view_of(rest), *axes)
+    found = filters.coverage(context.store, filters.view_of(rest), *axes)
 
     def cell(
         number: int, most: int, subjects: tuple[str, ...], bounds: list[str]
@@ -252,7 +247,7 @@ def _largest(rows: Sequence[Sequence[int]]) -> int:
     return max((n for row in rows for n in row), default=1) or 1
 
 
-def _within(axis: CoverageAxis, k: int) -> list[str]:
+def _within(axis: filters.CoverageAxis, k: int) -> list[str]:
     low, high = axis.edges[k] - HALF_DIGIT, axis.edges[k + 1] + HALF_DIGIT
     return [f"{axis.name}>={round(low, 8) + 0.0!r}", f"{axis.name}<{round(high, 8) + 0.0!r}"]
 
@@ -262,12 +257,12 @@ def _titled(name: str, unit: bool = False) -> str:
     return f"{stem} [{shown}]" if unit and shown else stem
 
 
-def _value(axis: CoverageAxis, k: int) -> str:
+def _value(axis: filters.CoverageAxis, k: int) -> str:
     _, value, unit = words.condition(axis.name, float(f"{axis.centres[k]:.3g}"))
     return f"{value} {unit}".strip()
 
 
-def _ticks(axis: CoverageAxis) -> list[tuple[int, str]]:
+def _ticks(axis: filters.CoverageAxis) -> list[tuple[int, str]]:
     """Return at most six places with their values, evenly."""
     n = len(axis.centres)
     every = max(1, -(-n // MAX_TICKS))
