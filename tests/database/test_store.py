@@ -10,16 +10,7 @@ from tests.database.records import HERE, experiment, path
 from fixel.database import tables
 from fixel.database.store import Store
 from fixel.errors import InvalidInput, NotStored, StoreRefused
-from fixel.model import Experiment, Flag, Parameters, Provenance
-from fixel.model.records import (
-    CalibrationRecord,
-    Estimate,
-    Evaluations,
-    FilterParameters,
-    FilterRecord,
-    Member,
-    SimulationRecord,
-)
+from fixel.model import Experiment, Flag, Parameters, Provenance, records
 from fixel.model.selection import Bound, ExperimentQuery
 
 
@@ -184,7 +175,7 @@ def test_videos_are_kept_by_content(store, tmp_path):
 
 def test_simulations_calibrations_and_filters(store):
     one, two = stored(store, experiment("1"), experiment("2"))
-    simulation = SimulationRecord(
+    simulation = records.SimulationRecord(
         experiment_id=one,
         parameters=Parameters(mu_support=0.3, tripod_radius=0.04),
         provenance=HERE,
@@ -199,23 +190,23 @@ def test_simulations_calibrations_and_filters(store):
     assert same_but_for_time(simulation, store.simulation(number))
     assert store.simulations(one) == [number]
 
-    tried = Evaluations(
+    tried = records.Evaluations(
         names=("mu_support", "tripod_radius"),
         values=[[0.3, 0.04], [0.2, 0.05]],
         error=[1.0, math.inf],
         unit="mm",
         reasons=("", "jammed at 2 s"),
     )
-    calibration = CalibrationRecord(
+    calibration = records.CalibrationRecord(
         name="both",
         parameters=simulation.parameters,
-        members=(Member(one, 1.0, 3.0), Member(two, 0.5, 1.0)),
+        members=(records.Member(one, 1.0, 3.0), records.Member(two, 0.5, 1.0)),
         provenance=HERE,
         method={"optimiser": "pattern-search"},
         evaluations=tried,
         estimates=(
-            Estimate(label="mu_support", unit="-", value=0.3, verdict="not identified"),
-            Estimate(label="tripod_radius", unit="m", value=0.04, low=0.03, high=0.05),
+            records.Estimate(label="mu_support", unit="-", value=0.3, verdict="not identified"),
+            records.Estimate(label="tripod_radius", unit="m", value=0.04, low=0.03, high=0.05),
         ),
     )
     number = store.add_calibration(calibration)
@@ -227,12 +218,12 @@ def test_simulations_calibrations_and_filters(store):
     assert same_but_for_time(dataclasses.replace(calibration, evaluations=None), summaries[number])
     assert (found.mean_error_mm2, found.sum_error_mm2, found.max_error_mm2) == (2.0, 4.0, 3.0)
 
-    settings = FilterParameters(
+    settings = records.FilterParameters(
         name="p", is_particle_filter=True, provenance=HERE, values={"particles": 500.0}
     )
     settings_id = store.add_filter_parameters(settings)
     assert same_but_for_time(settings, store.filter_parameters(settings_id))
-    run = FilterRecord(
+    run = records.FilterRecord(
         experiment_id=one,
         filter_parameters_id=settings_id,
         provenance=HERE,

@@ -5,13 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from fixel.calibration.contacts import Configurations
-from fixel.domain.features import (
-    FRICTION,
-    SIDEWAYS,
-    configuration_features,
-    corner_distance,
-    simulated_features,
-)
+from fixel.domain import features
 from fixel.model import Disk, Polygon
 from fixel.typing import BoolArray, FloatArray, IntArray
 
@@ -29,7 +23,7 @@ def two_pushes() -> Configurations:
 
 
 def test_the_same_push_on_a_turned_plate_has_the_same_place() -> None:
-    found = configuration_features(two_pushes())
+    found = features.configuration_features(two_pushes())
     names = ("tip_x", "tip_y", "along_x", "along_y", "incidence", "arm", "corner")
     both = found.columns(names)
     np.testing.assert_allclose(both[0], both[1], atol=1e-12)
@@ -57,17 +51,17 @@ def carried(which: IntArray, values: Mapping[str, FloatArray]) -> tuple[FloatArr
 
 
 def test_motion_contact_and_sensitivity_of_rollouts() -> None:
-    found = simulated_features(two_pushes(), carried, 0.2)
+    found = features.simulated_features(two_pushes(), carried, 0.2)
     names = ("distance", "turned", "slid", "stuck", "parted", "sensitive_sideways", "lost")
     table = found.columns(names)
     np.testing.assert_allclose(table[:, 0], 0.05)
     np.testing.assert_allclose(table[:, 1:3], 0.0, atol=1e-12)
     np.testing.assert_allclose(table[:, 3], 1.0)
     np.testing.assert_allclose(table[:, 4], 0.0)
-    np.testing.assert_allclose(table[:, 5], SIDEWAYS)
+    np.testing.assert_allclose(table[:, 5], features.SIDEWAYS)
     np.testing.assert_allclose(table[:, 6], [0.0, 0.1])
     # Half of the difference of the two angles, at 35 mm.
-    expected = 0.5 * 0.035 * 0.1 * 0.2 * (FRICTION - 1.0 / FRICTION)
+    expected = 0.5 * 0.035 * 0.1 * 0.2 * (features.FRICTION - 1.0 / features.FRICTION)
     np.testing.assert_allclose(found.columns(("sensitive_friction",))[:, 0], expected)
     assert np.isfinite(found.table).all()
 
@@ -75,9 +69,9 @@ def test_motion_contact_and_sensitivity_of_rollouts() -> None:
 def test_corners_of_polygons_and_of_round_things() -> None:
     points = np.array([[0.03, 0.04], [0.0, 0.035]])
     np.testing.assert_allclose(
-        corner_distance(SQUARE, points, RADIUS), [0.005, np.hypot(0.03, 0.005) - RADIUS]
+        features.corner_distance(SQUARE, points, RADIUS), [0.005, np.hypot(0.03, 0.005) - RADIUS]
     )
-    assert (corner_distance(Disk(0.03), points, RADIUS) > 0.1).all()
+    assert (features.corner_distance(Disk(0.03), points, RADIUS) > 0.1).all()
     turn = np.linspace(0.0, 2.0 * np.pi, 65)[:-1]
     smooth = Polygon(0.03 * np.column_stack((np.cos(turn), np.sin(turn))))
-    assert (corner_distance(smooth, points, RADIUS) > 0.1).all()
+    assert (features.corner_distance(smooth, points, RADIUS) > 0.1).all()

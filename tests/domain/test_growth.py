@@ -4,20 +4,7 @@ import numpy as np
 import pytest
 
 from fixel.calibration.objective import Evaluation
-from fixel.domain.growth import (
-    AVERAGED,
-    OWN,
-    ROWS,
-    STORED,
-    AxisPlace,
-    DomainGrowth,
-    ExperimentGroup,
-    Joint,
-    RolloutQueue,
-    SingleCalibrations,
-    group_parameters,
-    weights,
-)
+from fixel.domain import growth
 from fixel.errors import InvalidInput
 
 # A toy: every experiment has a best point of its own, and its error is the squared distance to it.
@@ -31,18 +18,18 @@ def _evaluate(which, points):
 
 
 def _singles(**joint):
-    return SingleCalibrations(points=BEST, errors=FLOOR, **joint)
+    return growth.SingleCalibrations(points=BEST, errors=FLOOR, **joint)
 
 
 def grow(groups, singles, evaluate, index="corrected"):
-    grower, wanted = DomainGrowth(groups, singles, index), RolloutQueue()
+    grower, wanted = growth.DomainGrowth(groups, singles, index), growth.RolloutQueue()
     grower.ask(wanted)
     return grower.read(wanted.run(evaluate))
 
 
-def _group(rows=ROWS):
-    return ExperimentGroup(
-        shape="square", layout="a", at={place: ROWS.index(place) for place in rows}
+def _group(rows=growth.ROWS):
+    return growth.ExperimentGroup(
+        shape="square", layout="a", at={place: growth.ROWS.index(place) for place in rows}
     )
 
 
@@ -63,34 +50,34 @@ def test_largest_errors_are_those_computed_by_hand(index, rows):
     found = grow([_group()], _singles(), _evaluate, index)
     expected = [_by_hand(np.concatenate(rows[: k + 1]).astype(int)) for k in range(6)]
     np.testing.assert_allclose(found.matrix[0], expected, rtol=1e-12)
-    assert found.steps[0][0].used.source == OWN
+    assert found.steps[0][0].used.source == growth.OWN
     assert found.matrix[0][0] == FLOOR[0]
-    assert {step.used.source for step in found.steps[0][1:]} == {AVERAGED}
+    assert {step.used.source for step in found.steps[0][1:]} == {growth.AVERAGED}
 
 
 def test_small_errors_weigh_more():
-    share = weights([0, 20], _singles())
+    share = growth.weights([0, 20], _singles())
     np.testing.assert_allclose(share, [10.0 / 11.0, 1.0 / 11.0])
-    point = group_parameters([0, 20], _singles()).point
+    point = growth.group_parameters([0, 20], _singles()).point
     np.testing.assert_allclose(point, share @ BEST[[0, 20]])
-    np.testing.assert_allclose(group_parameters([0, 20, 20], _singles()).point,
+    np.testing.assert_allclose(growth.group_parameters([0, 20, 20], _singles()).point,
                                (10.0 * BEST[0] + 2.0 * BEST[20]) / 12.0)  # fmt: skip
 
 
 def test_a_stored_set_for_exactly_these_members_is_used():
-    stored = Joint(7, np.array([0.5, 0.5]))
+    stored = growth.Joint(7, np.array([0.5, 0.5]))
     singles = _singles(joint={(0, 1, 10, 11, 16): stored})
     found = grow([_group()], singles, _evaluate)
     first, second = found.steps[0][1:3]
-    assert (first.used.source, first.used.calibration) == (STORED, 7)
+    assert (first.used.source, first.used.calibration) == (growth.STORED, 7)
     members = list(first.used.members)
     expected = ((0.5 - BEST[members]) ** 2).sum(axis=1) + FLOOR[members]
     np.testing.assert_allclose(first.errors, expected)
-    assert second.used.source == AVERAGED
+    assert second.used.source == growth.AVERAGED
 
 
 def test_a_step_that_lacks_a_member_is_empty_and_so_are_those_after_it():
-    rows = [place for place in ROWS if place != AxisPlace("y", -3)]
+    rows = [place for place in growth.ROWS if place != growth.AxisPlace("y", -3)]
     found = grow([_group(rows)], _singles(), _evaluate)
     whole = grow([_group()], _singles(), _evaluate)
     assert found.matrix[0][:3] == whole.matrix[0][:3]
@@ -114,7 +101,7 @@ def test_a_simulation_that_fails_is_a_reason_and_no_number():
 def test_experiments_whose_own_calibration_failed_do_not_weigh():
     errors = FLOOR.copy()
     errors[[0, 16]] = np.inf
-    singles = SingleCalibrations(points=BEST, errors=errors)
+    singles = growth.SingleCalibrations(points=BEST, errors=errors)
     found = grow([_group()], singles, _evaluate)
     assert found.matrix[0][0] is None
     assert "no error" in found.steps[0][0].reason
@@ -127,13 +114,13 @@ def test_experiments_whose_own_calibration_failed_do_not_weigh():
 
 def test_too_few_experiments_to_grow_are_refused():
     with pytest.raises(InvalidInput, match="lacks y-1, theta1"):
-        grow([_group(ROWS[:11])], _singles(), _evaluate)
+        grow([_group(growth.ROWS[:11])], _singles(), _evaluate)
     with pytest.raises(InvalidInput, match="groups"):
         grow([], _singles(), _evaluate)
 
 
 def test_the_same_rollout_is_run_once():
-    wanted = RolloutQueue()
+    wanted = growth.RolloutQueue()
     first = wanted.add(3, BEST[0])
     assert wanted.add(3, BEST[0].copy()) == first
     assert wanted.add(4, BEST[0]) != first

@@ -6,14 +6,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-from fixel.drawing import palette
-from fixel.drawing.calibration import (
-    OffsetSeries,
-    Quantity,
-    errors_chart,
-    offsets_chart,
-    seconds_chart,
-)
+from fixel.drawing import calibration, palette
 from fixel.drawing.chart import add_banner, display_unit, draw_chart, log_scale, positive
 from fixel.drawing.overlay import OverlayMotions, Track, overlay_chart
 from fixel.drawing.profiles import parameters_chart, profiles_chart
@@ -50,7 +43,7 @@ def starts(errors):
 def errors_of(n, seed=0):
     draw = np.random.default_rng(seed)
     before = 10.0 ** draw.normal(1.0, 0.5, n)
-    return errors_chart(
+    return calibration.errors_chart(
         keys=[f"set/{k:03d}-experiment" for k in range(n)],
         series={"before": before, "each alone": 0.02 * before, "one set for all": 0.3 * before},
         unit="mm^2",
@@ -85,7 +78,7 @@ def profile(widened=False, **changes):
 
 def seconds(values):
     values = np.asarray(values, float)
-    return seconds_chart(
+    return calibration.seconds_chart(
         keys=list("abcdefgh")[: len(values)], seconds=values, evaluations=[1] * len(values)
     )
 
@@ -93,16 +86,16 @@ def seconds(values):
 def offsets(n, groups, axes=True):
     place = np.arange(n)
     values = np.linspace(0.01, 1.0, n)
-    along = [OffsetSeries(name, "m", place, np.tile(np.linspace(-0.04, 0.04, n // groups), groups))
-             for name in ("x", "y")]  # fmt: skip
-    return offsets_chart(
+    offsets = np.tile(np.linspace(-0.04, 0.04, n // groups), groups)
+    along = [calibration.OffsetSeries(name, "m", place, offsets) for name in ("x", "y")]
+    return calibration.offsets_chart(
         title="parameters",
         keys=[str(k) for k in place],
         groups=[f"layout {k // (n // groups)}" for k in place],
         axes=along if axes else [],
         quantities=[
-            Quantity("mu_pusher", "-", values, bounds=(0.0, 1.0)),
-            Quantity("error", "mm^2", np.where(place == 1, np.nan, values), log=True),
+            calibration.Quantity("mu_pusher", "-", values, bounds=(0.0, 1.0)),
+            calibration.Quantity("error", "mm^2", np.where(place == 1, np.nan, values), log=True),
         ],
     )
 
@@ -137,7 +130,7 @@ CHARTS = {
     "one experiment": errors_of(1),
     "named experiments": errors_of(21),
     "420 experiments": errors_of(420),
-    "no simulation": errors_chart(["a", "b"], {"before": LOST, "after": LOST}, "m"),
+    "no simulation": calibration.errors_chart(["a", "b"], {"before": LOST, "after": LOST}, "m"),
     "no interval": rows(),
     "an interval": rows(low=0.2, high=0.4, verdict="identified"),
     "half an interval": rows(high=0.4, noise_value=0.1, verdict="trades off with mu_fixel"),

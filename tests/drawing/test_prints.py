@@ -9,15 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fixel.drawing.prints import (
-    PER_METRE,
-    PrintSheet,
-    board_rectangles,
-    board_sheet,
-    rastered,
-    save_sheets,
-    tag_sheets,
-)
+from fixel.drawing import prints
 from fixel.errors import InvalidInput
 from fixel.vision.marks import Tag, board_of
 from fixel.vision.tracking.tag_reader import read_tags
@@ -29,7 +21,9 @@ def test_a_board_is_the_one_of_opencv(text: str) -> None:
     per_metre = 4000.0
     size = tuple(round(side * per_metre) for side in board.size)
     ours = np.asarray(
-        rastered(PrintSheet(board.size, board_rectangles(board), ()), per_metre).convert("L")
+        prints.rastered(
+            prints.PrintSheet(board.size, prints.board_rectangles(board), ()), per_metre
+        ).convert("L")
     )
     theirs = board.of_opencv().generateImage(size)
     assert np.mean(ours != theirs) < 0.02  # rounding of cells to whole pixels
@@ -37,7 +31,7 @@ def test_a_board_is_the_one_of_opencv(text: str) -> None:
 
 def test_a_printed_board_is_found() -> None:
     board = board_of("charuco:7x5:30mm:22mm")
-    image = rastered(board_sheet(board, "a board"), 4000.0).convert("L")
+    image = prints.rastered(prints.board_sheet(board, "a board"), 4000.0).convert("L")
     corners = board.find(np.asarray(image))
     assert len(corners.places) == 24
     scale = np.linalg.norm(np.diff(corners.pixels[:2], axis=0)) / 0.03
@@ -46,14 +40,14 @@ def test_a_printed_board_is_found() -> None:
 
 def test_a_printed_checkerboard_is_found() -> None:
     board = board_of("checkerboard:9x6:25mm")
-    image = rastered(board_sheet(board, "a board"), 3000.0).convert("L")
+    image = prints.rastered(prints.board_sheet(board, "a board"), 3000.0).convert("L")
     assert len(board.find(np.asarray(image)).places) == 54
 
 
 def test_printed_tags_are_read() -> None:
     tags = [(Tag(id=k, size=0.02 + 0.001 * k, height=0.0), "plate") for k in range(7)]
-    (sheet,) = tag_sheets(tags)
-    found = read_tags(np.asarray(rastered(sheet, 4000.0).convert("L")), {"apriltag-36h11"})
+    (sheet,) = prints.tag_sheets(tags)
+    found = read_tags(np.asarray(prints.rastered(sheet, 4000.0).convert("L")), {"apriltag-36h11"})
     for tag, _ in tags:
         (corners,) = found[("apriltag-36h11", tag.id)]
         side = np.linalg.norm(corners[1] - corners[0])
@@ -61,27 +55,27 @@ def test_printed_tags_are_read() -> None:
 
 
 def test_files_know_their_size(tmp_path: Path) -> None:
-    sheet = board_sheet(board_of("charuco:7x5:30mm:22mm"), "a board")
-    save_sheets([sheet], tmp_path / "a.pdf")
-    save_sheets([sheet], tmp_path / "a.png")
+    sheet = prints.board_sheet(board_of("charuco:7x5:30mm:22mm"), "a board")
+    prints.save_sheets([sheet], tmp_path / "a.pdf")
+    prints.save_sheets([sheet], tmp_path / "a.png")
     box = re.search(rb"MediaBox \[ 0 0 ([\d.]+) ([\d.]+) \]", (tmp_path / "a.pdf").read_bytes())
     assert box
     assert float(box[1]) == pytest.approx(297 / 25.4 * 72, abs=0.2)
     with Image.open(tmp_path / "a.png") as image:
-        assert image.size[0] == round(0.297 * PER_METRE)
+        assert image.size[0] == round(0.297 * prints.PER_METRE)
         assert image.info["dpi"][0] == pytest.approx(600.0, abs=0.01)
 
 
 def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="--paper a3"):
-        board_sheet(board_of("charuco:9x6:40mm:30mm"), "")
+        prints.board_sheet(board_of("charuco:9x6:40mm:30mm"), "")
     with pytest.raises(InvalidInput, match="smaller squares"):
-        board_sheet(board_of("charuco:9x7:90mm:60mm"), "")
+        prints.board_sheet(board_of("charuco:9x7:90mm:60mm"), "")
     with pytest.raises(InvalidInput, match="a4"):
-        board_sheet(board_of("charuco:7x5:30mm:22mm"), "", "a9")
+        prints.board_sheet(board_of("charuco:7x5:30mm:22mm"), "", "a9")
     with pytest.raises(InvalidInput, match="586"):
-        tag_sheets([(Tag(id=5000, size=0.03, height=0.0), "")])
-    sheets = tag_sheets([(Tag(id=k, size=0.09, height=0.0), "") for k in range(9)])
+        prints.tag_sheets([(Tag(id=5000, size=0.03, height=0.0), "")])
+    sheets = prints.tag_sheets([(Tag(id=k, size=0.09, height=0.0), "") for k in range(9)])
     assert len(sheets) > 1
     with pytest.raises(InvalidInput, match=r"\.pdf"):
-        save_sheets(sheets, tmp_path / "a.png")
+        prints.save_sheets(sheets, tmp_path / "a.png")

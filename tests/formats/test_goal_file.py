@@ -8,17 +8,7 @@ import pytest
 from fixel.errors import InvalidInput
 from fixel.formats.goal_file import goal_file_from_dict, load_goal
 from fixel.io.document import parse_yaml
-from fixel.model.goals import (
-    AllOf,
-    AnyOf,
-    Beyond,
-    Contact,
-    Exit,
-    ForceAbove,
-    Inside,
-    PoseRegion,
-    Seated,
-)
+from fixel.model import goals
 from fixel.planning.pushes import FreePushes, RigPushes
 from fixel.uncertainty.starts import ASME, RPI_CAMERA
 
@@ -52,19 +42,19 @@ belief:
   conditions: {shape: hex}
 want: {success: 0.9}
 """
-GOAL = AllOf(
-    AnyOf(
-        PoseRegion((0.18, 0, math.pi / 2), position=2e-3, angle=math.radians(2), symmetry=4),
-        Seated("fixel-1", "fixel-2", only=True, stalled=True),
-        AllOf(
-            Inside([(0, 0), (0.01, 0), (0.01, 0.005)], tolerance=1e-4),
-            Beyond([(0.008, 0), (0.008, -0.001)], feature=(0.001, 0.002)),
+GOAL = goals.AllOf(
+    goals.AnyOf(
+        goals.PoseRegion((0.18, 0, math.pi / 2), position=2e-3, angle=math.radians(2), symmetry=4),
+        goals.Seated("fixel-1", "fixel-2", only=True, stalled=True),
+        goals.AllOf(
+            goals.Inside([(0, 0), (0.01, 0), (0.01, 0.005)], tolerance=1e-4),
+            goals.Beyond([(0.008, 0), (0.008, -0.001)], feature=(0.001, 0.002)),
         ),
     ),
     never=[
-        Contact("fixel-4"),
-        Exit([(0, 0), (0.4, 0), (0.4, 0.3), (0, 0.3)]),
-        ForceAbove(30.0),
+        goals.Contact("fixel-4"),
+        goals.Exit([(0, 0), (0.4, 0), (0.4, 0.3), (0, 0.3)]),
+        goals.ForceAbove(30.0),
     ],
 )
 

@@ -6,16 +6,7 @@ import pytest
 from fixel.calibration.target import target_of
 from fixel.model import Body, Polygon, Scene, SupportPoints, UniformPressure
 from fixel.model.footprint import support_grid
-from fixel.parts.fit import (
-    NAMES,
-    PartPushes,
-    SupportPrior,
-    bounds,
-    fit_part,
-    paced,
-    simulated,
-    slopes,
-)
+from fixel.parts import fit
 from fixel.parts.next_pushes import push_candidates
 from fixel.simulation import QuasiStatic, simulate
 from fixel.simulation.rollouts import RolloutCase
@@ -35,7 +26,7 @@ def pushes_of(support, n=16):
         case = RolloutCase(known, np.array([known.duration]))
         pose = np.array([[float(x) for x in end]])
         targets.append(target_of(example_parts(1, 1)[0])._replace(key=f"{k}", case=case, pose=pose))
-    return PartPushes(targets)
+    return fit.PartPushes(targets)
 
 
 @pytest.fixture(scope="module")
@@ -47,13 +38,13 @@ def pushes():
 
 def mean_error(pushes, prior):
     every = np.arange(len(pushes))
-    ends, good = simulated(pushes, every, prior.mean[None])
+    ends, good = fit.simulated(pushes, every, prior.mean[None])
     return pushes.distance(every, ends[0], good[0])
 
 
 def test_a_fit_predicts_pushes_that_it_has_not_seen_better_than_the_prior(pushes):
-    prior = SupportPrior.unpushed()
-    found = fit_part(pushes, np.arange(0, len(pushes), 2), prior, np.full(8, 1e-3))
+    prior = fit.SupportPrior.unpushed()
+    found = fit.fit_part(pushes, np.arange(0, len(pushes), 2), prior, np.full(8, 1e-3))
     assert mean_error(pushes, found) < 0.6 * mean_error(pushes, prior)
 
 
@@ -65,38 +56,38 @@ def test_a_part_that_stands_on_its_middle_is_fitted_inside_the_bounds():
         SupportPoints(points=points, friction=0.3, loads=np.exp(-((away / 0.023) ** 2)))
     )
     noise = np.full(len(middle), 0.3e-3)
-    found = fit_part(middle, np.arange(len(middle)), SupportPrior.unpushed(), noise)
-    rim = NAMES.index("pressure_rim")
-    low, high = bounds()
+    found = fit.fit_part(middle, np.arange(len(middle)), fit.SupportPrior.unpushed(), noise)
+    rim = fit.NAMES.index("pressure_rim")
+    low, high = fit.bounds()
     assert found.mean[rim] < -4.1
     assert low[rim] + 0.1 < found.mean[rim] < high[rim]
 
 
 def test_pushes_narrow_the_distribution_and_none_widens_it(pushes):
-    prior = SupportPrior.unpushed()
+    prior = fit.SupportPrior.unpushed()
     before = prior.covariance
     for n in (2, 6, 16):
-        found = fit_part(pushes, np.arange(n), prior, np.full(n, 2.5e-3)).covariance
+        found = fit.fit_part(pushes, np.arange(n), prior, np.full(n, 2.5e-3)).covariance
         assert np.linalg.eigvalsh(before - found).min() > -1e-6
         assert np.trace(found) < np.trace(prior.covariance)
 
 
 def test_large_noise_leaves_the_prior(pushes):
-    prior = SupportPrior.unpushed()
-    found = fit_part(pushes, np.arange(4), prior, np.full(4, 10.0))
+    prior = fit.SupportPrior.unpushed()
+    found = fit.fit_part(pushes, np.arange(4), prior, np.full(4, 10.0))
     np.testing.assert_allclose(found.mean, prior.mean, atol=1e-3)
 
 
 def test_derivatives_agree_with_differences_of_single_simulations(pushes):
-    prior = SupportPrior.unpushed()
+    prior = fit.SupportPrior.unpushed()
     which = np.array([0, 5])
-    found = slopes(pushes, which, prior, step=0.05)
-    name = NAMES.index("mu_pusher")
+    found = fit.slopes(pushes, which, prior, step=0.05)
+    name = fit.NAMES.index("mu_pusher")
     for row, k in enumerate(which.tolist()):
-        scene = paced(pushes.targets[k].case.scene, pushes.targets[k].case.times[-1])
+        scene = fit.paced(pushes.targets[k].case.scene, pushes.targets[k].case.times[-1])
         ends = []
         for sign in (1.0, -1.0):
-            values = dict(zip(NAMES, prior.mean.tolist(), strict=True))
+            values = dict(zip(fit.NAMES, prior.mean.tolist(), strict=True))
             values["mu_pusher"] += sign * 0.05 * np.sqrt(prior.covariance[name, name])
             ends.append(np.array(simulate(scene, values, motion=QuasiStatic()).final["part"]))
         by_hand = (ends[0] - ends[1]) / 0.1 * [1.0, 1.0, 35e-3]
@@ -106,15 +97,15 @@ def test_derivatives_agree_with_differences_of_single_simulations(pushes):
 def test_the_pace_of_a_push_does_not_change_its_quasi_static_end():
     scene = push_candidates(Body("part", TRIANGLE, mass=0.8,
                                  support=UniformPressure(friction=0.3)))[4]  # fmt: skip
-    slow = paced(scene, scene.duration)
+    slow = fit.paced(scene, scene.duration)
     assert isinstance(slow, Scene)
     ends = [np.array(simulate(own, motion=QuasiStatic()).final["part"]) for own in (scene, slow)]
     np.testing.assert_allclose(ends[0], ends[1], atol=2e-5)
 
 
 def test_results_are_the_same_for_any_number_of_threads(pushes):
-    other = PartPushes(pushes.targets, threads=1)
-    prior, which = SupportPrior.unpushed(), np.arange(6)
-    first, second = (fit_part(own, which, prior, np.full(6, 2e-3)) for own in (pushes, other))
+    other = fit.PartPushes(pushes.targets, threads=1)
+    prior, which = fit.SupportPrior.unpushed(), np.arange(6)
+    first, second = (fit.fit_part(own, which, prior, np.full(6, 2e-3)) for own in (pushes, other))
     np.testing.assert_array_equal(first.mean, second.mean)
     np.testing.assert_array_equal(first.covariance, second.covariance)

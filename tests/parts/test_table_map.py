@@ -7,17 +7,7 @@ import pytest
 
 import fixel
 from fixel.errors import InvalidInput
-from fixel.parts.table_fit import (
-    CORRECTED,
-    FRICTION_DEVIATION,
-    OWN_DEVIATION,
-    POSE_DEVIATION,
-    MapGrid,
-    MapRows,
-    StandingPart,
-    fit_table,
-    own_fit,
-)
+from fixel.parts import table_fit
 from fixel.parts.table_map import BoardShift, MapJudgement, by_part
 from fixel.testing.pushes import example_parts, example_pushes, uneven_board
 
@@ -127,7 +117,7 @@ def test_a_saved_map_is_the_same(table, tmp_path):
 
 def test_derivatives_by_loads_are_those_of_the_engine(pushes):
     group = by_part(pushes, "part")["part-1"]
-    part = StandingPart(group, {"mu_pusher": 0.25})
+    part = table_fit.StandingPart(group, {"mu_pusher": 0.25})
     case = part._ensemble.cases[0]
     values = {f"load_{k + 1}": float(x) for k, x in enumerate(part.loads[0])}
     values["mu_pusher"] = 0.25
@@ -145,14 +135,14 @@ def test_the_fit_is_that_of_dense_linear_algebra():
     rng = np.random.default_rng(1)
     n, p, m = 6, 5, 4
     pose = rng.normal(0.0, 0.03, (n, 3))
-    rows = MapRows(
+    rows = table_fit.MapRows(
         rng.normal(size=(n, 3, m)), rng.normal(size=(n, 3, p)), rng.normal(size=(n, 3, p)),
-        rng.normal(size=(n, 3, len(CORRECTED))), pose, 1e-3 * rng.normal(size=(n, 3)),
+        rng.normal(size=(n, 3, len(table_fit.CORRECTED))), pose, 1e-3 * rng.normal(size=(n, 3)),
         np.ones(n, bool),
     )  # fmt: skip
-    fit = fit_table([rows])
+    fit = table_fit.fit_table([rows])
     a, b, c = (x.reshape(3 * n, -1) for x in (rows.by_map, rows.by_balanced, rows.by_value))
-    own = OWN_DEVIATION**2 * b @ b.T + c @ c.T
+    own = table_fit.OWN_DEVIATION**2 * b @ b.T + c @ c.T
     # The noise that the fit has settled at follows from its answer: left = noise * force.
     force = fit.force[0].reshape(-1)
     left = rows.residual.reshape(-1) - a @ fit.mean - own @ force
@@ -169,30 +159,35 @@ def test_what_is_a_parts_own_is_a_gaussian_process_over_poses():
     rng = np.random.default_rng(2)
     n, p = 5, 4
     pose = rng.normal(0.0, 0.04, (n, 3))
-    rows = MapRows(
+    rows = table_fit.MapRows(
         np.zeros((n, 3, 2)), rng.normal(size=(n, 3, p)), rng.normal(size=(n, 3, p)),
-        np.zeros((n, 3, len(CORRECTED))), pose, 1e-2 * rng.normal(size=(n, 3)), np.ones(n, bool),
+        np.zeros((n, 3, len(table_fit.CORRECTED))), pose, 1e-2 * rng.normal(size=(n, 3)),
+        np.ones(n, bool),
     )  # fmt: skip
-    own = own_fit(rows, np.zeros(2))
+    own = table_fit.own_fit(rows, np.zeros(2))
     at = rng.normal(0.0, 0.04, (3, 3))
     load, friction = own.changes(at)
-    force = fit_table([rows._replace(by_map=rows.by_map[:, :, :0])], by_pose=True).force[0]
+    force = table_fit.fit_table([rows._replace(by_map=rows.by_map[:, :, :0])], by_pose=True).force[
+        0
+    ]
     for k in range(3):
         expected_load, expected_friction = np.zeros(p), np.zeros(p)
         for j in range(n):
             d2 = ((at[k, :2] - pose[j, :2]) ** 2).sum() / 0.05**2
             turn = (2 * np.sin(0.5 * (at[k, 2] - pose[j, 2])) / 0.5) ** 2
             near = np.exp(-0.5 * (d2 + turn))
-            expected_load += (OWN_DEVIATION**2 + POSE_DEVIATION**2 * near) * (
+            expected_load += (table_fit.OWN_DEVIATION**2 + table_fit.POSE_DEVIATION**2 * near) * (
                 rows.by_balanced[j].T @ force[j])  # fmt: skip
-            expected_friction += FRICTION_DEVIATION**2 * near * (rows.by_load[j].T @ force[j])
+            expected_friction += (
+                table_fit.FRICTION_DEVIATION**2 * near * (rows.by_load[j].T @ force[j])
+            )
         np.testing.assert_allclose(load[k], expected_load)
         np.testing.assert_allclose(friction[k], expected_friction)
 
 
 def test_weights_interpolate_linear_fields_exactly():
     rng = np.random.default_rng(0)
-    grid = MapGrid.over(rng.uniform(-0.1, 0.2, (50, 2)))
+    grid = table_fit.MapGrid.over(rng.uniform(-0.1, 0.2, (50, 2)))
     n_y, n_x = grid.shape
     y, x = np.meshgrid(np.arange(n_y), np.arange(n_x), indexing="ij")
     field = (2.0 * x - 3.0 * y).ravel()
