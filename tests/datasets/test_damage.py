@@ -64,12 +64,7 @@ def _key(name: str, skipped: str) -> bool:
 
 @pytest.mark.parametrize(("folder", "table", "column", "number"), TABLES)
 def test_a_damaged_row_leaves_out_its_experiment(
-    folder: str,
-    table: str,
-    column: str,
-    number: str | None,
-    data_root: Path,
-    tmp_path: Path,
+    folder: str, table: str, column: str, number: str | None, data_root: Path, tmp_path: Path
 ) -> None:
     whole = _by_key(_copied(data_root / folder, tmp_path / "whole"))
     for seed in SEEDS:
@@ -98,11 +93,7 @@ def test_a_damaged_row_leaves_out_its_experiment(
 
 
 @pytest.mark.parametrize("damage", ["{", "[]", "{}", '{"object": 3}', "\x00", ""])
-def test_a_damaged_setup_leaves_out_its_trial(
-    damage: str,
-    data_root: Path,
-    tmp_path: Path,
-) -> None:
+def test_a_damaged_setup_leaves_out_its_trial(damage: str, data_root: Path, tmp_path: Path) -> None:
     whole = _by_key(data_root / "rpi_2dgad")
     copy = _copied(data_root / "rpi_2dgad", tmp_path / "copy")
     (copy / "exp141_setup.json").write_text(damage)

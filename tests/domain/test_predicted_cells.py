@@ -56,10 +56,7 @@ def test_experiments_without_evidence_say_nothing():
     error = np.array(evidence.error_mm2)
     error[evidence.column("offset_y_m").index(0.0)] = np.nan
     kept = HeldOutErrors(
-        keys=evidence.keys,
-        ids=evidence.ids,
-        coordinates=evidence.coordinates,
-        error_mm2=error,
+        keys=evidence.keys, ids=evidence.ids, coordinates=evidence.coordinates, error_mm2=error
     )
     assert np.isfinite(predicted_cells(kept, _cells(kept), 0.9)).all()
 

@@ -94,8 +94,7 @@ def test_sizes_against_thresholds(tmp_path):
 
 @pytest.mark.parametrize("name", ["{}", "-{}.25", "collinear-tight-{}"])
 @pytest.mark.parametrize(
-    ("rows", "columns", "panels"),
-    [(1, 3, 4), (6, 3, 4), (1, 11, 2), (2, 40, 1), (20, 4, 2)],
+    ("rows", "columns", "panels"), [(1, 3, 4), (6, 3, 4), (1, 11, 2), (2, 40, 1), (20, 4, 2)]
 )
 def test_numbers_and_titles_of_a_map_do_not_collide(rows, columns, panels, name):
     with mpl.rc_context(palette.STYLE):

@@ -11,10 +11,7 @@ from tests.drawing.collisions import axes_of, check_page
 
 from fixel.drawing import palette
 from fixel.drawing.chart import save_figure
-from fixel.drawing.experiment import (
-    comparison_figure,
-    experiment_figure,
-)
+from fixel.drawing.experiment import comparison_figure, experiment_figure
 from fixel.drawing.thumbnail import thumbnail
 from fixel.errors import InvalidInput
 from fixel.model import Channel, Experiment, Provenance, Trajectory

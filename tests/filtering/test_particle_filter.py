@@ -211,8 +211,7 @@ def test_impossible_options_are_refused(options, sentence):
         ),
         (
             replace(
-                SCENE,
-                bodies=(replace(SCENE.bodies[0], support=Ellipsoid(force=0.5, torque=0.02)),),
+                SCENE, bodies=(replace(SCENE.bodies[0], support=Ellipsoid(force=0.5, torque=0.02)),)
             ),
             replace(FEW, priors={"mu_support": (0.1, 0.2)}),
             "ellipsoidal",

@@ -68,11 +68,7 @@ def test_json_is_read_too(tmp_path):
 
 
 WRONG = [
-    (
-        ("head", "speed"),
-        -1.0,
-        r"^head\.speed is -1\.0, .*than 0 \(speed of the head \[m/s\]\)",
-    ),
+    (("head", "speed"), -1.0, r"^head\.speed is -1\.0, .*than 0 \(speed of the head \[m/s\]\)"),
     (("head", "speed"), "fast", r"^head\.speed is 'fast', but must be a number"),
     (("head", "speed"), float("nan"), r"^head\.speed"),
     (("head", "shape"), {}, r"^head\.shape is missing: give exactly one of polygon"),

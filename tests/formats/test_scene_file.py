@@ -223,11 +223,7 @@ def test_numbers_and_text_are_those_of_yaml_1_2():
         ({"bodies.0.pose": [0, 0, float("nan")]}, "bodies[0].pose[2]", "finite number"),
         ({"bodies.0.name": 3}, "bodies[0].name", "must be text"),
         ({"bodies.0.shape": "square"}, "bodies[0].shape", "the keys polygon, disk"),
-        (
-            {"bodies.0.shape": {}},
-            "bodies[0].shape",
-            "is missing: give exactly one of polygon",
-        ),
+        ({"bodies.0.shape": {}}, "bodies[0].shape", "is missing: give exactly one of polygon"),
         (
             {"bodies.0.shape": {"polygon": SQUARE, "disk": 1.0}},
             "bodies[0].shape",

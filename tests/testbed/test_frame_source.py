@@ -94,10 +94,7 @@ def test_what_is_missing_from_a_file_is_told_at_its_end(tmp_path: Path) -> None:
     whole = (tmp_path / "v.mkv").read_bytes()
     (tmp_path / "v.mkv").write_bytes(whole[: len(whole) // 2])
     (film(tmp_path / "film") / "end.json").unlink()
-    for played, said in (
-        ("v.mkv", "truncated: the file ends after"),
-        ("film", "no end mark"),
-    ):
+    for played, said in (("v.mkv", "truncated: the file ends after"), ("film", "no end mark")):
         source = FileSource(tmp_path / played, as_fast_as_possible=True)
         source.open()
         list(source.frames())

@@ -18,9 +18,7 @@ def conjugate(width, shift=0.0, n=300):
     ranks = np.array(
         [
             rank_of(
-                truth,
-                0.5 * y + shift + width * np.sqrt(0.5) * rng.standard_normal((400, 1)),
-                rng,
+                truth, 0.5 * y + shift + width * np.sqrt(0.5) * rng.standard_normal((400, 1)), rng
             )
             for truth, y in zip(truths, data, strict=True)
         ]

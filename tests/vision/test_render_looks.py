@@ -121,9 +121,7 @@ def test_motion_smears_by_the_way_made_in_an_exposure():
     scene, rig = bare_scene(), small_rig()
     start = np.array([0.17, 0.008, -0.021])
     far = start + np.array([0.16, 0.0, 0.0])
-    tracks = resting() | {
-        "object": Trajectory(time=[-5.0, 5.0], pose=[2 * start - far, far]),
-    }
+    tracks = resting() | {"object": Trajectory(time=[-5.0, 5.0], pose=[2 * start - far, far])}
     looks = CameraEffects(shadows=0.0, exposure=1.0 / 8.0)
     sharp, smeared = (
         next(film_scene(scene, tracks, rig, look, np.array([0.0]))).picture

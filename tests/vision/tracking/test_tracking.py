@@ -200,10 +200,7 @@ def test_the_microscope_scene():
     time = np.arange(5) / 30.0  # what moves before and after is in the exposures too
     part = np.array([[1e-5 * k, -2e-5 * k, 0.01 * k] for k in range(5)])
     probe = scene.pushers[0].pose + [[1e-5 * k - 9e-5, 0.0, 0.0] for k in range(5)]
-    motion = {
-        "part": Trajectory(time=time, pose=part),
-        "probe": Trajectory(time=time, pose=probe),
-    }
+    motion = {"part": Trajectory(time=time, pose=part), "probe": Trajectory(time=time, pose=probe)}
     frames = film_scene(scene, motion, rig, looks_named("microscope"), time[1:4], 1)
     tracked = track(frames, rig, scene)
     assert tracked.parts["part"].pose[:, :2] == pytest.approx(part[1:4, :2], abs=0.3e-6)
