@@ -39,8 +39,7 @@ from fixel.planning.success import SuccessProbability, rates_without_noise
 from fixel.sampling.published import thesis_plan
 from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.rollouts import RolloutCase
-from fixel.testbed.repeated_pushes import repeat_pushes
-from fixel.testbed.simulated import SimulatedTestbed
+from fixel.testbed.simulated import SimulatedTestbed, repeat_pushes
 from fixel.typing import FloatArray
 from fixel.units import deg, mm
 from fixel.workflows.planning.run import PLAN, plan_goal

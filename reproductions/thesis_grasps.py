@@ -27,8 +27,7 @@ from fixel.replay.base import Row
 from fixel.sampling.published import thesis_plan
 from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.rollouts import RolloutCase
-from fixel.testbed.repeated_pushes import repeat_pushes
-from fixel.testbed.simulated import SimulatedTestbed
+from fixel.testbed.simulated import SimulatedTestbed, repeat_pushes
 from fixel.uncertainty.starts import RPI_CAMERA, StartError
 from fixel.units import deg, mm
 from reproductions.charts.assembly import grasps_figure

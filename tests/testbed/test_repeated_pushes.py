@@ -7,8 +7,7 @@ import pytest
 
 from fixel.errors import InvalidInput
 from fixel.model import LineDrive, PlannedExperiment
-from fixel.testbed.repeated_pushes import repeat_pushes
-from fixel.testbed.simulated import SimulatedTestbed
+from fixel.testbed.simulated import SimulatedTestbed, repeat_pushes
 from fixel.testing.scenes import grasp, pushed_square
 
 BENCH = SimulatedTestbed(seed=5, lead_in=0.0, position_noise=0.0, angle_noise=0.0)

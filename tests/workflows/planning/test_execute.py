@@ -19,8 +19,7 @@ from fixel.planning.plan import PlanCorrection
 from fixel.testbed.emulators.grbl import EmulatedGrbl
 from fixel.testbed.motion import SimulatedActuator
 from fixel.testbed.motion_grbl import GrblActuator
-from fixel.testbed.repeated_pushes import repeat_pushes
-from fixel.testbed.simulated import SimulatedTestbed
+from fixel.testbed.simulated import SimulatedTestbed, repeat_pushes
 from fixel.testing.scenes import pushed_square
 from fixel.units import deg, mm
 from fixel.workflows.acquisition.film import FilmSettings, film

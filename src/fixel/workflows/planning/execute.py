@@ -28,8 +28,7 @@ from fixel.planning.success import SuccessProbability
 from fixel.planning.trials import PlanTrial, Trials
 from fixel.progress import show_progress
 from fixel.testbed.motion import AbstractActuator
-from fixel.testbed.repeated_pushes import repeat_pushes
-from fixel.testbed.simulated import SimulatedTestbed
+from fixel.testbed.simulated import SimulatedTestbed, repeat_pushes
 from fixel.typing import FloatArray, Notify
 from fixel.workflows.acquisition.record import RecordPlan, record
 from fixel.workflows.acquisition.track import track_film
