@@ -43,24 +43,25 @@ def _reference(name: str, target: str, *, needed: bool = True) -> sa.Column[Any]
     return sa.Column(name, sa.Integer, sa.ForeignKey(f"{target}.id"), nullable=not needed)
 
 
-geometry = sa.Table(
+def _table(name: str, *content: Any) -> sa.Table:
+    """Table of records with ids."""
+    return sa.Table(name, METADATA, sa.Column("id", sa.Integer, primary_key=True), *content)
+
+
+def _numbers(*names: str, needed: bool = False) -> list[sa.Column[Any]]:
+    return [sa.Column(name, _FLOAT, nullable=not needed) for name in names]
+
+
+geometry = _table(
     "object_pusher_geometry",
-    METADATA,
-    sa.Column("id", sa.Integer, primary_key=True),
     sa.Column("content_sha256", sa.String(64), nullable=False, unique=True),
     sa.Column("is_object", sa.Boolean, nullable=False),
     sa.Column("shape", sa.JSON, nullable=False),  # as in a scene file, lengths in metres
-    sa.Column("height_m", _FLOAT),
-    sa.Column("mass_kg", _FLOAT),
-    sa.Column("inertia_kg_m2", _FLOAT),
-    sa.Column("centre_of_mass_x_m", _FLOAT),
-    sa.Column("centre_of_mass_y_m", _FLOAT),
+    *_numbers("height_m", "mass_kg", "inertia_kg_m2", "centre_of_mass_x_m", "centre_of_mass_y_m"),
 )
 
-experiment = sa.Table(
+experiment = _table(
     "experiment",
-    METADATA,
-    sa.Column("id", sa.Integer, primary_key=True),
     sa.Column("content_sha256", sa.String(64), nullable=False, unique=True),
     sa.Column("dataset", sa.String(200), nullable=False),
     sa.Column("name", sa.String(400), nullable=False),
@@ -70,19 +71,19 @@ experiment = sa.Table(
     _reference("object_geometry_id", "object_pusher_geometry", needed=False),
     _reference("pusher_geometry_id", "object_pusher_geometry", needed=False),
     sa.Column("scene", sa.JSON(none_as_null=True)),
-    sa.Column("object_height_m", _FLOAT),
-    sa.Column("pusher_height_m", _FLOAT),
-    sa.Column("fixel_height_m", _FLOAT),
+    *_numbers("object_height_m", "pusher_height_m", "fixel_height_m"),
     sa.Column("n_frame", sa.Integer, nullable=False),
-    sa.Column("duration_s", _FLOAT, nullable=False),
-    sa.Column("start_x_m", _FLOAT, nullable=False),
-    sa.Column("start_y_m", _FLOAT, nullable=False),
-    sa.Column("start_theta_rad", _FLOAT, nullable=False),
-    sa.Column("end_x_m", _FLOAT, nullable=False),
-    sa.Column("end_y_m", _FLOAT, nullable=False),
-    sa.Column("end_theta_rad", _FLOAT, nullable=False),
-    sa.Column("effective_start_s", _FLOAT),
-    sa.Column("effective_end_s", _FLOAT),
+    *_numbers(
+        "duration_s",
+        "start_x_m",
+        "start_y_m",
+        "start_theta_rad",
+        "end_x_m",
+        "end_y_m",
+        "end_theta_rad",
+        needed=True,
+    ),
+    *_numbers("effective_start_s", "effective_end_s"),
     sa.Column("contact_mode", sa.String(40), nullable=False),
     sa.Column("conditions", sa.JSON, nullable=False),
     sa.Column("video_sha256", sa.String(64), nullable=False),
@@ -95,10 +96,8 @@ experiment = sa.Table(
     sa.Index(None, "deleted_at_utc"),
 )
 
-flag = sa.Table(
+flag = _table(
     "flag",
-    METADATA,
-    sa.Column("id", sa.Integer, primary_key=True),
     _reference("experiment_id", "experiment"),
     sa.Column("name", sa.String(100), nullable=False),
     sa.Column("detail", sa.Text, nullable=False),
@@ -108,10 +107,8 @@ flag = sa.Table(
     sa.Index(None, "experiment_id"),
 )
 
-note = sa.Table(
+note = _table(
     "note",
-    METADATA,
-    sa.Column("id", sa.Integer, primary_key=True),
     _reference("experiment_id", "experiment"),
     sa.Column("text", sa.Text, nullable=False),
     sa.Column("created_at_utc", sa.String(40), nullable=False),
@@ -119,10 +116,8 @@ note = sa.Table(
     sa.Index(None, "experiment_id"),
 )
 
-series = sa.Table(
+series = _table(
     "series",
-    METADATA,
-    sa.Column("id", sa.Integer, primary_key=True),
     sa.Column("owner", sa.String(20), nullable=False),  # experiment, simulation, calibration, ...
     sa.Column("owner_id", sa.Integer, nullable=False),
     sa.Column("place", sa.Integer, nullable=False),  # position among the series of its owner
@@ -134,22 +129,15 @@ series = sa.Table(
     sa.UniqueConstraint("owner", "owner_id", "place"),
 )
 
-system_parameters = sa.Table(
+system_parameters = _table(
     "system_parameters",
-    METADATA,
-    sa.Column("id", sa.Integer, primary_key=True),
     sa.Column("content_sha256", sa.String(64), nullable=False, unique=True),
-    sa.Column("mu_support", _FLOAT),
-    sa.Column("mu_fixel", _FLOAT),
-    sa.Column("mu_pusher", _FLOAT),
-    sa.Column("tripod_radius_m", _FLOAT),
+    *_numbers("mu_support", "mu_fixel", "mu_pusher", "tripod_radius_m"),
     sa.Column("others", sa.JSON, nullable=False),  # JSON, for parameters without a column
 )
 
-simulation = sa.Table(
+simulation = _table(
     "simulation",
-    METADATA,
-    sa.Column("id", sa.Integer, primary_key=True),
     _reference("experiment_id", "experiment"),
     _reference("system_parameters_id", "system_parameters"),
     sa.Column("method", sa.JSON, nullable=False),
@@ -160,18 +148,14 @@ simulation = sa.Table(
     sa.Index(None, "experiment_id"),
 )
 
-calibration = sa.Table(
+calibration = _table(
     "calibration",
-    METADATA,
-    sa.Column("id", sa.Integer, primary_key=True),
     sa.Column("name", sa.String(400), nullable=False),
     _reference("system_parameters_id", "system_parameters"),
     sa.Column("method", sa.JSON, nullable=False),
     sa.Column("n_evaluation", sa.Integer, nullable=False),
     sa.Column("n_member", sa.Integer, nullable=False),
-    sa.Column("mean_error_mm2", _FLOAT, nullable=False),
-    sa.Column("sum_error_mm2", _FLOAT, nullable=False),
-    sa.Column("max_error_mm2", _FLOAT, nullable=False),
+    *_numbers("mean_error_mm2", "sum_error_mm2", "max_error_mm2", needed=True),
     sa.Column("reasons", sa.JSON, nullable=False),  # JSON: failed evaluation's number -> reason
     sa.Column("estimates", sa.JSON(none_as_null=True)),  # JSON list, one item per parameter
     *_provenance(),
@@ -186,31 +170,25 @@ calibration_member = sa.Table(
     _reference("calibration_id", "calibration"),
     _reference("experiment_id", "experiment"),
     sa.Column("place", sa.Integer, nullable=False),
-    sa.Column("weight", _FLOAT, nullable=False),
-    sa.Column("error_mm2", _FLOAT, nullable=False),
+    *_numbers("weight", "error_mm2", needed=True),
     sa.PrimaryKeyConstraint("calibration_id", "place"),
     sa.Index(None, "experiment_id"),
 )
 
-filter_parameters = sa.Table(
+filter_parameters = _table(
     "filter_parameters",
-    METADATA,
-    sa.Column("id", sa.Integer, primary_key=True),
     sa.Column("name", sa.String(400), nullable=False),
     sa.Column("is_particle_filter", sa.Boolean, nullable=False),
     sa.Column("options", sa.JSON, nullable=False),
     *_provenance(),
 )
 
-filter_run = sa.Table(
+filter_run = _table(
     "filter_run",
-    METADATA,
-    sa.Column("id", sa.Integer, primary_key=True),
     _reference("experiment_id", "experiment"),
     _reference("filter_parameters_id", "filter_parameters"),
     sa.Column("uses_tactile", sa.Boolean, nullable=False),
-    sa.Column("occlusion_start_s", _FLOAT),
-    sa.Column("occlusion_end_s", _FLOAT),
+    *_numbers("occlusion_start_s", "occlusion_end_s"),
     sa.Column("contact_mode", sa.String(40), nullable=False),
     *_provenance(),
     sa.Index(None, "experiment_id"),
