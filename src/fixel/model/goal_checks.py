@@ -41,6 +41,7 @@ def check_goal(goal: goals.Goal, scene: Scene, field: Polygon | None = None) -> 
 
     Examples
     --------
+    >>> from fixel import AllOf, PoseRegion
     >>> from fixel.testing.scenes import pushed_square
     >>> left, right = (PoseRegion((x, 0, 0), position=0.01) for x in (-0.1, 0.1))
     >>> check_goal(AllOf(left, right), pushed_square())
