@@ -1,5 +1,7 @@
 """The page of plans, in a real browser."""
 
+from urllib.parse import unquote_plus
+
 import pytest
 from tests.fixtures import project_of
 
@@ -29,9 +31,13 @@ def test_a_goal_is_dragged_planned_shown_and_tried(browser_page, server):
     assert float(page.input_value("#x_mm")) > before + 1.0
     page.fill("#x_mm", str(before))
     assert page.input_value("#rollouts") == "160000"
-    for name, value in (("position_mm", 8), ("tolerance_deg", 10), ("rollouts", 2000)):
+    fields = {"position_mm": 8, "tolerance_deg": 10, "rollouts": 2000, "camera_mm": 0.7}
+    for name, value in fields.items():
         page.fill(f"#{name}", str(value))
-    page.click("#start")
+    with page.expect_request("**/run/plan") as sent:
+        page.click("#start")
+    camera = '"camera":{"x_mm":0.7,"y_mm":0.7,"theta_deg":0,"kind":"normal"}'
+    assert camera in unquote_plus(sent.value.post_data)
     page.click("#result", timeout=120_000)
     page.wait_for_selector("#of-plan")
     assert "success probability" in page.inner_text("#content")
