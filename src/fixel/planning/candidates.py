@@ -88,7 +88,7 @@ def displacements(
 ) -> PushTable:
     """Simulate pushes of the part alone; the plane is even, so that any place will do."""
     n = 2 ** int(np.log2(np.clip(rollouts / EACH, *LIBRARY)))
-    alone = simulator_alone(simulator)
+    alone = replace(simulator.alone)  # whose rollouts are counted here
     numbers = spread_pushes(alone.scene, alone.choice, n, seed)
     planned = alone.planned(numbers)
     good = planned.nominal.failure == CARRIED_OUT
@@ -102,20 +102,6 @@ def displacements(
     spread = np.median(ends.std(axis=1), axis=0)
     simulator.rollouts += alone.rollouts
     return PushTable(numbers[:, 0], planned.nominal.pose[:, -1], spread)
-
-
-def simulator_alone(simulator: PlanSimulator) -> PlanSimulator:
-    """Return the simulator of a part at the origin, without fixels and obstacles."""
-    return replace(
-        simulator, rollouts=0, choice=replace(simulator.choice, obstacles=()),
-        scene=_alone(simulator.scene),
-        simplified=None if simulator.simplified is None else _alone(simulator.simplified),
-    )  # fmt: skip
-
-
-def _alone(scene: Scene) -> Scene:
-    body = replace(scene.bodies[0], pose=np.zeros(3))
-    return replace(scene, bodies=(body,), fixels=())
 
 
 def sequences(

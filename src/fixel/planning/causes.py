@@ -332,15 +332,11 @@ def _effect(
     regions = _counts(good[plan : plan + 1], value, fold, REGION_BINS)
     middles, success = _curve(good[plan], value, world)
     return UnknownEffect(
-        name=name,
-        unit=unit if unit is not None else known.unit if known else "",
-        share=share,
+        name=name, unit=unit if unit is not None else known.unit if known else "", share=share,
         region=_region(regions) if share >= MIN_SHARE else None,
-        worth=worth if worth > SIGNIFICANT * error else 0.0,
-        worth_error=error,
-        value=middles,
-        success=success,
-    )
+        worth=worth if worth > SIGNIFICANT * error else 0.0, worth_error=error,
+        value=middles, success=success,
+    )  # fmt: skip
 
 
 def _curve(

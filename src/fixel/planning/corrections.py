@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final, NamedTuple, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -19,12 +19,11 @@ from fixel.planning.candidates import (
     embedded,
     goal_poses,
     poses_within,
-    simulator_alone,
     spread_pushes,
 )
 from fixel.planning.rollout import CARRIED_OUT, WORST_MARGIN, PlanSimulator
 from fixel.simulation.vary import composed, inverted
-from fixel.typing import FloatArray, IntArray
+from fixel.typing import BoolArray, FloatArray, IntArray
 from fixel.uncertainty.predictive import EndError, motion_of
 from fixel.uncertainty.run_to_run import arm_of
 
@@ -44,9 +43,7 @@ PARENTS, CHILDREN = 4, 12  # pushes of each generation of a refinement
 GENERATIONS: Final = 6
 STEPS: Final = (0.03, 0.003)  # largest and smallest of its children, in shares of the ranges
 FAR: Final = 1e-3  # weight of the distance from the goal beside the probability of meeting it
-SHORTER: Final = (
-    0.2  # least length of a correction, relative to that of a push, where none is given
-)
+SHORTER: Final = 0.2  # least length of a correction over that of a push, where none is given
 CHUNK: Final = 256  # seen poses that are compared at a time, which bounds the memory
 # Share of the spread of predicted poses by which the error of a seen pose is made wider, until
 # enough predictions count.
@@ -58,11 +55,31 @@ SeenParts = tuple[FloatArray, ...]
 
 
 class Correction(NamedTuple):
-    """Pushes that are chosen for n seen poses."""
+    """Pushes for n seen poses: the chosen one (n,), or m that are compared (n, m)."""
 
-    row: IntArray  # (n,) of the table; -1 where no push is better
-    probability: FloatArray  # (n,) that the goal is met after it
-    numbers: FloatArray  # (n, d) of the push, which may be refined
+    row: IntArray  # of the table; -1 where no push is better
+    score: FloatArray  # the probability, less a share of the distance from the goal
+    probability: FloatArray  # that the goal is met after it
+    numbers: FloatArray  # (..., d) of the push
+    refined: BoolArray  # whether these are not those of the table
+
+    def at(self, which: Any) -> Correction:
+        """Return some of the pushes."""
+        return Correction(*(own[which] for own in self))
+
+    def put(self, which: Any, others: Correction) -> None:
+        """Replace some of the pushes."""
+        for own, other in zip(self, others, strict=True):
+            own[which] = other
+
+    def joined(self, others: Correction) -> Correction:
+        """Return these pushes (n, m), then others."""
+        return Correction(*(np.concatenate(own, axis=1) for own in zip(self, others, strict=True)))
+
+    def best(self, k: int, by: str = "score") -> Correction:
+        """Return the k best of m pushes for each pose."""
+        order = np.argsort(-getattr(self, by), axis=1, kind="stable")[:, :k]
+        return self.at((np.arange(len(order))[:, None], order))
 
 
 @final
@@ -92,7 +109,7 @@ class CorrectionTable:
         Pushes (d,) for which `trusted` is false are left out.
         """
         none = np.zeros((WORLDS, 3))
-        alone = replace(simulator_alone(simulator), samples=LENGTHS)
+        alone = replace(simulator.alone, samples=LENGTHS)
         low, high = alone.choice.bounds(alone.scene)
         if getattr(alone.choice, "length", None) is None:
             low[2] *= SHORTER
@@ -177,17 +194,18 @@ class CorrectionTable:
         ends = self.after(near.reshape(-1), np.repeat(start, many, axis=0))
         ends = ends.reshape(len(seen), many, WORLDS, 3)
         scores = self._scores(simulator, ends, weight[:, None])
-        pushes = np.dstack((near, *scores, self.numbers[near]))
+        pushes = Correction(near, *scores, self.numbers[near], np.zeros(near.shape, bool))
         if simulator.scene.fixels or simulator.choice.obstacles:
-            pushes = self._tried(simulator, case, _best(pushes, TRIED), TRIED_WORLDS)
-        best = _best(pushes, 1)[:, 0]
-        low = np.flatnonzero(np.maximum(rest[1][:, 0], best[:, 2]) < ENOUGH)
+            pushes = self._tried(simulator, case, pushes.best(TRIED), TRIED_WORLDS)
+        best = pushes.best(1).at((slice(None), 0))
+        low = np.flatnonzero(np.maximum(rest[1][:, 0], best.probability) < ENOUGH)
         if refined and len(low):
             own: SeenParts = (seen[low], weight[low], start[low])
             first = near[low, :: many // len(towards)]  # nearest to each aim
-            best[low] = self._refined(simulator, own, pushes[low], first, towards)
-        row = np.where(rest[0][:, 0] >= best[:, 1], -1, best[:, 0]).astype(np.int64)
-        return Correction(row, np.where(row < 0, rest[1][:, 0], best[:, 2]), best[:, 3:])
+            best.put(low, self._refined(simulator, own, pushes.at(low), first, towards))
+        stays = rest[0][:, 0] >= best.score
+        best.row[stays], best.probability[stays] = -1, rest[1][stays, 0]
+        return best
 
     def _scores(
         self, simulator: PlanSimulator, ends: FloatArray, weight: FloatArray
@@ -199,13 +217,13 @@ class CorrectionTable:
         return _scored(np.where(good, np.maximum(margin, WORST_MARGIN), WORST_MARGIN), weight)
 
     def _tried(
-        self, simulator: PlanSimulator, case: SeenParts, pushes: FloatArray, worlds: int
-    ) -> FloatArray:
-        """Simulate pushes (n, m, 3 + d) among the fixels, in the most likely worlds."""
-        (seen, weight, start), (n, m, _) = case, pushes.shape
+        self, simulator: PlanSimulator, case: SeenParts, pushes: Correction, worlds: int
+    ) -> Correction:
+        """Simulate pushes (n, m) among the fixels, in the most likely worlds."""
+        (seen, weight, start), (n, m) = case, pushes.row.shape
         likely = np.argsort(-weight, axis=1, kind="stable")[:, :worlds]
         planned = simulator.planned(
-            pushes[:, :, 3:].reshape(n * m, 1, -1), np.repeat(seen, m, axis=0)
+            pushes.numbers.reshape(n * m, 1, -1), np.repeat(seen, m, axis=0)
         )
         which = np.repeat(np.arange(n * m), worlds)
         world = np.repeat(likely, m, axis=0).reshape(-1)
@@ -217,20 +235,21 @@ class CorrectionTable:
         margin = simulator.margins(simulator.run(planned, which, scenarios))
         margin = np.where(planned.collides[which], WORST_MARGIN, margin).reshape(n, m, worlds)
         own = np.take_along_axis(weight, likely, axis=1)[:, None]
-        return np.dstack((pushes[:, :, 0], *_scored(margin, own), pushes[:, :, 3:]))
+        score, probability = _scored(margin, own)
+        return pushes._replace(score=score, probability=probability)
 
     def _refined(
         self,
         simulator: PlanSimulator,
         case: SeenParts,
-        pushes: FloatArray,
+        pushes: Correction,
         near: IntArray,
         towards: FloatArray,
-    ) -> FloatArray:
-        """Return the best push (n, 3 + d) of an evolution strategy that ends where it is enough.
+    ) -> Correction:
+        """Return the best push (n,) of an evolution strategy that ends where it is enough.
 
-        Parents are given pushes (n, m, 3 + d), and those of the table, `near` (n, t), moved to the
-        aims (t, 3). Where no push meets the goal, the first parents stay: before a slot, the
+        Parents are given pushes (n, m), and those of the table, `near` (n, t), moved to the aims
+        (t, 3). Where no push meets the goal, the first parents stay: before a slot, the
         distance from the goal misleads.
 
         Source
@@ -239,25 +258,27 @@ class CorrectionTable:
         """
         low, high = simulator.choice.bounds(simulator.scene)
         span, rng = high - low, np.random.default_rng([self.seed, 13])
-        aimed = self._aimed(simulator, case, near, towards)
-        aimed = np.dstack((near, near, near, aimed))
-        own = self._tried(simulator, case, np.hstack((aimed, _best(pushes, PARENTS))), TRIED_WORLDS)
-        found = _best(own, PARENTS, by=2)
-        parents = np.arange(CHILDREN) % found.shape[1]
+        none, moved = np.zeros(near.shape), self._aimed(simulator, case, near, towards)
+        aimed = Correction(near, none, none, moved, (moved != self.numbers[near]).any(axis=2))
+        own = self._tried(simulator, case, aimed.joined(pushes.best(PARENTS)), TRIED_WORLDS)
+        found = own.best(PARENTS, by="probability")
+        parents = np.arange(CHILDREN) % found.row.shape[1]
         for _ in range(GENERATIONS):
             moved = np.geomspace(*STEPS, CHILDREN)[:, None] * span
             moved = moved * rng.standard_normal(moved.shape)
-            busy = np.flatnonzero(found[:, :, 2].max(axis=1) < ENOUGH)
+            busy = np.flatnonzero(found.probability.max(axis=1) < ENOUGH)
             if not len(busy):
                 break
-            children = found[busy][:, parents]
-            row = children[:, :, 0].astype(np.int64)
-            children[:, :, 3:] = self._near(simulator, children[:, :, 3:] + moved, row)
+            own = found.at((busy[:, None], parents))
+            children = self._near(simulator, own.numbers + moved, own.row)
+            own = own._replace(numbers=children, refined=np.ones(own.row.shape, bool))
             mine: SeenParts = tuple(x[busy] for x in case)
-            children = self._tried(simulator, mine, children, TRIED_WORLDS)
-            found[busy] = _best(np.hstack((found[busy], children)), PARENTS, by=2)
-        last = np.hstack((found[:, :1], _best(pushes, 1)))
-        return np.asarray(_best(self._tried(simulator, case, last, WORLDS), 1)[:, 0])
+            own = self._tried(simulator, mine, own, TRIED_WORLDS)
+            found.put(busy, found.at(busy).joined(own).best(PARENTS, by="probability"))
+        last = self._tried(
+            simulator, case, found.at((slice(None), [0])).joined(pushes.best(1)), WORLDS
+        )
+        return last.best(1).at((slice(None), 0))
 
     def _aimed(
         self, simulator: PlanSimulator, case: SeenParts, row: IntArray, towards: FloatArray
@@ -266,7 +287,7 @@ class CorrectionTable:
 
         By Gauss-Newton with difference quotients, in the most likely world.
         """
-        alone, (seen, weight, _) = simulator_alone(simulator), case
+        alone, (seen, weight, _) = simulator.alone, case
         numbers = self.numbers[row]
         n, t, d = numbers.shape
         low, high = alone.choice.bounds(alone.scene)
@@ -297,12 +318,6 @@ class CorrectionTable:
         low[0], high[0] = -np.inf, np.inf  # the way round the outline is closed
         low, high = np.maximum(low, own - reach), np.minimum(high, own + reach)
         return np.asarray(np.clip(numbers, low, high))
-
-
-def _best(pushes: FloatArray, k: int, by: int = 1) -> FloatArray:
-    """Return the k best of pushes (n, m, 3 + d): row, score, probability and numbers."""
-    order = np.argsort(-pushes[:, :, by], axis=1, kind="stable")[:, :k]
-    return np.take_along_axis(pushes, order[..., None], axis=1)
 
 
 def _scored(margin: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final, NamedTuple, final
 
 import numpy as np
@@ -98,6 +99,14 @@ class PlanSimulator:
     def simulated(self) -> Scene:
         """Scene that is simulated: `simplified`, else `scene`."""
         return self.simplified or self.scene
+
+    @cached_property
+    def alone(self) -> PlanSimulator:
+        """Simulator of the part at the origin, without fixels and obstacles."""
+        return replace(
+            self, rollouts=0, choice=replace(self.choice, obstacles=()), scene=_alone(self.scene),
+            simplified=None if self.simplified is None else _alone(self.simplified),
+        )  # fmt: skip
 
     def margins(self, runs: Runs) -> FloatArray:
         """Return the margins (n,) of the goal; far below zero where a run failed."""
@@ -276,6 +285,11 @@ class PlanSimulator:
             return np.zeros(len(end), bool)
         scene = self.simulated
         return np.asarray(touching(scene, scene.bodies[0], end, fixels).any(axis=1))
+
+
+def _alone(scene: Scene) -> Scene:
+    body = replace(scene.bodies[0], pose=np.zeros(3))
+    return replace(scene, bodies=(body,), fixels=())
 
 
 def _across(error: FloatArray, way: FloatArray) -> FloatArray:

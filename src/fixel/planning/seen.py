@@ -110,14 +110,9 @@ def plan_again(
         replace(plan.scene, bodies=(replace(body, pose=np.asarray(seen)),)),
         plan.goal,
         replace(choose, most=left) if isinstance(choose, FreePushes) else choose,
-        told.belief,
-        rollouts=rollouts,
-        seed=plan.seed,
-        motion=plan.motion,
-        stepper=plan.stepper,
-        first=[plan.pushes[done:]],
-        report=report,
-    )
+        told.belief, rollouts=rollouts, seed=plan.seed, motion=plan.motion, stepper=plan.stepper,
+        first=[plan.pushes[done:]], report=report,
+    )  # fmt: skip
     return conduct(search, plan_rounds(search, untrusted=untrusted), {}), told.note
 
 

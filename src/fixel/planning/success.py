@@ -183,17 +183,10 @@ class SuccessProbability(Result):
             for at in (WORST, 1.0 - WORST)
         )
         return cls(
-            mean=share,
-            low=low,
-            high=high,
-            rates=successes / n_runs,
-            n_runs=n_runs,
-            worst=worst,
-            best=best,
+            mean=share, low=low, high=high, worst=worst, best=best, confidence=confidence,
+            rates=successes / n_runs, n_runs=n_runs, n=own.size,
             margin=float(np.quantile(own, WORST, method="inverted_cdf")),
-            confidence=confidence,
-            n=own.size,
-        )
+        )  # fmt: skip
 
     @property
     def stated(self) -> float:

@@ -223,16 +223,8 @@ PLAN: Final = Capability(
     function=plan_goal,
     of=plan,
     leave_out=(
-        "scene",
-        "goal",
-        "choose",
-        "belief",
-        "camera",
-        "lost_views",
-        "motion",
-        "stepper",
-        "first",
+        "scene", "goal", "choose", "belief", "camera", "lost_views", "motion", "stepper", "first",
     ),
     rounds=_rounds,
     settled=_settled,
-)
+)  # fmt: skip
