@@ -104,6 +104,29 @@ def test_entries_of_the_table_are_pushes_of_their_length():
         assert (off < (3e-5, 3e-5, 5e-4)).all()
 
 
+@pytest.mark.system
+def test_a_goal_beyond_one_push_has_a_plan_with_a_look():
+    """No push is as long as the way to the goal; what is stated holds push by push."""
+    goal = PoseRegion((40 * mm, 0.0, 0.0), position=4 * mm, angle=5 * deg)
+    given = (pushed_square(), goal, FreePushes(length=(2 * mm, 25 * mm)), UNKNOWN)
+    options = dict(rollouts=2_000, progress=False)
+    with pytest.raises(InvalidInput, match="the nearest candidate ends"):
+        fixel.plan(*given, **options)
+    plan = fixel.plan(*given, looks=1, camera=CAMERA, **options)
+    assert plan.looks.worth[0].mean == 0.0
+    assert plan.success.mean > 0.3
+    rng = np.random.default_rng(4)
+    held = np.mean([in_one_world(plan, rng)[1] for _ in range(60)])
+    assert abs(held - plan.success.mean) < 3.5 * np.sqrt(0.25 / 60)
+
+
+@pytest.mark.system
+def test_a_goal_that_no_correction_reaches_is_refused():
+    far = PoseRegion((3.0, 0.0, 0.0), position=1 * mm)
+    with pytest.raises(InvalidInput, match="the nearest candidate ends"):
+        fixel.plan(pushed_square(), far, looks=1, rollouts=1_000, progress=False)
+
+
 def searched(goal=GOAL, looks=1):
     choose = FreePushes(length=(2 * mm, 60 * mm))
     return search_of(
@@ -154,6 +177,7 @@ def test_refined_pushes_stay_near_those_of_the_table(policy):
     low, high = policy.simulator.choice.bounds(policy.simulator.scene)
     off = (found.numbers - policy.table.numbers[found.row]) / (high - low)
     assert (np.abs(off) <= 0.15 + 1e-9).all()
+    assert (found.refined == (off != 0.0).any(axis=1)).all()
     assert (found.numbers[:, 2] <= high[2]).all()
     # A pose alone and among others has the same correction.
     alone = policy._chosen(seen[1:], np.ones((1, 32)), start[1:])

@@ -16,13 +16,7 @@ from fixel.model.goals import Beyond, Inside, PoseRegion
 from fixel.model.trajectory import wrapped
 from fixel.planning.belief import Belief, Scenarios
 from fixel.planning.candidates import Numbers
-from fixel.planning.corrections import (
-    WORLDS,
-    Correction,
-    CorrectionTable,
-    likelihoods,
-    towards,
-)
+from fixel.planning.corrections import WORLDS, Correction, CorrectionTable, likelihoods, towards
 from fixel.planning.pushes import FreePushes
 from fixel.planning.rollout import CARRIED_OUT, WORST_MARGIN, PlannedMotions, PlanSimulator
 from fixel.planning.search import PlanSearch, SearchStage, Views, stage_scenarios
@@ -38,8 +32,8 @@ RUNS: Final = 24  # of each world, to tell from a seen pose which worlds are lik
 COUNTING: Final = 24.0  # effective number of runs that must agree with a seen pose
 COUNTING_WORLDS: Final = 6.0
 UNKNOWN: Final = 1e3  # deviation of ends that are not predicted [m], [rad]
-COMPARED: Final = 4  # plans of the search whose policies are compared
-COMPARED_RUNS: Final = 400
+COMPARED: Final = 4  # policies that meet the second number of scenarios
+COMPARED_RUNS: Final = (48, 400)
 
 
 # Weights (n, w) of worlds before a push, its ends (n, w, 3) in them, and their deviations.
@@ -233,8 +227,7 @@ class Policy:
         ends = np.where((found.row >= 0)[:, None, None], ends, start)
         deviation = self.table.deviation(start, ends)
         # The ends of a refined push are unknown, so that the next view changes no weights.
-        refined = (found.row >= 0) & (found.numbers != self.table.numbers[found.row]).any(axis=1)
-        deviation[refined] = UNKNOWN
+        deviation[(found.row >= 0) & found.refined] = UNKNOWN
         return ends, np.hypot(self.views.camera.deviation, deviation)
 
 
@@ -243,25 +236,37 @@ def policy_of(
 ) -> tuple[FloatArray, Policy]:
     """Return the first pushes (k, d) and the policy that most often reach the goal.
 
-    Compared are the best plans of a search, each with the first look after any of its pushes.
-    Corrections are pushes (d,) for which `trusted` is true.
+    The first look may follow any push of the plans of a search. All such policies meet a few
+    scenarios, and the best of them meet more. Corrections are pushes (d,) for which `trusted` is
+    true. `InvalidInput` is raised where neither plans nor policies ever reach the goal.
     """
     simulator, belief, seed = search.simulator, search.belief, 1000 * search.seed
     table = CorrectionTable.of(simulator, belief, search.rollouts, seed + TABLE, trusted)
-    scenarios = belief.scenarios(simulator.scene, worlds=COMPARED_RUNS, runs=1, seed=seed + CHOICE)
-    found = []
-    for plan in plans[:COMPARED]:
-        for after in range(min(1, len(plan)), len(plan) + 1):
-            policy = Policy(
-                simulator=simulator, belief=belief, planned=simulator.planned(plan[None, :after]),
-                table=table, views=search.views, refined=False,
-            )  # fmt: skip
-            done = policy.walk(scenarios, seed + CHOICE)
-            far = np.log1p(np.maximum(-done.margin[-1], 0.0)).sum()
-            rank = (int((done.margin[-1] >= 0.0).sum()), -far, -int(done.pushes.sum()))
-            found.append((rank, plan[:after], policy))
-    _, numbers, policy = max(found, key=lambda own: own[0])
-    return numbers, replace(policy, refined=True)
+    few = plans[: 2 * COMPARED]
+    begun = [own[:after] for own in few for after in range(min(1, len(own)), len(own) + 1)]
+    found = [
+        (numbers, Policy(
+            simulator=simulator, belief=belief, planned=simulator.planned(numbers[None]),
+            table=table, views=search.views, refined=False,
+        )) for numbers in {own.tobytes(): own for own in begun}.values()
+    ]  # fmt: skip
+    for runs in COMPARED_RUNS:
+        scenarios = belief.scenarios(simulator.scene, worlds=runs, runs=1, seed=seed + CHOICE)
+        walks = [policy.walk(scenarios, seed + CHOICE) for _, policy in found]
+        order = sorted(range(len(found)), key=lambda k: _rank(walks[k]), reverse=True)
+        found = [found[k] for k in order[:COMPARED]]
+    numbers, policy = found[0][0], replace(found[0][1], refined=True)
+    if not search.reached and not _rank(walks[order[0]])[0]:
+        some = np.arange(COMPARED_RUNS[0])
+        if not _rank(policy.walk(scenarios.rows(some), seed + CHOICE))[0]:
+            raise search.unreachable(plans)
+    return numbers, policy
+
+
+def _rank(walk: Walk) -> tuple[int, float, int]:
+    """Return success, nearness and few pushes of a policy, the more important first."""
+    far = np.log1p(np.maximum(-walk.margin[-1], 0.0)).sum()
+    return int((walk.margin[-1] >= 0.0).sum()), -far, -int(walk.pushes.sum())
 
 
 def looks_of(

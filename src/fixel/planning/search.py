@@ -135,6 +135,7 @@ class PlanSearch:
     report: Callable[[Progress], None] | None = None
     best: float = 0.0
     done: int = 0
+    reached: bool = True  # whether a candidate meets the goal without a look
     # Simulates the search itself; the plan is chosen and its success stated by `simulator`.
     quick: PlanSimulator = field(init=False)
 
@@ -268,10 +269,12 @@ class PlanSearch:
             some = order[margin[order] > -np.inf][:ENTRANTS]
             request = MarginRequest([plans[k] for k in some], SOME, 0, SOME.worlds)
             margin[some] = np.maximum(margin[some], self.margins(request).max(axis=1))
-            if margin.max() < 0.0:
-                raise self._unreachable(plans)
+            self.reached = margin.max() >= 0.0
+            if not self.reached and not self.views.looks:
+                raise self.unreachable(plans)
         self.done = simulator.rollouts
-        near = order[margin[order] > -NEAR][:ENTRANTS]
+        # Where only corrections can reach the goal, any first pushes may lead to a pose for them.
+        near = order[margin[order] > (-NEAR if self.reached else -np.inf)][:ENTRANTS]
         return [plans[k] for k in near]
 
     def _no_push(self) -> Numbers:
@@ -382,7 +385,7 @@ class PlanSearch:
                 break
         return found
 
-    def _unreachable(self, plans: Numbers) -> InvalidInput:
+    def unreachable(self, plans: Numbers) -> InvalidInput:
         """Return the error for a goal that no candidate reaches, with the nearest end."""
         wider, found = "wider tolerances", "that no push of the candidates can be carried out"
         least = -np.inf

@@ -60,16 +60,16 @@ function content() {
   const pose = {
     pose_mm_deg: goal(), position_mm: number("position_mm"), angle_deg: number("tolerance_deg"), symmetry: number("symmetry"),
   };
-  /** Error by the size of its fields. @param {string} name @param {string} kind */
-  const error = (name, kind) => {
-    const [mm, deg] = [number(`${name}_mm`), number(`${name}_deg`)];
-    return mm || deg ? { [name]: { x_mm: mm, y_mm: mm, theta_deg: deg, kind } } : {};
+  /** Error of a pose by its two fields. @param {string} key @param {string} fields @param {string} kind */
+  const error = (key, fields, kind) => {
+    const [mm, deg] = [number(`${fields}_mm`), number(`${fields}_deg`)];
+    return mm || deg ? { [key]: { x_mm: mm, y_mm: mm, theta_deg: deg, kind } } : {};
   };
   return {
     fixel: 1,
     goal: wanted().length ? { seated: { fixels: wanted() } } : { pose },
     choose: input("kind").value === "rig" ? { rig: { y_mm: [-30, 30], theta_deg: [-45, 45] } } : { free: { most: number("pushes") } },
-    belief: { ...error("start", input("start_kind").value), ...error("camera", "normal") },
+    belief: { ...error("start", "start", input("start_kind").value), ...error("camera", "seen", "normal") },
   };
 }
 

@@ -467,9 +467,7 @@ def next_plan(
     belief, number = present_belief(project, found)
     old = replace(found.plan, belief=belief)
     with show_progress(None, "planning") as report:
-        again, note = plan_again(
-            old, seen, done, **{"untrusted": found.request.get("untrusted", False), **options},
-            report=report.show,
-        )  # fmt: skip
+        asked = {name: x for name, x in found.request.items() if name == "untrusted"}
+        again, note = plan_again(old, seen, done, **{**asked, **options}, report=report.show)
     warnings = (*warnings_of(again, found.wanted), *filter(None, [note]))
     return replace(found, plan=again, calibration=number, warnings=warnings)
