@@ -19,7 +19,6 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from fixel.web.overlay_page import overlay_page
 
 from fixel.formats.rig_file import rig_of
 from fixel.formats.scene_file import load_scene
@@ -28,6 +27,7 @@ from fixel.vision.frame import Frame, Picture, opencv
 from fixel.vision.render.film import film_scene
 from fixel.vision.render.looks import looks_named
 from fixel.web.live import PART_HEAD, LiveView
+from fixel.web.live_pages import overlay_page
 from fixel.web.serve import WebServer
 from fixel.workflows.acquisition.overlay import Overlay, draw_look
 
