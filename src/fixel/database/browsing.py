@@ -11,19 +11,7 @@ from typing import Any, Final, NamedTuple
 import sqlalchemy as sa
 from pydantic import TypeAdapter
 
-from fixel.database.query import (
-    AFTER,
-    BEFORE,
-    FAULTY,
-    LIVE,
-    NEWEST_NOMINAL,
-    SQUARES,
-    WITH_ERRORS,
-    clauses,
-    expressions,
-    order,
-    sources,
-)
+from fixel.database import query as queries
 from fixel.database.tables import experiment, flag, note
 from fixel.errors import StoreRefused
 from fixel.io.damaged_files import INVALID_CONTENT
@@ -61,8 +49,8 @@ _CHECK: Final = TypeAdapter(ExperimentRow)
 _DETAILS: Final = [
     experiment.c.content_sha256,
     experiment.c.deleted_at_utc,
-    BEFORE.c.error_mm2.label("before_mm2"),
-    AFTER.c.error_mm2.label("after_mm2"),
+    queries.BEFORE.c.error_mm2.label("before_mm2"),
+    queries.AFTER.c.error_mm2.label("after_mm2"),
     experiment.c.scene.is_not(None).label("has_scene"),
 ]
 
@@ -83,16 +71,16 @@ def browse(
     query = query or ExperimentQuery()
     dialect = connection.dialect.name
     everything = replace(query, include_faulty=True, sort="id")
-    count = sa.select(sa.func.count()).select_from(sources(everything))
-    count = count.where(*clauses(everything, dialect))
+    count = sa.select(sa.func.count()).select_from(queries.sources(everything))
+    count = count.where(*queries.clauses(everything, dialect))
     total = int(connection.scalar(count) or 0)
-    faulty = int(connection.scalar(count.where(experiment.c.id.in_(FAULTY))) or 0)
+    faulty = int(connection.scalar(count.where(experiment.c.id.in_(queries.FAULTY))) or 0)
     left_out = faulty if query.omits_faulty else 0
     wanted = (
         sa.select(*_ROW, *(_DETAILS if details else ()))
-        .select_from(WITH_ERRORS if details else sources(query))
-        .where(*clauses(query, dialect))
-        .order_by(*order(query, dialect))
+        .select_from(queries.WITH_ERRORS if details else queries.sources(query))
+        .where(*queries.clauses(query, dialect))
+        .order_by(*queries.order(query, dialect))
         .limit(query.limit)
         .offset(query.offset)
     )
@@ -125,9 +113,9 @@ def ids(
     dialect = connection.dialect.name
     wanted = (
         sa.select(experiment.c.id)
-        .select_from(sources(query))
-        .where(*clauses(query, dialect), *more)
-        .order_by(*order(query, dialect))
+        .select_from(queries.sources(query))
+        .where(*queries.clauses(query, dialect), *more)
+        .order_by(*queries.order(query, dialect))
     )
     return list(connection.scalars(wanted))
 
@@ -139,7 +127,7 @@ def unsimulated(connection: sa.Connection, query: ExperimentQuery) -> list[int]:
         query,
         experiment.c.deleted_at_utc.is_(None),
         experiment.c.scene.is_not(None),
-        experiment.c.id.not_in(sa.select(NEWEST_NOMINAL.c.experiment_id)),
+        experiment.c.id.not_in(sa.select(queries.NEWEST_NOMINAL.c.experiment_id)),
     )
 
 
@@ -154,7 +142,7 @@ def checksum(connection: sa.Connection, experiment_ids: Iterable[int]) -> str:
 def datasets(connection: sa.Connection) -> dict[str, int]:
     """Number of experiments in each dataset, including flagged ones."""
     name = experiment.c.dataset
-    counted = sa.select(name, sa.func.count()).where(*LIVE).group_by(name).order_by(name)
+    counted = sa.select(name, sa.func.count()).where(*queries.LIVE).group_by(name).order_by(name)
     return {name: n for name, n in connection.execute(counted)}
 
 
@@ -163,7 +151,7 @@ def flags(connection: sa.Connection) -> dict[str, int]:
     counted = (
         sa.select(flag.c.name, sa.func.count(sa.distinct(flag.c.experiment_id)))
         .join(experiment)
-        .where(flag.c.deleted_at_utc.is_(None), *LIVE)
+        .where(flag.c.deleted_at_utc.is_(None), *queries.LIVE)
         .group_by(flag.c.name)
         .order_by(flag.c.name)
     )
@@ -175,11 +163,11 @@ def tally(
 ) -> list[tuple[Any, ...]]:
     """Count distinct combinations of values: one text, number or None per name, then the count."""
     dialect = connection.dialect.name
-    chosen = [expressions(dialect, name) for name in names]
+    chosen = [queries.expressions(dialect, name) for name in names]
     every = (
         sa.select(*(e.label(f"c{k}") for k, e in enumerate(e for some in chosen for e in some)))
-        .select_from(sources(query, names))
-        .where(*clauses(query, dialect))
+        .select_from(queries.sources(query, names))
+        .where(*queries.clauses(query, dialect))
         .subquery()
     )
     grouped = sa.select(*every.c, sa.func.count()).group_by(*every.c)
@@ -199,7 +187,7 @@ def _values(
 ) -> Sequence[Any]:
     if numbers is not None:
         return [text if n is None else n for text, n in zip(values, numbers, strict=True)]
-    return [None if v is None else v**0.5 for v in values] if name in SQUARES else values
+    return [None if v is None else v**0.5 for v in values] if name in queries.SQUARES else values
 
 
 def conditions(connection: sa.Connection) -> dict[str, ConditionValues]:

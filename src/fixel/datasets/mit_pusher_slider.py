@@ -11,18 +11,9 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
+from fixel.datasets import files as tables
 from fixel.datasets.base import Importer, ImportPlan, Origin, collected, remark, trajectory_of
 from fixel.datasets.contact import pushed_scene
-from fixel.datasets.files import (
-    MM,
-    CsvRows,
-    Problems,
-    increasing,
-    member,
-    rate_of,
-    read_json,
-    read_table,
-)
 from fixel.errors import DatasetMissing, InvalidInput
 from fixel.model import Body, Channel, Disk, Experiment, Flag, Polygon, Trajectory, UniformPressure
 from fixel.typing import BoolArray, FloatArray
@@ -67,8 +58,8 @@ class MitPusherSlider(Importer):
         files = sorted(source.glob(RUNS))
         if not files or not (source / SHAPES).is_file():
             raise DatasetMissing(source, f"{RUNS} and {SHAPES}")
-        shapes = read_json(source / SHAPES)
-        tip = Disk(member(shapes, "pusher_radius_m", SHAPES))
+        shapes = tables.read_json(source / SHAPES)
+        tip = Disk(tables.member(shapes, "pusher_radius_m", SHAPES))
         outlines = {name: value for name, value in shapes.items() if isinstance(value, list)}
         if OUTLINE not in outlines:
             raise InvalidInput(
@@ -76,7 +67,7 @@ class MitPusherSlider(Importer):
             )
         shape = Polygon(np.asarray(outlines[OUTLINE], dtype=np.float64))
         runs: list[_Run] = []
-        problems: Problems = {}
+        problems: tables.Problems = {}
         for path in files:
             with collected(problems, f"{DATASET}/{_stem(path)}", path.name):
                 runs.append(_read(path))
@@ -97,7 +88,7 @@ class _Run(NamedTuple):
     """Readings of one run, on the clock of its file."""
 
     path: Path
-    table: CsvRows
+    table: tables.CsvRows
     time: FloatArray  # (n,) [s] of every row
     object: FloatArray  # (k, 4) time and pose, one row per sound reading [s, m, m, rad]
     pusher: FloatArray  # (m, 3) time and centre of the tip, one row per new reading [s, m, m]
@@ -106,12 +97,12 @@ class _Run(NamedTuple):
 
 
 def _read(path: Path) -> _Run:
-    table = read_table(path)
-    time = increasing(table.numbers("t"), table.source)
+    table = tables.read_table(path)
+    time = tables.increasing(table.numbers("t"), table.source)
     pose = np.column_stack((time, table.stacked("slider_x", "slider_y", "slider_th")))
     tip = np.column_stack((time, table.stacked("pusher_x", "pusher_y")))
     known = "gap_mm" in table.columns
-    gap = table.numbers("gap_mm", blank=True) * MM if known else np.full(len(time), np.nan)
+    gap = table.numbers("gap_mm", blank=True) * tables.MM if known else np.full(len(time), np.nan)
     lost = gap < DROPOUT
     # A run that was lost as a whole is imported as it is, with a fault.
     sound = _new_readings(pose) & ~(lost if lost.mean() <= MAX_LOST else np.zeros_like(lost))
@@ -137,7 +128,7 @@ def _new_readings(rows: FloatArray) -> BoolArray:
 
 def _understood(runs: list[_Run]) -> tuple[str, ...]:
     readings = sum(len(run.time) for run in runs)
-    rates = [rate_of(run.object[:, 0]) for run in runs]
+    rates = [tables.rate_of(run.object[:, 0]) for run in runs]
     return (
         f"{len(runs)} runs, {readings} rows; repeated readings are dropped, which leaves poses at"
         f" about {np.median(rates):.0f} Hz. How many rows there were is a condition.",
@@ -147,9 +138,9 @@ def _understood(runs: list[_Run]) -> tuple[str, ...]:
         f" friction {MU_PUSHER:g} at the tip and {MU_SUPPORT:g} on the plane; the tip follows its"
         " measured path, from contact where it starts inside the object"
         " (pusher-moved-to-contact).",
-        f"Where the tip is more than {-DROPOUT / MM:g} mm inside the object, the tracker had lost"
-        f" it: these rows are left out; runs with more than {100 * MAX_LOST:g} % of them have a"
-        " fault (tracking-dropouts).",
+        f"Where the tip is more than {-DROPOUT / tables.MM:g} mm inside the object, the tracker had"
+        f" lost it: these rows are left out; runs with more than {100 * MAX_LOST:g} % of them have"
+        " a fault (tracking-dropouts).",
     )
 
 
@@ -184,7 +175,7 @@ def _experiment(run: _Run, shape: Polygon, tip: Disk, origin: Origin) -> Experim
     )
 
 
-def _channels(rows: CsvRows, time: FloatArray) -> Iterator[Channel]:
+def _channels(rows: tables.CsvRows, time: FloatArray) -> Iterator[Channel]:
     for name, titles, columns in (
         ("commanded", ("pusher_cmd_x", "pusher_cmd_y"), ("x_m", "y_m")),
         # The meaning of the two outputs, and so their unit, was not documented.
@@ -200,10 +191,10 @@ def _dropouts(run: _Run) -> Iterator[Flag]:
     n, lost = len(run.gap), int(run.lost.sum())
     if not lost:
         return
-    deepest = -float(np.nanmin(run.gap)) / MM
+    deepest = -float(np.nanmin(run.gap)) / tables.MM
     found = (
-        f"{lost} of {n} rows ({100.0 * lost / n:.2g} %): the tip is more than {-DROPOUT / MM:g} mm"
-        f" inside the object there, at most {deepest:.2g} mm"
+        f"{lost} of {n} rows ({100.0 * lost / n:.2g} %): the tip is more than"
+        f" {-DROPOUT / tables.MM:g} mm inside the object there, at most {deepest:.2g} mm"
     )
     if lost > MAX_LOST * n:
         yield Flag("tracking-dropouts", found)

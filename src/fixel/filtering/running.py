@@ -13,26 +13,10 @@ from numpy.typing import ArrayLike
 from fixel.calibration.optimiser import whole
 from fixel.calibration.target import scene_of
 from fixel.errors import InvalidInput
+from fixel.filtering import particles as cloud
 from fixel.filtering.head_path import smoothed
 from fixel.filtering.particle_filter import ParticleFilter
-from fixel.filtering.particles import (
-    COARSE,
-    FOLD,
-    FRAME,
-    GROUP,
-    FrameMeasurement,
-    Indices,
-    Mechanics,
-    Particles,
-    effective_sample_size,
-    gathered,
-    mean_pose,
-    normalised,
-    pose_covariance,
-    power,
-    quantiles,
-    systematic,
-)
+from fixel.filtering.particles import quantiles
 from fixel.filtering.prior import UniformPrior, Unknowns, prior_for
 from fixel.model import Experiment, Scene, wrapped
 from fixel.model.fields import instance, vector
@@ -84,7 +68,7 @@ class FilterEstimate(NamedTuple):
 class Move(NamedTuple):
     """Proposals for the particles of an island, on their way from the start to now."""
 
-    both: Particles  # the island's particles, and after them a proposal for each
+    both: cloud.Particles  # the island's particles, and after them a proposal for each
     frame: int  # at which they are
     prior_ratio: FloatArray  # (n,) see `Unknowns.proposed`
 
@@ -117,7 +101,7 @@ class RunningFilter:
     island particle model, for islands.
     """
 
-    _particles: Particles
+    _particles: cloud.Particles
     _driven: FloatArray  # (3,) where the particles believe the pusher to be
     _path: FloatArray  # (n_frame, 3) of the pusher, smoothed
     _shake: FloatArray  # see `Mechanics.advance`
@@ -136,7 +120,7 @@ class RunningFilter:
         self.options = options
         self.scene = scene
         self.prior: UniformPrior = prior_for(scene, options.priors)
-        self._mechanics = Mechanics(options, scene)
+        self._mechanics = cloud.Mechanics(options, scene)
         self._random = np.random.default_rng(seed)
         n_island = -(-options.n_particles // ISLAND)
         self._islands = np.array_split(np.arange(options.n_particles), n_island)
@@ -147,7 +131,7 @@ class RunningFilter:
         self._begin(free, time, pusher)
         self.estimate = self._estimated(0.0, 0, False)
         # Compiled code is loaded now, so that the first frame takes no longer than the others.
-        sights = [FrameMeasurement(time), FrameMeasurement(time + FRAME)]
+        sights = [cloud.FrameMeasurement(time), cloud.FrameMeasurement(time + cloud.FRAME)]
         copy = self._particles.take(np.arange(options.n_particles))
         path = np.tile(pusher, (options.n_particles, 2, 1))
         self._mechanics.advance(copy, self._unknowns, sights, path, self._shake)
@@ -156,7 +140,11 @@ class RunningFilter:
     def particles(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Copies of poses (n, 3), parameters (n, n_name) and weights (n,)."""
         particles = self._particles
-        return particles.place, self._unknowns.values(particles.free), normalised(self._log_weight)
+        return (
+            particles.place,
+            self._unknowns.values(particles.free),
+            cloud.normalised(self._log_weight),
+        )
 
     def draws(self, n: int) -> FloatArray:
         """Draw parameters (n, n_name) of the particles, in proportion to their weights."""
@@ -182,7 +170,7 @@ class RunningFilter:
         self._driven = self._path[-1]
         surprise, near = self._surprise(sight.seen)
         failed = int(particles.failed.sum())
-        alive = normalised(self._log_weight) > 0.0
+        alive = cloud.normalised(self._log_weight) > 0.0
         adrift = [
             bool(particles.failed[own].all() or not near[own].any())
             for own in (island[alive[island]] for island in self._islands)
@@ -200,7 +188,7 @@ class RunningFilter:
 
     # --- the parts of a step --------------------------------------------------------------------
 
-    def _checked(self, frame: FilterFrame) -> tuple[FloatArray, FrameMeasurement]:
+    def _checked(self, frame: FilterFrame) -> tuple[FloatArray, cloud.FrameMeasurement]:
         before = self._sights[-1].time
         if not before < frame.time < math.inf:
             raise InvalidInput(
@@ -213,7 +201,7 @@ class RunningFilter:
         pusher = np.array([pusher[0], pusher[1], last + turn])
         seen = None if frame.seen is None else vector(frame.seen, "frame.seen", POSE)
         now = len(self._sights)
-        sight = FrameMeasurement(float(frame.time), fold=now % FOLD == 0)
+        sight = cloud.FrameMeasurement(float(frame.time), fold=now % cloud.FOLD == 0)
         if seen is not None:
             sight = sight._replace(seen=seen, seen_at=sight.time, number=1)
         if frame.touches is not None:
@@ -231,7 +219,7 @@ class RunningFilter:
 
     def _begin(self, free: FloatArray, time: float, pusher: FloatArray) -> None:
         """Place particles at the start, before anything was measured."""
-        self._sights = [FrameMeasurement(time)]
+        self._sights = [cloud.FrameMeasurement(time)]
         self._measured = [pusher]
         self._path = np.array([pusher])
         self._shake = np.zeros(2)
@@ -258,22 +246,22 @@ class RunningFilter:
         away = seen - particles.expected
         away[:, 2] = wrapped(away[:, 2])
         near = np.sum(away**2 / (noise + particles.doubt[:, [0, 0, 1]]), axis=1) < LOST**2
-        weight = normalised(self._log_weight)
+        weight = cloud.normalised(self._log_weight)
         mean = np.sum(weight[:, None] * away, axis=0)
         about = away - mean
         total = np.einsum("i,ij,ik->jk", weight, about, about)
         total += np.diag(noise + np.sum(weight[:, None] * particles.doubt, axis=0)[[0, 0, 1]])
         return float(mean @ np.linalg.solve(total, mean)), near
 
-    def _weigh(self, island: Indices) -> float:
+    def _weigh(self, island: cloud.Indices) -> float:
         """Weigh the particles of an island, and return the power of their likelihood.
 
         All islands weigh the same: their likelihoods belong to different versions of the path.
         """
         score, reached = self._particles.score[island], self._reached[island]
         log_weight = self._log_weight[island]
-        found = power(log_weight, score, reached, MIN_SHARE * len(island))
-        weight = normalised(log_weight + found * score - reached)
+        found = cloud.power(log_weight, score, reached, MIN_SHARE * len(island))
+        weight = cloud.normalised(log_weight + found * score - reached)
         with np.errstate(divide="ignore"):
             self._log_weight[island] = np.log(weight / len(self._islands))
         self._reached[island] = found * score
@@ -281,7 +269,7 @@ class RunningFilter:
 
     def _replace(self, adrift: list[bool]) -> None:
         """Replace the particles of some islands by those of the others."""
-        weight = normalised(self._log_weight)
+        weight = cloud.normalised(self._log_weight)
         for k, island in enumerate(self._islands):
             if adrift[k]:
                 weight[island] = 0.0
@@ -291,17 +279,17 @@ class RunningFilter:
                 self._put(island, chosen)
                 self._moves[k] = self._proposed(island)
 
-    def _put(self, island: Indices, chosen: Indices) -> None:
+    def _put(self, island: cloud.Indices, chosen: cloud.Indices) -> None:
         """Make the particles of an island equal copies of chosen ones."""
         self._particles.put(island, self._particles.take(chosen))
         self._reached[island] = self._reached[chosen]
         self._log_weight[island] = -math.log(len(island) * len(self._islands))
 
-    def _proposed(self, island: Indices) -> Move:
+    def _proposed(self, island: cloud.Indices) -> Move:
         """Resample an island where its weights ask for it, and return its next move."""
-        weight = normalised(self._log_weight[island])
-        if effective_sample_size(weight) < self.options.resample_below * len(weight):
-            self._put(island, island[systematic(weight, self._random)])
+        weight = cloud.normalised(self._log_weight[island])
+        if cloud.effective_sample_size(weight) < self.options.resample_below * len(weight):
+            self._put(island, island[cloud.systematic(weight, self._random)])
             weight = np.full(len(weight), 1.0 / len(weight))
         own = self._particles.take(island)
         there, prior_ratio = self._unknowns.proposed(
@@ -336,9 +324,11 @@ class RunningFilter:
     def _catch_up(self, move: Move, end: int) -> None:
         """Simulate an island's move up to a frame."""
         begun, particles = move.frame, move.both
-        knots = sorted({begun, end, *range(begun - begun % GROUP + GROUP, end, GROUP)})
+        knots = sorted(
+            {begun, end, *range(begun - begun % cloud.GROUP + cloud.GROUP, end, cloud.GROUP)}
+        )
         sights = [self._sights[begun]]
-        sights += [gathered(self._sights[a + 1 : b + 1]) for a, b in pairwise(knots)]
+        sights += [cloud.gathered(self._sights[a + 1 : b + 1]) for a, b in pairwise(knots)]
         path = np.tile(self._path[knots], (len(particles.free), 1, 1))
         self._mechanics.advance(particles, self._unknowns, sights, path, self._shake, coarse=True)
 
@@ -347,19 +337,19 @@ class RunningFilter:
         options = self.options
         return options.start_position_deviation, options.start_angle_deviation
 
-    def _start_again(self, sight: FrameMeasurement, pusher: FloatArray) -> None:
+    def _start_again(self, sight: cloud.FrameMeasurement, pusher: FloatArray) -> None:
         random, options = self._random, self.options
-        weight = normalised(self._log_weight)
+        weight = cloud.normalised(self._log_weight)
         n = len(weight)
         self._losses += 1
         free = self._unknowns.drawn(n, random)
         keep = random.permutation(n)[: n - n // 2]
         names = len(self.prior.names)
-        free[keep, :names] = self._particles.free[systematic(weight, random)[keep], :names]
+        free[keep, :names] = self._particles.free[cloud.systematic(weight, random)[keep], :names]
         if sight.seen is None:
             wider = min(2.0**self._losses, MAX_WIDENED)
             position, angle = (wider * spread for spread in self._start_spread)
-            centre = mean_pose(self._particles.place, weight, self._angle)
+            centre = cloud.mean_pose(self._particles.place, weight, self._angle)
         else:
             position, angle = options.position_deviation, options.angle_deviation
             centre = sight.seen
@@ -372,28 +362,28 @@ class RunningFilter:
         The camera sees the pose itself. Only conclusions from the path to parameters suffer from
         errors that all particles share.
         """
-        log_weight = self._log_weight + (1.0 / COARSE - 1.0) * self._reached
+        log_weight = self._log_weight + (1.0 / cloud.COARSE - 1.0) * self._reached
         weight = np.empty(len(log_weight))
         for island in self._islands:
-            weight[island] = normalised(log_weight[island]) / len(self._islands)
+            weight[island] = cloud.normalised(log_weight[island]) / len(self._islands)
         return weight
 
     def _estimated(self, surprise: float, failed: int, recovered: bool) -> FilterEstimate:
-        particles, weight = self._particles, normalised(self._log_weight)
+        particles, weight = self._particles, cloud.normalised(self._log_weight)
         values = self._unknowns.values(particles.free)
         whole = self._whole_weight()
-        pose = mean_pose(particles.place, whole, self._angle)
+        pose = cloud.mean_pose(particles.place, whole, self._angle)
         self._angle = float(pose[2])
         own = np.sum(whole[:, None] * particles.variance, axis=0)[[0, 0, 1]]
         return FilterEstimate(
             time=self._sights[-1].time,
             pose=pose,
-            covariance=pose_covariance(particles.place, whole, pose) + np.diag(own),
+            covariance=cloud.pose_covariance(particles.place, whole, pose) + np.diag(own),
             names=self.prior.names,
             mean=np.sum(weight[:, None] * values, axis=0),
             quantiles=quantiles(values, weight, QUANTILES),
             touch=np.sum(whole[:, None] * particles.touch, axis=0),
-            ess=effective_sample_size(weight),
+            ess=cloud.effective_sample_size(weight),
             failed=failed,
             surprise=surprise,
             recovered=recovered,
