@@ -217,6 +217,71 @@ def test_tag_log(tmp_path: Path) -> None:
     assert "z pointed into the tag" in found.notes[0]
 
 
+DETECTIONS = {
+    "apriltag_ros": "int32[] id\nfloat64[] size\ngeometry_msgs/PoseWithCovarianceStamped pose\n",
+    "isaac_ros_apriltag_interfaces": (
+        "string family\nint32 id\ngeometry_msgs/Point center\ngeometry_msgs/Point[4] corners\n"
+        "geometry_msgs/PoseWithCovarianceStamped pose\n"
+    ),
+}
+
+
+def detections_in(store: Any, package: str, more: str = "") -> tuple[Any, Any]:
+    """Classes of one detection, with further fields, and of an array of them."""
+    one = f"{package}/msg/AprilTagDetection"
+    array = f"std_msgs/Header header\n{package}/AprilTagDetection[] detections\n"
+    store.register(typesys.get_types_from_msg(DETECTIONS[package] + more, one))
+    store.register(typesys.get_types_from_msg(array, f"{one}Array"))
+    return store.types[one], store.types[f"{one}Array"]
+
+
+@pytest.mark.parametrize("package", DETECTIONS)
+def test_arrays_of_detections(package: str, tmp_path: Path) -> None:
+    """Two tags in each image, as the packages of ROS publish them; z points into the tag."""
+    one, array = detections_in(STORE, package)
+    family = "tag" if package == "apriltag_ros" else "tag36h11"
+    into = np.diag((1.0, -1.0, -1.0, 1.0))
+    camera = np.eye(4)
+    camera[:3, :3] = Rotation.from_euler("xyz", (150, 10, 40), degrees=True).as_matrix()
+    camera[:3, 3] = 0.0, 0.1, 0.8
+
+    def seen(t: float, number: int, m: Array) -> Any:
+        own = posed(t, m, "camera_optical", "PoseWithCovarianceStamped")
+        if package == "apriltag_ros":
+            return one(np.array([number], np.int32), np.array([0.04]), own)
+        corner = T["geometry_msgs/msg/Point"](1.0, 2.0, 0.0)
+        return one(family, number, corner, [corner] * 4, own)
+
+    messages = []
+    for t, m in zip(TIME, camera @ matrices(part_at(TIME), 0.0) @ into, strict=True):
+        at = START + t
+        both = [seen(at, 4, camera @ into), seen(at, 7, m)]
+        messages.append(("/tag_detections", at, array(header(at, "camera_optical"), both)))
+    bag = write_bag(tmp_path / "bag", messages)
+    roles = {"part": f"{family}:7", "reference": f"{family}:4"}
+    check(fixel.read_experiments(bag, columns=roles)[0], tip=False)
+
+
+def test_detections_with_other_fields_are_skipped(tmp_path: Path) -> None:
+    """Another version of a package, whose messages cannot be decoded, hides no other poses."""
+    store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
+    one, array = detections_in(store, "apriltag_ros", "int32[2] corner\n")
+    own = posed(START, np.eye(4), "camera", "PoseWithCovarianceStamped")
+    corner = np.array([3, 4], np.int32)
+    seen = one(np.array([7], np.int32), np.array([0.04]), own, corner)
+    path = tmp_path / "bag"
+    with rosbag2.Writer(path, version=9, storage_plugin=rosbag2.StoragePlugin.SQLITE3) as writer:
+        for topic, at, content in [
+            ("/tags", START, array(header(START, "camera"), [seen] * 3)),
+            *((topic, at, m) for topic, at, m in two_topics() if topic == "/part"),
+        ]:
+            kind = content.__msgtype__
+            known = {own.topic: own for own in writer.connections}
+            connection = known.get(topic) or writer.add_connection(topic, kind, typestore=store)
+            writer.write(connection, round(at * 1e9), store.serialize_cdr(content, kind))
+    check(fixel.read_experiments(path)[0], tip=False)
+
+
 def test_tags_on_a_table_keep_their_axes(tmp_path: Path) -> None:
     """A frame that is called a tag, but not seen by a camera."""
     seen = zip(TIME, matrices(part_at(TIME)), strict=True)

@@ -52,6 +52,28 @@ def test_slot_in_dxf_has_its_area(tmp_path: Path, tolerance: float) -> None:
     assert np.abs(out - 10).max() <= tolerance / mm
 
 
+@pytest.mark.parametrize("size", [0.12, 0.4, 3.0, 24.0, 200.0])  # [mm]
+def test_disks_of_any_size_are_round_by_default(tmp_path: Path, size: float) -> None:
+    """At least 24 corners, and at most 0.1 mm off: also of the circles of other libraries."""
+
+    def draw(space: Any, drawing: Any) -> None:
+        space.add_circle((5, 5), size / 2)
+
+    circle = f'<circle cx="50" cy="40" r="{size / 2}"/>'
+    solid = trimesh.creation.cylinder(radius=size / 2, height=1, sections=96)
+    solid.export(tmp_path / "disk.stl")
+    drawn = svg(tmp_path / "disk.svg", circle, 'width="300mm" viewBox="0 0 300 240"')
+    for path, unit in (
+        (dxf(tmp_path / "disk.dxf", draw), None), (drawn, None), (tmp_path / "disk.stl", "mm"),
+    ):  # fmt: skip
+        corners = Polygon.from_file(path, unit=unit).vertices / mm
+        radius = np.hypot(*(corners - corners.mean(axis=0)).T)
+        gaps = np.hypot(*(np.roll(corners, 1, axis=0) - corners).T)
+        assert len(corners) >= 24, path.suffix
+        assert radius == pytest.approx(size / 2, abs=0.1)
+        assert (size / 2 - np.sqrt(size**2 / 4 - gaps**2 / 4)).max() <= 0.1
+
+
 def test_finer_tolerance_has_more_corners(tmp_path: Path) -> None:
     path = dxf(tmp_path / "slot.dxf", slot)
     counts = [len(Polygon.from_file(path, tolerance=t).vertices) for t in (1e-3, 1e-4, 1e-5)]

@@ -34,6 +34,12 @@ _TRANSFORMS: Final = ("TFMessage", "foxglove.FrameTransforms")
 _TRANSFORM: Final = ("TransformStamped", "foxglove.FrameTransform")
 _NAMES: Final = re.compile(r"std_msgs/msg/(String|U?Int\d+)")
 _USED: Final = {*_POSES, *_TRANSFORMS, *_TRANSFORM, "JointState"}
+_TAG_ARRAY: Final = "AprilTagDetectionArray"
+_TAGS: Final = {  # detections with poses, by the packages that define them
+    "apriltag_ros": "int32[] id\nfloat64[] size\ngeometry_msgs/PoseWithCovarianceStamped pose",
+    "isaac_ros_apriltag_interfaces": "string family\nint32 id\ngeometry_msgs/Point center\n"
+    "geometry_msgs/Point[4] corners\ngeometry_msgs/PoseWithCovarianceStamped pose",
+}
 _FLIP: Final = Rotation.from_quat((1.0, 0.0, 0.0, 0.0))  # half a turn about x
 
 
@@ -104,6 +110,13 @@ class Bag:
                 child = getattr(one, "child_frame_id", "")
                 header = getattr(one, "header", one)
                 self._add(message, child, header, (moved.translation, moved.rotation))
+        elif kind == _TAG_ARRAY:
+            for one in m.detections:
+                header = one.pose.header if one.pose.header.frame_id else m.header
+                ids = "+".join(map(str, np.atleast_1d(one.id)))  # several of a bundle
+                pose = one.pose.pose.pose
+                name = f"{getattr(one, 'family', 'tag')}:{ids}"
+                self._add(message, name, header, (pose.position, pose.orientation))
         else:
             self.names[topic].append((logged, str(m.data)[:100]))
 
@@ -205,15 +218,21 @@ def _short(kind: str) -> str:
     if _NAMES.fullmatch(kind):
         return kind
     short = kind.rpartition("/")[2]
-    return short if short in _USED else ""
+    detected = short == _TAG_ARRAY and kind.partition("/")[0] in _TAGS
+    return short if short in _USED or detected else ""
 
 
 @cache
 def _definitions() -> Any:
     require("rosbags", "a ROS message", extra="files")
-    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    return get_typestore(Stores.ROS2_HUMBLE)
+    found = get_typestore(Stores.ROS2_HUMBLE)
+    for package, text in _TAGS.items():
+        one = f"{package}/msg/AprilTagDetection"
+        array = f"std_msgs/Header header\n{one}[] detections"
+        found.register(get_types_from_msg(text, one) | get_types_from_msg(array, f"{one}Array"))
+    return found
 
 
 def _decoded(kind: str, topic: str, logged: float, data: bytes, encoding: str) -> Message | None:
@@ -224,7 +243,14 @@ def _decoded(kind: str, topic: str, logged: float, data: bytes, encoding: str) -
     if encoding == "json":
         content = json.loads(data, object_hook=lambda own: SimpleNamespace(**own))
     else:
-        content = _definitions().deserialize_cdr(data, kind)
+        from rosbags.serde import SerdeError
+
+        try:
+            content = _definitions().deserialize_cdr(data, kind)
+        except SerdeError:
+            if short == _TAG_ARRAY:  # a version of it with other fields
+                return None
+            raise
     return Message(short, topic, logged, content)
 
 

@@ -33,6 +33,10 @@ DXF_UNITS: Final = {1: "in", 4: "mm", 5: "cm", 6: "m", 13: "um"}
 # [m] A part of another size is probably in another unit. Curves beyond FAR have too many points.
 SMALLEST, LARGEST, FAR = 1e-4, 5.0, 100.0
 FINEST: Final = 1e-6  # [m] smallest tolerance
+COARSEST: Final = (
+    1e-4  # [m] tolerance by default, or this share of a small part: 24 corners of a disk
+)
+SHARE: Final = 0.004
 MAX_BYTES, MAX_CURVES, MAX_RINGS, MAX_TRIANGLES = 100_000_000, 20_000, 500, 500_000
 MAX_STEPS: Final = 4096  # of one curve
 
@@ -45,7 +49,7 @@ def read_outline(
     path: str | Path,
     *,
     unit: str | None = None,
-    tolerance: float = 1e-4,
+    tolerance: float | None = None,
     part: str | None = None,
     fill_holes: bool = False,
 ) -> FloatArray:
@@ -56,12 +60,18 @@ def read_outline(
         raise InvalidInput(str(path), found=path.suffix or "no ending", expected=expected)
     if unit is not None and unit not in UNITS:
         raise unknown_name("unit", unit, UNITS)
-    if not tolerance >= FINEST:
+    if tolerance is not None and not tolerance >= FINEST:
         raise InvalidInput("tolerance", found=tolerance, expected=f"at least {FINEST:g} m")
     with parsed(path):
         _refuse_more(path.name, path.stat().st_size, MAX_BYTES, "bytes")
-        region = _READERS[path.suffix.lower()](_OutlineSource(path, unit, tolerance, part))
-        return _outline(region, path.name, tolerance, fill_holes)
+        read, region = _READERS[path.suffix.lower()]
+        source = _OutlineSource(path, unit, tolerance or COARSEST, part)
+        lines = read(source)
+        if tolerance is None and len(lines):
+            size = float(np.ptp(np.vstack(lines), axis=0).max())
+            source = source._replace(tolerance=min(COARSEST, SHARE * size or COARSEST))
+            lines = lines if source.tolerance == COARSEST else read(source)
+        return _outline(region(lines, source), source, fill_holes)
 
 
 class _OutlineSource(NamedTuple):
@@ -102,8 +112,9 @@ def _refuse_more(where: str, n: int, most: int, what: str) -> None:
         raise InvalidInput(where, found=f"{n} {what}", expected=f"at most {most}")
 
 
-def _outline(region: Any, where: str, tolerance: float, fill_holes: bool) -> FloatArray:
+def _outline(region: Any, source: _OutlineSource, fill_holes: bool) -> FloatArray:
     """Return the outline of a region that is one part; raise for others."""
+    where, tolerance = source.path.name, source.tolerance
     parts = [one for one in shapely.get_parts(region) if one.area > tolerance**2]
     if len(parts) != 1:
         sizes = "; ".join(map(_size, parts[:5]))
@@ -139,8 +150,9 @@ def _size(shape: Any) -> str:
     return f"{width:.4g} by {height:.4g} mm"
 
 
-def _region(lines: Iterable[FloatArray], where: str, tolerance: float) -> Any:
+def _region(lines: Iterable[FloatArray], source: _OutlineSource) -> Any:
     """Return the region inside lines, which are joined to rings; rings inside others are holes."""
+    where, tolerance = source.path.name, source.tolerance
     rings: list[FloatArray] = []
     pieces: list[FloatArray] = []
     for line in lines:
@@ -184,7 +196,7 @@ def _joined(pieces: list[FloatArray], where: str, tolerance: float) -> list[Floa
     return [*map(shapely.get_coordinates, shapely.get_parts(merged))]
 
 
-def _from_svg(source: _OutlineSource) -> Any:
+def _from_svg(source: _OutlineSource) -> list[FloatArray]:
     require("svgelements", "an outline in SVG", extra="files")
     import svgelements
 
@@ -216,7 +228,7 @@ def _from_svg(source: _OutlineSource) -> Any:
             points = [_sampled(step, path.transform, source, scale) for step in own if step.end]
             if len(points) > 1:
                 lines.append(np.vstack(points) * (1.0, -1.0))  # y points down in SVG
-    return _region(lines, where, source.tolerance)
+    return lines
 
 
 def _sampled(segment: Any, transform: Any, source: _OutlineSource, scale: float) -> FloatArray:
@@ -234,7 +246,7 @@ def _sampled(segment: Any, transform: Any, source: _OutlineSource, scale: float)
         steps *= 2
 
 
-def _from_dxf(source: _OutlineSource) -> Any:
+def _from_dxf(source: _OutlineSource) -> list[FloatArray]:
     require("ezdxf", "an outline in DXF", extra="files")
     import ezdxf
 
@@ -254,7 +266,7 @@ def _from_dxf(source: _OutlineSource) -> Any:
         if curve.dxftype() != "LINE":
             points = curve.flattening(0.5 * source.tolerance / scale)
         lines.append(source.points([*points], scale))
-    return _region(lines, source.path.name, source.tolerance)
+    return lines
 
 
 def _curves(found: Iterable[Any], left: Iterator[int], where: str) -> Iterator[Any]:
@@ -280,7 +292,8 @@ def _reach(curve: Any) -> Iterable[Any]:
     return (curve.dxf.major_axis,) if curve.dxftype() == "ELLIPSE" else ((curve.dxf.radius, 0.0),)
 
 
-def _from_stl(source: _OutlineSource) -> Any:
+def _from_stl(source: _OutlineSource) -> FloatArray:
+    """Return the triangles (n, 3, 2) of a mesh, seen along z."""
     require("trimesh", "an outline in STL", extra="files")
     from trimesh.exchange import stl
 
@@ -290,11 +303,16 @@ def _from_stl(source: _OutlineSource) -> Any:
     _refuse_more(source.path.name, len(mesh["faces"]), MAX_TRIANGLES, "triangles")
     corners = source.points(mesh["vertices"], scale)[mesh["faces"]]
     seen = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) > FINEST**2  # not those on edge
-    return shapely.union_all(shapely.polygons(corners[seen]))
+    return np.asarray(corners[seen])
 
 
-_READERS: Final[dict[str, Callable[[_OutlineSource], Any]]] = {
-    ".svg": _from_svg,
-    ".dxf": _from_dxf,
-    ".stl": _from_stl,
+def _union(triangles: FloatArray, source: _OutlineSource) -> Any:
+    return shapely.union_all(shapely.polygons(triangles))
+
+
+# By the ending, the functions that return the lines of a file, and the region of lines.
+_READERS: Final[dict[str, tuple[Callable[[_OutlineSource], Any], Callable[..., Any]]]] = {
+    ".svg": (_from_svg, _region),
+    ".dxf": (_from_dxf, _region),
+    ".stl": (_from_stl, _union),
 }
