@@ -5,12 +5,14 @@ from pathlib import Path
 
 import pytest
 
+import fixel
 from fixel.errors import InvalidInput
 from fixel.formats import SceneFile, load_scene, save_scene
 from fixel.simulation import Adaptive, StewartTrinkle
 from fixel.simulation.stepper import stepper_of
 from fixel.testing import scenes
-from fixel.workflows.simulation import Outputs, simulate_file
+from fixel.workflows.capabilities import call
+from fixel.workflows.simulation import Outputs, simulate_file, simulate_scene
 
 
 @pytest.fixture
@@ -86,3 +88,38 @@ def test_plain_and_compiled_loops_give_the_same(scene):
     plain = simulate_file(load_scene(scene), plain=True)
 
     assert compiled.final == plain.final
+
+
+def test_settings_are_parameters_or_keys_of_the_scene(tmp_path):
+    """A parameter, with or without its unit, gives what the function and a changed file give."""
+    path = scenes.pushed_square().save(tmp_path / "scene.yaml")
+    end = fixel.simulate(path, {"mu_pusher": 0.1, "tripod_radius": 0.03}).final
+    assert simulate_scene(path, overrides=["mu_pusher=0.1", "tripod_radius_mm=30"]).final == end
+    mass = fixel.simulate(load_scene(path, ["bodies.0.mass=0.3", "duration=0.5"])).final
+    varied = simulate_scene(path, overrides=["duration=0.5", "mass=0.3"]).final["part"]
+    assert varied == pytest.approx(mass["part"], abs=1e-9)
+    for setting, words in {
+        "mu_puser=0.1": "did you mean 'mu_pusher'",
+        "bodis.0.mass=1": "did you mean 'bodies'",
+        "mu_pusher=low": "must be a number",
+        "mu_pusher": "found no value",
+    }.items():
+        with pytest.raises(InvalidInput, match=words):
+            simulate_scene(path, overrides=[setting])
+
+
+def test_a_comparison_takes_the_settings_of_a_simulation(tmp_path):
+    lab = fixel.Project.create(tmp_path / "lab")
+    lab.add(fixel.datasets.example()[:1])
+
+    def error(**settings):
+        found = call(lab, "compare", experiment="1", motion="quasistatic", parameters=settings)
+        return found.run.error_mm2
+
+    usual = error()
+    assert error(mu_pusher=0.1) != usual
+    assert error(tripod_radius_mm=30) == error(tripod_radius=0.03) != usual
+    assert error(**{"bodies.0.support.tripod.radius": 0.03}) == error(tripod_radius=0.03)
+    assert error(**{"bodies.0.support.tripod.radius": 0.03, "tripod_radius_mm": 38}) == error(
+        tripod_radius=0.038
+    )

@@ -20,7 +20,7 @@ from fixel.model import (
     Tripod,
     UniformPressure,
 )
-from fixel.model.parameters import KNOWN_PARAMETERS, info_of, is_parameter
+from fixel.model.parameters import KNOWN_PARAMETERS, in_si, info_of
 from fixel.model.space import Parameter, ParameterSpace, Unknown, split_label
 from fixel.simulation.uneven_table import TABLE_NAMES
 from fixel.table import Table
@@ -159,8 +159,6 @@ def touched_by(contact: str, scene: Scene) -> Sequence[Pusher | Fixel]:
 Bounds = tuple[float, float] | float | Parameter | None
 Space = Mapping[str, Bounds] | Sequence[str] | ParameterSpace | None
 
-_UNITS: Final = {"_mm": "mm", "_cm": "cm", "_um": "um", "_deg": "deg", "_mrad": "mrad", "_g": "g"}
-
 
 def search_space(
     parameters: Space, targets: Sequence[Target], start: Mapping[str, float] | None = None
@@ -262,15 +260,14 @@ def _covers(where: Mapping[str, str | float], target: Target) -> bool:
 def _named(key: str, targets: Sequence[Target]) -> tuple[str, dict[str, str | float]]:
     """Return the parameter and the conditions of a key."""
     name, written = split_label(key)
-    for ending, unit in _UNITS.items():
-        bare = name.removesuffix(ending)
-        if bare != name and not is_parameter(name) and is_parameter(bare):
-            raise InvalidInput(
-                key,
-                found="a unit in the name",
-                expected=f"{bare!r} in SI units",
-                hint=f'write {{"{bare}": (10 * {unit}, 60 * {unit})}} with fixel.units',
-            )
+    if (bare := in_si(name)[0]) != name:
+        unit = name.rpartition("_")[2]
+        raise InvalidInput(
+            key,
+            found="a unit in the name",
+            expected=f"{bare!r} in SI units",
+            hint=f'write {{"{bare}": (10 * {unit}, 60 * {unit})}} with fixel.units',
+        )
     info_of(name)
     where: dict[str, str | float] = {}
     for condition, text in written.items():

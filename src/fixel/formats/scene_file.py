@@ -5,14 +5,14 @@ from __future__ import annotations
 import copy
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, final, get_origin
 
 from pydantic import ConfigDict, Field
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, closest
 from fixel.formats import records
 from fixel.formats.records import content
 from fixel.io.atomic import write_whole
@@ -40,6 +40,7 @@ from fixel.model import (
     Tripod,
     UniformPressure,
 )
+from fixel.model.parameters import KNOWN_PARAMETERS, in_si
 from fixel.simulation import AbstractStepper, Adaptive, StewartTrinkle
 
 MAX_KEYS = 1000  # maximum number of keys in one mapping; scenes have about ten
@@ -308,6 +309,26 @@ def scene_json_schema() -> dict[str, Any]:
     }
 
 
+def split_settings(settings: Iterable[str]) -> tuple[list[str], dict[str, float]]:
+    """Return those settings that change a key of a scene, and the values of parameters [SI].
+
+    A setting is `PATH=VALUE`, or the name of a parameter with a number.
+    """
+    keys, overrides, values = list(SceneRecord.model_fields), list[str](), dict[str, float]()
+    for setting in settings:
+        written, equals, text = setting.partition("=")
+        name, factor = in_si(written.strip())
+        first = re.split(r"[.\[]", name)[0]
+        if not equals or closest(first, [*keys, *KNOWN_PARAMETERS]) in keys:
+            overrides.append(setting)
+            continue
+        try:
+            values[name] = factor * float(text)
+        except ValueError:
+            raise InvalidInput(name, found=repr(text), expected="a number") from None
+    return overrides, values
+
+
 def apply_override(raw: Any, override: str) -> None:
     """Change one value of a raw scene in place: `path.to.key=value`, the value in YAML.
 
@@ -317,7 +338,7 @@ def apply_override(raw: Any, override: str) -> None:
     text, equals, value = override.partition("=")
     if not equals or not text.strip():
         raise InvalidInput(
-            f"overrides {override}", found="no PATH=VALUE", expected="path.to.key=value"
+            f"overrides {override}", found="no value", expected="path.to.key=value, or NAME=value"
         )
     segments = re.sub(r"\[(\d+)\]", r".\1", text.strip()).split(".")
     container = raw

@@ -11,6 +11,7 @@ from typing import Final, final
 from fixel.errors import InvalidInput, unknown_name
 from fixel.model.engine_parameters import ParameterInfo, engine_parameter
 from fixel.model.fields import finite
+from fixel.units import cm, deg, g, mm, mrad, um
 
 _LOADS = "the distribution of the load under the body"
 _CENTRE = "the centre of pressure and the unevenness of the plane"
@@ -120,9 +121,21 @@ _REPLACING = re.compile(r"pressure_(spread|rim|corner|xy|diagonal|tilt_[xy])")
 _REPLACED = re.compile(r"tripod_radius|support_[123]_[xy]|ellipsoid_(force|torque)|load_\d+")
 
 
+_UNITS: Final = {"_mm": mm, "_cm": cm, "_um": um, "_deg": deg, "_mrad": mrad, "_g": g}
+
+
 def is_parameter(name: str) -> bool:
     """Return whether a name is that of a parameter, with `load_1`, ... and those of engines."""
     return name in KNOWN_PARAMETERS or "." in name or _LOAD.fullmatch(name) is not None
+
+
+def in_si(written: str) -> tuple[str, float]:
+    """Return the name of a parameter and the factor from the unit in its written name to SI."""
+    for ending, factor in _UNITS.items():
+        name = written.removesuffix(ending)
+        if name != written and "." not in name and is_parameter(name):
+            return name, factor
+    return written, 1.0
 
 
 def info_of(name: str) -> ParameterInfo:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal, NamedTuple
 
@@ -60,6 +60,7 @@ def simulate_file(
     file: SceneFile,
     outputs: Outputs | None = None,
     *,
+    parameters: Mapping[str, float] | None = None,
     motion: str | None = None,
     stepper: AbstractStepper | None = None,
     solver: str | None = None,
@@ -83,6 +84,7 @@ def simulate_file(
     get_ready(file.scene, part, plain)
     simulation = simulate(
         file,
+        parameters,
         motion=motion,
         stepper=stepper,
         solver=part,
@@ -99,7 +101,7 @@ def simulate_scene(
     *,
     trajectory: Written = None,
     overrides: Annotated[
-        Sequence[str], Door(flag="--set", metavar="PATH=VALUE", plain=tuple[str, ...])
+        Sequence[str], Door(flag="--set", metavar="NAME=VALUE", plain=tuple[str, ...])
     ] = (),
     plot: Written = None,
     animate: Written = None,
@@ -125,7 +127,8 @@ def simulate_scene(
     trajectory : path, optional
         Write the trajectory to this file: .csv or .parquet.
     overrides : sequence of str
-        Change one value of the scene, e.g. bodies.0.mass=0.2; may be repeated.
+        Value of a parameter, such as mu_pusher=0.2, or of a key of the scene, such as
+        bodies.0.mass=0.2; may be repeated.
     plot : path, optional
         Draw the motion: .png, .svg or .pdf.
     animate : path, optional
@@ -150,12 +153,14 @@ def simulate_scene(
     progress : bool or callable, optional
         Not used.
     """
-    from fixel.formats import load_scene
+    from fixel.formats.scene_file import load_scene, split_settings
     from fixel.simulation.stepper import stepper_of
 
+    keys, parameters = split_settings(overrides)
     return simulate_file(
-        load_scene(scene, overrides),
+        load_scene(scene, keys),
         Outputs(trajectory=trajectory, plot=plot, animate=animate),
+        parameters=parameters,
         motion=motion if motion is None else str(motion),
         stepper=stepper_of(step, tolerance),
         solver=solver,

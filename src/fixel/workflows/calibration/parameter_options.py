@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from inspect import signature
@@ -15,14 +14,13 @@ from fixel.calibration.usual_parameters import usual_in
 from fixel.errors import InvalidInput
 from fixel.io.document import read_document
 from fixel.model import Scene
-from fixel.model.parameters import KNOWN_PARAMETERS
+from fixel.model.parameters import in_si, info_of
 from fixel.model.space import SHARE_OF_RANGE, ParameterSpace, Unknown
 from fixel.registry import offered
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 
 # Other unit, name of the SI unit, and bound beyond which values are in another unit.
 _TOO_FAR: Final = {"m": ("_mm", "metres", 1.0), "rad": ("_deg", "radians", math.pi)}
-_UNITS: Final = {"_mm": 1e-3, "_deg": math.pi / 180.0, "_mrad": 1e-3}
 # Functions that begin a run, by its mode.
 FUNCTIONS: Final = {
     "joint": "calibrate",
@@ -44,7 +42,7 @@ def searched_unknowns(settings: Sequence[str], scenes: Sequence[Scene]) -> list[
 
 def _fit(setting: str, scenes: Sequence[Scene]) -> Unknown:
     written, _, limits = setting.partition("=")
-    name, factor = in_si(written.strip())
+    name, factor = _named("fit", written)
     if not limits:
         return usual_in(name, scenes)
     try:
@@ -81,13 +79,23 @@ def fixed_unknowns(settings: Sequence[str]) -> list[Unknown]:
     found = []
     for setting in settings:
         written, _, text = setting.partition("=")
-        name, factor = in_si(written.strip())
+        name, factor = _named("fixed", written)
         try:
             value = factor * float(text)
         except ValueError:
             raise InvalidInput("fixed", found=repr(setting), expected="NAME=NUMBER") from None
         found.append(Unknown.fixed(name, value))
     return found
+
+
+def _named(option: str, written: str) -> tuple[str, float]:
+    """Return name and factor of a parameter; raise at its option if there is no such one."""
+    name, factor = in_si(written.strip())
+    try:
+        info_of(name)
+    except InvalidInput as problem:
+        raise problem.at(option + problem.where.removeprefix("parameters")) from None
+    return name, factor
 
 
 def read_space(path: Path) -> ParameterSpace:
@@ -127,15 +135,6 @@ def _entry(written: str, entry: Any, path: Path) -> Unknown:
             numbers["nominal" if key == "start" else key] = factor * value
     frozen, conditions = bool(entry.get("frozen", False)), dict(entry.get("where") or {})
     return Unknown(name=name, **numbers, frozen=frozen, where=conditions)
-
-
-def in_si(written: str) -> tuple[str, float]:
-    """Return the name of a parameter and the factor from the unit in its written name to SI."""
-    for ending, factor in _UNITS.items():
-        name = written.removesuffix(ending)
-        if name != written and (name in KNOWN_PARAMETERS or re.fullmatch(r"load_\d+", name)):
-            return name, factor
-    return written, 1.0
 
 
 # --- options of a stored request ----------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
 from fixel.capability.capability import Capability
@@ -52,7 +53,8 @@ def compare_stored(
     experiment : str
         Experiment: its id, its name, or DATASET/NAME.
     parameters : mapping of str to float, optional
-        Parameter of the simulation, such as mu_support=0.3; may be repeated.
+        Value of a parameter, such as mu_pusher=0.2, or of a key of the scene, such as
+        bodies.0.mass=0.2; may be repeated.
     calibration : int, optional
         Id of a stored calibration, whose parameters and motion model are used; other options
         override them.
@@ -64,6 +66,7 @@ def compare_stored(
     """
     call = locals()
     from fixel.calibration.target import target_of
+    from fixel.formats import scene_file
     from fixel.model import Parameters
     from fixel.simulation.motion import motion_model
     from fixel.simulation.simulate import get_ready
@@ -79,7 +82,11 @@ def compare_stored(
         if own.scene is None and published is not None and not save:
             return StoredComparison(number, own, None, published)
         model = motion_model(motion) if motion else None
-        values, unseen = Parameters(parameters or {}), []
+        keys, given = scene_file.split_settings(f"{k}={v!r}" for k, v in (parameters or {}).items())
+        if keys and own.scene is not None:
+            content = scene_file.scene_dict(scene_file.SceneFile(scene=own.scene))
+            own = replace(own, scene=scene_file.scene_file_from_dict(content, keys).scene)
+        values, unseen = Parameters(given), []
         if calibration is not None:
             fit = load_values(store, calibration)
             values, model = Parameters({**fit.values_for(own), **values}), model or fit.motion
