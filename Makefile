@@ -17,6 +17,10 @@ DOCS      := $(VENV)/.docs
 INSTALL    = $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 # Without stored bytecode each of some hundred processes of the tests compiles the package again.
 unexport PYTHONDONTWRITEBYTECODE
+# The numerical code needs eight of the packages. It compiles for a minute, once, while the others are installed. If this
+# fails, the first simulation compiles, and reports why.
+COMPILE    = PYTHONPATH=src $(BIN)/python -c 'import fixel; from fixel.testing.scenes import pushed_square; \
+             fixel.Simulator(pushed_square()).ends(duration=1e-3)' >/dev/null 2>&1 </dev/null
 # Any of these will do, the first that is new enough and has venv. `make test PYTHON=/path/to/python` picks one.
 PYTHON    ?=
 PYTHONS   := $(PYTHON) python3 python3.13 python3.12 python3.11
@@ -144,7 +148,10 @@ $(BIN)/python:
 
 $(CORE): requirements/core.txt | $(BIN)/python
 	@echo "Installing the packages of requirements/core.txt into $(VENV) (once; half a minute) ..."
-	@$(INSTALL) --no-deps --require-hashes -r requirements/core.txt || { \
+	@awk '/^[a-z]/ {used = /^(cffi|llvmlite|numba|numpy|pycparser|pyyaml|scipy|shapely)==/} used' \
+	  requirements/core.txt >$(VENV)/first.txt
+	@$(INSTALL) --no-deps --require-hashes -r $(VENV)/first.txt && { $(COMPILE) & } && \
+	$(INSTALL) --no-deps --require-hashes -r requirements/core.txt || { \
 	  echo "Installing failed; the reason stands above. Without network, or behind a mirror, set pip up first," >&2; \
 	  echo "then run the same command again; it continues where it stopped." >&2; exit 1; }
 	@touch $@
