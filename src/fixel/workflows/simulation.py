@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door
@@ -13,7 +13,7 @@ from fixel.capability.usual import Motion
 if TYPE_CHECKING:
     from fixel.formats import SceneFile
     from fixel.progress import ProgressOption
-    from fixel.simulation import AbstractStepper, Simulation
+    from fixel.simulation import Simulation
     from fixel.workflows.analysis import AnalysisReport, StoredAnswer
 
 Written = Annotated[Path | None, Door(writes=True, effort=True)]
@@ -60,13 +60,9 @@ def simulate_file(
     file: SceneFile,
     outputs: Outputs | None = None,
     *,
-    parameters: Mapping[str, float] | None = None,
-    motion: str | None = None,
-    stepper: AbstractStepper | None = None,
     solver: str | None = None,
     plain: bool = False,
-    accuracy: bool = False,
-    derivatives: Sequence[str] = (),
+    **method: Any,
 ) -> Simulation:
     """Simulate a scene file by `fixel.simulate`, and write the requested files, also if it fails.
 
@@ -82,16 +78,7 @@ def simulate_file(
     check_method(file.scene, part)
     outputs.check()
     get_ready(file.scene, part, plain)
-    simulation = simulate(
-        file,
-        parameters,
-        motion=motion,
-        stepper=stepper,
-        solver=part,
-        plain=plain,
-        accuracy=accuracy,
-        derivatives=derivatives,
-    )
+    simulation = simulate(file, solver=part, plain=plain, **method)
     outputs.write(simulation)
     return simulation
 
