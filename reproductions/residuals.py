@@ -209,12 +209,11 @@ def evidence_of(
     place = configuration_features(configurations)
     simulated = simulated_features(configurations, roll, given["mu_pusher"])
     nominal = np.nan_to_num(scaled(group.nominal.end - np.where(good[:, None], end, group.start)))
-    features = place.with_more(simulated.names, simulated.table)
-    features = features.with_more(("speed", "model_change"), np.column_stack(
-        (speed, np.linalg.norm(nominal, axis=1))
-    ))  # fmt: skip
+    features = _joined(place, simulated)
+    more = np.column_stack((speed, np.linalg.norm(nominal, axis=1)))
+    features = _joined(features, Features(("speed", "model_change"), more))
     near = _near(group, split, place, in_object(group, everyone, scaled(residual)))
-    features = features.with_more(near.names, near.table)
+    features = _joined(features, near)
     off = scaled(residual)
     position, both = np.hypot(off[:, 0], off[:, 1]), np.linalg.norm(off, axis=1)
     errors = np.column_stack((position, np.abs(wrapped(residual[:, 2])), both))
@@ -238,7 +237,13 @@ def _near(group: PushGroup, split: Split, place: Features, residual: FloatArray)
     itself[split.train] = np.arange(len(split.train))
     common = np.median(np.linalg.norm(residual[split.train], axis=1))
     found = neighbour_features(table, table[split.train], residual[split.train], 8, itself)
-    return found.with_more(("group_error",), np.full((len(group), 1), common))
+    return _joined(found, Features(("group_error",), np.full((len(group), 1), common)))
+
+
+def _joined(first: Features, second: Features) -> Features:
+    """Features with the columns of both."""
+    table = np.column_stack((first.table, second.table))
+    return Features((*first.names, *second.names), table)
 
 
 def neighbour_features(

@@ -91,6 +91,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "read_outline": "fixel.formats.outline_file:read_outline",
         "player": "fixel.web.views.notebook_player:player_of_simulation",
         "save": "fixel.io:save",
+        "request_of": "fixel.workflows.capabilities:request_of",
         "scene_file": "fixel.formats:SceneFile",
         "save_scene": "fixel.formats:save_scene",
         "thumbnail": "fixel.drawing.thumbnail:thumbnail",

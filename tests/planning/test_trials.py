@@ -8,7 +8,7 @@ from fixel.errors import InvalidInput
 from fixel.planning.trials import (
     PlanTrial,
     Trials,
-    critical_failures,
+    _fixed_test,
     evidence_against,
     prior_counts,
 )
@@ -22,7 +22,8 @@ def refuted_within(stated: float, truth: float, n_trials: int) -> float:
     Up to a number of trials the e-value depends on the number of failures alone; after them also
     on whether the critical number was reached, which refutes by itself.
     """
-    critical, horizon = critical_failures(stated)
+    fixed = _fixed_test(stated)
+    critical, horizon = fixed.critical, fixed.horizon
     alive = {0: 1.0}
     refuted = 0.0
     for n in range(1, n_trials + 1):

@@ -27,7 +27,8 @@ HILLS = LoadMap(
 TRUTH = {"mu_pusher": 0.25}
 QUASISTATIC = {"motion": "quasistatic"}
 DOORS = (
-    "calibrate", "compare", "domain", "error-bound", "filter", "next", "sensitivity", "uncertainty",
+    "calibrate", "compare", "domain", "error-bound", "filter", "next", "plan", "sensitivity",
+    "uncertainty",
 )  # fmt: skip
 
 
@@ -150,6 +151,34 @@ def test_a_job_has_the_map_and_does_not_read_the_file_again(lab, file):
     (kept,) = lab.analyses
     assert (folder / "result").read_text() == kept.folder.name == here.folder.name
     assert kept.analysis.tables[0].text() == here.analysis.tables[0].text()
+
+
+def test_a_plan_is_made_on_the_table(lab, pushes, file, tmp_path):
+    """The scene of an experiment, and that of a goal file, here and in a job."""
+    scene = pushes[0].scene.save(tmp_path / "scene.yaml")
+    x, y, _ = (1e3 * value for value in pushes[0].scene.bodies[0].pose)
+    wanted = {"pose": {"pose_mm_deg": [x + 20, y, 0], "position_mm": 8}}
+    goal = json.dumps({"fixel": 1, "goal": wanted, "belief": {"parameters": {"mu_pusher": 0.25}}})
+    given = {"goal": goal, "rollouts": 1000}
+    stored, from_file = (
+        answer(lab, "plan", **given, **more, table=file).result.found.plan
+        for more in ({"experiment": "part-1-01"}, {"scene": scene})
+    )
+    flat = answer(lab, "plan", **given, scene=scene).result.found.plan
+    assert stored.scene.plane.load_map == from_file.scene.plane.load_map == HILLS
+    assert flat.scene.plane.load_map is None
+    assert not np.array_equal(from_file.runs.margin, flat.runs.margin)
+    capability = CAPABILITIES["plan"]
+    request = capability.request({**given, "experiment": "part-1-01", "table": file})
+    folder = prepare(capability, request, lab)
+    file.unlink()
+    assert jobs.run_here(folder).state == "done"
+    name = (folder / "result").read_text()
+    (kept,) = (one for one in lab.analyses if one.folder.name == name)
+    assert kept.analysis.numbers["success"]["stated"] == stored.success.stated
+    elsewhere = capability.request({**given, "scene": scene, "table": file})
+    with pytest.raises(StoreRefused, match="is not a fixel project"):
+        run(capability, elsewhere, tmp_path, progress=False)
 
 
 def test_a_stored_calibration_keeps_the_table(lab, file):

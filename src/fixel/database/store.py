@@ -17,7 +17,7 @@ from fixel.database.engine import insert_one, open_engine, reading, set_journal,
 from fixel.database.query import LIVE
 from fixel.errors import InvalidInput, NotStored, StoreRefused, closest
 from fixel.io.damaged_files import INVALID_CONTENT, one_line
-from fixel.model import Experiment, Flag, records
+from fixel.model import Experiment, Flag, Scene, records
 
 MAX_NAMES: Final = 20_000  # number of experiments that a mistyped name is compared with
 T = TypeVar("T")
@@ -69,6 +69,7 @@ class ExperimentView(Protocol):
     sha256: str  # of its content
 
     def __call__(self, experiment: Experiment, /) -> Experiment: ...
+    def of_scene(self, scene: Scene, /) -> Scene: ...
 
 
 class AddResult(NamedTuple):

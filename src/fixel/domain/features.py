@@ -44,10 +44,6 @@ class Features(NamedTuple):
     names: tuple[str, ...]
     table: FloatArray  # (n, n_name), finite
 
-    def with_more(self, names: tuple[str, ...], table: FloatArray) -> Features:
-        """Return the features with more columns."""
-        return Features((*self.names, *names), np.column_stack((self.table, table)))
-
     def columns(self, names: tuple[str, ...]) -> FloatArray:
         """Return columns (n, len(names)) by name."""
         return self.table[:, [self.names.index(name) for name in names]]

@@ -108,11 +108,6 @@ def held_success(
         Tolerances of the goals [m], [rad].
     seed : int
         Seed of the random numbers.
-
-    Raises
-    ------
-    InvalidInput
-        There are fewer than 20 experiments with a scene and a motion.
     """
     positive(position, "position", "m"), positive(angle, "angle", "rad")
     if len(experiments) < LEAST:

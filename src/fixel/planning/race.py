@@ -131,11 +131,6 @@ def race_rounds(
         Number of rollouts that the race must not exceed. The first round is always done.
     report : callable, optional
         Function that is called with a `RaceRound` after every round.
-
-    Raises
-    ------
-    InvalidInput
-        Sizes do not increase, scenarios are without a draw, or margins have another shape or NaN.
     """
     _check(n_plans, sizes, finalists, confidence)
     draws = None if worlds is None else np.asarray(worlds, dtype=np.int64)

@@ -303,29 +303,6 @@ def _fixed_test(stated: float) -> _FixedTest:
     return _FixedTest(horizon, critical, max(size, 1e-300), size / ALPHA * (1.0 + 1e-12))
 
 
-def critical_failures(stated: float) -> tuple[int, int]:
-    """Return the number of failures that refutes a stated probability, and in how many trials.
-
-    Parameters
-    ----------
-    stated : float
-        Stated success probability, above 0 and below 1.
-
-    Returns
-    -------
-    failures, trials : int
-        This number of failures in the first `trials` trials refutes it. More failures than trials
-        mean that no number does.
-
-    Examples
-    --------
-    >>> [critical_failures(stated) for stated in (0.99, 0.95, 0.9, 0.8)]
-    [(2, 35), (5, 40), (8, 40), (13, 40)]
-    """
-    fixed = _fixed_test(stated)
-    return fixed.critical, fixed.horizon
-
-
 def _tail(least: np.ndarray, n: np.ndarray, chance: float) -> FloatArray:
     """Compute the probability of at least this number of events among n independent ones."""
     needed = np.clip(least, 1, np.maximum(n, 1))

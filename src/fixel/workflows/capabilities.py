@@ -80,6 +80,7 @@ def run(
     needed = capability.needs_project or folder != Path() or (folder / SETTINGS).is_file()
     if capability.in_project is not None:
         needed = capability.in_project(request)
+    needed = needed or (capability.on_table and getattr(request, TABLE.name) is not None)
     project = Project(folder) if capability.on_project and needed else None
     project = project and _on_table(project, capability, request)
     place = (project,) if capability.on_project else ()

@@ -15,7 +15,7 @@ from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
     from fixel.database.project import Project
-    from fixel.model import Experiment
+    from fixel.model import Experiment, Scene
     from fixel.model.selection import ExperimentRow
     from fixel.parts.model import PartModel
     from fixel.parts.table_map import TableMap
@@ -289,6 +289,12 @@ class TableView:
             return experiment
         found = table.on(experiment)
         self.unseen[experiment.key] = table.unseen(found)
+        return found
+
+    def of_scene(self, scene: Scene, /) -> Scene:
+        """Put a scene, which names no table, on the map."""
+        found = self.table.on(scene)
+        self.unseen["the scene"] = self.table.unseen(found)
         return found
 
     def warnings(self, project: Project, experiments: Sequence[int]) -> list[str]:

@@ -152,14 +152,7 @@ def run_on_drive(
     `seen` asks for the pose of the part, such as the one that a camera sees. If the move is
     recorded with a rig, the end is tracked in the recording instead, and the experiment is stored
     in the project. All trials of the plan are returned, each with the person or program that
-    carried it out (`by`).
-
-    Raises
-    ------
-    InvalidInput
-        The plan is not for one straight axis, or the seen start is not the planned one.
-    DeviceFailed
-        The drive failed. The trial is stored as a failure if the part was pushed.
+    carried it out (`by`). If the drive fails after the part was pushed, the trial is a failure.
     """
     file = load_plan(path)
     plan = file.found.plan
@@ -335,13 +328,7 @@ class CheckedPlan(NamedTuple):
 
 
 def check_plan(project: Project | None, path: Path) -> CheckedPlan:
-    """Compute the success probability of a stored plan under the present calibration.
-
-    Raises
-    ------
-    InvalidInput
-        The plan file or its trials cannot be read.
-    """
+    """Compute the success probability of a stored plan under the present calibration."""
     file = load_plan(path)
     trials = load_trials(path, file)
     belief, number = present_belief(project, file.found)
@@ -435,11 +422,6 @@ def next_step(path: Path, seen: Sequence[FloatArray], done: int = 0) -> NextStep
     Poses (3,) of the part were seen [m, m, rad]: in a plan with looks after the planned pushes and
     after each correction, else once, after `done` pushes. None is returned where an open-loop plan
     must be made again, see `next_plan`.
-
-    Raises
-    ------
-    InvalidInput
-        The plan has fewer looks than poses were seen, or does not begin with its first look.
     """
     plan = load_plan(path).found.plan
     most = 1 if plan.looks is None else plan.looks.most

@@ -85,13 +85,7 @@ def is_content(goal: str) -> bool:
 
 
 def settled(project: Project, request: Any) -> Any:
-    """Return a request for a job, which depends on no file of goals and no later calibration.
-
-    Raises
-    ------
-    InvalidInput
-        The request is invalid, or its goal does not fit the scene.
-    """
+    """Return a request for a job, which depends on no file of goals and no later calibration."""
     own = inputs_of(
         project, *goal_content(request.goal), request.scene, request.experiment, request.calibration
     )
@@ -126,12 +120,7 @@ def inputs_of(
     """Load the scene and the calibration that a goal refers to, and check the goal.
 
     `content` is that of a goal file, whose scene file is searched in `folder`. The other arguments
-    are those of `plan_goal`.
-
-    Raises
-    ------
-    InvalidInput
-        The goal file is invalid, there is no scene, or the goal does not fit the scene.
+    are those of `plan_goal`. A scene file is put on the mapped table of the project, if it has one.
     """
     file = goal_file_from_dict(content, folder)
     number = calibration or file.calibration
@@ -152,7 +141,7 @@ def inputs_of(
     if experiment and project is not None:
         with project.store() as store:
             experiments = [store.experiment(store.find(experiment)), *experiments]
-    own = _scene(scene or file.scene, experiments)
+    own = _scene(scene or file.scene, experiments, project)
     check_goal(file.goal, own)
     check_centres(belief, own)
     request = PlanRequest(
@@ -197,9 +186,10 @@ def warnings_of(found: PushPlan, wanted: float) -> list[str]:
     return warnings
 
 
-def _scene(given: Path | None, experiments: list[Experiment]) -> Scene:
+def _scene(given: Path | None, experiments: list[Experiment], project: Project | None) -> Scene:
     if given:
-        return load_scene(given).scene
+        own = load_scene(given).scene
+        return own if project is None or project.view is None else project.view.of_scene(own)
     scenes = [own.scene for own in experiments if own.scene is not None]
     if not scenes:
         raise InvalidInput(
@@ -258,13 +248,7 @@ def save_plan(found: FoundPlan, path: Path) -> PlanFile:
 
 
 def load_plan(path: Path) -> PlanFile:
-    """Load a plan file; also a plan that `PushPlan.save` wrote.
-
-    Raises
-    ------
-    InvalidInput
-        The file is missing, damaged, of a newer version, or another kind of file.
-    """
+    """Load a plan file; also a plan that `PushPlan.save` wrote."""
     content = load(path)
     if isinstance(content, PushPlan):
         found = FoundPlan(plan=content, request=PlanRequest(goal={}))
@@ -282,13 +266,7 @@ def trials_path(path: Path) -> Path:
 
 
 def load_trials(path: Path, file: PlanFile) -> Trials:
-    """Load the trials of a plan file; none if there is no file of trials.
-
-    Raises
-    ------
-    InvalidInput
-        The trials are damaged, or those of another plan.
-    """
+    """Load the trials of a plan file; none if there is no file of trials."""
     where = trials_path(path)
     if where.exists():
         return read_trials(where, plan=file.id)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Iterator
 from functools import lru_cache
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, Final
 
 import numpy as np
@@ -13,12 +12,12 @@ import numpy as np
 from fixel.database.project import Project
 from fixel.errors import InvalidInput
 from fixel.io.array_bytes import arrays_of, bytes_of
-from fixel.jobs.folder import read_job
 from fixel.jobs.functions import callable_by_jobs, threads
 from fixel.jobs.work import Answer, Answers, Chunk, Failure, Round
 from fixel.planning.plan import plan_rounds, search_of
 from fixel.planning.search import MarginRequest, PlanSearch, SearchStage, Views
 from fixel.progress import Progress
+from fixel.registry import offered
 from fixel.typing import FloatArray
 from fixel.workflows.planning.request import (
     PlanAnswer,
@@ -68,11 +67,9 @@ def _worker_search(inputs: Path) -> PlanSearch:
 def _search(
     inputs: Path, report: Callable[[Progress], None] | None = None
 ) -> tuple[Any, PlanInputs, PlanSearch]:
-    request = SimpleNamespace(**read_job(inputs.parent).options["request"])
-    scene = Path(request.scene) if request.scene else None
-    project = Project(inputs.resolve().parents[2])  # the job is in the folder `jobs` of its project
+    _, request, project = offered("methods", "request_of")(inputs)
     own = inputs_of(
-        project, *goal_content(request.goal), scene, request.experiment, request.calibration
+        project, *goal_content(request.goal), request.scene, request.experiment, request.calibration
     )
     search = search_of(
         *own.parts, rollouts=request.rollouts, seed=request.seed, threads=threads(),

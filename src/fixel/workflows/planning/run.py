@@ -227,4 +227,5 @@ PLAN: Final = Capability(
     ),
     rounds=_rounds,
     settled=_settled,
+    on_table=True,
 )  # fmt: skip

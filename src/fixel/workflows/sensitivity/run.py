@@ -240,12 +240,11 @@ def _analysed(
 
 
 def in_project(request: Any) -> bool:
-    """Return whether a request needs a project: for experiments, a calibration or a table."""
+    """Return whether a request needs a project: for experiments or a calibration."""
     from fixel.workflows.sensitivity.report import is_scene_file
 
     things = request.experiments
-    stored = request.calibration is not None or request.table is not None
-    return stored or not things or not all(map(is_scene_file, things))
+    return bool(request.calibration) or not things or not all(map(is_scene_file, things))
 
 
 def _settled(project: Project, request: Any) -> Any:
