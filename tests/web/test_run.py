@@ -13,6 +13,7 @@ from fixel.web.pages.run import FORMS
 from fixel.web.security import FORM, WORD_FIELD
 from fixel.workflows import jobs
 from fixel.workflows.capabilities import run
+from fixel.workflows.table_check import table_check
 
 EVERY = pytest.mark.parametrize("capability", FORMS.values(), ids=[*FORMS])
 # Those whose results are analyses; others store records, which have pages of their own. Results of
@@ -138,6 +139,30 @@ def test_a_result_page_has_all_that_the_terminal_prints(capability, bench):
     assert stored["numbers"] == json.loads(json.dumps(analysis.numbers))
     again = bench.client.get(f"/run/{capability.name}?from={done.folder.name}").text
     assert filled_in(again) == fields_of(capability, request)
+
+
+def test_a_form_computes_again_whenever_the_experiments_changed(bench, monkeypatch):
+    monkeypatch.setattr(jobs, "run_detached", jobs.run_here)
+    project, chosen = bench.context.project, "part=part-1"
+    ids = [bench.context.store.find(key) for key in project.experiments(chosen).keys[:9]]
+
+    def shown():
+        begun = bench.submit("/run/table-check", where=chosen).headers["location"]
+        page = bench.client.get(begun.removeprefix(bench.gate.root)).text
+        (result,) = set(re.findall(r"/results/([\w-]+)", page))
+        effects = bench.client.get(f"/api/v1/analyses/{result}").json()["numbers"]["effects"]
+        return [(own["name"], own["pairs"]) for own in effects]
+
+    def now():
+        return [(own.name, own.pairs) for own in table_check(project.experiments(chosen)).effects]
+
+    before = now()
+    assert shown() == before
+    for change in ("flag", "unflag"):
+        marked = bench.post(f"/api/v1/experiments/{change}", json={"ids": ids, "name": "late"})
+        assert marked.status_code == 200
+        assert (now() == before) == (change == "unflag")
+        assert shown() == now()
 
 
 def test_texts_of_people_are_shown_as_text(bench, begun):

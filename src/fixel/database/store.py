@@ -403,6 +403,11 @@ class Store:
         """Ids of all calibrations, oldest first."""
         return self._ids(tables.calibration)
 
+    def record_ids(self) -> list[list[int]]:
+        """Ids of all records that an analysis may read or select by; an id never changes."""
+        kinds = ("experiment", "flag", "note", "simulation", "calibration")
+        return [self._ids(getattr(tables, name)) for name in kinds]
+
     def add_filter_parameters(self, record: records.FilterParameters) -> int:
         """Store settings of a filter; return their id."""
         with writing(self._engine) as connection:

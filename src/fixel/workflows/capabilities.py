@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from fixel.capability.capability import Capability
 from fixel.capability.usual import TABLE
 from fixel.errors import InvalidInput
-from fixel.jobs.functions import callable_by_jobs
+from fixel.jobs.functions import callable_by_jobs, stamp
 from fixel.workflows.calibration.run import CALIBRATE
 from fixel.workflows.compare.run import COMPARE
 from fixel.workflows.domain.run import DOMAIN
@@ -237,9 +237,9 @@ def run_request(inputs: Path, options: Mapping[str, Any]) -> Work:
 def prepare(capability: Capability, request: BaseModel, project: Project) -> Path:
     """Prepare the job of a request in a project, if it is not there; return its folder.
 
-    The same request on the same records has the same folder, so that it continues. Run it with
-    `jobs.run_here`, `jobs.run_detached` or `fixel jobs submit`. Raise `InvalidInput` if the
-    capability does not work on a project, or what it settles is invalid.
+    The same request on the same records has the same folder with this version of fixel, so that it
+    continues. Run it with `jobs.run_here`, `jobs.run_detached` or `fixel jobs submit`. Raise
+    `InvalidInput` if the capability does not work on a project, or what it settles is invalid.
     """
     from fixel.simulation.trust import remember
     from fixel.workflows import jobs
@@ -252,11 +252,9 @@ def prepare(capability: Capability, request: BaseModel, project: Project) -> Pat
         return job
     if capability.settled is not None:
         request = capability.settled(project, request)
-    content = request.model_dump(mode="json")
+    content, table = request.model_dump(mode="json"), project.view
     with project.store() as store:
-        records = [store.datasets(), *store.calibration_summaries()]
-    of, table = [content, records], project.view
-    of += [table.sha256] if table else []
+        of = [content, store.record_ids(), stamp(), table and table.sha256]
     digest = hashlib.sha256(json.dumps(of, sort_keys=True).encode()).hexdigest()
     folder = project.folder / jobs.JOBS / f"{capability.name}-{digest[:10]}"
     if not (folder / "job.json").is_file():
@@ -273,7 +271,7 @@ def begin(capability: Capability, request: BaseModel, project: Project) -> Path:
     from fixel.workflows import jobs
 
     folder = prepare(capability, request, project)
-    if jobs.status_of(folder).state != "done":
+    if capability.prepare is None or jobs.status_of(folder).state != "done":
         jobs.arrange(folder)
         jobs.run_detached(folder)
     return folder
