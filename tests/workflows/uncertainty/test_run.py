@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 from tests.filtering.recordings import push
 from tests.fixtures import project_of
 from typer.testing import CliRunner
@@ -112,7 +113,7 @@ def test_questions_that_make_no_sense_are_refused(folder, changes, words):
         _asked(folder, **changes)
 
 
-def _beside(low, high, quantiles, of=1):
+def _beside(low, high, quantiles, of=1, level=0.95):
     """Warnings of a posterior of mu_pusher beside a calibration of 21 experiments."""
     estimate = Estimate(
         label="mu_pusher", unit="-", value=0.256, low=low, high=high, verdict="identified"
@@ -124,7 +125,7 @@ def _beside(low, high, quantiles, of=1):
         members=tuple(Member(k, 1.0, 1.0) for k in range(21)),
         provenance=Provenance(version="1", command="fixel calibrate", seed=0),
         estimates=(estimate,),
-        request={"level": 0.5},
+        request={"level": level},
     )
     found = SimpleNamespace(
         compared=CalibratedValues(7, record),
@@ -153,10 +154,20 @@ def test_a_posterior_repeats_the_misfit_of_the_calibration():
 def test_a_posterior_does_not_contradict_the_calibration_silently():
     _, apart = _beside(0.15, 0.36, (0.4, 0.42, 0.44))
     assert apart.startswith("mu_pusher contradicts calibration 7: this posterior of 1 experiment")
-    assert " (50 %), the calibration of 21 has" in apart
+    assert " (95 %), the calibration of 21 has" in apart
     assert apart.endswith("quote the calibration.")
     _, beside = _beside(0.15, None, (0.1, 0.14, 0.2), of=21)
     assert beside.startswith("mu_pusher disagrees with calibration 7")
     assert " ," not in beside  # friction has no unit
     assert "(0.15 to open)" in beside
     assert beside.endswith("quote the wider interval.")
+
+
+@pytest.mark.parametrize(("away", "verdicts"), [(1.0, 0), (1.9, 0), (2.1, 1), (5.0, 1)])
+@pytest.mark.parametrize("level", [0.5, 0.95, 0.999])
+def test_the_level_of_a_calibration_decides_no_contradiction(level, away, verdicts):
+    deviation = 0.01
+    half = deviation * norm.interval(level)[1]
+    other = norm.ppf((0.025, 0.5, 0.975), 0.256 + away * deviation, 1e-3)
+    warned = _beside(0.256 - half, 0.256 + half, tuple(other), level=level)
+    assert len(warned) == 1 + verdicts

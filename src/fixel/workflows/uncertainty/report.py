@@ -232,28 +232,28 @@ def _warnings(found: Uncertainty) -> tuple[str, ...]:
 
 
 def _contradictions(found: Uncertainty, compared: CalibratedValues) -> Iterator[dict[str, Any]]:
-    """Parameters whose median is outside the interval of a calibration, at its level."""
-    level = compared.level or 0.95
-    shares = (0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level)
-    low, middle, high = found.posterior.quantiles(shares)
+    """Parameters whose median is outside the 95 % interval of a calibration, if it were normal."""
+    from scipy.special import ndtri
+
+    wider = float(ndtri(0.975) / ndtri(0.5 + 0.5 * (compared.level or 0.95)))
+    low, middle, high = found.posterior.quantiles()
     estimates = {estimate.label: estimate for estimate in compared.record.estimates}
     for k, label in enumerate(found.posterior.labels):
-        estimate = estimates.get(label)
-        if estimate is None or not estimate.verdict or estimate.verdict == "frozen":
+        own = estimates.get(label)
+        if own is None or not own.verdict or own.verdict == "frozen":
             continue
-        bottom = -math.inf if estimate.low is None else estimate.low
-        top = math.inf if estimate.high is None else estimate.high
+        bottom = -math.inf if own.low is None else own.value + wider * (own.low - own.value)
+        top = math.inf if own.high is None else own.value + wider * (own.high - own.value)
         if bottom <= middle[k] <= top:
             continue
         unit = display_unit(found.posterior.units[k])
         yield {
             "label": label,
-            "level": 100.0 * level,
             "apart": high[k] < bottom or low[k] > top,
             "ends": f"{unit.text(low[k])} to {unit.text(high[k])} {unit.name}".rstrip(),
-            "value": unit.text(estimate.value),
-            "low": "open" if estimate.low is None else unit.text(estimate.low),
-            "high": "open" if estimate.high is None else unit.text(estimate.high),
+            "value": unit.text(own.value),
+            "low": "open" if own.low is None else unit.text(bottom),
+            "high": "open" if own.high is None else unit.text(top),
         }
 
 
