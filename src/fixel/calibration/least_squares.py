@@ -13,7 +13,7 @@ from fixel.calibration.differences import Differences
 from fixel.calibration.optimiser import Best, Count, Feasible, SearchBox, Size, feasible_points
 from fixel.errors import InvalidInput
 from fixel.model.fields import Value, check_fields, non_negative
-from fixel.typing import BoolArray, FloatArray
+from fixel.typing import BoolArray, FloatArray, IntArray
 
 DifferenceKind = Literal["one-sided", "central", "auto"]
 
@@ -186,6 +186,12 @@ class LeastSquaresSearch:
         """Return the points (k, n) to evaluate next; the same until their residuals are given."""
         points = [descent.ask() for descent in self._running]
         return np.concatenate(points) if points else np.zeros((0, self.box.n))
+
+    @property
+    def asking(self) -> IntArray:
+        """Start (k,) of each requested point, from 0."""
+        counts = [0 if own.done else len(own.ask()) for own in self.descents]
+        return np.repeat(np.arange(len(counts)), counts)
 
     def tell(self, residuals: FloatArray) -> None:
         """Take the residuals (k, m) of the requested points; rows that are not finite failed."""

@@ -213,6 +213,21 @@ def test_iterations_and_starts_of_a_search_are_stored(lab):
     assert single.ends() == []
 
 
+def test_each_search_by_least_squares_has_its_own_end(lab, tmp_path):
+    options = {"mode": "joint", "optimiser": NamedOptions(name="least-squares")}
+    several, single = (_calibrated(lab, 4, options | {"starts": n}) for n in (3, 1))
+    trace, alone = (done.outcome.found[0].trace for done in (several, single))
+
+    np.testing.assert_array_equal(trace.points[trace.starts == 0], alone.points)
+    assert {*trace.starts.tolist()} == {0, 1, 2}
+    assert min(end.error for end in trace.ends()) == trace.error
+    assert "starts" in _names(several.draw(tmp_path))
+    with lab[0].store() as store:
+        detail = calibration_detail.load_detail(lab[0], store, several.ids[0])
+    assert sum(start.evaluations for start in detail.starts) == len(trace.points)
+    assert detail.note == ""
+
+
 def test_results_without_the_ends_of_their_searches_are_explained(lab, monkeypatch):
     done = _done(lab, n=1, mode="each", starts=2)
     one = done.outcome.found[0]

@@ -327,22 +327,25 @@ class CalibrationSearch:
         begun = time.perf_counter()
         prior = NormalPrior.of(space)
         search = options.start(box_of(space), request.seed, comparer.feasible, prior)
-        ended = ""
+        ended, searches = "", []
         while not search.done:
             wanted = search.ask()
-            points = wanted[
-                : request.max_evaluations and request.max_evaluations - self.evaluations
-            ]
+            most = request.max_evaluations and request.max_evaluations - self.evaluations
+            points = wanted[:most]
             table = yield from self._rows(
                 "residuals", "squares", points, note="least squares", best=self.shown
             )
+            searches.append(search.asking[: len(points)])
             if len(points) == len(wanted):
                 search.tell(table)
             self.record(points, np.einsum("km,km->k", table, table))
             if (ended := self.search_end) and not search.done:
                 break
         best = better_of(search.best, self._points, self._errors)._replace(error=self.best.error)
-        return (yield from self._searched(self.trace(best, search.reason or ended), begun))
+        trace = self.trace(best, search.reason or ended)
+        if len(search.descents) > 1:
+            trace = Trace(*trace[:-1], np.concatenate(searches))
+        return (yield from self._searched(trace, begun))
 
     def _searched(self, trace: Trace, begun: float, **more: Any) -> Rounds[ParameterSet]:
         """Return the best point of a search, with its error for each experiment."""
