@@ -33,7 +33,7 @@ from fixel.testing.pushes import example_parts
 from fixel.workflows import jobs
 from fixel.workflows.analysis import load_analyses
 from fixel.workflows.bench.run import BENCH
-from fixel.workflows.capabilities import CAPABILITIES, prepare, run
+from fixel.workflows.capabilities import CAPABILITIES, call, prepare, run
 from fixel.workflows.project.export import export, import_zip
 
 
@@ -411,3 +411,30 @@ def test_stored_results_print_the_same_text_after_export_and_import(project, tmp
             assert [a.experiment(n).key for n in own.experiments] == [
                 b.experiment(n).key for n in theirs[name].experiments
             ]
+
+
+def test_an_imported_request_names_its_own_experiments_and_calibration(tmp_path):
+    """Both projects have a calibration 1 and an experiment 1, which are not the same."""
+    lab, other = (
+        project_of(tmp_path / name, [replace(push(seed=k, duration=0.4), name=f"{name}-{k}")])
+        for name, k in (("lab", 1), ("other", 2))
+    )
+    for own in (other, lab):
+        own.calibrate("", {"mu_pusher": (0, 1)}, max_evaluations=4, verdicts=False, progress=False)
+        call(own, "sensitivity", experiments=("1",), calibration=1, samples=50, progress=False)
+    export(lab, tmp_path / "lab.zip", progress=False)
+    for _ in range(2):
+        import_zip(other, tmp_path / "lab.zip")
+
+    wanted = {}
+    for one in load_analyses(other):
+        request = CAPABILITIES["sensitivity"].request(one.analysis.request)
+        (key,) = request.experiments
+        experiment = other.experiment(key).name
+        (member,) = other.calibrations[request.calibration].members
+        assert other.experiment(member.experiment_id).name == experiment
+        assert one.analysis.calibrations == (request.calibration,)
+        wanted[experiment] = one.folder.name
+    assert {*wanted} == {"lab-1", "other-2"}
+    call(other, "sensitivity", experiments=("id:2",), calibration=2, samples=50, progress=False)
+    assert {one.folder.name for one in load_analyses(other)} == {*wanted.values()}

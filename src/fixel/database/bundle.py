@@ -26,9 +26,10 @@ import sqlalchemy as sa
 
 from fixel.database import arrays, bundle_file, rows, tables
 from fixel.database.engine import reading, translated, writing
-from fixel.database.project import ANALYSES, DATABASE, MEDIA
+from fixel.database.project import ANALYSES, DATABASE, MEDIA, analysis_name
 from fixel.database.query import ALL_EXPERIMENTS
 from fixel.database.store import Store
+from fixel.errors import NotStored
 from fixel.io.atomic import write_whole, written_whole
 from fixel.io.damaged_files import INVALID_CONTENT
 from fixel.model import Experiment, Flag
@@ -365,11 +366,13 @@ class _Copy:
         source, target = (one.media.parent / ANALYSES for one in (self._source, self._target))
         ids = {"experiments": self._ids, "calibrations": self._fits}
         for file in sorted(source.glob("*/analysis.json")):
-            place = target / file.parent.name
             try:
                 content = dict(json.loads(file.read_bytes()))
-                own = {kind: [ids[kind][number] for number in content[kind]] for kind in ids}
-            except (*INVALID_CONTENT, OSError):  # damaged, or of records that are not copied
+                own: dict[str, Any] = {k: [ids[k][one] for one in content[k]] for k in ids}
+                own |= {k: self._renumbered(content.get(k, {})) for k in ("question", "request")}
+                kind = file.parent.name.rpartition("-")[0]
+                place = target / analysis_name(kind, own["question"])
+            except (*INVALID_CONTENT, OSError, NotStored):  # damaged, or of records not copied
                 continue
             if place.exists():
                 continue
@@ -379,6 +382,20 @@ class _Copy:
                     shutil.copyfile(other, place / other.name)
             write_whole(place / file.name, json.dumps(content | own, indent=1))  # last, as a mark
             self.new["analyses"] += 1
+
+    def _renumbered(self, request: dict[str, Any]) -> dict[str, Any]:
+        """Return a request with the ids that its experiments and calibration have in the target."""
+
+        def there(text: str) -> str:
+            is_id = text.removeprefix("id:").isdecimal()
+            return f"id:{self._ids[self._source.find(text)]}" if is_id else text
+
+        found = dict(request)
+        if found.get("calibration") is not None:
+            found["calibration"] = self._fits[found["calibration"]]
+        for name in found.keys() & {"experiments", "held_out"}:
+            found[name] = list(map(there, found[name]))
+        return found | ({"experiment": there(found["experiment"])} if "experiment" in found else {})
 
     def _filter_parameters(self, used: set[int] | None) -> dict[int, int]:
         """Copy settings of filters; return their ids in the target by those in the source."""

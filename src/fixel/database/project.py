@@ -9,6 +9,8 @@ my_lab/
 from __future__ import annotations
 
 import copy
+import hashlib
+import json
 import os
 import shlex
 import sqlite3
@@ -47,6 +49,12 @@ MEDIA: Final = "media"
 ANALYSES: Final = "analyses"  # folder of stored analyses, each a folder of its own
 MAX_NAME: Final = 200  # characters
 VARIABLE: Final = "FIXEL_DATABASE"  # environment variable; overrides the database of the settings
+
+
+def analysis_name(kind: str, question: Mapping[str, Any]) -> str:
+    """Return the name of the folder of an analysis, the same for the same question."""
+    asked = json.dumps([kind, question], sort_keys=True, allow_nan=False)
+    return f"{kind}-{hashlib.sha256(asked.encode()).hexdigest()[:10]}"
 
 
 class ProjectSettings(BaseModel):

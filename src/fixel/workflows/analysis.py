@@ -7,7 +7,6 @@ CSV, and long arrays in `arrays.npz`. Repeating the same request replaces the an
 from __future__ import annotations
 
 import datetime
-import hashlib
 import json
 import shutil
 from collections.abc import Iterable, Mapping
@@ -19,7 +18,7 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, InstanceOf, PlainSerializer
 
 from fixel.capability.capability import Capability
-from fixel.database.project import ANALYSES, Project
+from fixel.database.project import ANALYSES, Project, analysis_name
 from fixel.errors import FixelError, NotStored
 from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.io.atomic import write_whole
@@ -203,7 +202,7 @@ def store_analysis(
 
     Its `pictures`, `version` and `created` are filled in here.
     """
-    folder = project.folder / ANALYSES / _name_of(analysis)
+    folder = project.folder / ANALYSES / analysis_name(analysis.kind, analysis.question)
     make_folder(folder)
     pictures = tuple(pictures)
     (folder / CONTENT).unlink(missing_ok=True)
@@ -256,8 +255,3 @@ def find_analysis(project: Project, name: str, kind: str = "") -> StoredAnalysis
 def _kept(path: Path) -> StoredAnalysis:
     with readable(path, f"delete the folder {path.parent} and run the analysis again"):
         return StoredAnalysis(path.parent, Analysis.model_validate_json(path.read_bytes()))
-
-
-def _name_of(analysis: Analysis) -> str:
-    asked = json.dumps([analysis.kind, analysis.question], sort_keys=True, allow_nan=False)
-    return f"{analysis.kind}-{hashlib.sha256(asked.encode()).hexdigest()[:10]}"

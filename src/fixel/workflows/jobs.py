@@ -101,18 +101,10 @@ def prepare_job(
     inputs: Mapping[str, bytes | Path] | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> Job:
-    """Create a job folder.
+    """Create a job folder, by convention `<project>/jobs/<name>`.
 
-    Parameters
-    ----------
-    folder : Path
-        New folder; by convention `<project>/jobs/<name>`.
-    maker : str
-        `"KIND:FUNCTION"`, called as `maker(inputs: Path, options) -> Work`.
-    inputs : dict from name to bytes or Path
-        Files for the work and its chunks.
-    options : dict
-        Options for the maker; JSON content.
+    `maker` is `"KIND:FUNCTION"`, called as `maker(inputs: Path, options) -> Work`. Inputs are files
+    by name for the work and its chunks; options are JSON content.
     """
     return files.prepare(folder, maker, inputs or {}, options or {})
 
