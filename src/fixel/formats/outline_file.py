@@ -306,13 +306,9 @@ def _from_stl(source: _OutlineSource) -> FloatArray:
     return np.asarray(corners[seen])
 
 
-def _union(triangles: FloatArray, source: _OutlineSource) -> Any:
-    return shapely.union_all(shapely.polygons(triangles))
-
-
 # By the ending, the functions that return the lines of a file, and the region of lines.
 _READERS: Final[dict[str, tuple[Callable[[_OutlineSource], Any], Callable[..., Any]]]] = {
     ".svg": (_from_svg, _region),
     ".dxf": (_from_dxf, _region),
-    ".stl": (_from_stl, _union),
+    ".stl": (_from_stl, lambda triangles, _: shapely.union_all(shapely.polygons(triangles))),
 }
