@@ -72,7 +72,7 @@ class SearchStage(NamedTuple):
 
 
 RACE_STAGE: Final = SearchStage(1, WORLDS, RACE[-1] // WORLDS)
-REFINE_STAGE: Final = SearchStage(2, 32, 4)
+REFINE_STAGE: Final = SearchStage(2, 32, 1)  # few, so that each plan takes many steps
 SOME: Final = SearchStage(11, 8, 1)  # whether any part of the belief meets the goal
 NEAREST: Final = SearchStage(12, WORLDS, 4)  # how likely the nearest end is
 FINAL, DRAWS, RANGE = 3, 4, 5  # streams of the last stages
