@@ -14,9 +14,9 @@ import sys
 from collections import defaultdict
 from pathlib import Path
 
+from fixel.calibration.search import TIME
 from fixel.io.array_bytes import arrays_of
 from fixel.io.journal import read_journal
-from fixel.workflows.calibration.job import TIME
 
 STAGES = {"squares": "search", "all together": "search", "verdicts": "verdicts"}
 

@@ -115,9 +115,10 @@ class InvalidInput(FixelError, ValueError):
         joint = "" if self.where.startswith("[") else "."
         return self.at(f"{parent}{joint}{self.where}")
 
-    def at(self, where: str) -> InvalidInput:
-        """Return the error at another place."""
-        return InvalidInput(where, found=self.found, expected=self.expected, hint=self.hint)
+    def at(self, where: str, hint: str | None = None) -> InvalidInput:
+        """Return the error at another place, with a hint if it has none."""
+        hint = self.hint or hint
+        return InvalidInput(where, found=self.found, expected=self.expected, hint=hint)
 
     def _sentence(self) -> str:
         sentence, found, expected = self.where, self.found, self.expected

@@ -100,7 +100,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     "capability": {"calibrate": "fixel.workflows.calibration.run:CALIBRATE"},
     # Modules with functions that files of a job may name.
     "jobs": {
-        "calibration": "fixel.workflows.calibration.job",
+        "calibration": "fixel.workflows.calibration.plan",
         "capability": "fixel.workflows.capabilities",
         "plan": "fixel.workflows.planning.rounds",
         "toy": "fixel.testing.toy_work",
@@ -113,6 +113,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     "saved classes": {
         "fixel.calibration.known_pushes": "KnownPushes",
         "fixel.calibration.noise": "Noise",
+        "fixel.calibration.result": "CalibrationResult ParameterSet",
         "fixel.calibration.study": "Trace",
         "fixel.calibration.target": "Target",
         "fixel.datasets.experiments": "ExperimentEntry Experiments",
@@ -171,7 +172,6 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "fixel.uncertainty.starts": "StartError",
         "fixel.workflows.calibration.calibration": "Calibration Calibrations",
         "fixel.workflows.calibration.request": "CalibrationRequest NamedOptions",
-        "fixel.workflows.calibration.result": "CalibrationResult ParameterSet",
         "fixel.workflows.calibration.stored": "CalibratedValues",
         "fixel.workflows.planning.request": "FoundPlan PlanFile PlanRequest",
         "fixel.workflows.project.compare": "PathComparison RunComparison",

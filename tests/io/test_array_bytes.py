@@ -1,6 +1,7 @@
 """Arrays as bytes: round trip, and bytes that announce more than they have."""
 
 import io
+import zipfile
 
 import numpy as np
 import pytest
@@ -61,3 +62,18 @@ def test_arrays_that_unpack_to_more_are_refused() -> None:
     with pytest.raises(ValueError, match="compressed"):
         arrays_of(stream.getvalue())
     assert array_of(npy(np.zeros(3))).tolist() == [0.0, 0.0, 0.0]
+
+
+def test_an_interruption_while_a_member_is_opened_is_still_one(monkeypatch):
+    """Closing the archive fails then, which must not hide Ctrl-C."""
+    real = zipfile.ZipFile.open
+
+    def interrupted(*arguments, **options):
+        opened.append(real(*arguments, **options))
+        raise KeyboardInterrupt
+
+    opened = []
+    monkeypatch.setattr(zipfile.ZipFile, "open", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        bytes_of(numbers=np.arange(3))
+    opened[0].close()

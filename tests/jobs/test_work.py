@@ -8,7 +8,7 @@ from tests.jobs.kinds import toy_undisturbed
 from fixel.errors import InvalidInput
 from fixel.io.journal import Journal
 from fixel.jobs.engine import LocalEngine, answer_of
-from fixel.jobs.functions import THREADS, chunk_function, named_function, stamp, threads
+from fixel.jobs.functions import THREADS, named_function, stamp, threads
 from fixel.jobs.work import (
     Chunk,
     Failure,
@@ -149,7 +149,7 @@ def test_only_functions_marked_for_jobs_are_called_by_name(name):
 
 
 def test_a_chunk_function_by_name(inputs):
-    assert chunk_function(FUNCTION).__name__ == "evaluate"
+    assert named_function(FUNCTION).__name__ == "evaluate"
 
 
 def test_threads_of_a_worker(monkeypatch):

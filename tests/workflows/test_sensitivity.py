@@ -21,7 +21,9 @@ from fixel.model.records import CalibrationRecord, Estimate, Member
 from fixel.testing.scenes import micro_push
 from fixel.uncertainty.starts import ASME, StartError
 from fixel.workflows.analysis import load_analyses
+from fixel.workflows.calibration.stored import CalibratedValues
 from fixel.workflows.capabilities import prepare
+from fixel.workflows.sensitivity.report import _ranges
 from fixel.workflows.sensitivity.run import SENSITIVITY, sensitivity
 
 SMALL = StartError(x=3e-4, y=3e-4, theta=math.radians(0.5), kind="uniform")
@@ -166,6 +168,22 @@ def test_a_calibration_gives_values_ranges_and_motion(folder, quoted):
     assert "mu_pusher" in found["indices"]["outcomes"]["angle"]["indices"]
     (own,) = (k.analysis for k in load_analyses(project) if k.analysis.calibrations == (number,))
     assert "(quasistatic)" in own.methods[0]
+
+
+def test_an_interval_is_that_of_the_surface_although_the_values_of_two_agree():
+    ends = {"abs": (0.25, 0.4), "ply": (0.1, 0.9)}
+    record = CalibrationRecord(
+        name="two",
+        parameters=Parameters({}),
+        members=(Member(1, 1.0, 0.1),),
+        provenance=Provenance(version="0"),
+        estimates=tuple(
+            Estimate(label=f"mu_support[surface={name}]", unit="-", value=0.3, low=low, high=high)
+            for name, (low, high) in ends.items()
+        ),
+    )
+    model = CalibratedValues(1, record)
+    assert {name: _ranges(model, {"surface": name})["mu_support"] for name in ends} == ends
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from fixel.calibration.noise import (
 from fixel.calibration.objective import Comparer, EndPose
 from fixel.calibration.profile import ProfileLikelihood, Profiles
 from fixel.calibration.start_noise import StartSensitivity, start_dispersion, start_study
-from fixel.calibration.study import box_of, run_study
+from fixel.calibration.study import box_of, relayed, run_study
 from fixel.calibration.target import repetitions
 from fixel.calibration.verdict import judge
 from fixel.errors import InvalidInput
@@ -81,10 +81,10 @@ class Assessment(NamedTuple):
 
 
 def assess(
-    comparer: Comparer, members: Sequence[int], point: FloatArray, **options: Any
+    comparer: Comparer, members: Sequence[int], point: FloatArray, *, noise: Noise | None = None
 ) -> Assessment:
     """Run `assessment_steps` to its end in this process; same parameters."""
-    running = assessment_steps(comparer, members, point, **options)
+    running = assessment_steps(comparer, members, point, noise=noise)
     return run_assessment(comparer, members, running)
 
 
@@ -263,13 +263,11 @@ def _starts(
 
 def _simulated(study: Generator[FloatArray, FloatArray, T], note: str) -> AssessmentSteps[T]:
     """Run a study that needs simulations with shifts of each experiment."""
-    try:
-        rows = next(study)
-        while True:
-            rows = study.send((yield AssessmentRequest("shifted", rows, note)))
-    except StopIteration as end:
-        found: T = end.value
-        return found
+
+    def ask(rows: FloatArray) -> AssessmentSteps[FloatArray]:
+        return (yield AssessmentRequest("shifted", rows, note))
+
+    return (yield from relayed(study, ask))
 
 
 def answer(comparer: Comparer, members: IntArray, kind: str, points: FloatArray) -> FloatArray:

@@ -182,6 +182,11 @@ class Comparer:
         error[~good] = math.inf
         return Evaluation(error, reasons)
 
+    def errors_at(self, point: FloatArray) -> FloatArray:
+        """Return the errors (n_target,) of all experiments at a point (n_free,)."""
+        n = len(self.targets)
+        return self.errors(np.arange(n), np.repeat(point[None], n, axis=0)).error
+
     def residuals_at(
         self, members: Sequence[int] | IntArray, point: FloatArray
     ) -> list[FloatArray]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Generator, Mapping, Sequence
-from typing import Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -88,6 +88,19 @@ def run_study(study: Generator[Ask, Answer, T], evaluate: Callable[[Ask], Answer
         ask = next(study)
         while True:
             ask = study.send(evaluate(ask))
+    except StopIteration as end:
+        result: T = end.value
+        return result
+
+
+def relayed(
+    study: Generator[Ask, Answer, T], ask: Callable[[Ask], Generator[Any, Any, Answer]]
+) -> Generator[Any, Any, T]:
+    """Run a study whose requests are answered by steps of another generator."""
+    try:
+        wanted = next(study)
+        while True:
+            wanted = study.send((yield from ask(wanted)))
     except StopIteration as end:
         result: T = end.value
         return result

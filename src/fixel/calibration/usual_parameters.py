@@ -281,12 +281,7 @@ def _at(key: str, make: Callable[[Any], Parameter], entry: object) -> Parameter:
     try:
         return make(entry)
     except InvalidInput as problem:
-        raise InvalidInput(
-            problem.where.replace("parameter", key, 1),
-            found=problem.found,
-            expected=problem.expected,
-            hint=problem.hint,
-        ) from None
+        raise problem.at(problem.where.replace("parameter", key, 1)) from None
 
 
 def _corner(name: str, scene: Scene, support: SupportPoints) -> Unknown:

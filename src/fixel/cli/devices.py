@@ -459,12 +459,12 @@ def _errors(look: "Look") -> list[str]:
 
 
 def _once(looks: "Overlay", source: "FrameSource", output: Path) -> "Look":
-    from fixel.workflows.acquisition.overlay import draw_look, frames_of, look_once, write_picture
+    from fixel.workflows.acquisition.overlay import draw_look, frames_of, look_once, write_png
 
     stream = source.open()
     frames = islice(frames_of(source, stream.live), WAKING if stream.live else 0, None)
     picture, look = look_once(looks, frames)
-    write_picture(output, draw_look(picture, look, words=True))
+    write_png(output, draw_look(picture, look, words=True))
     return look
 
 

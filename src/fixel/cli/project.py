@@ -20,7 +20,15 @@ from fixel.cli.options import (
     required,
     with_options,
 )
-from fixel.cli.screen import command_line, command_of, notify, print_answer, project_words, wrote
+from fixel.cli.screen import (
+    command_line,
+    command_of,
+    notify,
+    print_answer,
+    project_words,
+    shortened,
+    wrote,
+)
 from fixel.errors import InvalidInput
 from fixel.progress import show_progress, time_text
 from fixel.table import Column, Table
@@ -124,14 +132,8 @@ def import_(
 
 def _skipped(names: Sequence[str]) -> list[str]:
     """List what an import left out, with the reasons."""
-    if not names:
-        return []
-    more = len(names) - MAX_ROWS
-    return [
-        f"skipped {len(names)}:",
-        *(f"  {name}" for name in names[:MAX_ROWS]),
-        *([f"  ... and {more} more; --json lists all"] if more > 0 else []),
-    ]
+    lines = shortened([f"  {name}" for name in names[:MAX_ROWS]], len(names), "  ")
+    return [f"skipped {len(names)}:", *lines] if names else []
 
 
 def _pair(text: str) -> tuple[str, str]:

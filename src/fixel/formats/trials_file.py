@@ -156,9 +156,7 @@ def _trial(row: list[str], number: int, where: str) -> PlanTrial:
     try:
         return PlanTrial(values["time"], met, failure, by=values["by"], **poses)
     except InvalidInput as problem:
-        raise InvalidInput(
-            f"{where}, {problem.where}", found=problem.found, expected=problem.expected
-        ) from None
+        raise problem.at(f"{where}, {problem.where}") from None
 
 
 def _row(number: int, trial: PlanTrial) -> bytes:

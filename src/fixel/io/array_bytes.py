@@ -29,7 +29,12 @@ def bytes_of(**arrays: ArrayLike) -> bytes:
     """Return named arrays as the bytes of an .npz file; equal arrays give equal bytes."""
     stream = io.BytesIO()
     content: dict[str, Any] = {name: np.asarray(array) for name, array in arrays.items()}
-    np.savez(stream, **content)
+    try:
+        np.savez(stream, **content)
+    except ValueError as problem:
+        if isinstance(problem.__context__, KeyboardInterrupt):  # the file was open: not closed
+            raise problem.__context__ from None
+        raise
     return stream.getvalue()
 
 

@@ -206,7 +206,7 @@ def _encoded(value: Any, arrays: Arrays) -> Any:
 def _contents(value: Any) -> tuple[str, Mapping[Any, Any]] | None:
     """Return the arguments that construct an object of fixel; None for other objects."""
     kind = type(value)
-    if f"{kind.__module__}:{kind.__qualname__}" not in _known():
+    if _known().get(kind.__qualname__) != kind.__module__:
         return None
     if _is_mapping(kind):
         return "mapping", value
@@ -232,24 +232,19 @@ def _path_of(kind: type) -> str:
 
 
 @cache
-def _known() -> Mapping[str, tuple[str, str]]:
-    """Return module and name of the classes that a file may contain, by their paths in files."""
-    public = set(sys.modules["fixel"].__all__)
-    found = {}
-    for module, names in offers("saved classes").items():
-        for name in names.split():
-            found[f"{module}:{name}"] = module, name
-            if name in public:
-                found[f"fixel:{name}"] = module, name
-    return found
+def _known() -> Mapping[str, str]:
+    """Return the modules of the classes that a file may contain, by the names of these."""
+    listed = offers("saved classes").items()
+    return {name: module for module, names in listed for name in names.split()}
 
 
 def _class_of(path: str) -> Any:
-    if path not in _known():
-        found = repr(path.rpartition(":")[2])
-        raise InvalidInput("class", found=found, expected="one that this version of fixel saves")
-    module, name = _known()[path]
-    return getattr(import_module(module), name)
+    """Return the class of a path in a file; its module may have moved since."""
+    name = path.rpartition(":")[2]
+    if name not in _known():
+        expected = "one that this version of fixel saves"
+        raise InvalidInput("class", found=repr(name), expected=expected)
+    return getattr(import_module(_known()[name]), name)
 
 
 @cache
@@ -258,7 +253,7 @@ def _hints(kind: type) -> Mapping[str, Any]:
     if hasattr(kind, "model_fields"):
         return {}
     # Some modules import the classes of their annotations for type checkers only.
-    names = {own: _class_of(path) for path, (_, own) in _known().items()} | {"Callable": Callable}
+    names = {name: _class_of(name) for name in _known()} | {"Callable": Callable}
     own = sys.modules[kind.__module__].__dict__
     missing = {name: named for name, named in names.items() if name not in own}
     return get_type_hints(kind, localns=missing)

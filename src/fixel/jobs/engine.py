@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final, final
 
 from fixel.jobs import link
-from fixel.jobs.functions import chunk_function, stamp
+from fixel.jobs.functions import ChunkFunction, named_function, stamp
 from fixel.jobs.work import AbstractEngine, Batch, Chunk, Failure, answer_of, framed
 
 OTHER_VERSION: Final = b"V"  # first byte of an answer; not used by `fixel.jobs.work.framed`
@@ -27,8 +27,11 @@ class LocalEngine(AbstractEngine):
 
     workers = 1
 
+    def __init__(self, call: ChunkFunction | None = None) -> None:
+        self._call = call  # instead of the chunk function, for work whose inputs are in memory
+
     def results(self, function: str, inputs: Path, chunks: Sequence[Chunk]) -> Iterator[Batch]:
-        call = chunk_function(function)
+        call = self._call or named_function(function)
         for chunk in chunks:
             yield [(chunk.name, answer_of(call, inputs, chunk.payload))]
 
@@ -48,7 +51,7 @@ def run_chunk(
     begun = time.monotonic()
     running.set()
     try:
-        answer = framed(answer_of(chunk_function(function), Path(inputs), payload))
+        answer = framed(answer_of(named_function(function), Path(inputs), payload))
         if lost.is_set() or time.monotonic() - begun > lease_s:
             # The coordinator may have given this chunk up.
             link.save_late(Path(folder), block, answer)

@@ -32,12 +32,6 @@ def callable_by_jobs(function: F) -> F:
     return function
 
 
-def chunk_function(name: str) -> ChunkFunction:
-    """Return the function `(inputs, payload) -> bytes` of a name like `"calibration:evaluate"`."""
-    function: ChunkFunction = named_function(name)
-    return function
-
-
 def named_function(name: str) -> Any:
     """Return a function that is meant for jobs, by its stored name `"KIND:FUNCTION"`."""
     kind, _, attribute = name.partition(":")

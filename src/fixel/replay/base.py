@@ -192,13 +192,11 @@ def spread(n: int, limit: int | None) -> NDArray[np.intp]:
     return np.arange(limit) * n // limit
 
 
-def settings_from(
-    nominal: Mapping[str, float], given: Mapping[str, float], where: str = "--set"
-) -> dict[str, float]:
+def settings_from(nominal: Mapping[str, float], given: Mapping[str, float]) -> dict[str, float]:
     """Replace nominal values by given ones; raise for unknown names."""
     for name in given:
         if name not in nominal:
-            raise unknown_name(where, name, nominal)
+            raise unknown_name("--set", name, nominal)
     return {**nominal, **given}
 
 

@@ -24,7 +24,7 @@ from fixel.workflows.acquisition.overlay import (
     draw_look,
     frames_of,
     watch,
-    write_picture,
+    write_png,
 )
 
 RIG = small_rig()
@@ -256,7 +256,7 @@ def test_a_camera_that_hangs_ends_the_pictures(monkeypatch):
 
 def test_a_picture_is_written_as_it_is(tmp_path):
     picture = np.random.default_rng(0).integers(0, 255, (12, 20, 3), dtype=np.uint8)
-    write_picture(tmp_path / "a.png", picture)
+    write_png(tmp_path / "a.png", picture)
     np.testing.assert_array_equal(cv2.imread(str(tmp_path / "a.png")), picture)
 
 

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+import zipfile
 from dataclasses import replace
 
 import numpy as np
@@ -72,6 +73,18 @@ def test_the_call_repeats_it_bit_for_bit(fit, pushes):
     call = one.call
     assert "prior=(0.3, 0.2)" in call
     assert eval(call, {"fixel": fixel, "experiments": pushes[:2]}) == one
+
+
+def test_a_file_opens_though_a_class_has_moved_to_another_module(fit, tmp_path):
+    with zipfile.ZipFile(fit.save(tmp_path / "fit.fixel")) as file:
+        members = {name: file.read(name) for name in file.namelist()}
+    now, earlier = b"fixel.calibration.result:", b"fixel.workflows.calibration.result:"
+    assert now in members["result.json"]
+    members["result.json"] = members["result.json"].replace(now, earlier)
+    with zipfile.ZipFile(tmp_path / "earlier.fixel", "w") as file:
+        for name, content in members.items():
+            file.writestr(name, content)
+    assert fixel.load(tmp_path / "earlier.fixel") == fit
 
 
 def test_results_are_values(fit, tmp_path):

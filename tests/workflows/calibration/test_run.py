@@ -12,6 +12,7 @@ import pytest
 from tests import calibrating as run
 from tests.fixtures import project_of
 
+from fixel.calibration import search
 from fixel.calibration.objective import outliers
 from fixel.calibration.usual_parameters import default_unknowns
 from fixel.database.project import Project
@@ -24,7 +25,7 @@ from fixel.sampling.published import thesis_plan
 from fixel.simulation.uneven_table import TABLE_NAMES
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views.calibration_detail import list_calibrations
-from fixel.workflows.calibration import job
+from fixel.workflows.calibration import plan
 from fixel.workflows.calibration.parameter_options import (
     command_of,
     fixed_unknowns,
@@ -32,13 +33,13 @@ from fixel.workflows.calibration.parameter_options import (
     read_space,
     searched_unknowns,
 )
+from fixel.workflows.calibration.plan import outcome_bytes, outcome_of
 from fixel.workflows.calibration.request import (
     CalibrationRequest,
     NamedOptions,
     read_targets,
     target_files,
 )
-from fixel.workflows.calibration.result import outcome_bytes, outcome_of
 from fixel.workflows.calibration.stored import load_values, searched_space
 from fixel.workflows.jobs import run_here, status_of
 from fixel.workflows.project.filters import view_of
@@ -222,14 +223,14 @@ def test_verdicts_killed_at_any_round_continue_with_the_same_bits(project, chose
 @pytest.mark.system
 def test_a_killed_calibration_of_each_loses_one_chunk(project, chosen, monkeypatch):
     """The journal has whole chunks of experiments, verdicts included; none is computed again."""
-    monkeypatch.setattr(job, "MEMBERS_A_CHUNK", 2)
+    monkeypatch.setattr(search, "MEMBERS_A_PART", 2)
     request = _request(chosen, mode="each", verdicts=True, noise_position=5e-5, noise_angle=2e-3)
     folder = run.prepare(project, chosen, request)
     command = f"""
 from pathlib import Path
 from fixel.workflows import jobs
-from fixel.workflows.calibration import job
-job.MEMBERS_A_CHUNK = 2
+from fixel.calibration import search
+search.MEMBERS_A_PART = 2
 jobs.run_here(Path({str(folder)!r}))
 """
     with subprocess.Popen([sys.executable, "-c", command]) as running:
@@ -238,11 +239,11 @@ jobs.run_here(Path({str(folder)!r}))
             time.sleep(0.01)
         running.kill()
     computed = []
-    real = job.calibrate_alone
+    real = plan.answer_bytes
     monkeypatch.setattr(
-        job,
-        "calibrate_alone",
-        lambda inputs, payload: computed.append(payload) or real(inputs, payload),
+        plan,
+        "answer_bytes",
+        lambda own, payload: computed.append(payload) or real(own, payload),
     )
     run.run(folder)
     assert len(computed) == 1

@@ -26,9 +26,8 @@ from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views.calibration_detail import load_detail
 from fixel.workflows import figures
 from fixel.workflows.calibration.parameter_options import command_of
-from fixel.workflows.calibration.project import add_to_project, stored_calibration
+from fixel.workflows.calibration.project import RUN, add_to_project, stored_calibration
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
-from fixel.workflows.calibration.result import RUN
 from fixel.workflows.report.write import report
 
 # Every option of a request, unlike its default.

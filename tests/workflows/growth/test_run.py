@@ -16,11 +16,11 @@ from tests.workflows.growing import (
     record,
 )
 
+from fixel.calibration.result import FitKind
 from fixel.database.project import Project
 from fixel.domain.growth import ROWS, STORED, domain
 from fixel.errors import InvalidInput
 from fixel.workflows.analysis import load_analyses
-from fixel.workflows.calibration.result import FitKind
 from fixel.workflows.calibration.stored import load_values
 from fixel.workflows.capabilities import run
 from fixel.workflows.growth import report

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Final
 import numpy as np
 from pydantic import BeforeValidator, Field
 
+from fixel.calibration.search import NEARLY
 from fixel.database.project import Project
 from fixel.database.query import ALL_EXPERIMENTS
 from fixel.database.store import Store
@@ -22,7 +23,6 @@ from fixel.typing import FloatArray
 from fixel.web.values import Answer, Array, Finite
 from fixel.workflows.analysis import Analysis
 from fixel.workflows.calibration.calibration import Calibration
-from fixel.workflows.calibration.job import NEARLY
 from fixel.workflows.calibration.project import stored_calibration, stored_run
 from fixel.workflows.calibration.stored import misfit_of
 

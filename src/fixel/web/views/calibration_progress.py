@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import Field
 
 from fixel.calibration.objective import combined_errors
+from fixel.calibration.result import found_of
 from fixel.database.project import Project
 from fixel.errors import FixelError, JobRefused, NotStored
 from fixel.io.array_bytes import arrays_of
@@ -24,12 +25,10 @@ from fixel.jobs import folder as files
 from fixel.typing import FloatArray
 from fixel.web.values import Answer, Finite
 from fixel.workflows import jobs
-from fixel.workflows.calibration.job import ROLLOUTS_A_CHUNK
 from fixel.workflows.calibration.parameter_options import command_of, options_of
 from fixel.workflows.calibration.plan import MAKER, request_of
 from fixel.workflows.calibration.project import collected, experiments_of, stored_ids
 from fixel.workflows.calibration.request import CalibrationRequest
-from fixel.workflows.calibration.result import found_of
 
 SEARCHES: Final = ("all together", "squares")  # stages whose errors are the objective
 ALONE: Final = "alone"
@@ -80,7 +79,7 @@ class JournalProgress:
                 self.waiting.clear()
             self.waiting.append(arrays["error"])
             values = np.concatenate(self.waiting)
-            if len(values) % len(self.ids) == 0 and len(arrays["error"]) <= ROLLOUTS_A_CHUNK:
+            if len(values) % len(self.ids) == 0:
                 self.objective += self.shares(values.reshape(-1, len(self.ids)))
                 self.waiting.clear()
         elif self.stage == SEARCHES[1]:

@@ -207,7 +207,7 @@ def look_once(overlay: Overlay, frames: Iterable[Frame]) -> tuple[Picture, Look]
     return answer
 
 
-def write_picture(path: Path, picture: Picture) -> None:
+def write_png(path: Path, picture: Picture) -> None:
     """Write a picture as a PNG file, completely or not at all."""
     from PIL import Image
 

@@ -95,10 +95,8 @@ class BenchDevices:
             self.drive.check(to=push.travel, speed=push.speed)
             self._fast = self._fast or self._way_speed(push)
         except InvalidInput as problem:
-            problem.hint = (
-                problem.hint or "change the row, or where and how fast the drive can move"
-            )
-            raise problem.at(f"row {row.name}: {problem.where}") from None
+            hint = "change the row, or where and how fast the drive can move"
+            raise problem.at(f"row {row.name}: {problem.where}", hint) from None
 
     def _way_speed(self, push: Stroke) -> float:
         """Return the speed [m/s] at which the head moves to a start."""

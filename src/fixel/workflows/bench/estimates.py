@@ -30,6 +30,7 @@ from fixel.calibration.objective import Comparer
 from fixel.calibration.optimiser import Best
 from fixel.calibration.profile import Profile, Profiles
 from fixel.calibration.profile_branch import Slice
+from fixel.calibration.search import with_assessment
 from fixel.calibration.study import run_study
 from fixel.calibration.target import Target
 from fixel.calibration.usual_parameters import Space
@@ -43,7 +44,6 @@ from fixel.simulation.rollouts import RolloutCase
 from fixel.typing import FloatArray
 from fixel.units import deg, displayed, mm, mrad, um
 from fixel.workflows.calibration.calibration import Calibration
-from fixel.workflows.calibration.job import comparer_of, with_assessment
 from fixel.workflows.calibration.run import calibrate
 
 MOST: Final = 48  # candidates of one choice; of more, others are compared each time
@@ -192,7 +192,7 @@ def estimate(
     )
     if fit.status == "failed":
         raise InvalidInput("experiments", found=f"none ({fit.message})", expected="some")
-    comparer, members = comparer_of(fit.request, fit.targets, threads), fit.found.members
+    comparer, members = fit.run.task(threads).comparer, fit.found.members
     best = assess.run_assessment(
         comparer, members, assess.fit_steps(comparer, members, fit.found.point)
     )

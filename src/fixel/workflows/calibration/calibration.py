@@ -31,6 +31,7 @@ from fixel.calibration.objective import (
     outliers,
     root_mean,
 )
+from fixel.calibration.result import PLAIN, CalibrationResult, FitKind, ParameterSet
 from fixel.calibration.study import MADE, OUT_OF_BUDGET
 from fixel.calibration.target import Target, target_of
 from fixel.errors import InvalidInput
@@ -46,15 +47,8 @@ from fixel.table import Column, Table
 from fixel.typing import FloatArray
 from fixel.uncertainty.predictive import LEAST, POOL, REGION, Predictive, predictive_of
 from fixel.workflows.calibration.parameter_options import call_of, enlarged_command
-from fixel.workflows.calibration.plan import CalibrationPlan
+from fixel.workflows.calibration.plan import CalibrationPlan, outcome_of
 from fixel.workflows.calibration.request import CalibrationRequest
-from fixel.workflows.calibration.result import (
-    PLAIN,
-    CalibrationResult,
-    FitKind,
-    ParameterSet,
-    outcome_of,
-)
 
 if TYPE_CHECKING:
     from fixel.simulation import Simulation
@@ -267,8 +261,7 @@ class Calibration(Result, Mapping[str, float]):
             squares = errors**2
         else:
             comparer = Comparer(self.targets, self.space, MeanSquare(), self.motion)
-            which = np.arange(len(self.targets))
-            squares = comparer.errors(which, np.repeat(point[None], len(which), axis=0)).error
+            squares = comparer.errors_at(point)
         return 1e-3 * math.sqrt(float(np.mean(squares)))
 
     @property

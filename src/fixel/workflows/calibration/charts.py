@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from fixel.calibration.result import FitKind
+from fixel.calibration.search import NEARLY
 from fixel.calibration.study import NOMINAL
 from fixel.calibration.target import Target
 from fixel.database.project import Project
@@ -31,8 +33,6 @@ from fixel.model import Parameters, placed
 from fixel.simulation import Simulation, simulate
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration, Calibrations
-from fixel.workflows.calibration.job import NEARLY
-from fixel.workflows.calibration.result import FitKind
 from fixel.workflows.figures import Picture, banner_of
 
 if TYPE_CHECKING:

@@ -6,15 +6,15 @@ import json
 import math
 import shlex
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Final
 
-from fixel.calibration.objective import Comparer
-from fixel.calibration.study import at_points, run_study
+from fixel.calibration.result import FitKind, ParameterSet, found_of
+from fixel.calibration.search import CalibrationSearch
 from fixel.calibration.target import Target, targets_of
 from fixel.calibration.usual_parameters import Space, default_unknowns, search_space
 from fixel.errors import FixelError, Interrupted, InvalidInput
@@ -22,19 +22,9 @@ from fixel.formats.dakota_file import load_dakota
 from fixel.io.array_bytes import arrays_of
 from fixel.io.journal import Journal
 from fixel.jobs import folder as files
+from fixel.jobs.engine import LocalEngine
 from fixel.jobs.site import Site, load_site
-from fixel.jobs.work import (
-    AbstractEngine,
-    Answer,
-    Batch,
-    Chunk,
-    JobProgress,
-    Show,
-    StopRequest,
-    answer_of,
-    run_work,
-    unframed,
-)
+from fixel.jobs.work import JobProgress, Show, StopRequest, run_work, unframed
 from fixel.model import Experiment, Scene
 from fixel.model.selection import parse_filter
 from fixel.model.space import ParameterSpace
@@ -43,22 +33,27 @@ from fixel.registry import offered
 from fixel.simulation.trust import permit
 from fixel.workflows import jobs
 from fixel.workflows.calibration.calibration import Calibration, Calibrations, collect
-from fixel.workflows.calibration.job import CHUNKS, CalibrationSearch, comparer_of, evaluate_here
 from fixel.workflows.calibration.parameter_options import (
     fixed_unknowns,
     read_space,
     searched_unknowns,
 )
-from fixel.workflows.calibration.plan import CalibrationPlan, job_folder, prepare_folder
-from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions, named_options
-from fixel.workflows.calibration.result import FitKind, ParameterSet, found_of, outcome_of
+from fixel.workflows.calibration.plan import (
+    CalibrationPlan,
+    answer_bytes,
+    job_folder,
+    outcome_of,
+    prepare_folder,
+    rounds,
+)
+from fixel.workflows.calibration.request import NamedOptions, named_options
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
     from fixel.database.project import Project
 
-ALONE: Final = "alone/"  # begin of the names of chunks that calibrate single experiments
+ALONE: Final = "alone"  # stage and kind of questions that calibrate single experiments
 PROJECT_FILE: Final = "fixel.yaml"  # makes a folder a project
 
 
@@ -91,15 +86,22 @@ def run_plan(plan: CalibrationPlan, asked: SimpleNamespace) -> Calibrations:
 
 
 def _run_here(plan: CalibrationPlan, asked: SimpleNamespace) -> Calibrations:
-    comparer = comparer_of(plan.request, plan.targets, asked.threads)
-    search = CalibrationSearch(plan.request, comparer)
-    engine = DirectEngine(plan.request, comparer)
+    task, alone = plan.task(asked.threads), list[bytes]()
+    search = CalibrationSearch(task)
+
+    def call(_: Path, payload: bytes) -> bytes:
+        answer = answer_bytes(task, payload)
+        if arrays_of(payload)["kind"].item() == ALONE:
+            alone.append(answer)
+        return answer
+
     with show_progress(asked.progress, "searching") as report:
+        show, work = _reporting(report), rounds(search.steps())
         try:
-            result = run_work(search.rounds(), engine, Path(), None, progress=_reporting(report))
+            result = run_work(work, LocalEngine(call), Path(), None, progress=show)
         except KeyboardInterrupt:
             hint = "with store='FOLDER' the same call would continue"
-            raise Interrupted(_best_so_far(plan, search, engine.alone), hint) from None
+            raise Interrupted(_best_so_far(plan, search, alone), hint) from None
     return Calibrations(**vars(plan), outcome=outcome_of(result))
 
 
@@ -112,7 +114,8 @@ def _run_in_folder(plan: CalibrationPlan, folder: Path, asked: SimpleNamespace) 
     count = None if site is not None and not asked.workers else asked.workers
     local = None
     if not jobs.arrange(folder, workers=count, site=site).workers:
-        local = DirectEngine(plan.request, comparer_of(plan.request, plan.targets, asked.threads))
+        task = plan.task(asked.threads)
+        local = LocalEngine(lambda _, payload: answer_bytes(task, payload))
     with show_progress(asked.progress, "searching") as report:
         try:
             jobs.run_here(folder, _reporting(report), local=local)
@@ -125,57 +128,34 @@ def _run_in_folder(plan: CalibrationPlan, folder: Path, asked: SimpleNamespace) 
 
 def _best_in(plan: CalibrationPlan, folder: Path) -> Calibration | Calibrations | None:
     """Return what is in the journal of an interrupted calibration."""
-    comparer = comparer_of(plan.request, plan.targets, None)
-    search = CalibrationSearch(plan.request, comparer)
-    engine = DirectEngine(plan.request, comparer)
-    alone: list[Answer] = []
+    search, alone = CalibrationSearch(plan.task()), list[bytes]()
     with suppress(StopRequest, FixelError), Journal(folder / files.JOURNAL) as journal:
-        alone = [unframed(journal.get(name) or b"") for name in journal if name.startswith(ALONE)]
+        blocks = [journal.get(name) or b"" for name in journal if name.startswith(f"{ALONE}/")]
+        alone = [own for own in map(unframed, blocks) if isinstance(own, bytes)]
         # It ends where the journal ends.
-        run_work(search.rounds(), engine, folder, journal, stop=lambda: True)
+        run_work(rounds(search.steps()), LocalEngine(), folder, journal, stop=lambda: True)
     return _best_so_far(plan, search, alone)
 
 
-class DirectEngine(AbstractEngine):
-    """Engine that computes the chunks of one calibration in this process, without files."""
-
-    workers = 1
-
-    def __init__(self, request: CalibrationRequest, comparer: Comparer) -> None:
-        self._own = request, comparer
-        self.alone: list[Answer] = []  # calibrations of single experiments so far
-
-    def results(self, function: str, inputs: Path, chunks: Sequence[Chunk]) -> Iterator[Batch]:
-        call = CHUNKS[function]
-        for chunk in chunks:
-            answer = answer_of(call, *self._own, chunk.payload)
-            if chunk.name.startswith(ALONE):
-                self.alone.append(answer)
-            yield [(chunk.name, answer)]
-
-
 def _best_so_far(
-    plan: CalibrationPlan, search: CalibrationSearch, alone: Sequence[Answer]
+    plan: CalibrationPlan, search: CalibrationSearch, alone: Sequence[bytes]
 ) -> Calibration | Calibrations | None:
     """Return what an interrupted calibration has found; None if there is nothing yet.
 
     `alone` are the answers of the chunks that calibrated single experiments.
     """
-    comparer, members = search.comparer, tuple(search.members)
-    single = (one for own in alone if isinstance(own, bytes) for one in found_of(arrays_of(own)))
+    comparer = search.comparer
+    single = (one for own in alone for one in found_of(arrays_of(own)))
     found = [*search.found] or sorted(single, key=lambda one: one.members)
-    here = evaluate_here(comparer)
     if not search.found and math.isfinite(search.best.error):
-        point = search.best.point
-        errors, _ = run_study(at_points(members, point[None]), here)
-        how, trace = FitKind.DIRECT, search.trace()
-        found.append(
-            ParameterSet(how=how, members=members, point=point, errors=errors[0], trace=trace)
-        )
+        point, trace = search.best.point, search.trace()
+        own: dict[str, Any] = {"members": tuple(search.members), "point": point, "trace": trace}
+        own["errors"] = comparer.errors_at(point)
+        found.append(ParameterSet(how=FitKind.DIRECT, **own))
     if not found:
         return None
-    nominal, _ = run_study(at_points(members, comparer.space.nominal[None]), here)
-    run = Calibrations(**vars(plan), outcome=search.result(nominal[0], found), interrupted=True)
+    outcome = search.result(comparer.errors_at(comparer.space.nominal), found)
+    run = Calibrations(**vars(plan), outcome=outcome, interrupted=True)
     return run[-1] if plan.request.mode == "joint" else run
 
 

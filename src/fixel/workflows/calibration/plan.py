@@ -1,29 +1,48 @@
-"""Plans of calibrations, and the folders of their jobs."""
+"""Plans of calibrations, and their jobs: folders and rounds of chunks."""
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+import time
+from collections.abc import Generator, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 
+from fixel.calibration import search
+from fixel.calibration.joint import draw_joint, linear_fit
+from fixel.calibration.objective import Comparer
+from fixel.calibration.result import CalibrationResult, found_arrays, found_of, json_array, json_of
+from fixel.calibration.search import (
+    CalibrationSearch,
+    CalibrationTask,
+    PartAnswer,
+    Question,
+    Rows,
+    Steps,
+    explained,
+)
+from fixel.calibration.study import relayed
 from fixel.calibration.target import Target, targets_of
 from fixel.calibration.usual_parameters import Space, search_space
 from fixel.errors import InvalidInput
+from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.io.damaged_files import readable
 from fixel.jobs import folder as files
+from fixel.jobs.functions import callable_by_jobs, threads
+from fixel.jobs.work import Answers, Chunk, Failure, Round, Work
 from fixel.kernels import codes
 from fixel.model import Experiment, Scene
 from fixel.registry import offered
 from fixel.simulation.motion import stated_name
 from fixel.simulation.trust import remember
+from fixel.uncertainty.predictive import DRAWS, LEAST, check_predictions, predictive_of
 from fixel.workflows import jobs
-from fixel.workflows.calibration.job import REQUEST, comparer_of, explained
 from fixel.workflows.calibration.request import (
     NAMED,
     CalibrationRequest,
@@ -36,6 +55,7 @@ if TYPE_CHECKING:
     from fixel.database.project import Project
     from fixel.model.records import CalibrationRecord
 
+REQUEST: Final = "request.json"
 LEFT_OUT: Final = "left_out.json"  # skipped experiments with reasons
 MAKER: Final = "calibration:calibration_work"
 PREFLIGHT: Final = 16  # experiments that are simulated before any work starts
@@ -101,6 +121,15 @@ class CalibrationPlan:
         )
         return plan.rehearse(asked.threads)
 
+    def task(self, threads: int | None = None) -> CalibrationTask:
+        """Return the experiments and the method, as what calibrates takes them."""
+        request = self.request
+        space, error, motion = request.space, request.made_error, request.made_motion
+        comparer = Comparer(self.targets, space, error, motion, None, threads)
+        own: dict[str, Any] = {"comparer": comparer, "optimiser": request.made_search}
+        names = {field.name for field in fields(CalibrationTask)} - {*own}
+        return CalibrationTask(**own, **{name: getattr(request, name) for name in names})
+
     def rehearse(self, threads: int | None = None) -> Self:
         """Simulate a few experiments, and all that may jam, with the start values.
 
@@ -113,7 +142,7 @@ class CalibrationPlan:
         spread = np.linspace(0, n - 1, PREFLIGHT).astype(int)
         some = np.unique(np.concatenate((spread, np.array(rigid, np.int64))))
         start = np.repeat(self.request.space.nominal[None], len(some), axis=0)
-        answer = comparer_of(self.request, self.targets, threads).errors(some, start)
+        answer = self.task(threads).comparer.errors(some, start)
         found = zip(some.tolist(), answer.reasons, strict=True)
         jammed = {k: explained(reason) for k, reason in found if reason.startswith(JAMMED)}
         if np.isinf(answer.error).all():
@@ -223,3 +252,90 @@ def request_of(folder: Path) -> CalibrationRequest:
     path = folder / "inputs" / REQUEST
     with readable(path, f"delete the folder {folder}"):
         return CalibrationRequest.model_validate_json(path.read_bytes())
+
+
+# --- rounds of chunks ---------------------------------------------------------------------------
+
+
+@callable_by_jobs
+def calibration_work(inputs: Path, options: Mapping[str, Any]) -> Work:
+    """Return the rounds of the calibration that is described in a folder of inputs."""
+    return rounds(CalibrationSearch(_load_task(inputs)).steps())
+
+
+def rounds(steps: Steps[CalibrationResult]) -> Work:
+    """Answer the questions of a calibration by rounds of chunks; return its result as bytes."""
+
+    def ask(question: Question) -> Generator[Round, Answers, list[PartAnswer]]:
+        chunks = [
+            Chunk(f"{question.stage}/{k}", bytes_of(kind=question.kind, **part))
+            for k, part in enumerate(question.parts())
+        ]
+        answers = yield Round(
+            "calibration:answer_part", chunks, question.note, question.left, question.best
+        )
+        own = [answers[chunk.name] for chunk in chunks]
+        return [one.reason if isinstance(one, Failure) else arrays_of(one) for one in own]
+
+    return outcome_bytes((yield from relayed(steps, ask)))
+
+
+@callable_by_jobs
+def answer_part(inputs: Path, payload: bytes) -> bytes:
+    """Chunk: answer to a part of a question."""
+    return answer_bytes(_load_task(inputs), payload)
+
+
+def answer_bytes(task: CalibrationTask, payload: bytes) -> bytes:
+    """Return the answer to a part of a question, with the time that it took to compute."""
+    begun, rows = time.process_time(), arrays_of(payload)
+    # Not `str`: NumPy's may return "..." for another array after Ctrl-C has interrupted it.
+    answer = ANSWERS[rows.pop("kind").item()](task, rows)
+    return bytes_of(**answer, **{search.TIME: time.process_time() - begun})
+
+
+def _ends(task: CalibrationTask, rows: Rows) -> dict[str, Any]:
+    """How many recorded ends are in the regions predicted from the other experiments."""
+    comparer, (best, value, sd) = task.comparer, (rows[k][0] for k in ("point", "value", "sd"))
+    if len(comparer.targets) < LEAST:
+        return {"count": [0, 0]}
+    space, motion = comparer.space, comparer.ensemble.motion
+    near = linear_fit(comparer, best)
+    drawn = draw_joint(value, space.low, space.high, sd, near.correlation, DRAWS, 0)
+    predictive = predictive_of(comparer.targets, space, motion, best, value, drawn)
+    return {"count": check_predictions(predictive, comparer.targets, motion, best, near.left_out())}
+
+
+ANSWERS: Final = {**search.ANSWERS, "ends": _ends}
+
+
+def _load_task(inputs: Path) -> CalibrationTask:
+    """Load the task of a job; cached, since a process answers many chunks."""
+    return _read(inputs.resolve(), (inputs / REQUEST).stat().st_mtime_ns)
+
+
+@functools.lru_cache(maxsize=2)
+def _read(inputs: Path, _: int) -> CalibrationTask:
+    request = CalibrationRequest.model_validate_json((inputs / REQUEST).read_bytes())
+    return CalibrationPlan(request=request, targets=read_targets(inputs)).task(threads())
+
+
+def outcome_bytes(outcome: CalibrationResult) -> bytes:
+    """Serialise the result of a calibration."""
+    return bytes_of(
+        keys=json_array(list(outcome.keys)),
+        labels=json_array(list(outcome.labels)),
+        nominal=outcome.nominal,
+        **found_arrays(outcome.found),
+    )
+
+
+def outcome_of(data: bytes) -> CalibrationResult:
+    """Load a result; inverse of `outcome_bytes`."""
+    arrays = arrays_of(data)
+    return CalibrationResult(
+        keys=tuple(json_of(arrays["keys"])),
+        labels=tuple(json_of(arrays["labels"])),
+        nominal=arrays["nominal"],
+        found=tuple(found_of(arrays)),
+    )

@@ -15,6 +15,7 @@ from typing import Any, Final, final, overload
 import numpy as np
 
 from fixel.calibration.objective import root_mean
+from fixel.calibration.result import CalibrationResult, FitKind, ParameterSet, set_content, set_of
 from fixel.calibration.study import Trace
 from fixel.calibration.target import Target, spread_sample, target_of
 from fixel.database.project import SETTINGS, Project, check_known_names
@@ -32,20 +33,12 @@ from fixel.table import Column, Table
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration, Calibrations, collect, finite
 from fixel.workflows.calibration.parameter_options import command_of, options_of
-from fixel.workflows.calibration.plan import job_of, plan_in
+from fixel.workflows.calibration.plan import job_of, outcome_bytes, plan_in
 from fixel.workflows.calibration.request import TARGETS
-from fixel.workflows.calibration.result import (
-    RUN,
-    CalibrationResult,
-    FitKind,
-    ParameterSet,
-    outcome_bytes,
-    set_content,
-    set_of,
-)
 from fixel.workflows.calibration.stored import VERSION, misfit_of, request_in
 
 STORED: Final = "stored.json"  # ids of the calibrations, once they are stored
+RUN: Final = "run"  # in the method of a record: checksum that all calibrations of a run share
 EARLIER: Final = {"faulty": "flagged"}  # names of options in records of earlier versions
 
 

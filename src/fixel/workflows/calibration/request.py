@@ -43,10 +43,7 @@ PATTERN_SEARCH: Final = PatternSearch.name
 ENOUGH: Final = 10  # residuals an unknown, for least squares unless asked for another search
 TARGETS: Final = "targets.json"
 POSES: Final = "poses.npz"
-
-
-class _RequestLevel(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+STRICT: Final = ConfigDict(extra="forbid", frozen=True)
 
 
 def _unknown(content: object) -> Unknown:
@@ -62,8 +59,10 @@ def _unknown(content: object) -> Unknown:
 PlainUnknown = Annotated[Unknown, PlainValidator(_unknown), PlainSerializer(Unknown.plain)]
 
 
-class NamedOptions(_RequestLevel):
+class NamedOptions(BaseModel):
     """A member of a family by its name, with its options."""
+
+    model_config = STRICT
 
     name: str
     options: dict[str, Any] = {}
@@ -111,11 +110,11 @@ def _fields() -> dict[str, Any]:
 
 if TYPE_CHECKING:
 
-    class _Fields(_RequestLevel):
+    class _Fields(BaseModel):
         def __getattr__(self, name: str) -> Any: ...
 
 else:
-    _Fields = create_model("_Fields", __base__=_RequestLevel, **_fields())
+    _Fields = create_model("_Fields", __config__=STRICT, **_fields())
 
 
 class CalibrationRequest(_Fields):
@@ -169,6 +168,11 @@ class CalibrationRequest(_Fields):
         search = NamedOptions(name=LEAST_SQUARES, options=options | self.optimiser.options)
         made: LeastSquares = _made((LeastSquares,), search)
         return made
+
+    @property
+    def made_search(self) -> AbstractOptimiser | LeastSquares:
+        """The search, by errors or by residuals."""
+        return self.least_squares or self.made_optimiser
 
     @property
     def sums_squares(self) -> bool:
@@ -241,8 +245,7 @@ class CalibrationRequest(_Fields):
             )
         if self.budget is not None and self.mode != "joint":
             raise InvalidInput("budget", found=f"mode {self.mode}", expected="mode joint")
-        search = self.least_squares or self.made_optimiser
-        if isinstance(search, LeastSquares) and not self.sums_squares:
+        if isinstance(self.made_search, LeastSquares) and not self.sums_squares:
             raise InvalidInput(
                 f"optimiser {LEAST_SQUARES}",
                 found=f"mode {self.mode}, combine {self.combine}, error {self.error.name}",

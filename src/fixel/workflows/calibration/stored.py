@@ -11,6 +11,7 @@ from typing import Final, final
 
 from fixel.calibration.known_pushes import KnownPushes
 from fixel.calibration.objective import ERRORS, AbstractError, MeanSquare
+from fixel.calibration.result import FitKind
 from fixel.calibration.target import target_of
 from fixel.database.project import DATABASE, Project
 from fixel.database.store import Store
@@ -23,12 +24,11 @@ from fixel.model.space import ParameterSpace, Unknown, meets, split_label
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.engine_names import EngineName
 from fixel.simulation.motion import motion_model
-from fixel.workflows.calibration.job import REQUEST
 from fixel.workflows.calibration.parameter_options import searched_unknowns
-from fixel.workflows.calibration.plan import job_of, request_of
+from fixel.workflows.calibration.plan import REQUEST, job_of, request_of
 from fixel.workflows.calibration.request import NAMED, CalibrationRequest, NamedOptions
-from fixel.workflows.calibration.result import SEARCHED, FitKind
 
+SEARCHED: Final = "unknowns"  # in the method of earlier records: the parameters, as JSON
 VERSION: Final = 1  # of stored requests; those without one are as of version 1
 
 

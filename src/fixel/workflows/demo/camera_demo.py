@@ -82,7 +82,6 @@ def run_camera_tour(
     folder: Path,
     *,
     pushes: tuple[int, ...] = PUSHES,
-    frames: int | None = None,
     notify: Notify | None = None,
     progress: ProgressCallback | None = None,
 ) -> CameraTour:
@@ -98,8 +97,8 @@ def run_camera_tour(
     """
     notify = notify or (lambda _: None)
     folder = own_folder(folder, notify)
-    project = _begun(folder, {"pushes": list(pushes), "frames": frames})
-    films = _filmed(project, folder, pushes, frames, notify, progress)
+    project = _begun(folder, {"pushes": list(pushes), "frames": None})  # the latter of old tours
+    films = _filmed(project, folder, pushes, notify, progress)
     firmware = _firmware(folder, notify)
     runs, drive, lost, total = [], {}, 0, 0
     for made in films:
@@ -297,7 +296,6 @@ def _filmed(
     project: Project,
     folder: Path,
     pushes: tuple[int, ...],
-    frames: int | None,
     notify: Notify,
     progress: ProgressCallback | None,
 ) -> list[Path]:
@@ -311,7 +309,7 @@ def _filmed(
         for experiment in SimulatedTestbed(seed=SEED, dataset=SIMULATED).run(planned):
             store.add_experiment(experiment)
     notify(f"filming {len(pushes)} pushes of a simulated laboratory with a virtual camera")
-    settings = FilmSettings(seed=SEED, lead=LEAD, frames=frames)
+    settings = FilmSettings(seed=SEED, lead=LEAD)
     films.mkdir(exist_ok=True)
     for name in missing:
         shutil.rmtree(films / name, ignore_errors=True)

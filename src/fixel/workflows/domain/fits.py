@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from fixel.calibration.objective import AbstractError, EndPose, MeanSquare
+from fixel.calibration.result import FitKind
 from fixel.calibration.target import Target
 from fixel.calibration.usual_parameters import Space, default_unknowns, search_space
 from fixel.database.project import Project
@@ -29,7 +30,6 @@ from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration
 from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.request import target_files
-from fixel.workflows.calibration.result import FitKind
 from fixel.workflows.calibration.stored import CalibratedValues, load_values, searched_space
 
 CALL: Final = "call.json"

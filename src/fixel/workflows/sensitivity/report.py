@@ -21,7 +21,7 @@ from fixel.formats.scene_file import scene_content
 from fixel.model import Experiment, Parameters, Scene
 from fixel.model.parameters import info_of
 from fixel.model.selection import ExperimentQuery
-from fixel.model.space import split_label
+from fixel.model.space import meets, split_label
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.motion import motion_model, stated_name
 from fixel.simulation.stepper import AbstractStepper
@@ -318,8 +318,7 @@ def _subjects(own: PushSelection) -> tuple[list[Subject], dict[str, str]]:
 
 def _of_file(thing: str, own: PushSelection, model: CalibratedValues | None) -> Subject:
     file = load_scene(Path(thing))
-    values = {} if model is None else model.values({"experiment": thing})
-    subject = _subject(Path(thing).stem, file.scene, own, model, values)
+    subject = _subject(Path(thing).stem, file.scene, own, model, {"experiment": thing})
     motion = motion_model(own.engine or file.motion) if model is None else subject.motion
     return subject._replace(source=thing, motion=motion, stepper=file.stepper)
 
@@ -329,8 +328,7 @@ def _of_experiment(
 ) -> Subject:
     target = target_of(experiment)
     scene = replace(target.case.scene, duration=float(target.case.times[-1]))
-    values = {} if model is None else model.values(target.conditions)
-    found = _subject(experiment.key, scene, own, model, values)
+    found = _subject(experiment.key, scene, own, model, target.conditions)
     return found._replace(id=number, banner=banner_over([experiment]))
 
 
@@ -339,25 +337,26 @@ def _subject(
     scene: Scene,
     own: PushSelection,
     model: CalibratedValues | None,
-    values: dict[str, float],
+    conditions: Mapping[str, str | float],
 ) -> Subject:
+    values = {} if model is None else model.values(conditions)
     return Subject(
         key=key,
         source=key,
         scene=scene,
         values=values | dict(own.values),
-        ranges=_ranges(model, values) | dict(own.ranges),
+        ranges=_ranges(model, conditions) | dict(own.ranges),
         motion=motion_model(own.engine or None) if model is None else model.motion,
     )
 
 
-def _ranges(model: CalibratedValues | None, values: Mapping[str, float]) -> dict[str, Any]:
-    """Intervals of a calibration, if the data determine both ends."""
-    found = {}
+def _ranges(
+    model: CalibratedValues | None, conditions: Mapping[str, str | float]
+) -> dict[str, Any]:
+    """Intervals of a calibration under conditions, if the data determine both ends."""
+    found: dict[str, Any] = {}
     for estimate in model.record.estimates if model is not None else ():
-        name, _ = split_label(estimate.label)
-        low, high = estimate.low, estimate.high
-        held = low is not None and high is not None and low < high
-        if held and values.get(name) == estimate.predictor and not name.startswith("start_"):
-            found[name] = (low, high)
-    return found
+        name, where = split_label(estimate.label)
+        if meets(conditions, where) and not name.startswith("start_"):
+            found.setdefault(name, (estimate.low, estimate.high))
+    return {k: ends for k, ends in found.items() if None not in ends and ends[0] < ends[1]}

@@ -1,4 +1,4 @@
-"""Result of a calibration, and its conversion to bytes."""
+"""Result of a calibration: sets of parameters, and their conversion to arrays and records."""
 
 from __future__ import annotations
 
@@ -12,13 +12,9 @@ from typing import Any, Final, final
 import numpy as np
 
 from fixel.calibration.study import Trace
-from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.model.fields import settle
 from fixel.model.records import Estimate, Evaluations, ProfileRecord
 from fixel.typing import FloatArray
-
-SEARCHED: Final = "unknowns"  # in the method of earlier records: the parameters, as JSON
-RUN: Final = "run"  # in the method of a record: checksum that all calibrations of a run share
 
 
 class FitKind(StrEnum):
@@ -90,27 +86,6 @@ class CalibrationResult:
     found: tuple[ParameterSet, ...]
 
 
-def outcome_bytes(outcome: CalibrationResult) -> bytes:
-    """Serialise the result of a calibration."""
-    return bytes_of(
-        keys=_text(list(outcome.keys)),
-        labels=_text(list(outcome.labels)),
-        nominal=outcome.nominal,
-        **found_arrays(outcome.found),
-    )
-
-
-def outcome_of(data: bytes) -> CalibrationResult:
-    """Load a result; inverse of `outcome_bytes`."""
-    arrays = arrays_of(data)
-    return CalibrationResult(
-        keys=tuple(_plain(arrays["keys"])),
-        labels=tuple(_plain(arrays["labels"])),
-        nominal=arrays["nominal"],
-        found=tuple(found_of(arrays)),
-    )
-
-
 CURVE: Final = ("values", "deviances", "slice_values", "slice_deviances")
 CURVE_ENDS: Final = ("label", "low", "high", "threshold")
 # Fields that are no arrays, in the order of their JSON.
@@ -144,13 +119,13 @@ def found_arrays(found: Sequence[ParameterSet]) -> dict[str, Any]:
             arrays |= {f"points_{k}": trace.points, f"tried_{k}": trace.errors}
             arrays |= {f"iterations_{k}": trace.iterations, f"starts_{k}": trace.starts}
         plain.append(own)
-    return {"found": _text(plain), **arrays}
+    return {"found": json_array(plain), **arrays}
 
 
-def found_of(arrays: dict[str, Any]) -> list[ParameterSet]:
+def found_of(arrays: Mapping[str, Any]) -> list[ParameterSet]:
     """Load sets of parameters; inverse of `found_arrays`."""
     found = []
-    for k, entry in enumerate(_plain(arrays["found"])):
+    for k, entry in enumerate(json_of(arrays["found"])):
         own = {name: entry[name] for name in PLAIN if entry.get(name) is not None}
         own |= {name: arrays[f"{name}_{k}"] for name in ("point", "errors", "solutions")}
         own["estimates"] = tuple(Estimate(**estimate) for estimate in entry["estimates"])
@@ -170,7 +145,7 @@ OF_SEARCH: Final = ("points_0", "tried_0")  # which a record has as its evaluati
 def set_content(one: ParameterSet) -> dict[str, Any]:
     """Convert a set of parameters to plain values for a record; infinite numbers become None."""
     arrays = found_arrays([one])
-    (plain,) = _plain(arrays.pop("found"))
+    (plain,) = json_of(arrays.pop("found"))
     finite = {
         name: np.where(np.isfinite(array), array, np.array(None)).tolist()
         for name, array in arrays.items()
@@ -182,7 +157,7 @@ def set_content(one: ParameterSet) -> dict[str, Any]:
 def set_of(content: Mapping[str, Any], evaluations: Evaluations | None) -> ParameterSet:
     """Load a set of parameters from a record; inverse of `set_content`."""
     plain = dict(content)
-    arrays: dict[str, Any] = {"found": _text([plain])}
+    arrays: dict[str, Any] = {"found": json_array([plain])}
     for name, values in plain.pop("arrays").items():
         array = np.array(values, np.float64)
         counts = name.startswith(("iterations", "starts"))
@@ -195,7 +170,7 @@ def set_of(content: Mapping[str, Any], evaluations: Evaluations | None) -> Param
     return one
 
 
-def _trace(entry: dict[str, Any], arrays: dict[str, Any], k: int) -> Trace:
+def _trace(entry: Mapping[str, Any], arrays: Mapping[str, Any], k: int) -> Trace:
     point, points, errors = (arrays[f"{name}_{k}"] for name in ("point", "points", "tried"))
     reasons = [entry["reasons"].get(str(n), "") for n in range(len(errors))]
     unknown = np.zeros(0, np.int64)  # in results of earlier versions
@@ -204,11 +179,12 @@ def _trace(entry: dict[str, Any], arrays: dict[str, Any], k: int) -> Trace:
     return Trace(point, best, points, errors, reasons, entry["ended"], *counts)
 
 
-def _text(content: Any) -> FloatArray:
-    """Encode plain content as JSON in an array of bytes."""
+def json_array(content: Any) -> FloatArray:
+    """Return plain content as JSON in an array of bytes."""
     data: Any = np.frombuffer(json.dumps(content).encode(), np.uint8)
     return data  # type: ignore[no-any-return]
 
 
-def _plain(data: Any) -> Any:
+def json_of(data: Any) -> Any:
+    """Return the content of an array; inverse of `json_array`."""
     return json.loads(data.tobytes())
