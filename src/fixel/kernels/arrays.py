@@ -54,7 +54,9 @@ class State(NamedTuple):
 
     pose: FloatArray  # (n_body, 3) of the centre of mass (free) or shape frame (driven, fixed)
     velocity: FloatArray  # (n_dof + 2,)
-    path_time: FloatArray  # (n_driven,) each pusher's own clock; lags behind when its drive stalls
+    path_time: (
+        FloatArray  # (2 n_driven,) clocks of pushers, which lag behind when drives stall; slips
+    )
     middle: FloatArray  # (n_dof + 2,) velocity at the middle of the last step
 
 

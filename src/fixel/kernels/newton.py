@@ -93,28 +93,15 @@ def linearise(
 ) -> float:
     """Write the linear system of the present iterate.
 
-    Parameters
-    ----------
-    epsilon : float
-        Compliance of a held constraint, relative to its block's.
-    pull : float
-        Share of each block's stiffness that is added to its inertia.
-    dense : bool
-        Whether to write the whole matrix, or only the part within `work.profile`.
-    proximal : bool
-        False: Newton's method on the natural map in velocities and impulses. True: the impulses are
-        constant, and the map is the momentum residual where each constraint acts like a spring of
-        its own stiffness (augmented Lagrangian) and each block is pulled towards `work.centre`.
-    tresca : bool
-        Whether friction limits are those in `work.contact_change` instead of Coulomb's.
-    gentle : bool
-        Whether the compliance of a loaded contact is large enough for its impulse to change by no
-        more than what it takes to open or to slide, were the velocities to stay.
-
-    Returns
-    -------
-    float
-        Largest entry of the natural map; where `proximal`, largest change of impulse.
+    `epsilon` is the compliance of a held constraint, relative to its block's, and `pull` the share
+    of each block's stiffness that is added to its inertia. `dense` writes the whole matrix, instead
+    of the part within `work.profile`. The method is Newton's on the natural map in velocities and
+    impulses. Where `proximal`, impulses are constant, and the map is the momentum residual where
+    each constraint acts like a spring of its own stiffness (augmented Lagrangian) and each block is
+    pulled towards `work.centre`. `tresca` takes friction limits from `work.contact_change` instead
+    of Coulomb's law. `gentle` makes the compliance of a loaded contact so large that its impulse
+    changes by no more than what it takes to open or to slide, were the velocities to stay. Returns
+    the largest entry of the natural map; where `proximal`, the largest change of impulse.
     """
     n_dof = problem.size[N_DOF]
     n_free = problem.size[N_FREE_DOF]

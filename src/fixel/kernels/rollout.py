@@ -69,27 +69,17 @@ def rollout(
 ) -> int:
     """Simulate one scene; fills `record`, returns how it ended (codes.py).
 
-    Parameters
-    ----------
-    model : Model
-    start : (n_body, 3) float64
-        Pose of every body at time zero.
-    velocity : (n_free, 3) float64
-        Twist of every free body at time zero.
-    method : StepMethod
-    settings : (N_SETTING,) float64
-        Row of `Batch.settings`.
-    record : RolloutRecord
-        Filled. Samples are linear between step ends, as the motion within a step is.
-    every_step : bool
-        Sample at each step's end (as far as there is room) instead of the times in `record.time`.
+    At time zero, bodies have the poses `start` (n_body, 3), and free ones the twists `velocity`
+    (n_free, 3). `settings` are a row of `Batch.settings`. Samples are linear between step ends, as
+    the motion within a step is. With `every_step` they are taken at each step's end, as far as
+    there is room, instead of the times in `record.time`.
     """
     problem, work = allocate(model, method.max_contacts)
     wide = problem.momentum.size
     n_driven = model.force_limit.size
-    state = State(start.copy(), np.zeros(wide), np.zeros(n_driven), np.zeros(wide))
-    before = State(start.copy(), np.zeros(wide), np.zeros(n_driven), np.zeros(wide))
-    older = State(start.copy(), np.zeros(wide), np.zeros(n_driven), np.zeros(wide))
+    state = State(start.copy(), np.zeros(wide), np.zeros(2 * n_driven), np.zeros(wide))
+    before = State(start.copy(), np.zeros(wide), np.zeros(2 * n_driven), np.zeros(wide))
+    older = State(start.copy(), np.zeros(wide), np.zeros(2 * n_driven), np.zeros(wide))
     rows = start.copy()
     guess = np.zeros(wide)
     control = np.zeros(at.N_CONTROL)

@@ -16,8 +16,8 @@ from fixel.kernels.arrays import (
     State,
 )
 from fixel.kernels.jit import kernel, large_kernel
-from fixel.kernels.path import path_direction, path_pose
-from fixel.kernels.step import ALONG
+from fixel.kernels.path import path_direction
+from fixel.kernels.step import ALONG, place_pusher
 from fixel.typing import FloatArray
 
 TOUCHING = 1e-5  # of the characteristic length: gap below which a pair counts as touching
@@ -105,13 +105,14 @@ def _sample_driven(
     own_start = from_time
     step = to_time - from_time if to_time > from_time else span
     limited = model.drive_dof[d] >= 0
+    slip = 0.0
     if limited:
-        own = before.path_time[d] + share * (state.path_time[d] - before.path_time[d])
         own_start = before.path_time[d]
-    x, y, a = path_pose(model.path_start, model.path, d, own)
-    record.pose[sample, row, 0] = x
-    record.pose[sample, row, 1] = y
-    record.pose[sample, row, 2] = a
+        own = own_start + share * (state.path_time[d] - own_start)
+        k = model.force_limit.size + d
+        slip = before.path_time[k] + share * (state.path_time[k] - before.path_time[k])
+    pose = record.pose[sample, row]
+    place_pusher(model, d, own, slip, pose)
     dx, dy, da, command = path_direction(model.path_start, model.path, d, own_start, step)
     speed = state.velocity[model.drive_dof[d]] if limited else command
     record.twist[sample, row, 0] = speed * dx
@@ -127,8 +128,8 @@ def _sample_driven(
                 pt = problem.impulse[i, 1]
                 fx = pn * nx - pt * ny
                 fy = pn * ny + pt * nx
-                rx = problem.contact_place[i, POINT_X] - x
-                ry = problem.contact_place[i, POINT_Y] - y
+                rx = problem.contact_place[i, POINT_X] - pose[0]
+                ry = problem.contact_place[i, POINT_Y] - pose[1]
                 force += (fx * dx + fy * dy + (rx * fy - ry * fx) * da) / span
     record.drive[sample, d, 0] = force
     stalled = limited and command > 0.0 and speed < 0.01 * command

@@ -44,6 +44,7 @@ RUBBED = 1.0  # marks of a body: friction may stop it
 PRESSED = 2.0  # and: by that of a contact
 BLOCKED = 3.0  # and: it jumped
 SWEEPS = 20  # at most, when overlaps are taken back
+STILL = 1e-9  # velocity of a drive below which it does not slip
 # Columns of `contact_place` in which `_separate` stores how far a contact yields to an impulse, and
 # its inverse.
 WEIGHT = HALVINGS
@@ -68,18 +69,46 @@ def place_rows(
     dof = 3 * n_free
     for d in range(n_driven):
         own = time + lead
+        slip = 0.0
         if model.drive_dof[d] >= 0:
-            speed = path_direction(
-                model.path_start, model.path, d, state.path_time[d], max(lead, 1e-6)
-            )[3]
-            own = state.path_time[d]
-            if speed > 0.0:
-                own += lead * min(1.0, velocity[dof] / speed)
+            own, slip = advanced(model, state, d, lead, velocity[dof], 1.0)
             dof += 1
-        x, y, a = path_pose(model.path_start, model.path, d, own)
-        pose[n_free + d, 0] = x
-        pose[n_free + d, 1] = y
-        pose[n_free + d, 2] = a
+        place_pusher(model, d, own, slip, pose[n_free + d])
+
+
+@kernel
+def advanced(
+    model: Model, state: State, d: int, step: float, velocity: float, most: float
+) -> tuple[float, float]:
+    """Clock and slip of a force-limited pusher after a step, with at most `most` times its speed.
+
+    A drive that stalls or is pushed back falls behind. Behind its start, and where its command is
+    to rest and its clock goes on, it slips along its line instead.
+    """
+    clock = state.path_time[d]
+    slip = state.path_time[model.force_limit.size + d]
+    ahead = step if step > 0.0 else 1e-6
+    speed = path_direction(model.path_start, model.path, d, clock, ahead)[3]
+    last = model.path[model.path_start[d + 1] - 1, 0]
+    if not speed > 0.0:
+        return min(last, clock + step), slip + (step * velocity if abs(velocity) > STILL else 0.0)
+    if clock <= 0.0:
+        clock += slip / speed
+        slip = 0.0
+    clock += step * min(most, velocity / speed)
+    if clock < 0.0:
+        return 0.0, clock * speed
+    return min(last, clock), slip
+
+
+@kernel
+def place_pusher(model: Model, d: int, clock: float, slip: float, pose: FloatArray) -> None:
+    """Write the pose (3,) of a pusher at a time of its clock."""
+    pose[0], pose[1], pose[2] = path_pose(model.path_start, model.path, d, clock)
+    if slip != 0.0:
+        along = path_direction(model.path_start, model.path, d, clock, 1e-6)
+        for k in range(3):
+            pose[k] += slip * along[k]
 
 
 @spliced_kernel
@@ -622,11 +651,9 @@ def move(model: Model, state: State, step: float, problem: Problem, extrapolatio
     for d in range(model.force_limit.size):
         if model.drive_dof[d] >= 0:
             dof = model.drive_dof[d]
-            speed = path_direction(model.path_start, model.path, d, state.path_time[d], step)[3]
-            last = model.path[model.path_start[d + 1] - 1, 0]
-            # A drive that stalls falls behind; while it is told to rest, its clock goes on.
-            share = v[dof] / speed if speed > 0.0 else 1.0
-            state.path_time[d] = min(last, state.path_time[d] + step * share)
+            state.path_time[d], state.path_time[model.force_limit.size + d] = advanced(
+                model, state, d, step, v[dof], math.inf
+            )
     first = 0
     if extrapolation > 0:
         _extrapolate(state, problem, extrapolation == 2)

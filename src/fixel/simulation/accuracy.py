@@ -66,17 +66,8 @@ def confirm(
 ) -> Confirmation:
     """Solve rollouts again, and compare their ends.
 
-    Parameters
-    ----------
-    packed : PackedBatch
-    method : StepMethod
-        That of the rollouts.
-    final : (n, n_free, 3) float64
-        Their ends, in SI units.
-    status : (n,) int64
-        How they ended (`fixel.kernels.codes`).
-    threads : int, optional
-        Number of threads; all cores by default.
+    `final` (n, n_free, 3) are their ends in SI units, and `status` (n,) how they ended
+    (`fixel.kernels.codes`).
     """
     n = len(final)
     other = np.array(final)

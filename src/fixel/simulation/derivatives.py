@@ -54,29 +54,11 @@ def pose_slopes(
 ) -> tuple[FloatArray, BoolArray]:
     """Differentiate poses of one part by its start pose and by parameters.
 
-    Parameters
-    ----------
-    scene : Scene
-    variation : Variation
-        That of the rollouts.
-    names : sequence of str
-        Parameters, or ``"x"``, ``"y"`` and ``"theta"`` of the start pose.
-    packed_of : callable
-        Packs rollouts of another variation, given the numbers (m,) of the original ones.
-    method : StepMethod
-    pose : (n, n_time, 3) float64
-        Poses of the rollouts.
-    time : (n, n_time) float64
-        Times of these, increasing; the last is the end [s].
-    threads : int, optional
-        Number of threads; all cores by default.
-
-    Returns
-    -------
-    (n, n_time, 3, n_name) float64
-        Derivatives of x, y and theta, in SI units; NaN where there are none.
-    (n,) bool
-        Whether there are any.
+    `names` are parameters, or ``"x"``, ``"y"`` and ``"theta"`` of the start pose. `packed_of` packs
+    rollouts of another variation than that of the rollouts, given the numbers (m,) of the original
+    ones. Rollouts have the poses `pose` (n, n_time, 3) at increasing times `time` (n, n_time), the
+    last of which is the end [s]. Returns derivatives (n, n_time, 3, n_name) of x, y and theta in SI
+    units, NaN where there are none, and a mask (n,) of the rollouts that have any.
     """
     columns = _columns(scene, names, variation)
     own = [name for name in dict.fromkeys(columns) if name not in POSE_NAMES]

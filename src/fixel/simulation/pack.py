@@ -260,12 +260,17 @@ def pusher_path(pusher: Pusher, duration: float) -> FloatArray:
     if not isinstance(drive, LineDrive):
         return np.array(drive.waypoints, np.float64)
     x, y, theta = pusher.pose.tolist()
+    along_x, along_y = drive.direction.tolist()
     if drive.speed == 0.0 or drive.travel == 0.0:
-        return np.array([[0.0, x, y, theta]])
+        rows = [[0.0, x, y, theta]]
+        if drive.force_limit is not None:  # the line that it slips along, which it never begins
+            later = duration + 1.0
+            rows += [[later, x, y, theta], [later + 1.0, x + along_x, y + along_y, theta]]
+        return np.array(rows)
     # A force-limited pusher may lag and need its line for longer than the duration
     # requires.
     seconds = min(drive.travel / drive.speed, max(duration, 1e-9))
-    way, (along_x, along_y) = drive.speed * seconds, drive.direction.tolist()
+    way = drive.speed * seconds
     end = [seconds, x + way * along_x, y + way * along_y, theta]
     return np.array([[0.0, x, y, theta], end])
 

@@ -55,7 +55,7 @@ class _Loop:
         self.problem, self.work = entries.allocate(self.model, max_contacts)
         wide = self.problem.momentum.size
         n_driven = self.model.force_limit.size
-        self.state = State(self.pose.copy(), np.zeros(wide), np.zeros(n_driven), np.zeros(wide))
+        self.state = State(self.pose.copy(), np.zeros(wide), np.zeros(2 * n_driven), np.zeros(wide))
         self.control = np.zeros(at.N_CONTROL)
         self.inertial = motion.kind == codes.DYNAMIC
         entries.begin_control(self.control, batch.settings[0], stepper.adaptive, self.inertial)
