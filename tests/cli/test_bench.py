@@ -37,11 +37,30 @@ def test_next_is_a_command_that_does_something(tmp_path, capsys):
     assert out.splitlines()[-1].startswith("Next: fixel calibrate --dataset few")
 
 
-def test_trouble_is_printed_once_without_a_terminal(capsys):
-    usual = {"look": None, "number": 1, "rows": 2, "row": "a", "phase": "trouble", "problems": []}
-    last = ""
-    for problems in ([], ["no camera"], ["no camera"], [], ["no camera"], ["no drive"]):
-        report = json.dumps(usual | {"problems": problems})
-        last = bench._show(SimpleNamespace(view=SimpleNamespace(report=report)), last)
+def test_trouble_is_printed_once_without_a_terminal(capsys, monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(bench, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    usual = {"number": 1, "rows": 2, "row": "a", "phase": "trouble", "problems": [], "checks": []}
+    session = SimpleNamespace(view=SimpleNamespace(report=json.dumps({})))
+    show = bench._reporter(session)
+
+    def reports(seconds, **changes):
+        session.view.report = json.dumps(usual | changes)
+        for _ in range(round(seconds / bench.EVERY)):
+            now[0] += bench.EVERY
+            show()
+
+    show()
+    for problems in ([], ["no camera"], ["no camera"], [], ["no camera"], ["no drive"], []):
+        reports(0.1, problems=problems)
+    full = {"name": "disk", "passed": False, "words": "full"}
+    away = {"name": "in place", "passed": False, "words": "object: move it"}
+    placing = {"phase": "placing", "checks": [full, away]}
+    reports(bench.PATIENCE - 0.2, **placing)  # too short to be trouble
+    reports(0.1, phase="placing")
+    reports(bench.PATIENCE + 5.0, **placing)
+    reports(bench.PATIENCE + 5.0, phase="placing", checks=[away])
     lines = capsys.readouterr().err.splitlines()
-    assert lines == ["trouble: no camera", "trouble: no camera", "trouble: no drive"]
+    assert lines == [f"trouble: no {own}" for own in ("camera", "camera", "drive")] + [
+        "trouble: disk: full"
+    ]

@@ -9,6 +9,7 @@ import pytest
 from tests.fixtures import short_plan
 
 from fixel.database.project import Project
+from fixel.formats.plan_file import plan_text
 from fixel.sampling import thesis_plan
 from fixel.web.bench_session import LOST
 
@@ -154,10 +155,13 @@ def test_a_page_that_is_closed_during_a_push_stops_the_drive(browser_page, serve
 def test_a_fault_of_the_form_is_shown_at_its_field(browser_page, server):
     page = browser_page
     page.expected_problems = ["422"]
+    (server.context.project.folder / "mine.yaml").write_text(plan_text(short_plan("mine")))
     page.goto(server.home + "bench?new=1")
+    page.select_option("#plan", "mine.yaml")
     page.click("details summary")
     page.fill("#rig", "no-such")
     page.click("button:has-text('Start')")
     page.wait_for_selector("#rig[aria-invalid=true]")
+    assert page.input_value("#plan") == "mine.yaml"  # else the next start performs another plan
     assert "no file 'no-such'" in page.inner_text("#about-rig")
     assert faults(page) == []

@@ -1,6 +1,7 @@
 """The server as a program runs it: a thread, a free port, and an end at once."""
 
 import http.client
+import signal
 import socket
 import sys
 import time
@@ -63,6 +64,23 @@ def test_it_ends_at_once_with_open_streams(view):
     assert time.monotonic() - begun < 2.5
     for connection, _ in streams:
         connection.close()
+    assert not server._thread.is_alive()
+
+
+def test_ctrl_c_while_waiting_leaves_the_server_to_be_stopped(view):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    server = WebServer([overlay_page(view, "a scene")]).start()
+    before = signal.signal(signal.SIGALRM, interrupt)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 1.0)
+        with pytest.raises(KeyboardInterrupt):
+            server.wait()
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    assert server._thread.is_alive()  # an interrupted `join` would deny it
+    server.stop()
     assert not server._thread.is_alive()
 
 

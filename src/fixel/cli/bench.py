@@ -25,6 +25,7 @@ SAID: Final = (
     " a doubtful attempt. a: try again after trouble. q: end."
 )
 EVERY: Final = 0.05  # [s]
+PATIENCE: Final = 2.0  # [s]
 
 
 def _perform(request: "BaseModel", folder: Path, as_json: bool) -> None:
@@ -42,11 +43,11 @@ def _perform(request: "BaseModel", folder: Path, as_json: bool) -> None:
             notify(f"Open {server.address}bench?token={server.gate.token}")
             if sys.stdin.isatty():
                 notify(SAID)
-            last = ""
+            show = _reporter(session)
             while session.running:
                 for key in pressed(EVERY):
                     _take(session, key)
-                last = _show(session, last)
+                show()
         session.raise_failure()
         analysis = report_of(loop).analysis
     finally:  # also stops the drive, on Ctrl-C
@@ -77,22 +78,35 @@ def _take(session: "BenchSession", key: str) -> None:
             session.ask(DECISIONS[key], open_ones[-1], by="key")
 
 
-def _show(session: "BenchSession", last: str) -> str:
-    """Print the status over the last one, without a terminal only new trouble; return it."""
-    report = json.loads(session.view.report)
-    if not report:
-        return last
-    look = report["look"] or {}
-    trouble = "; ".join(report["problems"])
-    words = trouble or (look.get("sentence", "") if report["phase"] == "placing" else "")
-    line = f"row {report['number']}/{report['rows']} {report['row']}: {report['phase']} {words}"
-    if not sys.stderr.isatty():
-        line = trouble
-        if trouble and trouble != last:
-            notify(f"trouble: {trouble}")
-    elif line != last:
-        print(f"\r{line:<{len(last)}}", end="", file=sys.stderr, flush=True)
-    return line
+def _reporter(session: "BenchSession") -> Callable[[], None]:
+    """Return a function that prints the status over the last one; without a terminal, it prints
+    trouble, and checks that fail for `PATIENCE`."""
+    terminal, last, since, told = sys.stderr.isatty(), "", 0.0, ""
+
+    def show() -> None:
+        nonlocal last, since, told
+        if not (report := json.loads(session.view.report)):
+            return
+        checks = report["checks"] if report["phase"] == "placing" else ()
+        words = [f"{own['name']}: {own['words']}" for own in checks if not own["passed"]]
+        words = report["problems"] or words
+        if terminal:
+            row = f"row {report['number']}/{report['rows']} {report['row']}"
+            line = f"{row}: {report['phase']} {'; '.join(words)}"
+            if line != last:
+                print(f"\r{line:<{len(last)}}", end="", file=sys.stderr, flush=True)
+            last = line
+            return
+        line = "; ".join(own for own in words if not own.startswith("in place"))
+        if line != last:
+            last, since = line, time.monotonic()
+        waits = PATIENCE if line and not report["problems"] else 0.0
+        if line != told and time.monotonic() - since >= waits:
+            told = line
+            if line:
+                notify(f"trouble: {line}")
+
+    return show
 
 
 @contextmanager

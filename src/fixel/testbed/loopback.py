@@ -27,12 +27,6 @@ class LoopbackCamera:
 
     The film is a video, or the folder of a recording; with `loop` it restarts at its end. Port 0 is
     any free one. `InvalidInput` is raised where there is no such film, or the port is taken.
-
-    Examples
-    --------
-    >>> with LoopbackCamera("films/141") as camera:  # doctest: +SKIP
-    ...     print(camera.url)
-    http://127.0.0.1:43211/video.mjpg
     """
 
     def __init__(self, path: str | Path, *, port: int = 0, loop: bool = False) -> None:

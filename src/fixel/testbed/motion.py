@@ -152,17 +152,6 @@ class AbstractActuator(abc.ABC):
             The direction is no unit vector, or no part of the line is inside the travels.
         DeviceFailed
             The drive moves.
-
-        Examples
-        --------
-        >>> drive = SimulatedActuator(n_axes=2).connect()
-        >>> drive.aim([0.03, 0.0], [0.6, 0.8])
-        >>> [round(end, 6) for end in drive.reach]
-        [0.0, 0.1875]
-        >>> drive.go([0.03, 0.0], speed=10.0)
-        >>> drive.move(to=0.05, speed=10.0)
-        >>> drive.place().round(6).tolist()
-        [0.06, 0.04]
         """
         if self.travels is None:
             raise InvalidInput(

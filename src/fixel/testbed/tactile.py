@@ -46,12 +46,6 @@ class TactileReader:
     settle : float, optional
         Time without requests after opening [s], since the boot loader would take them for a new
         program. Default: 2 s where opening restarts a board, else 0.
-
-    Examples
-    --------
-    >>> with TactileReader("/dev/ttyACM0") as fixels:  # doctest: +SKIP
-    ...     fixels.read()
-    Reading(bits=4, time=5120.25, device_time=17.5, values=(81, 79, 1011), problem='')
     """
 
     def __init__(

@@ -3,6 +3,7 @@
 import threading
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -184,3 +185,39 @@ def test_a_wrong_setting_of_the_project_is_named(folder, tmp_path, text, where):
     with pytest.raises(InvalidInput) as caught:
         open_bench(Project(lab.folder), folder / "one.yaml")
     assert where in caught.value.where
+
+
+def test_an_alarm_while_a_part_is_placed_is_named_and_ended_by_homing(folder, camera):
+    lab, plan, rig = Project(folder / "lab"), folder / "one.yaml", str(folder / "rig.yaml")
+    with EmulatedGrbl(travel=200.0, start=0.0, homing=True, rate=5.0) as controller:
+        with GrblActuator(controller.port, guard=False) as drive:
+            drive.home()
+        with open_bench(lab, plan, rig=rig, camera=camera, port=controller.port) as loop:
+            statuses = []
+            loop.show = lambda draw, status: statuses.append(status)
+            ends = threading.Thread(target=loop.run)
+            ends.start()
+            until(lambda: statuses and statuses[-1]["phase"] == "placing")
+            controller.hit_switch()
+            until(lambda: statuses[-1]["phase"] == "trouble")
+            assert "in the state Alarm" in statuses[-1]["problems"][0]
+            loop.ask("again")
+            until(lambda: statuses[-1]["phase"] == "placing")
+            assert controller.state == "Idle"
+            loop.ask("end")
+            ends.join(60.0)
+            assert not ends.is_alive()
+            assert not loop.campaign.attempts
+
+
+def test_a_disk_on_which_no_minute_fits_is_named_before_the_push(
+    folder, camera, controller, monkeypatch
+):
+    monkeypatch.setattr(
+        "fixel.testbed.recorder.shutil.disk_usage", lambda _: SimpleNamespace(free=33 << 20)
+    )
+    lab, plan, rig = Project(folder / "lab"), folder / "one.yaml", str(folder / "rig.yaml")
+    with open_bench(lab, plan, rig=rig, camera=camera, port=controller.port) as loop:
+        check = loop._disk_check()
+        assert not check.passed
+        assert "free disk space" in check.words

@@ -54,7 +54,7 @@ def start(
         plan = {"plan": context.project.folder / chosen} if chosen else {}
         context.bench.start(BENCH.function(context.project, **BENCH.arguments(asked) | plan))
     except FixelError as error:
-        return _form(context, texts, error)
+        return _form(context, texts, error, chosen)
     return PATH
 
 
@@ -65,13 +65,17 @@ def _plans(context: ProjectContext) -> list[str]:
 
 
 def _form(
-    context: ProjectContext, texts: dict[str, list[str]], error: FixelError | None = None
+    context: ProjectContext,
+    texts: dict[str, list[str]],
+    error: FixelError | None = None,
+    chosen: str = "",
 ) -> dict[str, Any]:
     form = filled_form(context, BENCH, texts, error)
     return form | {
         "report": None,
         "campaigns": campaigns(context.project.folder),
         "plans": _plans(context),
+        "chosen": chosen,
     }
 
 

@@ -149,8 +149,17 @@ class BenchDevices:
         if not (self.drive.zero_known or at_zero):
             raise DeviceFailed(NO_ZERO)
         self.drive.set_zero()
-        if getattr(self.drive, "state", "Idle") == "Alarm":
+        if self.drive_state == "Alarm":
             self.drive.home()
+        elif self.drive_state != "Idle":
+            self.drive.stop()
+
+    @property
+    def drive_state(self) -> str:
+        """State of the drive as its controller names it; `Idle` for one that names none."""
+        if not self.drive.connected:
+            raise DeviceFailed("it is not connected", hint="check its cable and power")
+        return str(getattr(self.drive, "state", "Idle"))
 
 
 def _radius(scene: Scene) -> float:
@@ -182,16 +191,6 @@ def clear_way(
     The way leads from `here` to `there` (2,) [m], at a distance `room` [m] from the outline (n, 2)
     of the part where it lies. Either end may be nearer; the way does not come nearer than they are.
     The last of the places is `there`; None is returned if no way was found.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    >>> way = clear_way(square, np.array([-3.0, 0.0]), np.array([3.0, 0.0]), 0.5)
-    >>> len(way) > 1
-    True
-    >>> len(clear_way(square, np.array([-3.0, 0.0]), np.array([-3.0, 2.0]), 0.5))
-    1
     """
     part = shapely.Polygon(outline)
     middle = outline.mean(axis=0)

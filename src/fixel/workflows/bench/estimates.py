@@ -168,15 +168,6 @@ def estimate(
     Arguments are those of `fixel.calibrate`, and the confidence level of the intervals. The search
     starts from the previous estimates, before the last experiment. An experiment that cannot be
     simulated raises `InvalidInput`.
-
-    Examples
-    --------
-    >>> from fixel.testing.pushes import example_pushes
-    >>> found = estimate(example_pushes(3), {"mu_pusher": (0, 1), "tripod_radius": 0.038})
-    >>> print(f"{found.calibration['mu_pusher']:.2f}")
-    0.25
-    >>> found.half_widths["mu_pusher"] < 0.02
-    True
     """
     fit = calibrate(
         experiments,
@@ -323,16 +314,6 @@ def choose(
     That interval has the largest ratio to its wanted half-width, in SI units by name. By default,
     every free parameter has 5 % of its range. A wanted parameter that is not calibrated raises
     `InvalidInput`.
-
-    Examples
-    --------
-    >>> from fixel.model import PlannedExperiment
-    >>> from fixel.testing.pushes import example_pushes
-    >>> pushes, space = example_pushes(4), {"mu_pusher": (0, 1), "tripod_radius": 0.038}
-    >>> rows = [PlannedExperiment(name=own.name, scene=own.scene) for own in pushes[3:]]
-    >>> found = estimate(pushes[:3], space, previous=estimate(pushes[:2], space))
-    >>> choose(found, rows, {"mu_pusher": 0.5}).reason
-    'all intervals are as narrow as wanted'
     """
     now, aims = estimates.half_widths, _aims(estimates.calibration.space, wanted)
     wide = [own for own in aims if estimates.settled[own] > aims[own]]
@@ -358,13 +339,7 @@ def choose(
 @final
 @dataclass(frozen=True)
 class Until:
-    """Half-widths of intervals at which a campaign ends, by name in SI units.
-
-    Examples
-    --------
-    >>> Until.parse("mu_pusher=0.02, tripod_radius=1mm").wanted["tripod_radius"]
-    0.001
-    """
+    """Half-widths of intervals at which a campaign ends, by name in SI units."""
 
     wanted: Mapping[str, float]
 

@@ -15,14 +15,20 @@ from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, final
 
 from fixel.database.project import Project
-from fixel.errors import DeviceFailed, FixelError, JobRefused
+from fixel.errors import DeviceFailed, FixelError, InvalidInput, JobRefused
 from fixel.formats.recording import RIG_FILE, SCENE_FILE, VIDEO
 from fixel.formats.rig_file import save_rig
 from fixel.formats.scene_file import SceneFile, load_scene, save_scene
 from fixel.jobs.worker_process import WorkerProcess
 from fixel.model import PlannedExperiment
 from fixel.model.space import ParameterSpace
-from fixel.testbed.recorder import SPARE, Recorder, RecordingStatus, RecordingSummary, free_space
+from fixel.testbed.recorder import (
+    Recorder,
+    RecordingStatus,
+    RecordingSummary,
+    check_disk_space,
+    free_space,
+)
 from fixel.typing import FloatArray
 from fixel.vision.frame import Frame, Picture
 from fixel.workflows.acquisition.overlay import Look, Overlay, Tolerance, draw_look, frames_of
@@ -44,6 +50,7 @@ SHOWN: Final = 60  # newest attempts in a status
 LIMIT: Final = 900.0  # [s] for one call of another process
 TRIES: Final = 5  # of a call whose process died, as one does that is killed for its memory
 DARK, LIGHT = 25.0, 235.0  # mean grey levels of pictures that are too dark and too light
+Show = Callable[[Callable[[], Picture] | Picture | None, dict[str, Any]], None]
 Phase = Literal["placing", "moving", "pushing", "waiting", "trouble", "finished"]
 
 
@@ -128,9 +135,8 @@ class BenchLoop:
         self, project: Project, campaign: Campaign, devices: BenchDevices, options: LoopOptions
     ) -> None:
         self.campaign, self.devices, self.options = campaign, devices, options
-        # Called with a function that draws the picture, or None, and with the status, as
-        # `LiveView.show`.
-        self.show: Callable[[Callable[[], Picture] | None, dict[str, Any]], None] | None = None
+        # Called with a picture or what draws it, or None, and with the status, as `LiveView.show`.
+        self.show: Show | None = None
         # Returns why the page that asked for a push is lost; empty while it is there.
         self.page_left: Callable[[], str] = lambda: ""
         rig = devices.rig
@@ -252,10 +258,12 @@ class BenchLoop:
         if self._row is None:
             self._begin_row(self._next_row())
         frame = next(frames, None)
-        if frame is None:
+        if why := self._drive_trouble():
+            self._trouble = why
+        elif frame is None:
             self._trouble = f"the camera stopped: {self.devices.camera.lost}"
         elif self._overlay is None:
-            self._report("waiting", partial(_itself, frame.picture))
+            self._report("waiting", frame.picture)
         else:
             look = self._overlay.look(frame)
             draw = partial(draw_look, frame.picture, look)
@@ -341,23 +349,37 @@ class BenchLoop:
             words = reading.problem or ("no reading" if reading.bits is None else "read")
             yield BenchCheck("fixels", reading.bits is not None, words)
         grey = float(frame.luma[::8, ::8].mean())
-        words = "too dark" if grey < DARK else "too bright" if grey > LIGHT else "good"
+        words = "too dark: add light" if grey < DARK else "good"
+        words = "too bright: reduce light or exposure" if grey > LIGHT else words
         yield BenchCheck("light", DARK <= grey <= LIGHT, words)
         yield self._drive_check(look)
-        free = free_space(self.campaign.folder)
-        yield BenchCheck("disk", free > 4 * SPARE, f"{free / 1e9:.1f} GB free")
+        yield self._disk_check()
+
+    def _disk_check(self) -> BenchCheck:
+        stream, folder = self.devices.camera.stream, self.campaign.folder
+        words = f"{free_space(folder) / 1e9:.1f} GB free"
+        try:  # as the recorder does
+            check_disk_space(folder, stream, codec_for("auto", stream), None)
+        except InvalidInput as full:
+            return BenchCheck("disk", False, f"{words}, but {full.expected} needed: {full.hint}")
+        return BenchCheck("disk", True, words)
 
     def _drive_check(self, look: Look) -> BenchCheck:
         assert self._row is not None
-        drive, scene = self.devices.drive, self._row.scene
-        if not drive.connected:
-            return BenchCheck("drive", False, "not connected")
-        if getattr(drive, "state", "Idle") != "Idle":
-            return BenchCheck("drive", False, f"{drive.state}: home it")  # type: ignore[attr-defined]
+        scene = self._row.scene
         part = next(own for own in look.parts if own.name == scene.bodies[0].name)
         if self.devices.way_to(scene, part.measured) is None:
             return BenchCheck("drive", False, "the part is in the way of the head")
         return BenchCheck("drive", True, "ready")
+
+    def _drive_trouble(self) -> str:
+        """Return why the drive cannot push, with what `_recover` does about it; empty if it can."""
+        try:
+            state = self.devices.drive_state
+        except FixelError as problem:
+            return f"the drive does not answer: {problem}"
+        words = f"the drive is in the state {state}. Remove the cause, then try again (key a)"
+        return "" if state == "Idle" else words
 
     def _measure(self) -> None:
         """Measure the bench with the part of the first row."""
@@ -502,7 +524,7 @@ class BenchLoop:
                     self.stop(f"the camera was lost: {self.devices.camera.lost}")
                     break
                 seen(frame)
-                self._report("moving", partial(_itself, frame.picture))
+                self._report("moving", frame.picture)
                 self._watch_page(by)
                 if self._stop_reason:
                     self.devices.drive.stop()
@@ -601,7 +623,7 @@ class BenchLoop:
     def _report(
         self,
         phase: Phase,
-        draw: Callable[[], Picture] | None = None,
+        draw: Callable[[], Picture] | Picture | None = None,
         recording: RecordingStatus | None = None,
     ) -> None:
         """Show a picture and the whole status, as plain values."""
@@ -638,7 +660,3 @@ class BenchLoop:
         }
         if self.show is not None:
             self.show(draw, status)
-
-
-def _itself(picture: Picture) -> Picture:
-    return picture
