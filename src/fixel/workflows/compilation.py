@@ -45,18 +45,9 @@ class CompiledPart:
 
 
 def compile_kernels(progress: ProgressOption = None) -> list[CompiledPart]:
-    """Compile all numerical code and store it, in two processes.
+    """Compile all numerical code and store it, in two processes; return its parts.
 
-    Parameters
-    ----------
-    progress : bool or callable, optional
-        Display of the progress, as for `fixel.progress.show_progress`.
-
-    Returns
-    -------
-    list of CompiledPart
-        Parts of the code; those that were stored before took no time, and those of extras that
-        are not installed are left out.
+    Those that were stored before took no time. Those of extras that are not installed are left out.
     """
     with ThreadPoolExecutor(2) as pool, show_progress(progress, "compiling") as report:
         names = [name for name in _PARTS if find_spec(_NEEDED.get(name, "numba"))]

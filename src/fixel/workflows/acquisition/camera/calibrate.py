@@ -50,20 +50,10 @@ def calibrate(
     fisheye: bool = False,
     progress: ProgressCallback | None = None,
 ) -> CameraAnswer:
-    """Calibrate a lens from pictures of a board, and save the camera.
+    """Calibrate a lens from pictures of a board (see `board_of`), and save the camera to `output`.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Pictures, folders of them, or videos.
-    board : str
-        See `board_of`.
-    output : Path
-        Camera file to write.
-    coefficients, fisheye
-        See `calibrate_lens`.
-    progress : callable, optional
-        Called with the number of pictures done, their total, and the picture's name.
+    Paths are pictures, folders of them, or videos; other options are those of `calibrate_lens`.
+    `progress` is called with the number of pictures done, their total, and the picture's name.
     """
     wanted = board_of(board)
     require_file(output, CAMERA_ENDINGS, "camera")
