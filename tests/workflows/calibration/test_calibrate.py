@@ -340,8 +340,13 @@ space = {"mu_pusher": (0, 1), "tripod_radius": (0.01, 0.06)}
 whole = fixel.calibrate(pushes, space, progress=False)
 fixel.calibrate(pushes, space, progress=False, store=sys.argv[1])  # everything is imported
 print("ready", flush=True)
-for line in sys.stdin:
-    store = line.split()[0]
+while True:
+    try:
+        store = sys.stdin.readline().strip()
+    except KeyboardInterrupt:  # both calibrations had ended
+        continue
+    if not store:
+        break
     try:
         try:
             print("begin", flush=True)
