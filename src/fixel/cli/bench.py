@@ -79,12 +79,14 @@ def _take(session: "BenchSession", key: str) -> None:
 
 
 def _reporter(session: "BenchSession") -> Callable[[], None]:
-    """Return a function that prints the status over the last one; without a terminal, it prints
-    trouble, and checks that fail for `PATIENCE`."""
-    terminal, last, since, told = sys.stderr.isatty(), "", 0.0, ""
+    """Return a function that prints the status over the last one.
+
+    Without a terminal, it prints trouble, and checks that fail for `PATIENCE`.
+    """
+    terminal, last, since, printed = sys.stderr.isatty(), "", 0.0, ""
 
     def show() -> None:
-        nonlocal last, since, told
+        nonlocal last, since, printed
         if not (report := json.loads(session.view.report)):
             return
         checks = report["checks"] if report["phase"] == "placing" else ()
@@ -101,8 +103,8 @@ def _reporter(session: "BenchSession") -> Callable[[], None]:
         if line != last:
             last, since = line, time.monotonic()
         waits = PATIENCE if line and not report["problems"] else 0.0
-        if line != told and time.monotonic() - since >= waits:
-            told = line
+        if line != printed and time.monotonic() - since >= waits:
+            printed = line
             if line:
                 notify(f"trouble: {line}")
 

@@ -33,10 +33,8 @@ DXF_UNITS: Final = {1: "in", 4: "mm", 5: "cm", 6: "m", 13: "um"}
 # [m] A part of another size is probably in another unit. Curves beyond FAR have too many points.
 SMALLEST, LARGEST, FAR = 1e-4, 5.0, 100.0
 FINEST: Final = 1e-6  # [m] smallest tolerance
-COARSEST: Final = (
-    1e-4  # [m] tolerance by default, or this share of a small part: 24 corners of a disk
-)
-SHARE: Final = 0.004
+COARSEST: Final = 1e-4  # [m] tolerance by default
+SHARE: Final = 0.004  # and of a small part, as a share of its size: 24 corners of a disk
 MAX_BYTES, MAX_CURVES, MAX_RINGS, MAX_TRIANGLES = 100_000_000, 20_000, 500, 500_000
 MAX_STEPS: Final = 4096  # of one curve
 

@@ -54,9 +54,8 @@ class State(NamedTuple):
 
     pose: FloatArray  # (n_body, 3) of the centre of mass (free) or shape frame (driven, fixed)
     velocity: FloatArray  # (n_dof + 2,)
-    path_time: (
-        FloatArray  # (2 n_driven,) clocks of pushers, which lag behind when drives stall; slips
-    )
+    # (2 n_driven,) clock of each pusher, which lags behind when its drive stalls; then their slips.
+    path_time: FloatArray
     middle: FloatArray  # (n_dof + 2,) velocity at the middle of the last step
 
 

@@ -382,8 +382,21 @@ def stable_push_angle(friction: float, half_width: float, depth: float) -> float
 
     The tool touches an edge along `half_width` to either side of the foot of the centre of mass,
     and moves without rotation. The result holds for every distribution of the pressure with its
-    centre at the centre of mass; at a larger angle [rad] the part slides or turns on the tool.
-    `depth` is the distance of the centre of mass from the edge [m].
+    centre at the centre of mass; at a larger angle the part slides or turns on the tool.
+
+    Parameters
+    ----------
+    friction : float
+        Friction of the tool on the part [-].
+    half_width : float
+        Half-width of the contact [m].
+    depth : float
+        Distance of the centre of mass from the edge [m].
+
+    Returns
+    -------
+    float
+        Angle [rad].
 
     References
     ----------
