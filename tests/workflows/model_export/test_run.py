@@ -7,6 +7,7 @@ import io
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -196,6 +197,24 @@ def test_urdf_has_loads_on_its_feet_and_lists_what_it_lacks(tmp_path: Path) -> N
     np.testing.assert_allclose(places + centres[1:], 0.0, atol=1e-15)
     np.testing.assert_allclose(masses[1:] @ places, 0.0, atol=1e-12)
     assert masses[1:].sum() * rough[0] == pytest.approx(0.2 * 0.3)  # the friction force is exact
+
+
+@pytest.mark.parametrize(("friction", "lacks"), [(2.5, "for Drake"), (0.0, "no feet"), (1.9, "")])
+def test_urdf_of_a_rough_or_frictionless_support_states_what_it_lacks(
+    friction: float, lacks: str, tmp_path: Path
+) -> None:
+    """The partner of a coefficient above 2 was negative, and frictionless feet vanished."""
+    scene = rich_scene()
+    (body,) = scene.bodies
+    own = replace(body, support=replace(body.support, friction=friction))
+    done = fixel.export_model(replace(scene, bodies=(own,)), tmp_path / "model", to="urdf")
+    robot = ElementTree.parse(tmp_path / "model" / "object.urdf").getroot()
+    partners = [float(one.get("value") or "nan") for one in robot.iter("{drake.mit.edu}mu_dynamic")]
+    found = [2.0 * one / (one + 1.0) for one in partners]  # as Drake combines it with a floor of 1
+    assert found == pytest.approx([friction] * (3 if friction == 1.9 else 0), rel=2e-3)
+    assert len(robot.findall("gazebo")) == (3 if friction else 0)
+    stated = [t for t in done.card["not_in_the_model"] if "for Drake" in t or "no feet" in t]
+    assert [lacks in text for text in stated] == [True] * bool(lacks)
 
 
 @pytest.mark.system

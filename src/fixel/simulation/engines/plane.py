@@ -7,6 +7,8 @@ from collections.abc import Iterator
 
 from fixel.simulation.engines.task import PlainTask, Segment, segments
 
+MAX_FRICTION = 2.0  # of Drake: no partner has a larger harmonic mean with 1
+
 
 def planar_refusal(task: PlainTask) -> str:
     """Return what of a task an engine with point joints cannot represent."""

@@ -338,8 +338,7 @@ def distances_from_fixel(
     `n` scenes are shared by at most ten cases of the source; `seed` is that of the start poses.
     """
     cases = [source.cases[k] for k in evenly(len(source.cases), min(MAX_AROUND, n))]
-    position, angle, failures = [], [], Counter[str]()
-    done = 0
+    position, angle, failures, done = [], [], Counter[str](), 0
     for k, case in enumerate(cases):
         count = n // len(cases) + (k < n % len(cases))
         drawn = start_error_of(case.scene).samples(count, seed + k)

@@ -18,8 +18,8 @@ from fixel.model.records import Estimate
 from fixel.model.space import values_under
 from fixel.planning.plan import PushPlan
 from fixel.simulation import AbstractMotionModel, AbstractStepper, Dynamic, Simulation
-from fixel.simulation.engines.plane import harmonic_partner
-from fixel.simulation.engines.solids import FOOT, PieceSolid, footed, prism_obj, solids
+from fixel.simulation.engines.plane import MAX_FRICTION, harmonic_partner
+from fixel.simulation.engines.solids import FOOT, FootedBody, PieceSolid, footed, prism_obj, solids
 from fixel.simulation.engines.task import PlainTask, bench_units
 from fixel.simulation.motion import OtherEngine, motion_model
 from fixel.typing import FloatArray
@@ -80,15 +80,10 @@ def source_of(
         found = ModelSource("experiment", what.key, [_case(what, {})])
     else:
         found = _scene(what)
-    used = {case.key for case in found.cases}
     others = tuple(held_out)
-    for experiment in others:
-        if experiment.key in used:
-            raise InvalidInput(
-                "held_out",
-                found=f"{experiment.key}, which the calibration has used",
-                expected="other experiments",
-            )
+    for key in sorted({case.key for case in found.cases} & {own.key for own in others}):
+        used = f"{key}, which the calibration has used"
+        raise InvalidInput("held_out", found=used, expected="other experiments")
     return found._replace(held_out=[_case(own, values(own)) for own in others])
 
 
@@ -193,20 +188,21 @@ def urdf(task: PlainTask, name: str) -> tuple[str, Mapping[str, str], list[str]]
     for k, place in enumerate(feet.points.tolist()):
         inertial = _inertial(masses[k], feet.foot_inertia, (-place[0], -place[1]))
         text += _foot(k, place, inertial, friction[k], unit)
-    return text + "</robot>\n", meshes, _lost(task)
+    return text + "</robot>\n", meshes, _lost(task, feet)
 
 
-def _lost(task: PlainTask) -> list[str]:
-    own = task.body
-    friction = {task.pusher.friction} if task.pusher else set()
-    friction |= {fixel.friction for fixel in task.fixels}
+def _lost(task: PlainTask, feet: FootedBody) -> list[str]:
+    own, pusher = task.body, task.pusher
+    rough = {fixel.friction for fixel in task.fixels} | ({pusher.friction} if pusher else set())
     lost = [f"{len(task.fixels)} fixels"] if task.fixels else []
-    lost += ["the pusher and its drive"] if task.pusher else []
-    if friction:
-        values = ", ".join(f"{value:g}" for value in sorted(friction))
+    lost += ["the pusher and its drive"] if pusher else []
+    if values := ", ".join(f"{friction:g}" for friction in sorted(rough)):
         lost.append(f"friction of the body against pusher and fixels: {values}")
-    if (own.arms > 0.0).any():
-        lost.append("the ellipsoidal limit surface of the support: there are no feet")
+    if not len(feet.points):
+        what = "the ellipsoidal limit surface of" if own.arms.any() else "the zero friction of"
+        lost.append(f"{what} the support: there are no feet")
+    elif feet.friction.max() >= MAX_FRICTION:
+        lost.append(f"friction of the feet for Drake, which takes less than {MAX_FRICTION:g}")
     x, y, theta = own.start.tolist()
     lost.append(f"the start pose of the centre of mass: {x:g} m, {y:g} m, {theta:g} rad")
     if own.velocity.any():
@@ -241,12 +237,15 @@ def _inertial(mass: float, inertia: float, at: tuple[float, float] = (0.0, 0.0))
 
 def _foot(k: int, at: list[float], inertial: str, friction: float, unit: float) -> str:
     x, y = at
-    drake, reach = harmonic_partner(friction), REACH * unit
+    reach, drake = REACH * unit, ""
+    if friction < MAX_FRICTION:
+        value = f'value="{harmonic_partner(friction)!r}"'
+        both = f"<drake:mu_static {value}/><drake:mu_dynamic {value}/>"
+        drake = f"<drake:proximity_properties>{both}</drake:proximity_properties>"
     return (
         f'<link name="foot{k}">\n{inertial}'
         f'<collision><geometry><sphere radius="{FOOT * unit!r}"/></geometry>'
-        f'<drake:proximity_properties><drake:mu_static value="{drake!r}"/>'
-        f'<drake:mu_dynamic value="{drake!r}"/></drake:proximity_properties></collision></link>\n'
+        f"{drake}</collision></link>\n"
         f'<joint name="foot{k}_slide" type="prismatic"><parent link="object"/>'
         f'<child link="foot{k}"/><origin xyz="{x!r} {y!r} 0"/><axis xyz="0 0 1"/>'
         f'<limit lower="{-reach!r}" upper="{reach!r}" effort="0" velocity="1"/></joint>\n'
