@@ -41,7 +41,7 @@ def test_from_a_table_to_a_friction(capsys, tmp_path, monkeypatch):
         command = ("import", f"run {run}.csv", "--project", "my lab", "--scene", scene)
         code, out, err = fixel(capsys, *command)
         assert code == 0, err
-        assert "stored 1 experiments" in out
+        assert "stored 1 experiment in" in out
     code, out, err = fixel(
         capsys, "calibrate", "--project", "my lab", "--motion", "quasistatic",
         "--fit", "mu_pusher", "--no-verdicts", "--json",

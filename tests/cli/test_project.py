@@ -87,7 +87,7 @@ def test_import_list_and_import_again(lab, recording, capsys):
 def test_a_dry_run_needs_no_project(recording, capsys):
     code, out, _ = fixel(capsys, "import", recording, "--dry-run")
     assert code == 0
-    assert "1 experiments, read as csv" in out
+    assert "1 experiment, read as csv" in out
 
 
 def test_a_plan_on_the_simulated_testbed(lab, capsys):

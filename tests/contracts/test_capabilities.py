@@ -1,6 +1,7 @@
 """Contract of all capabilities: every door makes the same request, and shows the same result."""
 
 import json
+import re
 import shlex
 import subprocess
 import sys
@@ -311,6 +312,12 @@ def test_help_loads_no_numerics(capability, helps):
     shown = [option for option in capability.shown.values() if not option.place]
     assert all(option.flag in text for option in shown)
     assert heavy == []
+
+
+@REGISTERED
+def test_help_names_no_exception_of_python(capability, helps):
+    text, _ = helps[capability.path[-1]]
+    assert not re.search(r"\bRaises?\b|\bis raised\b|InvalidInput|NotStored", text)
 
 
 @pytest.fixture(scope="module")

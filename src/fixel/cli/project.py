@@ -109,7 +109,8 @@ def import_(
         "experiments": plan.n_experiments,
         "understood": list(plan.understood),
     }
-    lines = [f"{source}: {plan.n_experiments} experiments, read as {plan.importer}"]
+    n = plan.n_experiments
+    lines = [f"{source}: {n} experiment{'s' * (n != 1)}, read as {plan.importer}"]
     lines += [f"  {sentence}" for sentence in plan.understood]
     if dry_run:
         content["experiments"] = sum(1 for _ in plan)
@@ -166,7 +167,7 @@ def print_imported(
     """Print how many experiments were stored; `content` is more for the JSON answer."""
     known = f", {done.known} were already stored" if done.known else ""
     lines = [
-        f"stored {done.new} experiments in {time_text(done.wall_time_s)}{known}",
+        f"stored {done.new} experiment{'s' * (done.new != 1)} in {time_text(done.wall_time_s)}{known}",
         *_skipped(content.get("skipped", ())),
     ]
     if "template" in content:

@@ -396,7 +396,7 @@ class UnknownName(NamedTuple):
     def error(self) -> InvalidInput:
         """Return the error to raise."""
         if not self.known:
-            expected = "nothing: no experiment has one"
+            expected = "omitted: no experiment has one"
             return InvalidInput(self.what, found=repr(self.typed), expected=expected)
         return unknown_name(self.what, self.typed, self.known)
 

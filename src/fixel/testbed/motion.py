@@ -298,7 +298,7 @@ class AbstractActuator(abc.ABC):
         low, high = self.reach
         if not low - NEAR <= target <= high + NEAR:
             raise InvalidInput(
-                "to" if by is None else "by",
+                "target",
                 found=f"{1e3 * target:.2f} mm",
                 expected=f"a position from {1e3 * low:.4g} to {1e3 * high:.4g} mm",
             )

@@ -188,7 +188,7 @@ def _seen() -> str:
     if not ports:
         return "there is no serial port: connect the device; on Linux, dmesg shows its port"
     listed = ", ".join(f"{port.port} ({port.description})" for port in ports[:6])
-    return f"there are {listed}"
+    return f"ports here: {listed}"
 
 
 def _errno(problem: Exception) -> int | None:

@@ -82,8 +82,6 @@ def sample(
 ) -> SampleAnswer:
     """Create a plan of experiments and report its problems.
 
-    Raise `InvalidInput` for a file that cannot be read or written, or an invalid plan.
-
     Parameters
     ----------
     plan : Path, optional

@@ -105,8 +105,6 @@ def simulate_scene(
 ) -> Simulation:
     """Simulate a scene file and report the final poses.
 
-    Raise `InvalidInput` for an invalid scene, method or file name.
-
     Parameters
     ----------
     scene : path

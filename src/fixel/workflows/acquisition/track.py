@@ -198,7 +198,7 @@ def _beside(source: Path, name: str, option: str) -> Path:
     folder = source if source.is_dir() else source.parent
     if not (folder / name).is_file():
         raise InvalidInput(
-            option, found=f"no option and no {name} next to the film", expected="a file to read"
+            option, found=f"no {name} next to the film", expected=f"that file, or {option} FILE"
         )
     return folder / name
 
