@@ -165,9 +165,10 @@ def print_imported(
     done: "AddSummary", content: dict[str, Any], as_json: bool, folder: Path
 ) -> None:
     """Print how many experiments were stored; `content` is more for the JSON answer."""
-    known = f", {done.known} were already stored" if done.known else ""
+    time = time_text(done.wall_time_s)
+    time += f", {done.known} were already stored" if done.known else ""
     lines = [
-        f"stored {done.new} experiment{'s' * (done.new != 1)} in {time_text(done.wall_time_s)}{known}",
+        f"stored {done.new} experiment{'s' * (done.new != 1)} in {time}",
         *_skipped(content.get("skipped", ())),
     ]
     if "template" in content:

@@ -129,8 +129,8 @@ def template_text(experiment: Experiment, source: str) -> str:
 
 _HEAD: Final = """\
 # Scene of {source}. Lengths in m, angles in rad, masses in kg. Replace every {fill}:
-#   shape of the object   {{polygon: [[x, y], ...]}}, corners in order, in the frame whose pose is in
-#                         the table; or {{disk: radius}}
+#   shape of the object   {{polygon: [[x, y], ...]}}, corners in order, in the frame whose pose
+#                         is in the table; or {{disk: radius}}
 #   mass                  in kg; it does not matter to quasi-static motion
 #   shape of the pusher   {{disk: radius}} for a round tip, or {{polygon: ...}}
 # Frictions are nominal values: calibrate them. Starting pose, path of the pusher and duration come

@@ -187,8 +187,7 @@ def _seen() -> str:
     ports = found_ports()
     if not ports:
         return "there is no serial port: connect the device; on Linux, dmesg shows its port"
-    listed = ", ".join(f"{port.port} ({port.description})" for port in ports[:6])
-    return f"ports here: {listed}"
+    return "ports here: " + ", ".join(f"{port.port} ({port.description})" for port in ports[:6])
 
 
 def _errno(problem: Exception) -> int | None:
