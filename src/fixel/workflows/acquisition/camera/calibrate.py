@@ -15,8 +15,7 @@ from fixel.formats.camera_import import import_camera
 from fixel.formats.camera_opencv import save_opencv, save_ros
 from fixel.formats.recording import RIG_FILE
 from fixel.formats.rig_file import EXAMPLES, load_camera, markers_of, rig_of, save_camera
-from fixel.formats.video_file import ENDINGS as VIDEO_ENDINGS
-from fixel.formats.video_file import open_video
+from fixel.formats.video_file import ENDINGS, open_video
 from fixel.io.atomic import refuse_unwritable, written_whole
 from fixel.io.document import read_document
 from fixel.typing import ProgressCallback
@@ -287,6 +286,7 @@ def _moved(rig: Rig, tags: dict[int, float]) -> list[str]:
 
 
 PHOTO_ENDINGS: Final = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+VIDEO_ENDINGS: Final = (*ENDINGS, ".nut")  # of a recording too
 FROM_VIDEO: Final = 40  # frames used of a video
 MAX_BYTES: Final = 200_000_000
 
@@ -354,7 +354,7 @@ def read_picture(path: Path) -> Picture:
 
 def _frames_of(file: Path) -> Iterator[tuple[str, Picture]]:
     video = open_video(file)
-    every = max(1, (video.n_frames or FROM_VIDEO) // FROM_VIDEO)
+    every = max(1, (video.n_frames or sum(1 for _ in video.frames())) // FROM_VIDEO)
     for number, frame in enumerate(video.frames()):
         if number % every == 0:
             yield f"{file.name} at {frame.time:.2f} s", frame.picture
