@@ -27,6 +27,15 @@ def test_a_missing_value_is_an_error():
         sentences("data", "warnings", n=20, simulated=0, few=10)
 
 
+def test_skipped_pushes_make_one_warning():
+    skipped = {f"lab/{k}": f"found no scene {k}" for k in range(20)}
+    many = sentences("sensitivity", "warnings", found=(), skipped=skipped)
+    assert many == ("lab/0 and 19 more were skipped: found no scene 0",)
+    one = sentences("sensitivity", "warnings", found=(), skipped={"lab/0": "found no scene 0"})
+    assert one == ("lab/0 was skipped: found no scene 0",)
+    assert sentences("sensitivity", "warnings", found=(), skipped={}) == ()
+
+
 def test_every_template_can_be_read():
     names = environment().list_templates()
     assert {"report.html", "report.css", "domain.txt", "growth.txt"} <= set(names)
