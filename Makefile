@@ -28,9 +28,9 @@ UV_VENV   := build/uv
 # Test processes at a time: one more than two cores, since some tests wait for browsers and jobs. A debugger
 # wants PYTEST_ARGS="-n 0", which runs all tests in one process.
 JOBS      ?= 3
-# A test that hangs says where, and fails: the longest takes half a minute, a cold engine two more.
+# A test that hangs says where, and fails. The longest takes half a minute, and compiling two more, on a busy machine ten.
 PARALLEL   = -n $(JOBS) --dist loadfile --no-loadscope-reorder --max-worker-restart=0 \
-             -o faulthandler_timeout=600 -o faulthandler_exit_on_timeout=true
+             -o faulthandler_timeout=900 -o faulthandler_exit_on_timeout=true
 SCRIPTS   := build/scripts/.packages
 TSC       := build/scripts/node_modules/typescript/bin/tsc
 
