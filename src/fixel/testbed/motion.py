@@ -298,8 +298,8 @@ class AbstractActuator(abc.ABC):
         low, high = self.reach
         if not low - NEAR <= target <= high + NEAR:
             raise InvalidInput(
-                "target",
-                found=f"{1e3 * target:.2f} mm",
+                "to" if by is None else "by",
+                found=f"a move to {1e3 * target:.2f} mm",
                 expected=f"a position from {1e3 * low:.4g} to {1e3 * high:.4g} mm",
             )
         return min(max(target, low), high)
