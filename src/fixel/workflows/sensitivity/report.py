@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -111,13 +112,18 @@ def store_sensitivity(project: Project, found: Sensitivity) -> StoredAnalysis:
 
 
 def _headline(found: Sequence[Finding], error: StartError) -> tuple[str, ...]:
-    flags = [finding.sensitivity.flag for finding in found]
+    counts = Counter(finding.sensitivity.flag for finding in found)
+    words = [
+        f"{counts[flag]} {flag if counts[flag] == 1 else flag.replace('bifurcates', 'bifurcate')}"
+        for flag in FLAGS
+        if flag in counts
+    ]
     return sentences(
         "sensitivity",
         "headline",
         keys=[finding.subject.key for finding in found],
         found=found[:MAX_SENTENCES],
-        counts=", ".join(f"{flags.count(flag)} {flag}" for flag in FLAGS if flag in flags),
+        counts=", ".join(words),
         meaning=MEANING,
         error=error,
         largest=[_largest_share(finding) for finding in found[:MAX_SENTENCES]],
