@@ -131,7 +131,7 @@ def test_simulations_that_all_fail_are_refused(model, monkeypatch):
         ends = np.tile(pushes.start[which], (len(values), 1, 1))
         return ends, np.zeros((len(values), len(which)), bool)
 
-    monkeypatch.setattr(next_pushes, "simulated", failed)
+    monkeypatch.setattr(next_pushes.fit, "simulated", failed)
     with pytest.raises(InvalidInput, match="fail"):
         model.next_pushes(_scene(box(0.1, 0.1)))
 

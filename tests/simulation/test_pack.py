@@ -194,8 +194,13 @@ def test_path_of_a_line_ends_with_its_travel():
     drive = grasp().pushers[0]
     assert pusher_path(drive, 20.0)[-1] == pytest.approx([0.15 / 0.0135, 0.15, 0.0, 0.0])
     assert pusher_path(drive, 1.0)[-1] == pytest.approx([1.0, 0.0135, 0.0, 0.0])
-    still = replace(drive, drive=replace(drive.drive, speed=0.0))
+    still = replace(drive, drive=replace(drive.drive, speed=0.0, force_limit=None))
     assert pusher_path(still, 1.0).shape == (1, 4)
+    pushed = replace(drive, drive=replace(drive.drive, speed=0.0, force_limit=1.0))
+    path = pusher_path(pushed, 1.0)  # rests for longer than the duration, on its line
+    assert path[1, 0] > 1.0
+    assert np.array_equal(path[0, 1:], path[1, 1:])
+    assert path[2, 1:] - path[1, 1:] == pytest.approx([*drive.drive.direction, 0.0])
     rows = [[0.0, 0.1, 0.2, 0.3], [2.0, 0.2, 0.2, 0.4]]
     measured = replace(drive, pose=None, drive=PathDrive(waypoints=rows))
     assert np.array_equal(pusher_path(measured, 1.0), rows)
