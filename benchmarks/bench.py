@@ -1,4 +1,4 @@
-"""What a person at the bench waits for: ``python -m benchmarks bench``.
+"""Waiting times at the bench: ``python -m benchmarks bench``.
 
 An emulated campaign at 1280 x 720 gives a film of 11 s and 20 experiments. Then, with the calls and
 processes of `fixel bench`: tracking of that film, while it is recorded again from a network camera

@@ -1,4 +1,4 @@
-"""A calibration ends the same, whoever answers its questions, in whatever parts."""
+"""A calibration has the same result for all ways to divide and answer its questions."""
 
 from dataclasses import fields, is_dataclass, replace
 

@@ -1,4 +1,4 @@
-"""What `fixel bench` prints: trouble without a terminal, and what to do next."""
+"""Output of `fixel bench`: trouble without a terminal, and the next command."""
 
 import json
 from types import SimpleNamespace

@@ -1,6 +1,5 @@
 """Commands of capabilities, made of their options."""
 
-import re
 from collections.abc import Callable, Mapping
 from inspect import Parameter, Signature, cleandoc
 from pathlib import Path
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
 DOT = "__"  # for the dot of `group.field`, which no parameter of Python has
-ERRORS = r"\s*(Raise `|`InvalidInput`\s+is\s)[^.]*\."  # sentences about exceptions of Python
 NOT_SOLVED = 3  # exit code of a simulation that stopped early
 _PLOT = {
     "file": typer.Option(help="Draw the result: .png, .svg or .pdf.", metavar="FILE"),
@@ -86,8 +84,7 @@ def typer_command(
     parameters.append(_keyword("as_json", AsJson, False))
     command.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
     command.__annotations__ = {one.name: one.annotation for one in parameters}
-    text = cleandoc(capability.function.__doc__ or "").partition("\n\nParameters\n")[0]
-    command.__doc__ = re.sub(ERRORS, "", text)
+    command.__doc__ = cleandoc(capability.function.__doc__ or "").partition("\n\nParameters\n")[0]
     return command
 
 

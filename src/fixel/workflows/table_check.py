@@ -97,8 +97,7 @@ def check_stored(
 ) -> TableCheck:
     """Check from repeated pushes whether a table is good enough for plans.
 
-    `fixel sample --table` plans such pushes. `InvalidInput` is raised if no push was repeated at
-    one place and elsewhere, or there are several tables.
+    `fixel sample --table` plans such pushes.
 
     Parameters
     ----------
@@ -110,6 +109,11 @@ def check_stored(
         Not used: it takes seconds.
     **options
         Options of `fixel.table_check`.
+
+    Raises
+    ------
+    InvalidInput
+        No push was repeated at one place and elsewhere, or there are several tables.
     """
     return table_check(project.experiments(*where, flagged=flagged), **options)
 

@@ -161,8 +161,7 @@ def table_map_stored(
     """Map the unevenness of a table from pushes of parts on it.
 
     The map is tested on parts, or on sides, that were left out. Pass the file of --out to other
-    commands as --table. `InvalidInput` is raised if the experiments are of several tables, none has
-    a scene, or a part stands on three points.
+    commands as --table.
 
     Parameters
     ----------
@@ -176,6 +175,11 @@ def table_map_stored(
         File to which the map is saved.
     **options
         Options of `fixel.table_map`.
+
+    Raises
+    ------
+    InvalidInput
+        The experiments are of several tables, none has a scene, or a part stands on three points.
     """
     from fixel.database.project import check_known_names, stored_experiments
     from fixel.model.selection import parse_filter

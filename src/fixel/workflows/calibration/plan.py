@@ -295,7 +295,7 @@ def answer_bytes(task: CalibrationTask, payload: bytes) -> bytes:
 
 
 def _ends(task: CalibrationTask, rows: Rows) -> dict[str, Any]:
-    """How many recorded ends are in the regions predicted from the other experiments."""
+    """Number of recorded ends in the regions predicted from the other experiments, and of all."""
     comparer, (best, value, sd) = task.comparer, (rows[k][0] for k in ("point", "value", "sd"))
     if len(comparer.targets) < LEAST:
         return {"count": [0, 0]}

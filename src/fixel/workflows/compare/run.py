@@ -45,9 +45,6 @@ def compare_stored(
 ) -> StoredComparison:
     """Simulate an experiment and compare it with its measurement.
 
-    Raise `NotStored` without such an experiment or calibration, and `InvalidInput` if the
-    experiment has no scene or no motion to compare with, or if a parameter changes nothing.
-
     Parameters
     ----------
     experiment : str
@@ -63,6 +60,13 @@ def compare_stored(
         drake, pymunk, box2d, or the path of a program, with choices as in mujoco:step=0.001.
     save : bool
         Whether to store the simulation.
+
+    Raises
+    ------
+    NotStored
+        There is no such experiment or calibration.
+    InvalidInput
+        The experiment has no scene or no motion to compare with, or a parameter changes nothing.
     """
     call = locals()
     from fixel.calibration.target import target_of

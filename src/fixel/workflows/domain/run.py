@@ -173,9 +173,7 @@ def map_stored(
 ) -> DomainAnswer:
     """Map where one parameter set predicts held-out experiments.
 
-    Fits are stored, so other axes, thresholds and nominals need no new fits. `InvalidInput` is
-    raised for too few experiments, a threshold below the noise, a nominal without data, or an axis
-    that no experiment has.
+    Fits are stored, so other axes, thresholds and nominals need no new fits.
 
     Parameters
     ----------
@@ -195,6 +193,12 @@ def map_stored(
         Include experiments whose data have faults.
     **options
         Options of `fixel.map_domain`.
+
+    Raises
+    ------
+    InvalidInput
+        There are too few experiments, the threshold is below the noise, the nominal has no data, or
+        no experiment has an axis.
     """
     asked = DOMAIN.asked(locals())
     from fixel.progress import show_progress

@@ -144,8 +144,6 @@ def bound_stored(
     """Bound the errors of untried pushes, with a stated probability.
 
     The parameters are calibrated again without each fold of the experiments. Fits are stored.
-    `InvalidInput` is raised if there are too few different experiments for the level, an experiment
-    lacks a condition, or a condition to leave out has a single value.
 
     Parameters
     ----------
@@ -163,6 +161,12 @@ def bound_stored(
         Include experiments whose data have faults.
     **options
         Options of `fixel.error_bound`.
+
+    Raises
+    ------
+    InvalidInput
+        There are too few different experiments for the level, an experiment lacks a condition, or a
+        condition to leave out has a single value.
     """
     from fixel.progress import show_progress
     from fixel.workflows.error_bound.report import bound_experiments

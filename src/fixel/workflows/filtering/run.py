@@ -118,9 +118,6 @@ def filter_stored(
 ) -> FilterAnswer:
     """Estimate pose and friction with a particle filter.
 
-    Raise `NotStored` without such an experiment, and `InvalidInput` if it cannot be filtered, or
-    the occlusion is outside of it.
-
     Parameters
     ----------
     experiment : str
@@ -129,6 +126,13 @@ def filter_stored(
         Whether to store the run.
     **options
         Options of `filter`.
+
+    Raises
+    ------
+    NotStored
+        There is no such experiment.
+    InvalidInput
+        The experiment cannot be filtered, or the occlusion is outside of it.
     """
     from fixel.workflows.filtering.report import FilterAnswer, store_run
 

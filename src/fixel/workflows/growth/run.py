@@ -29,8 +29,7 @@ def grow_stored(
     """Grow the domain from stored calibrations, as the thesis did.
 
     Step i adds the experiments x+i, y+i, y-i and theta+i to the nominal one; one set of parameters
-    simulates them all, and the largest error counts. `InvalidInput` is raised without experiments
-    of a plan, or if some have no calibration of the same method.
+    simulates them all, and the largest error counts.
 
     Parameters
     ----------
@@ -53,6 +52,11 @@ def grow_stored(
         Use only calibrations with this motion model.
     error : str
         Use only calibrations with this error.
+
+    Raises
+    ------
+    InvalidInput
+        There are no experiments of a plan, or some have no calibration of the same method.
     """
     from fixel.progress import show_progress
     from fixel.workflows.growth.explore import explore

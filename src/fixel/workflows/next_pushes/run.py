@@ -39,8 +39,7 @@ def propose_pushes(
     """Propose which pushes of a part to make next.
 
     Each push reduces the expected error of all candidates as much as possible. Other parts of the
-    project contribute what parts have in common. `InvalidInput` is raised if no experiments of
-    other parts can be used, the part is unknown and has no scene, or no candidate moves it.
+    project contribute what parts have in common.
 
     Parameters
     ----------
@@ -71,6 +70,12 @@ def propose_pushes(
         Seed of the random numbers.
     out : Path, optional
         Plan file, .yaml, to which the proposed pushes are written.
+
+    Raises
+    ------
+    InvalidInput
+        No experiments of other parts can be used, the part is unknown and has no scene, or no
+        candidate moves it.
     """
     from fixel.drawing.chart import require_file
     from fixel.workflows.next_pushes import report

@@ -175,9 +175,6 @@ def sensitivity_of_pushes(
 ) -> RankedPushes:
     """Report how errors of the start grow during pushes.
 
-    Raise `InvalidInput` if nothing can be simulated, and `NotStored` without such an experiment or
-    calibration.
-
     Parameters
     ----------
     project : Project, optional
@@ -198,6 +195,13 @@ def sensitivity_of_pushes(
         camera at RPI).
     **options
         Options of `sensitivity`.
+
+    Raises
+    ------
+    InvalidInput
+        Nothing can be simulated.
+    NotStored
+        There is no such experiment or calibration.
     """
     from fixel.simulation.simulate import get_ready
     from fixel.uncertainty.starts import preset as named
