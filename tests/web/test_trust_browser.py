@@ -87,6 +87,21 @@ def test_a_wrong_request_says_why_and_can_be_mended(browser_page, server):
     assert page.input_value("#experiments").split() == ["6", "7"]
 
 
+def test_no_button_can_be_clicked_before_its_script_listens(browser_page, server):
+    page = browser_page
+    page.expected_problems.append("422")
+    slow = []
+    # Playwright sets an attribute of the function, which `slow.append` cannot have.
+    page.route("**/static/page.js", lambda route: slow.append(route))
+    page.goto(server.home + "run/calibrate?experiments=6&fit=mu_pusher%3D1:-1", wait_until="commit")
+    page.wait_for_selector("button[type=submit]", state="attached")
+    with pytest.raises(Exception, match="Timeout 2000ms"):
+        page.click("button[type=submit]", timeout=2000)
+    slow[0].continue_()
+    page.click("button[type=submit]")
+    assert "mu_pusher" in page.inner_text("[role=alert]")
+
+
 def test_the_page_shows_the_report_and_leads_to_the_worst_experiments(one, project):
     shown = stored_calibration(Project(project), 1).analysis
     assert one.locator(".result tbody tr").count() == len(shown.tables[0].rows)
