@@ -126,6 +126,8 @@ def test_a_job_to_submit_elsewhere(capsys, project):
         (("--fit", "tripod_radius=10:60"), "write tripod_radius_mm=LOW:HIGH"),
         (("--fit", "start_theta=-5:5"), "write start_theta_deg=LOW:HIGH"),
         (("--fit", "mu_pusher=1:0"), "the lower bound first"),
+        (("--fit", "mu_pusher", "--fit", "mu_pusher=0:1"), "--fit: found mu_pusher twice"),
+        (("--set", "mu_fixel=0", "--set", "mu_fixel=1"), "--set: found mu_fixel twice"),
         (("--fit", "mu_pusher=0:1:2"), "outside the bounds"),
         (("--optimiser", "least-squares", "--mode", "each"), "mode joint"),
         (("nowhere",), "no experiment 'nowhere'"),

@@ -37,7 +37,7 @@ IDEAL: Final = ("tripod_radius", "ellipsoid_force", "ellipsoid_torque")  # repla
 def searched_unknowns(settings: Sequence[str], scenes: Sequence[Scene]) -> list[Unknown]:
     """Parse `--fit NAME`, `--fit NAME=LOW:HIGH` or `--fit NAME=LOW:HIGH:START`, in SI units or
     with the unit in the name: `tripod_radius_mm=10:60`."""
-    return [_fit(setting, scenes) for setting in settings]
+    return _each_once("fit", [_fit(setting, scenes) for setting in settings])
 
 
 def _fit(setting: str, scenes: Sequence[Scene]) -> Unknown:
@@ -85,7 +85,14 @@ def fixed_unknowns(settings: Sequence[str]) -> list[Unknown]:
         except ValueError:
             raise InvalidInput("fixed", found=repr(setting), expected="NAME=NUMBER") from None
         found.append(Unknown.fixed(name, value))
-    return found
+    return _each_once("fixed", found)
+
+
+def _each_once(option: str, unknowns: list[Unknown]) -> list[Unknown]:
+    names = [unknown.name for unknown in unknowns]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise InvalidInput(option, found=f"{twice[0]} twice", expected="each parameter once")
+    return unknowns
 
 
 def _named(option: str, written: str) -> tuple[str, float]:
