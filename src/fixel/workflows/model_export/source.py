@@ -203,7 +203,7 @@ def _lost(task: PlainTask, feet: FootedBody) -> list[str]:
         lost.append(f"{what} the support: there are no feet")
     elif feet.friction.max() >= MAX_FRICTION:
         lost.append(f"friction of the feet for Drake, which takes less than {MAX_FRICTION:g}")
-    x, y, theta = own.start.tolist()
+    x, y, theta = (round(value, 9) + 0.0 for value in own.start.tolist())  # no -1e-33 nor -0
     lost.append(f"the start pose of the centre of mass: {x:g} m, {y:g} m, {theta:g} rad")
     if own.velocity.any():
         lost.append("the start velocity")
