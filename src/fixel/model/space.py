@@ -187,6 +187,13 @@ def _check_bounds(low: float, high: float, where: str) -> None:
         raise InvalidInput(where, found=found, expected="the lower bound first")
 
 
+def check_once(where: str, labels: Sequence[str]) -> None:
+    """Raise `InvalidInput` at `where` if a label of a parameter occurs more than once."""
+    for label in labels:
+        if labels.count(label) > 1:
+            raise InvalidInput(where, found=f"{label} twice", expected="each parameter once")
+
+
 def split_label(label: str) -> tuple[str, dict[str, str]]:
     """Split the label of a parameter into name and conditions: `"mu_pusher[surface=abs]"`."""
     match = _LABEL.fullmatch(label)
@@ -248,9 +255,7 @@ class ParameterSpace(Comparable):
     def __post_init__(self) -> None:
         settle(self, unknowns=tuple(self.unknowns))
         labels = [unknown.label for unknown in self.unknowns]
-        for label in labels:
-            if labels.count(label) > 1:
-                raise InvalidInput("space", found=f"{label} twice", expected="each parameter once")
+        check_once("space", labels)
         check_supports(u.name for u in self.unknowns if not u.where)
         if not self.free:
             raise InvalidInput(

@@ -209,7 +209,8 @@ def _search_and_space(
     else:
         unknowns = searched_unknowns(asked.fit, scenes) or default_unknowns(scenes)
     fixed = fixed_unknowns(asked.fixed)
-    free = [unknown for unknown in unknowns if unknown.name not in {one.name for one in fixed}]
+    names = {unknown.name for unknown in fixed}
+    free = [unknown for unknown in unknowns if unknown.name not in names]
     return search, ParameterSpace(unknowns=(*free, *fixed))
 
 

@@ -15,7 +15,7 @@ from fixel.errors import InvalidInput
 from fixel.io.document import read_document
 from fixel.model import Scene
 from fixel.model.parameters import in_si, info_of
-from fixel.model.space import SHARE_OF_RANGE, ParameterSpace, Unknown
+from fixel.model.space import SHARE_OF_RANGE, ParameterSpace, Unknown, check_once
 from fixel.registry import offered
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 
@@ -37,7 +37,9 @@ IDEAL: Final = ("tripod_radius", "ellipsoid_force", "ellipsoid_torque")  # repla
 def searched_unknowns(settings: Sequence[str], scenes: Sequence[Scene]) -> list[Unknown]:
     """Parse `--fit NAME`, `--fit NAME=LOW:HIGH` or `--fit NAME=LOW:HIGH:START`, in SI units or
     with the unit in the name: `tripod_radius_mm=10:60`."""
-    return _each_once("fit", [_fit(setting, scenes) for setting in settings])
+    found = [_fit(setting, scenes) for setting in settings]
+    check_once("fit", [unknown.name for unknown in found])
+    return found
 
 
 def _fit(setting: str, scenes: Sequence[Scene]) -> Unknown:
@@ -85,14 +87,8 @@ def fixed_unknowns(settings: Sequence[str]) -> list[Unknown]:
         except ValueError:
             raise InvalidInput("fixed", found=repr(setting), expected="NAME=NUMBER") from None
         found.append(Unknown.fixed(name, value))
-    return _each_once("fixed", found)
-
-
-def _each_once(option: str, unknowns: list[Unknown]) -> list[Unknown]:
-    names = [unknown.name for unknown in unknowns]
-    if twice := [name for name in names if names.count(name) > 1]:
-        raise InvalidInput(option, found=f"{twice[0]} twice", expected="each parameter once")
-    return unknowns
+    check_once("fixed", [unknown.name for unknown in found])
+    return found
 
 
 def _named(option: str, written: str) -> tuple[str, float]:
