@@ -2,13 +2,14 @@
 
 import contextlib
 import gc
+import os
 import time
 
 import numba
 import pytest
 from numba.core.compiler import Flags
 
-from fixel.kernels import jit
+from fixel.kernels import code_cache, jit
 from fixel.kernels.code_cache import cache_folder
 from fixel.kernels.jit import KNOWN_NUMBA, EntryCompiler, _Flags, entry, kernel
 
@@ -89,7 +90,7 @@ def test_a_compilation_shows_how_far_it_is(monkeypatch, tmp_path):
     monkeypatch.setenv("FIXEL_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(jit, "PATIENCE_S", 0.0)
     monkeypatch.setattr(jit, "BEAT_S", 0.01)
-    stages, reports, files = [], [], []
+    stages, reports, files, stored = [], [], [], []
     marks = f"{cache_folder(__file__)}/test_jit.fourth_power.compiling"
 
     def report(done, total):
@@ -108,10 +109,16 @@ def test_a_compilation_shows_how_far_it_is(monkeypatch, tmp_path):
         time.sleep(0.2)
         return core(self)
 
+    def store(path, content, write=code_cache.write_sealed):
+        stored.append(os.path.exists(marks))  # processes that wait would compile again
+        write(path, content)
+
+    monkeypatch.setattr(code_cache, "write_sealed", store)
     monkeypatch.setattr(jit, "show", show)
     monkeypatch.setattr(EntryCompiler, "_compile_core", slow)
     assert entry(fourth_power)(2.0) == 16.0
     assert stages == ["compiling test_jit.fourth_power, 1 functions"]
     assert 0 <= reports[0][0] < reports[-1][0] <= 1000
+    assert stored == [True]
     assert all(0.0 <= float(text) <= 1.0 for text in files)
     assert not list(tmp_path.rglob("*.compiling"))

@@ -60,6 +60,7 @@ class CodeCache(_caching.NullCache):  # type: ignore[misc]
         self._name = entry_name(function)
         self._line = code.co_firstlineno
         self._folder = cache_folder(code.co_filename)
+        self._sign = sign_path(self._name, self._folder)
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         """Load the code for these types; None if there is none that can be used."""
@@ -73,19 +74,24 @@ class CodeCache(_caching.NullCache):  # type: ignore[misc]
             return None
 
     def save_overload(self, signature: Any, result: Any) -> None:
-        """Store the code for these types, or print why that failed."""
-        if result.library.has_dynamic_globals:  # addresses of this process
-            return
+        """Store the code for these types, or print why that failed.
+
+        Only now is the sign removed for which other processes wait: they would compile again.
+        """
         try:
-            path = self._path(signature, result.codegen)
-            write_sealed(path, _serialize.dumps(result._reduce()))
-            if read_sealed(path) is None:  # as on file systems without owners
-                raise OSError(errno.EPERM, "files there are not trusted")
+            if not result.library.has_dynamic_globals:  # addresses of this process
+                path = self._path(signature, result.codegen)
+                write_sealed(path, _serialize.dumps(result._reduce()))
+                if read_sealed(path) is None:  # as on file systems without owners
+                    raise OSError(errno.EPERM, "files there are not trusted")
         except OSError as problem:
             print_once(
                 f"Compiled code cannot be stored in {self._folder} ({problem.strerror}), so every "
                 "process compiles it again. Set FIXEL_CACHE_DIR to a folder with write permission."
             )
+        finally:
+            with contextlib.suppress(OSError):
+                os.unlink(self._sign)
 
     def _path(self, signature: Any, codegen: Any) -> str:
         svml = getattr(numba.config, "USING_SVML", None)
@@ -112,7 +118,7 @@ def is_stored(entry: str) -> bool:
 
 def share_compiled(entry: str) -> float | None:
     """Share of an entry of the kernels that some process has compiled by now; None if none does."""
-    path = os.path.join(cache_folder(), f"{entry}.compiling")
+    path = sign_path(entry, cache_folder())
     try:
         if abs(time.time() - os.stat(path).st_mtime) > SILENT_S:
             return None
@@ -120,6 +126,11 @@ def share_compiled(entry: str) -> float | None:
             return float(file.read() or 0.0)
     except (OSError, ValueError):
         return None
+
+
+def sign_path(entry: str, folder: str) -> str:
+    """Path of the file with which a process that compiles an entry gives signs to others."""
+    return os.path.join(folder, f"{entry}.compiling")
 
 
 def cache_folder(source: str = __file__) -> str:

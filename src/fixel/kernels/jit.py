@@ -30,7 +30,7 @@ from numba.core import cgutils, codegen, compiler, compiler_machinery, typed_pas
 from numba.extending import intrinsic
 from numba.np import arrayobj
 
-from fixel.kernels.code_cache import CodeCache, cache_folder, entry_name, print_once
+from fixel.kernels.code_cache import CodeCache, cache_folder, entry_name, print_once, sign_path
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -132,8 +132,7 @@ class _Watch(threading.Thread):
     def __init__(self, function: Any) -> None:
         super().__init__(daemon=True, name="fixel-compiling")
         self._entry = entry_name(function)
-        folder = cache_folder(function.__code__.co_filename)
-        self._path = os.path.join(folder, f"{self._entry}.compiling")
+        self._path = sign_path(self._entry, cache_folder(function.__code__.co_filename))
         self._functions = len(_functions_below(function, set()))
         self._began = time.monotonic()
         self._ended = threading.Event()
@@ -165,11 +164,13 @@ class _Watch(threading.Thread):
     def seconds(self) -> float:
         return time.monotonic() - self._began
 
-    def end(self) -> None:
+    def end(self, failed: bool) -> None:
+        """Stop. The sign of code that `CodeCache` stores next remains until it is stored."""
         self._ended.set()
         self.join()
-        with contextlib.suppress(OSError):
-            os.unlink(self._path)
+        if failed:
+            with contextlib.suppress(OSError):
+                os.unlink(self._path)
 
 
 def _functions_below(function: Any, found: set[Any]) -> set[Any]:
@@ -202,12 +203,14 @@ class EntryCompiler(_compiler.CompilerBase):  # type: ignore[misc]
         watch.start()
         thresholds = gc.get_threshold()
         gc.set_threshold(*_RARELY)
+        code = None
         try:
-            return super().compile_extra(function)
+            code = super().compile_extra(function)
+            return code
         finally:
             gc.set_threshold(*thresholds)
             _watch = None
-            watch.end()
+            watch.end(failed=code is None)
             compiled_s += watch.seconds
 
     def define_pipelines(self) -> list[Any]:
