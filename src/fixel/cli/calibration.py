@@ -1,22 +1,18 @@
 """`fixel calibrations`: list stored calibrations, or show one."""
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
-
-from fixel.cli.options import AsJson, ProjectFolder
+from fixel.cli.options import AsJson, ProjectFolder, argument, with_options
 from fixel.cli.screen import command_of, print_answer
 from fixel.errors import NotStored
 
 
+@with_options
 def calibrations(
-    number: Annotated[
-        int | None,
-        typer.Argument(
-            help="Id of a calibration to show; all are listed without it.", metavar="ID"
-        ),
-    ] = None,
+    *,
+    number: int | None = argument(
+        None, "Id of a calibration to show; all are listed without it.", metavar="ID"
+    ),
     folder: ProjectFolder = Path(),
     as_json: AsJson = False,
 ) -> None:

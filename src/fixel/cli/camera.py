@@ -123,10 +123,12 @@ def import_(
 
 
 @app.command("export")
+@with_options
 def export(
+    *,
     camera: CameraFile,
     out: Annotated[Path, typer.Option(help="File to write.", metavar="FILE")],
-    format: Annotated[str, typer.Option(help="Format: opencv or ros.")] = "opencv",
+    format: str = option("opencv", "Format: opencv or ros."),
     as_json: AsJson = False,
 ) -> None:
     """Write a lens as an OpenCV or ROS file."""
@@ -184,19 +186,15 @@ def place(
 
 
 @app.command("check")
+@with_options
 def check(
-    camera: Annotated[
-        str,
-        typer.Argument(help="Camera file, rig file, or name of an example rig.", metavar="CAMERA"),
-    ],
-    video: Annotated[
-        Path | None,
-        typer.Option(
-            help="Video or picture of the bench, to check its size and the pose of the camera.",
-            metavar="FILE",
-            exists=True,
-        ),
-    ] = None,
+    *,
+    camera: str = required("Camera file, rig file, or name of an example rig.", metavar="CAMERA"),
+    video: Path | None = option(
+        None,
+        "Video or picture of the bench, to check its size and the pose of the camera.",
+        exists=True,
+    ),
     height_mm: Heights = None,
     plot: Plot = None,
     as_json: AsJson = False,
@@ -213,13 +211,13 @@ def check(
 
 
 @app.command("board")
+@with_options
 def board_(
-    board: Annotated[
-        str, typer.Argument(help="Board, as for fixel camera calibrate.", metavar="BOARD")
-    ] = "charuco:7x5:30mm:22mm",
-    out: Annotated[Path, typer.Option(help="File to print: .pdf or .png.", metavar="FILE")] = Path(
-        "board.pdf"
+    *,
+    board: str = argument(
+        "charuco:7x5:30mm:22mm", "Board, as for fixel camera calibrate.", metavar="BOARD"
     ),
+    out: Path = option(Path("board.pdf"), "File to print: .pdf or .png."),
     paper: Paper = "a4",
     as_json: AsJson = False,
 ) -> None:

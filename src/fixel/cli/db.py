@@ -2,11 +2,18 @@
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from fixel.cli.options import AsJson, ProjectFolder, ProjectPlace, project_at
+from fixel.cli.options import (
+    AsJson,
+    ProjectFolder,
+    ProjectPlace,
+    project_at,
+    required,
+    with_options,
+)
 from fixel.cli.screen import command_of, paragraphs, print_answer, shortened
 from fixel.table import Table
 
@@ -34,8 +41,10 @@ def upgrade(
 
 
 @app.command("backup")
+@with_options
 def backup(
-    file: Annotated[Path, typer.Argument(help="Backup file to write.", metavar="FILE")],
+    *,
+    file: Path = required("Backup file to write."),
     place: ProjectPlace = None,
     folder: ProjectFolder = Path(),
     as_json: AsJson = False,
@@ -78,11 +87,9 @@ def check(
 
 
 @app.command("diagram")
+@with_options
 def diagram(
-    file: Annotated[
-        Path, typer.Argument(help="Chart to write: .png, .svg or .pdf.", metavar="FILE")
-    ],
-    as_json: AsJson = False,
+    *, file: Path = required("Chart to write: .png, .svg or .pdf."), as_json: AsJson = False
 ) -> None:
     """Draw the tables as an entity relationship diagram."""
     from fixel.workflows.project import maintenance

@@ -64,12 +64,12 @@ def _print_ports(found: "list[PortSeen]", as_json: bool, follow: str) -> None:
 
 
 @tactile.command("check")
+@with_options
 def check(
+    *,
     port: Port = None,
-    readings: Annotated[int, typer.Option(help="Number of readings.", min=1)] = 300,
-    deadline: Annotated[
-        float, typer.Option(help="Latest time of an answer [ms].", min=0.1, metavar="MS")
-    ] = 15.0,
+    readings: int = option(300, "Number of readings.", min=1),
+    deadline: float = option(15.0, "Latest time of an answer [ms].", min=0.1, metavar="MS"),
     as_json: AsJson = False,
 ) -> None:
     """Request many readings of the board and check each.
@@ -324,27 +324,15 @@ NOT_IN_PLACE = 4
 WAKING = 5  # pictures that are skipped: a camera that was just switched on sends dark ones
 
 
-RigName = Annotated[
-    str,
-    typer.Option(
-        help="Rig file with camera and markers, or name of an example rig.", metavar="RIG"
-    ),
-]
-PagePort = Annotated[
-    int | None,
-    typer.Option(
-        help="Port of the page; it is served to this machine only.",
-        min=1,
-        max=65535,
-        show_default="any free one",
-    ),
-]
-
-
 @with_options
 def overlay(
     *,
-    rig: RigName,
+    rig: Annotated[
+        str,
+        typer.Option(
+            help="Rig file with camera and markers, or name of an example rig.", metavar="RIG"
+        ),
+    ],
     scene: Path | None = argument(
         None,
         "Scene file, YAML or JSON.",
@@ -371,7 +359,13 @@ def overlay(
     tolerance_deg: float | None = option(
         None, "Largest allowed angle error of a part [deg].", show_default="the rig's"
     ),
-    port: PagePort = None,
+    port: int | None = option(
+        None,
+        "Port of the page; it is served to this machine only.",
+        min=1,
+        max=65535,
+        show_default="any free one",
+    ),
     once: bool = option(
         False,
         "Check once and write a picture; exit code 0 if all parts are in place, 4 if not.",

@@ -6,7 +6,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fixel.cli.options import AsJson, ProjectFolder, SiteFile, option, project_at, with_options
+from fixel.cli.options import (
+    AsJson,
+    ProjectFolder,
+    argument,
+    option,
+    project_at,
+    required,
+    with_options,
+)
 from fixel.cli.screen import command_of, job_bar, notify, print_answer, table
 from fixel.errors import InvalidInput
 from fixel.progress import time_text
@@ -25,7 +33,9 @@ JobFolder = Annotated[Path, typer.Argument(help="Folder of the job.", metavar="F
 class PlaceOptions:
     """Options of `fixel jobs submit` and `resume`: where and how a job runs."""
 
-    site: SiteFile = None
+    site: Path | None = option(
+        None, "Site file of the cluster on which the workers run; see fixel jobs site."
+    )
     workers: int | None = option(
         None,
         "Number of worker processes; 0 computes in this process.",
@@ -67,15 +77,15 @@ def resume(
 
 
 @app.command("status")
+@with_options
 def status(
-    folders: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            help="Folders of jobs or of projects.",
-            metavar="[FOLDER]...",
-            show_default="the current folder",
-        ),
-    ] = None,
+    *,
+    folders: list[Path] | None = argument(
+        None,
+        "Folders of jobs or of projects.",
+        metavar="[FOLDER]...",
+        show_default="the current folder",
+    ),
     project: ProjectFolder = Path(),
     as_json: AsJson = False,
 ) -> None:
@@ -102,11 +112,13 @@ def cancel(folder: JobFolder, as_json: AsJson = False) -> None:
 
 
 @app.command("logs")
+@with_options
 def logs(
+    *,
     folder: JobFolder,
-    follow: Annotated[
-        bool, typer.Option("--follow", "-f", help="Print new lines of the log until the job ends.")
-    ] = False,
+    follow: bool = option(
+        False, "Print new lines of the log until the job ends.", "--follow", "-f"
+    ),
 ) -> None:
     """Print the log of a job."""
     from fixel.workflows import jobs
@@ -124,10 +136,9 @@ def site() -> None:
 
 
 @app.command("pack")
+@with_options
 def pack(
-    folder: JobFolder,
-    file: Annotated[Path, typer.Argument(help="Zip file to write.", metavar="FILE")],
-    as_json: AsJson = False,
+    *, folder: JobFolder, file: Path = required("Zip file to write."), as_json: AsJson = False
 ) -> None:
     """Pack a job with its results into one file, to copy it."""
     from fixel.workflows import jobs
@@ -144,9 +155,11 @@ def pack(
 
 
 @app.command("unpack")
+@with_options
 def unpack(
-    file: Annotated[Path, typer.Argument(help="Zip file of a packed job.", metavar="FILE")],
-    folder: Annotated[Path, typer.Argument(help="New folder for the job.", metavar="FOLDER")],
+    *,
+    file: Path = required("Zip file of a packed job."),
+    folder: Path = required("New folder for the job.", metavar="FOLDER"),
     as_json: AsJson = False,
 ) -> None:
     """Unpack a job into a new folder."""
@@ -241,18 +254,15 @@ def _print_status(job: "JobStatus", as_json: bool) -> None:
     )
 
 
+@with_options
 def trust(
-    program: Annotated[
-        str | None,
-        typer.Argument(
-            help="Path of a program, with its arguments as after --engine; the list is printed "
-            "without it.",
-            show_default=False,
-        ),
-    ] = None,
-    remove: Annotated[
-        bool, typer.Option("--remove", help="Remove the program from the list.")
-    ] = False,
+    *,
+    program: str | None = argument(
+        None,
+        "Path of a program, with its arguments as after --engine; the list is printed without it.",
+        show_default=False,
+    ),
+    remove: bool = option(False, "Remove the program from the list.", "--remove"),
     as_json: AsJson = False,
 ) -> None:
     """Allow files to run a program until it changes.
@@ -260,7 +270,6 @@ def trust(
     A calibration by a program of your own then works in later commands. Trust only what you have
     read or made: the program can do everything that you can.
     """
-    from fixel.errors import InvalidInput
     from fixel.simulation.trust import distrust, trust_program, trusted_entries
 
     if remove:

@@ -23,51 +23,8 @@ ProjectFolder = Annotated[
 ProjectPlace = Annotated[
     Path | None, typer.Argument(help="Same as --project.", metavar="[PROJECT]", show_default=False)
 ]
-
-
-def _permitted(name: str | None) -> str | None:
-    """Permit the program that the user names as an engine."""
-    from fixel.simulation.trust import permit
-
-    permit(name)
-    return name
-
-
-CalibrationEngine = Annotated[
-    str | None,
-    typer.Option(
-        "--engine",
-        callback=_permitted,
-        metavar="NAME",
-        help="Use the newest calibration by this engine, such as mujoco.",
-        show_default=False,
-    ),
-]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the answer as one JSON object.")]
-DatasetName = Annotated[
-    str | None, typer.Option(help="Select only experiments of this dataset.", metavar="NAME")
-]
-Where = Annotated[
-    list[str] | None,
-    typer.Option(
-        help='Select experiments that match, such as "surface=abs error>5 real"; may be repeated.',
-        metavar="FILTER",
-    ),
-]
-Flagged = Annotated[bool, typer.Option("--all", help="Include experiments whose data have faults.")]
 Seed = Annotated[int, typer.Option(help="Seed of the random number generator.", min=0)]
-AnySeed = Annotated[int, typer.Option(help="Seed of the random number generator.")]
-PictureFolder = Annotated[
-    Path | None,
-    typer.Option(help="Folder for charts as PNG and PDF, and for their data.", metavar="FOLDER"),
-]
-SiteFile = Annotated[
-    Path | None,
-    typer.Option(
-        help="Site file of the cluster on which the workers run; see fixel jobs site.",
-        metavar="FILE",
-    ),
-]
 
 
 def option(default: T, help: str, *names: str, **more: Any) -> T:

@@ -11,7 +11,6 @@ from fixel.capability.capability import named
 from fixel.cli.capability import typer_command
 from fixel.cli.options import (
     AsJson,
-    PictureFolder,
     ProjectFolder,
     Seed,
     option,
@@ -67,7 +66,9 @@ def check(
     waypoints: Path | None = option(
         None, "Write the motion of the tool for another robot: .csv or .json."
     ),
-    plot: PictureFolder = None,
+    plot: Path | None = option(
+        None, "Folder for charts as PNG and PDF, and for their data.", metavar="FOLDER"
+    ),
     as_json: AsJson = False,
 ) -> None:
     """Compute the success probability of a plan; count its trials.

@@ -4,16 +4,13 @@ import shlex
 from collections.abc import Mapping, Sequence
 from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from fixel.cli.options import (
     AsJson,
-    DatasetName,
-    Flagged,
     ProjectFolder,
-    Where,
     argument,
     option,
     project_at,
@@ -43,15 +40,15 @@ if TYPE_CHECKING:
 MAX_ROWS = 30
 
 
+@with_options
 def new(
-    folder: Annotated[Path, typer.Argument(help="Folder of the new project.", metavar="FOLDER")],
-    database: Annotated[
-        str | None,
-        typer.Option(
-            help="Database of a server, instead of a file: postgresql+psycopg://USER@HOST/NAME.",
-            metavar="URL",
-        ),
-    ] = None,
+    *,
+    folder: Path = required("Folder of the new project.", metavar="FOLDER"),
+    database: str | None = option(
+        None,
+        "Database of a server, instead of a file: postgresql+psycopg://USER@HOST/NAME.",
+        metavar="URL",
+    ),
     as_json: AsJson = False,
 ) -> None:
     """Create a project folder with settings, database and media."""
@@ -189,16 +186,20 @@ def print_imported(
 def list_(
     *,
     folder: ProjectFolder = Path(),
-    dataset: DatasetName = None,
+    dataset: str | None = option(None, "Select only experiments of this dataset.", metavar="NAME"),
     name: str | None = option(
         None, "Select names that match this pattern; * matches any text.", metavar="PATTERN"
     ),
     real: bool | None = option(
         None, "Select only real or only simulated experiments.", "--real/--simulated"
     ),
-    where: Where = None,
+    where: list[str] | None = option(
+        None,
+        'Select experiments that match, such as "surface=abs error>5 real"; may be repeated.',
+        metavar="FILTER",
+    ),
     flag: str | None = option(None, "Select only experiments with this flag.", metavar="NAME"),
-    flagged: Flagged = False,
+    flagged: bool = option(False, "Include experiments whose data have faults.", "--all"),
     deleted: bool = option(False, "Select only deleted experiments.", "--deleted"),
     limit: int = option(MAX_ROWS, "Maximum number of rows.", min=1),
     as_json: AsJson = False,

@@ -3,16 +3,14 @@
 import sys
 from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from fixel.cli.options import (
     AsJson,
-    CalibrationEngine,
     ProjectFolder,
     option,
     require_picture,
+    required,
     with_options,
 )
 from fixel.cli.screen import (
@@ -33,22 +31,15 @@ if TYPE_CHECKING:
 
 MAX_ROWS = 20
 
-Key = Annotated[
-    str,
-    typer.Argument(
-        help="Experiment: its id, its name, or DATASET/NAME.",
-        metavar="EXPERIMENT",
-        show_default=False,
-    ),
-]
 
-
+@with_options
 def show(
-    key: Key,
+    *,
+    key: str = required(
+        "Experiment: its id, its name, or DATASET/NAME.", metavar="EXPERIMENT", show_default=False
+    ),
     project: ProjectFolder = Path(),
-    plot: Annotated[
-        Path | None, typer.Option(help="Draw the experiment: .png, .svg or .pdf.", metavar="FILE")
-    ] = None,
+    plot: Path | None = option(None, "Draw the experiment: .png, .svg or .pdf."),
     as_json: AsJson = False,
 ) -> None:
     """Show an experiment: scene, data, faults and provenance."""
@@ -159,6 +150,14 @@ def _next_show(experiment: "Experiment", project: Path, plot: Path | None) -> st
     return command_of("list", project=project)
 
 
+def _permitted(name: str | None) -> str | None:
+    """Permit the program that the user names as an engine."""
+    from fixel.simulation.trust import permit
+
+    permit(name)
+    return name
+
+
 @with_options
 def report(
     *,
@@ -172,7 +171,13 @@ def report(
         metavar="ID",
         show_default="the newest for several experiments",
     ),
-    engine: CalibrationEngine = None,
+    engine: str | None = option(
+        None,
+        "Use the newest calibration by this engine, such as mujoco.",
+        callback=_permitted,
+        metavar="NAME",
+        show_default=False,
+    ),
     title: str = option("", "Title of the report.", metavar="TEXT"),
     as_json: AsJson = False,
 ) -> None:

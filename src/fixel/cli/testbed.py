@@ -1,12 +1,11 @@
 """`fixel testbed run`, `film` and `serve`: experiments on a simulated testbed, and their films."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import typer
 
 from fixel.cli.options import (
-    AnySeed,
     AsJson,
     ProjectFolder,
     Seed,
@@ -38,7 +37,7 @@ def run_plan(
         None, "Plan file; by default the 420 experiments of the thesis.", metavar="[PLAN]"
     ),
     folder: ProjectFolder = Path(),
-    seed: AnySeed = 1,
+    seed: int = option(1, "Seed of the random number generator."),
     uneven_table: float = option(
         0.0, "Standard deviation of the logarithm of loads by place; 0 for a flat table.", min=0.0
     ),
@@ -66,18 +65,15 @@ def run_plan(
     print_imported(done, {"seed": seed}, as_json, folder)
 
 
-_FILM_SOURCES: Final = argument(
-    None,
-    "Scene files, plan files, or experiments of the project by id or name.",
-    metavar="[EXPERIMENT|SCENE.yaml|PLAN.yaml]...",
-)
-
-
 @app.command("film")
 @with_options
 def film(
     *,
-    sources: list[str] | None = _FILM_SOURCES,
+    sources: list[str] | None = argument(
+        None,
+        "Scene files, plan files, or experiments of the project by id or name.",
+        metavar="[EXPERIMENT|SCENE.yaml|PLAN.yaml]...",
+    ),
     out: Path = option(Path("film"), "New folder for the films.", "--out", "-o", metavar="FOLDER"),
     rig: str = option(
         "thesis-tags",
