@@ -10,6 +10,7 @@ from importlib.resources import files
 import pytest
 from tests.laboratories import trusted_laboratory
 
+from fixel.testbed.recorder import RecordingStatus
 from fixel.testing.toy_work import MAKER
 from fixel.web.live import LiveView
 from fixel.web.live_pages import RecordPreview, overlay_page
@@ -146,7 +147,7 @@ def test_no_violation_in_any_look(chromium, server, places, axe):
 def test_nor_on_live_pages(chromium, axe):
     view, preview = LiveView(), RecordPreview("pushes/141")
     view.show(None, {"problems": ["a problem"], "remarks": ["a remark"], "state": "off"})
-    preview.show(None, preview.status(elapsed_s=1.0, frames=30, lost=2, reading=0b010))
+    preview.show(None, RecordingStatus(1.0, 30, 2, 30.0, 0b010, 5 * 10**10, ()))
     bad = []
     with WebServer([overlay_page(view, "a scene"), preview.page()]) as server:
         for look, size in LOOKS:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from tests.web.client import Client
 
+from fixel.testbed.recorder import RecordingStatus
 from fixel.web.app import create_app
 from fixel.web.live import LiveView
 from fixel.web.live_pages import RecordPreview, overlay_page
@@ -248,13 +249,14 @@ def test_stop_from_the_page(bench):
 
 def test_bits_of_the_tactile_byte_are_lamps(bench):
     preview = bench.preview
-    status = preview.status(elapsed_s=2.5, frames=75, lost=0, reading=0b101, disk_free_bytes=4e9)
-    assert [lamp["on"] for lamp in status["tactile"]] == [True, False, True]
-    assert status["disk_free_gb"] == 4.0
-    nothing = preview.status(elapsed_s=2.5, frames=75, lost=0)
-    assert [lamp["on"] for lamp in nothing["tactile"]] == [None, None, None]
+    status = RecordingStatus(2.5, 75, 0, 30.0, 0b101, 4 * 10**9, ())
     preview.show(None, status)
-    assert json.loads(preview.view.report)["frames"] == 75
+    shown = json.loads(preview.view.report)
+    assert [lamp["on"] for lamp in shown["tactile"]] == [True, False, True]
+    assert (shown["disk_free_gb"], shown["frames"]) == (4.0, 75)
+    preview.show(None, status._replace(bits=None))
+    nothing = json.loads(preview.view.report)
+    assert [lamp["on"] for lamp in nothing["tactile"]] == [None, None, None]
 
 
 # --- documentation ----------------------------------------------------------------------------

@@ -13,6 +13,7 @@ from tests.laboratories import trusted_laboratory
 
 from fixel.database.project import Project
 from fixel.model import Flag
+from fixel.testbed.recorder import RecordingStatus
 from fixel.testing.toy_work import MAKER
 from fixel.web.live import LiveView
 from fixel.web.live_pages import RecordPreview, overlay_page
@@ -277,7 +278,7 @@ def test_live_pages(chromium):
         page.wait_for_timeout(300)
         assert page.evaluate("window.hacked") is None
         page.goto(f"{server.home}record")
-        preview.show(None, preview.status(elapsed_s=1.0, frames=1, lost=0) | {"problems": [ALL]})
+        preview.show(None, RecordingStatus(1.0, 1, 0, 30.0, None, 10**9, (ALL,)))
         page.wait_for_timeout(300)
         assert page.evaluate("window.hacked") is None
         page.close()

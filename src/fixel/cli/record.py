@@ -186,25 +186,13 @@ def _shown(plan: "RecordPlan", preview: bool, wish: "StopWish") -> Iterator[Any]
             if page is not None:
                 if page.stop_wanted:
                     wish.reason = wish.reason or "stopped in the browser"
-                page.show(arrived.picture, _page_status(page, plan, status))
+                page.show(arrived.picture, status, plan.limit)
 
         try:
             yield watch
         finally:
             if length:
                 print(file=sys.stderr, flush=True)
-
-
-def _page_status(page: "RecordPreview", plan: "RecordPlan", status: "RecordingStatus") -> Any:
-    return page.status(
-        elapsed_s=status.seconds,
-        frames=status.frames,
-        lost=status.lost,
-        reading=-1 if status.bits is None else status.bits,
-        disk_free_bytes=float(status.free),
-        limit_s=plan.limit,
-        problems=status.problems,
-    )
 
 
 def status_line(status: "RecordingStatus") -> str:

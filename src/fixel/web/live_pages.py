@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, final
+from collections.abc import Callable, Sequence
+from typing import Final, final
 
 from fastapi import APIRouter
 from fastapi.responses import JSONResponse
 
+from fixel.testbed.recorder import RecordingStatus
 from fixel.vision.frame import Picture
 from fixel.web.app import Page
 from fixel.web.live import LiveView
@@ -30,7 +31,7 @@ class RecordPreview:
     Examples
     --------
     >>> preview = RecordPreview("pushes/141", fixels=())
-    >>> preview.show(None, preview.status(elapsed_s=1.0, frames=30, lost=0, disk_free_bytes=5e10))
+    >>> preview.show(None, RecordingStatus(1.0, 30, 0, 30.0, None, 5 * 10**10, ()))
     >>> preview.stop_wanted
     False
     """
@@ -47,44 +48,29 @@ class RecordPreview:
         return self._stop.is_set()
 
     def show(
-        self, picture: Picture | Callable[[], Picture] | None, status: Mapping[str, Any]
-    ) -> None:
-        """Show a picture and a status without waiting; see `LiveView.show`."""
-        self.view.show(picture, status)
-
-    def status(
         self,
-        *,
-        elapsed_s: float,
-        frames: int,
-        lost: int,
-        reading: int = -1,
-        disk_free_bytes: float | None = None,
+        picture: Picture | Callable[[], Picture] | None,
+        status: RecordingStatus,
         limit_s: float | None = None,
-        state: str = "recording",
-        problems: Sequence[str] = (),
-    ) -> dict[str, Any]:
-        """Build the status for the page.
-
-        The newest tactile byte is `reading`; -1 for none. The recording ends by itself after
-        `limit_s`. The state is `waiting`, `recording` or `finished`, and problems need attention
-        now.
-        """
+    ) -> None:
+        """Show a picture and a status without waiting; the recording ends after `limit_s`."""
+        bits = status.bits
         lamps = [
-            {"name": name, "on": None if reading < 0 else bool(reading >> bit & 1)}
+            {"name": name, "on": None if bits is None else bool(bits >> bit & 1)}
             for bit, name in enumerate(self.fixels)
         ]
-        return {
-            "state": state,
-            "elapsed_s": elapsed_s,
+        content = {
+            "state": "recording",
+            "elapsed_s": status.seconds,
             "limit_s": limit_s,
-            "frames": frames,
-            "lost": lost,
+            "frames": status.frames,
+            "lost": status.lost,
             "tactile": lamps,
-            "disk_free_gb": None if disk_free_bytes is None else disk_free_bytes / 1e9,
-            "problems": list(problems),
+            "disk_free_gb": status.free / 1e9,
+            "problems": list(status.problems),
             "stopping": self.stop_wanted,
         }
+        self.view.show(picture, content)
 
     def page(self, path: str = "/record") -> Page:
         """Create the page, for `fixel.web.serve.WebServer`."""

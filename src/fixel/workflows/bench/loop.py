@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, final
@@ -52,27 +52,6 @@ TRIES: Final = 5  # of a call whose process died, as one does that is killed for
 DARK, LIGHT = 25.0, 235.0  # mean grey levels of pictures that are too dark and too light
 Show = Callable[[Callable[[], Picture] | Picture | None, dict[str, Any]], None]
 Phase = Literal["placing", "moving", "pushing", "waiting", "trouble", "finished"]
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LoopOptions:
-    """Options of a loop; `open_bench` has the same with their meanings.
-
-    Without being asked, a row with faults is repeated up to `MAX_ATTEMPTS` times.
-    """
-
-    auto: bool
-    limit: int | None
-    dataset: str  # that of the experiments, which is the name of the campaign
-    tolerance: float | None
-    tolerance_angle: float | None
-    fit: tuple[str, ...]
-    motion: str
-    choose: bool
-    until: str
-    dry_run: bool
-    check: bool
 
 
 class BenchCheck(NamedTuple):
@@ -132,7 +111,7 @@ class BenchLoop:
     """Loop over the rows of a campaign: `run` in one thread, `ask` from any."""
 
     def __init__(
-        self, project: Project, campaign: Campaign, devices: BenchDevices, options: LoopOptions
+        self, project: Project, campaign: Campaign, devices: BenchDevices, options: Any
     ) -> None:
         self.campaign, self.devices, self.options = campaign, devices, options
         # Called with a picture or what draws it, or None, and with the status, as `LiveView.show`.
@@ -542,7 +521,7 @@ class BenchLoop:
         self._tracker.call(
             lambda found: self._events.put(partial(self._tracked, attempt, found)),
             self.campaign.recording(attempt), self.campaign.by_name[attempt.row], attempt.number,
-            self.options.dataset, self.tolerance,
+            self.options.name, self.tolerance,
         )  # fmt: skip
 
     def _tracked(self, attempt: Attempt, found: TrackedAttempt | Exception) -> None:

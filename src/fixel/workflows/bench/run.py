@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from fixel.model import PlannedExperiment
     from fixel.workflows.analysis import AnalysisReport
     from fixel.workflows.bench.devices import BenchDevices
-    from fixel.workflows.bench.loop import BenchLoop, LoopOptions
+    from fixel.workflows.bench.loop import BenchLoop
 
 YOURS: Final = "that of fixel.yaml"
 # As `fixel overlay` names it; the other name is that of version 0.2.
@@ -120,11 +120,11 @@ def open_bench(
         It opens the devices and gives a `BenchLoop`, whose `run` performs the plan. Every row was
         checked against the limits of the drive.
     """
+    call = locals()
     from fixel.sampling import about_part as pushes_about_part
     from fixel.sampling import thesis_plan
     from fixel.workflows.bench.devices import emulated_devices, open_devices, settings_of
     from fixel.workflows.bench.live import check_wishes
-    from fixel.workflows.bench.loop import LoopOptions
     from fixel.workflows.sampling import planned_rows
 
     read = planned_rows(plan, project, scene=scene) if plan else thesis_plan().experiments
@@ -136,11 +136,7 @@ def open_bench(
     }  # fmt: skip
     settings = settings_of(project.settings.bench, given)
     devices = emulated_devices(rows, seed, rig or "") if emulated else open_devices(settings)
-    options = LoopOptions(
-        auto=auto, limit=limit, dataset=name or ("thesis" if plan is None else plan.stem),
-        tolerance=tolerance, tolerance_angle=tolerance_angle, fit=fit, motion=motion,
-        choose=choose, until=until, dry_run=dry_run, check=check,
-    )  # fmt: skip
+    options = BENCH.asked({**call, "name": name or ("thesis" if plan is None else plan.stem)})
     return _opened(project, rows, devices, options)
 
 
@@ -149,7 +145,7 @@ def _opened(
     project: Project,
     rows: Sequence[PlannedExperiment],
     devices: AbstractContextManager[BenchDevices],
-    options: LoopOptions,
+    options: Any,
 ) -> Iterator[BenchLoop]:
     from fixel.workflows.acquisition.overlay import Overlay
     from fixel.workflows.bench.campaign import BENCH as FOLDER
@@ -160,7 +156,7 @@ def _opened(
         for row in rows:
             opened.check(row)
             Overlay(opened.rig, row.scene)  # raises if the rig has no part of the row
-        campaign = Campaign(project.folder / FOLDER / options.dataset, rows)
+        campaign = Campaign(project.folder / FOLDER / options.name, rows)
         with closing(campaign):
             yield BenchLoop(project, campaign, opened, options)
 
