@@ -13,7 +13,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import os
 import shutil
 import zipfile
 import zlib
@@ -82,7 +81,7 @@ def export_bundle(
     ids = store.experiment_ids(every)
     videos: list[str] = []
     with (
-        written_whole(path) as unfinished,
+        written_whole(path, durable=True) as unfinished,
         TemporaryDirectory(prefix=".bundle-", dir=unfinished.parent) as name,
     ):
         folder = Path(name)
@@ -102,8 +101,6 @@ def export_bundle(
                 _add_member(archive, file, f"{ANALYSES}/{file.parent.name}/{file.name}")
             for digest in dict.fromkeys(videos):
                 _add_video(archive, digest, store.media)
-        with unfinished.open("rb+") as stream:
-            os.fsync(stream.fileno())
     gone = dataclasses.replace(every, marks=("deleted", "replaced"), limit=0)
     page = store.experiments(ExperimentQuery(dataset=dataset, limit=0))
     counts |= {"flagged": page.left_out, "replaced": len(ids) - page.total - page.left_out}
@@ -194,10 +191,8 @@ def _copy_video(digest: str, source: Store, target: Store) -> None:
     if path.exists():
         return
     path.parent.mkdir(parents=True, exist_ok=True)
-    with written_whole(path) as unfinished:
+    with written_whole(path, durable=True) as unfinished:
         shutil.copyfile(file, unfinished)
-        with unfinished.open("rb+") as stream:
-            os.fsync(stream.fileno())
 
 
 # --- records ------------------------------------------------------------------------------------

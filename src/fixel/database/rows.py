@@ -15,7 +15,7 @@ import sqlalchemy as sa
 from fixel.database import arrays
 from fixel.formats.frames_file import path_columns
 from fixel.formats.scene_file import SceneRecord, scene_content, scene_of
-from fixel.model import Channel, Experiment, Flag, Parameters, Provenance, Scene, Trajectory
+from fixel.model import Channel, Experiment, Flag, Parameters, Provenance, Trajectory
 from fixel.model.records import Estimate, Evaluations, FilterRecord
 from fixel.typing import FloatArray
 
@@ -184,14 +184,6 @@ def content_digest(
     return digest([content, flags, names], *(values for _, _, values in measured))
 
 
-def geometry_rows(experiment: Experiment) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
-    """Columns of the object's and the pusher's geometry; None where unknown."""
-    content = None if experiment.scene is None else scene_content(experiment.scene)
-    return geometries_of(
-        content, experiment.object_name, experiment.height, experiment.pusher_height
-    )
-
-
 def geometries_of(
     content: Any, object_name: str, height: float | None, pusher_height: float | None
 ) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
@@ -220,11 +212,6 @@ def _geometry(**columns: Any) -> dict[str, Any]:
     return columns | {"content_sha256": digest(columns)}
 
 
-def scene_of_row(content: Any) -> Scene | None:
-    """Scene from its stored content; None if there is none."""
-    return None if content is None else scene_of(SceneRecord.model_validate(content))
-
-
 def experiment_of(
     row: sa.Row[Any], flags: tuple[Flag, ...], measured: list[Measured]
 ) -> Experiment:
@@ -241,12 +228,13 @@ def experiment_of(
         if name.startswith("channel ")
     )
     effective = (row.effective_start_s, row.effective_end_s)
+    scene = None if row.scene is None else scene_of(SceneRecord.model_validate(row.scene))
     return Experiment(
         **{field: getattr(row, name) for name, field in _EXPERIMENT.items()},
         provenance=provenance_of(row),
         trajectory=paths["object"],
         pusher=paths.get("pusher"),
-        scene=scene_of_row(row.scene),
+        scene=scene,
         channels=channels,
         effective=None if effective[0] is None else effective,
         conditions=row.conditions,

@@ -169,7 +169,8 @@ class Store:
         measured: list[dict[str, Any]],
     ) -> int:
         table = tables.experiment
-        object_row, pusher_row = rows.geometry_rows(experiment)
+        heights = experiment.height, experiment.pusher_height
+        object_row, pusher_row = rows.geometries_of(row["scene"], experiment.object_name, *heights)
         replaced = connection.scalar(
             sa.select(sa.func.max(table.c.id)).where(
                 table.c.dataset == experiment.dataset,

@@ -32,17 +32,21 @@ def refuse_unwritable(path: str | Path) -> None:
 
 
 @contextmanager
-def written_whole(path: str | Path) -> Iterator[Path]:
+def written_whole(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
     """Yield a temporary path with the suffix of `path`, which replaces it when the block ends.
 
     If the block is interrupted, also by Ctrl-C, the unfinished file is removed; the old one stays.
-    A folder that cannot be written to, or a full disk, raises `InvalidInput`.
+    A folder that cannot be written to, or a full disk, raises `InvalidInput`. The content of a
+    `durable` file survives a power cut.
     """
     path = Path(path)
     refuse_unwritable(path)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
         yield temporary
+        if durable:
+            with temporary.open("rb+") as stream:
+                os.fsync(stream.fileno())
         os.replace(temporary, path)
     except OSError as problem:
         raise _unwritable(path, problem) from None
@@ -51,9 +55,9 @@ def written_whole(path: str | Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
-def write_whole(path: str | Path, content: str | bytes) -> None:
+def write_whole(path: str | Path, content: str | bytes, *, durable: bool = False) -> None:
     """Write a file, whole or not at all; see `written_whole`."""
-    with written_whole(path) as unfinished:
+    with written_whole(path, durable=durable) as unfinished:
         unfinished.write_bytes(content.encode() if isinstance(content, str) else content)
 
 

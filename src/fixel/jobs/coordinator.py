@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Final, final
 
 from fixel.errors import FixelError, JobRefused
-from fixel.io.atomic import written_whole
+from fixel.io.atomic import write_whole
 from fixel.io.journal import Journal
 from fixel.jobs import folder as files
 from fixel.jobs.engine import LocalEngine
@@ -54,7 +54,7 @@ def coordinate(
             _report_damage(journal, state.notify)
             result = _run(folder, job, run, journal, state, local)
             state.enter("collecting")
-            _write_result(folder, result)
+            write_whole(folder / files.RESULT, result, durable=True)
             state.enter("done")
         except StopRequest:
             state.enter("cancelled")
@@ -159,13 +159,6 @@ def _check_unchanged(folder: Path, job: Job, run: RunSettings) -> None:
 def _report_damage(journal: Journal, notify: Notify) -> None:
     if n := journal.damaged:
         notify(f"the journal is damaged in {n} places; the chunks there are computed again")
-
-
-def _write_result(folder: Path, result: bytes) -> None:
-    with written_whole(folder / files.RESULT) as path, path.open("wb") as stream:
-        stream.write(result)
-        stream.flush()
-        os.fsync(stream.fileno())
 
 
 @final

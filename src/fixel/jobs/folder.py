@@ -18,7 +18,6 @@ from __future__ import annotations
 import datetime
 import hashlib
 import json
-import os
 import secrets
 import shutil
 import time
@@ -29,7 +28,7 @@ from typing import Any, Final, Literal, get_args
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fixel.errors import InvalidInput
-from fixel.io.atomic import written_whole
+from fixel.io.atomic import write_whole
 from fixel.io.document import read_document
 from fixel.io.journal import writer_of
 from fixel.io.lock import Owner
@@ -90,9 +89,18 @@ class JobState(JobProgress):
 
 
 def prepare(
-    folder: Path, maker: str, inputs: Mapping[str, bytes | Path], options: Mapping[str, Any]
+    folder: Path,
+    *,
+    maker: str,
+    inputs: Mapping[str, bytes | Path] | None = None,
+    options: Mapping[str, Any] | None = None,
 ) -> Job:
-    """Create a job folder, complete or not at all; it must be empty or missing."""
+    """Create a job folder, complete or not at all; by convention `<project>/jobs/<name>`.
+
+    The folder must be empty or missing. `maker` is `"KIND:FUNCTION"`, called as
+    `maker(inputs: Path, options) -> Work`. Inputs are files by name for the work and its chunks;
+    options are JSON content.
+    """
     named_function(maker)
     _clear_half_made(folder)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -101,7 +109,7 @@ def prepare(
     unfinished = folder / f"{UNFINISHED}{secrets.token_hex(4)}"
     unfinished.mkdir()
     try:
-        for name, content in inputs.items():
+        for name, content in (inputs or {}).items():
             _add_input(unfinished, name, content)
         write_status(folder, JobState())
         unfinished.rename(folder / "inputs")
@@ -112,7 +120,7 @@ def prepare(
         name=folder.resolve().name,
         label=f"fixel-{secrets.token_hex(6)}",
         maker=maker,
-        options=json.loads(json.dumps(dict(options))),
+        options=json.loads(json.dumps(dict(options or {}))),
         inputs_sha256=inputs_digest(folder / "inputs"),
         stamp=stamp(),
         made_utc=utc(),
@@ -211,11 +219,8 @@ def _add_input(folder: Path, name: str, content: bytes | Path) -> None:
 
 
 def _write(path: Path, record: BaseModel) -> None:
-    with written_whole(path) as temporary, temporary.open("w", encoding="utf-8") as stream:
-        stream.write(json.dumps(record.model_dump(), indent=1) + "\n")
-        stream.flush()
-        # Otherwise a power cut may leave an empty file under the new name.
-        os.fsync(stream.fileno())
+    # Otherwise a power cut may leave an empty file under the new name.
+    write_whole(path, json.dumps(record.model_dump(), indent=1) + "\n", durable=True)
 
 
 def _read(path: Path, kind: type[Any]) -> Any:

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from fixel.errors import JobRefused, unknown_name
-from fixel.io.atomic import write_whole, written_whole
+from fixel.io.atomic import write_whole
 
 LOOPBACK: Final = "lo"
 # Clocks of nodes may differ by hours, so a certificate is valid from one day ago.
@@ -145,10 +145,8 @@ def save_late(folder: Path, block: str, framed: bytes) -> None:
     """Store an answer for the next coordinator."""
     body = json.dumps(block).encode() + b"\n" + framed
     name = f"{zlib.crc32(block.encode()):08x}-{os.getpid()}"
-    with written_whole(folder / "late" / name) as path, path.open("wb") as stream:
-        stream.write(zlib.crc32(body).to_bytes(_CRC_BYTES, "little") + body)
-        stream.flush()
-        os.fsync(stream.fileno())
+    content = zlib.crc32(body).to_bytes(_CRC_BYTES, "little") + body
+    write_whole(folder / "late" / name, content, durable=True)
 
 
 def late_answers(folder: Path) -> Iterator[Late]:

@@ -17,7 +17,7 @@ import threading
 import time
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import Any, Final, final
@@ -30,7 +30,7 @@ from fixel.io.atomic import written_whole
 from fixel.io.journal import read_journal
 from fixel.jobs import folder as files
 from fixel.jobs.coordinator import coordinate
-from fixel.jobs.folder import Job, JobState, RunSettings
+from fixel.jobs.folder import JobState, RunSettings
 from fixel.jobs.functions import stamp
 from fixel.jobs.site import Site, trust_site
 from fixel.jobs.work import AbstractEngine, JobProgress, Show
@@ -44,6 +44,8 @@ JOBS: Final = "jobs"  # folder of the jobs in a project
 # Contents of a packed job: nothing that is secret or specific to one machine.
 _PACKED: Final = ("job.json", "run.json", "state.json", "journal", "log.txt", "result")
 _MAX_BYTES: Final = 50_000_000_000
+
+prepare_job: Final = files.prepare
 
 
 @final
@@ -92,21 +94,6 @@ class JobStatus(JobProgress):
         """Return plain values, for `--json`."""
         known = {*JobProgress.model_fields, "state", "kept"}
         return self.model_dump(include=known) | {"folder": self.folder}
-
-
-def prepare_job(
-    folder: Path,
-    *,
-    maker: str,
-    inputs: Mapping[str, bytes | Path] | None = None,
-    options: Mapping[str, Any] | None = None,
-) -> Job:
-    """Create a job folder, by convention `<project>/jobs/<name>`.
-
-    `maker` is `"KIND:FUNCTION"`, called as `maker(inputs: Path, options) -> Work`. Inputs are files
-    by name for the work and its chunks; options are JSON content.
-    """
-    return files.prepare(folder, maker, inputs or {}, options or {})
 
 
 def arrange(

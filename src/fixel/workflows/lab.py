@@ -30,19 +30,7 @@ def map_domain(
     progress: ProgressOption = None,
     **options: Any,
 ) -> DomainMap:
-    """Map the experiments of a project that match a filter as `fixel domain` does, and store it.
-
-    Parameters
-    ----------
-    project : Project
-    filter : str
-    fit : Calibration or int, optional
-        Calibration, or the id of a stored one; by default the newest for several experiments.
-    progress : bool or callable, optional
-        See `fixel.progress.show_progress`.
-    **options
-        Options of `fixel.map_domain`.
-    """
+    """Map the experiments of a project that match a filter; see `Project.map_domain`."""
     options |= {"where": (filter,) if filter else (), "calibration": _id_of(project, fit)}
     return cast(DomainMap, call(project, "domain", progress=progress, **options).domain)
 
@@ -63,30 +51,13 @@ def posterior(
     filter: str = "",
     fit: Fit = None,
     *,
-    samples: int = 1000,
-    model_error: bool = True,
-    seed: int = 0,
     progress: ProgressOption = None,
+    **options: Any,
 ) -> Posterior:
-    """Sample a posterior as `fixel uncertainty` does, and store it with the predictions.
-
-    Parameters
-    ----------
-    project : Project
-    filter : str
-        Filter of the experiments; by default those of the calibration.
-    fit : Calibration or int, optional
-        Calibration, or the id of a stored one, whose parameters and motion model are used.
-    samples, model_error, seed, progress
-        As for `fixel.posterior`.
-    """
-    keys = project.experiments(filter).keys if filter else ()
-    options = {"samples": samples, "model_error": model_error, "seed": seed}
-    fit = _id_of(project, fit)
-    found = call(
-        project, "uncertainty", experiments=keys, calibration=fit, **options, progress=progress
-    )
-    return cast(Posterior, found.posterior)
+    """Sample a posterior and store it with its predictions; see `Project.posterior`."""
+    options |= {"calibration": _id_of(project, fit)}
+    options |= {"experiments": project.experiments(filter).keys if filter else ()}
+    return cast(Posterior, call(project, "uncertainty", progress=progress, **options).posterior)
 
 
 def _id_of(project: Project, fit: Fit) -> int | None:

@@ -32,54 +32,53 @@ METHODS: Final = ("get", "post", "put", "patch", "delete")
 
 def project_pages(context: ProjectContext) -> list[Page]:
     """Return all pages, in the order of the navigation."""
-    # Address, title, template, place in the navigation, function that fills the template.
-    listed = [
-        ("/experiments", "Experiments", "experiments.html", 10, experiments_page),
-        ("/compare", "Compare", "compare.html", 20, compare_page),
-        ("/calibrations", "Calibrations", "calibrations.html", 30, calibration.list_page),
-        ("/domain", "Domain", "domain.html", 40, domain_page),
-        ("/plan", "Plan", "plan.html", 47, run.plan_page),
-        ("/simulate", "Simulate", "simulate.html", 50, simulate_page),
-        ("/results", "Results", "results.html", 55, run.results_page),
-        ("/jobs", "Jobs", "jobs.html", 60, run.jobs_page),
-        ("/system", "System", "system.html", 70, system_page),
-        ("/api", "API", "api.html", 90, api_page),
-    ]
-    others = [
-        ("/calibrations/running/{name}", "Calibration", "calibrating.html",
-         calibration.running_page),
-        ("/calibrations/{number}", "Calibration", "calibration.html", calibration.stored_page),
-        ("/experiments/{number}", "Experiment", "experiment.html", experiment.experiment_page),
-        ("/results/{name}", "Result", "result.html", run.result_page),
-    ]  # fmt: skip
-    # Pages with a form: address, title, template, what shows it, what takes it.
-    forms = [
-        ("/run/{name}", "Run", "run.html", run.form_page, run.start),
-        ("/jobs/{name}", "Job", "job.html", run.job_page, run.steer),
-    ]
     folder = {"folder": shlex.quote(str(context.folder))}
+
+    def page(
+        path: str,
+        title: str,
+        template: str,
+        fill: Any,
+        take: Any = None,
+        place: int = 0,
+        **more: Any,
+    ) -> Page:
+        """Return a page that a function fills, and that another takes the form of."""
+        return Page(
+            path=path,
+            title=title,
+            template=f"{template}.html",
+            context=folder,
+            place=place,
+            listed=place > 0,
+            fill=partial(fill, context),
+            post=take and partial(take, context),
+            **more,
+        )
+
+    live = {"router": bench.bench_router(context), "views": (context.bench.view,)}
     return [
-        *(
-            Page(path=path, title=title, template=template, context=folder, place=place,
-                 fill=partial(fill, context))
-            for path, title, template, place, fill in listed
+        page("/experiments", "Experiments", "experiments", experiments_page, place=10),
+        page("/compare", "Compare", "compare", compare_page, place=20),
+        page("/calibrations", "Calibrations", "calibrations", calibration.list_page, place=30),
+        page("/domain", "Domain", "domain", domain_page, place=40),
+        page("/run/next", "Next pushes", "run", run.form_page, run.start, place=45),
+        page("/plan", "Plan", "plan", run.plan_page, place=47),
+        page("/simulate", "Simulate", "simulate", simulate_page, place=50),
+        page(bench.PATH, "Bench", "bench", bench.bench_page, bench.start, place=52, **live),
+        page("/results", "Results", "results", run.results_page, place=55),
+        page("/jobs", "Jobs", "jobs", run.jobs_page, place=60),
+        page("/system", "System", "system", system_page, place=70),
+        page("/api", "API", "api", api_page, place=90),
+        page(
+            "/calibrations/running/{name}", "Calibration", "calibrating", calibration.running_page
         ),
-        *(
-            Page(path=path, title=title, template=template, listed=False,
-                 fill=partial(fill, context))
-            for path, title, template, fill in others
-        ),
-        Page(path="/run/next", title="Next pushes", template="run.html", place=45,
-             fill=partial(run.form_page, context), post=partial(run.start, context)),
-        Page(path=bench.PATH, title="Bench", template="bench.html", place=52,
-             fill=partial(bench.bench_page, context), post=partial(bench.start, context),
-             router=bench.bench_router(context), views=(context.bench.view,)),
-        *(
-            Page(path=path, title=title, template=template, listed=False,
-                 fill=partial(fill, context), post=partial(take, context))
-            for path, title, template, fill, take in forms
-        ),
-    ]  # fmt: skip
+        page("/calibrations/{number}", "Calibration", "calibration", calibration.stored_page),
+        page("/experiments/{number}", "Experiment", "experiment", experiment.experiment_page),
+        page("/results/{name}", "Result", "result", run.result_page),
+        page("/run/{name}", "Run", "run", run.form_page, run.start),
+        page("/jobs/{name}", "Job", "job", run.job_page, run.steer),
+    ]
 
 
 def domain_page(context: ProjectContext, request: Request) -> dict[str, Any]:

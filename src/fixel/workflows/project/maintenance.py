@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
 import re
 import shlex
 import sqlite3
@@ -88,10 +87,9 @@ def backup(project: Project, file: Path) -> Backup:
     database = _database_file(project, file)
     if file.exists() and file.samefile(database):
         raise InvalidInput(str(file), found="the database itself", expected="another file")
-    with written_whole(file) as path:
+    with written_whole(file, durable=True) as path:
         _copy(database, path)
-        with open(path, "rb+") as stream:
-            os.fsync(stream.fileno())
+        with open(path, "rb") as stream:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
     return Backup(file, file.stat().st_size, digest, project.media)
 
