@@ -10,11 +10,10 @@ from fixel.uncertainty.push import push_of
 
 def test_the_intervals_of_an_experiment_are_those_under_its_conditions():
     one, other = example_pushes(2)
+    labels = {f"mu_pusher[experiment={own.key}]": low for own, low in ((other, 0.1), (one, 0.2))}
     estimates = {
-        f"mu_pusher[experiment={own.key}]": Estimate(
-            label="mu_pusher", unit="-", value=0.3, low=low, high=0.4
-        )
-        for own, low in ((other, 0.1), (one, 0.2))
+        label: Estimate(label=label, unit="-", value=0.3, low=low, high=0.4)
+        for label, low in labels.items()
     }
     model = SimpleNamespace(
         motion=QuasiStatic(),

@@ -19,11 +19,11 @@ from fixel.formats import SceneFile, save_scene
 from fixel.model import Flag, Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Estimate, Member
 from fixel.testing.scenes import micro_push
+from fixel.uncertainty.push import intervals_of
 from fixel.uncertainty.starts import ASME, StartError
 from fixel.workflows.analysis import load_analyses
 from fixel.workflows.calibration.stored import CalibratedValues
 from fixel.workflows.capabilities import prepare
-from fixel.workflows.sensitivity.report import _ranges
 from fixel.workflows.sensitivity.run import SENSITIVITY, sensitivity
 
 SMALL = StartError(x=3e-4, y=3e-4, theta=math.radians(0.5), kind="uniform")
@@ -183,7 +183,9 @@ def test_an_interval_is_that_of_the_surface_although_the_values_of_two_agree():
         ),
     )
     model = CalibratedValues(1, record)
-    assert {name: _ranges(model, {"surface": name})["mu_support"] for name in ends} == ends
+    assert {
+        name: intervals_of(model.record.estimates, {"surface": name})["mu_support"] for name in ends
+    } == ends
 
 
 @pytest.mark.parametrize(

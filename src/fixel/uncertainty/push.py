@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from os import PathLike
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -75,12 +75,19 @@ def push_of(
         method = motion_model(motion or own_motion)
         return Push(scene, times, conditions, dict(Parameters(model or {})), method, {}, stepper)
     values = calibrated.values_for(**conditions)
-    intervals: dict[str, tuple[float, float]] = {}
-    for label, own in calibrated.estimates.items():
-        name, where = split_label(label)
-        if own.low is None or own.high is None or own.low >= own.high:
-            continue
-        if meets(conditions, where) and not name.startswith("start_"):
-            intervals.setdefault(name, (own.low, own.high))
+    intervals = intervals_of(calibrated.estimates.values(), conditions)
     method = motion_model(motion or calibrated.motion)
     return Push(scene, times, conditions, values, method, intervals, stepper)
+
+
+def intervals_of(
+    estimates: Iterable[Estimate], conditions: Mapping[str, str | float]
+) -> dict[str, tuple[float, float]]:
+    """Return the intervals of parameters under conditions, where the data determine both ends."""
+    found: dict[str, Estimate] = {}
+    for own in estimates:
+        name, where = split_label(own.label)
+        if meets(conditions, where) and not name.startswith("start_"):
+            found.setdefault(name, own)
+    ends = ((name, own.low, own.high) for name, own in found.items())
+    return {k: (a, b) for k, a, b in ends if a is not None and b is not None and a < b}

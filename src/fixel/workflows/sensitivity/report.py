@@ -7,28 +7,25 @@ import json
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from fixel.calibration.target import target_of
 from fixel.database.project import Project
 from fixel.drawing.sensitivity import indices_chart, sensitivity_chart
 from fixel.errors import InvalidInput
-from fixel.formats import load_scene
 from fixel.formats.scene_file import scene_content
 from fixel.model import Experiment, Parameters, Scene
 from fixel.model.parameters import info_of
 from fixel.model.selection import ExperimentQuery
-from fixel.model.space import meets, split_label
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.motion import motion_model, stated_name
 from fixel.simulation.stepper import AbstractStepper
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
 from fixel.uncertainty.outcomes import FLAGS, MEANING, Sensitivity
+from fixel.uncertainty.push import intervals_of, push_of
 from fixel.uncertainty.starts import StartError
 from fixel.workflows.analysis import (
     Analysis,
@@ -302,7 +299,7 @@ def is_scene_file(thing: str) -> bool:
 def _subjects(own: PushSelection) -> tuple[list[Subject], dict[str, str]]:
     files = [thing for thing in own.things if is_scene_file(thing)]
     if own.project is None:
-        return [_of_file(thing, own, None) for thing in files], {}
+        return [_subject(thing, own, None) for thing in files], {}
     with own.project.store() as store:
         model = None
         if own.calibration is not None:
@@ -310,11 +307,11 @@ def _subjects(own: PushSelection) -> tuple[list[Subject], dict[str, str]]:
         ids = {thing: store.find(thing) for thing in own.things if thing not in files}
         if not own.things:
             ids = {one.key: one.id for one in store.experiments(ExperimentQuery()).rows}
-        subjects = [_of_file(thing, own, model) for thing in files]
+        subjects = [_subject(thing, own, model) for thing in files]
         skipped = {}
         for key, number in ids.items():
             try:
-                subjects.append(_of_experiment(number, store.experiment(number), own, model))
+                subjects.append(_subject(store.experiment(number), own, model, number))
             except InvalidInput as problem:
                 if len(own.things) == 1:
                     raise
@@ -322,47 +319,29 @@ def _subjects(own: PushSelection) -> tuple[list[Subject], dict[str, str]]:
     return subjects, skipped
 
 
-def _of_file(thing: str, own: PushSelection, model: CalibratedValues | None) -> Subject:
-    file = load_scene(Path(thing))
-    subject = _subject(Path(thing).stem, file.scene, own, model, {"experiment": thing})
-    motion = motion_model(own.engine or file.motion) if model is None else subject.motion
-    return subject._replace(source=thing, motion=motion, stepper=file.stepper)
-
-
-def _of_experiment(
-    number: int, experiment: Experiment, own: PushSelection, model: CalibratedValues | None
-) -> Subject:
-    target = target_of(experiment)
-    scene = replace(target.case.scene, duration=float(target.case.times[-1]))
-    found = _subject(experiment.key, scene, own, model, target.conditions)
-    return found._replace(id=number, banner=banner_over([experiment]))
-
-
 def _subject(
-    key: str,
-    scene: Scene,
+    what: str | Experiment,
     own: PushSelection,
     model: CalibratedValues | None,
-    conditions: Mapping[str, str | float],
+    number: int | None = None,
 ) -> Subject:
+    """Return the push of a scene file or of an experiment, with the values of a calibration."""
+    push, banner = push_of(what, None, own.engine or None), ""
+    key, source = Path(str(what)).stem, str(what)
+    conditions: Mapping[str, str | float] = {"experiment": source}
+    if isinstance(what, Experiment):
+        key = source = what.key
+        conditions, banner = push.conditions, banner_over([what])
     values = {} if model is None else model.values(conditions)
+    estimates = () if model is None else model.record.estimates
     return Subject(
         key=key,
-        source=key,
-        scene=scene,
+        source=source,
+        scene=push.scene,
         values=values | dict(own.values),
-        ranges=_ranges(model, conditions) | dict(own.ranges),
-        motion=motion_model(own.engine or None) if model is None else model.motion,
+        ranges=intervals_of(estimates, conditions) | dict(own.ranges),
+        motion=push.motion if model is None else model.motion,
+        id=number,
+        stepper=push.stepper,
+        banner=banner,
     )
-
-
-def _ranges(
-    model: CalibratedValues | None, conditions: Mapping[str, str | float]
-) -> dict[str, Any]:
-    """Intervals of a calibration under conditions, if the data determine both ends."""
-    found: dict[str, Any] = {}
-    for estimate in model.record.estimates if model is not None else ():
-        name, where = split_label(estimate.label)
-        if meets(conditions, where) and not name.startswith("start_"):
-            found.setdefault(name, (estimate.low, estimate.high))
-    return {k: ends for k, ends in found.items() if None not in ends and ends[0] < ends[1]}
