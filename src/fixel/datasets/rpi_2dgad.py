@@ -377,12 +377,7 @@ def _whole(folder: _Folder, row: int, trial: _Trial) -> Experiment:
         pusher_height=_height(trial.value("actuator").get("height_mm")),
         fixel_height=_height(trial.setup.get("fixel_height_mm")),
         channels=(
-            Channel(
-                name="tactile",
-                time=time,
-                columns=tuple(f"fixel_{k + 1}_bool" for k in range(n_fixel)),
-                values=trial.tactile,
-            ),
+            Channel.of_fixels(time, trial.tactile),
             Channel(
                 name="actuator-filtered", time=time, columns=("x_m", "y_m"), values=trial.filtered
             ),

@@ -10,6 +10,7 @@ from types import MappingProxyType
 from typing import Any, Final, final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
 from fixel.model.fields import Comparable, frozen, instance, name_of, optional_positive, settle
@@ -76,6 +77,12 @@ class Channel(Comparable):
         if np.isinf(values).any():
             raise InvalidInput(where, found="infinite values", expected="numbers, or NaN for none")
         settle(self, columns=columns, time=time, values=values)
+
+    @classmethod
+    def of_fixels(cls, time: ArrayLike, values: ArrayLike) -> Channel:
+        """Return the readings (n, n_fixel) of contact sensors: 1 with contact, 0 without."""
+        columns = tuple(f"fixel_{k + 1}_bool" for k in range(np.shape(values)[1]))
+        return cls(name="tactile", time=frozen(time), columns=columns, values=frozen(values))
 
 
 def unit_of(column: str) -> str:

@@ -167,9 +167,12 @@ def frames_of(simulation: Simulation, frame_rate: float) -> BoolArray:
     return np.asarray(np.abs(count - np.rint(count)) < ON_CLOCK)
 
 
-def touching(simulation: Simulation) -> BoolArray:
-    """Return (n_sample, n_fixel) bool: whether the body touches the fixel."""
+def touching(simulation: Simulation, body: str | None = None) -> BoolArray:
+    """Return (n_sample, n_fixel) bool: whether the body, by default any, touches the fixel."""
     scene, contacts = simulation.scene, simulation.contacts
+    if body is not None:
+        k = simulation.names.index(body)
+        contacts = contacts[(contacts["body"] == k) | (contacts["other"] == k)]
     n_moving = len(scene.bodies) + len(scene.pushers)
     fixel = np.maximum(contacts["body"], contacts["other"]) - n_moving
     sample = np.searchsorted(simulation.time, contacts["time"])
@@ -205,12 +208,7 @@ def tactile_channel(
     is 1 without contact, and 0 with it, with the given probabilities [-].
     """
     wrong = rng.random(touches.shape) < np.where(touches, missed_contact, false_contact)
-    return Channel(
-        name="tactile",
-        time=time,
-        columns=tuple(f"fixel_{k}_bool" for k in range(1, touches.shape[1] + 1)),
-        values=np.asarray(touches ^ wrong, np.float64),
-    )
+    return Channel.of_fixels(time, touches ^ wrong)
 
 
 def driven_unevenly(

@@ -229,12 +229,8 @@ def _tactile(readings: Readings, rig: Rig, scene: Scene, zero: float) -> Channel
     if len(bits) != len(names) or not names or (readings.value < 0).all():
         return None
     value = readings.value[:, None] >> np.array(bits) & 1
-    return Channel(
-        name="tactile",
-        time=np.maximum.accumulate(readings.time) - zero,
-        columns=tuple(f"fixel_{k}_bool" for k in range(1, len(names) + 1)),
-        values=np.where(readings.value[:, None] < 0, np.nan, value.astype(np.float64)),
-    )
+    values = np.where(readings.value[:, None] < 0, np.nan, value.astype(np.float64))
+    return Channel.of_fixels(np.maximum.accumulate(readings.time) - zero, values)
 
 
 def _conditions(

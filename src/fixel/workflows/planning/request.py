@@ -86,9 +86,7 @@ def is_content(goal: str) -> bool:
 
 def settled(project: Project, request: Any) -> Any:
     """Return a request for a job, which depends on no file of goals and no later calibration."""
-    own = inputs_of(
-        project, *goal_content(request.goal), request.scene, request.experiment, request.calibration
-    )
+    own = inputs_for(project, request)
     content = own.request["goal"]
     if own.file.scene is not None:
         content |= {"scene": str(own.file.scene.resolve())}
@@ -107,6 +105,12 @@ def goal_content(goal: str) -> tuple[Any, Path]:
         return json.loads(goal), Path()
     except ValueError as problem:
         raise InvalidInput("goal", found=problem, expected="a goal file in JSON") from None
+
+
+def inputs_for(project: Project, request: Any) -> PlanInputs:
+    """Load and check what a request for a plan refers to."""
+    asked = request.scene, request.experiment, request.calibration
+    return inputs_of(project, *goal_content(request.goal), *asked)
 
 
 def inputs_of(

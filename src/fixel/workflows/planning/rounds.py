@@ -19,13 +19,7 @@ from fixel.planning.search import MarginRequest, PlanSearch, SearchStage, Views
 from fixel.progress import Progress
 from fixel.registry import offered
 from fixel.typing import FloatArray
-from fixel.workflows.planning.request import (
-    PlanAnswer,
-    PlanInputs,
-    found_plan,
-    goal_content,
-    inputs_of,
-)
+from fixel.workflows.planning.request import PlanAnswer, PlanInputs, found_plan, inputs_for
 
 CHUNK: Final = 4096  # rollouts of a chunk
 
@@ -68,9 +62,7 @@ def _search(
     inputs: Path, report: Callable[[Progress], None] | None = None
 ) -> tuple[Any, PlanInputs, PlanSearch]:
     _, request, project = offered("methods", "request_of")(inputs)
-    own = inputs_of(
-        project, *goal_content(request.goal), request.scene, request.experiment, request.calibration
-    )
+    own = inputs_for(project, request)
     search = search_of(
         *own.parts, rollouts=request.rollouts, seed=request.seed, threads=threads(),
         views=Views(request.looks, **own.file.views), report=report,

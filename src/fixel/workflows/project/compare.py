@@ -14,6 +14,7 @@ from fixel.model import Channel, Experiment, Parameters, Provenance, Trajectory
 from fixel.model.experiment import unit_of
 from fixel.model.records import SimulationRecord
 from fixel.simulation import AbstractMotionModel, AbstractStepper, Simulation, simulate
+from fixel.testbed.imperfections import touching
 from fixel.typing import FloatArray
 
 SAMPLES: Final = 200  # samples of a simulation, for an experiment with few poses
@@ -212,26 +213,10 @@ def _track(simulation: Simulation, name: str, start: float) -> Trajectory:
 
 def _contacts(simulation: Simulation, name: str, start: float) -> Channel | None:
     """Return contacts of a body with each fixel, sample by sample, like a tactile channel."""
-    fixels = simulation.scene.fixels
     # Another engine does not tell its contacts.
-    if not fixels or "engine" in simulation.method:
+    if not simulation.scene.fixels or "engine" in simulation.method:
         return None
-    rows, names = simulation.contacts, simulation.names
-    sample = np.searchsorted(simulation.time, rows["time"])
-    touches = np.zeros((len(simulation.time), len(fixels)))
-    body = names.index(name)
-    for column, fixel in enumerate(fixels):
-        other = names.index(fixel.name)
-        pair = ((rows["body"] == body) & (rows["other"] == other)) | (
-            (rows["body"] == other) & (rows["other"] == body)
-        )
-        touches[sample[pair], column] = 1.0
-    return Channel(
-        name="tactile",
-        time=start + simulation.time,
-        columns=tuple(f"fixel_{k}_bool" for k in range(1, len(fixels) + 1)),
-        values=touches,
-    )
+    return Channel.of_fixels(start + simulation.time, touching(simulation, name))
 
 
 # --- numbers of an experiment -----------------------------------------------------------------
