@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Final, NamedTuple
+from operator import methodcaller
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from fixel.drawing import chart, palette
-from fixel.drawing.chart import Chart, Style
+from fixel.drawing.chart import Chart, Mark, Style
 from fixel.table import Table
 from fixel.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 MAX_NAMES: Final = 45  # maximum number of experiments with a named row
 MAX_BARS: Final = 30
@@ -35,67 +35,49 @@ def errors_chart(keys: Sequence[str], series: Mapping[str, FloatArray], unit: st
     """Draw the error of every experiment before and after a calibration, from worst to best.
 
     There are at most three series (n,) by label; not finite if missing. The last one sets the
-    order.
+    order. Rows of many experiments have no names.
     """
     last = list(series.values())[-1]
     order = np.argsort(-np.where(np.isnan(last), np.inf, last), kind="stable").tolist()
-    named = len(keys) <= MAX_NAMES
-
-    def fill(figure: Figure) -> None:
-        axes = figure.subplots()
-        _draw_errors(axes, series, order, unit, named)
-        if named:
-            _name_rows(axes, [keys[k] for k in order])
-        chart.legend_below(figure, (axes,))
-
-    names = [name.replace(" ", "_").replace(",", "") for name in series]
+    n, at = len(keys), np.arange(len(keys))
+    named = n <= MAX_NAMES
+    shown = np.array([chart.positive(errors)[order] for errors in series.values()])
+    least, most = np.fmin.reduce(shown), np.fmax.reduce(shown)
+    known = np.isfinite(least)
+    marks: list[Mark] = [
+        methodcaller("hlines", at[known], least[known], most[known], color=palette.FAINT,
+                     linewidth=1.4 if named else 0.6, zorder=1)
+    ]  # fmt: skip
+    styles = (*MARKS[: len(shown) - 1], LAST)
+    for row, (name, errors), style in zip(shown, series.items(), styles, strict=True):
+        marks += [
+            chart.line(row, at, linestyle="none", zorder=3, markersize=3.8 if named else 1.8,
+                       markeredgewidth=0.8, label=_with_mean(name, errors, unit), **style),
+            chart.mark_missing(at[~np.isfinite(row)], 0.995, "y", color=style["color"],
+                               clip_on=False),
+        ]  # fmt: skip
+    errors_panel = chart.panel(
+        *marks,
+        log={"x": shown.ravel()},
+        rows=_row_names([keys[k] for k in order]) if named else (),
+        xlabel=f"error [{chart.unit_text(unit)}]",
+        ylabel="" if named else f"experiment, worst of {n} first",
+        ylim=(n - 0.4, -0.6),
+    )
+    names = (name.replace(" ", "_").replace(",", "") for name in series)
     columns = ("experiment", *(f"{name}_{chart.column_unit(unit)}" for name in names))
-    rows = [(keys[k], *(own[k] for own in series.values())) for k in order]
     return Chart(
-        size=(chart.WIDE, max(1.5, 0.75 + 0.135 * len(keys)) if named else 3.2),
-        fill=fill,
-        data=Table(columns, rows),
+        size=(chart.WIDE, max(1.5, 0.75 + 0.135 * n) if named else 3.2),
+        fill=chart.panels([[errors_panel]]),
+        data=Table(columns, [(keys[k], *(own[k] for own in series.values())) for k in order]),
     )
 
 
-def _draw_errors(
-    axes: Axes, series: Mapping[str, FloatArray], order: list[int], unit: str, named: bool
-) -> None:
-    """Draw errors in rows, or in columns without names."""
-    at = np.arange(1, len(order) + 1)
-    table = np.array([chart.positive(errors)[order] for errors in series.values()])
-    known = np.isfinite(table).any(axis=0)
-    ends = [pick(table[:, known], axis=0) if known.any() else [] for pick in (np.nanmin, np.nanmax)]
-    stems = axes.hlines if named else axes.vlines
-    stems(at[known], *ends, color=palette.FAINT, linewidth=1.4 if named else 0.6, zorder=1)
-    chart.log_scale(axes, "x" if named else "y", table.ravel())
-    styles = (*MARKS[: len(table) - 1], LAST)
-    for row, (name, errors), style in zip(table, series.items(), styles, strict=True):
-        axes.plot(*((row, at) if named else (at, row)), linestyle="none", zorder=3,
-                  markersize=3.8 if named else 1.8, markeredgewidth=0.8,
-                  label=_with_mean(name, errors, unit), **style)  # fmt: skip
-        missing = at[~np.isfinite(row)]
-        chart.mark_missing(
-            missing, 0.995, "y" if named else "x", color=style["color"], clip_on=False
-        )(axes)
-    text = f"error [{chart.unit_text(unit)}]"
-    chart.clean(axes)
-    if named:
-        axes.set_xlabel(text)
-    else:
-        n = len(order)
-        axes.set(xlim=(0.0, n + 1.0), xlabel=f"experiment, worst of {n} first", ylabel=text)
-
-
-def _name_rows(axes: Axes, keys: Sequence[str]) -> None:
-    """Label rows with the names of experiments, without the dataset if all of them share it."""
+def _row_names(keys: Sequence[str]) -> list[str]:
+    """Return names of experiments, without the dataset if all of them share it."""
     heads = {key.partition("/")[0] for key in keys}
     alike = len(heads) == 1 and all("/" in key for key in keys)
-    names = [key.partition("/")[2] if alike else key for key in keys]
-    axes.set_yticks(range(1, len(keys) + 1), [chart.shorten(name, 44) for name in names])
-    axes.set_ylim(len(keys) + 0.7, 0.3)
-    axes.tick_params(axis="y", length=0.0)
-    axes.grid(axis="y", visible=False)
+    return [chart.shorten(key.partition("/")[2] if alike else key, 44) for key in keys]
 
 
 def _with_mean(name: str, errors: FloatArray, unit: str) -> str:
@@ -156,7 +138,22 @@ class Quantity(NamedTuple):
     unit: str
     values: FloatArray  # (n,); not finite if missing
     log: bool = False
-    bounds: tuple[float, float] | None = None
+    bounds: tuple[float, float] = (0.0, 1.0)  # ends of an axis that is not logarithmic
+
+    @property
+    def shown(self) -> FloatArray:
+        """Values (n,) in the unit of the axis."""
+        factor = chart.display_unit(self.unit).factor
+        return factor * (chart.positive(self.values) if self.log else self.values)
+
+    @property
+    def scale(self) -> dict[str, Any]:
+        """Options of panels for the axis of the values."""
+        if self.log:
+            return {"log": {"y": self.shown}}
+        low, high = (chart.display_unit(self.unit).factor * end for end in self.bounds)
+        margin = 0.05 * (high - low)
+        return {"ylim": (low - margin, high + margin)}
 
 
 def offsets_chart(
@@ -174,8 +171,7 @@ def offsets_chart(
     Source: RPI thesis, figures 5.6 and 5.7.
     """
     at = np.arange(len(keys))
-    in_order = OffsetSeries("experiment", "", at, np.asarray(at + 1.0, np.float64))
-    series, n = axes or [in_order], len(quantities)
+    series = axes or [OffsetSeries("experiment", "", at, np.asarray(at + 1.0, np.float64))]
     columns = ("experiment", "group", "axis", "offset", "offset_unit",
                *(f"{q.label} [{q.unit}]" for q in quantities))  # fmt: skip
     rows = [
@@ -183,94 +179,72 @@ def offsets_chart(
         for own in series
         for m, offset in zip(own.members, own.offsets, strict=True)
     ]
+    n, joined = len(quantities), bool(axes)
+    grid = [
+        [
+            *(_values(own, q, groups, joined, not k, q is quantities[-1])
+              for k, own in enumerate(series)),
+            _histogram(q, "experiments" if q is quantities[-1] else ""),
+        ]
+        for q in quantities
+    ]  # fmt: skip
+    widths = (*(1.0 for _ in series), 0.45)
     return Chart(
         title=title,
         size=(chart.WIDE, 0.7 + (1.05 if n > 1 else 1.7) * n),
-        fill=lambda figure: _draw_offsets(figure, groups, series, quantities, bool(axes)),
+        fill=chart.panels(grid, 2, sharex="col", sharey="row", width_ratios=widths),
         data=Table(columns, rows),
     )
 
 
-def _draw_offsets(
-    figure: Figure,
-    groups: Sequence[str],
-    series: Sequence[OffsetSeries],
-    quantities: Sequence[Quantity],
-    offset: bool,
-) -> None:
-    widths = (*(1.0 for _ in series), 0.45)
-    grid = figure.subplots(
-        len(quantities), len(widths), squeeze=False, sharey="row", width_ratios=widths
-    )
-    for k, (row, quantity) in enumerate(zip(grid, quantities, strict=True), 1):
-        _scale(row[0], quantity)
-        for axes, own in zip(row, series, strict=False):
-            _draw_values(axes, groups, own, quantity, offset)
-            axes.tick_params(labelbottom=k == len(quantities))
-        _draw_histogram(row[-1], quantity)
-        row[0].set_ylabel(chart.display_unit(quantity.unit).on(chart.broken(quantity.label)))
-    for axes, own in zip(grid[-1], series, strict=False):
-        text = f"offset in {own.name.replace('theta', 'θ')}" if offset else own.name
-        axes.set_xlabel(chart.display_unit(own.unit or "-").on(text))
-    grid[-1, -1].set_xlabel("experiments")
-    figure.align_ylabels(grid[:, 0])
-    if len(grid[0, 0].get_legend_handles_labels()[1]) > 1:
-        chart.legend_below(figure, grid[0, :1], 2)
+def _values(
+    own: OffsetSeries, q: Quantity, groups: Sequence[str], joined: bool, first: bool, last: bool
+) -> Mark:
+    """Panel with every experiment as a dot, joined within a layout, and the mean over layouts.
 
-
-def _draw_values(
-    axes: Axes, groups: Sequence[str], own: OffsetSeries, quantity: Quantity, offset: bool
-) -> None:
-    """Draw every experiment as a dot, joined within a layout, and the mean over layouts."""
-    chart.clean(axes)
-    unit, scale = chart.display_unit(own.unit or "-"), chart.display_unit(quantity.unit).factor
-    values = chart.positive(quantity.values) if quantity.log else quantity.values
-    layouts = list(dict.fromkeys(groups))
-    style: Style = {"linestyle": "-" if offset and len(layouts) <= MAX_LINES else "none",
+    Labels are on the first panel of a row and on the last one of a column.
+    """
+    unit, layouts = chart.display_unit(own.unit or "-"), list(dict.fromkeys(groups))
+    style: Style = {"linestyle": "-" if joined and len(layouts) <= MAX_LINES else "none",
                     "linewidth": 0.6, "marker": "o", "color": palette.TRAIL,
                     "markersize": 2.6 if len(own.members) < 60 else 1.6}  # fmt: skip
+    averaged = joined and len(layouts) > 1
+    values, offsets = q.shown[own.members], unit.factor * own.offsets
+    marks: list[Mark] = []
     for layout in layouts:
-        some = np.array([groups[m] == layout for m in own.members], bool)
-        some[some] = np.isfinite(values[own.members[some]])
+        some = np.array([groups[m] == layout for m in own.members], bool) & np.isfinite(values)
         order = np.flatnonzero(some)[np.argsort(own.offsets[some], kind="stable")]
-        label = "" if layout != layouts[0] else "experiment"
-        shown = scale * values[own.members[order]]
-        axes.plot(unit.factor * own.offsets[order], shown, label=label, **style)
-    if offset and len(layouts) > 1:
-        offsets, means = _means(own.offsets, values[own.members], quantity.log)
-        axes.plot(unit.factor * offsets, scale * means, color=palette.BODY, linewidth=1.4,
-                  label="mean over layouts")  # fmt: skip
-
-
-def _scale(axes: Axes, quantity: Quantity) -> None:
-    factor = chart.display_unit(quantity.unit).factor
-    if quantity.log:
-        chart.log_scale(axes, "y", factor * quantity.values)
-    elif quantity.bounds is not None:
-        low, high = quantity.bounds
-        margin = 0.05 * (high - low)
-        axes.set_ylim(factor * (low - margin), factor * (high + margin))
-        axes.locator_params(axis="y", nbins=4)
+        label = "experiment" if averaged and layout == layouts[0] else ""
+        marks.append(chart.line(offsets[order], values[order], label=label, **style))
+    if averaged:
+        marks.append(chart.line(*_means(offsets, values, q.log), color=palette.BODY, linewidth=1.4,
+                                label="mean over layouts"))  # fmt: skip
+    across = f"offset in {own.name.replace('theta', 'θ')}" if joined else own.name
+    return chart.panel(
+        *marks,
+        xlabel=unit.on(across) if last else "",
+        ylabel=chart.display_unit(q.unit).on(chart.broken(q.label)) if first else "",
+        **q.scale,
+    )
 
 
 def _means(offsets: FloatArray, values: FloatArray, log: bool) -> tuple[FloatArray, FloatArray]:
     """Mean at each offset; on a logarithmic axis the geometric mean, robust against outliers."""
     known = np.isfinite(values)
-    places = np.unique(offsets[known].round(9))
-    at = [values[known & np.isclose(offsets, place, atol=1e-9)] for place in places]
+    places = np.unique(offsets[known].round(6))
+    at = [values[known & np.isclose(offsets, place, atol=1e-6)] for place in places]
     means = [float(np.exp(np.log(v).mean()) if log else v.mean()) for v in at]
     return places, np.array(means)
 
 
-def _draw_histogram(axes: Axes, quantity: Quantity) -> None:
-    """Draw a histogram of a quantity, on its shared axis."""
-    factor = chart.display_unit(quantity.unit).factor
-    values = factor * (chart.positive(quantity.values) if quantity.log else quantity.values)
-    low, high = axes.get_ylim()
-    edges = np.geomspace(low, high, BINS + 1) if quantity.log else np.linspace(low, high, BINS + 1)
-    axes.hist(values[np.isfinite(values)], bins=edges.tolist(), orientation="horizontal",
-              color=palette.BODY, edgecolor="white", linewidth=0.4)  # fmt: skip
-    axes.set_ylim(low, high)
-    axes.locator_params(axis="x", nbins=3, integer=True)
-    axes.tick_params(labelleft=False)
-    chart.clean(axes)
+def _histogram(q: Quantity, xlabel: str) -> Mark:
+    """Panel with a histogram of a quantity, on the axis that the panels of its values share."""
+
+    def draw(axes: Axes) -> None:
+        low, high = axes.get_ylim()
+        edges = (np.geomspace if q.log else np.linspace)(low, high, BINS + 1)
+        axes.hist(q.shown[np.isfinite(q.shown)], bins=edges.tolist(), orientation="horizontal",
+                  color=palette.BODY, edgecolor="white", linewidth=0.4)  # fmt: skip
+        axes.locator_params(axis="x", nbins=3, integer=True)
+
+    return chart.panel(draw, xlabel=xlabel, **q.scale)
