@@ -11,6 +11,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from fixel.calibration.optimiser import Best
 from fixel.calibration.study import Trace
 from fixel.model.fields import settle
 from fixel.model.records import Estimate, Evaluations, ProfileRecord
@@ -73,6 +74,12 @@ class ParameterSet:
     def ended(self) -> str:
         """Why the search ended; empty without a search."""
         return "" if self.trace is None else self.trace.ended
+
+    @property
+    def ends(self) -> list[Best]:
+        """Best point of each of several searches; empty for one search, or none."""
+        found = [] if self.trace is None else self.trace.ends()
+        return found if len(found) > 1 else []
 
 
 @final

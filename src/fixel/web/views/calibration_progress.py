@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 import threading
-import time
-from collections import deque
 from contextlib import suppress
-from dataclasses import dataclass, field
+from functools import lru_cache, partial
+from itertools import islice, zip_longest
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -22,69 +21,59 @@ from fixel.io.array_bytes import arrays_of
 from fixel.io.damaged_files import each_readable
 from fixel.io.journal import read_journal
 from fixel.jobs import folder as files
+from fixel.jobs.work import unframed
 from fixel.typing import FloatArray
 from fixel.web.values import Answer, Finite
 from fixel.workflows import jobs
 from fixel.workflows.calibration.parameter_options import command_of, options_of
 from fixel.workflows.calibration.plan import MAKER, request_of
 from fixel.workflows.calibration.project import collected, experiments_of, stored_ids
-from fixel.workflows.calibration.request import CalibrationRequest
 
-SEARCHES: Final = ("all together", "squares")  # stages whose errors are the objective
-ALONE: Final = "alone"
-OF_JOB: Final = ("state", "ended", "reason", "note", "share", "started_utc")  # of the status
-NOMINAL: Final = "nominal"
-RATE_WINDOW_S: Final = 30.0
+ERRORS: Final = "all together"  # stage of a search by errors; parts of a round are one evaluation
+SQUARES: Final = "squares"  # stage of a search by residuals
+# Fields of the status of a job that are shown as they are.
+OF_JOB: Final = ("name", "state", "ended", "reason", "note", "share", "started_utc")
 
 
 @final
-@dataclass
-class JournalProgress:
-    """Content of the journal of one job so far."""
+class SearchErrors:
+    """Errors in the journal of a calibration's job so far; only what is new is read."""
 
-    request: CalibrationRequest
-    ids: list[int]  # experiments in the project
-    seen: int = 0  # blocks that were read
-    size: int = -1  # [byte] of the journal when it was read
-    stage: str = ""
-    # One per evaluation, the mean of the experiments; inf where it failed.
-    objective: list[float] = field(default_factory=list)
-    nominal: list[float] = field(default_factory=list)  # one per experiment
-    alone: dict[int, float] = field(default_factory=dict)  # index of an experiment to its error
-    waiting: list[FloatArray] = field(default_factory=list)  # chunks of an unfinished round
-    times: deque[tuple[float, int]] = field(default_factory=deque)
+    def __init__(self, project: Project, folder: Path) -> None:
+        self.request, self.ids = request_of(folder), experiments_of(project, folder)
+        self.stage = ""
+        # One per evaluation, the mean of the experiments; inf where it failed.
+        self.objective: list[float] = []
+        self.nominal: list[float] = []  # one per experiment
+        self.alone: dict[int, float] = {}  # index of an experiment to its error
+        self.n_read = 0  # blocks of the journal
+        self._journal, self._lock = folder / files.JOURNAL, threading.Lock()
+        self._waiting: list[FloatArray] = []  # parts of an unfinished round
 
-    def read(self, journal: Path) -> None:
+    def read(self) -> None:
         """Read what the journal has more than last time."""
-        size = journal.stat().st_size if journal.is_file() else 0
-        if size in (self.size, 0):
-            return
-        self.size = size
-        for k, (name, data) in enumerate(read_journal(journal)):
-            if k >= self.seen:
-                self.seen = k + 1
-                if data[:1] == b"A":
-                    self._take(name, arrays_of(data[1:]))
-        self.times.append((time.monotonic(), len(self.objective)))
+        with self._lock:
+            for name, data in islice(read_journal(self._journal), self.n_read, None):
+                self.n_read += 1
+                if isinstance(answer := unframed(data), bytes):
+                    self._take(name, arrays_of(answer))
 
     def _take(self, name: str, arrays: dict[str, Any]) -> None:
-        self.stage, _, part = name.rpartition(" ")[0].rpartition("/")
-        if self.stage == NOMINAL:
+        n, (self.stage, _, part) = len(self.ids), name.rpartition(" ")[0].rpartition("/")
+        if self.stage == "nominal":
             self.nominal += arrays["error"].tolist()
-        elif self.stage == ALONE:
-            for one in found_of(arrays):
-                self.alone[one.members[0]] = float(one.errors[0])
-        elif self.stage == SEARCHES[0]:
-            if part == "0":  # remains of a chunk that was lost
-                self.waiting.clear()
-            self.waiting.append(arrays["error"])
-            values = np.concatenate(self.waiting)
-            if len(values) % len(self.ids) == 0:
-                self.objective += self.shares(values.reshape(-1, len(self.ids)))
-                self.waiting.clear()
-        elif self.stage == SEARCHES[1]:
+        elif self.stage == "alone":
+            self.alone |= {one.members[0]: float(one.errors[0]) for one in found_of(arrays)}
+        elif self.stage == ERRORS:
+            # Before the first part there may be remains of a round that was lost.
+            self._waiting = [*(() if part == "0" else self._waiting), arrays["error"]]
+            values = np.concatenate(self._waiting)
+            if len(values) % n == 0:
+                self.objective += self.shares(values.reshape(-1, n))
+                self._waiting = []
+        elif self.stage == SQUARES:
             squares = np.einsum("km,km->k", arrays["table"], arrays["table"])
-            self.objective += self.request.error_of_one(squares, len(self.ids)).tolist()
+            self.objective += self.request.error_of_one(squares, n).tolist()
 
     def shares(self, errors: FloatArray) -> list[float]:
         """Return the mean errors per experiment of rows (k, n) of all of them."""
@@ -93,14 +82,13 @@ class JournalProgress:
         return shares
 
     @property
-    def rate(self) -> float:
-        """Recent evaluations per second."""
-        now, times = time.monotonic(), self.times
-        while len(times) > 2 and now - times[0][0] > RATE_WINDOW_S:
-            times.popleft()
-        if len(times) < 2:
-            return 0.0
-        return (len(self.objective) - times[0][1]) / max(now - times[0][0], 1e-3)
+    def limit(self) -> int | None:
+        """Maximum number of evaluations; None without one."""
+        request = self.request
+        if request.least_squares is not None or request.mode == "each":
+            return None
+        limit: int | None = request.max_evaluations or request.made_optimiser.limit
+        return limit
 
 
 class ExperimentProgress(Answer):
@@ -156,8 +144,7 @@ class ProgressReader:
 
     def __init__(self, project: Project) -> None:
         self._project = project
-        self._lock = threading.Lock()
-        self._known: dict[str, JournalProgress] = {}
+        self._errors = lru_cache(None)(partial(SearchErrors, project))
 
     def folder(self, name: str) -> Path:
         """Return the folder of a calibration's job; raise if there is none of the name."""
@@ -180,26 +167,25 @@ class ProgressReader:
 
     def look(self, folder: Path) -> LiveProgress:
         """Return the progress of one."""
-        status = jobs.status_of(folder)
-        with self._lock:
-            read = self._known.get(folder.name)
-            if read is None:
-                ids = experiments_of(self._project, folder)
-                read = self._known[folder.name] = JournalProgress(request_of(folder), ids)
-            read.read(folder / files.JOURNAL)
-            objective = [*read.objective]
-            rate = 0.0 if status.ended else read.rate
+        status, read = jobs.status_of(folder), self._errors(folder)
+        if status.kept > read.n_read:
+            read.read()
         stored = stored_ids(folder)
         if status.state == "done" and not stored:
             with suppress(JobRefused):  # the process that ran it is about to
                 stored = list(collected(self._project, folder).ids)
-        request, ids, nominal = read.request, read.ids, read.nominal
-        most, left = _most(request), status.left_s
-        at_most = left is None and most is not None and rate > 0.0
-        if at_most and most is not None:
-            left = (most - len(objective)) / rate
+        request, ids, nominal, objective = read.request, read.ids, read.nominal, [*read.objective]
+        # The job counts chunks, which have about the same number of evaluations each.
+        searching = read.stage in (ERRORS, SQUARES) and not status.ended
+        rate = status.rate * len(objective) / max(1, status.kept) if searching else 0.0
+        limit, left = read.limit, None if status.ended else status.left_s
+        at_most = left is None and limit is not None and rate > 0.0
+        if at_most and limit is not None:
+            left = max(0.0, (limit - len(objective)) / rate)
+        asked = options_of(request, [str(id_) for id_ in ids])
+        before = read.shares(np.array([nominal])) if nominal else []
         return LiveProgress(
-            name=folder.name,
+            **{name: getattr(status, name) for name in OF_JOB},
             label=request.name,
             mode=request.mode,
             optimiser=request.optimiser.name,
@@ -208,36 +194,22 @@ class ProgressReader:
             unit=request.made_error.unit,
             stage=read.stage,
             evaluations=len(objective),
-            most=most,
+            most=limit,
             rate=rate,
-            left_s=None if status.ended or left is None else max(0.0, left),
+            left_s=left,
             at_most=at_most,
-            best=min((e for e in objective if math.isfinite(e)), default=None),
-            start=next(filter(math.isfinite, read.shares(np.array([nominal]))), None)
-            if nominal
-            else None,
+            best=min(filter(math.isfinite, objective), default=None),
+            start=next(filter(math.isfinite, before), None),
             stored=stored,
-            command=command_of(
-                options_of(request, [str(id_) for id_ in ids])
-                | {"project": str(self._project.folder.resolve())}
-            ),
-            objective=[*objective],
+            command=command_of(asked | {"project": str(self._project.folder.resolve())}),
+            objective=objective,
             singles=[
-                ExperimentProgress(
-                    id=ids[k], before=nominal[k] if k < len(nominal) else None, after=error
-                )
-                for k, error in sorted(read.alone.items())
+                ExperimentProgress(id=ids[k], before=start, after=read.alone[k])
+                for k, start in zip_longest(range(len(ids)), nominal)
+                if k in read.alone
             ],
-            **{name: getattr(status, name) for name in OF_JOB},
         )
 
     def _folders(self) -> dict[str, Path]:
         every = jobs.job_folders(self._project.folder).items()
         return {name: folder for name, folder in every if files.made_by(folder, MAKER)}
-
-
-def _most(request: CalibrationRequest) -> int | None:
-    if request.least_squares is not None or request.mode == "each":
-        return None
-    most: int | None = request.max_evaluations or request.made_optimiser.limit
-    return most

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from fixel.drawing.calibration import (
     offsets_chart,
     seconds_chart,
 )
-from fixel.drawing.chart import Chart, plot_axes
+from fixel.drawing.chart import Chart, plot_of
 from fixel.drawing.overlay import OverlayMotions, Track, overlay_chart
 from fixel.drawing.profiles import parameters_chart, profiles_chart
 from fixel.drawing.searches import SearchPanel, search_chart, starts_chart
@@ -34,9 +34,6 @@ from fixel.simulation import Simulation, simulate
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration, Calibrations
 from fixel.workflows.figures import Picture, banner_of
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 SAMPLES: Final = 200  # minimum number of samples of a simulation
 MAX_OTHERS: Final = 3
@@ -140,62 +137,6 @@ def _title_of(fit: Calibration, word: str = "") -> str:
     return f"{keys[0]} ({word})" if word else keys[0]
 
 
-# --- plots of a single result -------------------------------------------------------------------
-
-
-def plot_parameters(fit: Calibration, ax: Axes | None = None) -> Any:
-    """Draw values and intervals, each between the bounds of its search; return the axes."""
-    return plot_axes(_parameters_chart(fit).figure, ax)
-
-
-def plot_each(fits: Calibrations, ax: Axes | None = None) -> Any:
-    """Draw values and intervals of all calibrations of a run, by parameter; return the axes."""
-    rows = [
-        replace(fit.estimates[unknown.label], label=f"{unknown.label} {_title_of(fit)}")
-        for unknown in fits.request.space.free
-        for fit in fits[:MAX_ROWS]
-    ]
-    of = f"the first {MAX_ROWS} of {len(fits)}" if len(fits) > MAX_ROWS else f"{len(fits)}"
-    chart = parameters_chart(f"Parameters of {of} calibrations", rows, None, fits.request.level)
-    return plot_axes(chart.figure, ax)
-
-
-def plot_profiles(fit: Calibration, ax: Axes | None = None) -> Any:
-    """Draw the profile likelihood of each parameter; return the axes."""
-    if not fit.found.profiles:
-        raise InvalidInput(
-            "kind",
-            found="'profiles' of a calibration without verdicts",
-            expected="one with verdicts",
-            hint=fit.found.note or "calibrate with verdicts=True",
-        )
-    return plot_axes(_profiles_chart(fit).figure, ax)
-
-
-def plot_search(fit: Calibration, ax: Axes | None = None) -> Any:
-    """Draw the error against the evaluation, with the best so far; return the axes."""
-    if fit.found.trace is None:
-        raise InvalidInput("kind", found="a result without a search", expected="one with a search")
-    return plot_axes(_search_chart([("", fit)]).figure, ax)
-
-
-def plot_starts(fit: Calibration, ax: Axes | None = None) -> Any:
-    """Draw the results of the searches from several starts; return the axes."""
-    chart = _starts_chart(fit)
-    if chart is None:
-        raise InvalidInput(
-            "kind", found="'starts' of a single search", expected="one with several starts"
-        )
-    return plot_axes(chart.figure, ax)
-
-
-def plot_errors(fit: Calibration, ax: Axes | None = None) -> Any:
-    """Draw the error of every experiment before and after the calibration; return the axes."""
-    errors = {BEFORE: fit.nominal_errors, "after": fit.found.errors}
-    series = {name: fit.request.lengths(own) for name, own in errors.items()}
-    return plot_axes(errors_chart(fit.keys_of_experiments, series, "mm").figure, ax)
-
-
 # --- which pictures -----------------------------------------------------------------------------
 
 # Captions, by the beginning of the charts' names.
@@ -243,14 +184,15 @@ def _of_searches(data: _ChartData) -> NamedCharts:
     """Charts of the search for all experiments, of three single searches, and of all durations."""
     together, searched = data.together, data.searched
     if together is not None and together.found.trace is not None:
-        yield "search", _search_chart([("", together)])
+        yield "search", _search_chart(together)
     picks = _picks(searched)
     if picks:
-        named = [(f"{word} of {len(searched)}\n" if word else "", fit) for word, fit in picks]
-        yield "search" if together is None else "search_alone", _search_chart(named)
+        words = [f"{word} of {len(searched)}\n" if word else "" for word, _ in picks]
+        single = _search_chart(*(fit for _, fit in picks), words=words)
+        yield "search" if together is None else "search_alone", single
     for word, fit in [*picks, *([] if together is None else [("", together)])]:
-        if chart := _starts_chart(fit):
-            yield data.name("starts", word), chart
+        if fit.found.ends:
+            yield data.name("starts", word), _starts_chart(fit)
     if len(searched) > 1:
         seconds = np.array([fit.found.seconds for fit in searched])
         keys = [fit.keys_of_experiments[0] for fit in searched]
@@ -307,17 +249,20 @@ def _picks(fits: list[Calibration]) -> Picks:
 # --- charts -------------------------------------------------------------------------------------
 
 
-def _search_chart(picks: Picks) -> Chart:
+def _search_chart(*fits: Calibration, words: Sequence[str] = ("",)) -> Chart:
+    """Draw the error against the evaluation, with the best so far; each may have a word."""
+    if any(fit.found.trace is None for fit in fits):
+        raise InvalidInput("kind", found="a result without a search", expected="one with a search")
     panels = [
         SearchPanel(
             word + _title_of(fit),
             fit.request.lengths(fit.found.trace.errors, len(fit.found.members)),
             fit.found.trace.begins,
         )
-        for word, fit in picks
+        for word, fit in zip(words, fits, strict=True)
         if fit.found.trace is not None
     ]
-    return search_chart(panels, unit="mm", what=_what(picks[0][1]))
+    return search_chart(panels, unit="mm", what=_what(fits[0]))
 
 
 def _what(fit: Calibration) -> str:
@@ -326,12 +271,13 @@ def _what(fit: Calibration) -> str:
     return "largest RMS error" if largest else "RMS error"
 
 
-def _starts_chart(fit: Calibration) -> Chart | None:
-    """Chart of the ends of all starts, if there were several."""
-    trace = fit.found.trace
-    ends = [] if fit.request.starts == 1 or trace is None else trace.ends()
-    if trace is None or len(ends) < 2:
-        return None
+def _starts_chart(fit: Calibration) -> Chart:
+    """Draw the results of the searches from several starts."""
+    trace, ends = fit.found.trace, fit.found.ends
+    if trace is None or not ends:
+        raise InvalidInput(
+            "kind", found="'starts' of a single search", expected="one with several starts"
+        )
     errors = np.array([end.error for end in ends])
     return starts_chart(
         title=f"{len(ends)} starts: {_title_of(fit)}",
@@ -346,26 +292,53 @@ def _starts_chart(fit: Calibration) -> Chart | None:
 
 
 def _parameters_chart(fit: Calibration, word: str = "") -> Chart:
+    """Draw values and intervals, each between the bounds of its search."""
     rows = [estimate for estimate in fit.estimates.values() if estimate.bounds is not None]
-    others = {name: point.tolist() for name, point in _other_sets(fit).items()}
-    return parameters_chart(_title_of(fit, word), rows, others, fit.level)
-
-
-def _other_sets(fit: Calibration) -> dict[str, FloatArray]:
-    """Other sets for the same experiments, and distinct solutions that are nearly as good."""
     found = {
-        str(other.how): other.point
+        str(other.how): other.point.tolist()
         for other in fit.run.outcome.found
         if fit.found.how == FitKind.DIRECT and other is not fit.found and not other.how.is_single
     }
-    for k, point in enumerate(fit.found.solutions[1:], 2):
+    for k, point in enumerate(fit.found.solutions[1:].tolist(), 2):
         found[f"solution {k}, nearly as good"] = point
-    return dict(list(found.items())[:MAX_OTHERS])
+    others = dict(list(found.items())[:MAX_OTHERS])
+    return parameters_chart(_title_of(fit, word), rows, others, fit.level)
+
+
+def _each_chart(fits: Calibrations) -> Chart:
+    """Draw values and intervals of all calibrations of a run, by parameter."""
+    rows = [
+        replace(fit.estimates[unknown.label], label=f"{unknown.label} {_title_of(fit)}")
+        for unknown in fits.request.space.free
+        for fit in fits[:MAX_ROWS]
+    ]
+    of = f"the first {MAX_ROWS} of {len(fits)}" if len(fits) > MAX_ROWS else f"{len(fits)}"
+    return parameters_chart(f"Parameters of {of} calibrations", rows, None, fits.request.level)
 
 
 def _profiles_chart(fit: Calibration, word: str = "") -> Chart:
+    """Draw the profile likelihood of each parameter."""
+    if not fit.found.profiles:
+        raise InvalidInput(
+            "kind",
+            found="'profiles' of a calibration without verdicts",
+            expected="one with verdicts",
+            hint=fit.found.note or "calibrate with verdicts=True",
+        )
     estimates = {estimate.label: estimate for estimate in fit.found.estimates}
     return profiles_chart(_title_of(fit, word), fit.found.profiles, estimates, fit.level)
+
+
+def _errors_chart(fit: Calibration) -> Chart:
+    """Draw the error of every experiment before and after the calibration."""
+    errors = {BEFORE: fit.nominal_errors, "after": fit.found.errors}
+    series = {name: fit.request.lengths(own) for name, own in errors.items()}
+    return errors_chart(fit.keys_of_experiments, series, "mm")
+
+
+plot_parameters, plot_each = plot_of(_parameters_chart), plot_of(_each_chart)
+plot_profiles, plot_errors = plot_of(_profiles_chart), plot_of(_errors_chart)
+plot_search, plot_starts = plot_of(_search_chart), plot_of(_starts_chart)
 
 
 def _offsets_chart(data: _ChartData, title: str, quantities: list[Quantity]) -> Chart:
