@@ -235,7 +235,7 @@ def test_results_without_the_ends_of_their_searches_are_explained(lab, monkeypat
     earlier = replace(done, outcome=replace(done.outcome, found=(old,)))
     with lab[0].store() as store:
         assert calibration_detail.load_detail(lab[0], store, done.ids[0]).starts
-        monkeypatch.setattr(calibration_detail, "stored_run", lambda *_: earlier)
+        monkeypatch.setattr(calibration_detail, "stored_in_run", lambda *_: earlier[0])
         detail = calibration_detail.load_detail(lab[0], store, done.ids[0])
     assert detail.starts == []
     assert "earlier version" in detail.note

@@ -19,11 +19,10 @@ from fixel.database.store import Store
 from fixel.errors import FixelError, NotStored
 from fixel.model.records import CalibrationRecord, Estimate, estimate_table
 from fixel.simulation.engine_names import is_engine
-from fixel.typing import FloatArray
 from fixel.web.values import Answer, Array, Finite
 from fixel.workflows.analysis import Analysis
 from fixel.workflows.calibration.calibration import Calibration
-from fixel.workflows.calibration.project import stored_calibration, stored_run
+from fixel.workflows.calibration.project import stored_calibration, stored_in_run
 from fixel.workflows.calibration.stored import misfit_of
 
 WORST: Final = 3
@@ -119,29 +118,36 @@ class StoredCalibration(Answer):
 def load_detail(project: Project, store: Store, calibration_id: int) -> StoredCalibration:
     """Load everything about a stored calibration."""
     record = store.calibration(calibration_id)
-    origin = record.provenance
     try:
-        run = stored_run(project, calibration_id, record)
-        fit = None if run is None else run.stored_as(calibration_id)
+        fit = stored_in_run(project, calibration_id, record)
         known = _of_record(record) if fit is None else _of_fit(fit, store)
     except FixelError as problem:  # what is stored can be shown all the same
         fit, known = None, _of_record(record, str(problem))
+    origin, method, tried = record.provenance, record.method, record.evaluations
     known["facts"] |= {
         "stored": f"{origin.created[:10]} {origin.created[11:16]} UTC",
         "fixel": origin.version,
-        "job": str(record.method.get("job", "none")),
+        "job": str(method.get("job", "none")),
     }
-    residuals = _residuals(store, record, fit)
+    keys = {row.id: row.key for row in store.experiments(ALL_EXPERIMENTS).rows}
+    ids = [member.experiment_id for member in record.members]
+    before = [None] * len(ids) if fit is None else fit.nominal_errors.tolist()
+    residuals = [
+        Residual(id=id_, key=keys.get(id_, f"experiment {id_}"), before=start, after=error)
+        for id_, start, error in zip(ids, before, record.errors, strict=True)
+    ]
+    residuals.sort(key=lambda one: -math.inf if one.after is None else -one.after)
+    share = len(ids) if method.get("combine") == "sum" else 1
     return StoredCalibration(
         id=calibration_id,
         name=record.name,
         unit=record.error_unit,
         residuals=residuals,
         worst=residuals[:WORST],
-        objective=_objective(record),
+        objective=None if tried is None or not len(tried.error) else tried.error / share,
         misfit=misfit_of(record),
-        ended=str(record.method.get("ended", "")),
-        method={k: v for k, v in record.method.items() if v == v and v not in (math.inf,)},
+        ended=str(method.get("ended", "")),
+        method={k: v for k, v in method.items() if isinstance(v, str) or math.isfinite(v)},
         complete=fit is not None,
         command=origin.command,
         python=PYTHON.format(folder=str(project.folder.resolve()), number=calibration_id),
@@ -158,7 +164,7 @@ def _of_fit(fit: Calibration, store: Store) -> dict[str, Any]:
     return {
         "level": fit.level,
         "parameters": [one for one in fit.estimates.values() if one.bounds is not None],
-        "starts": _ends_of(fit),
+        "starts": _starts(fit),
         "curves": found.profiles,
         "noise": found.noise,
         "note": EARLIER if lacks_starts else found.note,
@@ -197,41 +203,23 @@ def _of_record(record: CalibrationRecord, note: str = "") -> dict[str, Any]:
     return {"parameters": estimates, "facts": {}, "note": note, "analysis": analysis}
 
 
-def _ends_of(fit: Calibration) -> list[Start]:
+def _starts(fit: Calibration) -> list[Start]:
     """Return the ends of several searches, best first; empty for a single search."""
-    one = fit.found
-    if fit.request.starts == 1 or one.trace is None:
+    trace, ends, n = fit.found.trace, fit.found.ends, len(fit.found.members)
+    if trace is None or not ends:
         return []
-    ends = one.trace.ends()
-    best = min((end.error for end in ends), default=math.inf)
-    counts = np.bincount(one.trace.starts, minlength=len(ends)).tolist()
+    counts = np.bincount(trace.starts, minlength=len(ends)).tolist()
+    ordered = sorted(zip(ends, counts, strict=True), key=lambda pair: pair[0].error)
+    best = ordered[0][0].error
     return [
         Start(
-            error=fit.request.error_of_one(end.error, len(one.members)),
+            error=fit.request.error_of_one(end.error, n),
             point=end.point.tolist(),
             evaluations=count,
             good=math.isfinite(end.error) and end.error <= best * (1.0 + NEARLY),
         )
-        for end, count in sorted(zip(ends, counts, strict=True), key=lambda pair: pair[0].error)
+        for end, count in ordered
     ]
-
-
-def _residuals(store: Store, record: CalibrationRecord, fit: Calibration | None) -> list[Residual]:
-    before = [math.nan] * len(record.members) if fit is None else fit.nominal_errors.tolist()
-    keys = {row.id: row.key for row in store.experiments(ALL_EXPERIMENTS).rows}
-    ids = [member.experiment_id for member in record.members]
-    found = [
-        Residual(id=id_, key=keys.get(id_, f"experiment {id_}"), before=start, after=error)
-        for id_, start, error in zip(ids, before, record.errors, strict=True)
-    ]
-    return sorted(found, key=lambda r: -math.inf if r.after is None else -r.after)
-
-
-def _objective(record: CalibrationRecord) -> FloatArray | None:
-    if record.evaluations is None or len(record.evaluations.error) == 0:
-        return None
-    share = len(record.members) if record.method.get("combine") == "sum" else 1
-    return np.asarray(record.evaluations.error / share)
 
 
 class CalibrationSummary(Answer):

@@ -26,8 +26,8 @@ from fixel.typing import FloatArray
 from fixel.web.values import Answer, Finite
 from fixel.workflows import jobs
 from fixel.workflows.calibration.parameter_options import command_of, options_of
-from fixel.workflows.calibration.plan import MAKER, request_of
-from fixel.workflows.calibration.project import collected, experiments_of, stored_ids
+from fixel.workflows.calibration.plan import MAKER, plan_in
+from fixel.workflows.calibration.project import collected, stored_ids
 
 ERRORS: Final = "all together"  # stage of a search by errors; parts of a round are one evaluation
 SQUARES: Final = "squares"  # stage of a search by residuals
@@ -40,7 +40,10 @@ class SearchErrors:
     """Errors in the journal of a calibration's job so far; only what is new is read."""
 
     def __init__(self, project: Project, folder: Path) -> None:
-        self.request, self.ids = request_of(folder), experiments_of(project, folder)
+        plan = plan_in(folder)
+        with project.store() as store:
+            self.ids = [store.find(target.key) for target in plan.targets]
+        self.request = plan.request
         self.stage = ""
         # One per evaluation, the mean of the experiments; inf where it failed.
         self.objective: list[float] = []

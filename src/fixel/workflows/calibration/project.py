@@ -34,7 +34,6 @@ from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration, Calibrations, collect, finite
 from fixel.workflows.calibration.parameter_options import command_of, options_of
 from fixel.workflows.calibration.plan import job_of, outcome_bytes, plan_in
-from fixel.workflows.calibration.request import TARGETS
 from fixel.workflows.calibration.stored import VERSION, misfit_of, request_in
 
 STORED: Final = "stored.json"  # ids of the calibrations, once they are stored
@@ -160,8 +159,8 @@ def store_result(folder: Path) -> None:
         collected(Project(place), folder)
 
 
-def stored_run(project: Project, number: int, record: CalibrationRecord) -> Calibrations | None:
-    """Load all calibrations of the run that a stored calibration came from.
+def stored_in_run(project: Project, number: int, record: CalibrationRecord) -> Calibration | None:
+    """Load a stored calibration with all others of its run.
 
     There is none if an earlier version stored it and the folder of its job is gone.
     """
@@ -170,13 +169,14 @@ def stored_run(project: Project, number: int, record: CalibrationRecord) -> Cali
         if not ((folder / files.RESULT).is_file() and (folder / STORED).is_file()):
             return None
         run = collect(plan_in(folder), folder)
-        return add_to_project(project, replace(run, command=record.provenance.command))
+        run = add_to_project(project, replace(run, command=record.provenance.command))
+        return run.stored_as(number)
     with project.store() as store:
         summaries = store.calibration_summaries().items()
         own = [k for k, other in summaries if other.method.get(RUN) == record.method.get(RUN)]
         records = {k: store.calibration(k) for k in own if k != number}
         same = {k: other for k, other in records.items() if other.request == record.request}
-        return _from_records(store, same | {number: record})
+        return _from_records(store, same | {number: record}).stored_as(number)
 
 
 def stored_calibration(project: Project, number: int) -> Calibration:
@@ -188,12 +188,8 @@ def stored_calibration(project: Project, number: int) -> Calibration:
     """
     with project.store() as store:
         record = store.calibration(number)
-        if record.request is None:
-            run = stored_run(project, number, record)
-            fit = None if run is None else run.stored_as(number)
-            if fit is not None:
-                return fit
-        return _from_records(store, {number: record})[0]
+        fit = stored_in_run(project, number, record) if record.request is None else None
+        return _from_records(store, {number: record})[0] if fit is None else fit
 
 
 def _from_records(store: Store, records: Mapping[int, CalibrationRecord]) -> Calibrations:
@@ -288,15 +284,6 @@ def list_calibrations(project: Project) -> Table:
         rows.append((number, record.name, len(record.errors), error, said or "-"))
     error_column = Column("error", "mm", ".3g")
     return Table(("id", "calibration", "experiments", error_column, "verdicts"), rows, left=2)
-
-
-def experiments_of(project: Project, folder: Path) -> list[int]:
-    """Return the ids of the experiments of a calibration's job."""
-    path = folder / "inputs" / TARGETS
-    with readable(path, f"delete the folder {folder}"):
-        keys = [entry["key"] for entry in json.loads(path.read_text(encoding="utf-8"))]
-    with project.store() as store:
-        return [store.find(key) for key in keys]
 
 
 def stored_ids(folder: Path) -> list[int]:

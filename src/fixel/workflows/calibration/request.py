@@ -36,6 +36,7 @@ from fixel.simulation.rollouts import RolloutCase
 from fixel.typing import FloatArray
 
 Error = TypeVar("Error", float, FloatArray)
+Method = TypeVar("Method")
 
 AUTO: Final = "auto"
 LEAST_SQUARES: Final = "least-squares"
@@ -146,13 +147,12 @@ class CalibrationRequest(_Fields):
     @property
     def made_error(self) -> AbstractError:
         """The error of one experiment."""
-        made: AbstractError = _made(ERRORS, self.error)
-        return made
+        return _made(ERRORS, self.error)
 
     @property
     def made_optimiser(self) -> AbstractOptimiser:
         """The search, from one start or several."""
-        made: AbstractOptimiser = _made(OPTIMISERS, self.optimiser)
+        made = _made(OPTIMISERS, self.optimiser)
         return made if self.starts == 1 else MultiStart(optimiser=made, starts=self.starts)
 
     @property
@@ -166,8 +166,7 @@ class CalibrationRequest(_Fields):
             # Residuals are in millimetres.
             options |= {"loss": "soft_l1", "width": 1e3 * error.distance}
         search = NamedOptions(name=LEAST_SQUARES, options=options | self.optimiser.options)
-        made: LeastSquares = _made((LeastSquares,), search)
-        return made
+        return _made((LeastSquares,), search)
 
     @property
     def made_search(self) -> AbstractOptimiser | LeastSquares:
@@ -265,14 +264,13 @@ def _listed(value: Any) -> str | float:
     return float(value) if isinstance(value, int | float) else str(value)
 
 
-def _made(family: tuple[Any, ...], choice: NamedOptions) -> Any:
+def _made(family: Sequence[type[Method]], choice: NamedOptions) -> Method:
     """A member of a family, by its name and options."""
     where = "error" if family is ERRORS else "optimiser"
     known = {getattr(member, "name", LEAST_SQUARES): member for member in family}
     if choice.name not in known:
-        names = [*known, *([LEAST_SQUARES] if family is OPTIMISERS else [])]
-        raise unknown_name(where, choice.name, names)
-    member = known[choice.name]
+        raise unknown_name(where, choice.name, [*known, *([LEAST_SQUARES] * (where != "error"))])
+    member: Any = known[choice.name]
     options = {field.name for field in dataclasses.fields(member)}
     for name in choice.options:
         if name not in options:
@@ -281,7 +279,8 @@ def _made(family: tuple[Any, ...], choice: NamedOptions) -> Any:
                 found=f"the option {name}",
                 expected="one of " + (", ".join(sorted(options)) or "none"),
             )
-    return member(**choice.options)
+    made: Method = member(**choice.options)
+    return made
 
 
 def target_files(targets: Sequence[Target]) -> dict[str, bytes]:

@@ -101,9 +101,7 @@ def load_values(
     Without an id, those for several experiments come first, as in `newest_calibration`. Means
     computed by the growth of a domain are selected only by their id.
     """
-    own = calibration_id
-    if own is None:
-        own = newest_calibration(store, engine=engine)
+    own = newest_calibration(store, engine=engine) if calibration_id is None else calibration_id
     if own is None:
         raise InvalidInput(
             "calibration",
@@ -134,15 +132,15 @@ def newest_calibration(store: Store, experiment: int | None = None, engine: str 
     An experiment must be a member, and an engine must have simulated, with any version and choices
     that are not named; empty for any engine or motion model.
     """
+    every = (CalibratedValues(*own) for own in reversed(store.calibration_summaries().items()))
     known = [
-        CalibratedValues(calibration_id, record)
-        for calibration_id, record in reversed(store.calibration_summaries().items())
-        if record.method.get("how") != FitKind.GROWTH
+        one
+        for one in every
+        if one.record.method.get("how") != FitKind.GROWTH
+        and (experiment is None or experiment in one.members)
+        and (not engine or EngineName.of(engine).fits(one.motion.name))
     ]
-    known = [one for one in known if experiment is None or experiment in one.members]
-    known = [one for one in known if not engine or EngineName.of(engine).fits(one.motion.name)]
-    several = [one for one in known if one.is_for_several]
-    return next((one.id for one in (*several, *known)), None)
+    return next((one.id for one in sorted(known, key=lambda one: not one.is_for_several)), None)
 
 
 def searched_space(

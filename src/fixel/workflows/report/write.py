@@ -25,7 +25,7 @@ from fixel.results import Result
 from fixel.typing import Notify
 from fixel.workflows.analysis import StoredAnalysis, load_analyses
 from fixel.workflows.calibration.calibration import Calibration
-from fixel.workflows.calibration.project import stored_calibration, stored_run
+from fixel.workflows.calibration.project import stored_calibration, stored_in_run
 from fixel.workflows.calibration.stored import CalibratedValues, load_values
 from fixel.workflows.figures import ENDINGS, make_folder
 from fixel.workflows.report.sections import (
@@ -198,11 +198,10 @@ def gather(
         ids = sorted(one.members)
         data = data_of(store, ids)
         checksum = store.checksum(ids)
-    opened = stored_run(project, one.id, one.record)
-    own = None if opened is None else opened.stored_as(one.id)
+    own = stored_in_run(project, one.id, one.record)
     fit = stored_calibration(project, one.id) if own is None else own
     tell("drawing the calibration")
-    figures = figures_of(opened, folder, project) if opened is not None else []
+    figures = figures_of(own.run, folder, project) if own is not None else []
     analyses = _analyses(project, one)
     tell("collecting the analyses")
     sections = [
