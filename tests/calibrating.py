@@ -8,16 +8,15 @@ from fixel.model.selection import ExperimentQuery
 from fixel.workflows import jobs
 from fixel.workflows.calibration import calibration
 from fixel.workflows.calibration import plan as plans
-from fixel.workflows.calibration.parameter_options import searched_unknowns
-from fixel.workflows.calibration.plan import CalibrationPlan
-from fixel.workflows.calibration.project import (
+from fixel.workflows.calibration.execution import (
     ExperimentSelection,
-    add_to_project,
-    collected,
     draw_sample,
     select_experiments,
 )
+from fixel.workflows.calibration.parameter_options import searched_unknowns
+from fixel.workflows.calibration.plan import CalibrationPlan
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
+from fixel.workflows.calibration.stored import add_to_project, collected
 
 __all__ = ["ExperimentSelection", "collected", "draw_sample", "select_experiments"]
 

@@ -63,8 +63,8 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     **{f"plots of {result}": plots for result, plots in PLOTS.items()},
     # How a project stores a result, by the class of the result.
     "stores": {
-        "Calibration": "fixel.workflows.calibration.project:add_to_project",
-        "Calibrations": "fixel.workflows.calibration.project:add_to_project",
+        "Calibration": "fixel.workflows.calibration.stored:add_to_project",
+        "Calibrations": "fixel.workflows.calibration.stored:add_to_project",
         "DomainMap": "fixel.workflows.lab:store_map",
         "FilterRun": "fixel.workflows.filtering.report:store_run",
         "Posterior": "fixel.workflows.uncertainty.report:store_posterior",
@@ -107,7 +107,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     },
     # What a process of a job calls with its folder once it is done, by the maker of its work.
     "done jobs": {
-        "calibration:calibration_work": "fixel.workflows.calibration.project:store_result"
+        "calibration:calibration_work": "fixel.workflows.calibration.stored:store_result"
     },
     # Classes that saved results may contain. None of them opens a file or starts a process.
     "saved classes": {

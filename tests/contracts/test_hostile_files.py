@@ -47,8 +47,7 @@ from fixel.testing.scenes import pushed_square
 from fixel.workflows import jobs
 from fixel.workflows.calibration.calibration import collect
 from fixel.workflows.calibration.plan import plan_in
-from fixel.workflows.calibration.project import list_calibrations, stored_calibration
-from fixel.workflows.calibration.stored import load_values
+from fixel.workflows.calibration.stored import list_calibrations, load_values, stored_calibration
 from fixel.workflows.planning.request import load_plan as load_saved_plan
 from fixel.workflows.planning.request import load_trials
 

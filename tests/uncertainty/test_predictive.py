@@ -14,7 +14,7 @@ from fixel.testing.pushes import example_pushes
 from fixel.testing.scenes import pushed_square
 from fixel.uncertainty.predictive import EndError, check_predictions, predictive_of
 from fixel.units import mm
-from fixel.workflows.calibration.project import stored_calibration
+from fixel.workflows.calibration.stored import stored_calibration
 
 _SPACE = {"mu_pusher": (0.0, 1.0), "tripod_radius": (10 * mm, 60 * mm)}
 

@@ -21,7 +21,7 @@ from fixel.database.project import Project
 from fixel.errors import StoreRefused
 from fixel.web.views.calibration_progress import ProgressReader
 from fixel.workflows import jobs
-from fixel.workflows.calibration.project import collected
+from fixel.workflows.calibration.stored import collected
 
 ANSWERS_WITHIN = 0.2  # [s] of processor time: a map at another threshold
 FIT = ["mu_pusher=0:1:0.2"]

@@ -7,7 +7,7 @@ from tests.laboratories import trusted_laboratory
 from tests.web.test_play_browser import TRIP
 
 from fixel.database.project import Project
-from fixel.workflows.calibration.project import stored_calibration
+from fixel.workflows.calibration.stored import stored_calibration
 
 pytestmark = pytest.mark.system
 

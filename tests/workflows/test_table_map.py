@@ -16,7 +16,7 @@ from fixel.errors import InvalidInput, StoreRefused
 from fixel.model import LoadMap, Pose, Trajectory
 from fixel.testing.pushes import example_parts
 from fixel.workflows import jobs
-from fixel.workflows.calibration.project import stored_calibration
+from fixel.workflows.calibration.stored import stored_calibration
 from fixel.workflows.capabilities import CAPABILITIES, prepare, run
 from fixel.workflows.table_map import TableView
 

@@ -18,7 +18,7 @@ def calibrations(
 ) -> None:
     """List stored calibrations, or show the estimates of one."""
     from fixel.database.project import Project
-    from fixel.workflows.calibration.project import list_calibrations, stored_calibration
+    from fixel.workflows.calibration.stored import list_calibrations, stored_calibration
 
     project = Project(folder)
     if number is None:

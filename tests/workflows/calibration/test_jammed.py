@@ -12,7 +12,7 @@ import fixel
 from fixel.cli.main import run as run_command
 from fixel.sampling.published import thesis_plan
 from fixel.units import deg, mm
-from fixel.workflows.calibration.project import collected, stored_calibration
+from fixel.workflows.calibration.stored import collected, stored_calibration
 
 SEATED = thesis_plan().experiments[0].scene
 SPACE = {"mu_pusher": (0, 1)}

@@ -26,8 +26,8 @@ from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views.calibration_detail import load_detail
 from fixel.workflows import figures
 from fixel.workflows.calibration.parameter_options import command_of
-from fixel.workflows.calibration.project import RUN, add_to_project, stored_calibration
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
+from fixel.workflows.calibration.stored import RUN, add_to_project, stored_calibration
 from fixel.workflows.report.write import report
 
 # Every option of a request, unlike its default.
@@ -172,7 +172,7 @@ def test_what_was_printed_is_printed_again(project, fit, tmp_path, capsys):
     assert before["pictures"]
 
     program = (
-        "import sys; from fixel.workflows.calibration.project import stored_calibration as load;"
+        "import sys; from fixel.workflows.calibration.stored import stored_calibration as load;"
         "import fixel; print(load(fixel.Project(sys.argv[1]), int(sys.argv[2])))"
     )
     command = [sys.executable, "-c", program, str(folder), str(number)]

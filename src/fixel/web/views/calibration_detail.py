@@ -22,8 +22,7 @@ from fixel.simulation.engine_names import is_engine
 from fixel.web.values import Answer, Array, Finite
 from fixel.workflows.analysis import Analysis
 from fixel.workflows.calibration.calibration import Calibration
-from fixel.workflows.calibration.project import stored_calibration, stored_in_run
-from fixel.workflows.calibration.stored import misfit_of
+from fixel.workflows.calibration.stored import misfit_of, stored_calibration, stored_in_run
 
 WORST: Final = 3
 PLOTS: Final = ("search", "starts", "profiles")

@@ -27,7 +27,7 @@ from fixel.web.values import Answer, Finite
 from fixel.workflows import jobs
 from fixel.workflows.calibration.parameter_options import command_of, options_of
 from fixel.workflows.calibration.plan import MAKER, plan_in
-from fixel.workflows.calibration.project import collected, stored_ids
+from fixel.workflows.calibration.stored import collected, stored_ids
 
 ERRORS: Final = "all together"  # stage of a search by errors; parts of a round are one evaluation
 SQUARES: Final = "squares"  # stage of a search by residuals

@@ -6,17 +6,19 @@ import json
 import math
 import shlex
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, final
 
 from fixel.calibration.result import FitKind, ParameterSet, found_of
 from fixel.calibration.search import CalibrationSearch
-from fixel.calibration.target import Target, targets_of
+from fixel.calibration.target import Target, spread_sample, target_of, targets_of
 from fixel.calibration.usual_parameters import Space, default_unknowns, search_space
+from fixel.database.project import Project, check_known_names
+from fixel.database.store import Store
 from fixel.errors import FixelError, Interrupted, InvalidInput
 from fixel.formats.dakota_file import load_dakota
 from fixel.io.array_bytes import arrays_of
@@ -26,7 +28,7 @@ from fixel.jobs.engine import LocalEngine
 from fixel.jobs.site import Site, load_site
 from fixel.jobs.work import JobProgress, Show, StopRequest, run_work, unframed
 from fixel.model import Experiment, Scene
-from fixel.model.selection import parse_filter
+from fixel.model.selection import ExperimentQuery, parse_filter
 from fixel.model.space import ParameterSpace
 from fixel.progress import Progress, Reporter, show_progress
 from fixel.registry import offered
@@ -50,8 +52,6 @@ from fixel.workflows.calibration.request import NamedOptions, named_options
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
-
-    from fixel.database.project import Project
 
 ALONE: Final = "alone"  # stage and kind of questions that calibrate single experiments
 PROJECT_FILE: Final = "fixel.yaml"  # makes a folder a project
@@ -79,8 +79,7 @@ def run_plan(plan: CalibrationPlan, asked: SimpleNamespace) -> Calibrations:
     given = Path(getattr(asked.store, "folder", asked.store))
     if not (given / PROJECT_FILE).is_file():
         return _run_in_folder(plan, given, asked)
-    from fixel.database.project import Project
-    from fixel.workflows.calibration.project import add_to_project
+    from fixel.workflows.calibration.stored import add_to_project
 
     return add_to_project(Project(given), _run_in_folder(plan, job_folder(given, plan), asked))
 
@@ -172,10 +171,83 @@ def _reporting(report: Reporter) -> Show:
 # --- experiments of a project -------------------------------------------------------------------
 
 
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExperimentSelection:
+    """Experiments to calibrate."""
+
+    ids: list[int]
+    targets: list[Target]
+    left_out: Mapping[str, str]  # reasons why others cannot be compared, by key
+    # Number of experiments that these were drawn from at random; None where they are all.
+    sample_of: int | None = None
+
+    def __iter__(self) -> Iterator[Target]:
+        return iter(self.targets)
+
+
+def select_experiments(
+    store: Store, keys: Sequence[str], query: ExperimentQuery
+) -> ExperimentSelection:
+    """Select experiments by name, or by what they have in common.
+
+    Named ones must be fit for it, and count once under whatever names; of a listing, those that are
+    not are left out with a reason.
+    """
+    ids = list(dict.fromkeys(store.find(key) for key in keys))
+    if not ids:
+        ids = [summary.id for summary in store.experiments(query).rows]
+        if not ids:
+            check_known_names(store, query)
+    targets: dict[int, Target] = {}
+    left_out: dict[str, str] = {}
+    for experiment_id in ids:
+        experiment = store.experiment(experiment_id)
+        try:
+            targets[experiment_id] = target_of(experiment)
+        except InvalidInput as problem:
+            if keys:
+                raise
+            left_out[experiment.key] = str(problem)
+    if not targets:
+        reason = next(iter(left_out.values()), "")
+        raise InvalidInput(
+            "experiments",
+            found=f"none to calibrate with{f' ({reason})' if reason else ''}",
+            expected="one at least with a scene and measured poses",
+            hint="fixel list shows all experiments",
+        )
+    return ExperimentSelection(ids=list(targets), targets=list(targets.values()), left_out=left_out)
+
+
+def draw_sample(chosen: ExperimentSelection, count: int, seed: int) -> ExperimentSelection:
+    """Return `count` random experiments of those chosen, or all of fewer ones.
+
+    Every condition has the same share of them as before.
+    """
+    n = len(chosen.ids)
+    if count >= n:
+        return chosen
+    kept = spread_sample([target.conditions for target in chosen.targets], count, seed)
+    ids, targets = zip(*((chosen.ids[k], chosen.targets[k]) for k in kept), strict=True)
+    return replace(chosen, ids=list(ids), targets=list(targets), sample_of=n)
+
+
+def stored_points(project: Project, space: ParameterSpace) -> list[list[float]]:
+    """Values of the free parameters in all stored calibrations that have them, each set once."""
+    labels = space.labels
+    points: dict[tuple[float, ...], None] = {}
+    with project.store() as store:
+        for record in store.calibration_summaries().values():
+            best = record.best_fit
+            if all(label in best for label in labels):
+                points[tuple(best[label] for label in labels)] = None
+    return [list(point) for point in points]
+
+
 def plan_in_project(project: Project, request: BaseModel) -> CalibrationPlan:
     """Return the plan of a calibration of experiments of a project, checked and rehearsed."""
     from fixel.simulation.simulate import get_ready
-    from fixel.workflows.calibration.project import draw_sample, select_experiments, stored_points
 
     asked = SimpleNamespace(**offered("capability", "calibrate").arguments(request), start=None)
     given = "dataset" if asked.dataset else "where" if asked.where else ""

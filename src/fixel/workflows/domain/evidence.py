@@ -32,7 +32,7 @@ from fixel.io.array_bytes import ResultCache
 from fixel.io.atomic import write_whole
 from fixel.io.damaged_files import readable
 from fixel.typing import ProgressCallback
-from fixel.workflows.calibration.project import select_experiments
+from fixel.workflows.calibration.execution import select_experiments
 from fixel.workflows.calibration.stored import known_pushes, load_values, newest_calibration
 from fixel.workflows.domain.fits import ProjectRequest, own_best, stored_model
 

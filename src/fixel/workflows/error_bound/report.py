@@ -20,7 +20,7 @@ from fixel.errors import InvalidInput
 from fixel.progress import Reporter
 from fixel.typing import FloatArray, IntArray
 from fixel.workflows.analysis import Analysis, AnalysisReport, StoredAnswer
-from fixel.workflows.calibration.project import select_experiments
+from fixel.workflows.calibration.execution import select_experiments
 from fixel.workflows.domain.evidence import FOLDER, mark_of
 from fixel.workflows.domain.fits import ProjectRequest, fit_store, stored_model
 from fixel.workflows.figures import Picture

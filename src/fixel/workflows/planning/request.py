@@ -35,8 +35,7 @@ from fixel.planning.trials import PlanTrial, Trials
 from fixel.typing import FloatArray
 from fixel.uncertainty.run_to_run import MIN_EXPERIMENTS, RunToRun, learn_run_to_run
 from fixel.workflows.calibration.calibration import Calibration
-from fixel.workflows.calibration.project import stored_calibration
-from fixel.workflows.calibration.stored import newest_calibration
+from fixel.workflows.calibration.stored import newest_calibration, stored_calibration
 
 
 @final

@@ -25,8 +25,12 @@ from fixel.results import Result
 from fixel.typing import Notify
 from fixel.workflows.analysis import StoredAnalysis, load_analyses
 from fixel.workflows.calibration.calibration import Calibration
-from fixel.workflows.calibration.project import stored_calibration, stored_in_run
-from fixel.workflows.calibration.stored import CalibratedValues, load_values
+from fixel.workflows.calibration.stored import (
+    CalibratedValues,
+    load_values,
+    stored_calibration,
+    stored_in_run,
+)
 from fixel.workflows.figures import ENDINGS, make_folder
 from fixel.workflows.report.sections import (
     Content,
