@@ -11,13 +11,13 @@ from fixel.registry import register
 # Plots by class of the result; the usual one first.
 PLOTS: Final[Mapping[str, Mapping[str, str]]] = {
     "Calibration": {
-        "parameters": "fixel.workflows.calibration.charts:plot_parameters",
-        "profiles": "fixel.workflows.calibration.charts:plot_profiles",
-        "search": "fixel.workflows.calibration.charts:plot_search",
-        "starts": "fixel.workflows.calibration.charts:plot_starts",
-        "errors": "fixel.workflows.calibration.charts:plot_errors",
+        "parameters": "fixel.workflows.calibration.report:plot_parameters",
+        "profiles": "fixel.workflows.calibration.report:plot_profiles",
+        "search": "fixel.workflows.calibration.report:plot_search",
+        "starts": "fixel.workflows.calibration.report:plot_starts",
+        "errors": "fixel.workflows.calibration.report:plot_errors",
     },
-    "Calibrations": {"parameters": "fixel.workflows.calibration.charts:plot_each"},
+    "Calibrations": {"parameters": "fixel.workflows.calibration.report:plot_each"},
     "Comparison": {
         "errors": "fixel.drawing.experiment:plot_errors",
         "motion": "fixel.drawing.experiment:plot_motion",

@@ -14,8 +14,8 @@ from fixel.model.selection import ExperimentQuery
 from fixel.sampling.published import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views import calibration_detail
-from fixel.workflows.calibration.charts import _ChartData, pictures_of
 from fixel.workflows.calibration.parameter_options import searched_unknowns
+from fixel.workflows.calibration.report import _ChartData, pictures_of
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 from fixel.workflows.figures import write_picture
 

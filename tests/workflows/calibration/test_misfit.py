@@ -17,8 +17,8 @@ from fixel.sampling.published import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views.calibration_detail import load_detail
 from fixel.web.views.live_comparison import LiveComparison
-from fixel.workflows.calibration.charts import pictures_of
 from fixel.workflows.calibration.parameter_options import enlarged_command, searched_unknowns
+from fixel.workflows.calibration.report import pictures_of
 from fixel.workflows.calibration.request import (
     LEAST_SQUARES,
     CalibrationRequest,

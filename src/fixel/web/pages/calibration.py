@@ -13,7 +13,7 @@ from fixel.web.pages.experiment import Fact, number_in
 from fixel.web.views.calibration_detail import PLOTS, StoredCalibration, engine_of
 from fixel.web.views.calibration_progress import LiveProgress
 from fixel.web.words import rms, short
-from fixel.workflows.calibration.charts import CAPTIONS
+from fixel.workflows.calibration.report import CAPTIONS
 
 if TYPE_CHECKING:
     from fixel.web.context import ProjectContext

@@ -46,13 +46,13 @@ from fixel.simulation.motion import AbstractMotionModel
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
 from fixel.uncertainty.predictive import LEAST, POOL, REGION, Predictive, predictive_of
+from fixel.workflows.analysis import Analysis
 from fixel.workflows.calibration.parameter_options import call_of, enlarged_command
 from fixel.workflows.calibration.plan import CalibrationPlan, outcome_of
 from fixel.workflows.calibration.request import CalibrationRequest
 
 if TYPE_CHECKING:
     from fixel.simulation import Simulation
-    from fixel.workflows.analysis import Analysis
 
 # Share of a parameter's range by which the best fit and the value to quote visibly differ.
 VISIBLE: Final = 0.005
@@ -215,8 +215,8 @@ class Calibration(Result, Mapping[str, float]):
             return "interrupted"
         if not np.isfinite(self.found.errors).all():
             return "failed"
-        found = self.found
-        limited = found.ended == OUT_OF_BUDGET or OUT_OF_BUDGET in found.note or MADE in found.ended
+        ended, note = self.found.ended, self.found.note
+        limited = ended == OUT_OF_BUDGET or OUT_OF_BUDGET in note or MADE in ended
         return "budget" if limited else "finished"
 
     @property
@@ -255,14 +255,10 @@ class Calibration(Result, Mapping[str, float]):
 
     def _rms(self, errors: FloatArray, point: FloatArray) -> float:
         error = self.request.made_error
-        if error.angle_scale == ANGLE_SCALE and isinstance(error, MeanSquare):
-            squares = errors
-        elif error.angle_scale == ANGLE_SCALE and isinstance(error, RootMeanSquare):
-            squares = errors**2
-        else:
-            comparer = Comparer(self.targets, self.space, MeanSquare(), self.motion)
-            squares = comparer.errors_at(point)
-        return 1e-3 * math.sqrt(float(np.mean(squares)))
+        if error.angle_scale == ANGLE_SCALE and isinstance(error, MeanSquare | RootMeanSquare):
+            return 1e-3 * root_mean(errors, error.unit)
+        comparer = Comparer(self.targets, self.space, MeanSquare(), self.motion)
+        return 1e-3 * math.sqrt(float(np.mean(comparer.errors_at(point))))
 
     @property
     def objective(self) -> ObjectiveValue:
@@ -298,9 +294,8 @@ class Calibration(Result, Mapping[str, float]):
         """Errors of the experiments before and after the calibration, one row for each."""
         unit = self.request.made_error.unit
         head = ("experiment", Column("nominal", unit, ".4g"), Column("calibrated", unit, ".4g"))
-        before, after = self.nominal_errors.tolist(), self.found.errors.tolist()
-        rows = zip(self.keys_of_experiments, before, after, strict=True)
-        return Table(head, rows)
+        errors = self.nominal_errors.tolist(), self.found.errors.tolist()
+        return Table(head, zip(self.keys_of_experiments, *errors, strict=True))
 
     def values_for(
         self, experiment: Experiment | None = None, /, **conditions: str | float
@@ -458,8 +453,6 @@ class Calibration(Result, Mapping[str, float]):
     @cached_property
     def analysis(self) -> Analysis:
         """Report of the result, which terminal, page and `fixel report` show."""
-        from fixel.workflows.analysis import Analysis
-
         found, estimates = self.found, self.estimates.values()
         reasons = [f"{e.label}: {e.reason}" for e in estimates if e.reason and not e.identified]
         run, others = self.run, [note for note in self.warnings if note not in found.misfit]
@@ -581,14 +574,9 @@ class Calibration(Result, Mapping[str, float]):
         return value if isinstance(value, str) else f"{value:g} {unit}".rstrip()
 
     def _data(self) -> Table:
-        head = ("parameter", "value", "low", "high", "unit", "verdict", "reason", "best_fit")
-        return Table(
-            head,
-            [
-                (e.label, e.value, e.low, e.high, e.unit, e.verdict, e.reason, e.best_fit)
-                for e in self.estimates.values()
-            ],
-        )
+        names = ("value", "low", "high", "unit", "verdict", "reason", "best_fit")
+        rows = [(k, *(getattr(e, name) for name in names)) for k, e in self.estimates.items()]
+        return Table(("parameter", *names), rows)
 
 
 @final
@@ -674,7 +662,7 @@ class Calibrations(CalibrationPlan, Result, Sequence[Calibration]):
         from fixel.workflows.figures import make_folder, write_picture
 
         make_folder(folder)
-        pictures = import_module("fixel.workflows.calibration.charts").pictures_of(self)
+        pictures = import_module("fixel.workflows.calibration.report").pictures_of(self)
         return [path for picture in pictures for path in write_picture(folder, picture)]
 
     def summary(self) -> dict[str, Any]:
@@ -710,8 +698,6 @@ class Calibrations(CalibrationPlan, Result, Sequence[Calibration]):
     @cached_property
     def analysis(self) -> Analysis:
         """Report of the run, which the terminal shows."""
-        from fixel.workflows.analysis import Analysis
-
         if len(self) == 1:
             return self[0].analysis
         free, unit = self.request.space.free, self.request.made_error.unit
@@ -766,22 +752,18 @@ class Calibrations(CalibrationPlan, Result, Sequence[Calibration]):
         return Summary(own.headline[0], own.tables, [*own.headline[1:], *own.warnings, *own.notes])
 
     def _data(self) -> Table:
-        labels = self.request.space.labels
-        ends = [
-            f"{label} {word}" for label in labels for word in ("value", "low", "high", "verdict")
-        ]
-        rows = []
-        for one in self:
-            own = [one.estimates[label] for label in labels]
-            rows.append(
-                (
-                    ", ".join(one.keys_of_experiments),
-                    str(one.found.how),
-                    one.rms_error,
-                    *(x for e in own for x in (e.value, e.low, e.high, e.verdict)),
-                )
+        labels, names = self.request.space.labels, ("value", "low", "high", "verdict")
+        head: list[Column | str] = ["experiments", "how", Column("rms_error", "m")]
+        head += [f"{label} {name}" for label in labels for name in names]
+        rows = [
+            (
+                ", ".join(one.keys_of_experiments),
+                str(one.found.how),
+                one.rms_error,
+                *(getattr(one.estimates[label], name) for label in labels for name in names),
             )
-        head: list[Column | str] = ["experiments", "how", Column("rms_error", "m"), *ends]
+            for one in self
+        ]
         return Table(head, rows)
 
 

@@ -22,7 +22,7 @@ from fixel.model.trajectory import turned
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration, Calibrations
-from fixel.workflows.calibration.charts import pictures_of
+from fixel.workflows.calibration.report import pictures_of
 from fixel.workflows.figures import write_picture
 from fixel.workflows.sentences import sentences
 
