@@ -24,6 +24,7 @@ from fixel.jobs import folder as files
 from fixel.jobs.work import unframed
 from fixel.typing import FloatArray
 from fixel.web.values import Answer, Finite
+from fixel.web.views.calibration_detail import Residual
 from fixel.workflows import jobs
 from fixel.workflows.calibration.parameter_options import command_of, options_of
 from fixel.workflows.calibration.plan import MAKER, plan_in
@@ -41,9 +42,9 @@ class SearchErrors:
 
     def __init__(self, project: Project, folder: Path) -> None:
         plan = plan_in(folder)
+        self.request, self.keys = plan.request, [target.key for target in plan.targets]
         with project.store() as store:
-            self.ids = [store.find(target.key) for target in plan.targets]
-        self.request = plan.request
+            self.ids = [store.find(key) for key in self.keys]
         self.stage = ""
         # One per evaluation, the mean of the experiments; inf where it failed.
         self.objective: list[float] = []
@@ -94,14 +95,6 @@ class SearchErrors:
         return limit
 
 
-class ExperimentProgress(Answer):
-    """An experiment with parameters of its own."""
-
-    id: int
-    before: Finite
-    after: Finite
-
-
 class LiveProgress(Answer):
     """A calibration that is not stored yet, and how far it is."""
 
@@ -136,7 +129,7 @@ class LiveProgress(Answer):
     objective: list[Finite] = Field(
         description="mean error of each evaluation; null if a simulation failed"
     )
-    singles: list[ExperimentProgress] = Field(
+    singles: list[Residual] = Field(
         description="results of the experiments calibrated so far, in mode each"
     )
 
@@ -205,10 +198,10 @@ class ProgressReader:
             start=next(filter(math.isfinite, before), None),
             stored=stored,
             command=command_of(asked | {"project": str(self._project.folder.resolve())}),
-            objective=objective,
+            objective=[*objective],
             singles=[
-                ExperimentProgress(id=ids[k], before=start, after=read.alone[k])
-                for k, start in zip_longest(range(len(ids)), nominal)
+                Residual(id=own, key=key, before=start, after=read.alone[k])
+                for k, (own, key, start) in enumerate(zip_longest(ids, read.keys, nominal))
                 if k in read.alone
             ],
         )

@@ -21,13 +21,8 @@ from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 
 # Other unit, name of the SI unit, and bound beyond which values are in another unit.
 _TOO_FAR: Final = {"m": ("_mm", "metres", 1.0), "rad": ("_deg", "radians", math.pi)}
-# Functions that begin a run, by its mode.
-FUNCTIONS: Final = {
-    "joint": "calibrate",
-    "each": "calibrate_each",
-    "campaign": "calibrate_campaign",
-    "stored": "calibrate",
-}
+# Functions that begin a run of another mode than joint or stored.
+FUNCTIONS: Final = {"each": "calibrate_each", "campaign": "calibrate_campaign"}
 # Parameters that let a wrong model fit better: pressure is hardly ever centred...
 CENTRE: Final = ("friction_centre_x", "friction_centre_y")
 PRESSURE: Final = "pressure_spread"  # ... and hardly ever on a tripod
@@ -181,7 +176,7 @@ def call_of(request: CalibrationRequest, source: str) -> str:
         own = text(getattr(request, name, usual.default))
         if own != repr(usual.default) and name != "name":
             words.append(f"{name}={own}")
-    return f"fixel.{FUNCTIONS[request.mode]}({', '.join(words)})"
+    return f"fixel.{FUNCTIONS.get(request.mode, 'calibrate')}({', '.join(words)})"
 
 
 def _bounds_text(unknown: Unknown) -> str:
