@@ -164,10 +164,10 @@ def benchmark_real(
     return answer
 
 
-def joint_real(data: Path, part: str = "mit") -> Row:
+def joint_real(data: Path, part: str = "mit", progress: ProgressCallback | None = None) -> Row:
     """Run and time a joint calibration of many pushes; see `joint_calibration`."""
     pushes = read_mit_pushes(folder_of(data, part))
-    return mit_push.joint_calibration(pushes)
+    return mit_push.joint_calibration(pushes, progress or _silent)
 
 
 def folder_of(data: Path, part: str) -> Path:

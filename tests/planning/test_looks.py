@@ -287,6 +287,55 @@ def test_lost_views_lower_the_stated_success():
     assert half.success.mean == pytest.approx(0.5 * (low + high), abs=0.05)
 
 
+def test_a_part_that_is_seen_after_a_lost_view_is_corrected_as_one_that_is_seen_first(monkeypatch):
+    """What is stated for lost views is what `correction` does with the poses that were seen."""
+    goal = replace(GOAL, position=1 * mm, angle=1.5 * deg)
+    search = searched(goal, looks=2)
+    table = CorrectionTable.of(search.simulator, UNKNOWN, 4_000, 3)
+    policy = Policy(
+        simulator=search.simulator, belief=UNKNOWN, table=table, refined=False,
+        planned=search.simulator.planned(search.candidates()[0][None]),
+        views=Views(2, CAMERA, lost_views=0.5),
+    )  # fmt: skip
+    chosen, choose = [], CorrectionTable.chosen
+
+    def recorded(self, simulator, case, *options):
+        found = choose(self, simulator, case, *options)
+        chosen.append((case[0], found))
+        return found
+
+    monkeypatch.setattr(CorrectionTable, "chosen", recorded)
+    policy.walk(UNKNOWN.scenarios(search.simulator.scene, worlds=12, runs=1), 3)
+    (first, _), (seen, found), (again, _) = chosen
+    assert 0 < len(seen) <= 12 - len(first)
+    assert 0 < len(again) <= len(first)
+    for k, pose in enumerate(seen):
+        own = policy.next(pose)
+        assert own.row[0] == found.row[k]
+        assert own.probability[0] == found.probability[k]
+
+
+@pytest.mark.parametrize("kind", ["rest", "drift"])
+def test_corrections_expect_the_error_of_a_model_or_of_runs(kind):
+    """Ends after pushes of the table scatter by a belief's error, as those of plans do."""
+    search = searched()
+    table = CorrectionTable.of(search.simulator, UNKNOWN, 4_000, 3)
+    rng = np.random.default_rng(3)
+    error = rng.standard_normal((32, 3)) * (1 * mm, 2 * mm, 0.05)
+    own = replace(table, worlds=table.worlds._replace(**{kind: error}))
+    row = np.array([5])
+    start = np.tile([10 * mm, 0.0, 0.1], (1, 32, 1))
+    off = own.after(row, start) - table.after(row, start)
+    turned = np.abs(table.moved[5, :, 2].astype(float))[:, None] if kind == "rest" else 0.25
+    np.testing.assert_allclose(off[0], error * turned / 0.25, atol=1e-12)
+
+
+@pytest.mark.system
+def test_a_plan_with_looks_states_no_worth_of_measuring_for_plans_without_them(plan):
+    assert all(own.worth == 0.0 for own in plan.explain().effects)
+    assert "Measuring" not in str(plan.explain())
+
+
 @pytest.mark.system
 @pytest.mark.parametrize("looks", [0, 3])
 def test_a_correction_after_the_last_look_has_no_probability(plan, looks):

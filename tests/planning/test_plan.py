@@ -12,6 +12,7 @@ from fixel import Belief, FreePushes, InvalidInput, PoseRegion, RigError, RigPus
 from fixel.model import Seated
 from fixel.planning.belief import check_centres
 from fixel.planning.pushes import PlanPush
+from fixel.simulation.motion import motion_model
 from fixel.testing.scenes import grasp, pushed_square
 from fixel.uncertainty.predictive import EndError
 from fixel.units import deg, mm
@@ -100,6 +101,21 @@ def test_success_in_another_engine_is_that_of_its_runs_one_by_one(found):
     assert success.n == 6
     assert success.value == pytest.approx(np.mean(met))
     assert 0 < sum(met) < 6
+
+
+@pytest.mark.parametrize(
+    ("chosen", "expected"), [("quasistatic", "dynamic"), ("dynamic", "dynamic")]
+)
+def test_a_later_belief_has_its_own_motion_unless_one_was_chosen(
+    found, monkeypatch, chosen, expected
+):
+    """Parameters of a dynamic calibration are not those of quasi-static motion."""
+    plan = replace(found, motion=motion_model(chosen))
+    later = Belief(parameters={"mu_pusher": 0.3})
+    own = property(lambda self: motion_model("dynamic" if self is later else "quasistatic"))
+    monkeypatch.setattr(Belief, "motion", own)
+    assert plan.under(later).motion == motion_model(expected)
+    assert plan.under(plan.belief).motion == plan.motion
 
 
 @pytest.mark.parametrize(

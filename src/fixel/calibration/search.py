@@ -280,12 +280,11 @@ class CalibrationSearch:
         left: int | None = None,
         best: float | None = None,
     ) -> Steps[FloatArray]:
-        """Request a row for each point (k, n_free) of all members, or each point of a single one.
+        """Request a row for each point (k, n_free) of all members.
 
         `left` is an estimate of the number of points after these.
         """
-        rollouts = 1 if kind == assess.SHIFTED else len(self.members)  # of a row
-        size = max(1, ROLLOUTS_A_PART // rollouts)
+        size = max(1, ROLLOUTS_A_PART // len(self.members))
         parts_left = None if left is None else math.ceil(left / size)
         answers = yield Question(kind, stage, {"points": points}, size, note, parts_left, best)
         self._count(answers)

@@ -48,8 +48,6 @@ class Probability(NamedTuple):
     def of(cls, good: int, n: int, level: float = 0.95) -> Probability:
         """Estimate a probability from `good` of n cases, with its interval of a confidence level.
 
-        Source: Clopper & Pearson (1934), Biometrika 26, 404-413: exact, so never too narrow.
-
         Source
         ------
         Clopper & Pearson (1934), Biometrika 26, 404-413: exact, so never too narrow.

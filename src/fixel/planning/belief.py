@@ -94,23 +94,23 @@ class Scenarios(NamedTuple):
 
     def rows(self, which: IntArray) -> Scenarios:
         """Return some of the scenarios."""
-        return Scenarios(
-            {name: column[which] for name, column in self.values.items()},
-            self.start[which],
-            self.tool[which],
-            None if self.fixels is None else self.fixels[which],
-            self.rest[which],
-            self.drift[which],
-            self.misfit[which],
-            self.end_error,
-            self.world[which],
-        )
+        own: Scenarios = rows_of(self, which)
+        return own
 
     def unknowns(self) -> dict[str, FloatArray]:
         """Return what differs between scenarios, (n,) each, by name."""
         errors = np.column_stack((self.start, self.tool))
         named = {**self.values, **dict(zip(UNKNOWN_UNITS, errors.T, strict=True))}
         return {name: x for name, x in named.items() if np.ptp(x) > 0.0}
+
+
+def rows_of(own: Any, which: IntArray) -> Any:
+    """Return some rows of arrays, also of those in tuples and mappings."""
+    if isinstance(own, tuple):
+        return type(own)(*(rows_of(x, which) for x in own))
+    if isinstance(own, Mapping):
+        return {name: rows_of(x, which) for name, x in own.items()}
+    return own[which] if isinstance(own, np.ndarray) else own
 
 
 @final

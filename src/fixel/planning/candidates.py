@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from fixel.errors import InvalidInput
 from fixel.model import Disk, Scene
 from fixel.model.goals import Beyond, BodyTrack, Goal, Inside, PoseRegion, Seated, tolerance_of
-from fixel.planning.belief import Belief, Scenarios
+from fixel.planning.belief import Belief
 from fixel.planning.geometric import fence_pushes, geometric_pushes
 from fixel.planning.pushes import FreePushes, PushChoice
 from fixel.planning.rollout import CARRIED_OUT, PlanSimulator, part_overlap
@@ -153,7 +153,7 @@ def last_pushes(simulator: PlanSimulator, table: PushTable, seed: int) -> LastPu
     for pose in goal_poses(scene, goal):
         before.append(composed(pose[None], inverted(table.moved)))
         numbers.append(table.numbers)
-    if needs_fixtures(goal):
+    if not all(isinstance(own, PoseRegion) for own in goal.clauses):  # contacts, or a region
         low, high = surroundings(scene, goal)
         even = even_points(tried, 3, seed)
         before.append(low + (high - low) * even)
@@ -173,13 +173,8 @@ def last_pushes(simulator: PlanSimulator, table: PushTable, seed: int) -> LastPu
     if not len(rows):
         return LastPushes(poses[:0], pushes[:0])
     shaken = rng.standard_normal((len(rows) * PERTURBED, 3)) * table.spread
-    n = len(shaken)
-    none = np.zeros((n, 3))
-    nothing = Scenarios(
-        {name: np.full(n, x) for name, x in simulator.nominal.items()},
-        shaken, none, None, none, none, none, None, np.zeros(n, np.int64),
-    )  # fmt: skip
-    runs = simulator.run(planned, np.repeat(rows, PERTURBED), nothing)
+    known = Belief(parameters=simulator.nominal).scenarios(scene, worlds=len(shaken), runs=1)
+    runs = simulator.run(planned, np.repeat(rows, PERTURBED), known._replace(start=shaken))
     met = (simulator.margins(runs) >= 0.0).reshape(len(rows), PERTURBED).mean(axis=1)
     best = np.argsort(-met, kind="stable")[:kept]
     return LastPushes(poses[rows[best]], pushes[rows[best]])
@@ -222,11 +217,6 @@ def poses_within(simulator: PlanSimulator, seed: int) -> FloatArray:
         poses = np.repeat(poses[np.argsort(off)[: WITHIN // 16]], 16, axis=0)
         poses = poses + size * rng.uniform(-0.5, 0.5, poses.shape)
     return np.asarray(good)
-
-
-def needs_fixtures(goal: Goal) -> bool:
-    """Return whether a goal is about more than the pose: contacts, or a region."""
-    return any(not isinstance(own, PoseRegion) for own in goal.clauses)
 
 
 def surroundings(scene: Scene, goal: Goal) -> tuple[FloatArray, FloatArray]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -177,7 +178,7 @@ class Explanation(Result):
             effects=tuple(sorted(effects, key=lambda own: -own.share)),
             regret=float(np.mean(good.any(axis=0)) - good.mean(axis=1).max()),
             tolerance={wide: float(np.mean(own[plan] >= 1.0 - wide)) for wide in TOLERANCES},
-            kinds=dict(sorted({k: failed.count(k) for k in failed}.items(), key=lambda o: -o[1])),
+            kinds=dict(Counter(failed).most_common()),
         )
 
     def with_worth(self, other: Explanation) -> Explanation:
@@ -305,10 +306,14 @@ class _Counts(NamedTuple):
         return self.good[folds].sum(axis=0), self.number[folds].sum(axis=0)
 
 
+def _intervals(value: FloatArray, n: int) -> tuple[FloatArray, IntArray]:
+    """Return the borders of intervals with equally many values, and the interval of each."""
+    edges = np.unique(np.quantile(value, np.arange(1, n) / n, method="inverted_cdf"))
+    return edges, np.searchsorted(edges, value, side="left")
+
+
 def _counts(good: BoolArray, value: FloatArray, fold: IntArray, bins: int) -> _Counts:
-    shares = np.arange(1, bins) / bins
-    edges = np.unique(np.quantile(value, shares, method="inverted_cdf"))
-    own = np.searchsorted(edges, value, side="left")
+    edges, own = _intervals(value, bins)
     n_bins = len(edges) + 1
     inside = (own[:, None] == np.arange(n_bins)).astype(np.float64)
     folds = [fold == k for k in range(FOLDS)]
@@ -343,9 +348,7 @@ def _curve(
     good: BoolArray, value: FloatArray, world: IntArray
 ) -> tuple[FloatArray, tuple[Probability, ...]]:
     """Compute success in intervals with equally many scenarios, and the middles of these."""
-    shares = np.arange(1, CURVE_BINS) / CURVE_BINS
-    edges = np.unique(np.quantile(value, shares, method="inverted_cdf"))
-    bins = np.searchsorted(edges, value, side="left")
+    bins = _intervals(value, CURVE_BINS)[1]
     middles, success = [], []
     for k in np.unique(bins):
         rows = bins == k

@@ -25,7 +25,7 @@ from fixel.planning.rollout import CARRIED_OUT, WORST_MARGIN, PlanSimulator
 from fixel.simulation.vary import composed, inverted
 from fixel.typing import BoolArray, FloatArray, IntArray
 from fixel.uncertainty.predictive import EndError, motion_of
-from fixel.uncertainty.run_to_run import arm_of
+from fixel.uncertainty.run_to_run import arm_of, rest_at
 
 WORLDS: Final = 32  # draws of what is unknown in a table
 WAYS: Final = (128, 2048)  # least and largest number of contacts and directions in it
@@ -91,7 +91,7 @@ class CorrectionTable:
     # (m, w, 3) float32: pose after it in the frame of the part before it, in w worlds; NaN where it
     # failed.
     moved: np.ndarray
-    worlds: Scenarios  # these worlds (w,), without any error of the start or of the model
+    worlds: Scenarios  # these worlds (w,), without errors of the start or in proportion to motion
     arm: float  # radius of gyration of the part, at which rotations count [m]
     seed: int
 
@@ -129,9 +129,10 @@ class CorrectionTable:
         good = np.flatnonzero(planned.nominal.failure == CARRIED_OUT)
         planned, ways = planned.rows(good), ways[good]
         worlds = belief.scenarios(alone.scene, worlds=WORLDS, runs=1, seed=seed)
-        worlds = worlds._replace(start=none, rest=none, drift=none, misfit=none)
+        worlds = worlds._replace(start=none, misfit=none)
+        exact = worlds._replace(rest=none, drift=none)
         which = np.repeat(np.arange(len(ways)), WORLDS)
-        runs = alone.run(planned, which, worlds.rows(np.tile(np.arange(WORLDS), len(ways))))
+        runs = alone.run(planned, which, exact.rows(np.tile(np.arange(WORLDS), len(ways))))
         simulator.rollouts += alone.rollouts
         moved = np.where((runs.failure == CARRIED_OUT)[:, None, None], runs.pose, np.nan)
         moved = moved.reshape(-1, WORLDS, LENGTHS, 3).swapaxes(1, 2).astype(np.float32)
@@ -157,7 +158,8 @@ class CorrectionTable:
     def after(self, row: IntArray, start: FloatArray) -> FloatArray:
         """Return poses (n, w, 3) after pushes `row` (n,) from poses (n, w, 3)."""
         ends = composed(start, self.moved[row].astype(np.float64))
-        return np.asarray(ends + self.deviation(start, ends) * self.draws[1])
+        rest = rest_at(self.worlds.rest, ends[..., 2] - start[..., 2]) + self.worlds.drift
+        return np.asarray(ends + rest + self.deviation(start, ends) * self.draws[1])
 
     def deviation(self, start: FloatArray, end: FloatArray) -> FloatArray:
         """Return the scales (n, w, 3) of the model's error of ends [m, m, rad]."""
@@ -294,6 +296,7 @@ class CorrectionTable:
         steps = np.vstack((np.zeros(d), SLOPE * np.diag(high - low)))
         wanted = np.stack([composed(inverted(seen), pose) for pose in towards], axis=1)
         scenarios = self.worlds.rows(np.repeat(weight.argmax(axis=1), t * (d + 1)))
+        scenarios = scenarios._replace(rest=np.zeros((scenarios.n, 3)), drift=np.zeros((1, 3)))
         best, least = numbers, np.full((n, t), np.inf)
         for _ in range(ITERATIONS):
             trial = (numbers[:, :, None] + steps).reshape(-1, 1, d)

@@ -22,7 +22,7 @@ from fixel.planning.rollout import CARRIED_OUT, WORST_MARGIN, PlannedMotions, Pl
 from fixel.planning.search import PlanSearch, SearchStage, Views, stage_scenarios
 from fixel.planning.success import SuccessProbability
 from fixel.simulation.vary import composed
-from fixel.typing import FloatArray, IntArray
+from fixel.typing import BoolArray, FloatArray, IntArray
 from fixel.uncertainty.starts import StartError
 
 MOST: Final = 5  # looks
@@ -123,18 +123,16 @@ class Policy:
         pose, failure = runs.pose[:, -1].copy(), runs.failure.copy()
         margin = self.simulator.margins(runs)
         margins, pushes = [margin], np.full(n, self.planned.start.shape[1])
-        before: Before | None = None
+        ends, deviation = np.zeros((2, n, WORLDS, 3))
+        before: Before = (np.ones((n, WORLDS)), ends, deviation)
+        new, met = np.ones(n, bool), np.full(n, (margin >= 0.0).mean())
         first: tuple[FloatArray, Correction] | None = None
         for _ in range(self.views.looks):
             error = self.views.camera.samples(n, int(rng.integers(2**31)))
             seen = pose + error[rng.permutation(n)]
             lost = rng.random(n) < self.views.lost_views
-            weight = self._likely(seen, before)
-            weight[lost] = 1.0 if before is None else before[0][lost]
-            start = self._starts(seen, before)
-            found = self._chosen(seen, weight, start)
-            found = found._replace(row=np.where(lost, -1, found.row))
-            before = weight, *self._expected(seen, start, found)
+            found = self._chosen_unless(lost, seen, new, before, met)
+            new &= lost
             first = first or (seen, found)
             own = np.flatnonzero((found.row >= 0) & (failure == CARRIED_OUT))
             if len(own):
@@ -157,14 +155,38 @@ class Policy:
             first[0], first[1].row, first[1].probability,
         )  # fmt: skip
 
+    def _chosen_unless(
+        self, lost: BoolArray, seen: FloatArray, new: BoolArray, before: Before, met: FloatArray
+    ) -> Correction:
+        """Choose pushes for seen poses (n, 3), and add what these change to `before`.
+
+        Nothing is learned, and nothing is pushed, where the view is lost; the goal is met with the
+        probabilities `met` (n,) then. Parts that no look has seen before are `new`.
+        """
+        n, numbers = len(seen), np.zeros((len(seen), *self.table.numbers.shape[1:]))
+        found = Correction(np.full(n, -1), np.zeros(n), met.copy(), numbers, np.zeros(n, bool))
+        for known in (None, before):
+            own = np.flatnonzero(~lost & (new == (known is None)))
+            if len(own):
+                earlier = known and (known[0][own], known[1][own], known[2][own])
+                chosen, after = self._look(seen[own], earlier)
+                found.put(own, chosen)
+                for whole, some in zip(before, after, strict=True):
+                    whole[own] = some
+        return found
+
     def next(self, seen: FloatArray) -> Correction:
         """Choose the push after the last of some seen poses (k, 3), one after each push."""
         before: Before | None = None
         for pose in np.asarray(seen, np.float64).reshape(-1, 1, 3):
-            weight, start = self._likely(pose, before), self._starts(pose, before)
-            found = self._chosen(pose, weight, start)
-            before = weight, *self._expected(pose, start, found)
+            found, before = self._look(pose, before)
         return found
+
+    def _look(self, seen: FloatArray, before: Before | None) -> tuple[Correction, Before]:
+        """Choose pushes for seen poses (n, 3), and return what is known before the next look."""
+        weight, start = self._likely(seen, before), self._starts(seen, before)
+        found = self._chosen(seen, weight, start)
+        return found, (weight, *self._expected(seen, start, found))
 
     def _chosen(self, seen: FloatArray, weight: FloatArray, start: FloatArray) -> Correction:
         case = (seen, weight, start)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -190,6 +191,11 @@ class PushPlan(Result):
             columns, [(k + 1, *row) for k, path in enumerate(self.path) for row in path.tolist()]
         )
 
+    def push_table(self, title: str = "") -> Table:
+        """Return the pushes as a table."""
+        rows = [(k, str(push)) for k, push in enumerate(self.pushes, 1)]
+        return Table(("push", "what"), rows, title=title, left=2 if title else 1)
+
     def success_table(self, title: str = "") -> Table:
         """Return the success of this plan, and of the best one without errors, as a table."""
         names = ("stated", "low", "high", "worst", "best")
@@ -254,7 +260,7 @@ class PushPlan(Result):
         self, scenarios: Scenarios, *, samples: int = SAMPLES, threads: int | None = None
     ) -> Runs:
         """Simulate the plan once in each of some scenarios, with `samples` poses of each push."""
-        simulator = replace(self._simulator(threads), samples=samples)
+        simulator = replace(self.simulator(threads), samples=samples)
         return simulator.run(self.planned(), np.zeros(scenarios.n, np.int64), scenarios)
 
     def capture(
@@ -280,13 +286,18 @@ class PushPlan(Result):
         rows = np.linspace(0, len(self.runs.margin) - 1, runs).astype(np.int64)
         own = self.runs.scenarios.rows(np.tile(rows, len(offsets)))
         own = own._replace(start=np.repeat(np.asarray(offsets, np.float64), runs, axis=0))
-        simulator = self._simulator(threads)
+        simulator = self.simulator(threads)
         found = simulator.run(self.planned(), np.zeros(own.n, np.int64), own, first=push)
         return np.asarray((simulator.margins(found) >= 0.0).reshape(-1, runs).mean(axis=1))
 
+    def under(self, belief: Belief) -> PushPlan:
+        """Return the plan with another belief, and with its motion model unless one was chosen."""
+        chosen = self.motion != self.belief.motion
+        return replace(self, belief=belief, motion=self.motion if chosen else belief.motion)
+
     def success_under(self, belief: Belief) -> SuccessProbability:
         """Compute the success probability from fresh scenarios of a belief, such as a later one."""
-        simulator, planned = replace(self, belief=belief)._simulator(None), self.planned()
+        simulator, planned = self.under(belief).simulator(), self.planned()
         stages, margins = fresh_stages(belief, self.scene), []
         if self.looks is not None:
             return looks_of(self.policy, stages, self.seed + FRESH, belief)[0].worth[-1]
@@ -327,9 +338,9 @@ class PushPlan(Result):
         if self.looks is not None:
             raise InvalidInput("plan", found="looks", expected="a plan without looks")
         permit(engine)
-        own = replace(self, motion=motion_model(engine))
-        found = own.run(own.draw(runs, seed), samples=1, threads=threads)
-        met = own._simulator(threads).margins(found) >= 0.0
+        simulator = replace(self, motion=motion_model(engine)).simulator(threads)
+        found = simulator.run(self.planned(), np.zeros(runs, np.int64), self.draw(runs, seed))
+        met = simulator.margins(found) >= 0.0
         return Probability.of(int(met.sum()), runs)
 
     def draw(self, n: int, seed: int = 1) -> Scenarios:
@@ -338,19 +349,13 @@ class PushPlan(Result):
 
     @cached_property
     def policy(self) -> Policy:
-        """Policy of a plan with looks, which chooses corrections of seen poses.
-
-        Raises
-        ------
-        InvalidInput
-            The plan has no looks.
-        """
+        """Policy of a plan with looks, which chooses corrections of seen poses."""
         own = self.looks
         if own is None:
             hint = "plan with looks=1 or more"
             raise InvalidInput("plan", found="no looks", expected="a plan with looks", hint=hint)
         return Policy(
-            simulator=self._simulator(None), belief=self.belief, planned=self.planned(),
+            simulator=self.simulator(), belief=self.belief, planned=self.planned(),
             table=own.table, views=Views(own.most, own.camera, own.lost_views),
         )  # fmt: skip
 
@@ -419,7 +424,8 @@ class PushPlan(Result):
         """Return the reasons why the plan fails, and what measuring each unknown is worth.
 
         Failures are those of the runs that state its success probability. The worth of measuring
-        comes from the best plans of the search, in the scenarios in which one of them was chosen.
+        comes from the best plans of the search, in the scenarios in which one of them was chosen;
+        a plan with looks has none, since these plans are carried out without a look.
 
         Examples
         --------
@@ -438,6 +444,8 @@ class PushPlan(Result):
             self.runs.margin[None], own.unknowns(), worlds=self._sets(own), units=UNKNOWN_UNITS,
             kinds=self.runs.outcome,
         )  # fmt: skip
+        if self.looks is not None:
+            return failures
         compared = Explanation.of(
             self.alternatives, others.unknowns(), worlds=self._sets(others), units=UNKNOWN_UNITS
         )
@@ -464,7 +472,8 @@ class PushPlan(Result):
         shown = gain if most.worth else "show whether the plan works"
         return f"{text}: measuring {most.name} would {shown}"
 
-    def _simulator(self, threads: int | None) -> PlanSimulator:
+    def simulator(self, threads: int | None = None) -> PlanSimulator:
+        """Return the simulator of the plan."""
         return simulator_of(
             self.scene, self.goal, self.choose, self.belief, self.motion, self.stepper, threads
         )
@@ -480,14 +489,10 @@ class PushPlan(Result):
     @property
     def failures(self) -> Mapping[str, float]:
         """Share of the runs that failed, by what became of them, the most frequent first."""
-        why, count = np.unique([x for x in self.runs.outcome if x], return_counts=True)
-        order = np.argsort(-count, kind="stable")
-        return {str(why[k]): float(count[k] / len(self.runs.outcome)) for k in order}
+        kinds = Counter(sorted(filter(None, self.runs.outcome))).most_common()
+        return {why: count / len(self.runs.outcome) for why, count in kinds}
 
     def _summary(self) -> Summary:
-        numbers = Table(
-            ("push", "what"), [(k + 1, str(push)) for k, push in enumerate(self.pushes)]
-        )
         notes = [
             *(self.looks.sentences if self.looks else ()),
             *filter(None, [self.belief.error_text]),
@@ -503,7 +508,7 @@ class PushPlan(Result):
         notes.append(f"planned end {pose_text(self.end)}")
         return Summary(
             f"Plan of {self.count}: {self.success.sentence}",
-            [numbers, self.success_table()],
+            [self.push_table(), self.success_table()],
             notes,
             {"rollouts": str(self.rollouts), "seed": str(self.seed), "motion": self.motion.name},
             self.unseen,
@@ -603,9 +608,7 @@ def _runs(
     search: PlanSearch, plan: FloatArray, planned: PlannedMotions, margin: FloatArray
 ) -> PlanRuns:
     scenarios = search.scenarios(search.fresh_stages[0])
-    runs = search.stated.get(plan.tobytes())
-    if runs is None:
-        runs = search.simulator.run(planned, np.zeros(scenarios.n, np.int64), scenarios)
+    runs = search.simulator.run(planned, np.zeros(scenarios.n, np.int64), scenarios)
     return PlanRuns(scenarios, margin, runs.pose[:, -1], _why(margin, runs.failure))
 
 

@@ -146,7 +146,9 @@ class FreePushes:
     obstacles: tuple[Polygon, ...] = ()
 
     def __post_init__(self) -> None:
-        _check_most(self.most)
+        if isinstance(self.most, bool) or not 1 <= self.most <= MAX_PUSHES:
+            expected = f"from 1 to {MAX_PUSHES}"
+            raise InvalidInput("choose.most", found=self.most, expected=expected)
         instance(self.tool, Shape | None, "choose.tool", "a Polygon or a Disk")
         if self.length is not None:
             settle(self, length=_range(self.length, "choose.length", lowest=0.0))
@@ -452,16 +454,15 @@ def swept(path: FloatArray, steps: int = 24) -> FloatArray:
     return np.concatenate(ways, axis=1)
 
 
-def collides(scene: Scene, path: FloatArray, fixels: FloatArray | None) -> FloatArray:
-    """Return the deepest overlap (n,) of the tool with fixels on paths (n, m, 4) [m]."""
-    deepest = np.full(len(path), -np.inf)
-    if not scene.fixels:
-        return deepest
-    poses, tool = swept(path), scene.pushers[0].shape
+def fixel_overlap(
+    scene: Scene, shape: Shape, poses: FloatArray, fixels: FloatArray | None
+) -> FloatArray:
+    """Return the deepest overlap (n,) of a shape at poses (n, k, 3) with fixels [m]."""
+    deepest = np.full(len(poses), -np.inf)
     for k, fixel in enumerate(scene.fixels):
         own = poses if fixels is None else poses - fixels[:, None, k] * (1.0, 1.0, 0.0)
-        depth = overlaps(tool, own.reshape(-1, 3), fixel.shape, fixel.pose).depth
-        deepest = np.maximum(deepest, depth.reshape(len(path), -1).max(axis=1))
+        depth = overlaps(shape, own.reshape(-1, 3), fixel.shape, fixel.pose).depth
+        deepest = np.maximum(deepest, depth.reshape(poses.shape[:2]).max(axis=1))
     return deepest
 
 
@@ -494,11 +495,6 @@ def _line(scene: Scene) -> LineDrive:
 
 def _radius(scene: Scene) -> float:
     return float(_only_body(scene).shape.radius)
-
-
-def _check_most(most: int) -> None:
-    if isinstance(most, bool) or not 1 <= most <= MAX_PUSHES:
-        raise InvalidInput("choose.most", found=most, expected=f"from 1 to {MAX_PUSHES}")
 
 
 def _regions(given: Any) -> tuple[Polygon, ...]:

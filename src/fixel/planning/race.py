@@ -9,7 +9,7 @@ for one plan are often hard for the others.
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,6 +29,8 @@ MIN_RUNS: Final = 4  # runs of each parameter draw from which plans are ranked b
 WORST_DRAWS: Final = 0.1
 
 Evaluate = Callable[[IntArray, IntArray], ArrayLike]
+Request = TypeVar("Request")
+T = TypeVar("T")
 
 
 class RaceRequest(NamedTuple):
@@ -91,13 +93,17 @@ def race(evaluate: Evaluate, n_plans: int, **options: Any) -> RaceResult:
     >>> found.best, found.rollouts
     (51, 9728)
     """
-    rounds = race_rounds(n_plans, **options)
+    return answered(race_rounds(n_plans, **options), lambda wanted: evaluate(*wanted))
+
+
+def answered(rounds: Generator[Request, Any, T], answer: Callable[[Request], Any]) -> T:
+    """Send a generator the answer to each of its requests, and return its result."""
     try:
         wanted = next(rounds)
         while True:
-            wanted = rounds.send(evaluate(*wanted))
+            wanted = rounds.send(answer(wanted))
     except StopIteration as end:
-        found: RaceResult = end.value
+        found: T = end.value
         return found
 
 

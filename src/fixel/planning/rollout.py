@@ -14,8 +14,8 @@ from fixel.model import Scene
 from fixel.model.goals import BodyTrack, Goal, touching
 from fixel.model.overlap import overlaps
 from fixel.model.trajectory import wrapped
-from fixel.planning.belief import Scenarios
-from fixel.planning.pushes import PushChoice, collides, scene_of_push, swept, touches
+from fixel.planning.belief import Scenarios, rows_of
+from fixel.planning.pushes import PushChoice, fixel_overlap, scene_of_push, swept, touches
 from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.motion import AbstractMotionModel, OtherEngine
 from fixel.simulation.rollouts import RolloutCase, Rollouts, ensemble_of
@@ -48,13 +48,6 @@ class Runs(NamedTuple):
     force: FloatArray  # (n,) largest force of the drive [N]
     fixels: FloatArray | None  # (n, n_fixel, 3) displacements of fixels from the scene's
 
-    def rows(self, which: IntArray) -> Runs:
-        """Return some of the runs."""
-        fixels = None if self.fixels is None else self.fixels[which]
-        return Runs(
-            self.pose[which], self.failure[which], self.stalled[which], self.force[which], fixels
-        )
-
 
 class PlannedMotions(NamedTuple):
     """Motions of m plans of k pushes, with the nominal simulation that they are planned from."""
@@ -67,13 +60,8 @@ class PlannedMotions(NamedTuple):
 
     def rows(self, which: IntArray) -> PlannedMotions:
         """Return some of the plans."""
-        return PlannedMotions(
-            self.start[which],
-            self.path[which],
-            None if self.fixels is None else self.fixels[which],
-            self.nominal.rows(which),
-            self.collides[which],
-        )
+        own: PlannedMotions = rows_of(self, which)
+        return own
 
 
 @final
@@ -136,7 +124,9 @@ class PlanSimulator:
             fixels = motions.fixels
             begun.append(motions.start)
             paths.append(motions.path)
-            hit |= collides(self.scene, motions.path, fixels) > 0.0
+            if self.scene.fixels:
+                tool, way = self.scene.pushers[0].shape, swept(motions.path)
+                hit |= fixel_overlap(self.scene, tool, way, fixels) > 0.0
             track, failed, stalled, peak = self._push(
                 motions.start, motions.path, fixels, None, motions.start
             )
@@ -219,7 +209,7 @@ class PlanSimulator:
         outcome = ensemble.simulate(np.arange(n), values, fixels)
         failure = np.zeros(n, np.int64)
         failure[put_down > TOUCHED * self.scene.bodies[0].shape.radius] = TOOL_ON_PART
-        failure[self._obstructed(begun[:, :1], outcome.pose, registration(values, n), path)] = (
+        failure[self.obstructed(begun[:, :1], outcome.pose, registration(values, n), path)] = (
             OBSTACLE
         )
         ended = np.isin(outcome.status, (codes.CONVERGED, codes.JAMMED))
@@ -240,7 +230,7 @@ class PlanSimulator:
         ]
         return ensemble_of(cases, self.motion, threads=self.threads)
 
-    def _obstructed(
+    def obstructed(
         self, begun: FloatArray, after: FloatArray, registered: FloatArray, path: FloatArray
     ) -> BoolArray:
         """Return whether the part, at poses (n, k, 3), or the tool touches an obstacle, (n,)."""
@@ -323,13 +313,7 @@ def tool_overlap(scene: Scene, parts: FloatArray, tools: FloatArray) -> FloatArr
 
 def part_overlap(scene: Scene, poses: FloatArray, fixels: FloatArray | None) -> FloatArray:
     """Return the deepest overlap (n,) of the part at poses (n, 3) with fixels [m]."""
-    deepest = np.full(len(poses), -np.inf)
-    for k, fixel in enumerate(scene.fixels):
-        own = poses if fixels is None else poses - fixels[:, k] * (1.0, 1.0, 0.0)
-        deepest = np.maximum(
-            deepest, overlaps(scene.bodies[0].shape, own, fixel.shape, fixel.pose).depth
-        )
-    return deepest
+    return fixel_overlap(scene, scene.bodies[0].shape, poses[:, None], fixels)
 
 
 def _summed(

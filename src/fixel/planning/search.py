@@ -8,7 +8,7 @@ from collections.abc import Callable, Generator, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from importlib import import_module
-from typing import Final, NamedTuple, TypeVar, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 from scipy.special import expit
@@ -26,13 +26,12 @@ from fixel.planning.candidates import (
     spread_pushes,
 )
 from fixel.planning.pushes import FreePushes
-from fixel.planning.race import RaceResult, RaceRound, race_rounds
+from fixel.planning.race import SIZES, RaceResult, RaceRound, T, answered, race_rounds
 from fixel.planning.rollout import (
     CARRIED_OUT,
     WORST_MARGIN,
     PlannedMotions,
     PlanSimulator,
-    Runs,
 )
 from fixel.planning.simplified import simplified
 from fixel.planning.success import SuccessProbability
@@ -42,7 +41,6 @@ from fixel.uncertainty.starts import RPI_CAMERA, StartError
 
 WORLDS: Final = 64  # parameter draws of the race and of the choice
 ROLLOUTS: Final = 160_000
-RACE: Final = (8, 16, 32, 64, 128, 256, 512, 1024)  # scenarios of a plan, rounds of the race
 NEARLY: Final = 9.0  # tolerances off, up to which wider ones are advised by number
 NEAR: Final = 3.0  # tolerances by which the nominal end of a candidate may miss the goal
 ENTRANTS: Final = 1024  # candidates in the race
@@ -71,7 +69,7 @@ class SearchStage(NamedTuple):
     runs: int  # of each draw
 
 
-RACE_STAGE: Final = SearchStage(1, WORLDS, RACE[-1] // WORLDS)
+RACE_STAGE: Final = SearchStage(1, WORLDS, SIZES[-1] // WORLDS)
 REFINE_STAGE: Final = SearchStage(2, 32, 1)  # few, so that each plan takes many steps
 SOME: Final = SearchStage(11, 8, 1)  # whether any part of the belief meets the goal
 NEAREST: Final = SearchStage(12, WORLDS, 4)  # how likely the nearest end is
@@ -96,7 +94,6 @@ class MarginRequest(NamedTuple):
         return digest.hexdigest()
 
 
-T = TypeVar("T")
 Rounds = Generator[MarginRequest, FloatArray, T]  # is sent the margins (m, n)
 
 
@@ -167,8 +164,6 @@ class PlanSearch:
         return self._drawn[stage]
 
     _drawn: dict[SearchStage, Scenarios] = field(default_factory=dict)
-    # Runs of the first fresh stage by the numbers of their plan, unless simulated elsewhere.
-    stated: dict[bytes, Runs] = field(default_factory=dict)
 
     def margins(self, request: MarginRequest) -> FloatArray:
         """Simulate the margins (m, n) of a request."""
@@ -182,9 +177,6 @@ class PlanSearch:
             runs = simulator.run(planned, which, scenarios.rows(np.tile(np.arange(n), len(own))))
             margin = simulator.margins(runs).reshape(len(own), n)
             found[own] = np.where(planned.collides[:, None], WORST_MARGIN, margin)
-            if request.stage.stream == DRAWS and n == request.stage.worlds * request.stage.runs:
-                for k, rows in zip(own, np.split(np.arange(len(which)), len(own)), strict=True):
-                    self.stated[request.plans[int(k)].tobytes()] = runs.rows(rows)
         return found
 
     def _ask(
@@ -292,7 +284,7 @@ class PlanSearch:
             self._show("race")
 
         rounds = race_rounds(
-            len(plans), sizes=RACE, worlds=self.scenarios(RACE_STAGE).world,
+            len(plans), worlds=self.scenarios(RACE_STAGE).world,
             finalists=FINALISTS, budget=int((SHARES[1] - SHARES[0]) * self.rollouts), report=show,
         )  # fmt: skip
         try:
@@ -466,15 +458,13 @@ def conduct(search: PlanSearch, rounds: Rounds[T], answers: Answers) -> T:
 
     Answers (m, n) are stored by the names of their requests; new ones are added.
     """
-    try:
-        request = next(rounds)
-        while True:
-            if request.name not in answers:
-                answers[request.name] = search.margins(request)
-            request = rounds.send(answers[request.name])
-    except StopIteration as end:
-        found: T = end.value
-        return found
+
+    def answer(request: MarginRequest) -> FloatArray:
+        if request.name not in answers:
+            answers[request.name] = search.margins(request)
+        return answers[request.name]
+
+    return answered(rounds, answer)
 
 
 def _refused(unseen: tuple[str, ...]) -> InvalidInput:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -149,7 +150,7 @@ class Trials(Result):
     def failures(self) -> dict[str, int]:
         """Number of failures of each kind, the most frequent first."""
         kinds = [trial.failure or "unknown" for trial in self.trials if not trial.met]
-        return dict(sorted({k: kinds.count(k) for k in kinds}.items(), key=lambda own: -own[1]))
+        return dict(Counter(kinds).most_common())
 
     @property
     def evidence(self) -> FloatArray:

@@ -435,6 +435,7 @@ class RepeatedPushes(NamedTuple):
     """n runs of the same pushes."""
 
     pose: FloatArray  # (n, n_push + 1, 3) true poses of the part: at the start, after each push
+    way: FloatArray  # (n, n_push, n_sample, 3) those in each push, its end last
     force: FloatArray  # (n,) force of the drive at the end of the last push [N]
     stalled: BoolArray  # (n,) whether the drive is stalled then
     failure: tuple[str, ...]  # (n,) why a run could not be finished; empty for others
@@ -447,6 +448,7 @@ def repeat_pushes(
     starts: FloatArray,
     *,
     name: str = "trial",
+    samples: int = 1,
     threads: int | None = None,
 ) -> RepeatedPushes:
     """Carry out pushes one after the other, without seeing the part, n times.
@@ -455,7 +457,8 @@ def repeat_pushes(
     between its pushes. The plate and the underside of the part are the same in all runs.
 
     Scenes have the path of the tool; instead of the part's pose in the first, `starts` (n, 3) has
-    its true poses [m, m, rad]. Trials of another name have other random conditions. A run in which
+    its true poses [m, m, rad]. Trials of another name have other random conditions. Each push has
+    poses at `samples` evenly spaced times. A run in which
     the tool would be put down on the part, or the part does not fit between fixels, ends before
     that push. Results are bit for bit the same for any number of threads. No push, no start, or a
     scene that is no push of one body raises `InvalidInput`.
@@ -473,22 +476,25 @@ def repeat_pushes(
         raise InvalidInput("pushes", found="none", expected="one push and one start at least")
     n = len(starts)
     pose = np.repeat(np.asarray(starts, np.float64)[:, None], len(pushes) + 1, axis=1)
+    way = np.repeat(pose[:, 1:, None], samples, axis=2)
     force, stalled, failure = np.zeros(n), np.zeros(n, bool), [""] * n
     true = testbed.true_scene(PlannedExperiment(name=f"{name}-0", scene=pushes[0]))
     for k, push in enumerate(pushes):
-        scenes = {}
+        scenes, seconds = {}, LATE * push.duration
         for r in np.flatnonzero(np.equal(failure, "")).tolist():
             try:
                 part = replace(push.bodies[0], pose=pose[r, k])
-                scene = replace(push, bodies=(part,), duration=LATE * push.duration)
+                scene = replace(push, bodies=(part,), duration=seconds)
                 planned = PlannedExperiment(name=f"{name}-{r}", scene=scene)
                 scenes[r] = testbed.true_scene(planned)
             except InvalidInput as problem:
                 failure[r] = f"push {k + 1} cannot begin: {problem}"
-        done = simulate_batch(list(scenes.values()), threads=threads)
+        times = seconds * np.arange(1, samples + 1) / samples
+        done = simulate_batch(list(scenes.values()), times=times, threads=threads)
         for r, run in zip(scenes, done, strict=True):
-            pose[r, k + 1 :] = run.pose[0, -1, 0]
+            way[r, k], pose[r, k + 1 :] = run.pose[0, :, 0], run.pose[0, -1, 0]
+            way[r, k + 1 :] = pose[r, k + 1]
             force[r], stalled[r] = run.force[0, 0], run.stalled[0, 0]
             status = str(run.status[0])
             failure[r] = "" if status == "converged" else f"{status} in push {k + 1}"
-    return RepeatedPushes(pose, force, stalled, tuple(failure), true)
+    return RepeatedPushes(pose, way, force, stalled, tuple(failure), true)

@@ -271,11 +271,11 @@ class RunToRun:
 
 
 def rest_at(rest: FloatArray, turned: FloatArray) -> FloatArray:
-    """Return the remaining errors (n, 3) of ends of parts that turned by given angles (n,) [rad].
+    """Return the remaining errors (..., 3) of ends after rotations (...) of the part [rad].
 
     The errors (n, 3) of a draw are `RunChanges.rest`.
     """
-    return np.asarray(rest * (np.abs(turned) / TURN)[:, None])
+    return np.asarray(rest * (np.abs(turned) / TURN)[..., None])
 
 
 def arm_of(scene: Scene) -> float:

@@ -38,7 +38,7 @@ from fixel.workflows.planning.request import (
     save_plan,
 )
 
-from .plans import rig_plan, square_plan
+from .plans import plan_of, rig_plan, square_plan
 
 
 def stored(plan, path: Path) -> Path:
@@ -78,6 +78,31 @@ def test_trials_on_the_testbed_are_those_of_its_own_runs(tmp_path: Path):
         off = np.hypot(*(pose[-1, :2] - (0.03, 0.0))) / 5e-3
         turn = abs(pose[-1, 2]) / math.radians(5.0)
         assert trial.met == (max(off, turn) <= 1.0)
+
+
+def test_trials_of_a_second_call_are_other_runs(tmp_path: Path):
+    """The same runs again would be evidence that is counted twice."""
+    path = stored(square_plan(), tmp_path / "a.plan")
+    for n in (3, 6):
+        found = run_on_testbed(path, trials=3, seed=4)
+        assert found.n == n
+    assert len({(one.start, one.end) for one in found.trials}) == 6
+
+
+def test_an_obstacle_on_the_way_fails_a_trial_although_its_end_meets_the_goal(tmp_path: Path):
+    """A square of 40 mm passes a post between its start and its end 100 mm ahead."""
+    scene = pushed_square()
+    body = replace(scene.bodies[0], shape=fixel.Polygon.rectangle(40 * mm, 40 * mm))
+    goal = fixel.PoseRegion((0.1, 0.0, 0.0), position=20 * mm, angle=30 * deg)
+    post = fixel.Polygon(np.array([[45, 15], [55, 15], [55, 80], [45, 80]]) * mm)
+    tool, met = fixel.Polygon.rectangle(10 * mm, 30 * mm), []
+    for obstacles in ((), (post,)):
+        choose = fixel.FreePushes(tool=tool, obstacles=obstacles, length=(0.01, 0.2))
+        plan = plan_of(replace(scene, bodies=(body,)), goal, choose, [(0.875, 0.0, 0.1)])
+        found = run_on_testbed(stored(plan, tmp_path / f"{len(met)}.plan"), trials=3)
+        met.append((found.successes, plan.success.mean, plan.success_in("quasistatic", 4).value))
+    assert met == [(3, 1.0, 1.0), (0, 0.0, 0.0)]
+    assert found.failures == {"an obstacle is touched": 3}
 
 
 def test_trials_with_looks_use_all_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -252,7 +277,7 @@ def test_a_check_counts_trials_and_repeats_the_statement(tmp_path: Path):
 
 def test_displaced_fixels_are_where_the_plan_wants_them():
     choose = fixel.RigPushes(stroke=(0.02, 0.1), fixels={"fixel-1": ((-0.01, 0.01), (0.0, 0.01))})
-    from .plans import grasp, plan_of
+    from .plans import grasp
 
     plan = plan_of(
         grasp("seated"), fixel.Seated("fixel-1"), choose, [(0, 0, 0, 0.02, 0.004, 0.006)]

@@ -23,12 +23,13 @@ from fixel.planning.belief import Belief
 from fixel.planning.held_out import HeldSuccess, held_success
 from fixel.planning.plan import PlanCorrection, PushPlan
 from fixel.planning.pushes import RigPush
+from fixel.planning.rollout import FAILURES, OBSTACLE
 from fixel.planning.seen import is_met, plan_again
 from fixel.planning.success import SuccessProbability
 from fixel.planning.trials import PlanTrial, Trials
 from fixel.progress import show_progress
 from fixel.testbed.motion import AbstractActuator
-from fixel.testbed.simulated import SimulatedTestbed, repeat_pushes
+from fixel.testbed.simulated import RepeatedPushes, SimulatedTestbed, repeat_pushes
 from fixel.typing import FloatArray, Notify
 from fixel.workflows.acquisition.record import RecordPlan, record
 from fixel.workflows.acquisition.track import track_film
@@ -84,20 +85,22 @@ def run_on_testbed(path: str | Path, *, trials: int = 1, seed: int = 1) -> Trial
     file = load_plan(path)
     plan = file.found.plan
     _check_pushes(plan)
-    rng = np.random.default_rng([seed, 18])
-    error = plan.belief.start
-    drawn = np.zeros((trials, 3)) if error is None else error.samples(trials, seed)
+    # Trials after others have their own starts and conditions: the same runs would count twice.
+    before = load_trials(path, file).n
+    rng, error = np.random.default_rng([seed, 18, before]), plan.belief.start
+    own, name = (int(rng.integers(2**31)), f"{file.id}-{before}") if before else (seed, file.id)
+    drawn = np.zeros((trials, 3)) if error is None else error.samples(trials, own)
     starts = plan.first_pose + drawn[rng.permutation(trials)]
     testbed = SimulatedTestbed(seed=seed)
     if plan.looks is None:
-        done = repeat_pushes(testbed, plan.scenes, starts, name=file.id)
+        done = _carried_out(plan, testbed, plan.scenes, starts, name)
         fixels = None if plan.fixels is None else np.repeat(plan.fixels[None], trials, axis=0)
-        track = BodyTrack(done.pose[:, 1:], done.stalled, np.abs(done.force), fixels)
+        way = done.way.reshape(trials, -1, 3)
+        track = BodyTrack(way, done.stalled, np.abs(done.force), fixels)
         ends, failure = done.pose[:, -1], done.failure
     else:
         each = [
-            _with_looks(plan, testbed, start, f"{file.id}-{k}", rng)
-            for k, start in enumerate(starts)
+            _with_looks(plan, testbed, start, f"{name}-{k}", rng) for k, start in enumerate(starts)
         ]
         ends, failure = np.array([end for end, _ in each]), tuple(why for _, why in each)
         track = BodyTrack.of_ends(ends)
@@ -105,6 +108,28 @@ def run_on_testbed(path: str | Path, *, trials: int = 1, seed: int = 1) -> Trial
     by = f"simulated testbed, seed {seed}"
     runs = zip(starts, ends, met, failure, strict=True)
     return add_trials(path, file, *(_trial(*run, by) for run in runs))
+
+
+def _carried_out(
+    plan: PushPlan,
+    testbed: SimulatedTestbed,
+    scenes: Sequence[Scene],
+    starts: FloatArray,
+    name: str,
+) -> RepeatedPushes:
+    """Carry out pushes from starts (n, 3); a run in which an obstacle is touched has failed."""
+    simulator, n = plan.simulator(), len(starts)
+    done = repeat_pushes(testbed, scenes, starts, name=name, samples=simulator.samples)
+    touched = np.zeros(n, bool)
+    for k, scene in enumerate(scenes):
+        path = np.tile(scene.pushers[0].drive.waypoints, (n, 1, 1))  # type: ignore[union-attr]
+        touched |= simulator.obstructed(
+            done.pose[:, k, None], done.way[:, k], np.zeros((n, 3)), path
+        )
+    why = zip(done.failure, touched, strict=True)
+    return done._replace(
+        failure=tuple(own or ("", FAILURES[OBSTACLE])[int(hit)] for own, hit in why)
+    )
 
 
 def _with_looks(
@@ -122,7 +147,7 @@ def _with_looks(
         nonlocal pose, failure
         if not failure:
             # The conditions of a run depend on its name: they are the same for all its pushes.
-            done = repeat_pushes(testbed, [scene], pose[None], name=name)
+            done = _carried_out(plan, testbed, [scene], pose[None], name)
             pose, failure = done.pose[0, -1], done.failure[0]
 
     def look() -> FloatArray | None:
@@ -447,7 +472,7 @@ def next_plan(
     """
     found = load_plan(path).found
     belief, number = present_belief(project, found)
-    old = replace(found.plan, belief=belief)
+    old = found.plan.under(belief)
     with show_progress(None, "planning") as report:
         asked = {name: x for name, x in found.request.items() if name == "untrusted"}
         again, note = plan_again(old, seen, done, **{**asked, **options}, report=report.show)

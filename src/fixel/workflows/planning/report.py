@@ -12,7 +12,6 @@ from fixel.io.atomic import written_whole
 from fixel.io.document import yaml_text
 from fixel.planning.looks import Looks
 from fixel.planning.plan import PushPlan
-from fixel.table import Table
 from fixel.workflows.analysis import Analysis, AnalysisReport
 from fixel.workflows.figures import Picture
 from fixel.workflows.planning.request import FoundPlan, PlanAnswer, save_plan
@@ -43,7 +42,7 @@ def analysis_of(found: FoundPlan) -> Analysis:
         headline=tuple(_headline(found)),
         warnings=found.warnings,
         tables=(
-            _pushes_table(plan),
+            plan.push_table("Pushes"),
             plan.success_table("Success probability"),
             causes_chart(explained).table(),
         ),
@@ -90,11 +89,8 @@ def add_files(answer: PlanAnswer, folder: Path) -> None:
 def next_words(done: StoredAnswer) -> list[object]:
     """Return the words of the command that carries out the plan, if it has pushes."""
     file = done.result.file or (done.folder and done.folder / FILE)
-    return ["plan", "run", file] if file and _has_pushes(done.result.found.plan) else []
-
-
-def _has_pushes(plan: PushPlan) -> bool:
-    return bool(plan.pushes) or plan.looks is not None
+    plan = done.result.found.plan
+    return ["plan", "run", file] if file and (plan.pushes or plan.looks) else []
 
 
 def _headline(found: FoundPlan) -> list[str]:
@@ -110,12 +106,6 @@ def _headline(found: FoundPlan) -> list[str]:
         kinds = (f"{100.0 * share:.1f} % {why}" for why, share in plan.failures.items())
         lines.append(f"Failures: {', '.join(kinds)}.")
     return lines
-
-
-def _pushes_table(plan: PushPlan) -> Table:
-    """Return the pushes of a plan."""
-    rows = [(k, str(push)) for k, push in enumerate(plan.pushes, 1)]
-    return Table(("push", "what"), rows, title="Pushes", left=2)
 
 
 def _methods(plan: PushPlan) -> str:
