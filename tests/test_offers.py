@@ -3,10 +3,12 @@
 import json
 import subprocess
 import sys
+from dataclasses import is_dataclass
+from typing import get_args
 
 import pytest
 
-from fixel.io.saved import _class_of, _known
+from fixel.io.saved import _class_of, _hints, _known
 from fixel.offers import OFFERS, PLOTS
 from fixel.registry import offered
 from fixel.results import Result
@@ -18,6 +20,21 @@ CALLED = [(kind, name) for kind in OFFERS if kind != "saved classes" for name in
 def test_an_offer_can_be_imported(kind, name):
     found = offered(kind, name)
     assert callable(found) or kind in ("jobs", "capability")
+
+
+def _inside(hint):
+    """Yield the classes of a type hint."""
+    if isinstance(hint, type):
+        yield hint
+    for part in get_args(hint):
+        yield from _inside(part)
+
+
+def test_what_a_saved_class_contains_can_be_saved():
+    kinds = [_class_of(name) for name in _known()]
+    inside = {one for kind in kinds for hint in _hints(kind).values() for one in _inside(hint)}
+    final = {one for one in inside if not one.__subclasses__() and is_dataclass(one)}
+    assert {one for one in final if one.__module__.startswith("fixel.")} <= {*kinds}
 
 
 def test_plots_and_stores_are_of_results():

@@ -158,7 +158,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "fixel.planning.success": "SuccessProbability",
         "fixel.planning.trials": "PlanTrial Trials",
         "fixel.simulation.motion": "Dynamic FirstOrder OtherEngine QuasiStatic",
-        "fixel.simulation.result": "BatchResult PusherTrajectory Simulation",
+        "fixel.simulation.result": "Accuracy BatchResult PusherTrajectory Simulation",
         "fixel.simulation.rollouts": "RolloutCase",
         "fixel.simulation.solver": "GaussSeidel Lemke Newton",
         "fixel.simulation.stepper": "Adaptive Midpoint StewartTrinkle",

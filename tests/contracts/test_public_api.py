@@ -359,6 +359,15 @@ def test_saved_scene_is_the_same(tmp_path: Path) -> None:
     assert fixel.simulate(path).final == fixel.simulate(pushed_square()).final
 
 
+def test_a_confirmed_simulation_is_saved_with_its_confirmation(tmp_path: Path) -> None:
+    push = fixel.simulate(pushed_square(), motion="quasistatic", accuracy=True, derivatives=["x"])
+
+    again = fixel.load(push.save(tmp_path / "push.fixel"))
+
+    assert again == push
+    assert str(again.accuracy) == str(push.accuracy)
+
+
 def test_template_is_refused_with_what_is_missing() -> None:
     part = pushed_square().bodies[0]
     scene = fixel.Scene(part, fixel.Pusher("tip", fixel.Disk(5 * mm), friction=0.3))
