@@ -226,6 +226,9 @@ class Experiment(Comparable, Result):
         name_of(self.dataset, "experiment.dataset")
         where = f"experiment {self.dataset}/{name_of(self.name, 'experiment.name')}"
         instance(self.trajectory, Trajectory, f"{where}.trajectory", "a Trajectory")
+        track = self.trajectory
+        if len(track.time) > 2 and (np.abs(np.diff(track.theta)) > np.pi).any():
+            settle(self, trajectory=track.resampled(track.time))  # for `turned`: continuous angles
         if self.real == bool(self.simulated_by):
             raise InvalidInput(
                 f"{where}.simulated_by",
@@ -235,11 +238,8 @@ class Experiment(Comparable, Result):
         for label in ("height", "pusher_height", "fixel_height"):
             settle(self, **{label: optional_positive(getattr(self, label), label, "m")})
         if not re.fullmatch(r"[01]*", self.contact_mode):
-            raise InvalidInput(
-                f"{where}.contact_mode",
-                found=repr(self.contact_mode),
-                expected="a digit 0 or 1 for each fixel",
-            )
+            found, expected = repr(self.contact_mode), "a digit 0 or 1 for each fixel"
+            raise InvalidInput(f"{where}.contact_mode", found=found, expected=expected)
         if self.scene is not None:
             self._check_scene(where, self.scene)
         if self.effective is not None:
