@@ -154,6 +154,9 @@ def test_a_planned_start_has_no_noise_and_a_stored_target_remembers_which_it_has
     later = moved.trajectory.pose + 1e-4
     planned = targets_of([replace(moved, trajectory=replace(moved.trajectory, pose=later))])[0]
     assert not planned.starts_measured
+    turned = moved.trajectory.pose + np.array([0.0, 0.0, 2.0 * np.pi])
+    (again,) = targets_of([replace(moved, trajectory=replace(moved.trajectory, pose=turned))])
+    assert again.starts_measured  # a whole turn is the same pose
     for name, content in target_files([measured, planned]).items():
         (tmp_path / name).write_bytes(content)
     assert [one.starts_measured for one in read_targets(tmp_path)] == [True, False]

@@ -36,9 +36,8 @@ def target_of(experiment: Experiment) -> Target:
     """
     scene = scene_of(experiment)
     useful = useful_poses(experiment)
-    start = clock_start(experiment, scene)
-    time = experiment.trajectory.time[useful] - start
-    pose = experiment.trajectory.pose[useful]
+    start, track = clock_start(experiment, scene), experiment.trajectory
+    time, pose = track.time[useful] - start, track.pose[useful]
     if not time[-1] > 0.0:
         raise InvalidInput(
             f"experiment {experiment.key}.trajectory",
@@ -51,7 +50,7 @@ def target_of(experiment: Experiment) -> Target:
         {**experiment.conditions, "experiment": experiment.key},
         RolloutCase(scene, time[after]),
         pose[after],
-        np.allclose(scene.bodies[0].pose, experiment.trajectory.pose[0], rtol=0.0, atol=SAME_POSE),
+        np.allclose(pose_error(scene.bodies[0].pose, track.pose[0]), 0.0, atol=SAME_POSE),
     )
 
 
