@@ -80,10 +80,22 @@ def test_small_values_are_metres_and_radians(tmp_path: Path) -> None:
 
 
 def test_units_nobody_knows_are_named(tmp_path: Path) -> None:
-    plan = plan_of(tmp_path, "time_s,x_inch,y_inch\n0,1,2\n1,2,2\n")
+    plan = plan_of(tmp_path, "time_s,x_ells,y_ells\n0,1,2\n1,2,2\n")
 
-    assert any("x_inch has the unknown unit 'inch'" in line for line in plan.understood)
+    assert any("x_ells has the unknown unit 'ells'" in line for line in plan.understood)
     assert any("There is no angle of the object" in line for line in plan.understood)
+
+
+@pytest.mark.parametrize("title", ["time_ns", "timestamp"])
+def test_nanoseconds_since_1970_are_times(tmp_path: Path, title: str) -> None:
+    epoch = 1_700_000_000_000_000_000
+    rows = [f"{epoch + 50_000_000 * k},{k},0,{100 * k}" for k in range(3)]
+    text = "\n".join([f"{title},x_inch,y_inch,theta_mrad", *rows])
+    track = experiment_of(tmp_path, text).trajectory
+
+    assert track.time == pytest.approx([0.0, 0.05, 0.1], abs=1e-6)
+    assert track.x == pytest.approx([0.0, 0.0254, 0.0508])
+    assert track.theta == pytest.approx([0.0, 0.1, 0.2])
 
 
 def test_options_go_before_guesses(tmp_path: Path) -> None:

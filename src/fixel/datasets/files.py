@@ -26,9 +26,9 @@ MM: Final = 1e-3
 # Experiment, or part of a folder, that cannot be read, and the reason.
 Problems = dict[str, FixelError]
 
-# Larger numbers cannot be readings, not even microseconds since 1970. Squares of smaller ones stay
+# Larger numbers cannot be readings, not even nanoseconds since 1970. Squares of smaller ones stay
 # far inside float64.
-LARGEST_NUMBER: Final = 1e18
+LARGEST_NUMBER: Final = 5e18
 MAX_WHOLE: Final = 2**31
 
 # Maximum length of an unpacked file and of one line [characters]: a few kilobytes of gzip can

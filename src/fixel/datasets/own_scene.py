@@ -306,7 +306,7 @@ def refuse_implausible(
     """
     glance = np.linspace(track.time[0], track.time[-1], GLANCES)
     _refuse_lengths(track, source)
-    if unit is None or len(track.time) < 3:
+    if unit not in WORDS or len(track.time) < 3:
         return
     other = "deg" if unit == "rad" else "rad"
     factor = math.pi / 180.0 if unit == "rad" else 180.0 / math.pi  # from this unit to the other

@@ -38,11 +38,14 @@ UNITS: Final[Mapping[str, ColumnUnit]] = {
     "s": ColumnUnit("time", 1.0, "s"),
     "ms": ColumnUnit("time", 1e-3, "s"),
     "us": ColumnUnit("time", 1e-6, "s"),
+    "ns": ColumnUnit("time", 1e-9, "s"),
     "m": ColumnUnit("length", 1.0, "m"),
     "mm": ColumnUnit("length", 1e-3, "m"),
     "cm": ColumnUnit("length", 1e-2, "m"),
     "um": ColumnUnit("length", 1e-6, "m"),
+    "inch": ColumnUnit("length", 0.0254, "m"),
     "rad": ColumnUnit("angle", 1.0, "rad"),
+    "mrad": ColumnUnit("angle", 1e-3, "rad"),
     "deg": ColumnUnit("angle", math.pi / 180.0, "rad"),
     "n": ColumnUnit("force", 1.0, "n"),
     "nm": ColumnUnit("torque", 1.0, "nm"),
@@ -77,8 +80,9 @@ _ROLES: Final = _roles()
 # Larger values decide the unit if the header has none: no plate is 5 m wide, and an angle seldom
 # exceeds a turn.
 MAX_METRES, MAX_RADIANS = 5.0, 2.0 * math.pi + 0.1
-# Readings come at more than one and less than a thousand per second.
-MAX_SECONDS, MAX_MILLISECONDS = 1.0, 1000.0
+# Readings come at more than one and less than a thousand per second: larger steps are milliseconds,
+# microseconds, nanoseconds.
+MAX_STEPS = (1.0, 1e3, 1e6)
 
 # Kinds of quantities that experiments differ by; others, such as forces, are readings.
 _SETTABLE = ("length", "angle", "speed", "turning", "ratio", "count")
@@ -97,9 +101,9 @@ class CsvTable(Importer):
         "name": "name of the experiment; by default that of the file",
         "object_name": "name of the object",
         "simulated_by": "simulator that wrote the table, if it was not measured",
-        "time_unit": "unit of times without a unit: s, ms or us",
-        "length_unit": "unit of positions without a unit: m, mm, cm or um",
-        "angle_unit": "unit of angles, which overrides the header: rad or deg",
+        "time_unit": "unit of times without a unit: s, ms, us or ns",
+        "length_unit": "unit of positions without a unit: m, mm, cm, um or inch",
+        "angle_unit": "unit of angles, which overrides the header: rad, mrad or deg",
         "scene": "scene file with object, pusher and fixels",
         "split_by": "column whose values separate the experiments of a table",
     }
@@ -458,8 +462,8 @@ def _guess(reading: _TableReading, kind: str, column: _TableColumn) -> tuple[str
     if kind == "time":
         numbers = reading.numbers(column)
         step = float(np.nanmedian(np.diff(numbers))) if len(numbers) > 1 else 0.0
-        scale = (step >= MAX_SECONDS) + (step >= MAX_MILLISECONDS)
-        return ("s", "ms", "us")[scale], f"typical steps of {step:g}"
+        unit = ("s", "ms", "us", "ns")[sum(step >= most for most in MAX_STEPS)]
+        return unit, f"typical steps of {step:g}"
     # Positions without a unit share one, so the largest of them decides.
     alike = [c for r, c in reading.roles.items() if _kind(r) == kind and c.unit is None]
     values = np.abs(np.concatenate([reading.numbers(c) for c in alike]))
@@ -581,11 +585,8 @@ def _values(reading: _TableReading, column: _TableColumn, unit: ColumnUnit) -> F
     cells = [cell.strip().lower() for cell in reading.table.columns[column.title]]
     for row, cell in enumerate(cells):
         if cell not in words:
-            raise InvalidInput(
-                f"{reading.table.source}, row {row + 1}, column {column.title}",
-                found=repr(cell),
-                expected="0 or 1, true or false",
-            )
+            where = reading.table.place(column.title, row)
+            raise InvalidInput(where, found=repr(cell), expected="0 or 1, true or false")
     return np.array([words[cell] for cell in cells])
 
 
