@@ -50,6 +50,7 @@ from fixel.workflows.analysis import Analysis
 from fixel.workflows.calibration.parameter_options import call_of, enlarged_command
 from fixel.workflows.calibration.plan import CalibrationPlan, outcome_of
 from fixel.workflows.calibration.request import CalibrationRequest
+from fixel.workflows.figures import make_folder, write_picture
 
 if TYPE_CHECKING:
     from fixel.simulation import Simulation
@@ -269,10 +270,8 @@ class Calibration(Result, Mapping[str, float]):
     @property
     def misfit(self) -> MisfitStatement:
         """Residuals compared with the noise of the measurements."""
-        ratio = self.found.misfit_ratio
-        return MisfitStatement(
-            ratio, ratio >= WARNED, " ".join(self.found.misfit), self.found.noise
-        )
+        own, ratio = self.found, self.found.misfit_ratio
+        return MisfitStatement(ratio, ratio >= WARNED, " ".join(own.misfit), own.noise)
 
     @property
     def prediction_check(self) -> PredictionCheck | None:
@@ -497,9 +496,8 @@ class Calibration(Result, Mapping[str, float]):
         unit, errors = self.request.made_error.unit, self.found.errors
         before = root_mean(self.nominal_errors, unit)
         begin = "" if math.isnan(before) else f"{before:.3g} mm before, "
-        how = {"end-pose": "end pose", "robust": "robust mean"}.get(
-            self.request.error.name, "root mean square"
-        )
+        words = {"end-pose": "end pose", "robust": "robust mean"}
+        how = words.get(self.request.error.name, "root mean square")
         scale = 1e3 * self.request.made_error.angle_scale
         return (
             f"error: {begin}{root_mean(errors, unit):.3g} mm after calibration"
@@ -659,8 +657,6 @@ class Calibrations(CalibrationPlan, Result, Sequence[Calibration]):
 
     def draw(self, folder: Path) -> list[Path]:
         """Draw all charts into a folder; return PNG, PDF and CSV of each."""
-        from fixel.workflows.figures import make_folder, write_picture
-
         make_folder(folder)
         pictures = import_module("fixel.workflows.calibration.report").pictures_of(self)
         return [path for picture in pictures for path in write_picture(folder, picture)]
@@ -704,9 +700,7 @@ class Calibrations(CalibrationPlan, Result, Sequence[Calibration]):
         shown = self.each or [*self]
         rows = [
             (
-                one.keys_of_experiments[0]
-                if len(one.found.members) == 1
-                else f"{len(one.found.members)} experiments, {one.found.how}",
+                one.subject if len(one.found.members) == 1 else f"{one.subject}, {one.found.how}",
                 root_mean(one.nominal_errors, unit),
                 root_mean(one.found.errors, unit),
                 *(one.estimates[u.label].value_text for u in free),
@@ -737,15 +731,13 @@ class Calibrations(CalibrationPlan, Result, Sequence[Calibration]):
 
     def _verdict_notes(self) -> list[str]:
         """Count how often each parameter of single experiments has which verdict."""
-        counts: dict[str, Counter[str]] = {u.label: Counter() for u in self.request.space.free}
-        for one in self.each:
-            for label, count in counts.items():
-                count[one.estimates[label].word] += 1
-        return [
-            f"{label}: " + ", ".join(f"{word} in {n}" for word, n in own.most_common())
-            for label, own in counts.items()
-            if any(own)
-        ]
+        notes, single = [], self.each
+        for u in self.request.space.free:
+            words = Counter(one.estimates[u.label].word for one in single)
+            if any(words):
+                counts = (f"{word} in {n}" for word, n in words.most_common())
+                notes.append(f"{u.label}: {', '.join(counts)}")
+        return notes
 
     def _summary(self) -> Summary:
         own = self.analysis

@@ -52,23 +52,17 @@ def _fit(setting: str, scenes: Sequence[Scene]) -> Unknown:
         )
     low, high = numbers[0], numbers[1]
     unknown = usual_in(name, scenes, (low, high))
-    _check_unit(written, unknown, low, high)
+    if unknown.unit in _TOO_FAR:
+        ending, word, limit = _TOO_FAR[unknown.unit]
+        if max(abs(low), abs(high)) > max(limit, 2.0 * abs(unknown.low), 2.0 * abs(unknown.high)):
+            raise InvalidInput(
+                f"fit {written}",
+                found=f"{low:g} to {high:g} {unknown.unit}",
+                expected=f"bounds in {word}, such as {unknown.low:g} to {unknown.high:g}",
+                hint=f"write {unknown.name}{ending}=LOW:HIGH for other units",
+            )
     nominal = numbers[2] if len(numbers) == 3 else unknown.nominal
     return replace(unknown, low=low, high=high, nominal=nominal, scale=None)
-
-
-def _check_unit(written: str, usual: Unknown, low: float, high: float) -> None:
-    """Raise for bounds that are too large in SI units, as millimetres or degrees are."""
-    if usual.unit not in _TOO_FAR:
-        return
-    ending, word, limit = _TOO_FAR[usual.unit]
-    if max(abs(low), abs(high)) > max(limit, 2.0 * abs(usual.low), 2.0 * abs(usual.high)):
-        raise InvalidInput(
-            f"fit {written}",
-            found=f"{low:g} to {high:g} {usual.unit}",
-            expected=f"bounds in {word}, such as {usual.low:g} to {usual.high:g}",
-            hint=f"write {usual.name}{ending}=LOW:HIGH for other units",
-        )
 
 
 def fixed_unknowns(settings: Sequence[str]) -> list[Unknown]:

@@ -43,7 +43,6 @@ SAMPLES: Final = 200  # minimum number of samples of a simulation
 MAX_OTHERS: Final = 3
 MAX_ROWS: Final = 20  # calibrations in a drawing of all
 
-Pictures = Iterator[Picture]
 NamedCharts = Iterator[tuple[str, Chart]]
 Picks = list[tuple[str, Calibration]]  # each with the word for it, such as "best"
 
@@ -85,29 +84,23 @@ class _ChartData:
     """
 
     def __init__(self, run: Calibrations, project: Project | None = None) -> None:
-        self.run, self.together = run, run.joint
-        self._project = project
-        self.keys = run.outcome.keys
-
-    @cached_property
-    def alone(self) -> list[Calibration]:
-        """Best calibration of each single experiment: its own, or a neighbour's."""
-        return sorted(self.run.each, key=lambda fit: fit.found.members)
-
-    @cached_property
-    def searched(self) -> list[Calibration]:
-        """Calibrations of single experiments that were searched for."""
-        return [fit for fit in self.run if fit.found.how.is_single and fit.found.trace is not None]
+        if project is None and run.folder is not None and run.ids:
+            project = Project(run.folder.parents[1])
+        self.run, self.keys, self._project = run, run.outcome.keys, project
+        # Best calibration of each single experiment: its own, or a neighbour's.
+        self.alone = sorted(run.each, key=lambda fit: fit.found.members)
+        single = (fit for fit in run if fit.found.how.is_single)
+        self.searched = [fit for fit in single if fit.found.trace is not None]
+        errors = np.array([fit.found.errors[0] for fit in self.searched])
+        self.picks: Picks = [(word, self.searched[k]) for word, k in _three(errors)]
+        self.joint: Picks = [] if run.joint is None else [("", run.joint)]
 
     @cached_property
     def banners(self) -> list[str]:
         """Banner over charts of each experiment; empty for real ones."""
-        folder, project = self.run.folder, self._project
-        if project is None and folder is not None and self.run.ids:
-            project = Project(folder.parents[1])
-        if project is None:
+        if self._project is None:
             return [""] * len(self.keys)
-        with project.store() as store:
+        with self._project.store() as store:
             ids = [store.find(key) for key in self.keys]
             listed = store.experiments(ALL_EXPERIMENTS).rows
             real = {summary.id for summary in listed if summary.is_real}
@@ -124,11 +117,10 @@ class _ChartData:
         """Errors of all experiments [mm] by the set used; the last is the requested result."""
         series = {BEFORE: self.run.outcome.nominal}
         if self.alone:
-            name = "after" if self.together is None else "each alone"
+            name = "each alone" if self.joint else "after"
             series[name] = self.column([fit.found.errors[0] for fit in self.alone])
-        if self.together is not None:
-            name = "after" if not self.alone else "one set for all"
-            series[name] = self.together.found.errors
+        for _, fit in self.joint:
+            series["one set for all" if self.alone else "after"] = fit.found.errors
         return {name: self.run.request.lengths(errors) for name, errors in series.items()}
 
     def column(self, values: list[float]) -> FloatArray:
@@ -162,10 +154,9 @@ class _ChartData:
 
 def _title_of(fit: Calibration, word: str = "") -> str:
     """Title of a calibration: its experiments, and why it was selected."""
-    keys = fit.keys_of_experiments
-    if len(keys) > 1:
-        return f"{len(keys)} experiments, {fit.found.how}"
-    return f"{keys[0]} ({word})" if word else keys[0]
+    if len(fit.found.members) > 1:
+        return f"{fit.subject}, {fit.found.how}"
+    return f"{fit.subject} ({word})" if word else fit.subject
 
 
 # Captions, by the beginning of the charts' names.
@@ -189,7 +180,7 @@ CAPTIONS: Final = {
 }
 
 
-def pictures_of(run: Calibrations, project: Project | None = None) -> Pictures:
+def pictures_of(run: Calibrations, project: Project | None = None) -> Iterator[Picture]:
     """Yield the charts of a run, with captions.
 
     Its experiments are in a project, by default that of the job's folder.
@@ -211,15 +202,15 @@ def _caption(name: str) -> str:
 
 def _of_searches(data: _ChartData) -> NamedCharts:
     """Charts of the search for all experiments, of three single searches, and of all durations."""
-    together, searched = data.together, data.searched
-    if together is not None and together.found.trace is not None:
-        yield "search", _search_chart(together)
-    picks = _picks(searched)
-    if picks:
-        words = [f"{word} of {len(searched)}\n" if word else "" for word, _ in picks]
-        single = _search_chart(*(fit for _, fit in picks), words=words)
-        yield "search" if together is None else "search_alone", single
-    for word, fit in [*picks, *([] if together is None else [("", together)])]:
+    searched = data.searched
+    for _, fit in data.joint:
+        if fit.found.trace is not None:
+            yield "search", _search_chart(fit)
+    if data.picks:
+        words = [f"{word} of {len(searched)}\n" if word else "" for word, _ in data.picks]
+        single = _search_chart(*(fit for _, fit in data.picks), words=words)
+        yield "search_alone" if data.joint else "search", single
+    for word, fit in (*data.picks, *data.joint):
         if fit.found.ends:
             yield data.name("starts", word), _starts_chart(fit)
     if len(searched) > 1:
@@ -230,8 +221,7 @@ def _of_searches(data: _ChartData) -> NamedCharts:
 
 def _of_parameters(data: _ChartData) -> NamedCharts:
     """Charts of the set for all experiments, or of single ones if there is no such set."""
-    together = data.together
-    for word, fit in _picks(data.searched) if together is None else [("", together)]:
+    for word, fit in data.joint or data.picks:
         yield data.name("parameters", word), _parameters_chart(fit, word)
         if fit.found.profiles:
             yield data.name("profiles", word), _profiles_chart(fit, word)
@@ -263,16 +253,10 @@ def _of_experiments(data: _ChartData) -> NamedCharts:
 def _three(errors: FloatArray) -> list[tuple[str, int]]:
     """Indices of the best, the median and the worst error; fewer if there are fewer."""
     order = np.argsort(errors, kind="stable").tolist()
-    if len(order) == 1:
-        return [("", order[0])]
+    if len(order) < 2:
+        return [("", k) for k in order]
     middle = [("median", order[(len(order) - 1) // 2])] if len(order) > 2 else []
     return [("best", order[0]), *middle, ("worst", order[-1])]
-
-
-def _picks(fits: list[Calibration]) -> Picks:
-    """Select the best, the median and the worst single calibration."""
-    errors = np.array([fit.found.errors[0] for fit in fits])
-    return [(word, fits[k]) for word, k in _three(errors)] if fits else []
 
 
 # --- charts -------------------------------------------------------------------------------------
@@ -383,13 +367,12 @@ def _offsets_chart(data: _ChartData, title: str, quantities: list[Quantity]) -> 
 
 def _overlay_chart(data: _ChartData, word: str, member: int) -> Chart:
     """Draw the measured motion of an experiment and those of the set used, before and after."""
-    fit, target = data.together, data.run.targets[member]
-    if fit is None:
-        fit = next(one for one in data.alone if one.found.members[0] == member)
-    scene = target.case.scene
+    used = (*(fit for _, fit in data.joint), *data.alone)
+    fit = next(fit for fit in used if member in fit.found.members)
+    target = data.run.targets[member]
     points = (fit.space.nominal, fit.found.point)
     before, after = (_simulated(fit, target, point) for point in points)
-    body = scene.bodies[0]
+    scene, body = target.case.scene, target.case.scene.bodies[0]
     errors = [float(own[member]) for own in data.errors.values()]
     start = np.concatenate(([0.0], target.case.times))
     title = target.key if not word else f"{target.key}: the {word} of {len(data.keys)}"
