@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -430,13 +431,14 @@ def test_the_command_for_the_same_calibration_says_all_of_it(chosen):
         noise_angle=2e-3,
         motion="quasistatic",
     )
-    words = command_of(options_of(request, ["3"]) | {"project": "lab"})
+    words = command_of(options_of(request, [3], Path("/lab")))
     assert words.startswith("fixel calibrate 3 ")
-    assert words.endswith(" --project lab")
+    assert words.endswith(" --project /lab")
     for said in ("--error end-pose", "--angle-scale-mm 50.0", "--noise-mm 0.1", "--noise-mrad 2.0",
                  "--motion quasistatic"):  # fmt: skip
         assert said in words
-    by_engine = command_of(options_of(_request(chosen, motion="pymunk:step=0.01"), ["3"]))
+    by_engine = _request(chosen, motion="pymunk:step=0.01")
+    by_engine = command_of(options_of(by_engine, [3], Path("/lab")))
     assert "--motion pymunk:step=0.01" in by_engine
 
 

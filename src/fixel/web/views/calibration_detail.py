@@ -259,7 +259,6 @@ def _listed(sets: list[tuple[int, CalibrationRecord]]) -> CalibrationSummary:
     calibration_id, record = together[-1] if together else sets[0]
     shown = [record] if together else [one for _, one in sets]
     before = [float(one.method.get("nominal_error", math.nan)) for one in shown]
-    after = [float(np.mean(one.errors)) for one in shown]
     counts = Counter(own.word for own in record.estimates if own.verdict)
     return CalibrationSummary(
         id=calibration_id,
@@ -271,6 +270,6 @@ def _listed(sets: list[tuple[int, CalibrationRecord]]) -> CalibrationSummary:
         sets=len(sets),
         experiments=len({m.experiment_id for _, one in sets for m in one.members}),
         before=float(np.mean(before)),
-        after=float(np.mean(after)),
+        after=float(np.mean([np.mean(one.errors) for one in shown])),
         verdicts=counts if together or len(sets) == 1 else {},
     )

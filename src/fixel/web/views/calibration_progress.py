@@ -178,7 +178,6 @@ class ProgressReader:
         at_most = left is None and limit is not None and rate > 0.0
         if at_most and limit is not None:
             left = max(0.0, (limit - len(objective)) / rate)
-        asked = options_of(request, [str(id_) for id_ in ids])
         before = read.shares(np.array([nominal])) if nominal else []
         return LiveProgress(
             **{name: getattr(status, name) for name in OF_JOB},
@@ -197,7 +196,7 @@ class ProgressReader:
             best=min(filter(math.isfinite, objective), default=None),
             start=next(filter(math.isfinite, before), None),
             stored=stored,
-            command=command_of(asked | {"project": str(self._project.folder.resolve())}),
+            command=command_of(options_of(request, ids, self._project.folder)),
             objective=[*objective],
             singles=[
                 Residual(id=own, key=key, before=start, after=read.alone[k])

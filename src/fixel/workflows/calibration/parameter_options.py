@@ -132,8 +132,8 @@ def _entry(written: str, entry: Any, path: Path) -> Unknown:
 # --- options of a stored request ----------------------------------------------------------------
 
 
-def options_of(request: CalibrationRequest, keys: Sequence[str]) -> dict[str, Any]:
-    """Return the options of the command that repeats a calibration of experiments by their names.
+def options_of(request: CalibrationRequest, ids: Sequence[int], project: Path) -> dict[str, Any]:
+    """Return the options of the command that repeats a calibration of experiments of a project.
 
     Its parameters must not be restricted to conditions, which needs a file.
     """
@@ -144,14 +144,14 @@ def options_of(request: CalibrationRequest, keys: Sequence[str]) -> dict[str, An
     own |= {
         **request.error.options,
         "space": None,  # stated by the next two
-        "experiments": keys,
+        "experiments": [str(number) for number in ids],
         "fit": [f"{u.name}={u.low:.9g}:{u.high:.9g}:{u.nominal:.9g}" for u in free],
         "fixed": [f"{u.name}={u.nominal:.9g}" for u in request.unknowns if u.frozen],
         "option": [f"{name}={value}" for name, value in request.optimiser.options.items()],
     }
     known = {k: v for k, v in own.items() if k in capability.options and v is not None}
     plain: dict[str, Any] = capability.request(known).model_dump(mode="json")
-    return plain
+    return plain | {"project": str(project.resolve())}
 
 
 def call_of(request: CalibrationRequest, source: str) -> str:

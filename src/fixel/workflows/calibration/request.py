@@ -219,12 +219,12 @@ class CalibrationRequest(_Fields):
         """Return the values that records have for lists, by name; without the parameters."""
         found: dict[str, str | float] = {}
         for name in CalibrationRequest.model_fields:
-            value = getattr(self, name)
+            value, own = getattr(self, name), {}
             if isinstance(value, NamedOptions):
-                own = {f"{name}.{option}": x for option, x in value.options.items()}
-                found |= {name: value.name} | {k: _listed(x) for k, x in own.items()}
+                own = {name: value.name, **{f"{name}.{k}": x for k, x in value.options.items()}}
             elif isinstance(value, str | int | float):
-                found[name] = _listed(value)
+                own = {name: value}
+            found |= {k: float(x) if isinstance(x, int | float) else str(x) for k, x in own.items()}
         return found
 
     def check(self) -> None:
@@ -258,10 +258,6 @@ class CalibrationRequest(_Fields):
 NAMED: Final = tuple(
     name for name, own in CalibrationRequest.model_fields.items() if own.annotation is NamedOptions
 )
-
-
-def _listed(value: Any) -> str | float:
-    return float(value) if isinstance(value, int | float) else str(value)
 
 
 def _made(family: Sequence[type[Method]], choice: NamedOptions) -> Method:

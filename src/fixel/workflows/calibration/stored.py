@@ -258,9 +258,7 @@ def add_to_project(
     run = found.run if isinstance(found, Calibration) else found
     with project.store() as store:
         experiments = [store.find(key) for key in run.outcome.keys]
-        words = [str(number) for number in experiments]
-        usual = options_of(run.request, words) | {"project": str(project.folder.resolve())}
-        asked = run.asked or usual
+        asked = run.asked or options_of(run.request, experiments, project.folder)
         run = replace(run, asked=asked, command=run.command or command_of(asked))
         if run.folder is None:
             ids = [store.add_calibration(record) for record in _records(run, experiments)]
@@ -493,9 +491,7 @@ def _load_maps(targets: Sequence[Target]) -> dict[str, Any]:
         if (own := target.case.scene.plane.load_map) is not None:
             found.setdefault(own, []).append(k)
     names = ("origin", "cell", "log_load")
-    rows = [
-        (on, {name: getattr(own, name).tolist() for name in names}) for own, on in found.items()
-    ]
+    rows = [(on, {k: getattr(own, k).tolist() for k in names}) for own, on in found.items()]
     return {"load_maps": rows} if rows else {}
 
 
