@@ -77,8 +77,7 @@ def reproduce_published(
         return
     data = _require_data(data)
     if protocol == ["joint"]:
-        with show_progress() as show:
-            timed = joint_real(data, only, show)
+        timed = joint_real(data, only)
         print_answer(as_json, lambda: timed, lambda: _timed(timed))
         return
     request = BenchmarkRequest(
@@ -139,8 +138,7 @@ def _timed(answer: Row) -> list[str]:
     verdicts = ", ".join(f"{name} {verdict}" for name, verdict in answer["verdicts"].items())
     return [
         f"{answer['evaluations']} evaluations of {answer['pushes']} pushes under"
-        f" {answer['parameters']} parameters in {answer['seconds']:.1f} s"
-        f" ({answer['pushes_per_second']} pushes per second).",
+        f" {answer['parameters']} parameters in {answer['seconds']:.1f} s.",
         f"Robust error {answer['error_at_start']:.3f} -> {answer['error_at_best']:.3f}"
         f" {answer['error_unit']} at {found}.",
         f"With verdicts {answer['seconds_with_verdicts']:.1f} s: {verdicts}.",

@@ -13,17 +13,14 @@ from typing import Final
 
 import numpy as np
 
-from fixel.calibration.assess import assess
-from fixel.calibration.objective import Comparer, Objective, Robust
-from fixel.calibration.optimiser import Best, SearchBox
-from fixel.calibration.pattern_search import PatternSearch
 from fixel.calibration.target import Target
 from fixel.datasets.mit_push import MitPushes
 from fixel.io.array_bytes import ResultCache
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.replay.base import Row, errors_in_mm_and_deg
-from fixel.simulation import Adaptive
+from fixel.simulation.simulate import get_ready
 from fixel.typing import FloatArray, IntArray, ProgressCallback
+from fixel.workflows.calibration.run import calibrate
 from reproductions.protocols import PROTOCOLS, RUN, BenchmarkData, BenchmarkRequest, Piece
 from reproductions.pushes import (
     DURATION,
@@ -32,14 +29,7 @@ from reproductions.pushes import (
 )
 from reproductions.result import Benchmark, HeldOutScores
 
-# Joint calibration: number of pushes, and of evaluations of the objective.
-PUSHES: Final = 1000
-EVALUATIONS: Final = 2000
-# [m] Tolerance of a step: half of the ends are within 0.03 mm of the limit of small steps, 95 %
-# within 0.12 mm, where fixed steps of `STEP` have 0.08 and 0.22 mm and are five times as many.
-# With 3e-5 m the intervals are the same within a quarter; with 1e-4 m they are up to four times as
-# wide, and the contact offset is not identified.
-TOLERANCE: Final = 5e-5
+PUSHES: Final = 1000  # of the joint calibration
 
 SPACE: Final = ParameterSpace(
     unknowns=(
@@ -154,16 +144,13 @@ def _notes(bench: BenchmarkData, chosen: Sequence[str]) -> tuple[str, ...]:
 
 def joint_calibration(
     data: MitPushes,
-    progress: ProgressCallback,
     *,
     pushes: int = PUSHES,
-    evaluations: int = EVALUATIONS,
     threads: int | None = None,
 ) -> Row:
     """Calibrate five parameters jointly on many real pushes of all plates and surfaces.
 
-    Pattern searches start from the nominal values, then from random points, until the given number
-    of evaluations of the objective is reached. The best values are then assessed.
+    It is `fixel.calibrate` with its default search, as a user runs it, with the robust error.
 
     Returns
     -------
@@ -173,46 +160,21 @@ def joint_calibration(
     rows = data.usable
     chosen = rows[np.arange(min(pushes, len(rows))) * len(rows) // min(pushes, len(rows))]
     targets = _targets(data, chosen, threads)
-    stepper = Adaptive(tolerance=TOLERANCE)
-    objective = Objective(Comparer(targets, SPACE, Robust(), stepper=stepper, threads=threads))
-    box = SearchBox(SPACE.low, SPACE.high, SPACE.nominal, SPACE.scale)
-    objective(SPACE.nominal[None])  # compile, or load compiled code
+    get_ready(targets[0].case.scene)  # before the clock runs
     started = clock.perf_counter()
-    best, made, first = _searched(objective, box, evaluations, progress)
-    seconds = clock.perf_counter() - started
-    assessed = assess(objective.comparer, range(len(targets)), best.point)
+    found = calibrate(targets, SPACE, error="robust", threads=threads)
     return {
         "pushes": len(targets),
-        "parameters": box.n,
-        "evaluations": made,
-        "seconds": round(seconds, 1),
-        "pushes_per_second": round(made * len(targets) / seconds),
-        "error_unit": objective.comparer.error.unit,
-        "error_at_start": first,
-        "error_at_best": best.error,
-        "best": SPACE.values(best.point),
+        "parameters": len(found),
+        "evaluations": found.evaluations,
+        "seconds": round(found.found.seconds, 1),
+        "error_unit": found.objective.unit,
+        "error_at_start": float(found.nominal_errors.mean()),
+        "error_at_best": float(found.found.errors.mean()),
+        "best": dict(found),
         "seconds_with_verdicts": round(clock.perf_counter() - started, 1),
-        "verdicts": {one.label: one.verdict for one in assessed.estimates},
+        "verdicts": found.verdicts,
     }
-
-
-def _searched(
-    objective: Objective, box: SearchBox, evaluations: int, progress: ProgressCallback
-) -> tuple[Best, int, float]:
-    rng = np.random.default_rng(0)
-    best, made, first = Best(box.start, np.inf), 0, np.nan
-    while made < evaluations:
-        search = PatternSearch().start(box)
-        while not search.done and made < evaluations:
-            points: FloatArray = search.ask()
-            errors = objective(points)
-            first = float(errors[0]) if made == 0 else first
-            made += len(points)
-            search.tell(errors)
-            progress(min(made, evaluations), evaluations, "joint calibration")
-        best = min(best, search.best, key=lambda own: own.error)
-        box = box._replace(start=rng.uniform(box.low, box.high))
-    return best, made, first
 
 
 def _targets(data: MitPushes, rows: IntArray, threads: int | None) -> list[Target]:

@@ -164,10 +164,10 @@ def benchmark_real(
     return answer
 
 
-def joint_real(data: Path, part: str = "mit", progress: ProgressCallback | None = None) -> Row:
+def joint_real(data: Path, part: str = "mit") -> Row:
     """Run and time a joint calibration of many pushes; see `joint_calibration`."""
     pushes = read_mit_pushes(folder_of(data, part))
-    return mit_push.joint_calibration(pushes, progress or _silent)
+    return mit_push.joint_calibration(pushes)
 
 
 def folder_of(data: Path, part: str) -> Path:

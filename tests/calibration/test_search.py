@@ -1,12 +1,14 @@
 """A calibration has the same result for all ways to divide and answer its questions."""
 
 from dataclasses import fields, is_dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from fixel.calibration import PatternSearch, search
 from fixel.calibration.least_squares import LeastSquares
+from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer
 from fixel.calibration.result import FitKind
 from fixel.calibration.search import ANSWERS, TIME, CalibrationSearch, CalibrationTask
@@ -68,6 +70,30 @@ def same(one, other):
     if isinstance(one, dict):
         return one.keys() == other.keys() and all(same(one[k], other[k]) for k in one)
     return one == other or (one != one and other != other)
+
+
+@pytest.mark.parametrize("kind", ["squares", "frames", "shifted"])
+def test_parts_are_as_large_as_they_may_be(task, kind, monkeypatch):
+    """Also where a row is one rollout: a part that is too small costs more than its rollouts."""
+    counts, differences = [], Comparer.differences
+
+    def counted(comparer, which, points):
+        counts.append(len(which))
+        return differences(comparer, which, points)
+
+    def how(task, question):
+        if question.kind != kind:
+            return answers(task, question)
+        with monkeypatch.context() as patch:
+            patch.setattr(Comparer, "differences", counted)
+            counts.append(0)
+            return answers(task, question)
+
+    monkeypatch.setattr(search, "ROLLOUTS_A_PART", 12)
+    misfit = Noise(position_m=1e-6, angle_rad=1e-6, source="stated")
+    run(replace(task, noise=misfit), how)
+    full = [own for own, after in pairwise(counts) if own and after]  # all but the last part
+    assert set(full) == {12}
 
 
 CAMPAIGN = {"mode": "campaign", "optimiser": PatternSearch(), "max_evaluations": 25}

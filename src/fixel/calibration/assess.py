@@ -40,6 +40,7 @@ from fixel.typing import BoolArray, FloatArray, IntArray
 # Residuals of one point held in memory; of more, only some frames are looked at. The profiles ask
 # for some 500 points at a time.
 MAX_RESIDUALS: Final = 30_000
+SHIFTED: Final = "shifted"  # kind of questions whose rows are rollouts of single experiments
 
 T = TypeVar("T")
 
@@ -265,7 +266,7 @@ def _simulated(study: Generator[FloatArray, FloatArray, T], note: str) -> Assess
     """Run a study that needs simulations with shifts of each experiment."""
 
     def ask(rows: FloatArray) -> AssessmentSteps[FloatArray]:
-        return (yield AssessmentRequest("shifted", rows, note))
+        return (yield AssessmentRequest(SHIFTED, rows, note))
 
     return (yield from relayed(study, ask))
 
@@ -319,7 +320,7 @@ ANSWERS: Final[dict[str, Callable[[Comparer, IntArray, FloatArray], FloatArray]]
     "frames": _frames,
     "noise": _noise_left,
     "excited": _excited,
-    "shifted": _shifted,
+    SHIFTED: _shifted,
 }
 
 

@@ -280,11 +280,12 @@ class CalibrationSearch:
         left: int | None = None,
         best: float | None = None,
     ) -> Steps[FloatArray]:
-        """Request a row for each point (k, n_free) of all members.
+        """Request a row for each point (k, n_free) of all members, or each point of a single one.
 
         `left` is an estimate of the number of points after these.
         """
-        size = max(1, ROLLOUTS_A_PART // len(self.members))
+        rollouts = 1 if kind == assess.SHIFTED else len(self.members)  # of a row
+        size = max(1, ROLLOUTS_A_PART // rollouts)
         parts_left = None if left is None else math.ceil(left / size)
         answers = yield Question(kind, stage, {"points": points}, size, note, parts_left, best)
         self._count(answers)
