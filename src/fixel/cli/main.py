@@ -207,14 +207,12 @@ def run(
             sys.exit()
         # With --json, errors in options come here too.
         code = program(arguments, prog_name=name, standalone_mode=not as_json)
-    except (InvalidInput, DatasetMissing, NotStored) as error:
+    except (InvalidInput, DatasetMissing, NotStored, ClickException) as error:
         _exit(BAD_INPUT, error, as_json)
     except SolveFailed as error:
         _exit(NOT_SOLVED, error, as_json)
     except FixelError as error:
         _exit(1, error, as_json)
-    except ClickException as error:
-        _exit(BAD_INPUT, error, as_json)
     except OSError as error:
         failure = machine_failure(error)
         if failure is None:

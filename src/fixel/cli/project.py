@@ -207,7 +207,7 @@ def list_(
     """List experiments."""
     from fixel.database.project import Project
     from fixel.model.selection import parse_filter
-    from fixel.workflows.project.importing import list_experiments, overview
+    from fixel.workflows.project.importing import list_experiments
 
     project = Project(folder)
     marks = {"real": real is True, "simulated": real is False, "deleted": deleted}
@@ -223,7 +223,8 @@ def list_(
     listing = list_experiments(project, query)
 
     def lines() -> list[str]:
-        datasets, flags = overview(project)
+        with project.store() as store:
+            datasets, flags = store.datasets(), store.flags()
         found = _listed(listing)
         if datasets and not any((dataset, name, where, flag)):
             found.append("datasets: " + ", ".join(f"{k} {n}" for k, n in datasets.items()))

@@ -108,19 +108,12 @@ class RecordOptions:
             raise InvalidInput(
                 missing, found=None, expected="both: fixel record --camera SOURCE --out FOLDER"
             )
+        same = ("camera", "tactile", "rig", "scene", "rate", "codec", "until", "mode", "fast")
         return RecordPlan(
-            camera=self.camera,
             folder=self.out,
-            tactile=self.tactile,
-            rig=self.rig,
-            scene=self.scene,
             size=picture_size(self.size),
-            rate=self.rate,
-            codec=self.codec,
-            until=self.until,
-            mode=self.mode,
             limit=None if self.limit is None else duration(self.limit),
-            fast=self.fast,
+            **{name: getattr(self, name) for name in same},
         )
 
 
@@ -218,9 +211,10 @@ def _lines(done: "RecordingSummary") -> list[str]:
 
 
 def _check(folder: Path, as_json: bool, *, repair: bool) -> None:
-    from fixel.workflows.acquisition.record import check, check_summary
+    from fixel.formats.recording import open_recording, repair_recording
+    from fixel.workflows.acquisition.record import check_summary
 
-    recording = check(folder, repair=repair)
+    recording = (repair_recording if repair else open_recording)(folder)
     print_answer(as_json, lambda: check_summary(recording), lambda: _check_lines(recording))
 
 

@@ -16,7 +16,7 @@ from fixel.calibration.optimiser import SearchBox
 from fixel.calibration.target import Target
 from fixel.domain.features import simulated_features
 from fixel.errors import InvalidInput
-from fixel.model import Disk, PathDrive, Pusher, Scene, pose_error, wrapped
+from fixel.model import Disk, PathDrive, Scene, pose_error, wrapped
 from fixel.model.scene import check_push
 from fixel.simulation import QuasiStatic, StewartTrinkle
 from fixel.simulation.ensemble import Ensemble
@@ -370,13 +370,7 @@ def paced(scene: Scene, duration: float) -> Scene:
         raise InvalidInput("scene.pusher", found="a pusher at rest", expected="a pusher that moves")
     path[:, 0] = np.concatenate(([0.0], np.cumsum(way))) / PACE
     drive = PathDrive(path, force_limit=pusher.drive.force_limit)
-    moving = Pusher(
-        name=pusher.name,
-        shape=pusher.shape,
-        pose=path[0, 1:],
-        drive=drive,
-        friction=pusher.friction,
-    )
+    moving = replace(pusher, pose=path[0, 1:], drive=drive, restitution=0.0)
     return replace(scene, pushers=(moving,), duration=float(path[-1, 0]))
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from fixel.workflows.analysis import AnalysisReport, StoredAnswer
     from fixel.workflows.calibration.calibration import Calibration
 
-FITS: Final = Path("cache") / "parts"  # finished fits, in the project; those of `fixel next` too
+FITS: Final = Path("cache") / "parts"  # finished fits, in the project; of `fixel next` too
 JSON: Final = ("headline", "warnings", "folder", "files")  # what `--json` has besides numbers
 
 
@@ -181,14 +181,8 @@ def table_map_stored(
     InvalidInput
         The experiments are of several tables, none has a scene, or a part stands on three points.
     """
-    from fixel.database.project import check_known_names, stored_experiments
-    from fixel.model.selection import parse_filter
-
-    query = parse_filter(*where, dataset=dataset or None, include_faulty=flagged)
-    with project.store() as store:
-        experiments = stored_experiments(store, query)
-        if not experiments:
-            check_known_names(store, query)
+    one = [f'"dataset:{dataset}"'] if dataset else []
+    experiments = project.experiments(*where, *one, flagged=flagged)
     found = table_map(experiments, store=project.folder / FITS, progress=progress, **options)
     if out is not None:
         found.save(out)

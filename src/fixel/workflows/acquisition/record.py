@@ -16,8 +16,6 @@ from fixel.formats.recording import (
     SCENE_FILE,
     Recording,
     is_recording,
-    open_recording,
-    repair_recording,
 )
 from fixel.formats.recording_video import warm_up
 from fixel.formats.rig_file import rig_of, save_rig
@@ -137,11 +135,6 @@ def summary(done: RecordingSummary) -> dict[str, Any]:
     known = done._asdict() | {"folder": str(done.folder), "problems": list(done.problems)}
     known["duration_s"], known["rate_per_s"] = known.pop("seconds"), done.rate
     return known
-
-
-def check(folder: Path, *, repair: bool = False) -> Recording:
-    """Load a recording and check every row against its picture; repair its end if requested."""
-    return repair_recording(folder) if repair else open_recording(folder)
 
 
 def check_summary(recording: Recording) -> dict[str, Any]:

@@ -117,12 +117,6 @@ def list_experiments(project: Project, query: ExperimentQuery) -> ExperimentPage
         return found
 
 
-def overview(project: Project) -> tuple[dict[str, int], dict[str, int]]:
-    """Return the number of experiments of each dataset, and of those with each flag."""
-    with project.store() as store:
-        return store.datasets(), store.flags()
-
-
 class DownloadedFile(NamedTuple):
     """Downloaded file, with its checksum and size."""
 
