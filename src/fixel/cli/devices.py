@@ -322,17 +322,27 @@ def _print_position(answer: "ActuatorAnswer", as_json: bool, port: str | None, a
 
 NOT_IN_PLACE = 4
 WAKING = 5  # pictures that are skipped: a camera that was just switched on sends dark ones
+RigName = Annotated[
+    str,
+    typer.Option(
+        help="Rig file with camera and markers, or name of an example rig.", metavar="RIG"
+    ),
+]
+PagePort = Annotated[
+    int | None,
+    typer.Option(
+        help="Port of the page; it is served to this machine only.",
+        min=1,
+        max=65535,
+        show_default="any free one",
+    ),
+]
 
 
 @with_options
 def overlay(
     *,
-    rig: Annotated[
-        str,
-        typer.Option(
-            help="Rig file with camera and markers, or name of an example rig.", metavar="RIG"
-        ),
-    ],
+    rig: RigName,
     scene: Path | None = argument(
         None,
         "Scene file, YAML or JSON.",
@@ -359,13 +369,7 @@ def overlay(
     tolerance_deg: float | None = option(
         None, "Largest allowed angle error of a part [deg].", show_default="the rig's"
     ),
-    port: int | None = option(
-        None,
-        "Port of the page; it is served to this machine only.",
-        min=1,
-        max=65535,
-        show_default="any free one",
-    ),
+    port: PagePort = None,
     once: bool = option(
         False,
         "Check once and write a picture; exit code 0 if all parts are in place, 4 if not.",
