@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
+from fixel.database.project import Project
 from fixel.database.query import ALL_EXPERIMENTS
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Flag, Parameters, Provenance, Trajectory
 from fixel.model.records import SimulationRecord
 from fixel.model.selection import KnownNames, holds, meant_filter, parse_filter, refuse_unknown
+from fixel.workflows.experiments import read_experiments
 
 ORIGIN = Provenance(version="0")
 NAMES = ("surface", "layout", "speed_m_s", "error", "moved", "turned", "x", "duration", "frames")
@@ -125,6 +127,22 @@ def test_terms():
         ("moved_m", "<", 0.08),
     ]
     assert (query.marks, query.dataset, query.limit) == (("real",), "mit", 3)
+
+
+def test_a_text_is_not_compared_with_a_number(tmp_path):
+    """Columns without a unit are texts; `mass>0.6` silently selected nothing."""
+    table = {"time_s": [0.0, 1.0] * 2, "x_mm": [0.0, 9.0] * 2, "y_mm": [0.0] * 4}
+    table |= {"push": ["1", "1", "2", "2"], "mass": ["0.5", "0.5", "0.9", "0.9"]}
+    table |= {"speed_mm_s": [10.0, 10.0, 20.0, 20.0]}
+    pushes = read_experiments(table, split_by="push")
+    project = Project.create(tmp_path / "lab")
+    project.add(pushes)
+    for chosen in (pushes.where, project.experiments):
+        with pytest.raises(InvalidInput, match="mass: found texts, but fixel needs numbers"):
+            chosen("mass>0.6")
+        assert [one.name for one in chosen("mass=0.9")] == ["2"]
+        assert [one.name for one in chosen("speed_m_s>0.015")] == ["2"]
+        assert len(chosen("speed_m_s>1")) == 0
 
 
 def test_unknown_names_have_suggestions():

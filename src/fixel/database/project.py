@@ -487,8 +487,10 @@ def _stored_experiment(url: str, media: Path, view: ExperimentView | None, k: in
 
 def known_names(store: Store) -> KnownNames:
     """Return the names and values that a filter of a store's experiments can use."""
-    conditions = {name: known.texts for name, known in store.conditions().items()}
-    return KnownNames(store.datasets(), store.flags(), conditions)
+    known = store.conditions()
+    conditions = {name: values.texts for name, values in known.items()}
+    texts = [name for name, values in known.items() if not values.numbers]
+    return KnownNames(store.datasets(), store.flags(), conditions, texts)
 
 
 def check_known_names(store: Store, query: ExperimentQuery, *, found: bool = False) -> None:

@@ -282,17 +282,19 @@ class KnownNames:
     datasets: Collection[str] = ()
     flags: Collection[str] = ()
     conditions: Mapping[str, Collection[str]] = field(default_factory=dict)
+    texts: Collection[str] = ()  # conditions that are a number in no experiment
 
     @classmethod
     def of(cls, facts: Iterable[tuple[ExperimentRow, ExperimentDetails]]) -> KnownNames:
         """Collect the names of some experiments."""
-        datasets, flags, conditions = set(), set(), dict[str, set[str]]()
+        datasets, flags, numbers, conditions = set(), set(), set(), dict[str, set[str]]()
         for row, details in facts:
             datasets.add(row.dataset)
             flags |= {flag.name for flag in details.flags}
             for name, value in row.conditions.items():
                 conditions.setdefault(name, set()).update([value] if isinstance(value, str) else [])
-        return cls(sorted(datasets), sorted(flags), conditions)
+                numbers |= set() if isinstance(value, str) else {name}
+        return cls(sorted(datasets), sorted(flags), conditions, {*conditions} - numbers)
 
 
 def holds(query: ExperimentQuery, row: ExperimentRow, details: ExperimentDetails) -> bool:
@@ -403,34 +405,29 @@ class UnknownName(NamedTuple):
 
 def unknown_names(query: ExperimentQuery, known: KnownNames) -> Iterator[UnknownName]:
     """Yield the names, words and values in a query that no experiment has."""
-    for name in query.flags:
-        yield from _not_among("flag", name, known.flags)
+    asked: list[tuple[str, str, Iterable[str]]] = [("flag", k, known.flags) for k in query.flags]
     datasets = [query.dataset] if query.dataset is not None else []
     datasets += [b.typed for b in query.bounds if b.name == "dataset" and b.relation == "="]
-    for name in datasets:
-        yield from _not_among("dataset", name, known.datasets)
+    asked += [("dataset", name, known.datasets) for name in datasets]
     texts = [text for values in known.conditions.values() for text in values]
-    for word in query.words:
-        yield from _not_among("filter", word, (*texts, *known.datasets, *known.flags))
-    conditions = [bound for bound in query.bounds if bound.name not in COLUMNS]
-    for bound in conditions:
-        if bound.name not in known.conditions:
-            yield UnknownName("filter", bound.name, (*sorted(known.conditions), *NAMES))
-        elif isinstance(bound.value, str) and bound.relation == "=":
-            texts = sorted(known.conditions[bound.name])
-            yield from _not_among(f"filter: {bound.name}", bound.value, texts)
-
-
-def _not_among(what: str, typed: str, known: Iterable[str]) -> Iterator[UnknownName]:
-    if typed not in (names := tuple(known)):
-        yield UnknownName(what, typed, names)
+    asked += [("filter", k, (*texts, *known.datasets, *known.flags)) for k in query.words]
+    for own in (bound for bound in query.bounds if bound.name not in COLUMNS):
+        if own.name not in known.conditions:
+            asked.append(("filter", own.name, (*sorted(known.conditions), *NAMES)))
+        elif isinstance(own.value, str) and own.relation == "=":
+            asked.append((f"filter: {own.name}", own.value, sorted(known.conditions[own.name])))
+    yield from (UnknownName(what, one, (*names,)) for what, one, names in asked if one not in names)
 
 
 def refuse_unknown(query: ExperimentQuery, known: KnownNames, *, found: bool) -> None:
-    """Raise for a condition that no experiment has and, if nothing was found, for other names.
+    """Raise for a condition that no experiment has, or that is a text and compared with a number.
 
-    The error of the first has the known name that resembles it most.
+    If nothing was found, raise for other names too, with the known name that resembles one most.
     """
+    for own in query.bounds:
+        if own.name in known.texts and own.relation not in ("=", "!="):
+            hint = "end the title of its column with its unit, as in speed_mm_s, or select with ="
+            raise InvalidInput(f"filter: {own.name}", found="texts", expected="numbers", hint=hint)
     for unknown in unknown_names(query, known):
         if not found or (unknown.what == "filter" and unknown.typed not in query.words):
             raise unknown.error()
