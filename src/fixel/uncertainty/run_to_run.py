@@ -271,10 +271,7 @@ class RunToRun:
 
 
 def rest_at(rest: FloatArray, turned: FloatArray) -> FloatArray:
-    """Return the remaining errors (..., 3) of ends after rotations (...) of the part [rad].
-
-    The errors (n, 3) of a draw are `RunChanges.rest`.
-    """
+    """Return errors (..., 3) of ends after rotations (...) [rad], from `RunChanges.rest`."""
     return np.asarray(rest * (np.abs(turned) / TURN)[..., None])
 
 
