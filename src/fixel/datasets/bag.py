@@ -89,7 +89,7 @@ class _Roles(NamedTuple):
                     expected="the topic or frame of the part",
                     hint="--option part=NAME --option pusher=NAME, or columns={'part': NAME}"
                     if moving
-                    else "record /tf; messages AprilTagDetectionArray are not read",
+                    else "record /tf; AprilTagDetectionArray of apriltag_msgs has no poses",
                 )
             part = moving[0]
         joints = pusher.split(",") if pusher is not None and pusher not in bag.tracks else []
