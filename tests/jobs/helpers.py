@@ -11,7 +11,7 @@ from fixel.io.journal import MAGIC, read_journal
 from fixel.jobs import folder as files
 from fixel.jobs.folder import RunSettings
 
-PATIENCE_S = 90.0
+PATIENCE_S = 120.0
 
 
 def start(folder):
@@ -54,7 +54,7 @@ def kill(pid, how=signal.SIGKILL):
     return True
 
 
-def await_true(condition, what, patience_s=PATIENCE_S):
+def await_true(condition, what="what a test expects", patience_s=PATIENCE_S):
     """Wait until something holds."""
     deadline = time.monotonic() + patience_s
     while not (held := condition()):

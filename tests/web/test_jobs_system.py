@@ -1,10 +1,10 @@
 """The pages of jobs and of the system, and what is below them."""
 
 import sqlite3
-import time
 from pathlib import Path
 
 import pytest
+from tests.jobs.helpers import await_true as until
 from tests.web.bench import Bench
 
 from fixel.jobs import folder as files
@@ -38,13 +38,6 @@ def bench(project):
     made = JobsBench(project)
     yield made
     made.close()
-
-
-def until(condition, patience=60.0):
-    end = time.monotonic() + patience
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.05)
 
 
 # --- jobs -------------------------------------------------------------------------------------

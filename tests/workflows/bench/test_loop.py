@@ -12,6 +12,7 @@ from importlib.resources import files
 import numpy as np
 import pytest
 from tests.fixtures import short_plan
+from tests.jobs.helpers import await_true as until
 
 from fixel.database.project import Project
 from fixel.errors import JobRefused
@@ -34,13 +35,6 @@ def bench(tmp_path):
 def opened(bench, **options):
     project, plan = bench
     return open_bench(project, plan, **{"emulated": True, "fit": ("mu_support",), **options})
-
-
-def until(condition, patience=120.0):
-    end = time.monotonic() + patience
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.02)
 
 
 class Hand:

@@ -1,13 +1,13 @@
 """Faults of a bench and of requests are named before anything moves."""
 
 import threading
-import time
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from tests.fixtures import short_plan
+from tests.jobs.helpers import await_true as until
 
 from fixel.database.project import Project
 from fixel.errors import DeviceFailed, InvalidInput
@@ -52,13 +52,6 @@ def camera(folder):
 def controller():
     with EmulatedGrbl(travel=200.0, start=0.0, acceleration=2000.0) as emulated:
         yield emulated
-
-
-def until(condition):
-    end = time.monotonic() + 60.0
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.02)
 
 
 def refused(folder, kind=InvalidInput, **options):
