@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 from tests.calibration.toys import DECAY_BOX, TRUTH, box, decay_residuals, each, linear, rough
+from tests.reference.more_wild import rosenbrock
 
 from fixel.calibration.cost import Cost, NormalPrior
 from fixel.calibration.least_squares import LeastSquares, fit
@@ -11,10 +12,6 @@ from fixel.errors import InvalidInput
 
 T = np.linspace(0.0, 4.0, 40)
 WAVY = 2.0 * np.exp(-1.3 * T) + 0.5 + 0.1 * np.sin(9.0 * T)
-
-
-def rosenbrock(p):
-    return np.array([10.0 * (p[1] - p[0] ** 2), 1.0 - p[0]])
 
 
 def powell(p):

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numba import njit
 from tests.kernels.entries import measure_contacts
+from tests.kernels.test_contacts import regular
 
 from fixel.errors import InvalidInput
 from fixel.kernels.gap import COINCIDENT, FIRST_VERTEX, VERTEX_VERTEX, separating_edge
@@ -170,11 +171,6 @@ separating_edge_ = njit(
         world, 0, m, m, n, start, floor, margin
     )
 )
-
-
-def regular(n, radius):
-    angle = np.arange(n) * 2.0 * np.pi / n
-    return radius * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
 def ellipse(n, width):

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.parts.test_candidates import polygon_pusher
 
 from fixel.domain.push_bound import NO_DATA
 from fixel.errors import InvalidInput
-from fixel.model import Body, Disk, LineDrive, Polygon, Pusher, Scene, UniformPressure
+from fixel.model import Body, Disk, LineDrive, Polygon, Scene, UniformPressure
 from fixel.parts.fit import PartPushes
 from fixel.parts.model import distinct
 from fixel.parts.next_pushes import push_candidates
@@ -85,14 +86,7 @@ def _two_pushers():
     return replace(scene, pushers=(*scene.pushers, second))
 
 
-def _polygon_pusher():
-    scene = _scene(box(0.1, 0.1))[0]
-    tip = scene.pushers[0]
-    square = Pusher("tip", box(0.006, 0.006), pose=tip.pose, drive=tip.drive, friction=0.2)
-    return replace(scene, pushers=(square,))
-
-
-@pytest.mark.parametrize("make", [_two_bodies, _two_pushers, _polygon_pusher])
+@pytest.mark.parametrize("make", [_two_bodies, _two_pushers, polygon_pusher])
 def test_other_scenes_are_refused_by_predictions_and_proposals(model, make):
     for call in (lambda s: model.at(s), lambda s: model.next_pushes([s])):
         with pytest.raises(InvalidInput) as caught:

@@ -75,7 +75,7 @@ def test_the_tip_of_a_scene_is_used():
     assert (tip.shape.radius, tip.friction) == (0.008, 0.5)
 
 
-def _polygon_pusher():
+def polygon_pusher():
     scene = push_candidates(_body(box(0.1, 0.1)))[0]
     tip = scene.pushers[0]
     square = Pusher("tip", box(0.01, 0.01), pose=tip.pose, drive=tip.drive, friction=0.2)
@@ -98,7 +98,7 @@ def _two_bodies():
         (_body(box(0.1, 0.1)), {"travel": -0.1}, "travel"),
         (_body(box(0.1, 0.1)), {"speed": math.nan}, "speed"),
         (_body(box(0.1, 0.1)), {"contacts": 0}, "contacts"),
-        (_polygon_pusher(), {}, "part"),
+        (polygon_pusher(), {}, "part"),
         (_two_bodies(), {}, "part"),
         ("a square", {}, "part"),
     ],

@@ -25,16 +25,14 @@ def _wall(friction: float = 0.0, restitution: float = 0.0) -> Fixel:
     )
 
 
+def _disc(height: float, velocity, wall: Fixel, duration: float, weight: float = 0.0) -> Scene:
+    pose, force = (0, height, 0), (0, -weight, 0)
+    ball = Body("ball", Disk(R), mass=0.2, pose=pose, velocity=velocity, force=force)
+    return Scene(bodies=(ball,), fixels=(wall,), duration=duration)
+
+
 def _ball(restitution: float, speed: float, duration: float) -> Scene:
-    ball = Body(
-        name="ball",
-        shape=Disk(R),
-        mass=0.2,
-        pose=(0, R, 0),
-        velocity=(0, speed, 0),
-        force=(0, -0.2 * G, 0),
-    )
-    return Scene(bodies=(ball,), fixels=(_wall(0.0, restitution),), duration=duration)
+    return _disc(R, (0, speed, 0), _wall(0.0, restitution), duration, weight=0.2 * G)
 
 
 @pytest.mark.parametrize("restitution", [0.3, 0.5, 0.8])
@@ -93,14 +91,8 @@ def test_A17_central_impact_of_two_discs(m1, m2, e, stepper):
 
 
 def _thrown(friction: float, restitution: float, steep: float) -> Scene:
-    ball = Body(
-        name="ball",
-        shape=Disk(R),
-        mass=0.2,
-        pose=(0, 3 * R, 0),
-        velocity=(cos(steep), -sin(steep), 0),
-    )
-    return Scene(bodies=(ball,), fixels=(_wall(friction, restitution),), duration=0.5)
+    velocity = (cos(steep), -sin(steep), 0)
+    return _disc(3 * R, velocity, _wall(friction, restitution), duration=0.5)
 
 
 @pytest.mark.parametrize("friction", [0.05, 0.1, 0.3, 1.0])

@@ -2,39 +2,18 @@
 
 Source: Murty's exponential example; Cottle, Pang & Stone (1992), as collected in the tests of
 Siconos (`lcp_exp_murty`, `lcp_CPS_1` to `lcp_CPS_5`). Retyped; where there is no printed number,
-the answer is by enumeration, below.
+the answer is by enumeration.
 Tolerances are rounding.
 """
-
-import itertools
 
 import numpy as np
 import pytest
 from tests.kernels.entries import solve_lcp
+from tests.kernels.test_lemke import solutions
 
 from fixel.kernels.lemke import RAY, SOLVED
-from fixel.typing import FloatArray
 
 CPS_3 = np.array([[0, 0, 10, 20], [0, 0, 30, 15], [10, 20, 0, 0], [30, 15, 0, 0]], float)
-
-
-def all_solutions(matrix: FloatArray, vector: FloatArray) -> list[FloatArray]:
-    """Every solution with a regular complementary basis, by trying all 2^n of them."""
-    n = vector.size
-    found: list[FloatArray] = []
-    for choice in itertools.product((False, True), repeat=n):
-        active = np.array(choice, bool)
-        z = np.zeros(n)
-        block = matrix[np.ix_(active, active)]
-        if active.any():
-            if np.linalg.matrix_rank(block) < active.sum():
-                continue
-            z[active] = np.linalg.solve(block, -vector[active])
-        if min(z.min(), (matrix @ z + vector).min()) > -1e-12 and not any(
-            np.allclose(z, other, atol=1e-10) for other in found
-        ):
-            found.append(z)
-    return found
 
 
 @pytest.mark.parametrize("n", [1, 6, 16])
@@ -52,19 +31,26 @@ def test_a_line_of_solutions() -> None:
     assert z.sum() == pytest.approx(1.0, abs=1e-14)
 
 
-def test_cps_2() -> None:
-    matrix = np.array([[0, -1, 2], [2, 0, -2], [-1, 1, 0]], float)
-    z, code = solve_lcp(matrix, np.array([-3.0, 6.0, -1.0]), 100)
+@pytest.mark.parametrize(
+    ("matrix", "vector", "answer"),
+    [
+        ([[0, -1, 2], [2, 0, -2], [-1, 1, 0]], [-3, 6, -1], [0, 1, 3]),
+        ([[1, -1], [-1, 1]], [1, -1], [0, 1]),
+    ],
+    ids=["cps-2", "cps-5-tie"],
+)
+def test_cps_2_and_5(matrix: list[list[int]], vector: list[int], answer: list[int]) -> None:
+    z, code = solve_lcp(np.array(matrix, float), np.array(vector, float), 100)
     assert code == SOLVED
-    assert z == pytest.approx([0, 1, 3], abs=1e-14)
+    assert z == pytest.approx(answer, abs=1e-14)
 
 
 def test_cps_3_has_three_solutions_and_ends_on_a_ray() -> None:
     """Lemke's method with a covering vector of ones finds none of them, and must say so."""
     vector = -np.ones(4)
-    solutions = all_solutions(CPS_3, vector)
-    assert len(solutions) == 3
-    mixed = [z for z in solutions if (z > 0).all()]
+    found = solutions(CPS_3, vector)
+    assert len(found) == 3
+    mixed = [z for z in found if (z > 0).all()]
     assert len(mixed) == 1
     assert mixed[0] == pytest.approx([1 / 90, 2 / 45, 1 / 90, 2 / 45], abs=1e-15)
     z, code = solve_lcp(CPS_3, vector, 100)
@@ -83,12 +69,6 @@ def test_cps_4(load: float) -> None:
         expected = [first, first, 2.0 * (23.0 - load) / 13.0, (1286.0 - 9.0 * load) / 13.0]
     assert code == SOLVED
     assert z == pytest.approx(expected, abs=1e-12)
-
-
-def test_cps_5_tie() -> None:
-    z, code = solve_lcp(np.array([[1.0, -1.0], [-1.0, 1.0]]), np.array([1.0, -1.0]), 100)
-    assert code == SOLVED
-    assert z == pytest.approx([0, 1], abs=1e-14)
 
 
 def test_no_solution_is_said_so() -> None:
