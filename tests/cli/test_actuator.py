@@ -65,8 +65,9 @@ def test_stop_writes_to_the_port_that_is_named(capsys, controller):
     controller.wait_for("reset")
 
 
-def test_ports(capsys):
-    code, out, _ = fixel(capsys, "actuator", "ports", "--json")
+@pytest.mark.parametrize("device", ["actuator", "tactile"])
+def test_ports(capsys, device):
+    code, out, _ = fixel(capsys, device, "ports", "--json")
 
     assert code == 0
     assert isinstance(json.loads(out)["ports"], list)

@@ -79,13 +79,6 @@ def test_watch_as_json_with_a_threshold(capsys, mega):
     assert 7 in bits
 
 
-def test_ports(capsys):
-    code, out, _ = fixel(capsys, "tactile", "ports", "--json")
-
-    assert code == 0
-    assert isinstance(json.loads(out)["ports"], list)
-
-
 def test_the_port_of_a_controller_is_refused_and_left_in_order(capsys):
     with EmulatedGrbl() as controller:
         code, _, err = fixel(capsys, "tactile", "check", "--port", controller.port)

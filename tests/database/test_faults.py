@@ -96,41 +96,29 @@ def test_a_hundred_kills(store, url, tmp_path):
 
 # --- a server that is killed --------------------------------------------------------------------
 
+SENT = "before_cursor_execute"
+
 
 @contextlib.contextmanager
-def at_statement(store, start, then):
-    """Do something once, right before a statement is sent."""
+def at(store, moment, then, start=""):
+    """Do something once, right before a commit, or before a statement with this start is sent."""
     pending = [then]
 
-    def look(connection, cursor, statement, *_):
+    def look(connection, cursor=None, statement="", *_):
         if pending and statement.startswith(start):
             pending.pop()()
 
-    event.listen(store._engine, "before_cursor_execute", look)
+    event.listen(store._engine, moment, look)
     yield
-    event.remove(store._engine, "before_cursor_execute", look)
-    assert not pending
-
-
-@contextlib.contextmanager
-def at_commit(store, then):
-    pending = [then]
-
-    def look(connection):
-        if pending:
-            pending.pop()()
-
-    event.listen(store._engine, "commit", look)
-    yield
-    event.remove(store._engine, "commit", look)
+    event.remove(store._engine, moment, look)
     assert not pending
 
 
 def moments(store, die):
     yield "before", contextlib.ExitStack(), die
-    yield "first row", at_statement(store, "INSERT INTO experiment", die), None
-    yield "last row", at_statement(store, "INSERT INTO flag", die), None
-    yield "commit", at_commit(store, die), None
+    yield "first row", at(store, SENT, die, "INSERT INTO experiment"), None
+    yield "last row", at(store, SENT, die, "INSERT INTO flag"), None
+    yield "commit", at(store, "commit", die), None
 
 
 def test_a_server_that_is_killed_during_an_import(tmp_path):

@@ -20,16 +20,11 @@ def reasons(bench, monkeypatch, **faults):  # noqa: F811
 
 
 @pytest.mark.system
-def test_a_jammed_head_is_noticed_and_the_row_repeated(bench, monkeypatch):  # noqa: F811
-    first, again = reasons(bench, monkeypatch, overload=slice(1))
-    assert any("overload" in reason for reason in first[0])
-    assert first[1] == ()
-    assert [own.state for own in again] == ["accepted"]
-
-
-@pytest.mark.system
-def test_a_hidden_part_is_noticed_and_the_row_repeated(bench, monkeypatch):  # noqa: F811
-    first, again = reasons(bench, monkeypatch, hidden=slice(1))
-    assert any("was not seen for" in reason for reason in first[0])
+@pytest.mark.parametrize(
+    ("fault", "reason"), [("overload", "overload"), ("hidden", "was not seen for")]
+)
+def test_a_fault_is_noticed_and_the_row_repeated(fault, reason, bench, monkeypatch):  # noqa: F811
+    first, again = reasons(bench, monkeypatch, **{fault: slice(1)})
+    assert any(reason in found for found in first[0])
     assert first[1] == ()
     assert [own.state for own in again] == ["accepted"]
