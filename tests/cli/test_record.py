@@ -24,6 +24,7 @@ from tests.testbed.films import SIZE, film
 from fixel.cli.record import duration, status_line
 from fixel.formats.recording import open_recording
 from fixel.formats.recording_files import ROWS, VIDEO
+from fixel.formats.rig_file import rig_of, save_rig
 from fixel.testbed.loopback import LoopbackCamera
 from fixel.testbed.recorder import RecordingStatus
 
@@ -38,10 +39,16 @@ def test_a_film_is_recorded(capsys: Any, tmp_path: Path) -> None:
     assert code == 0
     assert "30 frames in 0.290 s, 100.00 frames/s, 0 lost" in said
     assert "ended: the file has ended" in said
-    assert f"Next: fixel track '{out}'" in said
+    # Without a rig, `fixel track` would be refused.
+    after = f"Next: fixel track '{out}' --rig RIG, with your rig for RIG"
+    assert said.splitlines()[-1] == after
     code, said, _ = fixel(capsys, "record", "check", out)
     assert code == 0
     assert "30 readings, 160 x 120 pixels, as-it-comes\nevery frame matches its row" in said
+    assert said.splitlines()[-1] == after
+    save_rig(rig_of("thesis-tags"), out / "rig.yaml")
+    _, said, _ = fixel(capsys, "record", "check", out)
+    assert said.splitlines()[-1] == f"Next: fixel track '{out}'"
 
 
 @pytest.mark.parametrize("rig", [None, "thesis-tags"])

@@ -198,8 +198,9 @@ def test_a_drive_that_must_be_homed_says_so():
         assert controller.place == pytest.approx(5.0, abs=0.01)
 
 
-def test_reach_is_cut_to_the_travel_of_the_controller():
-    with driven(homing=True, travel=80.0) as (_, drive):
+@pytest.mark.parametrize("homing", [True, False])
+def test_reach_is_cut_to_the_travel_of_the_controller(homing):
+    with driven(homing=homing, travel=80.0) as (_, drive):
         assert drive.reach == (0.0, 0.08)
 
 

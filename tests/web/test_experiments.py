@@ -119,12 +119,21 @@ def test_it_filters_by_anything(bench):
         ("limit=501", "query.limit"),
         ("offset=-1", "query.offset"),
         ("offset=99999999999999999999", "query.offset"),
+        ("limt=3", "query"),
     ],
 )
 def test_what_cannot_be_is_refused_with_the_place(bench, query, where):
     said = bench.get(f"{ADDRESS}?{query}", 422)
     assert said["where"] == where
     assert said["expected"]
+
+
+def test_unknown_parameters_are_refused_wherever_there_are_others_or_none(bench):
+    said = bench.get(f"{ADDRESS}?offset=0&limt=3", 422)
+    assert (said["where"], said["found"]) == ("query", "'limt'")
+    assert "did you mean 'limit'" in said["hint"]
+    said = bench.get(f"{ADDRESS}/1?raw=1", 422)
+    assert (said["found"], said["expected"]) == ("raw", "no parameters")
 
 
 def test_words_to_filter_by(bench):

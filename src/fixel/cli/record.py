@@ -207,7 +207,15 @@ def _lines(done: "RecordingSummary") -> list[str]:
     if done.without_reading:
         lines.append(f"frames without a sensor reading: {done.without_reading}")
     lines += [f"problem: {problem}" for problem in done.problems]
-    return [*lines, f"Next: {command_of('track', done.folder)}"]
+    return [*lines, _after(done.folder)]
+
+
+def _after(folder: Path) -> str:
+    """Return what to do with a whole recording, which cannot be tracked without a rig."""
+    from fixel.formats.recording import RIG_FILE
+
+    track = f"Next: {command_of('track', folder)}"
+    return track if (folder / RIG_FILE).is_file() else f"{track} --rig RIG, with your rig for RIG"
 
 
 def _check(folder: Path, as_json: bool, *, repair: bool) -> None:
@@ -230,8 +238,9 @@ def _check_lines(recording: "Recording") -> list[str]:
     if recording.end is not None:
         lines.append(f"ended: {recording.end.reason}")
     lines += [f"problem: {problem}" for problem in recording.problems]
-    words = ["track"] if recording.complete else ["record", "repair"]
-    return [*lines, f"Next: {command_of(*words, recording.folder)}"]
+    if recording.complete:
+        return [*lines, _after(recording.folder)]
+    return [*lines, f"Next: {command_of('record', 'repair', recording.folder)}"]
 
 
 class StopWish:

@@ -22,7 +22,7 @@ from fixel.calibration.study import box_of
 from fixel.calibration.target import Target, repetitions, same_configuration
 from fixel.domain.cells import label_of
 from fixel.domain.evidence import folds_of
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, counted
 from fixel.model.space import ParameterSpace
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper, Adaptive, Midpoint
@@ -138,20 +138,20 @@ def _refuse_start(comparer: Comparer, groups: Sequence[str]) -> None:
     start = comparer.space.nominal[None]
     for group in dict.fromkeys(groups):
         members = [k for k, name in enumerate(groups) if name == group]
-        reason = ""
+        reasons = []
         for k in members:
             answer = comparer.errors(np.array([k]), start)
-            reason = reason or answer.reasons[0]
+            reasons += answer.reasons
             if math.isfinite(answer.error[0]):
                 break
         else:
-            raise _no_start(f"{group}: {reason}" if group else reason)
+            raise _no_start(reasons, f"{group}: " if group else "")
 
 
-def _no_start(reason: str) -> InvalidInput:
+def _no_start(reasons: Sequence[str], of: str = "") -> InvalidInput:
     return InvalidInput(
         "start of the fits",
-        found=f"no simulation at it: {reason}",
+        found=f"no simulation at it: {of}{counted(reasons)}",
         expected="parameters with which experiments can be simulated",
         hint="start at another calibration",
     )
@@ -192,7 +192,7 @@ class _FoldFit:
         answer = self.comparer.errors(chosen, start)
         good = chosen[np.isfinite(answer.error)]
         if not len(good):
-            raise _no_start(answer.reasons[0])
+            raise _no_start(answer.reasons)
         return good
 
 

@@ -163,8 +163,9 @@ class GrblActuator(motion.AbstractActuator):
         self._settings = tuple(settings)
         self.travels = self._wanted_travels.copy()
         for ends, of_axis in zip(self.travels, settings, strict=True):
-            if of_axis.homing or of_axis.soft_limits:
-                ends[:] = max(ends[0], 0.0), min(ends[1], 1e-3 * of_axis.travel)
+            # Without homing, it counts from any place; a bench begins at the withdrawn end.
+            low = 0.0 if of_axis.homing or of_axis.soft_limits else -of_axis.travel
+            ends[:] = max(ends[0], 1e-3 * low), min(ends[1], 1e-3 * of_axis.travel)
         self.travels = motion.checked_travels(self.travels.tolist(), len(self.axes))
         self._set_line(self._aimed)
 

@@ -95,6 +95,17 @@ def answer_errors(api: FastAPI) -> None:
         )
 
 
+def refuse_unknown_query(request: Request) -> None:
+    """Raise `InvalidInput` for a parameter in the address that the route does not document."""
+    route = request.app.openapi()["paths"][request.scope["route"].path][request.method.lower()]
+    known = [one["name"] for one in route.get("parameters", ()) if one["in"] == "query"]
+    for name in request.query_params:
+        if not known:
+            raise errors.InvalidInput("query", found=name, expected="no parameters")
+        if name not in known:
+            raise errors.unknown_name("query", name, known)
+
+
 def answer(problem: Refusal, headers: dict[str, str] | None = None) -> JSONResponse:
     """Return a problem as a JSON response."""
     return JSONResponse(problem.model_dump(), status_code=problem.status, headers=headers)

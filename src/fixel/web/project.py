@@ -9,13 +9,13 @@ from __future__ import annotations
 import threading
 from typing import Final
 
-from fastapi import FastAPI
+from fastapi import Depends, FastAPI
 
 import fixel
 from fixel.web.api import analyses, calibration, changes, compare, experiments, jobs, scenes, system
 from fixel.web.context import ProjectContext
 from fixel.web.pages.site import project_pages
-from fixel.web.problems import Refusal, answer_errors
+from fixel.web.problems import Refusal, answer_errors, refuse_unknown_query
 from fixel.web.serve import HERE_ONLY, WebServer
 from fixel.web.views.live_comparison import warm_up
 
@@ -49,7 +49,7 @@ def project_api(context: ProjectContext) -> FastAPI:
     )
     api.state.context = context
     for router in ROUTERS:
-        api.include_router(router)
+        api.include_router(router, dependencies=[Depends(refuse_unknown_query)])
     answer_errors(api)
     threading.Thread(target=warm_up, name="fixel-warm-up", daemon=True).start()
     return api

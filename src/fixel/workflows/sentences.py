@@ -11,6 +11,8 @@ import re
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
+from fixel.errors import counted
+
 if TYPE_CHECKING:
     from fixel.model import Experiment
 
@@ -33,8 +35,8 @@ def environment() -> Any:
     """Create the environment of the templates; it escapes what goes into HTML, as names of
     experiments may contain anything.
 
-    Filters: `fmt(".3g")` formats a number, `mm` and `deg` convert metres and radians, `s` is the
-    ending of a plural, `rounded` shows numbers below any measurement as zero.
+    Filters: `fmt(".3g")` formats a number, `mm` and `deg` convert metres and radians, `s` ends a
+    plural, `rounded` shows numbers below any measurement as zero, `counted` counts reasons.
     """
     import jinja2
 
@@ -51,6 +53,7 @@ def environment() -> Any:
         "deg": math.degrees,
         "s": lambda count: "" if count == 1 else "s",
         "rounded": rounded,
+        "counted": counted,
     }
     return found
 

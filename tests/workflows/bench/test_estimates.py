@@ -197,12 +197,14 @@ def test_wanted_widths_are_read(text, wanted):
     [
         "", "mu_pusher", "mu_pusher=", "mu_pusher=0", "mu_pusher=-1", "mu_pusher=1mm",
         "mu_pusher=1.2.3", "tripod_radius=1deg", "tripod_radius=nan", "friction=0.1",
-        "mu_pusher=0.02;tripod_radius=1mm", "mu_pusher=1e999",
+        "mu_pusher=0.02;tripod_radius=1mm", "mu_pusher=1e999", "=0.1", "mu_pushr=0.02",
+        "mu_pusher[surface=0.1", "mu_pusher=0.1,mu_pusher=0.2",
     ],
 )  # fmt: skip
-def test_wanted_widths_that_mean_nothing_are_refused(text):
-    with pytest.raises(InvalidInput):
+def test_wanted_widths_that_mean_nothing_are_refused_at_their_option(text):
+    with pytest.raises(InvalidInput) as refusal:
         Until.parse(text)
+    assert refusal.value.where == "until"
 
 
 def test_a_campaign_ends_when_all_are_as_narrow_as_wanted():

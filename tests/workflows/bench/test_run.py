@@ -145,7 +145,9 @@ def test_a_device_that_is_missing_or_another_one_is_named(
     assert controller.trace == []
 
 
-@pytest.mark.parametrize("limits", [{"fastest": 10.0}, {"travel": 50.0, "homing": True}])
+@pytest.mark.parametrize(
+    "limits", [{"fastest": 10.0}, {"travel": 50.0}, {"travel": 50.0, "homing": True}]
+)
 def test_a_row_that_the_drive_cannot_perform_is_named(folder, camera, limits):
     with EmulatedGrbl(**{"travel": 200.0, "start": 0.0, "rate": 5.0} | limits) as controller:
         if controller.state == "Alarm":

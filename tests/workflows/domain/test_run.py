@@ -76,7 +76,7 @@ def test_a_start_that_some_group_cannot_have_is_refused_before_any_fit(tmp_path,
     """Fits of the other groups took minutes before."""
     mixed = [
         target._replace(conditions={**target.conditions, "kind": "even" if k > 1 else "tripod"})
-        for k, target in enumerate(targets_of(SimulatedTestbed.ideal().run(planned(4))))
+        for k, target in enumerate(targets_of(SimulatedTestbed.ideal().run(planned(5))))
     ]
     one = model(mixed)
     simulated = Comparer.errors
@@ -84,7 +84,8 @@ def test_a_start_that_some_group_cannot_have_is_refused_before_any_fit(tmp_path,
     def jammed(self, which, points):
         found = simulated(self, which, points)
         error = np.where(which > 1, np.inf, found.error)
-        return Evaluation(error, ["jammed" if k > 1 else "" for k in which.tolist()])
+        reasons = ("", "", "jammed", "too late", "jammed")
+        return Evaluation(error, [reasons[k] for k in which.tolist()])
 
     monkeypatch.setattr(Comparer, "errors", jammed)
 
@@ -92,7 +93,7 @@ def test_a_start_that_some_group_cannot_have_is_refused_before_any_fit(tmp_path,
         raise AssertionError("a fit before the refusal")
 
     monkeypatch.setattr("fixel.domain.held_out._FoldFit.__call__", never)
-    with pytest.raises(InvalidInput, match="no simulation at it: even"):
+    with pytest.raises(InvalidInput, match="it: even: 2 x jammed; 1 x too late"):
         held_out(mixed, one, Apart(("kind",), "", 2, 0), ResultCache(tmp_path).get)
 
 

@@ -192,31 +192,6 @@ CONVERGED_PX = 0.005  # [px] change between them at convergence
 OPEN = 1e-3  # least over largest pivot, below which the pose is undetermined
 
 
-@kernel
-def _ranked(values: FloatArray, n: int, rank: int) -> float:
-    """Select the value of a rank from below among the first n, by Hoare's method; reorders them."""
-    first, last = 0, n - 1
-    while first < last:
-        pivot = values[(first + last) // 2]
-        i, j = first, last
-        while i <= j:
-            while values[i] < pivot:
-                i += 1
-            while values[j] > pivot:
-                j -= 1
-            if i <= j:
-                values[i], values[j] = values[j], values[i]
-                i += 1
-                j -= 1
-        if rank <= j:
-            last = j
-        elif rank >= i:
-            first = i
-        else:
-            break
-    return float(values[rank])
-
-
 @entry
 def plausible(
     found: FloatArray, group: NDArray[np.int64], clear: BoolArray, usable: BoolArray
@@ -239,7 +214,7 @@ def plausible(
             end += 1
         if count >= MIN_LEVELS:
             half = count // 2
-            low, high = _ranked(dark, count, half), _ranked(bright, count, half)
+            low, high = np.sort(dark[:count])[half], np.sort(bright[:count])[half]
             slack = LEVEL * (high - low)
             for i in range(start, end):
                 usable[i] = (

@@ -38,7 +38,7 @@ from fixel.calibration.verdict import judge
 from fixel.errors import InvalidInput, unknown_name
 from fixel.model import Experiment, PlannedExperiment
 from fixel.model.parameters import info_of
-from fixel.model.space import ParameterSpace, split_label
+from fixel.model.space import ParameterSpace, check_once, split_label
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.rollouts import RolloutCase
 from fixel.typing import FloatArray
@@ -350,15 +350,19 @@ class Until:
         Values are in SI units, or have one of m, mm, um, rad, deg and mrad behind the number. Other
         texts, and parameters that are unknown, raise `InvalidInput`.
         """
-        wanted = {}
+        wanted: dict[str, float] = {}
         for part in text.split(","):
             name, _, value = (own.strip() for own in part.rpartition("="))
-            units = UNITS.get(info_of(split_label(name)[0]).unit, {})
+            try:
+                units = UNITS.get(info_of(split_label(name)[0]).unit, {})
+            except InvalidInput as problem:
+                raise problem.at("until") from None
             found = re.fullmatch(r"((?:\d+\.?\d*|\.\d+)(?:e-?\d+)?)\s*([a-z]*)", value)
             factor = {"": 1.0, **units}.get(found[2]) if found else None
             if found is None or factor is None or not 0.0 < float(found[1]) < math.inf:
                 expected = f"such as {name}=" + (f"1{[*units][1]}" if units else "0.02")
                 raise InvalidInput("until", found=repr(part.strip()), expected=expected)
+            check_once("until", [*wanted, name])
             wanted[name] = float(found[1]) * factor
         return cls(MappingProxyType(wanted))
 

@@ -74,8 +74,7 @@ def estimate_rows(
             finish = choice.reason
         else:
             chosen = left[choice.index].name
-    ahead = known.ahead(left, AHEAD)
-    table = _table(known, wanted, ahead, min(AHEAD, len(left)))
+    table = _table(known, wanted, known.ahead(left, AHEAD), min(AHEAD, len(left)))
     return LiveAnswer(known, table, chosen, tuple(words), finish, time.monotonic() - begun)
 
 

@@ -84,16 +84,14 @@ class Background:
 
     def _answer(self, arguments: tuple[Any, ...]) -> Any:
         """Return the answer or the error of a call, again if its process died."""
-        begun, deaths = time.monotonic(), 0
-        while True:
+        begun = time.monotonic()
+        for left in reversed(range(TRIES)):
             try:
                 return self._process.call(arguments, lambda: self._closed)
-            except JobRefused as death:
-                deaths += 1
-                if deaths == TRIES or time.monotonic() - begun > LIMIT:
-                    return death
             except Exception as problem:
-                return problem
+                late = time.monotonic() - begun > LIMIT
+                if late or not left or not isinstance(problem, JobRefused):
+                    return problem
 
     def close(self) -> None:
         """End the process; calls without an answer get none."""
@@ -287,8 +285,7 @@ class BenchLoop:
         return head if seen else ""
 
     def _without_asking(self, look: Look) -> None:
-        ready = all(check.passed for check in self._checks)
-        self._in_place = self._in_place + 1 if ready else 0
+        self._in_place = self._in_place + 1 if all(own.passed for own in self._checks) else 0
         if self._in_place >= IN_PLACE:
             self._wants_push = "key"
         elif not look.placed and self.devices.clock() - self._nudged > NUDGE:
@@ -347,9 +344,10 @@ class BenchLoop:
         assert self._row is not None
         scene = self._row.scene
         part = next(own for own in look.parts if own.name == scene.bodies[0].name)
-        if self.devices.way_to(scene, part.measured) is None:
-            return BenchCheck("drive", False, "the part is in the way of the head")
-        return BenchCheck("drive", True, "ready")
+        clear = self.devices.way_to(scene, part.measured) is not None
+        return BenchCheck(
+            "drive", clear, "ready" if clear else "the part is in the way of the head"
+        )
 
     def _drive_trouble(self) -> str:
         """Return why the drive cannot push, with what `_recover` does about it; empty if it can."""
@@ -427,8 +425,8 @@ class BenchLoop:
             self._report("pushing", arrived.picture, status)
 
         def over() -> str:  # once the pictures that wait to be written are written
-            late = newest >= end or self.devices.clock() > end + BEHIND
-            return "the push is over" if late else ""
+            late = self.devices.clock() > end + BEHIND
+            return "the push is over" if late or newest >= end else ""
 
         recorder = Recorder(
             source=camera.view(),

@@ -19,7 +19,7 @@ from fixel.calibration.target import Target, spread_sample, target_of, targets_o
 from fixel.calibration.usual_parameters import Space, default_unknowns, search_space
 from fixel.database.project import Project, check_known_names
 from fixel.database.store import Store
-from fixel.errors import FixelError, Interrupted, InvalidInput
+from fixel.errors import FixelError, Interrupted, InvalidInput, counted
 from fixel.formats.dakota_file import load_dakota
 from fixel.io.array_bytes import arrays_of
 from fixel.io.journal import Journal
@@ -208,12 +208,13 @@ def select_experiments(
         except InvalidInput as problem:
             if keys:
                 raise
-            left_out[experiment.key] = str(problem)
+            where = problem.where.replace(f" {experiment.key}", "")
+            left_out[experiment.key] = str(problem.at(where))
     if not targets:
-        reason = next(iter(left_out.values()), "")
+        reasons = f" ({counted(left_out.values())})" if left_out else ""
         raise InvalidInput(
             "experiments",
-            found=f"none to calibrate with{f' ({reason})' if reason else ''}",
+            found=f"none to calibrate with{reasons}",
             expected="one at least with a scene and measured poses",
             hint="fixel list shows all experiments",
         )

@@ -17,7 +17,7 @@ from fixel.calibration.usual_parameters import Space, default_unknowns, search_s
 from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.domain.held_out import Apart, CalibrationModel, Finished
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, counted
 from fixel.io.array_bytes import ResultCache
 from fixel.io.atomic import write_whole
 from fixel.io.damaged_files import readable
@@ -138,7 +138,7 @@ def own_best(
     if np.isnan(best).all():
         raise InvalidInput(
             "relative",
-            found=f"no experiment with its own smallest error ({notes[0]})",
+            found=f"no experiment with its own smallest error ({counted(notes)})",
             expected="experiments that were calibrated in mode each with the same model",
             hint="calibrate them first: fixel calibrate --mode each",
         )

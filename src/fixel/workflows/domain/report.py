@@ -158,9 +158,7 @@ def _tables(
 
 
 def _reach_text(reach: tuple[str, str] | None) -> str:
-    if reach is None:
-        return "empty"
-    return f"{reach[0]} to {reach[1]}" if reach[1] else reach[0]
+    return "empty" if reach is None else " to ".join(filter(None, reach))
 
 
 def _numbers(
