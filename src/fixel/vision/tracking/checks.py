@@ -18,7 +18,7 @@ from fixel.vision.marks import Rig, Tag
 from fixel.vision.plane_errors import place_covariance, radius95
 from fixel.vision.tracking.outline import MIN_SCATTER, fit_pose, window_of
 from fixel.vision.tracking.tag_reader import read_tags, tag_corners, tag_points
-from fixel.vision.tracking.tags import names_of, tag_edges
+from fixel.vision.tracking.tags import tag_edges
 
 MOVED: Final = 1.5  # [px] largest offset of tags on the plate
 CERTAIN: Final = 1.6  # times the radius of 95 %, four standard deviations
@@ -67,7 +67,7 @@ def check_orientation(rig: Rig, picture: Gray) -> None:
     tags += rig.plate
     if not tags:
         return
-    wanted = names_of(tags)
+    wanted = {(tag.family, tag.id) for tag in tags}  # as `read_tags` has them
     families = {tag.family for tag in tags}
     if wanted & set(read_tags(picture, families)):
         return

@@ -11,14 +11,14 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.model.shape import placed
-from fixel.typing import BoolArray, FloatArray
+from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Gray
 from fixel.vision.marks import Rig, Tag, cells
 from fixel.vision.tracking import base
 from fixel.vision.tracking.loops import cells_right, cells_shown, optics_of
 from fixel.vision.tracking.outline import OutlineEdges, PoseFit, fit_spread, window_of
-from fixel.vision.tracking.tag_reader import CORNERS, TagName, on_tag, read_tags, tag_corners
+from fixel.vision.tracking.tag_reader import CORNERS, on_tag, read_tags, tag_corners
 
 POINTS: Final = 12  # on each side of a tag
 FROM_CORNERS: Final = 0.08  # of a side, left out at either end: corners are rounded
@@ -84,7 +84,9 @@ class _TaggedPart(base.PartFollower):
         self._name = name
         self._tags = tuple(tags)
         self._edges = joined([tag_edges(tag, k) for k, tag in enumerate(tags)])
-        self._cells = tuple(_cells_on(tag) for tag in tags)
+        # Middles (n, 2) of each tag's cells in the frame of the part [m], and which are white.
+        own = [(tag, *cells(tag.family, tag.id)) for tag in tags]
+        self._cells = tuple((on_tag(tag, middle), white) for tag, middle, white in own)
         self._families = {tag.family for tag in tags}
         self._scale = camera.metres_per_pixel(max(tag.height for tag in tags))
         self._spread = 0.0
@@ -216,18 +218,8 @@ def tag_edges(tag: Tag, group: int) -> OutlineEdges:
 
 def joined(edges: Sequence[OutlineEdges]) -> OutlineEdges:
     """Concatenate the edges of a part."""
-    return OutlineEdges(
-        point=np.concatenate([e.point for e in edges]),
-        outward=np.concatenate([e.outward for e in edges]),
-        height=np.concatenate([e.height for e in edges]),
-        group=np.concatenate([e.group for e in edges]),
-    )
-
-
-def _cells_on(tag: Tag) -> tuple[FloatArray, BoolArray]:
-    """Middles (n, 2) of a tag's cells in the frame of its part [m], and which are white."""
-    middle, white = cells(tag.family, tag.id)
-    return on_tag(tag, middle), white
+    names = ("point", "outward", "height", "group")
+    return OutlineEdges(**{n: np.concatenate([getattr(e, n) for e in edges]) for n in names})
 
 
 def rigid(own: FloatArray, seen: FloatArray) -> FloatArray:
@@ -251,8 +243,3 @@ def _refuse_size(part: str, tag: Tag, corners: FloatArray) -> None:
             hint="check its size in the rig file, which is that of the black square, and its "
             "height",
         )
-
-
-def names_of(tags: Sequence[Tag]) -> set[TagName]:
-    """Keys of tags in the result of `read_tags`."""
-    return {(tag.family, tag.id) for tag in tags}
