@@ -21,7 +21,6 @@ from __future__ import annotations
 import errno
 import re
 import reprlib
-from collections import Counter
 from collections.abc import Iterable
 from functools import partial
 from importlib.util import find_spec
@@ -56,7 +55,6 @@ class _Absent:
 _ABSENT: Final = _Absent()
 _MAX_BEFORE_HINT: Final = 20  # known names that an error with a suggestion lists
 _MAX_NAMED: Final = 40  # known names that an error lists
-_MAX_REASONS: Final = 6  # of several failures
 _MAX_FOUND: Final = 300  # [characters] of a text that was found; it may be a whole file
 
 _PLACE: Final = re.compile(r"\b(line|row|frame) \d+$")  # place in a file, which is no value
@@ -410,13 +408,6 @@ def unknown_name(where: str, name: object, known: Iterable[str], *, more: str = 
     return InvalidInput(
         where, found=found, expected=f"one of {', '.join(names[:_MAX_NAMED])}{more}", hint=hint
     )
-
-
-def counted(reasons: Iterable[str]) -> str:
-    """Return the most frequent reasons, each with its count: `2 x no scene; 1 x too late`."""
-    most = Counter(reasons).most_common()
-    others = [f"{len(most) - _MAX_REASONS} other reasons"] if len(most) > _MAX_REASONS else []
-    return "; ".join([*(f"{n} x {reason}" for reason, n in most[:_MAX_REASONS]), *others])
 
 
 def os_reason(problem: OSError) -> str:

@@ -7,7 +7,8 @@ a calibration. The caller may store finished fits, so that an interrupted comman
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple, final
 
@@ -22,7 +23,7 @@ from fixel.calibration.study import box_of
 from fixel.calibration.target import Target, repetitions, same_configuration
 from fixel.domain.cells import label_of
 from fixel.domain.evidence import folds_of
-from fixel.errors import InvalidInput, counted
+from fixel.errors import InvalidInput
 from fixel.model.space import ParameterSpace
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper, Adaptive, Midpoint
@@ -146,6 +147,11 @@ def _refuse_start(comparer: Comparer, groups: Sequence[str]) -> None:
                 break
         else:
             raise _no_start(reasons, f"{group}: " if group else "")
+
+
+def counted(reasons: Iterable[str]) -> str:
+    """Return each reason with its count, the most frequent first: `2 x no scene; 1 x too late`."""
+    return "; ".join(f"{n} x {reason}" for reason, n in Counter(reasons).most_common())
 
 
 def _no_start(reasons: Sequence[str], of: str = "") -> InvalidInput:

@@ -11,8 +11,6 @@ import re
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
-from fixel.errors import counted
-
 if TYPE_CHECKING:
     from fixel.model import Experiment
 
@@ -35,8 +33,8 @@ def environment() -> Any:
     """Create the environment of the templates; it escapes what goes into HTML, as names of
     experiments may contain anything.
 
-    Filters: `fmt(".3g")` formats a number, `mm` and `deg` convert metres and radians, `s` ends a
-    plural, `rounded` shows numbers below any measurement as zero, `counted` counts reasons.
+    Filters: `fmt(".3g")` formats a number, `mm` and `deg` convert metres and radians, `s` is the
+    ending of a plural, `rounded` shows numbers below any measurement as zero.
     """
     import jinja2
 
@@ -53,7 +51,6 @@ def environment() -> Any:
         "deg": math.degrees,
         "s": lambda count: "" if count == 1 else "s",
         "rounded": rounded,
-        "counted": counted,
     }
     return found
 

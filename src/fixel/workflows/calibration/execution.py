@@ -19,7 +19,7 @@ from fixel.calibration.target import Target, spread_sample, target_of, targets_o
 from fixel.calibration.usual_parameters import Space, default_unknowns, search_space
 from fixel.database.project import Project, check_known_names
 from fixel.database.store import Store
-from fixel.errors import FixelError, Interrupted, InvalidInput, counted
+from fixel.errors import FixelError, Interrupted, InvalidInput
 from fixel.formats.dakota_file import load_dakota
 from fixel.io.array_bytes import arrays_of
 from fixel.io.journal import Journal
@@ -208,13 +208,12 @@ def select_experiments(
         except InvalidInput as problem:
             if keys:
                 raise
-            where = problem.where.replace(f" {experiment.key}", "")
-            left_out[experiment.key] = str(problem.at(where))
+            left_out[experiment.key] = str(problem)
     if not targets:
-        reasons = f" ({counted(left_out.values())})" if left_out else ""
+        reason = next(iter(left_out.values()), "")
         raise InvalidInput(
             "experiments",
-            found=f"none to calibrate with{reasons}",
+            found=f"none to calibrate with{f' ({reason})' if reason else ''}",
             expected="one at least with a scene and measured poses",
             hint="fixel list shows all experiments",
         )

@@ -16,8 +16,8 @@ from fixel.calibration.target import Target
 from fixel.calibration.usual_parameters import Space, default_unknowns, search_space
 from fixel.database.project import Project
 from fixel.database.store import Store
-from fixel.domain.held_out import Apart, CalibrationModel, Finished
-from fixel.errors import InvalidInput, counted
+from fixel.domain.held_out import Apart, CalibrationModel, Finished, counted
+from fixel.errors import InvalidInput
 from fixel.io.array_bytes import ResultCache
 from fixel.io.atomic import write_whole
 from fixel.io.damaged_files import readable

@@ -9,6 +9,7 @@ import numpy as np
 
 from fixel.domain.claim import DOUBTFUL, NO_DATA, CellVerdict, Claim
 from fixel.domain.domain import DomainMap
+from fixel.domain.held_out import counted
 from fixel.domain.next_experiment import Proposal
 from fixel.domain.surface import NAMES
 from fixel.drawing.domain import map_chart, size_chart
@@ -106,7 +107,7 @@ def _begins(domain: DomainMap, claim: Claim) -> float | None:
 
 def _warnings(answer: DomainAnswer, verdicts: list[list[CellVerdict]]) -> tuple[str, ...]:
     """Return warnings about the evidence of a map, without full stops."""
-    domain, claim = answer.domain, answer.domain.claimed
+    domain, claim, found = answer.domain, answer.domain.claimed, answer.gathered.found
     nominal = domain.counts[:, domain.cells.nominal]
     few = any(
         verdict.colour == DOUBTFUL and domain.counts[g, c] < claim.needed
@@ -116,7 +117,9 @@ def _warnings(answer: DomainAnswer, verdicts: list[list[CellVerdict]]) -> tuple[
     return sentences(
         "domain",
         "warnings",
-        found=answer.gathered.found,
+        found=found,
+        counted=counted,
+        left_out=[why.replace(f" {key}", "") for key, why in found["left_out"].items()],
         claim=claim,
         aside=answer.n_aside,
         failed=int(np.isinf(domain.evidence.error_mm2).sum()),
@@ -138,15 +141,8 @@ def _tables(
         reach = [_reach_text(extents[g][axis.name]) for axis in axes]
         cells = [str(own.count(c)) for c in ("trusted", "doubtful", "not trusted", NO_DATA)]
         rows.append((group or "all", *reach, str(len(domains[g])), *cells))
-    head = (
-        "map",
-        *(f"{axis.name}{f' [{axis.unit}]' if axis.unit else ''}" for axis in axes),
-        "cells in D",
-        "trusted",
-        "doubtful",
-        "not trusted",
-        "no data",
-    )
+    names = (f"{axis.name}{f' [{axis.unit}]' if axis.unit else ''}" for axis in axes)
+    head = ("map", *names, "cells in D", "trusted", "doubtful", "not trusted", "no data")
     first = Table(head, rows, title=f"D(tau) at {claim.text()}")
     second = Table(
         ("map", "experiment", "expected information [bit]", "why"),
