@@ -59,7 +59,7 @@ def await_true(condition, what="what a test expects", patience_s=PATIENCE_S):
     deadline = time.monotonic() + patience_s
     while not (held := condition()):
         assert time.monotonic() < deadline, f"waited {patience_s} s for {what}"
-        time.sleep(0.05)
+        time.sleep(0.02)
     return held
 
 
