@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fixel.model import Body, Disk, LineDrive, NoSupport, PathDrive, Pusher, Scene, Tripod
-from fixel.simulation import Adaptive, simulate
+from fixel.simulation import Adaptive, StewartTrinkle, simulate
 from fixel.testing.scenes import box, row
 
 REACH = 0.055  # [m] between the centres of a square and of a finger that touch
@@ -86,3 +86,21 @@ def test_a_part_between_two_fingers_pushes_the_weaker_one_back(kind, motion):
     # Follows the strong finger, which is faster, and needs 0.2 mm to accelerate the square.
     back = 0.02 * 0.5 if kind == "moving" else 0.0
     assert finger[-1] == pytest.approx(0.0299 + REACH - back, abs=3e-4)
+
+
+def test_a_finger_dragged_past_its_end_moves_as_far_as_its_velocity_says():
+    """Friction of a disk that is thrown past drags it, faster than its own 2 mm/s."""
+    step = 0.01
+    disk = Body(
+        name="disk", shape=Disk(0.02), mass=0.2, pose=row(0.05, -0.02, 0),
+        velocity=row(-0.3, 0.5, 0), support=NoSupport(),
+    )  # fmt: skip
+    drive = LineDrive((0, 1), speed=2e-3, travel=5e-4, force_limit=1e-2)
+    wall = Pusher(name="wall", shape=box(0.02, 0.2), pose=row(0, 0, 0), drive=drive, friction=1.0)
+    scene = Scene(bodies=(disk,), pushers=(wall,), duration=0.4)
+    run = simulate(scene, motion="dynamic", stepper=StewartTrinkle(step=step))
+    assert run.converged
+    moved, velocity = np.diff(run.pose["wall"][:, 1]), run.twist["wall"][1:, 1]
+    assert velocity.max() > 0.1
+    assert run.pose["wall"][-1, 1] > 0.01  # far past its end
+    assert moved == pytest.approx(step * velocity, abs=1e-12)

@@ -74,10 +74,7 @@ class CodeCache(_caching.NullCache):  # type: ignore[misc]
             return None
 
     def save_overload(self, signature: Any, result: Any) -> None:
-        """Store the code for these types, or print why that failed.
-
-        Only now is the sign removed for which other processes wait: they would compile again.
-        """
+        """Store the code for these types, or print why that failed."""
         try:
             if not result.library.has_dynamic_globals:  # addresses of this process
                 path = self._path(signature, result.codegen)
@@ -89,7 +86,7 @@ class CodeCache(_caching.NullCache):  # type: ignore[misc]
                 f"Compiled code cannot be stored in {self._folder} ({problem.strerror}), so every "
                 "process compiles it again. Set FIXEL_CACHE_DIR to a folder with write permission."
             )
-        finally:
+        finally:  # not earlier: processes that wait for the code would compile it again
             with contextlib.suppress(OSError):
                 os.unlink(self._sign)
 

@@ -82,8 +82,8 @@ def advanced(
 ) -> tuple[float, float]:
     """Clock and slip of a force-limited pusher after a step, with at most `most` times its speed.
 
-    A drive that stalls or is pushed back falls behind. Behind its start, and where its command is
-    to rest and its clock goes on, it slips along its line instead.
+    A drive that stalls or is pushed back falls behind. Behind its start, past its end, and where
+    its command is to rest and its clock goes on, it slips along its line instead.
     """
     clock = state.path_time[d]
     slip = state.path_time[model.force_limit.size + d]
@@ -95,10 +95,12 @@ def advanced(
     if clock <= 0.0:
         clock += slip / speed
         slip = 0.0
-    clock += step * min(most, velocity / speed)
+    own = step * min(most, velocity / speed)
+    beyond = max(0.0, own - max(step, last - clock))  # of a drive that is dragged past its end
+    clock = min(last, clock + own)
     if clock < 0.0:
         return 0.0, clock * speed
-    return min(last, clock), slip
+    return clock, slip + beyond * speed
 
 
 @kernel
