@@ -294,7 +294,8 @@ class BenchLoop:
     def _granted(self, do: str, name: str = "", by: str = "key") -> None:
         """Do what was asked for, if it is possible now."""
         attempt = self.campaign.attempts.get(name)
-        if do == "push" and self._checks and all(check.passed for check in self._checks):
+        ready = self._checks and not self._trouble and all(one.passed for one in self._checks)
+        if do == "push" and ready:
             self._wants_push = by
         elif do == "place" and self.devices.laboratory is not None:
             self._nudged = self.devices.clock()
