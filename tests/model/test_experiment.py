@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from fixel.datasets import Experiments
 from fixel.errors import InvalidInput
 from fixel.model import Channel, Experiment, Flag, Provenance, Trajectory
 from fixel.model.experiment import unit_of
@@ -32,15 +31,6 @@ def test_equal_by_content_and_hashable():
     assert a != experiment(conditions={"a": "y", "b": 1.0})
     assert a.key == "lab/1"
     assert a.duration == 1.0
-
-
-def test_a_part_that_turns_past_180_degrees_turned_the_short_way():
-    angles = np.radians([150.0, 170.0, -170.0, -150.0])
-    path = Trajectory(time=range(4), pose=[(0.0, 0.0, angle) for angle in angles])
-    pushes = Experiments.of([experiment(trajectory=path)])
-    assert pushes[0].trajectory.theta == pytest.approx(np.radians([150.0, 170.0, 190.0, 210.0]))
-    assert len(pushes.where("turned>59")) == 1
-    assert "60.0" in str(pushes)
 
 
 def test_simulated_for_ever():

@@ -154,7 +154,7 @@ def test_single_rows_are_skipped_and_named():
         ({"x_m": 1e3, "y_m": 1e3, "tip_x_m": 1e3, "tip_y_m": 1e3}, {}, "x_mm is in millimetres"),
         ({"theta_rad": 57.3}, {}, "units={'angle': 'deg'}"),
         ({}, {"units": {"angles": "deg"}}, "did you mean 'angle'"),
-        ({}, {"units": {"angle": "grad"}}, "must be one of rad, deg"),
+        ({}, {"units": {"angle": "grad"}}, "must be one of rad, mrad, deg"),
         ({}, {"columns": {"theta": "thta_rad"}}, "did you mean 'theta_rad'"),
         ({}, {"columns": {"pusher_xx": "tip_x_m"}}, "did you mean 'pusher_x'"),
         ({}, {"split_by": "pushes"}, "did you mean 'push'"),

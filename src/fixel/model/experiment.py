@@ -226,9 +226,6 @@ class Experiment(Comparable, Result):
         name_of(self.dataset, "experiment.dataset")
         where = f"experiment {self.dataset}/{name_of(self.name, 'experiment.name')}"
         instance(self.trajectory, Trajectory, f"{where}.trajectory", "a Trajectory")
-        track = self.trajectory
-        if len(track.time) > 2 and (np.abs(np.diff(track.theta)) > np.pi).any():
-            settle(self, trajectory=track.resampled(track.time))  # for `turned`: continuous angles
         if self.real == bool(self.simulated_by):
             raise InvalidInput(
                 f"{where}.simulated_by",

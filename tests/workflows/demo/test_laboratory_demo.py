@@ -14,7 +14,7 @@ def test_a_demo_of_another_version_gets_a_folder_of_its_own(
 ) -> None:
     begun, said = tmp_path / "laboratory-1", []
     assert own_folder(begun, said.append) == begun
-    jobs.prepare(begun / "project" / "jobs" / "one", MAKER, {}, {})
+    jobs.prepare(begun / "project" / "jobs" / "one", maker=MAKER)
     assert own_folder(begun, said.append) == begun
     assert said == []
     monkeypatch.setattr("fixel.workflows.demo.laboratory_demo.stamp", lambda: "9.0+0123456789ab")
