@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fixel.drawing import palette, view
-from fixel.drawing.chart import DisplayUnit, Style, refuse_ending, tint
+from fixel.drawing.chart import DisplayUnit, Style, tint
 from fixel.drawing.picture import force_text
 from fixel.drawing.top_view import DASHED, add_outlines, fixel_outlines, frame_axes, hollow, solid
 from fixel.drawing.view import forces
 from fixel.errors import require
-from fixel.io.atomic import written_whole
+from fixel.io.atomic import refuse_ending, written_whole
 from fixel.model import placed
 from fixel.progress import ProgressOption, show_progress
 from fixel.simulation import Simulation
@@ -181,22 +181,17 @@ class _Stage:
             self.axes.draw_artist(artist)
         return np.asarray(self.canvas.buffer_rgba())  # type: ignore[no-untyped-call]
 
-    def _rows(self, sample: int) -> Any:
-        """Rows of the contact table at the index of a sample."""
-        times, moment = self.simulation.contacts["time"], self.simulation.time[sample]
-        low, high = np.searchsorted(times, (moment, np.nextafter(moment, np.inf)))
-        return self.simulation.contacts[low:high]
-
     def _set_forces(self, time: float) -> None:
         run, scale = self.simulation, self.unit.factor
         thick = THICKNESS * self.box.size * scale
         # The contact table has the forces of a step at its end.
         sample = min(int(np.searchsorted(run.time, time)), len(run.time) - 1)
         moment = run.time[sample]
-        rows = self._rows(sample)
+        rows = view.contacts_at(run, moment)
         if time < moment and sample > 0:
             # A gap that closes at the end of this step is still open.
-            before = {(r["body"], r["other"]) for r in self._rows(sample - 1)}
+            earlier = view.contacts_at(run, run.time[sample - 1])
+            before = {(r["body"], r["other"]) for r in earlier}
             rows = rows[np.array([(r["body"], r["other"]) in before for r in rows], np.bool_)]
         points, _, forces = view.carried(run, rows, time)
         largest, arrows = view.largest_force(forces), []

@@ -16,7 +16,7 @@ import numpy as np
 
 from fixel.drawing import palette
 from fixel.errors import InvalidInput
-from fixel.io.atomic import refuse_unwritable, written_whole
+from fixel.io.atomic import refuse_ending, refuse_unwritable, written_whole
 from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.units import displayed
@@ -214,16 +214,6 @@ def new_figure(**options: Any) -> Figure:
     from matplotlib.figure import Figure
 
     return Figure(**options)
-
-
-def refuse_ending(path: str | Path, endings: Sequence[str], what: str) -> None:
-    """Raise `InvalidInput` for a file name whose ending is not one of `endings`."""
-    if Path(path).suffix.lower() not in endings:
-        raise InvalidInput(
-            str(path),
-            found=f"the ending {Path(path).suffix!r}" if Path(path).suffix else "no ending",
-            expected=f"a {what} file: " + ", ".join(endings),
-        )
 
 
 def require_file(

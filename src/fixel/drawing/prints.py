@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from fixel.drawing.chart import refuse_ending
 from fixel.errors import InvalidInput
+from fixel.io.atomic import refuse_ending
 from fixel.typing import FloatArray
 from fixel.vision.frame import opencv
 from fixel.vision.marks import Board, Tag, dictionary_of

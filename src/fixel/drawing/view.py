@@ -107,7 +107,8 @@ def centre_path(simulation: Simulation, name: str) -> FloatArray:
 def contacts_at(simulation: Simulation, time: float) -> NDArray[np.void]:
     """Rows of the contact table at the time of a sample [s]."""
     table = simulation.contacts
-    return np.asarray(table[table["time"] == time])
+    low, high = np.searchsorted(table["time"], (time, np.nextafter(time, np.inf)))
+    return np.asarray(table[low:high])
 
 
 def ever_touched(simulation: Simulation) -> set[str]:

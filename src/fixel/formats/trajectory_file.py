@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.errors import InvalidInput, require
-from fixel.io.atomic import written_whole
+from fixel.errors import require
+from fixel.io.atomic import refuse_ending, written_whole
 from fixel.io.document import plain_numbers
 from fixel.simulation import Simulation
 
@@ -77,14 +77,8 @@ def _write_parquet(path: Path, columns: dict[str, NDArray[Any]], simulation: Sim
 
 def refuse_trajectory_ending(path: str | Path) -> None:
     """Raise for a file name whose ending is no known format, or needs a missing package."""
-    ending = Path(path).suffix
-    if ending.lower() not in TRAJECTORY_ENDINGS:
-        raise InvalidInput(
-            str(path),
-            found=f"the ending {ending!r}" if ending else "no ending",
-            expected="a trajectory file: " + ", ".join(TRAJECTORY_ENDINGS),
-        )
-    if ending.lower() == ".parquet":
+    refuse_ending(path, TRAJECTORY_ENDINGS, "trajectory")
+    if Path(path).suffix.lower() == ".parquet":
         require("pyarrow", str(path), extra="parquet")
 
 

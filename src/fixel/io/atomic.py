@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -28,6 +28,17 @@ def refuse_unwritable(path: str | Path) -> None:
     if not writable:
         raise InvalidInput(
             str(path), found="no write permission", expected="a folder with write permission"
+        )
+
+
+def refuse_ending(path: str | Path, endings: Sequence[str], what: str) -> None:
+    """Raise `InvalidInput` for a file name whose ending is not one of `endings`."""
+    ending = Path(path).suffix
+    if ending.lower() not in endings:
+        raise InvalidInput(
+            str(path),
+            found=f"the ending {ending!r}" if ending else "no ending",
+            expected=f"a {what} file: " + ", ".join(endings),
         )
 
 

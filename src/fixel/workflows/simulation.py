@@ -29,9 +29,9 @@ class Outputs(NamedTuple):
     def check(self) -> None:
         """Reject invalid endings and folders before anything is simulated."""
         from fixel.drawing.animation import refuse_film
-        from fixel.drawing.chart import PICTURE_ENDINGS, refuse_ending
+        from fixel.drawing.chart import PICTURE_ENDINGS
         from fixel.formats.trajectory_file import refuse_trajectory_ending
-        from fixel.io.atomic import refuse_unwritable
+        from fixel.io.atomic import refuse_ending, refuse_unwritable
 
         if self.trajectory:
             refuse_trajectory_ending(self.trajectory)
