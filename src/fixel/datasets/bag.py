@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from fixel.datasets.bag_file import Bag, FrameTrack, bag_files, read_bag
-from fixel.datasets.base import Importer, ImportPlan, Origin
+from fixel.datasets.base import Importer, ImportPlan, origin_of
 from fixel.datasets.files import CsvRows
 from fixel.datasets.table import plan_table
 from fixel.errors import InvalidInput, unknown_name
@@ -57,7 +57,7 @@ class BagImporter(Importer):
         if split is None:
             del columns["push"]
         rows = CsvRows(source.name, columns)
-        origins = [Origin().of(path) for path in bag_files(source)]
+        origins = [origin_of(path) for path in bag_files(source)]
         origin = replace(origins[0], source=source.name)
         if len(origins) > 1:
             origin = replace(origin, sha256=" ".join(str(one.sha256) for one in origins))

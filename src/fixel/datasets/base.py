@@ -181,19 +181,11 @@ def remark(name: str, detail: str = "") -> Flag:
     return Flag(name, detail, fault=False)
 
 
-class Origin:
-    """Provenance of imported files; the checksum of each is computed once."""
-
-    def __init__(self) -> None:
-        self._known: dict[Path, Provenance] = {}
-
-    def of(self, path: Path) -> Provenance:
-        """Provenance of a file: its name and checksum, and the version of fixel."""
-        if path not in self._known:
-            with path.open("rb") as stream:
-                digest = hashlib.file_digest(stream, "sha256").hexdigest()
-            self._known[path] = Provenance(version=fixel_version(), source=path.name, sha256=digest)
-        return self._known[path]
+def origin_of(path: Path) -> Provenance:
+    """Provenance of an imported file: its name and checksum, and the version of fixel."""
+    with path.open("rb") as stream:
+        digest = hashlib.file_digest(stream, "sha256").hexdigest()
+    return Provenance(version=fixel_version(), source=path.name, sha256=digest)
 
 
 def fixel_version() -> str:

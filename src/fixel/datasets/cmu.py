@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple, final
 
@@ -14,9 +15,9 @@ from numpy.typing import NDArray
 from fixel.datasets.base import (
     Importer,
     ImportPlan,
-    Origin,
     collected,
     named,
+    origin_of,
     remark,
     trajectory_of,
 )
@@ -91,7 +92,7 @@ class CmuTripod(Importer):
     def _plan(self, source: Path, options: Mapping[str, object]) -> ImportPlan:
         data = _read(source)
         pushes = data.table
-        origin, path = Origin(), source / PUSHES
+        provenance = cache(lambda: origin_of(source / PUSHES))
         force, robot = (rate_of(own[data.names[0]][:, 0]) for own in (data.force, data.robot))
         n_force, n_robot = (sum(map(len, own.values())) for own in (data.force, data.robot))
         return ImportPlan(
@@ -111,7 +112,7 @@ class CmuTripod(Importer):
                 f"Final gaps beyond {LARGEST_GAP / MM:g} mm are flagged (tip-gap).",
             ),
             [f"{DATASET}/{name}" for name in data.names],
-            lambda row: _push(data, row, origin.of(path)),
+            lambda row: _push(data, row, provenance()),
             named(DATASET, data.problems),
         )
 
@@ -295,12 +296,12 @@ class CmuTwoPoint(Importer):
         problems |= missing_rows(rows, table.source, runs, "run_id", least=2) | damaged
         listed = [k for k, name in enumerate(runs.columns["run_id"]) if name not in problems]
         names = [runs.columns["run_id"][k] for k in listed]
-        origin = Origin()
+        provenance = cache(lambda: origin_of(file))
 
         def build(k: int) -> Experiment:
             own = rows[names[k]][1:]  # the first row belongs to the previous action
             about = {key: runs.columns[key][listed[k]] for key in ("object", "start_pose")}
-            return _run(names[k], about, readings[own], lost[own], action[own], origin.of(file))
+            return _run(names[k], about, readings[own], lost[own], action[own], provenance())
 
         rate = rate_of(readings[rows[names[0]], 0]) if names else 0.0
         return ImportPlan(

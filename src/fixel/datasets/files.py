@@ -73,7 +73,7 @@ class CsvRows:
     def whole_numbers(self, name: str, largest: int = MAX_WHOLE) -> NDArray[np.int64]:
         """Return one column as whole numbers (n,) from 0 to `largest`; raise for others."""
         numbers = self.numbers(name)
-        wrong = (numbers < 0.0) | (numbers > largest) | (numbers != np.round(numbers))
+        wrong = ~_whole(numbers, largest)
         if wrong.any():
             raise self._not_whole(name, int(np.argmax(wrong)), largest)
         return numbers.astype(np.int64)
@@ -121,10 +121,8 @@ class CsvRows:
         cells = self.columns[name]
         with suppress(ValueError):
             values = np.array([*map(float, cells)])
-            wrong = ~(np.abs(values) <= LARGEST_NUMBER)
-            if whole:
-                wrong |= (values < 0.0) | (values > MAX_WHOLE) | (values != np.round(values))
-            if not wrong.any():
+            good = np.abs(values) <= LARGEST_NUMBER
+            if (good & _whole(values, MAX_WHOLE) if whole else good).all():
                 return
         for row, cell in enumerate(cells):
             try:
@@ -132,7 +130,7 @@ class CsvRows:
             except InvalidInput as problem:
                 yield row, problem
                 continue
-            if whole and not (0.0 <= value <= MAX_WHOLE and value == round(value)):
+            if whole and not _whole(np.array(value), MAX_WHOLE):
                 yield row, self._not_whole(name, row, MAX_WHOLE)
 
     def _repeated(self, name: str, row: int) -> InvalidInput:
@@ -182,6 +180,12 @@ class CsvRows:
                 hint="write a decimal point" if DECIMAL.fullmatch(cell) else None,
             )
         return value
+
+
+def _whole(numbers: FloatArray, largest: int) -> BoolArray:
+    """Whether numbers (...) are whole, from 0 to `largest`."""
+    whole = (numbers >= 0.0) & (numbers <= largest) & (numbers == np.round(numbers))
+    return np.asarray(whole)
 
 
 def table_rows(table: Any, source: str = "table") -> CsvRows:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import ClassVar, Final, final
 
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fixel.datasets import mit_push_records as records
-from fixel.datasets.base import Importer, ImportPlan, Origin, guarded, named
+from fixel.datasets.base import Importer, ImportPlan, guarded, named, origin_of
 from fixel.datasets.contact import MAX_CORRECTION, moved_to_contact, pushed_scene
 from fixel.datasets.files import MM, Problems, has_files, only_file, read_json, read_table
 from fixel.errors import FixelError, InvalidInput
@@ -127,7 +127,7 @@ class MitPushes:
     @cached_property
     def experiments(self) -> tuple[Experiment, ...]:
         """The pushes as experiments, in the same order."""
-        provenance = Origin().of(self.folder / self.source)
+        provenance = origin_of(self.folder / self.source)
         return tuple(_push(self, row, provenance) for row in range(len(self)))
 
     @cached_property
@@ -147,8 +147,7 @@ class MitPushes:
 def _plan_of_table(folder: Path) -> ImportPlan:
     pushes = _read(folder)
     n = len(pushes)
-    origin = Origin()
-    path = folder / pushes.source
+    provenance = cache(lambda: origin_of(folder / pushes.source))
     names = [f"{records.DATASET}/{name}" for name in pushes.names]
     corrected = int((pushes.gap < 0.0).sum())
     hopeless = int((pushes.gap < -MAX_CORRECTION).sum())
@@ -170,7 +169,7 @@ def _plan_of_table(folder: Path) -> ImportPlan:
             "Intermediate poses and predictions of the published simulator are not imported.",
         ),
         names,
-        lambda row: _push(pushes, row, origin.of(path)),
+        lambda row: _push(pushes, row, provenance()),
         named(records.DATASET, pushes.problems),
     )
 
@@ -210,11 +209,8 @@ def _read(folder: Path) -> MitPushes:
     if len(wrong) == len(table):
         raise wrong[0]
     table = table.only([row for row in range(len(table)) if row not in wrong])
-    names, shape, speed = (
-        table.text("push_id"),
-        table.text("shape"),
-        table.numbers("speed_mm_s") * MM,
-    )
+    names, shape = table.text("push_id"), table.text("shape")
+    speed = table.numbers("speed_mm_s") * MM
     used = np.unique(shape).tolist()
     start = table.stacked("obj_x0", "obj_y0", "obj_th0")
     tip_start = table.stacked("tip_x0", "tip_y0")

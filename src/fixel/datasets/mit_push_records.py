@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fixel.datasets.base import ImportPlan, Origin, collected, remark
+from fixel.datasets.base import ImportPlan, collected, origin_of, remark, trajectory_of
 from fixel.datasets.contact import pushed_scene
 from fixel.datasets.files import LARGEST_NUMBER, MM, Problems, advancing, member, read_json
 from fixel.errors import DatasetMissing, InvalidInput
@@ -28,7 +28,6 @@ from fixel.model import (
     Polygon,
     Scene,
     Shape,
-    Trajectory,
     UniformPressure,
 )
 from fixel.typing import FloatArray
@@ -77,7 +76,6 @@ def plan_of_records(source: Path, shapes_file: Path | None) -> ImportPlan:
     shapes, damaged = _shapes_near(files[0], shapes_file)
     files = [path for path in files if stems[path.stem] == 1]
     problems |= {f"{SHAPES}: {name}": problem for name, problem in damaged.items()}
-    origin = Origin()
     known = "outlines from shapes.json" if shapes else "no shapes.json found: no scenes (no-shape)"
     return ImportPlan(
         DATASET,
@@ -92,7 +90,7 @@ def plan_of_records(source: Path, shapes_file: Path | None) -> ImportPlan:
             "Rows whose time does not advance are dropped, with a flag (repeated-times).",
         ),
         [f"{DATASET}/{path.stem}" for path in files],
-        lambda k: _experiment_of(files[k], shapes, origin),
+        lambda k: _experiment_of(files[k], shapes),
         problems,
     )
 
@@ -128,7 +126,7 @@ def _shapes_near(path: Path, given: Path | None) -> tuple[dict[str, Shape], Prob
     return shapes, problems
 
 
-def _experiment_of(path: Path, shapes: dict[str, Shape], origin: Origin) -> Experiment:
+def _experiment_of(path: Path, shapes: dict[str, Shape]) -> Experiment:
     content = _hdf5_tables(path) if path.suffix == ".h5" else read_json(path)
     conditions = _conditions(path, content)
     (pose, tip, wrench), flags = _on_one_clock(
@@ -141,10 +139,10 @@ def _experiment_of(path: Path, shapes: dict[str, Shape], origin: Origin) -> Expe
         dataset=DATASET,
         name=path.stem,
         real=True,
-        provenance=origin.of(path),
+        provenance=origin_of(path),
         object_name=OBJECT,
-        trajectory=Trajectory(time=pose[:, 0], pose=pose[:, 1:]),
-        pusher=Trajectory(time=tip[:, 0], pose=tip[:, 1:]),
+        trajectory=trajectory_of(pose[:, 0], pose[:, 1:]),
+        pusher=trajectory_of(tip[:, 0], tip[:, 1:]),
         scene=scene,
         channels=(
             Channel(
@@ -173,8 +171,6 @@ def _on_one_clock(
         tables.append(used)
         if not good.all():
             flags.append(remark("repeated-times", f"{int((~good).sum())} rows dropped"))
-    for rows in tables[:2]:
-        rows[:, 3] = np.unwrap(rows[:, 3])
     return tables, flags
 
 

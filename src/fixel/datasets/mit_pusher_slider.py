@@ -12,7 +12,7 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from fixel.datasets import files as tables
-from fixel.datasets.base import Importer, ImportPlan, Origin, collected, remark, trajectory_of
+from fixel.datasets.base import Importer, ImportPlan, collected, origin_of, remark, trajectory_of
 from fixel.datasets.contact import pushed_scene
 from fixel.errors import DatasetMissing, InvalidInput
 from fixel.model import Body, Channel, Disk, Experiment, Flag, Polygon, Trajectory, UniformPressure
@@ -73,13 +73,12 @@ class MitPusherSlider(Importer):
                 runs.append(_read(path))
         if not runs:
             raise next(iter(problems.values()))
-        origin = Origin()
         return ImportPlan(
             DATASET,
             source,
             _understood(runs),
             [f"{DATASET}/{_stem(run.path)}" for run in runs],
-            lambda k: _experiment(runs[k], shape, tip, origin),
+            lambda k: _experiment(runs[k], shape, tip),
             problems,
         )
 
@@ -144,7 +143,7 @@ def _understood(runs: list[_Run]) -> tuple[str, ...]:
     )
 
 
-def _experiment(run: _Run, shape: Polygon, tip: Disk, origin: Origin) -> Experiment:
+def _experiment(run: _Run, shape: Polygon, tip: Disk) -> Experiment:
     begin = run.object[0, 0]
     track = trajectory_of(run.object[:, 0] - begin, run.object[:, 1:])
     path = np.column_stack((run.pusher[:, 0] - begin, run.pusher[:, 1:], np.zeros(len(run.pusher))))
@@ -160,7 +159,7 @@ def _experiment(run: _Run, shape: Polygon, tip: Disk, origin: Origin) -> Experim
         dataset=DATASET,
         name=_stem(run.path),
         real=True,
-        provenance=origin.of(run.path),
+        provenance=origin_of(run.path),
         object_name=OBJECT,
         trajectory=track,
         pusher=Trajectory(time=path[:, 0], pose=path[:, 1:]),

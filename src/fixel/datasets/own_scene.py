@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from fixel.calibration.contacts import gaps_and_normals
+from fixel.datasets.base import trajectory_of
 from fixel.datasets.contact import MAX_CORRECTION, corrected_path, correction_flag, moved_to_contact
 from fixel.errors import InvalidInput
 from fixel.formats.scene_file import FILL_IN, scene_of, scene_record
@@ -386,9 +387,7 @@ def _turning(track: Trajectory) -> float:
 
 def rescaled(track: Trajectory, factor: float) -> Trajectory:
     """Return a trajectory with its angles multiplied by a factor, then unwrapped."""
-    pose = track.pose.copy()
-    pose[:, 2] = np.unwrap(pose[:, 2] * factor)
-    return Trajectory(time=track.time, pose=pose)
+    return trajectory_of(track.time, track.pose * (1.0, 1.0, factor))
 
 
 def _slip(track: Trajectory, tip: Trajectory, glance: FloatArray) -> float:

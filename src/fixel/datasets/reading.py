@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from fixel.datasets.bag import BagImporter
-from fixel.datasets.base import Importer, ImportPlan, Origin, fixel_version, guarded
+from fixel.datasets.base import Importer, ImportPlan, fixel_version, guarded, origin_of
 from fixel.datasets.cmu import CmuTripod, CmuTwoPoint
 from fixel.datasets.experiments import Experiments
 from fixel.datasets.files import read_table, table_rows
@@ -127,7 +127,7 @@ def _plan_table(
             raise InvalidInput(table.name, found="a folder", expected="one table")
         with guarded(table.name):
             rows, source = read_table(table, torn=split_by is not None), table
-            provenance = Origin().of(table)
+            provenance = origin_of(table)
             return plan_table(rows, source, provenance, options, scene, split_by, columns)
     rows, source = table_rows(table), Path("table")
     digest = hashlib.sha256(repr(rows.columns).encode()).hexdigest()

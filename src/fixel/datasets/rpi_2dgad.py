@@ -7,7 +7,8 @@ with the path of the actuator and the positions of the fixels.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple, final
 
@@ -27,6 +28,7 @@ from fixel.model import (
     Parameters,
     PathDrive,
     Polygon,
+    Provenance,
     Pusher,
     Scene,
     Trajectory,
@@ -165,7 +167,7 @@ class _Folder(NamedTuple):
     tracks: _Tracks
     untracked: files.Problems  # of experiments without a trajectory
     simulated: _Tracks  # by the laboratory
-    origin: base.Origin
+    provenance: Callable[[Path], Provenance]
 
 
 def _read(source: Path, listed: files.CsvRows) -> tuple[_Folder, files.Problems]:
@@ -187,7 +189,7 @@ def _read(source: Path, listed: files.CsvRows) -> tuple[_Folder, files.Problems]
         with base.collected(problems, file.name, file.name):
             simulated = _tracks(file)
     return _Folder(
-        source, listed, complete, broken, tracks, untracked, simulated, base.Origin()
+        source, listed, complete, broken, tracks, untracked, simulated, cache(base.origin_of)
     ), problems
 
 
@@ -312,7 +314,7 @@ def _simulation(folder: _Folder, row: int, experiment: Experiment) -> Simulation
     return SimulationRecord(
         experiment_id=0,
         parameters=Parameters(),
-        provenance=folder.origin.of(path),
+        provenance=folder.provenance(path),
         trajectory=trajectory,
         pusher=pusher,
         method={"simulated_by": "laboratory"},
@@ -338,7 +340,7 @@ def _track(folder: _Folder, row: int) -> Experiment:
         dataset=DATASET,
         name=name,
         real=True,
-        provenance=folder.origin.of(folder.tracks.path),
+        provenance=folder.provenance(folder.tracks.path),
         object_name=OBJECT,
         trajectory=base.trajectory_of(time, poses[:, :3]),
         height=float(poses[0, 3]),
@@ -368,7 +370,7 @@ def _whole(folder: _Folder, row: int, trial: _Trial) -> Experiment:
         dataset=DATASET,
         name=str(int(folder.listed.columns[ID][row])),
         real=True,
-        provenance=folder.origin.of(folder.path / trial.source),
+        provenance=folder.provenance(folder.path / trial.source),
         object_name=OBJECT,
         trajectory=base.trajectory_of(time, trial.pose),
         pusher=Trajectory(time=time, pose=marker[:, 1:]),

@@ -13,7 +13,7 @@ from typing import ClassVar, Final, NamedTuple, final
 
 import numpy as np
 
-from fixel.datasets.base import Importer, ImportPlan, Origin, remark
+from fixel.datasets.base import Importer, ImportPlan, origin_of, remark, trajectory_of
 from fixel.datasets.files import CsvRows, Problems, increasing, rate_of, read_table
 from fixel.datasets.own_scene import WORDS, refuse_implausible, with_scene
 from fixel.errors import InvalidInput, unknown_name
@@ -119,7 +119,7 @@ class CsvTable(Importer):
         scene, split_by = texts.pop("scene", None), texts.pop("split_by", None)
         table = read_table(source, torn=split_by is not None)
         choice = None if scene is None else Path(scene)
-        return plan_table(table, source, Origin().of(source), texts, choice, split_by)
+        return plan_table(table, source, origin_of(source), texts, choice, split_by)
 
 
 def plan_table(
@@ -206,13 +206,18 @@ def _parts(table: CsvRows, split_by: str | None) -> Iterator[tuple[str | None, C
         yield None, table
         return
     refuse_unknown_name("split_by", split_by, table.columns)
-    rows: dict[str, list[int]] = {}
-    for row, value in enumerate(table.columns[split_by]):
-        rows.setdefault(value.strip(), []).append(row)
-    for value, own in rows.items():
+    for value, own in _rows_by_cell(table, split_by).items():
         part = table.only(own)
         columns = {name: cells for name, cells in part.columns.items() if name != split_by}
         yield value, replace(part, columns=columns)
+
+
+def _rows_by_cell(table: CsvRows, title: str) -> dict[str, list[int]]:
+    """Return the rows of each value of a column."""
+    rows: dict[str, list[int]] = {}
+    for row, cell in enumerate(table.columns[title]):
+        rows.setdefault(cell.strip(), []).append(row)
+    return rows
 
 
 def _on_plate(
@@ -494,10 +499,7 @@ def _how_to_split(reading: _TableReading, time: FloatArray) -> str:
         return ""
     found: dict[str, int] = {}
     for column in reading.others:
-        cells = [cell.strip() for cell in reading.table.columns[column.title]]
-        rows: dict[str, list[int]] = {}
-        for row, cell in enumerate(cells):
-            rows.setdefault(cell, []).append(row)
+        rows = _rows_by_cell(reading.table, column.title)
         if all(len(own) > 1 and (np.diff(time[own]) > 0.0).all() for own in rows.values()):
             found[column.title] = len(rows)
     likely = min(found, key=lambda title: found[title], default="COLUMN")
@@ -531,9 +533,7 @@ def _poses(
         found = f"{missing} of {len(time)} rows lack the pose of the {what}"
         reading.remarks.append(f"{found}; they are not part of its trajectory.")
         flags = (*flags, remark("missing-poses", found))
-    kept = pose[there]
-    kept[:, 2] = np.unwrap(kept[:, 2])
-    return Trajectory(time=time[there], pose=kept), flags
+    return trajectory_of(time[there], pose[there]), flags
 
 
 def _check_units(reading: _TableReading, track: Trajectory, pusher: Trajectory | None) -> None:
