@@ -318,39 +318,36 @@ def _card(found: _Dataset, name: str, rights: Mapping[str, Any]) -> str:
         sources.append(
             f"- `{source}`, {count} episodes; {says}" + f"; cite: {citation}" * (citation != "")
         )
-    return "\n".join(
-        [
-            "---",
-            "license: other",
-            "task_categories:",
-            "- robotics",
-            "tags:",
-            "- LeRobot",
-            "configs:",
-            "- config_name: default",
-            "  data_files: data/*/*.parquet",
-            "---",
-            "",
-            f"# {name}",
-            "",
-            f"{n} episodes of planar pushing, {found.frames} frames at {found.fps} Hz,",
-            f"**{found.real} measured and {n - found.real} simulated**: each frame has `is_real`.",
-            "",
-            "Exported by fixel in the LeRobot layout, version 3.0. Trajectories are resampled at "
-            "an",
-            "even rate, linearly. State: poses of object and pusher in metres and radians, NaN",
-            "where the pusher was not measured; action: the pusher's pose a frame later. Tactile",
-            "and force signals, scenes and conditions are in `fixel export PROJECT FILE.zip`.",
-            "",
-            "## Licence and citation",
-            "",
-            *sources,
-            "",
-            "fixel itself: The fixel authors, *fixel: planar rigid bodies in frictional contact,",
-            "solved as complementarity problems*, Apache-2.0.",
-            "",
-        ]
-    )
+    listed = "\n".join(sources)
+    return f"""\
+---
+license: other
+task_categories:
+- robotics
+tags:
+- LeRobot
+configs:
+- config_name: default
+  data_files: data/*/*.parquet
+---
+
+# {name}
+
+{n} episodes of planar pushing, {found.frames} frames at {found.fps} Hz,
+**{found.real} measured and {n - found.real} simulated**: each frame has `is_real`.
+
+Exported by fixel in the LeRobot layout, version 3.0. Trajectories are resampled at an
+even rate, linearly. State: poses of object and pusher in metres and radians, NaN
+where the pusher was not measured; action: the pusher's pose a frame later. Tactile
+and force signals, scenes and conditions are in `fixel export PROJECT FILE.zip`.
+
+## Licence and citation
+
+{listed}
+
+fixel itself: The fixel authors, *fixel: planar rigid bodies in frictional contact,
+solved as complementarity problems*, Apache-2.0.
+"""
 
 
 def _dump(content: Any, path: Path) -> None:

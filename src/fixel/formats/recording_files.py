@@ -122,7 +122,7 @@ def read_end(folder: Path) -> RecordingEnd | None:
         return None
     try:
         end = RecordingEnd(**content)
-        return RecordingEnd(**(end._asdict() | {"problems": tuple(end.problems)}))
+        return end._replace(problems=tuple(end.problems))
     except TypeError as problem:
         raise InvalidInput(str(folder / END), found=problem, expected="an end mark") from None
 

@@ -122,13 +122,8 @@ def camera_dict(camera: MeasuredCamera) -> dict[str, Any]:
     content["lens"] = records.keys_of(camera.lens, LensRecord)
     if camera.camera is not None:
         content["place"] = {"matrix": records.keys_of(camera.camera, MatrixRecord)}
-    measured: dict[str, Any] = {}
-    if camera.names:
-        measured |= {"names": list(camera.names), "covariance": camera.covariance.tolist()}
-    if camera.noise is not None:
-        measured["noise_px"] = camera.noise
-    if camera.seen.size:
-        measured["seen"] = [[int(n) for n in row] for row in camera.seen]
+    known = records.keys_of(camera, MeasuredRecord) | {"seen": camera.seen.astype(int).tolist()}
+    measured = {key: value for key, value in known.items() if value}
     return content | ({"measured": measured} if measured else {})
 
 

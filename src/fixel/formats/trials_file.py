@@ -160,10 +160,8 @@ def _trial(row: list[str], number: int, where: str) -> PlanTrial:
 
 
 def _row(number: int, trial: PlanTrial) -> bytes:
-    poses = [repr(x) for pose in POSES for x in (getattr(trial, pose) or ())]
-    for k, pose in enumerate(POSES):
-        if getattr(trial, pose) is None:
-            poses[3 * k : 3 * k] = ["", "", ""]
+    known = (getattr(trial, pose) for pose in POSES)
+    poses = [text for pose in known for text in (map(repr, pose) if pose else ("", "", ""))]
     return _line(
         [str(number), trial.time, "yes" if trial.met else "no", trial.failure, *poses, trial.by]
     )

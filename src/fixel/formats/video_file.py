@@ -133,7 +133,6 @@ class VideoWriter:
         self._temporary = self.path.with_name(f".{self.path.stem}.{os.getpid()}{self.path.suffix}")
         self._pixels = pixels
         self._last = -1
-        self._zero: float | None = None
         self._container = av.open(str(self._temporary), "w")
         if note:
             self._container.metadata["comment"] = note
