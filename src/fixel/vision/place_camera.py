@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
 from fixel.model.fields import vector
+from fixel.model.shape import placed
 from fixel.typing import FloatArray
 from fixel.vision.bundle import BundleFit, PointObservations, fit, slopes_of
 from fixel.vision.camera import PLACE, Camera, MeasuredCamera
@@ -51,9 +52,7 @@ def place_by_board(
     """
     measured.lens.for_pictures_of((picture.shape[1], picture.shape[0]))
     corners = board.find(picture)
-    x, y, angle = vector(pose, "board.pose", "x [m], y [m], angle [rad]")
-    c, s = np.cos(angle), np.sin(angle)
-    flat = corners.places @ np.array([[c, s], [-s, c]]) + [x, y]
+    flat = placed(corners.places, vector(pose, "board.pose", "x [m], y [m], angle [rad]"))
     points = np.column_stack([flat, np.full(len(flat), height)])
     names = tuple(f"corner {k + 1}" for k in range(len(points)))
     return place_by_points(measured, points, corners.pixels, names)
@@ -123,7 +122,7 @@ def place_by_points(
     misfit -= points[:, :2]
     _refuse_misfit(misfit, rms, names)
     joint_names, covariance = _joint(measured, found, sight, noise)
-    placed = replace(
+    result = replace(
         measured,
         camera=camera,
         names=joint_names,
@@ -131,7 +130,7 @@ def place_by_points(
         noise=max(measured.noise or 0.0, found.noise, 1e-9),
         source=f"{measured.source}; place by {len(points)} points".removeprefix("; "),
     )
-    return Placement(placed, tuple(names), misfit, rms)
+    return Placement(result, tuple(names), misfit, rms)
 
 
 def _start(lens: Lens, points: FloatArray, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -83,21 +83,23 @@ def _ink(points: FloatArray, starts: NDArray[np.int64], tag: Tag, colour: FloatA
 
 def body_solid(body: Body, rig: Rig, pixel: float, grain: FloatPicture) -> Solid:
     """Create an object: black plastic with copper tape around its sides, and its markers."""
-    part = rig.parts.get(body.name)
-    height = part.height if part else OBJECT_HEIGHT
-    marks = part.marks if part else ()
+    height, drawn = _printed(rig, body.name, OBJECT_HEIGHT, pixel)
     slab = Slab(outline_of(body.shape, pixel), 0.0, height, COPPER, DELRIN, rim=0.0008)
-    drawn = tuple(ink for mark in marks for ink in markings(mark, pixel))
     return Solid(body.name, (slab,), _pieces(body.shape), drawn, grain)
+
+
+def _printed(rig: Rig, name: str, usual: float, pixel: float) -> tuple[float, tuple[Marking, ...]]:
+    """Return the height of a part, by default the usual one, and the polygons of its markers."""
+    part = rig.parts.get(name)
+    if part is None:
+        return usual, ()
+    return part.height, tuple(ink for mark in part.marks for ink in markings(mark, pixel))
 
 
 def pusher_solids(pusher: Pusher, rig: Rig, pixel: float, grain: FloatPicture) -> list[Solid]:
     """Create the head of the actuator with its markers, and the rod behind it; both move."""
-    part = rig.parts.get(pusher.name)
-    height = part.height if part else HEAD_HEIGHT
-    marks = part.marks if part else ()
+    height, drawn = _printed(rig, pusher.name, HEAD_HEIGHT, pixel)
     slab = Slab(outline_of(pusher.shape, pixel), 0.002, height, 0.8 * HEAD, HEAD, rim=0.0006)
-    drawn = tuple(ink for mark in marks for ink in markings(mark, pixel))
     head = Solid(pusher.name, (slab,), _pieces(pusher.shape), drawn, grain)
     width, low, high = ROD
     rod = _behind(pusher, 0.5 * _extent(pusher.shape), ROD_LENGTH, width)

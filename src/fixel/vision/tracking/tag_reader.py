@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from fixel.errors import InvalidInput
+from fixel.model.shape import placed
 from fixel.typing import FloatArray
 from fixel.vision.frame import Gray, Picture, opencv
 from fixel.vision.marks import KNOWN_FAMILIES, Tag, dictionary_of, gray_of
@@ -66,9 +67,7 @@ def tag_corners(tag: Tag) -> FloatArray:
 
 def on_tag(tag: Tag, points: FloatArray) -> FloatArray:
     """Convert points (n, 2) of a tag of side 1 to the frame of its part [m]."""
-    x, y, angle = tag.pose
-    c, s = np.cos(angle), np.sin(angle)
-    return np.asarray(tag.size * points @ np.array([[c, s], [-s, c]]) + (x, y))
+    return placed(tag.size * points, tag.pose)
 
 
 def tag_points(seen: Mapping[Tag, FloatArray]) -> tuple[FloatArray, FloatArray]:
