@@ -8,9 +8,9 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple, NoReturn, final
 
-from fixel.errors import FixelError
+from fixel.errors import FixelError, InvalidInput
 from fixel.formats.recording_video import REDUCED, brightness, decoded, jpeg_size, shrunk
 from fixel.vision.frame import Gray, Picture
 
@@ -85,6 +85,11 @@ class FrameSource(abc.ABC):
     @abc.abstractmethod
     def close(self) -> None:
         """Close the source, which ends `frames`; may be called from another thread."""
+
+    def fail(self, found: str, expected: str, hint: str | None = None) -> NoReturn:
+        """Close the source and raise `InvalidInput` with its name."""
+        self.close()
+        raise InvalidInput(self.name, found=found, expected=expected, hint=hint)
 
     def __enter__(self) -> FrameSource:
         return self

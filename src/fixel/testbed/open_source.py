@@ -96,13 +96,8 @@ class DeviceSource(FrameSource):
         camera = (self._capture or cv2.VideoCapture)(self._device)
         self._camera = camera
         if not camera.isOpened():
-            self.close()
-            raise InvalidInput(
-                self.name,
-                found="a camera that does not open",
-                expected="a camera that no other program uses",
-                hint=_hint(),
-            )
+            expected = "a camera that no other program uses"
+            self.fail("a camera that does not open", expected, _hint())
         camera.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
         if self._asked:
             camera.set(cv2.CAP_PROP_FRAME_WIDTH, self._asked[0])
@@ -115,10 +110,7 @@ class DeviceSource(FrameSource):
             first = self._read()
         size = None if first is None else first.size
         if first is None or size is None:
-            self.close()
-            raise InvalidInput(
-                self.name, found="no pictures", expected="a camera that sends them", hint=_hint()
-            )
+            self.fail("no pictures", "a camera that sends them", _hint())
         self._first = first
         self.torn = 0  # a camera may start with half a picture
         promised = float(camera.get(cv2.CAP_PROP_FPS))
@@ -248,16 +240,15 @@ class UrlSource(FrameSource):
             self._connect()
             self._first = self._next()
         except TimeoutError:
-            self._fail(f"no data within {self._patience:g} s", "a camera that sends pictures")
+            self.fail(f"no data within {self._patience:g} s", "a camera that sends pictures")
         except (OSError, http.client.HTTPException) as problem:
             found = self.ended or _words(problem)
-            self._fail(found, "a camera that answers", "check the address")
+            self.fail(found, "a camera that answers", "check the address")
         finally:
             late.cancel()
         size = None if self._first is None else self._first.size
         if size is None:
-            self._fail(self.ended or "no JPEG picture", "a stream of JPEG pictures")
-            raise AssertionError
+            self.fail(self.ended or "no JPEG picture", "a stream of JPEG pictures")
         made_by = "" if self._answer is None else self._answer.headers.get(SIMULATED, "")
         return Stream(size=size, rate=0.0, jpeg=True, live=True, simulated_by=unquote(made_by))
 
@@ -311,14 +302,11 @@ class UrlSource(FrameSource):
         self._answer = answer = self._connection.getresponse()
         if answer.status != http.HTTPStatus.OK:
             hint = "http://NAME:PASSWORD@HOST/..." if answer.status == 401 else None
-            self._fail(f"the answer {answer.status} {answer.reason}", "pictures", hint)
+            self.fail(f"the answer {answer.status} {answer.reason}", "pictures", hint)
         kind_of_answer = answer.headers.get_content_type()
         if kind_of_answer != MULTIPART:
-            self._fail(
-                kind_of_answer,
-                MULTIPART,
-                "this may be the page that shows the stream, not the stream",
-            )
+            hint = "this may be the page that shows the stream, not the stream"
+            self.fail(kind_of_answer, MULTIPART, hint)
         boundary = answer.headers.get_param("boundary")
         self._boundary = b"--" + str(boundary or "").strip('"').removeprefix("--").encode()
 
@@ -381,10 +369,6 @@ class UrlSource(FrameSource):
             if len(data) > MAX_PICTURE_BYTES:
                 return None
         return None
-
-    def _fail(self, found: str, expected: str, hint: str | None = None) -> None:
-        self.close()
-        raise InvalidInput(self.name, found=found, expected=expected, hint=hint)
 
 
 def _split(url: str) -> SplitResult:
