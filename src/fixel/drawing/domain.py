@@ -251,9 +251,7 @@ def _bound_panel(found: ErrorBound) -> chart.Mark:
     ]
     most = 1.1 * max((bound for bound, _ in shown), default=1.0)
     return chart.panel(
-        chart.line(*zip(*shown, strict=True), ".", color=palette.BODY)
-        if shown
-        else chart.line([], []),
+        chart.line(*np.reshape(shown, (-1, 2)).T, ".", color=palette.BODY),
         chart.line([0.0, most], [0.0, most], color=palette.INK, linewidth=0.8),
         xlim=(0.0, most),
         ylim=(0.0, None),

@@ -24,11 +24,16 @@ MAX_DRAWN: Final = 6  # experiments that are drawn with outlines
 STEPS: Final = 2  # number of outlines between start and end in a comparison
 
 
-def plot_path(experiment: Experiment, *, ax: Axes | None = None) -> Axes:
-    """Draw the top view of an experiment; return its axes."""
+def _new_axes(height: float) -> Axes:
+    """Create axes of a figure with a height [inch], which Pyplot knows."""
     from matplotlib import pyplot
 
-    axes = ax or pyplot.subplots(figsize=(4.9, 3.5), layout="constrained")[1]
+    return pyplot.subplots(figsize=(4.9, height), layout="constrained")[1]
+
+
+def plot_path(experiment: Experiment, *, ax: Axes | None = None) -> Axes:
+    """Draw the top view of an experiment; return its axes."""
+    axes = ax or _new_axes(3.5)
     handles = top_view.add_fixels(axes, experiment.scene, experiment.contact_mode)
     handles += _draw_pusher(axes, experiment) + _draw_object(axes, experiment)
     top_view.frame_axes(axes, _extent(experiment, experiment.trajectory))
@@ -38,9 +43,7 @@ def plot_path(experiment: Experiment, *, ax: Axes | None = None) -> Axes:
 
 def plot_paths(experiments: Sequence[Experiment], *, ax: Axes | None = None) -> Axes:
     """Draw the measured paths of several experiments, `MAX_PATHS` at most; return the axes."""
-    from matplotlib import pyplot
-
-    axes = ax or pyplot.subplots(figsize=(4.9, 4.9), layout="constrained")[1]
+    axes = ax or _new_axes(4.9)
     chosen = evenly(len(experiments), MAX_PATHS)
     dot: Style = {"marker": "o", "markersize": 2.5, "linestyle": "none", "color": palette.BODY}
     for k in chosen.tolist() if len(experiments) else ():
@@ -67,9 +70,7 @@ def plot_paths(experiments: Sequence[Experiment], *, ax: Axes | None = None) -> 
 
 def plot_errors(comparison: Any, *, ax: Axes | None = None) -> Axes:
     """Draw the share of the experiments whose error is below a value, for each model."""
-    from matplotlib import pyplot
-
-    axes = ax or pyplot.subplots(figsize=(4.9, 3.5), layout="constrained")[1]
+    axes = ax or _new_axes(3.5)
     lines = dict.fromkeys((row.model, row.use) for row in comparison.rows)
     models = list(comparison.models)
     for model, use in lines:

@@ -11,7 +11,7 @@ from fixel.drawing import palette
 from fixel.drawing.chart import WIDE, Chart, Style, clean, shorten, tint, unit_text
 from fixel.drawing.top_view import FEW_POSES, MAX_OUTLINES, MM, closed_line, frame_axes
 from fixel.drawing.view import Rectangle, evenly
-from fixel.model import placed
+from fixel.model import Trajectory, placed
 from fixel.model.trajectory import wrapped
 from fixel.table import Table
 from fixel.typing import FloatArray
@@ -152,13 +152,7 @@ def _difference(track: Track, measured: Track) -> tuple[FloatArray, FloatArray]:
     """Deviations (n, 3) of a simulation from measured poses [mm, mm, deg], at their times."""
     reached = measured.time <= track.time[-1] + 1e-9
     time, pose = measured.time[reached], measured.pose[reached]
-    own = np.column_stack(
-        [
-            np.interp(time, track.time, values)
-            for values in (*track.pose[:, :2].T, np.unwrap(track.pose[:, 2]))
-        ]
-    )
-    off = own - pose
+    off = Trajectory(time=track.time, pose=track.pose).at(time) - pose
     return time, np.column_stack((MM.factor * off[:, :2], np.degrees(wrapped(off[:, 2]))))
 
 
