@@ -398,12 +398,10 @@ class GrblActuator(motion.AbstractActuator):
 
     def _wait_for_rest(self, link: GrblLink) -> None:
         """Wait until the drive has slowed down: an earlier reset would lose its position."""
-        until = time.monotonic() + 0.3 + 1.5 * self._speed / self._slowing()
+        slowing = min((of_axis.acceleration for of_axis in self._settings), default=10.0)
+        until = time.monotonic() + 0.3 + 1.5 * self._speed / slowing
         with contextlib.suppress(DeviceFailed):
             while time.monotonic() < until:
                 status = link.fresh_status(0.3)
                 if status.state in ("Alarm", "Idle") or status[:2] == ("Hold", 0):
                     return
-
-    def _slowing(self) -> float:
-        return min((of_axis.acceleration for of_axis in self._settings), default=10.0)
