@@ -262,21 +262,16 @@ def _refuse_strangers(
         "check the units of the table, the frame of its poses, which is that of the outline, and "
         "that outline and tip are in metres"
     )
+    first, least = 1e3 * float(gaps[0]), 1e3 * float(gaps.min())
     if gaps[0] < -MAX_CORRECTION:
-        raise InvalidInput(
-            f"{source} and the table",
-            found=f"a pusher {-1e3 * float(gaps[0]):.3g} mm inside the object at the start",
-            expected="a pusher that touches it at most",
-            hint=hint,
-        )
-    if float(gaps.min()) > FARTHEST * size:
-        raise InvalidInput(
-            f"{source} and the table",
-            found=f"a pusher that stays {1e3 * float(gaps.min()):.3g} mm from an object of radius"
-            f" {1e3 * size:.3g} mm",
-            expected="a pusher close to the object",
-            hint=hint,
-        )
+        found = f"a pusher {-first:.3g} mm inside the object at the start"
+        expected = "a pusher that touches it at most"
+    elif float(gaps.min()) > FARTHEST * size:
+        found = f"a pusher that stays {least:.3g} mm from an object of radius {1e3 * size:.3g} mm"
+        expected = "a pusher close to the object"
+    else:
+        return
+    raise InvalidInput(f"{source} and the table", found=found, expected=expected, hint=hint)
 
 
 WORDS: Final = {"deg": "degrees", "rad": "radians"}

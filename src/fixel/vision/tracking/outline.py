@@ -226,6 +226,20 @@ def plausible(
 
 
 @kernel
+def _substitute(factor: FloatArray, column: FloatArray) -> None:
+    """Solve equations with this Cholesky factor for a column, in place."""
+    m = len(factor)
+    for j in range(m):
+        for k in range(j):
+            column[j] -= factor[j, k] * column[k]
+        column[j] /= factor[j, j]
+    for j in range(m - 1, -1, -1):
+        for k in range(j + 1, m):
+            column[j] -= factor[k, j] * column[k]
+        column[j] /= factor[j, j]
+
+
+@kernel
 def _solve(
     slope: FloatArray,
     offset: FloatArray,
@@ -260,14 +274,7 @@ def _solve(
                 return False
             else:
                 factor[j, j] = math.sqrt(total)
-    for j in range(m):
-        for k in range(j):
-            step[j] -= factor[j, k] * step[k]
-        step[j] /= factor[j, j]
-    for j in range(m - 1, -1, -1):
-        for k in range(j + 1, m):
-            step[j] -= factor[k, j] * step[k]
-        step[j] /= factor[j, j]
+    _substitute(factor, step)
     for j in range(m):
         step[j] /= size[j]
     return True
@@ -278,15 +285,9 @@ def _inverse(factor: FloatArray, column: FloatArray, inverse: FloatArray) -> Non
     """Write the inverse of the matrix with this Cholesky factor."""
     m = len(factor)
     for c in range(m):
-        for j in range(m):
-            column[j] = 1.0 if j == c else 0.0
-            for k in range(j):
-                column[j] -= factor[j, k] * column[k]
-            column[j] /= factor[j, j]
-        for j in range(m - 1, -1, -1):
-            for k in range(j + 1, m):
-                column[j] -= factor[k, j] * column[k]
-            column[j] /= factor[j, j]
+        column[:] = 0.0
+        column[c] = 1.0
+        _substitute(factor, column)
         for j in range(m):
             inverse[j, c] = column[j]
 
