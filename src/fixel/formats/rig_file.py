@@ -123,7 +123,7 @@ def camera_dict(camera: MeasuredCamera) -> dict[str, Any]:
     if camera.camera is not None:
         content["place"] = {"matrix": records.keys_of(camera.camera, MatrixRecord)}
     known = records.keys_of(camera, MeasuredRecord) | {"seen": camera.seen.astype(int).tolist()}
-    measured = {key: value for key, value in known.items() if value}
+    measured = {key: value for key, value in known.items() if value not in (None, [], ())}
     return content | ({"measured": measured} if measured else {})
 
 
