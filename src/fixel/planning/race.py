@@ -9,12 +9,13 @@ for one plan are often hard for the others.
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import betainc
 
+from fixel.calibration.study import run_study
 from fixel.errors import InvalidInput
 from fixel.planning.success import WORST, finite_margins
 from fixel.typing import BoolArray, FloatArray, IntArray
@@ -29,8 +30,6 @@ MIN_RUNS: Final = 4  # runs of each parameter draw from which plans are ranked b
 WORST_DRAWS: Final = 0.1
 
 Evaluate = Callable[[IntArray, IntArray], ArrayLike]
-Request = TypeVar("Request")
-T = TypeVar("T")
 
 
 class RaceRequest(NamedTuple):
@@ -93,18 +92,7 @@ def race(evaluate: Evaluate, n_plans: int, **options: Any) -> RaceResult:
     >>> found.best, found.rollouts
     (51, 9728)
     """
-    return answered(race_rounds(n_plans, **options), lambda wanted: evaluate(*wanted))
-
-
-def answered(rounds: Generator[Request, Any, T], answer: Callable[[Request], Any]) -> T:
-    """Send a generator the answer to each of its requests, and return its result."""
-    try:
-        wanted = next(rounds)
-        while True:
-            wanted = rounds.send(answer(wanted))
-    except StopIteration as end:
-        found: T = end.value
-        return found
+    return run_study(race_rounds(n_plans, **options), lambda wanted: evaluate(*wanted))
 
 
 def race_rounds(

@@ -8,11 +8,12 @@ from collections.abc import Callable, Generator, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from importlib import import_module
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple, TypeVar, final
 
 import numpy as np
 from scipy.special import expit
 
+from fixel.calibration.study import run_study
 from fixel.errors import InvalidInput
 from fixel.model import Scene
 from fixel.model.goals import AllOf, PoseRegion
@@ -26,7 +27,7 @@ from fixel.planning.candidates import (
     spread_pushes,
 )
 from fixel.planning.pushes import FreePushes
-from fixel.planning.race import SIZES, RaceResult, RaceRound, T, answered, race_rounds
+from fixel.planning.race import SIZES, RaceResult, RaceRound, race_rounds
 from fixel.planning.rollout import (
     CARRIED_OUT,
     WORST_MARGIN,
@@ -94,6 +95,7 @@ class MarginRequest(NamedTuple):
         return digest.hexdigest()
 
 
+T = TypeVar("T")
 Rounds = Generator[MarginRequest, FloatArray, T]  # is sent the margins (m, n)
 
 
@@ -464,7 +466,7 @@ def conduct(search: PlanSearch, rounds: Rounds[T], answers: Answers) -> T:
             answers[request.name] = search.margins(request)
         return answers[request.name]
 
-    return answered(rounds, answer)
+    return run_study(rounds, answer)
 
 
 def _refused(unseen: tuple[str, ...]) -> InvalidInput:

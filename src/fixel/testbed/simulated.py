@@ -458,10 +458,10 @@ def repeat_pushes(
 
     Scenes have the path of the tool; instead of the part's pose in the first, `starts` (n, 3) has
     its true poses [m, m, rad]. Trials of another name have other random conditions. Each push has
-    poses at `samples` evenly spaced times. A run in which
-    the tool would be put down on the part, or the part does not fit between fixels, ends before
-    that push. Results are bit for bit the same for any number of threads. No push, no start, or a
-    scene that is no push of one body raises `InvalidInput`.
+    poses at `samples` evenly spaced times. A run in which the tool would be put down on the part,
+    or the part does not fit between fixels, ends before that push. Results are bit for bit the same
+    for any number of threads. No push, no start, or a scene that is no push of one body raises
+    `InvalidInput`.
 
     Examples
     --------
