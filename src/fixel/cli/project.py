@@ -322,41 +322,26 @@ def export(
     *places, target = paths
     if len(places) > 1:
         raise InvalidInput("TARGET", found=f"{len(paths)} paths", expected="[PROJECT] TARGET")
+    place = places[0] if places else None
     if to is not None:
-        _export_model(
-            places[0] if places else None, folder, target, to, calibration, scenes, seed, as_json
-        )
+        from fixel.workflows.model_export.run import export_model
+
+        what = place if place and not place.is_dir() else Project(project_at(place, folder))
+        model = export_model(
+            what, target, to=to, calibration=calibration, scenes=scenes, seed=seed,
+            progress=not as_json,
+        )  # fmt: skip
+        print_answer(as_json, model.summary, lambda: _exported_model(model))
         return
     if parquet and lerobot:
         raise InvalidInput("--parquet", found="--parquet and --lerobot", expected="one of them")
-    answer = Project(project_at(places[0] if places else None, folder)).export(
+    answer = Project(project_at(place, folder)).export(
         target,
         format="parquet" if parquet else "lerobot" if lerobot else "bundle",
         dataset=dataset,
         fps=fps,
     )
     print_answer(as_json, answer.summary, lambda: _exported(answer))
-
-
-def _export_model(
-    place: Path | None,
-    folder: Path,
-    target: Path,
-    to: str,
-    calibration: int | None,
-    scenes: int,
-    seed: int,
-    as_json: bool,
-) -> None:
-    from fixel.database.project import Project
-    from fixel.workflows.model_export.run import export_model
-
-    is_scene = place is not None and not place.is_dir()
-    what = place if place is not None and is_scene else Project(project_at(place, folder))
-    answer = export_model(
-        what, target, to=to, calibration=calibration, scenes=scenes, seed=seed, progress=not as_json
-    )
-    print_answer(as_json, answer.summary, lambda: _exported_model(answer))
 
 
 def _exported_model(answer: "ModelExport") -> list[str]:

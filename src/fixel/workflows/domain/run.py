@@ -7,20 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
+from fixel.capability import usual
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door
-from fixel.capability.usual import (
-    CalibrationId,
-    Dataset,
-    EngineName,
-    Fit,
-    Flagged,
-    Level,
-    Names,
-    Seed,
-    Threads,
-    Where,
-)
 
 if TYPE_CHECKING:
     from fixel.calibration.usual_parameters import Space
@@ -50,17 +39,17 @@ def map_domain(
     *,
     threshold: Annotated[float | None, Door(unit="mm", above=0.0)] = None,
     relative: Annotated[float | None, Door(metavar="SHARE", above=0.0)] = None,
-    level: Level = 0.9,
+    level: usual.Level = 0.9,
     confidence: Annotated[float, Door(above=0.5, below=1.0)] = 0.95,
-    axes: Names = (),
+    axes: usual.Names = (),
     facets: Facets = (),
     leave_out: Annotated[str, Door(metavar="CONDITION")] = "",
     nominal: AxisValues = None,
     cells: Widths = None,
     folds: Annotated[int | None, Door(least=2)] = None,
     motion: AbstractMotionModel | str | None = None,
-    seed: Seed = 0,
-    threads: Threads = None,
+    seed: usual.Seed = 0,
+    threads: usual.Threads = None,
     store: str | Path | None = None,
     progress: ProgressOption = None,
 ) -> DomainMap:
@@ -161,13 +150,13 @@ def map_domain(
 def map_stored(
     project: Project,
     *,
-    calibration: CalibrationId = None,
-    fit: Fit = (),
-    engine: EngineName = "",
-    apart: Names = (),
-    dataset: Dataset = "",
-    where: Where = (),
-    flagged: Flagged = False,
+    calibration: usual.CalibrationId = None,
+    fit: usual.Fit = (),
+    engine: usual.EngineName = "",
+    apart: usual.Names = (),
+    dataset: usual.Dataset = "",
+    where: usual.Where = (),
+    flagged: usual.Flagged = False,
     progress: ProgressOption = None,
     **options: Any,
 ) -> DomainAnswer:

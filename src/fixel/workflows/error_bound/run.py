@@ -6,20 +6,9 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
+from fixel.capability import usual
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door
-from fixel.capability.usual import (
-    CalibrationId,
-    Dataset,
-    EngineName,
-    Fit,
-    Flagged,
-    Level,
-    Names,
-    Seed,
-    Threads,
-    Where,
-)
 
 if TYPE_CHECKING:
     from fixel.calibration.usual_parameters import Space
@@ -40,13 +29,13 @@ def error_bound(
     experiments: Iterable[Experiment],
     fit: Calibration | Space = None,
     *,
-    level: Level = 0.9,
-    groups: Names = (),
+    level: usual.Level = 0.9,
+    groups: usual.Names = (),
     leave_out: LeftOut = (),
     folds: Annotated[int | None, Door(least=2)] = None,
     motion: AbstractMotionModel | str | None = None,
-    seed: Seed = 0,
-    threads: Threads = None,
+    seed: usual.Seed = 0,
+    threads: usual.Threads = None,
     store: str | Path | None = None,
     progress: ProgressOption = None,
 ) -> ErrorBound:
@@ -132,12 +121,12 @@ def error_bound(
 def bound_stored(
     project: Project,
     *,
-    calibration: CalibrationId = None,
-    fit: Fit = (),
-    engine: EngineName = "",
-    dataset: Dataset = "",
-    where: Where = (),
-    flagged: Flagged = False,
+    calibration: usual.CalibrationId = None,
+    fit: usual.Fit = (),
+    engine: usual.EngineName = "",
+    dataset: usual.Dataset = "",
+    where: usual.Where = (),
+    flagged: usual.Flagged = False,
     progress: ProgressOption = None,
     **options: Any,
 ) -> BoundAnswer:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -117,19 +118,21 @@ def export(
         format = "bundle" if target.suffix.lower() == ".zip" else "parquet"
     _check_arguments(target, format, fps)
     started = time.perf_counter()
-    if isinstance(what, Project):
-        counts, left_out = _exported(what, target, format, dataset, fps, progress)
+    left_out: dict[str, int] = {}
+    source = what if isinstance(what, Project) else Experiments.of(what)
+    if isinstance(source, Experiments) and dataset is not None:
+        source = source.where(f'"dataset:{dataset}"')
+    if format == "bundle":
+        counts, left_out = _bundled(source, target, dataset, progress)
     else:
-        chosen = Experiments.of(what)
-        chosen = chosen if dataset is None else chosen.where(f'"dataset:{dataset}"')
-        if format == "bundle":
-            with TemporaryDirectory(prefix="fixel-export-") as folder:
-                project = Project.create(folder)
-                project.add(chosen, progress=False)
-                counts, left_out = _exported(project, target, format, None, fps, progress)
-        else:
-            name = dataset or (chosen.entries[0].row.dataset if len(chosen) else "")
-            counts, left_out = _written(chosen, target, format, fps, name, progress), {}
+        with ExitStack() as opened:
+            if isinstance(source, Project):
+                name, store = source.settings.name, opened.enter_context(source.store())
+                chosen = stored_experiments(store, _query(dataset))
+            else:
+                chosen, name = source, source.entries[0].row.dataset if len(source) else ""
+            _refuse_none(len(chosen), dataset)
+            counts = _written(chosen, target, format, fps, dataset or name, progress)
     return ExportAnswer(
         target=target,
         format=format,
@@ -140,28 +143,27 @@ def export(
     )
 
 
-def _exported(
-    project: Project,
-    target: Path,
-    format: str,
-    dataset: str | None,
-    fps: int | None,
-    progress: ProgressOption,
+def _query(dataset: str | None) -> ExperimentQuery:
+    return ExperimentQuery(dataset=dataset, include_faulty=True)
+
+
+def _bundled(
+    source: Project | Experiments, target: Path, dataset: str | None, progress: ProgressOption
 ) -> tuple[dict[str, int], dict[str, int]]:
-    """Export from a project; return the number of records, and of those left out."""
-    query = ExperimentQuery(dataset=dataset, include_faulty=True)
-    with project.store() as store:
-        if format != "bundle":
-            name = dataset or project.settings.name
-            chosen = stored_experiments(store, query)
-            return _written(chosen, target, format, fps, name, progress, dataset), {}
-        n = store.experiments(replace(query, limit=0)).total
+    """Write a bundle; return the number of records, and of those left out."""
+    if isinstance(source, Experiments):
+        with TemporaryDirectory(prefix="fixel-export-") as folder:
+            project = Project.create(folder)
+            project.add(source, progress=False)
+            return _bundled(project, target, None, progress)
+    query = replace(_query(dataset), limit=0)
+    with source.store() as store:
+        n = store.experiments(query).total
         _refuse_none(n, dataset)
         with show_progress(progress, "exporting") as report:
             written = export_bundle(store, target, dataset=dataset, progress=report)
-        marked = replace(query, marks=("simulated", "replaced"), limit=0)
-        counts = {"experiments": n} | written.counts
-        return counts | {"simulated": store.experiments(marked).total}, written.left_out
+        simulated = store.experiments(replace(query, marks=("simulated", "replaced"))).total
+        return {"experiments": n} | written.counts | {"simulated": simulated}, written.left_out
 
 
 def _refuse_none(n: int, dataset: str | None) -> None:
@@ -177,10 +179,8 @@ def _written(
     fps: int | None,
     name: str,
     progress: ProgressOption,
-    dataset: str | None = None,
 ) -> dict[str, int]:
     """Write experiments as tables or as a LeRobot dataset; return counts."""
-    _refuse_none(len(experiments), dataset)
     rows = [entry.row for entry in experiments.entries]
     with show_progress(progress, "exporting") as report, folder_whole(target) as unfinished:
         records = _reported(experiments, report)

@@ -140,9 +140,8 @@ def methods(fit: Calibration) -> tuple[str, ...]:
 
 def errors_of(fit: Calibration) -> tuple[FloatArray, FloatArray]:
     """Root mean square errors (n_member,) before and after [mm]; not finite where unknown."""
-    before = fit.run.outcome.nominal[list(fit.found.members)]
     unit = fit.request.made_error.unit
-    return lengths_of(before, unit), lengths_of(fit.found.errors, unit)
+    return lengths_of(fit.nominal_errors, unit), lengths_of(fit.found.errors, unit)
 
 
 def _scale_mm(fit: Calibration) -> float:
