@@ -7,16 +7,17 @@ from tests.fixtures import project_of
 from fixel.model.selection import ExperimentQuery
 from fixel.workflows import jobs
 from fixel.workflows.calibration import calibration
-from fixel.workflows.calibration import plan as plans
 from fixel.workflows.calibration.execution import (
     ExperimentSelection,
     draw_sample,
     select_experiments,
 )
-from fixel.workflows.calibration.parameter_options import searched_unknowns
-from fixel.workflows.calibration.plan import CalibrationPlan
+from fixel.workflows.calibration.parameter_options import options_of, searched_unknowns
+from fixel.workflows.calibration.plan import CalibrationPlan, plan_in
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 from fixel.workflows.calibration.stored import add_to_project, collected
+from fixel.workflows.capabilities import CAPABILITIES
+from fixel.workflows.capabilities import prepare as prepare_job
 
 __all__ = ["ExperimentSelection", "collected", "draw_sample", "select_experiments"]
 
@@ -25,9 +26,8 @@ def prepare(project, chosen, request):
     """Prepare the job of a request on selected experiments; return its folder."""
     request.check()
     plan = CalibrationPlan(request=request, targets=chosen.targets).rehearse()
-    folder = plans.job_folder(project.folder, plan)
-    plans.prepare_folder(plan, folder)
-    return folder
+    asked = CAPABILITIES["calibrate"].request(options_of(request, chosen.ids))
+    return prepare_job(CAPABILITIES["calibrate"], asked, project, plan.inputs)
 
 
 def run(folder, progress=None):
@@ -38,8 +38,8 @@ def run(folder, progress=None):
 
 
 def collect(project, folder, command, left_out):
-    """Store what a job has found, once."""
-    plan = replace(plans.plan_in(folder), left_out=left_out)
+    """Return what a job has stored; store it again, which is nothing."""
+    plan = replace(plan_in(folder), left_out=left_out)
     found = calibration.collect(plan, folder)
     return add_to_project(project, replace(found, command=command))
 

@@ -91,6 +91,8 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "read_outline": "fixel.formats.outline_file:read_outline",
         "player": "fixel.web.views.notebook_player:player_of_simulation",
         "save": "fixel.io:save",
+        "prepare": "fixel.workflows.capabilities:prepare",
+        "prepare_in": "fixel.workflows.capabilities:prepare_in",
         "request_of": "fixel.workflows.capabilities:request_of",
         "scene_file": "fixel.formats:SceneFile",
         "save_scene": "fixel.formats:save_scene",
@@ -104,10 +106,6 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "capability": "fixel.workflows.capabilities",
         "plan": "fixel.workflows.planning.rounds",
         "toy": "fixel.testing.toy_work",
-    },
-    # What a process of a job calls with its folder once it is done, by the maker of its work.
-    "done jobs": {
-        "calibration:calibration_work": "fixel.workflows.calibration.stored:store_result"
     },
     # Classes that saved results may contain. None of them opens a file or starts a process.
     "saved classes": {

@@ -3,6 +3,7 @@
 import json
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -34,6 +35,7 @@ from fixel.testing.pushes import example_parts
 from fixel.workflows import jobs
 from fixel.workflows.analysis import load_analyses
 from fixel.workflows.bench.run import BENCH
+from fixel.workflows.calibration.stored import stored_calibration
 from fixel.workflows.capabilities import CAPABILITIES, call, prepare, run
 from fixel.workflows.project.export import export, import_zip
 
@@ -90,8 +92,8 @@ EVERY = pytest.mark.parametrize(
 )
 HEAVY = {"numpy", "numba", "scipy", "matplotlib", "sqlalchemy", "pyarrow", "rich"}
 NAMES = st.from_regex(r"[a-z][a-z_]{0,8}", fullmatch=True)
-# Capabilities with jobs of their own store records, which make their report again.
-STORED = [k for k, own in CAPABILITIES.items() if own.on_project and own.prepare is None]
+# Capabilities whose jobs have inputs of their own store records, which make their report again.
+STORED = [k for k, own in CAPABILITIES.items() if own.on_project and own.inputs is None]
 STORING = pytest.mark.parametrize("name", STORED)
 # One job runs every capability: those that take seconds are run once more by the system tests.
 LONG = ("growth", "plan", "uncertainty")
@@ -394,6 +396,23 @@ def test_a_job_stores_the_same_analysis_and_shows_its_progress(name, labs, here)
     assert [one.text() for one in kept.analysis.tables] == [t.text() for t in here[name].tables]
     assert kept.analysis.request == json.loads(request.model_dump_json())
     assert any(one.text for one in shown)
+
+
+def test_a_job_of_a_calibration_stores_what_a_run_here_does(project, tmp_path):
+    capability = CAPABILITIES["calibrate"]
+    request = capability.request(SHORT["calibrate"])
+    other = Project(shutil.copytree(project.folder, tmp_path / "other"))
+    done, shown = run(capability, request, project.folder, progress=False), []
+    folder = prepare(capability, request, other)
+    assert jobs.run_here(folder, shown.append).state == "done"
+
+    (mine,), (theirs,) = (done.result.ids, list(other.calibrations)[-1:])
+    ours, own = stored_calibration(project, mine), stored_calibration(other, theirs)
+    assert own == replace(ours, run=replace(ours.run, command=own.command))
+    assert own.command == capability.command(request, other.folder)
+    assert own.analysis.lines()[:-1] == ours.analysis.lines()[:-1]
+    assert any(one.text for one in shown)
+    assert run(capability, request, other.folder, progress=False).result.ids == (theirs,)
 
 
 def test_a_command_can_only_prepare_its_job(project):

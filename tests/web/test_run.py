@@ -19,7 +19,7 @@ EVERY = pytest.mark.parametrize("capability", FORMS.values(), ids=[*FORMS])
 # Those whose results are analyses; others store records, which have pages of their own. Results of
 # the domain need a campaign and minutes; the contract of capabilities computes them.
 SLOW = ("domain", "error-bound", "growth")
-STORING = [own for own in FORMS.values() if own.prepare is None and own.name not in SLOW]
+STORING = [own for own in FORMS.values() if own.inputs is None and own.name not in SLOW]
 WITH_RESULT = pytest.mark.parametrize("capability", STORING, ids=[own.name for own in STORING])
 QUICK = [own for own in STORING if own.name not in ("plan", "uncertainty")]  # these take seconds
 DOCUMENT = {"sec-fetch-mode": "navigate", "sec-fetch-dest": "document"}

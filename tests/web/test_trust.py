@@ -19,6 +19,7 @@ from fixel.calibration.study import OUT_OF_BUDGET
 from fixel.cli.main import app
 from fixel.database.project import Project
 from fixel.errors import StoreRefused
+from fixel.jobs.folder import read_job
 from fixel.web.views.calibration_progress import ProgressReader
 from fixel.workflows import jobs
 from fixel.workflows.calibration.stored import collected
@@ -211,13 +212,22 @@ def test_one_is_stopped_and_goes_on(bench, project):
     assert jobs.status_of(folder).state == "cancelled"
 
 
-def test_what_a_terminal_went_on_with_is_stored_by_who_looks(folder, opened):
+def test_what_was_computed_elsewhere_is_stored_once_by_who_looks(folder, opened):
     (job,) = (p.parent for p in (folder / "jobs").glob("first-*/job.json"))
-    (job / "stored.json").unlink()
+    inputs = {path.name: path.read_bytes() for path in (job / "inputs").iterdir()}
+    inputs["request.json"] = inputs["request.json"].replace(b'"first"', b'"away"')
+    elsewhere = folder.parent / "elsewhere"
+    made = read_job(job)
+    jobs.prepare_job(elsewhere, maker=made.maker, inputs=inputs, options=made.options)
+    assert jobs.run_here(elsewhere).state == "done"
+    brought = elsewhere.rename(folder / "jobs" / "brought")
     alone = opened()
-    (one,) = alone.get("/calibrations")["calibrations"]
-    assert one["sets"] == 2  # and the one that was stored before
-    assert collected(Project(folder), job).ids == (2,)
+    for _ in range(2):
+        one, _ = alone.get("/calibrations")["calibrations"]
+        assert (one["id"], one["sets"]) == (2, 1)
+        assert one["name"].startswith("away")
+    assert collected(Project(folder), brought).ids == (2,)
+    assert collected(Project(folder), job).ids == (1,)
 
 
 def test_a_broken_job_hides_no_other(bench, project):
@@ -258,10 +268,9 @@ SEEN = [
     [
         "analyses/domain-*/analysis.json", "analyses/domain-*/arrays.npz",
         "analyses/held-out/*/evidence.json", "jobs/first-*/inputs/request.json",
-        "jobs/first-*/inputs/targets.json",
+        "jobs/first-*/inputs/targets.json", "jobs/first-*/inputs/about.json",
         "jobs/first-*/inputs/poses.npz", "jobs/first-*/job.json", "jobs/first-*/state.json",
         "jobs/first-*/run.json", "jobs/first-*/journal", "jobs/first-*/result",
-        "jobs/first-*/stored.json",
     ],
 )  # fmt: skip
 def test_a_damaged_file_is_named_and_hides_nothing_else(folder, opened, path, how):
@@ -277,7 +286,7 @@ def test_a_damaged_file_is_named_and_hides_nothing_else(folder, opened, path, ho
     assert one["after"] < one["before"]
     told = [alone.client.get(p).text for p in ("/api/v1/calibrations/1", "/domain",
             "/api/v1/calibrations", f"/api/v1/domain/{name}", "/jobs", "/api/v1/jobs")]  # fmt: skip
-    if file.name in ("analysis.json", "evidence.json", "stored.json"):
+    if file.name in ("analysis.json", "evidence.json"):
         assert any(file.name in text or "compute the map again" in text for text in told)
 
 

@@ -40,7 +40,6 @@ from fixel.typing import BoolArray, FloatArray, IntArray
 # Residuals of one point held in memory; of more, only some frames are looked at. The profiles ask
 # for some 500 points at a time.
 MAX_RESIDUALS: Final = 30_000
-SHIFTED: Final = "shifted"  # kind of questions whose rows are rollouts of single experiments
 
 T = TypeVar("T")
 
@@ -53,6 +52,7 @@ class AssessmentRequest(NamedTuple):
     points: FloatArray
     note: str = ""  # what a progress bar shows
     left: int | None = None  # estimated number of points of the questions after this one
+    single: bool = False  # whether a row is one rollout, of one experiment instead of all
 
 
 AssessmentSteps = Generator[AssessmentRequest, FloatArray, T]
@@ -266,7 +266,7 @@ def _simulated(study: Generator[FloatArray, FloatArray, T], note: str) -> Assess
     """Run a study that needs simulations with shifts of each experiment."""
 
     def ask(rows: FloatArray) -> AssessmentSteps[FloatArray]:
-        return (yield AssessmentRequest(SHIFTED, rows, note))
+        return (yield AssessmentRequest("shifted", rows, note, single=True))
 
     return (yield from relayed(study, ask))
 
@@ -320,7 +320,7 @@ ANSWERS: Final[dict[str, Callable[[Comparer, IntArray, FloatArray], FloatArray]]
     "frames": _frames,
     "noise": _noise_left,
     "excited": _excited,
-    SHIFTED: _shifted,
+    "shifted": _shifted,
 }
 
 

@@ -67,6 +67,7 @@ MEMBERS_A_PART: Final = 4
 MAX_MEMBERS_A_PART: Final = 16
 PARTS_FOR_WORKERS: Final = 32
 ROLLOUTS_A_PART: Final = 4000  # about a second of them
+VERDICTS: Final = "verdicts"  # stage of the questions that follow the search
 TIME: Final = "cpu_s"  # name of the computing time among the arrays of an answer [s]
 # Share of a budget that the search may take where verdicts are wanted.
 SEARCH_SHARE: Final = 0.5
@@ -167,6 +168,7 @@ class CalibrationSearch:
     def __init__(self, task: CalibrationTask) -> None:
         self.task, self.comparer, self.members = task, task.comparer, task.members
         self.best = Best(task.comparer.space.nominal, math.inf)
+        self.nominal = np.full(len(task.members), math.nan)  # errors before the calibration
         self.found: list[ParameterSet] = []  # complete sets
         self._spent = 0.0
         self._points: list[FloatArray] = []
@@ -217,10 +219,11 @@ class CalibrationSearch:
     def steps(self) -> Steps[CalibrationResult]:
         """Calibrate by questions and answers; return the result."""
         members, start = self.members, self.comparer.space.nominal
-        (nominal,), _ = yield from self._evaluate(at_points(members, start[None]), "nominal")
-        found: list[ParameterSet] = []
+        at_start = at_points(members, start[None])
+        (self.nominal,), _ = yield from self._evaluate(at_start, "nominal")
         if self.task.mode in ("each", "campaign"):
-            found = yield from self._alone()
+            self.found = yield from self._alone()
+        found = [*self.found]
         if self.task.mode == "campaign" and len(members) > 1:
             found = yield from self._campaign(found)
         elif self.task.mode == "stored":
@@ -234,13 +237,13 @@ class CalibrationSearch:
             for k, one in enumerate(found):
                 if one.how == FitKind.DIRECT:
                     found[k] = yield from self._with_check((yield from self._with_verdicts(one)))
-        return self.result(nominal, found)
+        return self.result(found)
 
-    def result(self, nominal: FloatArray, found: Sequence[ParameterSet]) -> CalibrationResult:
-        """Return the result with errors (n_target,) before the calibration."""
+    def result(self, found: Sequence[ParameterSet]) -> CalibrationResult:
+        """Return the result that consists of these sets."""
         keys = tuple(target.key for target in self.comparer.targets)
         labels = self.comparer.space.labels
-        return CalibrationResult(keys=keys, labels=labels, nominal=nominal, found=tuple(found))
+        return CalibrationResult(keys=keys, labels=labels, nominal=self.nominal, found=tuple(found))
 
     # --- questions ------------------------------------------------------------------------------
 
@@ -271,23 +274,13 @@ class CalibrationSearch:
         return (yield from relayed(study, ask))
 
     def _table(
-        self,
-        kind: str,
-        stage: str,
-        points: FloatArray,
-        *,
-        note: str,
-        left: int | None = None,
-        best: float | None = None,
+        self, wanted: AssessmentRequest, stage: str, best: float | None = None
     ) -> Steps[FloatArray]:
-        """Request a row for each point (k, n_free) of all members, or each point of a single one.
-
-        `left` is an estimate of the number of points after these.
-        """
-        rollouts = 1 if kind == assess.SHIFTED else len(self.members)  # of a row
-        size = max(1, ROLLOUTS_A_PART // rollouts)
-        parts_left = None if left is None else math.ceil(left / size)
-        answers = yield Question(kind, stage, {"points": points}, size, note, parts_left, best)
+        """Request a row for each point (k, n) of a question."""
+        size = max(1, ROLLOUTS_A_PART // (1 if wanted.single else len(self.members)))
+        left = None if wanted.left is None else math.ceil(wanted.left / size)
+        rows = {"points": wanted.points}
+        answers = yield Question(wanted.kind, stage, rows, size, wanted.note, left, best)
         self._count(answers)
         tables: list[FloatArray] = []
         for k, own in enumerate(answers):
@@ -396,9 +389,8 @@ class CalibrationSearch:
         while not search.done:
             wanted = search.ask()
             points = wanted[: most and most - self.evaluations]
-            table = yield from self._table(
-                "squares", "squares", points, note="least squares", best=self.shown
-            )
+            question = AssessmentRequest("squares", points, "least squares")
+            table = yield from self._table(question, "squares", self.shown)
             searches.append(search.asking[: len(points)])
             if len(points) == len(wanted):
                 search.tell(table)
@@ -417,9 +409,7 @@ class CalibrationSearch:
         """Add a verdict on every parameter."""
 
         def ask(wanted: AssessmentRequest) -> Steps[FloatArray]:
-            told = yield from self._table(
-                wanted.kind, "verdicts", wanted.points, note=wanted.note, left=wanted.left
-            )
+            told = yield from self._table(wanted, VERDICTS)
             if self.is_over:
                 more = "allow a larger budget, or calibrate a sample of the experiments"
                 raise FixelError(f"{OUT_OF_BUDGET}; {more}")

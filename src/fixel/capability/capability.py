@@ -63,9 +63,9 @@ class Capability:
         chunks: it gets the folder of the job's inputs as `inputs`, and returns the result.
     settled : callable, optional
         `(project, request) -> request` that a job does, which no later record or file can change.
-    prepare : callable, optional
-        `(project, **arguments) -> folder` prepares the job of a function that runs and stores its
-        own jobs; no analysis is stored for it.
+    inputs : callable, optional
+        `(project, request) -> files` by name from which `rounds` compute without a project. They
+        store records of their own and return bytes; no analysis is stored.
     group : str
         Command whose sub-command it is.
     verb : str
@@ -86,7 +86,7 @@ class Capability:
     plot: Literal["folder", "file", ""] = "folder"
     rounds: Callable[..., Any] | None = None
     settled: Callable[..., Any] | None = None
-    prepare: Callable[..., Any] | None = None
+    inputs: Callable[..., Any] | None = None
     group: str = ""
     verb: str = ""
     in_project: Callable[[Any], bool] | None = None

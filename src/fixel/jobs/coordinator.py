@@ -24,7 +24,6 @@ from fixel.jobs.engine import LocalEngine
 from fixel.jobs.folder import Job, JobState, RunSettings
 from fixel.jobs.functions import named_function, stamp
 from fixel.jobs.work import AbstractEngine, JobProgress, Show, StopRequest, run_work
-from fixel.registry import offered, offers
 from fixel.typing import Notify
 
 LARGE: Final = 1 << 16  # [byte] larger answers are dropped from the journal once the job is done
@@ -83,9 +82,7 @@ def main(arguments: list[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     interrupt_on_termination()
     try:
-        maker = files.read_job(given.folder).maker
-        if coordinate(given.folder).state == "done" and maker in offers("done jobs"):
-            offered("done jobs", maker)(given.folder)
+        coordinate(given.folder)
     except FixelError as problem:
         files.log(given.folder, str(problem))
         return 1

@@ -138,14 +138,6 @@ def read_job(folder: Path) -> Job:
     return job
 
 
-def made_by(folder: Path, maker: str) -> bool:
-    """Whether a folder contains a job of this maker; False if it cannot be read."""
-    try:
-        return read_job(folder).maker == maker
-    except InvalidInput:
-        return False
-
-
 def read_run(folder: Path) -> RunSettings:
     """Load the settings of the last run, or the default settings."""
     path = folder / "run.json"

@@ -35,19 +35,13 @@ def callable_by_jobs(function: F) -> F:
 def named_function(name: str) -> Any:
     """Return a function that is meant for jobs, by its stored name `"KIND:FUNCTION"`."""
     kind, _, attribute = name.partition(":")
-    if kind not in offers("jobs"):
+    module = offered("jobs", kind) if kind in offers("jobs") else None
+    if module is None or (module.__name__, attribute) not in _ALLOWED:
         raise InvalidInput(
             "function of a job",
             found=name,
-            expected=f"KIND:FUNCTION, where KIND is one of {', '.join(offers('jobs'))}",
+            expected=f"KIND:FUNCTION of {', '.join(offers('jobs'))} with @callable_by_jobs",
             hint="a job of an older version of fixel cannot be resumed; start it again",
-        )
-    module = offered("jobs", kind)
-    if (module.__name__, attribute) not in _ALLOWED:
-        raise InvalidInput(
-            "function of a job",
-            found=name,
-            expected="a function marked with fixel.jobs.functions.callable_by_jobs",
         )
     return getattr(module, attribute)
 

@@ -156,7 +156,7 @@ def report_result(
         }
     )
     kept = None
-    wanted = capability.prepare is None and (keep or getattr(request, "save", True))
+    wanted = capability.inputs is None and (keep or getattr(request, "save", True))
     if project is not None and wanted:
         kept = store_analysis(project, analysis, report.pictures, report.arrays)
         analysis = kept.analysis
@@ -193,25 +193,30 @@ class JobRequest(NamedTuple):
 
     capability: Capability
     request: BaseModel
-    project: Project  # project in whose folder `jobs` the job is
+    # Project in whose folder `jobs` the job is; None if its inputs are all that it needs.
+    project: Project | None
 
 
 def request_of(inputs: Path) -> JobRequest:
     """Return the capability, request and project of a job, for its chunks and for pages."""
-    from fixel.database.project import Project
+    from fixel.database.project import SETTINGS, Project
     from fixel.jobs.folder import read_job
 
     options = read_job(inputs.parent).options
     capability = CAPABILITIES[options["capability"]]
     request = capability.from_json(json.dumps(options["request"]))
-    project = Project(inputs.resolve().parents[2])
-    return JobRequest(capability, request, _on_table(project, capability, request, inputs / MAP))
+    place = inputs.resolve().parents[2]
+    if capability.inputs is not None and not (place / SETTINGS).is_file():
+        return JobRequest(capability, request, None)
+    project = _on_table(Project(place), capability, request, inputs / MAP)
+    return JobRequest(capability, request, project)
 
 
 @callable_by_jobs
 def run_request(inputs: Path, options: Mapping[str, Any]) -> Work:
     """Run the request of a job and store its analysis; the result is the name of its folder.
 
+    A capability with `inputs` stores records of its own, and the result are the bytes of them.
     A capability with `rounds` yields them; another one computes in the coordinator's process, and
     repeats what it has not stored itself when the job is resumed.
     """
@@ -228,42 +233,64 @@ def run_request(inputs: Path, options: Mapping[str, Any]) -> Work:
         result = yield from capability.rounds(
             project, **arguments, inputs=inputs, progress=report_stage
         )
+    if isinstance(result, bytes):
+        return result
     seconds = time.monotonic() - begun
     folder = report_result(capability, request, project, result, seconds, keep=True).folder
     assert folder is not None
     return folder.name.encode()
 
 
-def prepare(capability: Capability, request: BaseModel, project: Project) -> Path:
+def prepare(
+    capability: Capability,
+    request: BaseModel,
+    project: Project,
+    inputs: Mapping[str, bytes] | None = None,
+) -> Path:
     """Prepare the job of a request in a project, if it is not there; return its folder.
 
-    The same request on the same records has the same folder with this version of fixel, so that it
-    continues. Run it with `jobs.run_here`, `jobs.run_detached` or `fixel jobs submit`. Raise
-    `InvalidInput` if the capability does not work on a project, or what it settles is invalid.
+    The same request on the same records, or with the same `inputs` of a capability that has them,
+    has the same folder with this version of fixel, so that it continues. Run it with
+    `jobs.run_here`, `jobs.run_detached` or `fixel jobs submit`. Raise `InvalidInput` if the
+    capability does not work on a project, or what it settles is invalid.
     """
-    from fixel.simulation.trust import remember
     from fixel.workflows import jobs
 
     if not capability.on_project:
         raise InvalidInput("job", found=capability.name, expected="a capability on a project")
     project = _on_table(project, capability, request)
-    if capability.prepare is not None:
-        job: Path = capability.prepare(project, **capability.arguments(request))
-        return job
     if capability.settled is not None:
         request = capability.settled(project, request)
-    content, table = request.model_dump(mode="json"), project.view
-    with project.store() as store:
-        of = [content, store.record_ids(), stamp(), table and table.sha256]
+    table, of = project.view, list[Any]()
+    if capability.inputs is not None:
+        inputs = capability.inputs(project, request) if inputs is None else inputs
+        of = [[name, hashlib.sha256(data).hexdigest()] for name, data in sorted(inputs.items())]
+    else:
+        with project.store() as store:
+            of = [request.model_dump(mode="json"), store.record_ids()]
+    of += [stamp(), table and table.sha256]
     digest = hashlib.sha256(json.dumps(of, sort_keys=True).encode()).hexdigest()
-    folder = project.folder / jobs.JOBS / f"{capability.name}-{digest[:10]}"
+    name = getattr(request, "name", capability.name)
+    folder = project.folder / jobs.JOBS / f"{name}-{digest[:10]}"
+    files: dict[str, bytes | Path] = dict(inputs or {})
+    if table is not None:
+        files[MAP] = table.path
+    prepare_in(folder, capability, request, files)
+    return folder
+
+
+def prepare_in(
+    folder: Path, capability: Capability, request: BaseModel, inputs: Mapping[str, bytes | Path]
+) -> None:
+    """Prepare the job of a request in a folder, if it is not there."""
+    from fixel.simulation.trust import remember
+    from fixel.workflows import jobs
+
     if not (folder / "job.json").is_file():
         for name in capability.programs(request):
             remember(name)  # for the processes of the job, if the user has named it
-        options = {"capability": capability.name, "request": content}
-        inputs = {MAP: table.path} if table else None
+        options = {"capability": capability.name, "request": request.model_dump(mode="json")}
         jobs.prepare_job(folder, maker=MAKER, inputs=inputs, options=options)
-    return folder
 
 
 def begin(capability: Capability, request: BaseModel, project: Project) -> Path:
@@ -271,7 +298,7 @@ def begin(capability: Capability, request: BaseModel, project: Project) -> Path:
     from fixel.workflows import jobs
 
     folder = prepare(capability, request, project)
-    if capability.prepare is None or jobs.status_of(folder).state != "done":
+    if capability.inputs is None or jobs.status_of(folder).state != "done":
         jobs.arrange(folder)
         jobs.run_detached(folder)
     return folder

@@ -222,6 +222,14 @@ def job_folders(project: Path) -> dict[str, Path]:
     return {shown_name(folder): folder for folder in sorted(found)}
 
 
+def capability_of(folder: Path) -> str:
+    """Return the name of the capability that a job runs; empty for others and unreadable ones."""
+    try:
+        return str(files.read_job(folder).options.get("capability", ""))
+    except InvalidInput:
+        return ""
+
+
 def jobs_in(project: Path) -> list[JobStatus]:
     """Return the jobs of a project, newest first; those that cannot be read are `unreadable`."""
     found = [readable_status(folder) for folder in job_folders(project).values()]

@@ -6,7 +6,6 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -137,7 +136,7 @@ def test_the_box_that_was_searched_outlives_its_job(project, chosen):
     assert space.values(space.nominal) == {**one.record.parameters}
     shared = Estimate(label="mu_pusher[shape=square]", unit="-", value=0.2)
     parted = replace(earlier, record=replace(earlier.record, estimates=(shared,)))
-    with pytest.raises(InvalidInput, match="no job folder"):
+    with pytest.raises(InvalidInput, match="no bounds of mu_pusher"):
         searched_space(project, parted, scenes)
 
 
@@ -431,14 +430,14 @@ def test_the_command_for_the_same_calibration_says_all_of_it(chosen):
         noise_angle=2e-3,
         motion="quasistatic",
     )
-    words = command_of(options_of(request, [3], Path("/lab")))
+    words = command_of(options_of(request, [3]) | {"project": "/lab"})
     assert words.startswith("fixel calibrate 3 ")
     assert words.endswith(" --project /lab")
     for said in ("--error end-pose", "--angle-scale-mm 50.0", "--noise-mm 0.1", "--noise-mrad 2.0",
                  "--motion quasistatic"):  # fmt: skip
         assert said in words
     by_engine = _request(chosen, motion="pymunk:step=0.01")
-    by_engine = command_of(options_of(by_engine, [3], Path("/lab")))
+    by_engine = command_of(options_of(by_engine, [3]))
     assert "--motion pymunk:step=0.01" in by_engine
 
 

@@ -166,7 +166,7 @@ def test_another_call_on_the_same_folder_is_refused_with_the_difference(pushes, 
 
 def test_a_folder_of_a_calibration_is_refused(pushes, tmp_path):
     (tmp_path / "job.json").write_text("{}")
-    with pytest.raises(InvalidInput, match="a job in"):
+    with pytest.raises(InvalidInput, match="belongs to a job"):
         map_domain(pushes[:6], SPACE, axes=["side"], folds=2, store=tmp_path, **QUIET)
 
 

@@ -271,7 +271,7 @@ def steer(
 
 
 def _result_of(job: JobStatus) -> str:
-    """Name of the result that a job has stored; empty if it is none of a capability."""
-    if job.state != "done" or job.maker != capabilities.MAKER:
+    """Name of the analysis that a job has stored; empty if it stores none."""
+    if job.state != "done" or jobs.capability_of(Path(job.folder)) in ("", *PROGRESS):
         return ""
     return (Path(job.folder) / files.RESULT).read_text(errors="replace")

@@ -4,95 +4,31 @@ from __future__ import annotations
 
 import math
 import threading
-from contextlib import suppress
-from functools import lru_cache, partial
-from itertools import islice, zip_longest
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 from pydantic import Field
 
-from fixel.calibration.objective import combined_errors
-from fixel.calibration.result import found_of
+from fixel.calibration.result import FitKind
 from fixel.database.project import Project
-from fixel.errors import FixelError, JobRefused, NotStored
-from fixel.io.array_bytes import arrays_of
+from fixel.errors import FixelError, NotStored
 from fixel.io.damaged_files import each_readable
-from fixel.io.journal import read_journal
 from fixel.jobs import folder as files
-from fixel.jobs.work import unframed
-from fixel.typing import FloatArray
 from fixel.web.values import Answer, Finite
 from fixel.web.views.calibration_detail import Residual
 from fixel.workflows import jobs
-from fixel.workflows.calibration.parameter_options import command_of, options_of
-from fixel.workflows.calibration.plan import MAKER, plan_in
-from fixel.workflows.calibration.stored import collected, stored_ids
+from fixel.workflows.calibration.execution import LiveSearch
+from fixel.workflows.calibration.parameter_options import command_of
+from fixel.workflows.calibration.plan import plan_in
+from fixel.workflows.calibration.request import CalibrationRequest
+from fixel.workflows.calibration.stored import collected
 
-ERRORS: Final = "all together"  # stage of a search by errors; parts of a round are one evaluation
-SQUARES: Final = "squares"  # stage of a search by residuals
+KIND: Final = "calibrate"  # capability of its jobs
+SEARCHES: Final = ("all together", "squares")  # stages of searches by errors and by residuals
 # Fields of the status of a job that are shown as they are.
 OF_JOB: Final = ("name", "state", "ended", "reason", "note", "share", "started_utc")
-
-
-@final
-class SearchErrors:
-    """Errors in the journal of a calibration's job so far; only what is new is read."""
-
-    def __init__(self, project: Project, folder: Path) -> None:
-        plan = plan_in(folder)
-        self.request, self.keys = plan.request, [target.key for target in plan.targets]
-        with project.store() as store:
-            self.ids = [store.find(key) for key in self.keys]
-        self.stage = ""
-        # One per evaluation, the mean of the experiments; inf where it failed.
-        self.objective: list[float] = []
-        self.nominal: list[float] = []  # one per experiment
-        self.alone: dict[int, float] = {}  # index of an experiment to its error
-        self.n_read = 0  # blocks of the journal
-        self._journal, self._lock = folder / files.JOURNAL, threading.Lock()
-        self._waiting: list[FloatArray] = []  # parts of an unfinished round
-
-    def read(self) -> None:
-        """Read what the journal has more than last time."""
-        with self._lock:
-            for name, data in islice(read_journal(self._journal), self.n_read, None):
-                self.n_read += 1
-                if isinstance(answer := unframed(data), bytes):
-                    self._take(name, arrays_of(answer))
-
-    def _take(self, name: str, arrays: dict[str, Any]) -> None:
-        n, (self.stage, _, part) = len(self.ids), name.rpartition(" ")[0].rpartition("/")
-        if self.stage == "nominal":
-            self.nominal += arrays["error"].tolist()
-        elif self.stage == "alone":
-            self.alone |= {one.members[0]: float(one.errors[0]) for one in found_of(arrays)}
-        elif self.stage == ERRORS:
-            # Before the first part there may be remains of a round that was lost.
-            self._waiting = [*(() if part == "0" else self._waiting), arrays["error"]]
-            values = np.concatenate(self._waiting)
-            if len(values) % n == 0:
-                self.objective += self.shares(values.reshape(-1, n))
-                self._waiting = []
-        elif self.stage == SQUARES:
-            squares = np.einsum("km,km->k", arrays["table"], arrays["table"])
-            self.objective += self.request.error_of_one(squares, n).tolist()
-
-    def shares(self, errors: FloatArray) -> list[float]:
-        """Return the mean errors per experiment of rows (k, n) of all of them."""
-        combined = combined_errors(errors, self.request.combine)
-        shares: list[float] = self.request.error_of_one(combined, errors.shape[1]).tolist()
-        return shares
-
-    @property
-    def limit(self) -> int | None:
-        """Maximum number of evaluations; None without one."""
-        request = self.request
-        if request.least_squares is not None or request.mode == "each":
-            return None
-        limit: int | None = request.max_evaluations or request.made_optimiser.limit
-        return limit
 
 
 class LiveProgress(Answer):
@@ -139,14 +75,30 @@ class ProgressReader:
     """Reader of the progress of a project's calibrations, which reads only what is new."""
 
     def __init__(self, project: Project) -> None:
-        self._project = project
-        self._errors = lru_cache(None)(partial(SearchErrors, project))
+        self._project, self._lock = project, threading.Lock()
+        self._opened = lru_cache(None)(self._open)
+
+    def _open(self, folder: Path) -> tuple[LiveSearch, list[int]]:
+        """Return the search of a job, and the ids of its experiments."""
+        plan = plan_in(folder)
+        with self._project.store() as store:
+            return LiveSearch(plan, plan.task()), [
+                store.find(target.key) for target in plan.targets
+            ]
 
     def folder(self, name: str) -> Path:
         """Return the folder of a calibration's job; raise if there is none of the name."""
-        found = self._folders().get(name)
-        if found is None:
+        found = jobs.job_folders(self._project.folder).get(name)
+        if found is None or jobs.capability_of(found) != KIND:
             raise NotStored(f"calibration job {name!r}", hint="the page Calibrations lists all")
+        return found
+
+    def _stored(self) -> dict[str, list[int]]:
+        """Return the ids of stored calibrations by the name of their job."""
+        found: dict[str, list[int]] = {}
+        with self._project.store() as store:
+            for k, record in store.calibration_summaries().items():
+                found.setdefault(str(record.method.get("job")), []).append(k)
         return found
 
     def unfinished(self) -> tuple[list[LiveProgress], list[FixelError]]:
@@ -154,31 +106,32 @@ class ProgressReader:
 
         Calibrations that are done become stored.
         """
-        made = {one: files.read_job(one).made_utc for one in self._folders().values()}
-        newest = sorted(made, key=made.__getitem__, reverse=True)
-        found, unreadable = each_readable(
-            lambda folder: None if stored_ids(folder) else self.look(folder), newest
-        )
-        return [seen for seen in found if seen is not None and not seen.stored], unreadable
+        known, every = self._stored(), jobs.job_folders(self._project.folder)
+        own = [f for k, f in every.items() if k not in known and jobs.capability_of(f) == KIND]
+        newest = sorted(own, key=lambda folder: files.read_job(folder).made_utc, reverse=True)
+        found, unreadable = each_readable(self.look, newest)
+        return [seen for seen in found if not seen.stored], unreadable
 
     def look(self, folder: Path) -> LiveProgress:
         """Return the progress of one."""
-        status, read = jobs.status_of(folder), self._errors(folder)
-        if status.kept > read.n_read:
-            read.read()
-        stored = stored_ids(folder)
-        if status.state == "done" and not stored:
-            with suppress(JobRefused):  # the process that ran it is about to
+        status, (live, ids) = jobs.status_of(folder), self._opened(folder)
+        stored = self._stored().get(folder.name, [])
+        with self._lock:
+            if status.kept > live.n_read:
+                live.read(folder / files.JOURNAL)
+            if status.state == "done" and not stored:  # it was computed elsewhere
                 stored = list(collected(self._project, folder).ids)
-        request, ids, nominal, objective = read.request, read.ids, read.nominal, [*read.objective]
+        plan, request, search = live.plan, live.plan.request, live.search
+        nominal = search.task.combined(search.nominal[None])
+        errors = np.append(nominal, search.trace().errors)
+        start, *objective = request.error_of_one(errors, len(ids)).tolist()
         # The job counts chunks, which have about the same number of evaluations each.
-        searching = read.stage in (ERRORS, SQUARES) and not status.ended
+        searching = live.stage in SEARCHES and not status.ended
         rate = status.rate * len(objective) / max(1, status.kept) if searching else 0.0
-        limit, left = read.limit, None if status.ended else status.left_s
+        limit, left = _limit(request), None if status.ended else status.left_s
         at_most = left is None and limit is not None and rate > 0.0
         if at_most and limit is not None:
             left = max(0.0, (limit - len(objective)) / rate)
-        before = read.shares(np.array([nominal])) if nominal else []
         return LiveProgress(
             **{name: getattr(status, name) for name in OF_JOB},
             label=request.name,
@@ -187,24 +140,29 @@ class ProgressReader:
             experiments=len(ids),
             unknowns=list(request.space.labels),
             unit=request.made_error.unit,
-            stage=read.stage,
+            stage=live.stage,
             evaluations=len(objective),
             most=limit,
             rate=rate,
             left_s=left,
             at_most=at_most,
             best=min(filter(math.isfinite, objective), default=None),
-            start=next(filter(math.isfinite, before), None),
+            start=start if math.isfinite(start) else None,
             stored=stored,
-            command=command_of(options_of(request, ids, self._project.folder)),
-            objective=[*objective],
+            command=command_of({**plan.asked, "project": self._project.folder}),
+            objective=objective,
             singles=[
-                Residual(id=own, key=key, before=start, after=read.alone[k])
-                for k, (own, key, start) in enumerate(zip_longest(ids, read.keys, nominal))
-                if k in read.alone
+                Residual(id=ids[k], key=plan.targets[k].key, before=search.nominal[k], after=error)
+                for one in live.found
+                if one.how == FitKind.ALONE
+                for k, error in zip(one.members, one.errors, strict=True)
             ],
         )
 
-    def _folders(self) -> dict[str, Path]:
-        every = jobs.job_folders(self._project.folder).items()
-        return {name: folder for name, folder in every if files.made_by(folder, MAKER)}
+
+def _limit(request: CalibrationRequest) -> int | None:
+    """Return the maximum number of evaluations; None without one."""
+    if request.least_squares is not None or request.mode == "each":
+        return None
+    limit: int | None = request.max_evaluations or request.made_optimiser.limit
+    return limit

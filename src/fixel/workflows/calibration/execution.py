@@ -14,19 +14,19 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Final, final
 
 from fixel.calibration.result import FitKind, ParameterSet, found_of
-from fixel.calibration.search import CalibrationSearch
+from fixel.calibration.search import VERDICTS, CalibrationSearch, CalibrationTask
 from fixel.calibration.target import Target, spread_sample, target_of, targets_of
 from fixel.calibration.usual_parameters import Space, default_unknowns, search_space
-from fixel.database.project import Project, check_known_names
+from fixel.database.project import SETTINGS, Project, check_known_names
 from fixel.database.store import Store
 from fixel.errors import FixelError, Interrupted, InvalidInput
 from fixel.formats.dakota_file import load_dakota
 from fixel.io.array_bytes import arrays_of
-from fixel.io.journal import Journal
+from fixel.io.journal import read_journal
 from fixel.jobs import folder as files
 from fixel.jobs.engine import LocalEngine
 from fixel.jobs.site import Site, load_site
-from fixel.jobs.work import JobProgress, Show, StopRequest, run_work, unframed
+from fixel.jobs.work import JobProgress, Round, Show, block_name, run_work, unframed
 from fixel.model import Experiment, Scene
 from fixel.model.selection import ExperimentQuery, parse_filter
 from fixel.model.space import ParameterSpace
@@ -37,15 +37,15 @@ from fixel.workflows import jobs
 from fixel.workflows.calibration.calibration import Calibration, Calibrations, collect
 from fixel.workflows.calibration.parameter_options import (
     fixed_unknowns,
+    options_of,
     read_space,
     searched_unknowns,
 )
 from fixel.workflows.calibration.plan import (
     CalibrationPlan,
     answer_bytes,
-    job_folder,
+    check_same,
     outcome_of,
-    prepare_folder,
     rounds,
 )
 from fixel.workflows.calibration.request import NamedOptions, named_options
@@ -54,7 +54,6 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
 ALONE: Final = "alone"  # stage and kind of questions that calibrate single experiments
-PROJECT_FILE: Final = "fixel.yaml"  # makes a folder a project
 
 
 def calibrate_in(
@@ -77,85 +76,111 @@ def run_plan(plan: CalibrationPlan, asked: SimpleNamespace) -> Calibrations:
         with tempfile.TemporaryDirectory(prefix="fixel-") as temporary:
             return replace(_run_in_folder(plan, Path(temporary) / "job", asked), folder=None)
     given = Path(getattr(asked.store, "folder", asked.store))
-    if not (given / PROJECT_FILE).is_file():
+    if not (given / SETTINGS).is_file():
         return _run_in_folder(plan, given, asked)
     from fixel.workflows.calibration.stored import add_to_project
 
-    return add_to_project(Project(given), _run_in_folder(plan, job_folder(given, plan), asked))
+    project, keys = Project(given), [target.key for target in plan.targets]
+    if not plan.asked:
+        with project.store() as store:
+            plan = replace(plan, asked=options_of(plan.request, map(store.find, keys)))
+    folder = offered("methods", "prepare")(*_job(plan), project, plan.inputs)
+    return add_to_project(project, _run_in_folder(plan, folder, asked))
+
+
+def _job(plan: CalibrationPlan) -> tuple[Any, BaseModel]:
+    """Return the capability and the request of the job of a plan."""
+    capability = offered("capability", "calibrate")
+    return capability, capability.request(plan.asked or options_of(plan.request, ()))
+
+
+@final
+class LiveSearch:
+    """Search of a calibration with what it has found so far, here or in the journal of its job."""
+
+    def __init__(self, plan: CalibrationPlan, task: CalibrationTask) -> None:
+        self.plan, self.task, self.search = plan, task, CalibrationSearch(task)
+        self.work = rounds(self.search.steps())
+        self.stage, self.n_read = "", 0  # part that was read last; blocks of the journal
+        self._round: Round | None = None
+        self._alone: list[bytes] = []  # answers of chunks that calibrated single experiments
+
+    def answer(self, _: Path, payload: bytes) -> bytes:
+        """Return the answer of a chunk."""
+        answer = answer_bytes(self.task, payload)
+        if arrays_of(payload)["kind"].item() == ALONE:
+            self._alone.append(answer)
+        return answer
+
+    def read(self, journal: Path) -> None:
+        """Continue with the answers in a journal, up to the verdicts."""
+        blocks = dict(read_journal(journal))
+        self.n_read = len(blocks)
+        with suppress(StopIteration, FixelError):  # it has ended
+            while self.stage != VERDICTS:
+                self._round = now = self._round or next(self.work)
+                names = {block_name(now.function, chunk): chunk.name for chunk in now.chunks}
+                known = {names[own]: unframed(blocks[own]) for own in names if own in blocks}
+                self.stage = now.chunks[0].name.rpartition("/")[0] if known else self.stage
+                if self.stage == ALONE:
+                    self._alone = [own for own in known.values() if isinstance(own, bytes)]
+                if len(known) < len(names):
+                    break
+                self._round = self.work.send(known)
+
+    @property
+    def found(self) -> list[ParameterSet]:
+        """Complete sets of parameters."""
+        every = (one for own in self._alone for one in found_of(arrays_of(own)))
+        return [*self.search.found] or sorted(every, key=lambda one: one.members)
+
+    @property
+    def best(self) -> Calibration | Calibrations | None:
+        """What an interrupted calibration has found; None if there is nothing yet."""
+        search, found = self.search, self.found
+        if math.isfinite(search.best.error) and all(one.how != FitKind.DIRECT for one in found):
+            own: dict[str, Any] = {"members": tuple(search.members), "point": search.best.point}
+            own |= {"errors": search.comparer.errors_at(own["point"]), "trace": search.trace()}
+            found.append(ParameterSet(how=FitKind.DIRECT, **own))
+        if not found:
+            return None
+        run = Calibrations(**vars(self.plan), outcome=search.result(found), interrupted=True)
+        return run[-1] if self.plan.request.mode == "joint" else run
 
 
 def _run_here(plan: CalibrationPlan, asked: SimpleNamespace) -> Calibrations:
-    task, alone = plan.task(asked.threads), list[bytes]()
-    search = CalibrationSearch(task)
-
-    def call(_: Path, payload: bytes) -> bytes:
-        answer = answer_bytes(task, payload)
-        if arrays_of(payload)["kind"].item() == ALONE:
-            alone.append(answer)
-        return answer
-
+    live = LiveSearch(plan, plan.task(asked.threads))
     with show_progress(asked.progress, "searching") as report:
-        show, work = _reporting(report), rounds(search.steps())
+        show = _reporting(report)
         try:
-            result = run_work(work, LocalEngine(call), Path(), None, progress=show)
+            result = run_work(live.work, LocalEngine(live.answer), Path(), None, progress=show)
         except KeyboardInterrupt:
-            hint = "with store='FOLDER' the same call would continue"
-            raise Interrupted(_best_so_far(plan, search, alone), hint) from None
+            raise Interrupted(
+                live.best, "with store='FOLDER' the same call would continue"
+            ) from None
     return Calibrations(**vars(plan), outcome=outcome_of(result))
 
 
 def _run_in_folder(plan: CalibrationPlan, folder: Path, asked: SimpleNamespace) -> Calibrations:
     """Run or continue a calibration in a folder."""
-    prepare_folder(plan, folder)
+    check_same(plan, folder)
+    offered("methods", "prepare_in")(folder, *_job(plan), plan.inputs)
     if jobs.status_of(folder).state == "done":
         return collect(plan, folder)
     site = asked.site if isinstance(asked.site, Site | None) else load_site(Path(asked.site))
     count = None if site is not None and not asked.workers else asked.workers
-    local = None
-    if not jobs.arrange(folder, workers=count, site=site).workers:
-        task = plan.task(asked.threads)
-        local = LocalEngine(lambda _, payload: answer_bytes(task, payload))
+    here = not jobs.arrange(folder, workers=count, site=site).workers
+    live = LiveSearch(plan, plan.task(asked.threads))
+    local = LocalEngine(live.answer) if here else None
     with show_progress(asked.progress, "searching") as report:
         try:
             jobs.run_here(folder, _reporting(report), local=local)
         except KeyboardInterrupt:
+            live.read(folder / files.JOURNAL)
             again = f"fixel jobs resume {shlex.quote(str(folder))}"
             hint = f"the same call with this store continues, or: {again}"
-            raise Interrupted(_best_in(plan, folder), hint) from None
+            raise Interrupted(live.best, hint) from None
     return collect(plan, folder)
-
-
-def _best_in(plan: CalibrationPlan, folder: Path) -> Calibration | Calibrations | None:
-    """Return what is in the journal of an interrupted calibration."""
-    search, alone = CalibrationSearch(plan.task()), list[bytes]()
-    with suppress(StopRequest, FixelError), Journal(folder / files.JOURNAL) as journal:
-        blocks = [journal.get(name) or b"" for name in journal if name.startswith(f"{ALONE}/")]
-        alone = [own for own in map(unframed, blocks) if isinstance(own, bytes)]
-        # It ends where the journal ends.
-        run_work(rounds(search.steps()), LocalEngine(), folder, journal, stop=lambda: True)
-    return _best_so_far(plan, search, alone)
-
-
-def _best_so_far(
-    plan: CalibrationPlan, search: CalibrationSearch, alone: Sequence[bytes]
-) -> Calibration | Calibrations | None:
-    """Return what an interrupted calibration has found; None if there is nothing yet.
-
-    `alone` are the answers of the chunks that calibrated single experiments.
-    """
-    comparer = search.comparer
-    single = (one for own in alone for one in found_of(arrays_of(own)))
-    found = [*search.found] or sorted(single, key=lambda one: one.members)
-    if not search.found and math.isfinite(search.best.error):
-        point, trace = search.best.point, search.trace()
-        own: dict[str, Any] = {"members": tuple(search.members), "point": point, "trace": trace}
-        own["errors"] = comparer.errors_at(point)
-        found.append(ParameterSet(how=FitKind.DIRECT, **own))
-    if not found:
-        return None
-    outcome = search.result(comparer.errors_at(comparer.space.nominal), found)
-    run = Calibrations(**vars(plan), outcome=outcome, interrupted=True)
-    return run[-1] if plan.request.mode == "joint" else run
 
 
 def _reporting(report: Reporter) -> Show:
@@ -265,7 +290,7 @@ def plan_in_project(project: Project, request: BaseModel) -> CalibrationPlan:
         asked.stored = stored_points(project, search_space(space, targets_of(chosen)))
         asked.verdicts = False
     get_ready(chosen.targets[0].case.scene)  # before the clock runs
-    plain = request.model_dump(mode="json") | {"project": str(project.folder)}
+    plain = request.model_dump(mode="json")
     return replace(CalibrationPlan.of(mode, chosen, space, asked), asked=plain)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from inspect import signature
 from pathlib import Path
@@ -132,8 +132,8 @@ def _entry(written: str, entry: Any, path: Path) -> Unknown:
 # --- options of a stored request ----------------------------------------------------------------
 
 
-def options_of(request: CalibrationRequest, ids: Sequence[int], project: Path) -> dict[str, Any]:
-    """Return the options of the command that repeats a calibration of experiments of a project.
+def options_of(request: CalibrationRequest, experiments: Iterable[int | str]) -> dict[str, Any]:
+    """Return the options of the command that repeats a calibration of experiments.
 
     Its parameters must not be restricted to conditions, which needs a file.
     """
@@ -144,14 +144,14 @@ def options_of(request: CalibrationRequest, ids: Sequence[int], project: Path) -
     own |= {
         **request.error.options,
         "space": None,  # stated by the next two
-        "experiments": [str(number) for number in ids],
+        "experiments": [*map(str, experiments)],
         "fit": [f"{u.name}={u.low:.9g}:{u.high:.9g}:{u.nominal:.9g}" for u in free],
         "fixed": [f"{u.name}={u.nominal:.9g}" for u in request.unknowns if u.frozen],
         "option": [f"{name}={value}" for name, value in request.optimiser.options.items()],
     }
     known = {k: v for k, v in own.items() if k in capability.options and v is not None}
     plain: dict[str, Any] = capability.request(known).model_dump(mode="json")
-    return plain | {"project": str(project.resolve())}
+    return plain
 
 
 def call_of(request: CalibrationRequest, source: str) -> str:
@@ -204,7 +204,7 @@ def enlarged_command(options: Mapping[str, Any], request: CalibrationRequest) ->
     replaced = known & {*IDEAL}
     more = [*([PRESSURE] if replaced else []), *(() if known & {*CENTRE} else CENTRE)]
     # A file defines the parameters completely, so that no other can be added.
-    if not options or not more or options.get("space") or options.get("dakota"):
+    if "project" not in options or not more or options.get("space") or options.get("dakota"):
         return ""
     fit = options.get("fit") or [u.name for u in request.unknowns if not u.frozen]
     own = {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import hashlib
 import json
 import time
 from collections.abc import Generator, Iterable, Mapping, Sequence
@@ -19,7 +18,6 @@ from fixel.calibration.joint import draw_joint, linear_fit
 from fixel.calibration.objective import Comparer
 from fixel.calibration.result import CalibrationResult, found_arrays, found_of, json_array, json_of
 from fixel.calibration.search import (
-    CalibrationSearch,
     CalibrationTask,
     PartAnswer,
     Question,
@@ -40,7 +38,6 @@ from fixel.kernels import codes
 from fixel.model import Experiment, Scene
 from fixel.registry import offered
 from fixel.simulation.motion import stated_name
-from fixel.simulation.trust import remember
 from fixel.uncertainty.predictive import DRAWS, LEAST, check_predictions, predictive_of
 from fixel.workflows import jobs
 from fixel.workflows.calibration.request import (
@@ -52,12 +49,10 @@ from fixel.workflows.calibration.request import (
 )
 
 if TYPE_CHECKING:
-    from fixel.database.project import Project
-    from fixel.model.records import CalibrationRecord
+    pass
 
 REQUEST: Final = "request.json"
-LEFT_OUT: Final = "left_out.json"  # skipped experiments with reasons
-MAKER: Final = "calibration:calibration_work"
+ABOUT: Final = "about.json"  # fields of the plan that no result depends on
 PREFLIGHT: Final = 16  # experiments that are simulated before any work starts
 JAMMED: Final = codes.STATUS_NAMES[codes.JAMMED]
 
@@ -130,6 +125,13 @@ class CalibrationPlan:
         names = {field.name for field in fields(CalibrationTask)} - {*own}
         return CalibrationTask(**own, **{name: getattr(request, name) for name in names})
 
+    @property
+    def inputs(self) -> dict[str, bytes]:
+        """Files of its job, by name."""
+        about = {"source": self.source, "left_out": dict(self.left_out)}
+        own = {REQUEST: self.request.model_dump_json(), ABOUT: json.dumps(about)}
+        return target_files(self.targets) | {name: text.encode() for name, text in own.items()}
+
     def rehearse(self, threads: int | None = None) -> Self:
         """Simulate a few experiments, and all that may jam, with the start values.
 
@@ -170,61 +172,29 @@ def may_jam(scene: Scene) -> bool:
 # --- folders of jobs ----------------------------------------------------------------------------
 
 
-def job_folder(project: Path, plan: CalibrationPlan) -> Path:
-    """Return the folder of a calibration in the folder of a project; one for each calibration."""
-    digest = hashlib.sha256()
-    for name, content in sorted(_inputs(plan).items()):
-        digest.update(name.encode() + b"\0" + hashlib.sha256(content).digest())
-    return project / jobs.JOBS / f"{plan.request.name}-{digest.hexdigest()[:10]}"
-
-
-def job_of(project: Project, record: CalibrationRecord) -> Path:
-    """Return the folder of the job of a calibration; that of all jobs for another folder's name.
-
-    A record may come from elsewhere, so that its name must not lead out of the project.
-    """
-    name = str(record.method.get("job", ""))
-    return project.folder / jobs.JOBS / ("" if name == ".." or Path(name).name != name else name)
-
-
-def prepare_folder(plan: CalibrationPlan, folder: Path) -> None:
-    """Make the job of a calibration in a folder, if it is not there.
-
-    If the folder belongs to another calibration, the error names the difference.
-    """
+def check_same(plan: CalibrationPlan, folder: Path) -> None:
+    """Raise if a folder has a job of another calibration, naming the first difference."""
     if not (folder / "job.json").is_file():
-        remember(plan.request.motion)  # for the processes of the job
-        jobs.prepare_job(folder, maker=MAKER, inputs=_inputs(plan))
-    else:
-        _check_same(plan, folder)
-
-
-def _inputs(plan: CalibrationPlan) -> dict[str, bytes]:
-    skipped = {LEFT_OUT: json.dumps(dict(plan.left_out)).encode()} if plan.left_out else {}
-    request = {REQUEST: plan.request.model_dump_json().encode()}
-    return target_files(plan.targets) | request | skipped
-
-
-def _check_same(plan: CalibrationPlan, folder: Path) -> None:
-    """Raise if a folder belongs to another calibration, naming the first difference."""
-    found, now = "another job", ""
-    if files.made_by(folder, MAKER):
-        own, before, files_of = plan.request, request_of(folder), target_files(plan.targets)
-        fields = CalibrationRequest.model_fields
-        name = next((k for k in fields if getattr(own, k) != getattr(before, k)), "")
-        if name:
+        return
+    if jobs.capability_of(folder) != "calibrate":
+        raise other_call(folder, "another job, or one of an earlier version")
+    own, before, files_of = plan.request, request_of(folder), target_files(plan.targets)
+    for name in CalibrationRequest.model_fields:
+        if getattr(own, name) != getattr(before, name):
             word = {"unknowns": "parameters", "mode": "function"}.get(name, name.replace("_", " "))
-            found = f"a calibration with another {word}: {_plain(getattr(before, name))}"
-            now = f", which has {_plain(getattr(own, name))} now"
-        elif files_of != {k: (folder / "inputs" / k).read_bytes() for k in files_of}:
-            found = "a calibration of other experiments"
-        else:
-            return
-    raise InvalidInput(
+            old, now = (_plain(getattr(request, name)) for request in (before, own))
+            raise other_call(folder, f"a call with another {word}: {old}", f", which has {now} now")
+    if files_of != {k: (folder / "inputs" / k).read_bytes() for k in files_of}:
+        raise other_call(folder, "a call with other experiments")
+
+
+def other_call(folder: Path, found: str, now: str = "") -> InvalidInput:
+    """Return the error for a folder of finished results that belongs to another call."""
+    return InvalidInput(
         "store",
         found=f"{folder}, which belongs to {found}",
         expected=f"the same call again{now}",
-        hint="give this calibration a folder of its own",
+        hint="give this call a folder of its own",
     )
 
 
@@ -239,12 +209,16 @@ def _plain(value: Any) -> str:
 
 def plan_in(folder: Path) -> CalibrationPlan:
     """Load the plan of a calibration from the folder of its job."""
-    path, left_out = folder / "inputs" / LEFT_OUT, {}
-    if path.is_file():
-        with readable(path, f"delete the folder {folder}"):
-            left_out = {str(k): str(v) for k, v in json.loads(path.read_bytes()).items()}
-    targets = read_targets(folder / "inputs")
-    return CalibrationPlan(request=request_of(folder), targets=targets, left_out=left_out)
+    path, request = folder / "inputs" / ABOUT, request_of(folder)
+    with readable(path, f"delete the folder {folder}"):
+        about = json.loads(path.read_bytes())
+        return CalibrationPlan(
+            request=request,
+            targets=read_targets(folder / "inputs"),
+            source=str(about["source"]),
+            asked=dict(files.read_job(folder).options["request"]),
+            left_out={str(key): str(reason) for key, reason in about["left_out"].items()},
+        )
 
 
 def request_of(folder: Path) -> CalibrationRequest:
@@ -255,12 +229,6 @@ def request_of(folder: Path) -> CalibrationRequest:
 
 
 # --- rounds of chunks ---------------------------------------------------------------------------
-
-
-@callable_by_jobs
-def calibration_work(inputs: Path, options: Mapping[str, Any]) -> Work:
-    """Return the rounds of the calibration that is described in a folder of inputs."""
-    return rounds(CalibrationSearch(_load_task(inputs)).steps())
 
 
 def rounds(steps: Steps[CalibrationResult]) -> Work:
@@ -283,7 +251,7 @@ def rounds(steps: Steps[CalibrationResult]) -> Work:
 @callable_by_jobs
 def answer_part(inputs: Path, payload: bytes) -> bytes:
     """Chunk: answer to a part of a question."""
-    return answer_bytes(_load_task(inputs), payload)
+    return answer_bytes(load_task(inputs), payload)
 
 
 def answer_bytes(task: CalibrationTask, payload: bytes) -> bytes:
@@ -309,7 +277,7 @@ def _ends(task: CalibrationTask, rows: Rows) -> dict[str, Any]:
 ANSWERS: Final = {**search.ANSWERS, "ends": _ends}
 
 
-def _load_task(inputs: Path) -> CalibrationTask:
+def load_task(inputs: Path) -> CalibrationTask:
     """Load the task of a job; cached, since a process answers many chunks."""
     return _read(inputs.resolve(), (inputs / REQUEST).stat().st_mtime_ns)
 

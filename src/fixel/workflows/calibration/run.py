@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from inspect import signature
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,6 +14,8 @@ from fixel.capability.usual import Dataset, Fit, Flagged, Level, NoiseOption, Se
 
 if TYPE_CHECKING:
     from os import PathLike
+
+    from pydantic import BaseModel
 
     from fixel.calibration.objective import AbstractError
     from fixel.calibration.optimiser import AbstractOptimiser
@@ -300,14 +302,16 @@ def calibrate_in_project(
     return run_plan(plan_in_project(project, request), SimpleNamespace(**asked))
 
 
-def _prepare(project: Project, **options: Any) -> Path:
+def _inputs(project: Project, request: BaseModel) -> dict[str, bytes]:
     from fixel.workflows.calibration.execution import plan_in_project
-    from fixel.workflows.calibration.plan import job_folder, prepare_folder
 
-    plan = plan_in_project(project, CALIBRATE.asked(locals()))
-    folder = job_folder(project.folder, plan)
-    prepare_folder(plan, folder)
-    return folder
+    return plan_in_project(project, request).inputs
+
+
+def _rounds(*place: Any, **options: Any) -> Iterator[Any]:
+    from fixel.workflows.calibration.stored import stored_rounds
+
+    return stored_rounds(*place, **options)
 
 
 CALIBRATE: Final = Capability(
@@ -315,6 +319,7 @@ CALIBRATE: Final = Capability(
     function=calibrate_in_project,
     of=calibrate,
     leave_out=("experiments", "parameters", "start", "store"),
-    prepare=_prepare,
+    rounds=_rounds,
+    inputs=_inputs,
     on_table=True,
 )

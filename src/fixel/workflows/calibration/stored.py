@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -19,15 +19,14 @@ import numpy as np
 from fixel.calibration.known_pushes import KnownPushes
 from fixel.calibration.objective import ERRORS, AbstractError, MeanSquare, root_mean
 from fixel.calibration.result import CalibrationResult, FitKind, ParameterSet, set_content, set_of
+from fixel.calibration.search import CalibrationSearch
 from fixel.calibration.study import Trace
 from fixel.calibration.target import Target, target_of
-from fixel.database.project import DATABASE, SETTINGS, Project
+from fixel.database.project import DATABASE, Project
 from fixel.database.store import Store
-from fixel.errors import InvalidInput, StoreRefused
-from fixel.io.atomic import written_whole
+from fixel.errors import InvalidInput, NotStored, StoreRefused
 from fixel.io.damaged_files import INVALID_CONTENT, readable
-from fixel.io.lock import FileLock
-from fixel.jobs import folder as files
+from fixel.jobs.work import Answers, Round
 from fixel.model import Experiment, LoadMap, Parameters, Provenance, Scene
 from fixel.model.parameters import is_parameter
 from fixel.model.records import CalibrationRecord, Evaluations, Member
@@ -43,10 +42,15 @@ from fixel.workflows.calibration.parameter_options import (
     options_of,
     searched_unknowns,
 )
-from fixel.workflows.calibration.plan import REQUEST, job_of, outcome_bytes, plan_in, request_of
+from fixel.workflows.calibration.plan import (
+    load_task,
+    outcome_bytes,
+    outcome_of,
+    plan_in,
+    rounds,
+)
 from fixel.workflows.calibration.request import NAMED, CalibrationRequest, NamedOptions
 
-STORED: Final = "stored.json"  # ids of the calibrations of a job, once they are stored
 RUN: Final = "run"  # in the method of a record: checksum that all calibrations of a run share
 EARLIER: Final = {"faulty": "flagged"}  # names of options in records of earlier versions
 SEARCHED: Final = "unknowns"  # in the method of earlier records: the parameters, as JSON
@@ -169,16 +173,13 @@ def searched_space(
 ) -> ParameterSpace:
     """Return the bounds that a calibration searched, with its result as the start.
 
-    Calibrations stored by earlier versions have the bounds in their job folder only. If it is
-    gone, the usual bounds of their parameters are returned.
+    Of calibrations that earlier versions stored without bounds, the usual bounds of their
+    parameters are returned.
     """
-    record, folder = one.record, job_of(project, one.record)
-    found = record.best_fit
+    record, found = one.record, one.record.best_fit
     if record.request is not None or SEARCHED in record.method:
         with readable(project.folder / DATABASE):
             space = request_in(record).space
-    elif (folder / "inputs" / REQUEST).is_file():
-        space = request_of(folder).space
     else:
         space = _usual_space(one, found, scenes)
     start = zip(space.labels, space.nominal.tolist(), strict=True)
@@ -231,8 +232,8 @@ def _usual_space(
         if where:
             raise InvalidInput(
                 f"calibration {one.id}",
-                found=f"no job folder, and {label}, which only some experiments share",
-                expected="the job folder, which has the conditions and bounds",
+                found=f"no bounds of {label}, which only some experiments share",
+                expected="one with conditions and bounds",
                 hint="calibrate again, or name the parameters",
             )
         (unknown,) = searched_unknowns([name], scenes)
@@ -253,51 +254,47 @@ def add_to_project(
 ) -> Calibration | Calibrations:
     """Store the calibrations of a run in a project that has its experiments; return them with ids.
 
-    Of a calibration, all of its run are stored. Those of a job are stored once.
+    Of a calibration, all of its run are stored; those that are known already are not stored again.
     """
     run = found.run if isinstance(found, Calibration) else found
     with project.store() as store:
         experiments = [store.find(key) for key in run.outcome.keys]
-        asked = run.asked or options_of(run.request, experiments, project.folder)
+        asked = dict(run.asked or options_of(run.request, experiments))
+        asked["project"] = str(project.folder.resolve())
         run = replace(run, asked=asked, command=run.command or command_of(asked))
-        if run.folder is None:
-            ids = [store.add_calibration(record) for record in _records(run, experiments)]
-        else:
-            ids = _stored_once(store, run, experiments, run.folder)
+        known = {_mark(own): k for k, own in store.calibration_summaries().items()}
+        records = _records(run, experiments)
+        ids = [known.get(_mark(own)) or store.add_calibration(own) for own in records]
     stored = replace(run, ids=tuple(ids))
     return stored[found.number] if isinstance(found, Calibration) else stored
 
 
 def collected(project: Project, folder: Path) -> Calibrations:
-    """Return the calibrations of a finished job in a project; store them if necessary.
-
-    It raises `JobRefused` while another process stores them.
-    """
+    """Return the calibrations of a finished job in a project; store them if necessary."""
     return add_to_project(project, collect(plan_in(folder), folder))
 
 
-def store_result(folder: Path) -> None:
-    """Store the result of a finished job in the project that contains its folder, if one does.
-
-    The process may be killed at any moment: the next one that inspects the job does the rest.
-    """
-    place = folder.resolve().parents[1]
-    if (place / SETTINGS).is_file():
-        collected(Project(place), folder)
+def stored_rounds(
+    project: Project | None, *, inputs: Path, **_: Any
+) -> Generator[Round, Answers, bytes]:
+    """Calibrate in rounds of chunks; store the result in the project, if there is one."""
+    result = yield from rounds(CalibrationSearch(load_task(inputs)).steps())
+    if project is not None:
+        plan, folder = plan_in(inputs.parent), inputs.parent
+        with suppress(NotStored):  # a job of another project, whose experiments this one lacks
+            add_to_project(
+                project, Calibrations(**vars(plan), outcome=outcome_of(result), folder=folder)
+            )
+    return result
 
 
 def stored_in_run(project: Project, number: int, record: CalibrationRecord) -> Calibration | None:
     """Load a stored calibration with all others of its run.
 
-    There is none if an earlier version stored it and the folder of its job is gone.
+    There is none if an earlier version stored it without its request.
     """
     if record.request is None:
-        folder = job_of(project, record)
-        if not ((folder / files.RESULT).is_file() and (folder / STORED).is_file()):
-            return None
-        run = collect(plan_in(folder), folder)
-        run = add_to_project(project, replace(run, command=record.provenance.command))
-        return run.stored_as(number)
+        return None
     with project.store() as store:
         summaries = store.calibration_summaries().items()
         own = [k for k, other in summaries if other.method.get(RUN) == record.method.get(RUN)]
@@ -310,7 +307,7 @@ def stored_calibration(project: Project, number: int) -> Calibration:
     """Load a stored calibration.
 
     It equals the one that was stored, if its run has no other; else it is the only one of its run.
-    If an earlier version stored it and its job is gone, the level of its intervals, its noise and
+    If an earlier version stored it without its request, the level of its intervals, its noise and
     its profiles are unknown.
     """
     with project.store() as store:
@@ -413,39 +410,18 @@ def list_calibrations(project: Project) -> Table:
     return Table(("id", "calibration", "experiments", error_column, "verdicts"), rows, left=2)
 
 
-def stored_ids(folder: Path) -> list[int]:
-    """Load the ids of the calibrations that a job has stored so far."""
-    path = folder / STORED
-    if not path.is_file():
-        return []
-    with readable(path):
-        return [int(number) for number in json.loads(path.read_text())]
-
-
-def _stored_once(
-    store: Store, run: Calibrations, experiments: Sequence[int], folder: Path
-) -> list[int]:
-    """Store what a job found; return the ids, those of an earlier call if it is stored."""
-    path = folder / STORED
-    known = stored_ids(folder)
-    if len(known) == len(run):
-        return known
-    # A page and a command may see the end of a job at the same moment.
-    with FileLock(folder / f"{STORED}.lock", f"the result of {folder}"):
-        known = stored_ids(folder)
-        # One after the other, each noted at once: a crash between costs one doubled record at most.
-        for record in list(_records(run, experiments))[len(known) :]:
-            known.append(store.add_calibration(record))
-            with written_whole(path) as temporary:
-                temporary.write_text(json.dumps(known))
-    return known
+def _mark(record: CalibrationRecord) -> tuple[object, ...]:
+    """Return what a record of a run, however often it is computed, has alone in a project."""
+    members = tuple(member.experiment_id for member in record.members)
+    return record.method.get(RUN), record.method.get("how"), members
 
 
 def _records(run: Calibrations, experiments: Sequence[int]) -> Iterator[CalibrationRecord]:
     """Yield the record of each calibration of a run."""
     request, outcome, unit = run.request, run.outcome, run.request.made_error.unit
-    plain = request.model_dump_json()
-    checksum = hashlib.sha256(plain.encode() + outcome_bytes(outcome)).hexdigest()[:16]
+    plain, found = request.model_dump_json(), [replace(one, seconds=0.0) for one in outcome.found]
+    same = outcome_bytes(replace(outcome, found=tuple(found)))  # however long it took
+    checksum = hashlib.sha256(plain.encode() + same).hexdigest()[:16]
     for place, fit in enumerate(run):
         one, trace = fit.found, fit.found.trace
         # Values that all members share; the others are among the estimates.

@@ -29,6 +29,7 @@ from fixel.simulation.trust import permit
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration
 from fixel.workflows.calibration.parameter_options import searched_unknowns
+from fixel.workflows.calibration.plan import other_call
 from fixel.workflows.calibration.request import target_files
 from fixel.workflows.calibration.stored import CalibratedValues, load_values, searched_space
 
@@ -170,28 +171,20 @@ def fit_store(
     own = _arguments(targets, model, apart)
     path = folder / CALL
     if (folder / JOB).is_file():
-        raise InvalidInput("store", found=f"a job in {folder}", expected="a new folder")
+        raise other_call(folder, "a job")
     if path.is_file():
         with readable(path, f"delete the folder {folder}"):
             before = dict(json.loads(path.read_text(encoding="utf-8")))
         for name, now in own.items():
             if before.get(name) != now:
-                raise _other(folder, name, str(before.get(name)), now)
+                if name == "experiments":
+                    raise other_call(folder, "a call with other experiments")
+                found = f"a call with another {name}: {before.get(name)}"
+                raise other_call(folder, found, f", which has {now} now")
         return ResultCache(folder).get
     cache = ResultCache(folder)
     write_whole(path, json.dumps(own, indent=1))
     return cache.get
-
-
-def _other(folder: Path, name: str, before: str, now: str) -> InvalidInput:
-    many = name == "experiments"
-    return InvalidInput(
-        "store",
-        found=f"{folder}, which belongs to a call with "
-        + ("other experiments" if many else f"another {name}: {before}"),
-        expected="the same call again" + ("" if many else f", which has {now} now"),
-        hint="give this call a folder of its own",
-    )
 
 
 def _arguments(targets: Sequence[Target], model: CalibrationModel, apart: Apart) -> dict[str, str]:
