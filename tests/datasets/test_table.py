@@ -205,3 +205,23 @@ def test_wrong_options_are_refused(tmp_path: Path) -> None:
         plan_of(tmp_path, "t_s,x,y\n0,0,0\n", length_unit="ell")
     with pytest.raises(InvalidInput, match="option name"):
         plan_of(tmp_path, "t_s,x_m,y_m\n0,0,0\n", name=3)
+
+
+def test_inches_next_to_millimetres_are_inches(tmp_path: Path) -> None:
+    text = "time_s,x_in,y_in,pusher_x_mm,pusher_y_mm\n0,2,1,0,0\n1,3,1,1,0\n"
+    experiment = experiment_of(tmp_path, text)
+
+    assert experiment.trajectory.x == pytest.approx([0.0508, 0.0762])
+    assert experiment.trajectory.y == pytest.approx([0.0254, 0.0254])
+    assert [flag.name for flag in experiment.flags] == ["guessed-units", "no-angle"]
+
+
+@pytest.mark.parametrize("title", ["x [px]", "x_px", "X (pix)"])
+def test_pixels_are_no_lengths(tmp_path: Path, title: str) -> None:
+    text = f"time_s,{title},y_mm,theta_deg\n0,200,1,0\n1,201,1,0\n"
+    with pytest.raises(InvalidInput, match="found pixels"):
+        plan_of(tmp_path, text)
+    known = experiment_of(tmp_path, text, length_unit="mm")
+    assert known.trajectory.x == pytest.approx([0.2, 0.201])
+    other = experiment_of(tmp_path, text.replace("theta_deg", "x_mm"))
+    assert other.trajectory.x == pytest.approx([0.0, 0.0])

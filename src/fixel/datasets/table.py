@@ -79,7 +79,7 @@ _ROLES: Final = _roles()
 
 # Larger values decide the unit if the header has none: no plate is 5 m wide, and an angle seldom
 # exceeds a turn.
-MAX_METRES, MAX_RADIANS = 5.0, 2.0 * math.pi + 0.1
+_LIMITS: Final = {"length": ("m", "mm", 5.0), "angle": ("rad", "deg", 2.0 * math.pi + 0.1)}
 # Readings come at more than one and less than a thousand per second: larger steps are milliseconds,
 # microseconds, nanoseconds.
 MAX_STEPS = (1.0, 1e3, 1e6)
@@ -326,7 +326,7 @@ def _experiment(
         conditions=conditions,
         flags=flags,
     )
-    return experiment, _understood(reading, experiment, time), reading.sure_of_angles
+    return experiment, tuple(_understood(reading, experiment, time)), reading.sure_of_angles
 
 
 # --- the header
@@ -458,7 +458,13 @@ def _name(wanted: ColumnUnit) -> str:
 
 
 def _guess(reading: _TableReading, kind: str, column: _TableColumn) -> tuple[str, str]:
-    """Guess the unit of a column; also return the reason."""
+    """Guess the unit of a column; also return the reason. Raise for pixels."""
+    ending = re.split(r"[\W_]+", column.title.lower().rstrip("]) "))[-1]
+    if ending == "in" and kind == "length":
+        return "inch", "lengths in inches often end so"
+    if ending in ("px", "pix"):
+        where = f"{reading.table.source}, column {column.title}"
+        raise InvalidInput(where, found="pixels", expected="lengths on the plane, or length_unit")
     siblings = {c.unit for r, c in reading.roles.items() if c.unit and _kind(r) == kind}
     if len(siblings) == 1:
         (sibling,) = siblings
@@ -473,9 +479,7 @@ def _guess(reading: _TableReading, kind: str, column: _TableColumn) -> tuple[str
     alike = [c for r, c in reading.roles.items() if _kind(r) == kind and c.unit is None]
     values = np.abs(np.concatenate([reading.numbers(c) for c in alike]))
     largest = float(np.nanmax(values)) if np.isfinite(values).any() else 0.0
-    small, large, limit = {"length": ("m", "mm", MAX_METRES), "angle": ("rad", "deg", MAX_RADIANS)}[
-        kind
-    ]
+    small, large, limit = _LIMITS[kind]
     return (large if largest > limit else small), f"values up to {largest:g}"
 
 
@@ -607,26 +611,20 @@ def _conditions(reading: _TableReading) -> dict[str, str | float]:
     return conditions
 
 
-def _understood(
-    reading: _TableReading, experiment: Experiment, time: FloatArray
-) -> tuple[str, ...]:
-    def lines() -> Iterator[str]:
-        rate = rate_of(time)
-        yield (
-            f"One experiment of {len(time)} rows at {rate:.4g} Hz over {time[-1]:.4g} s; its clock"
-            " starts at the first row."
-        )
-        for role, column in reading.roles.items():
-            assert column.unit is not None
-            unit = _name(column.unit)
-            si = UNITS[unit].si
-            into = f"{unit} to {si}" if unit != si else si
-            unwrapped = ", unwrapped" if role.endswith("theta") else ""
-            yield f"{column.title} is {role.replace('_', ' ')}, {into}{unwrapped}."
-        for channel in experiment.channels:
-            yield f"Channel {channel.name}: {', '.join(channel.columns)}."
-        yield from (f"Guess: {guess}" for guess in reading.guesses)
-        yield from reading.remarks
-        yield "Positions are those of the frame of the object."
-
-    return tuple(lines())
+def _understood(reading: _TableReading, experiment: Experiment, time: FloatArray) -> Iterator[str]:
+    rate = rate_of(time)
+    yield (
+        f"One experiment of {len(time)} rows at {rate:.4g} Hz over {time[-1]:.4g} s; its clock"
+        " starts at the first row."
+    )
+    for role, column in reading.roles.items():
+        assert column.unit is not None
+        unit, si = _name(column.unit), column.unit.si
+        into = f"{unit} to {si}" if unit != si else si
+        unwrapped = ", unwrapped" if role.endswith("theta") else ""
+        yield f"{column.title} is {role.replace('_', ' ')}, {into}{unwrapped}."
+    for channel in experiment.channels:
+        yield f"Channel {channel.name}: {', '.join(channel.columns)}."
+    yield from (f"Guess: {guess}" for guess in reading.guesses)
+    yield from reading.remarks
+    yield "Positions are those of the frame of the object."

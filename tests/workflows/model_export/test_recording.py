@@ -1,6 +1,7 @@
 """Recordings of motions, read back by the libraries of their formats and by geometry."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -127,6 +128,20 @@ def test_simulation_as_rerun(tmp_path: Path, simulation: fixel.Simulation) -> No
     for name, pose in simulation.pose.items():
         assert times[name] == pytest.approx(simulation.time, abs=1e-8)
         assert place[name][:, :2] == pytest.approx(pose[:, :2], abs=1e-6)  # float32
+
+
+def test_names_with_slashes_are_no_paths_in_rerun(
+    tmp_path: Path, simulation: fixel.Simulation
+) -> None:
+    # In rerun, world/part/2 would move with world/part.
+    pytest.importorskip("rerun")
+    chunks: Any = pytest.importorskip("rerun.chunk")
+    pusher = replace(simulation.scene.pushers[0], name="part/2, red")
+    run = fixel.simulate(replace(simulation.scene, pushers=(pusher,)))
+    done = fixel.export_model(run, tmp_path / "made", to="rerun")
+    stream = chunks.RrdReader(done.folder / "motion.rrd").stream()
+    places = {str(chunk.entity_path) for chunk in stream}
+    assert {"/world/part", r"/world/part\/2\,\ red"} <= places
 
 
 def test_other_targets_reject_motions(tmp_path: Path, simulation: fixel.Simulation) -> None:

@@ -168,18 +168,18 @@ def write_rerun(path: Path, found: list[BodyMotion]) -> None:
     recording = rerun.RecordingStream("fixel")
     recording.save(path)
     for body in found:
-        name, (x, y, angle), zero = f"world/{body.name}", body.pose.T, 0.0 * body.pose[:, 0]
+        name, (x, y, angle) = rerun.new_entity_path(["world", body.name]), body.pose.T
         recording.log(
             name,
             rerun.Mesh3D(vertex_positions=_corners(body), albedo_factor=_COLOURS[body.kind]),
             static=True,
         )
-        turn = np.column_stack((zero, zero, np.sin(angle / 2), np.cos(angle / 2)))
+        turn = np.column_stack((0.0 * x, 0.0 * x, np.sin(angle / 2), np.cos(angle / 2)))
         recording.send_columns(
             name,
             indexes=[rerun.TimeColumn("time", duration=body.time)],
             columns=rerun.Transform3D.columns(
-                translation=np.column_stack((x, y, zero)), quaternion=turn
+                translation=np.column_stack((x, y, 0.0 * x)), quaternion=turn
             ),
         )
     recording.flush()
