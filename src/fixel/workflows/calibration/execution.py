@@ -7,7 +7,7 @@ import math
 import shlex
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -30,7 +30,7 @@ from fixel.jobs.work import JobProgress, Round, Show, block_name, run_work, unfr
 from fixel.model import Experiment, Scene
 from fixel.model.selection import ExperimentQuery, parse_filter
 from fixel.model.space import ParameterSpace
-from fixel.progress import Progress, Reporter, show_progress
+from fixel.progress import Progress, show_progress
 from fixel.registry import offered
 from fixel.simulation.trust import permit
 from fixel.workflows import jobs
@@ -49,6 +49,7 @@ from fixel.workflows.calibration.plan import (
     rounds,
 )
 from fixel.workflows.calibration.request import NamedOptions, named_options
+from fixel.workflows.calibration.stored import add_to_project
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -75,12 +76,10 @@ def run_plan(plan: CalibrationPlan, asked: SimpleNamespace) -> Calibrations:
     if asked.store is None:
         with tempfile.TemporaryDirectory(prefix="fixel-") as temporary:
             return replace(_run_in_folder(plan, Path(temporary) / "job", asked), folder=None)
-    given = Path(getattr(asked.store, "folder", asked.store))
-    if not (given / SETTINGS).is_file():
-        return _run_in_folder(plan, given, asked)
-    from fixel.workflows.calibration.stored import add_to_project
-
-    project, keys = Project(given), [target.key for target in plan.targets]
+    place = Path(getattr(asked.store, "folder", asked.store))
+    if not (place / SETTINGS).is_file():
+        return _run_in_folder(plan, place, asked)
+    project, keys = Project(place), [target.key for target in plan.targets]
     if not plan.asked:
         with project.store() as store:
             plan = replace(plan, asked=options_of(plan.request, map(store.find, keys)))
@@ -150,14 +149,8 @@ class LiveSearch:
 
 def _run_here(plan: CalibrationPlan, asked: SimpleNamespace) -> Calibrations:
     live = LiveSearch(plan, plan.task(asked.threads))
-    with show_progress(asked.progress, "searching") as report:
-        show = _reporting(report)
-        try:
-            result = run_work(live.work, LocalEngine(live.answer), Path(), None, progress=show)
-        except KeyboardInterrupt:
-            raise Interrupted(
-                live.best, "with store='FOLDER' the same call would continue"
-            ) from None
+    with _watched(live, asked, "with store='FOLDER' the same call would continue") as show:
+        result = run_work(live.work, LocalEngine(live.answer), Path(), None, progress=show)
     return Calibrations(**vars(plan), outcome=outcome_of(result))
 
 
@@ -172,25 +165,30 @@ def _run_in_folder(plan: CalibrationPlan, folder: Path, asked: SimpleNamespace) 
     here = not jobs.arrange(folder, workers=count, site=site).workers
     live = LiveSearch(plan, plan.task(asked.threads))
     local = LocalEngine(live.answer) if here else None
-    with show_progress(asked.progress, "searching") as report:
-        try:
-            jobs.run_here(folder, _reporting(report), local=local)
-        except KeyboardInterrupt:
-            live.read(folder / files.JOURNAL)
-            again = f"fixel jobs resume {shlex.quote(str(folder))}"
-            hint = f"the same call with this store continues, or: {again}"
-            raise Interrupted(live.best, hint) from None
+    again = f"fixel jobs resume {shlex.quote(str(folder))}"
+    hint = f"the same call with this store continues, or: {again}"
+    with _watched(live, asked, hint, folder / files.JOURNAL) as show:
+        jobs.run_here(folder, show, local=local)
     return collect(plan, folder)
 
 
-def _reporting(report: Reporter) -> Show:
-    """Return a callback that reports the progress of rounds."""
+@contextmanager
+def _watched(
+    live: LiveSearch, asked: SimpleNamespace, hint: str, journal: Path | None = None
+) -> Iterator[Show]:
+    """Report the progress of rounds; after Ctrl-C raise `Interrupted` with what is found so far."""
+    with show_progress(asked.progress, "searching") as report:
 
-    def show(now: JobProgress) -> None:
-        total = None if now.share is None else now.total
-        report.show(Progress(now.note or report.stage, now.done, total, now.best, left=now.left_s))
+        def show(now: JobProgress) -> None:
+            total, note = None if now.share is None else now.total, now.note or report.stage
+            report.show(Progress(note, now.done, total, now.best, left=now.left_s))
 
-    return show
+        try:
+            yield show
+        except KeyboardInterrupt:
+            if journal is not None:
+                live.read(journal)
+            raise Interrupted(live.best, hint) from None
 
 
 # --- experiments of a project -------------------------------------------------------------------

@@ -178,13 +178,14 @@ def check_same(plan: CalibrationPlan, folder: Path) -> None:
         return
     if jobs.capability_of(folder) != "calibrate":
         raise other_call(folder, "another job, or one of an earlier version")
-    own, before, files_of = plan.request, request_of(folder), target_files(plan.targets)
+    before = plan_in(folder)
     for name in CalibrationRequest.model_fields:
-        if getattr(own, name) != getattr(before, name):
+        old, now = (getattr(own.request, name) for own in (before, plan))
+        if old != now:
             word = {"unknowns": "parameters", "mode": "function"}.get(name, name.replace("_", " "))
-            old, now = (_plain(getattr(request, name)) for request in (before, own))
-            raise other_call(folder, f"a call with another {word}: {old}", f", which has {now} now")
-    if files_of != {k: (folder / "inputs" / k).read_bytes() for k in files_of}:
+            found = f"a call with another {word}: {_plain(old)}"
+            raise other_call(folder, found, f", which has {_plain(now)} now")
+    if target_files(before.targets) != target_files(plan.targets):
         raise other_call(folder, "a call with other experiments")
 
 
@@ -209,23 +210,16 @@ def _plain(value: Any) -> str:
 
 def plan_in(folder: Path) -> CalibrationPlan:
     """Load the plan of a calibration from the folder of its job."""
-    path, request = folder / "inputs" / ABOUT, request_of(folder)
-    with readable(path, f"delete the folder {folder}"):
-        about = json.loads(path.read_bytes())
+    inputs = folder / "inputs"
+    with readable(inputs, f"delete the folder {folder}"):
+        about = json.loads((inputs / ABOUT).read_bytes())
         return CalibrationPlan(
-            request=request,
-            targets=read_targets(folder / "inputs"),
+            request=CalibrationRequest.model_validate_json((inputs / REQUEST).read_bytes()),
+            targets=read_targets(inputs),
             source=str(about["source"]),
             asked=dict(files.read_job(folder).options["request"]),
             left_out={str(key): str(reason) for key, reason in about["left_out"].items()},
         )
-
-
-def request_of(folder: Path) -> CalibrationRequest:
-    """Load the request of a calibration's job."""
-    path = folder / "inputs" / REQUEST
-    with readable(path, f"delete the folder {folder}"):
-        return CalibrationRequest.model_validate_json(path.read_bytes())
 
 
 # --- rounds of chunks ---------------------------------------------------------------------------
@@ -284,8 +278,7 @@ def load_task(inputs: Path) -> CalibrationTask:
 
 @functools.lru_cache(maxsize=2)
 def _read(inputs: Path, _: int) -> CalibrationTask:
-    request = CalibrationRequest.model_validate_json((inputs / REQUEST).read_bytes())
-    return CalibrationPlan(request=request, targets=read_targets(inputs)).task(threads())
+    return plan_in(inputs.parent).task(threads())
 
 
 def outcome_bytes(outcome: CalibrationResult) -> bytes:

@@ -311,9 +311,7 @@ def stored_calibration(project: Project, number: int) -> Calibration:
     its profiles are unknown.
     """
     with project.store() as store:
-        record = store.calibration(number)
-        fit = stored_in_run(project, number, record) if record.request is None else None
-        return _from_records(store, {number: record})[0] if fit is None else fit
+        return _from_records(store, {number: store.calibration(number)})[0]
 
 
 def _from_records(store: Store, records: Mapping[int, CalibrationRecord]) -> Calibrations:
