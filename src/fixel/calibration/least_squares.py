@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Final, Literal, NamedTuple, final, get_args
+from typing import Annotated, ClassVar, Final, Literal, NamedTuple, final, get_args
 
 import numpy as np
 
@@ -90,6 +90,7 @@ class LeastSquares:
     for the correction of derivatives.
     """
 
+    name: ClassVar[str] = "least-squares"
     loss: Loss = "squares"
     width: Size = 1.0
     starts: Count = 1

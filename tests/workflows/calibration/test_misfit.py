@@ -20,7 +20,6 @@ from fixel.web.views.live_comparison import LiveComparison
 from fixel.workflows.calibration.parameter_options import enlarged_command, searched_unknowns
 from fixel.workflows.calibration.report import pictures_of
 from fixel.workflows.calibration.request import (
-    LEAST_SQUARES,
     CalibrationRequest,
     NamedOptions,
 )
@@ -41,7 +40,7 @@ def found(tmp_path_factory):
     request = CalibrationRequest(
         mode="joint",
         unknowns=searched_unknowns(["mu_pusher", "tripod_radius_mm=20:75:40"], scenes),
-        optimiser=NamedOptions(name=LEAST_SQUARES),
+        optimiser=NamedOptions(name="least-squares"),
         motion="quasistatic",
     )
     return project, run.done(project, chosen, request, "")

@@ -11,6 +11,7 @@ from typing import Final, final
 import numpy as np
 from pydantic import Field
 
+from fixel.calibration.least_squares import LeastSquares
 from fixel.calibration.result import FitKind
 from fixel.database.project import Project
 from fixel.errors import FixelError, NotStored
@@ -162,7 +163,7 @@ class ProgressReader:
 
 def _limit(request: CalibrationRequest) -> int | None:
     """Return the maximum number of evaluations; None without one."""
-    if request.least_squares is not None or request.mode == "each":
+    search, most = request.made_search, request.max_evaluations
+    if isinstance(search, LeastSquares) or request.mode == "each":
         return None
-    limit: int | None = request.max_evaluations or request.made_optimiser.limit
-    return limit
+    return most or search.limit

@@ -36,11 +36,11 @@ from fixel.simulation.rollouts import RolloutCase
 from fixel.typing import FloatArray
 
 Error = TypeVar("Error", float, FloatArray)
-Method = TypeVar("Method")
+Search = AbstractOptimiser | LeastSquares
+Method = TypeVar("Method", bound=AbstractError | Search)
 
 AUTO: Final = "auto"
-LEAST_SQUARES: Final = "least-squares"
-PATTERN_SEARCH: Final = PatternSearch.name
+SEARCHES: Final[tuple[type[Search], ...]] = (LeastSquares, *OPTIMISERS)
 ENOUGH: Final = 10  # residuals an unknown, for least squares unless asked for another search
 TARGETS: Final = "targets.json"
 POSES: Final = "poses.npz"
@@ -98,7 +98,7 @@ def _fields() -> dict[str, Any]:
         "mode": (mode, "each"),
         "unknowns": (list[PlainUnknown], ...),
         "error": (NamedOptions, NamedOptions(name="mean-square")),
-        "optimiser": (NamedOptions, NamedOptions(name=PATTERN_SEARCH)),
+        "optimiser": (NamedOptions, NamedOptions(name=PatternSearch.name)),
         "noise_position": (float | None, None),
         "noise_angle": (float | None, None),
         "stored": (list[list[float]], []),
@@ -150,28 +150,19 @@ class CalibrationRequest(_Fields):
         return _made(ERRORS, self.error)
 
     @property
-    def made_optimiser(self) -> AbstractOptimiser:
-        """The search, from one start or several."""
-        made = _made(OPTIMISERS, self.optimiser)
-        return made if self.starts == 1 else MultiStart(optimiser=made, starts=self.starts)
-
-    @property
-    def least_squares(self) -> LeastSquares | None:
-        """The search by residuals, where that was asked for."""
-        if self.optimiser.name != LEAST_SQUARES:
-            return None
-        error = self.made_error
-        options: dict[str, Any] = dict(starts=self.starts)
-        if isinstance(error, Robust):
-            # Residuals are in millimetres.
-            options |= {"loss": "soft_l1", "width": 1e3 * error.distance}
-        search = NamedOptions(name=LEAST_SQUARES, options=options | self.optimiser.options)
-        return _made((LeastSquares,), search)
-
-    @property
-    def made_search(self) -> AbstractOptimiser | LeastSquares:
-        """The search, by errors or by residuals."""
-        return self.least_squares or self.made_optimiser
+    def made_search(self) -> Search:
+        """The search by errors or by residuals, from one start or several."""
+        choice, error = self.optimiser, self.made_error
+        if choice.name == LeastSquares.name:
+            options: dict[str, Any] = {"starts": self.starts}
+            if isinstance(error, Robust):
+                # Residuals are in millimetres.
+                options |= {"loss": "soft_l1", "width": 1e3 * error.distance}
+            choice = NamedOptions(name=choice.name, options=options | choice.options)
+        made = _made(SEARCHES, choice)
+        if self.starts == 1 or isinstance(made, LeastSquares):
+            return made
+        return MultiStart(optimiser=made, starts=self.starts)
 
     @property
     def sums_squares(self) -> bool:
@@ -191,7 +182,7 @@ class CalibrationRequest(_Fields):
         ends = self.error.name == EndPose.name
         n_residuals = 3 * sum(1 if ends else len(target.pose) for target in targets)
         enough = len(targets) > 1 and n_residuals >= ENOUGH * len(self.space.free)
-        name = LEAST_SQUARES if self.sums_squares and enough else PATTERN_SEARCH
+        name = (LeastSquares if self.sums_squares and enough else PatternSearch).name
         search = self.optimiser.model_copy(update={"name": name})
         return self.model_copy(update={"optimiser": search})
 
@@ -246,7 +237,7 @@ class CalibrationRequest(_Fields):
             raise InvalidInput("budget", found=f"mode {self.mode}", expected="mode joint")
         if isinstance(self.made_search, LeastSquares) and not self.sums_squares:
             raise InvalidInput(
-                f"optimiser {LEAST_SQUARES}",
+                f"optimiser {LeastSquares.name}",
                 found=f"mode {self.mode}, combine {self.combine}, error {self.error.name}",
                 expected="mode joint and a sum or mean of squares",
                 hint="choose pattern-search or nelder-mead",
@@ -263,10 +254,10 @@ NAMED: Final = tuple(
 def _made(family: Sequence[type[Method]], choice: NamedOptions) -> Method:
     """A member of a family, by its name and options."""
     where = "error" if family is ERRORS else "optimiser"
-    known = {getattr(member, "name", LEAST_SQUARES): member for member in family}
+    known: dict[str, Any] = {member.name: member for member in family}
     if choice.name not in known:
-        raise unknown_name(where, choice.name, [*known, *([LEAST_SQUARES] * (where != "error"))])
-    member: Any = known[choice.name]
+        raise unknown_name(where, choice.name, known)
+    member = known[choice.name]
     options = {field.name for field in dataclasses.fields(member)}
     for name in choice.options:
         if name not in options:

@@ -40,10 +40,9 @@ def _errors() -> list[str]:
 
 
 def _searches() -> list[str]:
-    from fixel.calibration import OPTIMISERS
-    from fixel.workflows.calibration.request import LEAST_SQUARES
+    from fixel.workflows.calibration.request import AUTO, SEARCHES
 
-    return ["auto", LEAST_SQUARES, *(kind.name for kind in OPTIMISERS)]
+    return [AUTO, *(kind.name for kind in SEARCHES)]
 
 
 ErrorName = Annotated["Named | AbstractError", Door(plain=str, among=_errors)]
