@@ -122,7 +122,7 @@ def test_one_whose_job_is_gone_still_says_all_of_it(bench, folder, opened):
 
 
 def test_the_objective_read_from_the_journal_is_the_one_that_is_stored(bench, project):
-    watch = ProgressReader(Project(project))
+    watch = ProgressReader(Project(project), bench.context.store)
     (folder,) = (p.parent for p in (project / "jobs").glob("first-*/job.json"))
     seen = watch.look(folder)
     assert seen.stored == [1]

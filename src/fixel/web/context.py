@@ -34,7 +34,7 @@ class ProjectContext:
         self.newest: dict[str, Any] = {}  # self-test and check of the database
         self.bench = BenchSession()
         self.comparison = LiveComparison(self.store)
-        self.calibrations = ProgressReader(project)
+        self.calibrations = ProgressReader(project, self.store)
         # A plot by id and kind, a thumbnail by id and checksum, a map by name and time.
         self._details = lru_cache(MAX_KEPT)(partial(load_detail, project, self.store))
         self.calibration_plot = lru_cache(MAX_KEPT)(partial(plot, project))
@@ -57,7 +57,7 @@ class ProjectContext:
         """Return everything about a stored calibration, and remember some: what is stored stays."""
         found = self._details(number)
         if not found.complete:
-            self._details.cache_clear()  # its job may be restored
+            self._details.cache_clear()  # its experiments may be restored
         return found
 
     def close(self) -> None:

@@ -1,5 +1,6 @@
 """`fixel.calibrate` from Python: values, refusals, stores, interruptions, and what is shown."""
 
+import json
 import math
 import pickle
 import random
@@ -16,6 +17,7 @@ import pytest
 
 import fixel
 from fixel.testing.pushes import ANGLE_NOISE, POSITION_NOISE, TRUTH, example_pushes
+from fixel.workflows import jobs
 
 BOUNDS = {"mu_pusher": (0, 1), "tripod_radius": (0.01, 0.06)}
 QUIET = {"progress": False, "threads": 1}
@@ -268,6 +270,15 @@ def test_a_store_continues_and_refuses_another_call(pushes, tmp_path):
         with pytest.raises(fixel.InvalidInput, match="store") as refused:
             fixel.calibrate(**call, store=store)
         assert said in str(refused.value)
+    # A job as earlier versions made it for calibrations.
+    made = json.loads((store / "job.json").read_text())
+    made |= {"maker": "calibration:calibration_work", "options": {}}
+    (store / "job.json").write_text(json.dumps(made))
+    with pytest.raises(fixel.InvalidInput, match="another job, or one of an earlier version"):
+        fixel.calibrate(pushes[:2], BOUNDS, store=store, **QUIET)
+    (store / "result").unlink()
+    with pytest.raises(fixel.InvalidInput, match="older version of fixel cannot be resumed"):
+        jobs.run_here(store)
 
 
 def test_an_interrupted_search_gives_the_best_so_far(pushes, fit):

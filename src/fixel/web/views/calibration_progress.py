@@ -14,6 +14,7 @@ from pydantic import Field
 from fixel.calibration.least_squares import LeastSquares
 from fixel.calibration.result import FitKind
 from fixel.database.project import Project
+from fixel.database.store import Store
 from fixel.errors import FixelError, NotStored
 from fixel.io.damaged_files import each_readable
 from fixel.jobs import folder as files
@@ -75,17 +76,15 @@ class LiveProgress(Answer):
 class ProgressReader:
     """Reader of the progress of a project's calibrations, which reads only what is new."""
 
-    def __init__(self, project: Project) -> None:
-        self._project, self._lock = project, threading.Lock()
+    def __init__(self, project: Project, store: Store) -> None:
+        self._project, self._store, self._lock = project, store, threading.Lock()
         self._opened = lru_cache(None)(self._open)
 
     def _open(self, folder: Path) -> tuple[LiveSearch, list[int]]:
         """Return the search of a job, and the ids of its experiments."""
         plan = plan_in(folder)
-        with self._project.store() as store:
-            return LiveSearch(plan, plan.task()), [
-                store.find(target.key) for target in plan.targets
-            ]
+        ids = [self._store.find(target.key) for target in plan.targets]
+        return LiveSearch(plan, plan.task()), ids
 
     def folder(self, name: str) -> Path:
         """Return the folder of a calibration's job; raise if there is none of the name."""
@@ -97,9 +96,8 @@ class ProgressReader:
     def _stored(self) -> dict[str, list[int]]:
         """Return the ids of stored calibrations by the name of their job."""
         found: dict[str, list[int]] = {}
-        with self._project.store() as store:
-            for k, record in store.calibration_summaries().items():
-                found.setdefault(str(record.method.get("job")), []).append(k)
+        for k, record in self._store.calibration_summaries().items():
+            found.setdefault(str(record.method.get("job")), []).append(k)
         return found
 
     def unfinished(self) -> tuple[list[LiveProgress], list[FixelError]]:
