@@ -66,6 +66,26 @@ def test_files_know_their_size(tmp_path: Path) -> None:
         assert image.info["dpi"][0] == pytest.approx(600.0, abs=0.01)
 
 
+@pytest.mark.parametrize("board", ["3x6:40mm", "6x8:40mm", "6x7:56mm", "8x6:40mm"])
+def test_the_hinted_paper_fits(board: str) -> None:
+    squares = board_of(f"checkerboard:{board}")
+    try:
+        prints.board_sheet(squares, "")
+    except InvalidInput as refused:
+        hint = re.search(r"--paper (\w+)", refused.hint or "")
+        papers = [hint[1]] if hint else []
+    else:
+        papers = ["a4"]
+    fitting = []
+    for paper in prints.PAPERS:
+        try:
+            prints.board_sheet(squares, "", paper)
+            fitting.append(paper)
+        except InvalidInput:
+            continue
+    assert papers == fitting[:1]
+
+
 def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="--paper a3"):
         prints.board_sheet(board_of("charuco:9x6:40mm:30mm"), "")

@@ -148,20 +148,19 @@ def _at(left: float, top: float, rectangles: FloatArray) -> FloatArray:
 def _page(paper: str, inside: tuple[float, float]) -> tuple[float, float]:
     if paper.lower() not in PAPERS:
         raise InvalidInput("paper", found=repr(paper), expected=", ".join(PAPERS))
-    upright = PAPERS[paper.lower()]
-    for page in (upright, upright[::-1]):
-        if inside[0] <= page[0] - 2 * EDGE and inside[1] <= page[1] - 2 * EDGE - FOOT:
-            return page
-    fits = [
-        name
-        for name, size in PAPERS.items()
-        if max(inside) <= max(size) - 2 * EDGE and min(inside) <= min(size) - 2 * EDGE - FOOT
-    ]
+
+    def fits(page: tuple[float, float]) -> bool:
+        return inside[0] <= page[0] - 2 * EDGE and inside[1] <= page[1] - 2 * EDGE - FOOT
+
+    pages = {name: next(filter(fits, (one, one[::-1])), None) for name, one in PAPERS.items()}
+    if (page := pages[paper.lower()]) is not None:
+        return page
+    larger = [name for name, page in pages.items() if page]
     raise InvalidInput(
         "paper",
         found=f"a board of {1e3 * inside[0]:g} x {1e3 * inside[1]:g} mm for {paper}",
         expected="a board that fits on it",
-        hint=f"--paper {fits[0]}, or smaller squares" if fits else "smaller squares",
+        hint=f"--paper {larger[0]}, or smaller squares" if larger else "smaller squares",
     )
 
 
