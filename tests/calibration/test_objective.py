@@ -184,7 +184,9 @@ def test_what_cannot_be_compared_is_refused(experiments):
     with pytest.raises(InvalidInput, match="no scene"):
         target_of(replace(experiment, scene=None))
     one = Trajectory(time=[0.0], pose=experiment.trajectory.pose[:1])
-    with pytest.raises(InvalidInput, match="no measured pose"):
+    with pytest.raises(
+        InvalidInput, match=r"no measured pose .* at least one pose after the first"
+    ):
         target_of(replace(experiment, trajectory=one, channels=(), effective=None))
     with pytest.raises(InvalidInput, match="experiments"):
         targets_of([])

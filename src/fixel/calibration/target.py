@@ -93,7 +93,7 @@ def useful_poses(experiment: Experiment) -> BoolArray:
         raise InvalidInput(
             f"experiment {experiment.key}.effective",
             found=f"no measured pose from {first:g} to {last:g} s",
-            expected="at least one experiment, after the first",
+            expected="at least one pose after the first",
         )
     return useful
 

@@ -115,6 +115,8 @@ def test_wrong_input_is_refused_before_any_fit(pushes, monkeypatch):
             map_domain(pushes, SPACE, **options, **QUIET)
     with pytest.raises(InvalidInput, match="no scene"):
         map_domain([replace(pushes[0], scene=None)], SPACE, **QUIET)
+    with pytest.raises(InvalidInput, match="needs experiments that differ in a condition"):
+        map_domain(pushes[:1], SPACE, **QUIET)
     with pytest.raises(InvalidInput, match="mu_pusher"):
         fixel.map_domain(pushes, ["mu_pushr"], **QUIET)
 

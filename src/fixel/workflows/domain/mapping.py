@@ -150,7 +150,8 @@ def _usual_axes(errors: HeldOutErrors, asked: Any) -> list[str]:
         raise InvalidInput(
             "axes",
             found="no offset, surface, shape or contact that differs",
-            expected="one of " + ", ".join(varying(errors, sorted(errors.coordinates))),
+            expected=" or ".join(varying(errors, sorted(errors.coordinates)))
+            or "experiments that differ in a condition",
         )
     return offsets or others[:2]
 
