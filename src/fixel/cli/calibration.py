@@ -40,9 +40,11 @@ def calibrations(
             "estimates": [own.stored() for own in fit.estimates.values()],
             "parameters": dict(fit),
             "rms_error_mm": 1e3 * fit.rms_error,
-            "status": fit.status,
-            "command": fit.command,
-            "call": fit.call,
+            "experiments": list(fit.keys_of_experiments),
+            **{
+                own: getattr(fit, own)
+                for own in ("level", "status", "evaluations", "command", "call")
+            },
         },
         lambda: [repr(fit), *([f"Repeat it: {fit.command}"] if fit.command else [])],
     )
