@@ -173,7 +173,7 @@ def test_what_is_a_parts_own_is_a_gaussian_process_over_poses():
     for k in range(3):
         expected_load, expected_friction = np.zeros(p), np.zeros(p)
         for j in range(n):
-            d2 = ((at[k, :2] - pose[j, :2]) ** 2).sum() / 0.05**2
+            d2 = ((at[k, :2] - pose[j, :2]) ** 2).sum() / 0.03**2
             turn = (2 * np.sin(0.5 * (at[k, 2] - pose[j, 2])) / 0.5) ** 2
             near = np.exp(-0.5 * (d2 + turn))
             expected_load += (table_fit.OWN_DEVIATION**2 + table_fit.POSE_DEVIATION**2 * near) * (
@@ -183,6 +183,28 @@ def test_what_is_a_parts_own_is_a_gaussian_process_over_poses():
             )
         np.testing.assert_allclose(load[k], expected_load)
         np.testing.assert_allclose(friction[k], expected_friction)
+
+
+def test_three_noisy_pushes_teach_hardly_more_than_with_known_noise():
+    rng = np.random.default_rng(3)
+    n, p, q, noise = 3, 8, len(table_fit.CORRECTED), 2e-3
+    learned, best = [], []
+    for _ in range(60):
+        slope = 3e-3 * rng.normal(size=(2 * n, 3, p))
+        rows = table_fit.MapRows(
+            np.zeros((2 * n, 3, 0)), 0.0 * slope, slope, np.zeros((2 * n, 3, q)),
+            np.zeros((2 * n, 3)), noise * rng.normal(size=(2 * n, 3)), np.ones(2 * n, bool),
+        )  # fmt: skip
+        own = table_fit.own_fit(rows.rows(np.arange(n)), np.zeros(0))
+        change = own.changes(rows.pose[n:])[0]
+        learned.append(np.einsum("nip,np->ni", slope[n:], change))
+        # Loads explain nothing here; the best answer knows how large the noise is.
+        seen = slope[:n].reshape(3 * n, p)
+        prior = (table_fit.OWN_DEVIATION**2 + table_fit.POSE_DEVIATION**2) * np.eye(p)
+        total = seen @ prior @ seen.T + noise**2 * np.eye(3 * n)
+        loads = prior @ seen.T @ np.linalg.solve(total, rows.residual[:n].reshape(-1))
+        best.append(slope[n:] @ loads)
+    assert np.mean(np.square(learned)) < 1.3 * np.mean(np.square(best))
 
 
 def test_weights_interpolate_linear_fields_exactly():

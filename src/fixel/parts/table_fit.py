@@ -30,10 +30,10 @@ DEVIATION: Final = 1.0
 # Of the logarithms of the loads on the points of a part: beyond its calibration everywhere, and
 # from pose to pose. Friction at the points differs from pose to pose too, without balance.
 OWN_DEVIATION: Final = 0.6
-POSE_DEVIATION: Final = 0.6
-FRICTION_DEVIATION: Final = 0.3
+POSE_DEVIATION: Final = 1.0
+FRICTION_DEVIATION: Final = 0.15
 # Poses as far apart as this have different loads [m], [rad].
-POSE_LENGTH, POSE_ANGLE = 50e-3, 0.5
+POSE_LENGTH, POSE_ANGLE = 30e-3, 0.5
 MAX_ROWS: Final = 600  # pushes of a part that one fit uses; time grows with their cube
 # Values of a part that the fit may correct, with the standard deviations of the corrections and
 # the steps of their derivatives.
@@ -44,8 +44,9 @@ CORRECTED: Final[Mapping[str, tuple[float, float]]] = {
 }
 LIMIT: Final = 1.5  # of the change of a log load: ends are not linear in larger ones
 LOG_STEP: Final = 0.4  # of a load, for its derivatives: ends are rough functions of loads
-# Size of what is left of an end, most of which is model error: as stated, or smaller [m].
-LARGEST_NOISE, SMALLEST_NOISE = 2.0e-3, 0.1e-3
+# Size of what is left of an end [m], most of which is model error: at most this, which counts like
+# that of five pushes. Fits leave almost nothing of few pushes, and new ones would suffer from it.
+LARGEST_NOISE, IMAGINARY = 2.0e-3, 5.0
 MEDIAN: Final = 1.538  # median length of a vector of three standard normal numbers
 ROUNDS: Final = 4  # of robust weights
 SMALLEST: Final = 1e-4  # share of the largest variance, below which directions of the prior are cut
@@ -232,8 +233,8 @@ class MapGrid(NamedTuple):
 
     def load_map(self, field: FloatArray) -> LoadMap:
         """Return values (n_node,) of the nodes as a map."""
-        cell = np.full(2, self.cell)
-        return LoadMap(origin=self.origin, cell=cell, log_load=field.reshape(self.shape))
+        values = field.reshape(self.shape)
+        return LoadMap(origin=self.origin, cell=np.full(2, self.cell), log_load=values)
 
 
 class MapRows(NamedTuple):
@@ -331,9 +332,9 @@ def fit_table(rows: Sequence[MapRows], by_pose: bool = False) -> TableFit:
     """Fit the map and what is the parts' own together, with robust weights of pushes.
 
     Ends are linear in all, which have normal priors: a Gaussian process whose posterior mean is
-    computed part by part, given the map. The noise of the ends is the median of what is left. What
-    is a part's own differs from pose to pose (`by_pose`), but a map that is fitted at the same time
-    was worse for other parts.
+    computed part by part, given the map. The noise of the ends is near the median of what is left.
+    What is a part's own differs from pose to pose (`by_pose`), but a map that is fitted at the same
+    time was worse for other parts.
     """
     parts = [own.usable() for own in rows]
     prior = [part.covariance(by_pose) for part in parts]
@@ -349,16 +350,13 @@ def fit_table(rows: Sequence[MapRows], by_pose: bool = False) -> TableFit:
             told.append((by_map.T @ solved[-1][:, :m], by_map.T @ solved[-1][:, m]))
         precision = np.eye(m) + sum(own for own, _ in told)
         mean = np.asarray(np.linalg.solve(precision, sum(own for _, own in told)), np.float64)
-        force = [own[:, m] - own[:, :m] @ mean for own in solved]
-        left = [
-            each * np.linalg.norm(own.reshape(-1, 3), axis=1)
-            for own, each in zip(force, noise, strict=True)
-        ]
-        size = np.clip(np.median(np.concatenate(left)) / MEDIAN, SMALLEST_NOISE, LARGEST_NOISE)
+        force = [(own[:, m] - own[:, :m] @ mean).reshape(-1, 3) for own in solved]
+        left = [e * np.linalg.norm(own, axis=1) for own, e in zip(force, noise, strict=True)]
+        sizes = min(np.median(np.concatenate(left)) / MEDIAN, LARGEST_NOISE), LARGEST_NOISE
+        size = np.sqrt(np.average(np.square(sizes), weights=(sum(map(len, left)), IMAGINARY)))
         noise = [size**2 * np.sqrt(1.0 + (own / size) ** 2) for own in left]
     factor = np.asarray(np.linalg.inv(np.linalg.cholesky(precision)).T, np.float64)
-    forces = tuple(own.reshape(-1, 3) for own in force)
-    return TableFit(mean, factor, tuple(told), tuple(parts), forces)
+    return TableFit(mean, factor, tuple(told), tuple(parts), tuple(force))
 
 
 def own_fit(rows: MapRows, mean: FloatArray) -> OwnFit:
