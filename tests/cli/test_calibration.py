@@ -160,7 +160,6 @@ def test_stored_calibrations_are_listed_and_shown_again(capsys, project):
     assert estimate["label"] == "mu_pusher"
     assert estimate["verdict"] in shown
     assert f"after {answer['evaluations']} evaluations" in shown
-    assert f"{100 * answer['level']:g} % interval" in shown
     assert f"Calibration of {len(answer['experiments'])} experiments" in shown
     folder = project / "jobs"
     folder.rename(project / "away")  # its record alone is enough
