@@ -128,7 +128,7 @@ def test_one_experiment_gives_wider_intervals_than_seven():
 
 
 def test_disagreement_of_the_fits_widens_and_few_experiments_do_too():
-    mixed = MixedStudyFit(np.array([0.3]), np.array([0.03]), np.array([9.0]), 9, 700)
+    mixed = MixedStudyFit(np.array([0.3]), np.array([0.03]), np.array([9.0]), 9)
     apart = Honest.of(mixed, [np.array([0.26]), np.array([0.34])])
     assert apart.sd == pytest.approx(0.05)
     unknown = Honest.of(mixed, [np.array([0.26]), np.array([0.34])], known_noise=False)

@@ -65,7 +65,6 @@ class MixedStudyFit(NamedTuple):
     sd: FloatArray  # (n_free,) standard error: model-based or over experiments, whichever is larger
     effective: FloatArray  # (n_free,) effective number of conditions behind each parameter
     clusters: int  # conditions under which experiments were done
-    evaluations: int  # rollouts
 
 
 class Honest(NamedTuple):
@@ -140,7 +139,7 @@ def mixed_study(
     cluster = numbered([condition_of(shifted.targets[m]) for m in members])
     weight = 1.0 / np.bincount(cluster)[cluster]
     precision, anchor = _prior(space, point, NEAR)
-    theta, own, evaluations = np.array(point, np.float64), np.zeros((n, q)), 0
+    theta, own = np.array(point, np.float64), np.zeros((n, q))
     log_sd = np.zeros(q + 3)
     bounds = NoiseBounds(np.full(q + 3, -SPAN), np.full(q + 3, SPAN))
     for _ in range(ROUNDS):
@@ -149,7 +148,6 @@ def mixed_study(
             for m, one in zip(members, own, strict=True)
         ]
         parts = yield from probe_rollouts(probes)
-        evaluations += sum(map(len, parts))
         data = linear_data(shifted, probes, parts, own, unit, noise)._replace(
             weight=weight,
             precision=precision * np.outer(space.scale, space.scale),
@@ -170,7 +168,6 @@ def mixed_study(
         sd=np.sqrt(variance) * space.scale,
         effective=left_out.effective,
         clusters=int(cluster.max()) + 1,
-        evaluations=evaluations,
     )
 
 

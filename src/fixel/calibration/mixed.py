@@ -101,8 +101,8 @@ def _rotated(data: Linear) -> _RotatedData:
     real = (axes**2 * (data.share > 0.0)[:, :, None]).sum(axis=1) > 0.5
 
     def turned(table: FloatArray) -> FloatArray:
-        out = np.einsum("nma,ncm...->nca...", axes, table)
-        return np.asarray(out.reshape(n, 3 * m, *table.shape[3:]))
+        out = axes.mT[:, None] @ table.reshape(n, 3, m, -1)
+        return out.reshape(n, 3 * m, *table.shape[3:])
 
     return _RotatedData(
         y=turned(data.y),
@@ -128,18 +128,17 @@ def _criterion(data: _RotatedData, log_sd: FloatArray) -> tuple[float, FloatArra
     diagonal = walked + seen + (1.0 - data.seen)
     shifted = data.own * sd
     over = shifted / diagonal[:, :, None]  # D^-1 G L
-    core = np.linalg.inv(np.eye(q) + np.einsum("nkq,nkr->nqr", shifted, over))
+    core = np.linalg.inv(np.eye(q) + shifted.mT @ over)
 
     def solved(table: FloatArray) -> FloatArray:
         """V^-1 of columns (n, k, c)."""
-        inner = core @ np.einsum("nkq,nkc->nqc", over, table)
-        return np.asarray(table / diagonal[:, :, None] - over @ inner)
+        return np.asarray(table / diagonal[:, :, None] - over @ (core @ (over.mT @ table)))
 
     w = data.weight
     vj = solved(data.common)
-    information = np.einsum("n,nkp,nkr->npr", w, data.common, vj)
+    information = w[:, None, None] * (data.common.mT @ vj)
     covariance = np.linalg.inv(information.sum(axis=0) + data.precision)
-    right = np.einsum("n,nkp,nk->p", w, vj, data.y) + data.precision @ data.mean
+    right = w @ np.einsum("nkp,nk->np", vj, data.y) + data.precision @ data.mean
     step = covariance @ right
     rest = data.y - data.common @ step
     u = solved(rest[:, :, None])[:, :, 0]
@@ -151,17 +150,12 @@ def _criterion(data: _RotatedData, log_sd: FloatArray) -> tuple[float, FloatArra
     # Derivatives: of V by each log standard deviation, 2 sd^2 g g' or a diagonal.
     vg = solved(shifted)
     gu = np.einsum("nkq,nk->nq", shifted, u)
-    gj = np.einsum("nkq,nkp->nqp", shifted, vj)
-    loss = np.einsum("nqp,pr,nqr->nq", gj, covariance, gj)
+    gj = shifted.mT @ vj
+    loss = ((gj @ covariance) * gj).sum(axis=2)
     own = 2.0 * w @ (np.einsum("nkq,nkq->nq", shifted, vg) - gu**2 - loss)
-    inverse = 1.0 / diagonal - np.einsum("nkq,nqr,nkr->nk", over, core, over)
-    each = inverse - u**2 - np.einsum("nkp,pr,nkr->nk", vj, covariance, vj)
-    each *= 2.0 * w[:, None]
-    ends = [
-        float((each * walked * (1.0 - angle)).sum()),
-        float((each * walked * angle).sum()),
-        float((each * seen).sum()),
-    ]
+    inverse = 1.0 / diagonal - ((over @ core) * over).sum(axis=2)
+    each = 2.0 * w[:, None] * (inverse - u**2 - ((vj @ covariance) * vj).sum(axis=2))
+    ends = [(each * part).sum() for part in (walked * (1.0 - angle), walked * angle, seen)]
     gradient = np.concatenate([own, ends])
     fit = MixedFit(
         step=step,
