@@ -7,7 +7,7 @@ from tests.calibration.toys import DECAY_BOX, TRUTH, box, decay_residuals, each,
 from tests.reference.more_wild import rosenbrock
 
 from fixel.calibration.cost import Cost, NormalPrior
-from fixel.calibration.least_squares import LeastSquares, fit
+from fixel.calibration.least_squares import STUCK, LeastSquares, fit
 from fixel.errors import InvalidInput
 
 T = np.linspace(0.0, 4.0, 40)
@@ -206,6 +206,24 @@ def test_one_trial_and_each_kind_of_difference_work():
     ):
         found = fit(options.start(DECAY_BOX), residuals)
         np.testing.assert_allclose(found.point, best.point, atol=2e-3)
+
+
+def test_no_point_is_requested_twice_where_no_step_helps():
+    """A weak slope that a ripple hides: all differences have their largest step already."""
+
+    def rippled(points):
+        slope = 0.3 * (points - np.array([0.3, 0.4])) / 0.1
+        return slope + 0.05 * np.sin(1e7 * points + np.arange(2))
+
+    seen = []
+
+    def noted(points):
+        seen.extend(map(tuple, points))
+        return rippled(points)
+
+    found = fit(LeastSquares().start(box([0, 0], [1, 1])), noted)
+    assert found.reason == STUCK
+    assert len(seen) - len(set(seen)) <= 3
 
 
 def test_an_edge_on_all_sides_does_not_shrink_steps_for_ever():

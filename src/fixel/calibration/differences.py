@@ -82,8 +82,8 @@ class Differences:
 
     def widen(self) -> bool:
         """Increase the smallest step, for slopes across roughness; False if it is the largest."""
-        least, largest = self._limits
-        self._limits = min(least * GROWTH, largest), largest
+        least = max(self._limits[0], float(self.step.min()))
+        self._limits = min(least * GROWTH, self._limits[1]), self._limits[1]
         self.step = np.maximum(self.step, self._limits[0])
         return self._limits[0] > least
 

@@ -139,8 +139,7 @@ def mixed_study(
     cluster = numbered([condition_of(shifted.targets[m]) for m in members])
     weight = 1.0 / np.bincount(cluster)[cluster]
     precision, anchor = _prior(space, point, NEAR)
-    theta, own = np.array(point, np.float64), np.zeros((n, q))
-    log_sd = np.zeros(q + 3)
+    theta, own, log_sd = np.array(point, np.float64), np.zeros((n, q)), np.zeros(q + 3)
     bounds = NoiseBounds(np.full(q + 3, -SPAN), np.full(q + 3, SPAN))
     for _ in range(ROUNDS):
         probes = [

@@ -145,6 +145,7 @@ class LeastSquaresFit(NamedTuple):
     gradient: FloatArray  # (n,) half the first derivatives, not zero on an active bound
     residual: FloatArray  # (m,); empty if no point could be evaluated
     columns: FloatArray  # (m, n) its derivatives, per scale of a parameter; may be empty
+    steps: FloatArray  # (n,) of the latest differences [scales]
     evaluations: int
     reason: str
 
@@ -229,7 +230,8 @@ class Descent:
 
     Parameters that are not free (n,) have the values of the start. Columns (m, n) are derivatives
     at another point near by, per scale of each parameter: one step is tried with them, and
-    derivatives are computed only if that step does not gain as predicted.
+    derivatives are computed only if that step does not gain as predicted. Steps (n,) [scales] are
+    those of the differences of another fit.
     """
 
     def __init__(
@@ -240,6 +242,7 @@ class Descent:
         starts: FloatArray,
         free: BoolArray | None = None,
         columns: FloatArray | None = None,
+        steps: FloatArray | None = None,
     ) -> None:
         self.box, self.cost, self.reason = box, cost, ""
         self.evaluations, self.iterations = 0, 0
@@ -251,6 +254,8 @@ class Descent:
         self._differences = Differences(
             box, options.difference, options.largest_difference, options.roughness
         )
+        if steps is not None:
+            self._differences.step = steps.copy()
         self._central = options.differences == "central"
         self._damping, self._failures = FIRST_DAMPING, 0
         self._model = Quadratic(np.zeros((box.n, box.n)), np.zeros(box.n))
@@ -258,9 +263,7 @@ class Descent:
         self._asked: FloatArray | None = None
         self._borrowed = columns
         self._columns = np.zeros((0, box.n))
-        if (
-            len(self._starts) == 1 and columns is None
-        ):  # its derivatives can be requested in the same batch
+        if len(self._starts) == 1 and columns is None:  # derivatives in the same batch
             self._differences.begin(self._starts[0], self._free, self._central)
 
     @property
@@ -279,6 +282,7 @@ class Descent:
             self._model.gradient / self.box.scale,
             self._residual,
             self._columns,
+            self._differences.step,
             self.evaluations,
             self.reason,
         )

@@ -179,6 +179,7 @@ class ProfileSearch:
     ) -> None:
         self.box, self.reason, self.evaluations = box, "", 0
         self._fitted = fitted if fitted is not None and fitted.columns.size else None
+        self._steps: FloatArray | None = None  # of differences
         self._options, self._nominal, self._cost = options, threshold, cost
         self._roughness = 0.0
         self._best = Best(np.clip(point, box.low, box.high), math.inf)
@@ -316,7 +317,7 @@ class ProfileSearch:
         else:
             fitted = self._fitted
             self._note(fitted.point[None], np.array([fitted.deviance]))
-        self._hessian = fitted.hessian
+        self._hessian, self._steps = fitted.hessian, fitted.steps
         if math.isfinite(fitted.deviance):
             covariance = self._covariance()
             if not self._restarts:
@@ -448,8 +449,10 @@ class ProfileSearch:
         free = np.arange(self.box.n) != side.index
         options = options or self._fitting
         for guess in guesses:
-            descent = Descent(options, self.box, self._cost, guess[None], free, side.columns)
+            near = side.columns, self._steps
+            descent = Descent(options, self.box, self._cost, guess[None], free, *near)
             yield from _run(descent)
+            self._steps = descent.fit.steps
             if math.isfinite(descent.deviance):
                 side.learn(descent.fit, free)
                 break
