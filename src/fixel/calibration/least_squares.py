@@ -230,8 +230,7 @@ class Descent:
 
     Parameters that are not free (n,) have the values of the start. Columns (m, n) are derivatives
     at another point near by, per scale of each parameter: one step is tried with them, and
-    derivatives are computed only if that step does not gain as predicted. Steps (n,) [scales] are
-    those of the differences of another fit.
+    derivatives are computed only if it gains less than predicted. Differences begin with `steps`.
     """
 
     def __init__(

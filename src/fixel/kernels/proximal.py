@@ -32,6 +32,9 @@ STIFF = 1e-8
 ROUND = 25  # iterations after which it is SOFTEST again
 STALLED = 6  # iterations without gain that end it: where one helps later, sweeps help sooner
 STICKS = 0.999  # of the friction limit
+MANY = 90  # unknowns beyond which quick attempts give up early, and shorter steps are tried first
+QUICK_ITERATIONS_LARGE = 5  # of Newton where contacts are many; it gives up after the first
+HOPELESS = 0.3  # that leaves so large a natural map: from there one of twenty still arrives
 INNER = 12  # Newton steps in search of a balance
 SEARCH = 10  # evaluations of one line search
 SLACK = 0.5  # part of the first slope at which a line search ends
@@ -78,7 +81,8 @@ def newton_any(
         worst = linearise_any(problem, work, epsilon, FLOOR, False, False, False)
         if iteration == max_iterations or (iteration > 0 and worst <= tolerance):
             break
-        if not solve_any(problem, work):
+        hasty = max_iterations == QUICK_ITERATIONS_LARGE and problem.size[N_DOF] > MANY
+        if (hasty and iteration == 1 and worst > HOPELESS) or not solve_any(problem, work):
             return math.inf
         step_all(problem, work)
     return worst

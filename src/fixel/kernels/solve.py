@@ -21,6 +21,8 @@ from fixel.kernels.josephy import is_small, josephy
 from fixel.kernels.linear import DENSE_LIMIT
 from fixel.kernels.newton import newton
 from fixel.kernels.proximal import (
+    MANY,
+    QUICK_ITERATIONS_LARGE,
     STIFFEST,
     newton_any,
     proximal_newton,
@@ -37,7 +39,6 @@ NEWTON_TOLERANCE = (
 )
 STILL_VELOCITY = 1e-9  # velocity below which the answer of the step before is tried as it is
 QUICK_ITERATIONS = 10  # Newton from the step before: 2 or 3 are the rule
-QUICK_ITERATIONS_LARGE = 5  # the same for many contacts, where more rarely help
 ITERATIONS = 12  # Newton from where the recovery got to
 ITERATIONS_LARGE = 6  # the same for many contacts
 NEAR = 1e-4  # residual from which Newton usually arrives, in a problem that is not small
@@ -54,7 +55,6 @@ STARTS = 5  # of those iterations, each after a few sweeps
 GIVE_UP = 5  # after this trial ask whether friction may jam: nothing was ever found later then
 CLOSE_RESIDUAL = 1e-5  # residual of an answer that may want nothing but stiffer constraints:
 STIFF = 1e10  # a light body between a heavy one and a wall bears forces 1e8 times its own
-MANY = 90  # unknowns beyond which a step is shortened before anybody asks whether friction may jam
 SWEEPS = 300  # of Gauss-Seidel before the second start, twice and three times as many later
 
 

@@ -650,23 +650,21 @@ def largest_speed(problem: Problem) -> float:
 @kernel
 def untouched_change(problem: Problem, guess: FloatArray) -> float:
     """Largest difference as in `largest_change`, over bodies without loaded contacts only."""
-    largest = 0.0
-    squares = 0.0
-    crowded = problem.size[N_FREE_DOF] > 3 * CROWD
+    largest = squares = 0.0
     v = problem.velocity
+    touched = problem.stiffness  # of this step; from here on only the first of each body counts
+    for o in range(0, problem.size[N_FREE_DOF], 3):
+        touched[o + 2] = 0.0
+    for i in range(problem.size[N_CONTACT]):
+        for side in range(2):
+            o = problem.contact_dof[i, side]
+            if problem.impulse[i, 0] > 0.0 and 0 <= o < problem.size[N_FREE_DOF]:
+                touched[o + 2] = 1.0
     for o in range(0, problem.size[N_FREE_DOF], 3):
         dx = v[o] - guess[o]
         dy = v[o + 1] - guess[o + 1]
         change = math.sqrt(dx * dx + dy * dy) + abs(v[o + 2] - guess[o + 2])
-        if change <= largest and not crowded:
-            continue
-        touched = False
-        for i in range(problem.size[N_CONTACT]):
-            if problem.impulse[i, 0] > 0.0 and (
-                problem.contact_dof[i, 0] == o or problem.contact_dof[i, 1] == o
-            ):
-                touched = True
-        if not touched:
+        if touched[o + 2] == 0.0:
             largest = max(largest, change)
             squares += change * change
     return _of_crowd(problem, largest, squares)
@@ -683,6 +681,7 @@ def forced_change(problem: Problem, before: FloatArray) -> tuple[float, float]:
     largest = 0.0
     most = 1e-30
     v = problem.velocity
+    e = 0  # elements are in the order of the bodies
     for o in range(0, problem.size[N_FREE_DOF], 3):
         dx = v[o] - before[o]
         dy = v[o + 1] - before[o + 1]
@@ -690,9 +689,9 @@ def forced_change(problem: Problem, before: FloatArray) -> tuple[float, float]:
         impulse = 0.0
         for k in range(o, o + 3):
             impulse += abs(problem.momentum[k] - problem.inertia[k, k - o] * before[k])
-        for e in range(problem.size[N_ELEMENT]):
-            if problem.element_dof[e] == o:
-                impulse += problem.element_limit[e]
+        while e < problem.size[N_ELEMENT] and problem.element_dof[e] == o:
+            impulse += problem.element_limit[e]
+            e += 1
         caused = 2.0 * impulse / problem.inertia[o, 0]
         most = max(most, caused)
         largest = max(largest, min(change, caused))
