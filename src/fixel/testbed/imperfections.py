@@ -80,12 +80,14 @@ def _smooth_field(seed: int, grain: float, what: str) -> tuple[FloatArray, Float
     """
     spans = zip(PLATE_ORIGIN, PLATE_SIZE, strict=True)
     x, y = (start + np.arange(0.0, size, grain / NODES_PER_GRAIN) for start, size in spans)
-    place = np.stack(np.meshgrid(x, y), axis=-1)
     rng = stream(seed, what)
     wave = rng.standard_normal((2, N_WAVES)) / grain
     phase = rng.uniform(0.0, 2.0 * math.pi, N_WAVES)
-    values = math.sqrt(2.0 / N_WAVES) * np.cos(place @ wave + phase).sum(axis=-1)
-    return frozen(place), frozen(values)
+    # Each wave is a product of one along x and one along y: no array has nodes times waves.
+    along_x, along_y = np.outer(wave[0], x), np.outer(wave[1], y) + phase[:, None]
+    products = [(np.cos(along_y), np.cos(along_x)), (-np.sin(along_y), np.sin(along_x))]
+    values = sum(np.einsum("ky,kx->yx", own_y, own_x) for own_y, own_x in products)
+    return frozen(np.stack(np.meshgrid(x, y), axis=-1)), frozen(math.sqrt(2.0 / N_WAVES) * values)
 
 
 def uneven_support(
