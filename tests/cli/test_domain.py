@@ -47,6 +47,19 @@ def test_a_map_its_pictures_and_the_next_command(capsys, project, tmp_path):
     assert all(picture.caption for picture in one.analysis.pictures)
 
 
+def test_json_has_the_tables_of_the_text(capsys, project):
+    words = ("domain", "-p", project, *FIT, "--folds", 2, "--threshold-mm", 4)
+    (_, text, _), (_, out, _) = fixel(capsys, *words), fixel(capsys, *words, "--json")
+    tables = json.loads(out)["tables"]
+    lines = text.splitlines()
+    assert {table["title"] for table in tables} <= {*lines}
+    rows = [[str(cell) for cell in row] for table in tables for row in table["rows"]]
+    assert rows
+    for cells in rows:
+        assert any(all(cell in line for cell in cells if cell[:1].isalpha()) for line in lines)
+    assert tables[0]["rows"][0][0] == "all"
+
+
 def test_another_threshold_needs_no_fit(capsys, project, monkeypatch):
     options = ("--folds", 2, "--json")
     code, out, _ = fixel(capsys, "domain", "-p", project, *FIT, *options, "--threshold-mm", 4)

@@ -9,7 +9,7 @@ from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 
@@ -47,9 +47,6 @@ from fixel.workflows.calibration.request import (
     read_targets,
     target_files,
 )
-
-if TYPE_CHECKING:
-    pass
 
 REQUEST: Final = "request.json"
 ABOUT: Final = "about.json"  # fields of the plan that no result depends on

@@ -138,7 +138,8 @@ def _tables(
     extents, domains = domain.extents(claim), domain.domains(claim)
     for g, group in enumerate(domain.groups):
         own = [verdict.colour for verdict in verdicts[g]]
-        reach = [_reach_text(extents[g][axis.name]) for axis in axes]
+        ends = [extents[g][axis.name] for axis in axes]
+        reach = ["empty" if own is None else " to ".join(filter(None, own)) for own in ends]
         cells = [str(own.count(c)) for c in ("trusted", "doubtful", "not trusted", NO_DATA)]
         rows.append((group or "all", *reach, str(len(domains[g])), *cells))
     names = (f"{axis.name}{f' [{axis.unit}]' if axis.unit else ''}" for axis in axes)
@@ -151,10 +152,6 @@ def _tables(
         left=4,
     )
     return (first, *_bound_table(domain, claim), *([second] if found else []))
-
-
-def _reach_text(reach: tuple[str, str] | None) -> str:
-    return "empty" if reach is None else " to ".join(filter(None, reach))
 
 
 def _numbers(

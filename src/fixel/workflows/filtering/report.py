@@ -29,10 +29,11 @@ NOISE_FAR: Final = 1.5  # times the belief: ellipsoids are too small beyond it
 def report_of(answer: FilterAnswer) -> AnalysisReport:
     """Return headline, warnings, tables and numbers of a run."""
     found, lost = answer.estimates, int(answer.estimates.recovered.sum())
-    times = 1e3 * found.busy[1:]
+    numbers = _numbers(answer)
+    times = "{median:.3g} ms per frame (at most {max:.3g} ms)".format(**numbers["frame_ms"])
     notes = [
-        f"{found.options.n_particles} particles, {sorted(times)[len(times) // 2]:.3g} ms per "
-        f"frame (at most {times.max():.3g} ms): {found.real_time_factor:.3g} times real time"
+        f"{found.options.n_particles} particles, {times}: {found.real_time_factor:.3g} times real"
+        " time"
     ]
     notes += [f"lost the object in {lost} frames and was restarted there"] if lost else []
     notes += [] if answer.run_id is None else [f"stored as filter run {answer.run_id}"]
@@ -42,10 +43,10 @@ def report_of(answer: FilterAnswer) -> AnalysisReport:
             title=f"Filter run of {found.experiment.key}",
             question={"experiment": found.experiment.key},
             headline=(origin_of(found.experiment), _input(found), *found.modes()),
-            warnings=(*_misfit(found), *_noise(found)),
+            warnings=(*_misfit(found), *_noise(numbers["noise_ratio"])),
             tables=tuple(table for table in _tables(answer) if table.rows),
             notes=tuple(notes),
-            numbers=_numbers(answer),
+            numbers=numbers,
             calibrations=tuple(answer.calibrations),
             experiments=(answer.experiment_id,),
             seconds=float(found.busy.sum()),
@@ -78,6 +79,8 @@ def _numbers(answer: FilterAnswer) -> dict[str, Any]:
     """Return all results as plain values, for `--json`."""
     found, experiment = answer.estimates, answer.estimates.experiment
     misfit, surprise = found.misfit, found.surprise[1:][found.seen[1:]]
+    position, angle = found.options.position_deviation, found.options.angle_deviation
+    noises = (misfit.noise_m, position), (misfit.noise_rad, angle)
     return {
         "experiment": experiment.key,
         "experiment_id": answer.experiment_id,
@@ -99,6 +102,7 @@ def _numbers(answer: FilterAnswer) -> dict[str, Any]:
             "touch_probability": found.touch[-1].tolist(),
         },
         "misfit": asdict(misfit) | {"ratio": misfit.ratio, "warns": misfit.warns},
+        "noise_ratio": max(noise / assumed for noise, assumed in noises),
         "mean_surprise": surprise.mean() if len(surprise) else None,
         "calibrations": _compared(answer),
         "recovered_frames": int(found.recovered.sum()),
@@ -106,7 +110,7 @@ def _numbers(answer: FilterAnswer) -> dict[str, Any]:
         "mean_ess": float(found.ess.mean()),
         "frame_ms": {
             "median": 1e3 * float(np.median(found.busy[1:])),
-            "max": 1e3 * float(found.busy.max()),
+            "max": 1e3 * float(found.busy[1:].max()),
         },
         "real_time_factor": found.real_time_factor,
     }
@@ -151,11 +155,7 @@ def _misfit(found: FilterRun) -> list[str]:
     return lines
 
 
-def _noise(found: FilterRun) -> list[str]:
-    misfit, options = found.misfit, found.options
-    ratio = max(
-        misfit.noise_m / options.position_deviation, misfit.noise_rad / options.angle_deviation
-    )
+def _noise(ratio: float) -> list[str]:
     if ratio < NOISE_FAR:
         return []
     return [
