@@ -7,6 +7,7 @@ import pytest
 
 from fixel.errors import InvalidInput
 from fixel.model import LineDrive, PlannedExperiment
+from fixel.simulation import simulate
 from fixel.testbed.simulated import SimulatedTestbed, repeat_pushes
 from fixel.testing.scenes import grasp, pushed_square
 
@@ -52,6 +53,16 @@ def test_later_pushes_begin_where_the_part_really_is_and_may_meet_it():
     assert found.pose[0, 2, 0] < found.pose[0, 1, 0] - 0.001  # ... and back
     again = repeat_pushes(BENCH, _pushes(), starts, threads=1)
     assert (again.pose == found.pose).all()
+
+
+def test_the_force_is_the_largest_of_all_pushes():
+    first, second = _pushes()
+    idle = replace(second, pushers=(replace(second.pushers[0], pose=(0.5, 0.0, 0.0)),))
+    found = repeat_pushes(BENCH, [first, idle], np.zeros((1, 3)), samples=20, threads=1)
+
+    true = BENCH.true_scene(PlannedExperiment(name="trial-0", scene=first))
+    force = simulate(true).pushers["finger"].force
+    assert found.force[0] >= 0.9 * np.median(force[-10:])  # nothing in the second push
 
 
 def test_nothing_to_do_is_refused():

@@ -119,8 +119,8 @@ class FreePushes:
     force_limit : float, optional
         Force at which the drive stalls [N]; by default a rigid drive.
     cost : {"pushes", "time", "length"}
-        Cost of which the least is chosen among plans of equal success: the number of pushes, the
-        time of the tool on its paths, or their length.
+        Cost of which the least is chosen among plans of equal success without looks: the number of
+        pushes, the time of the tool on its paths, or their length.
     obstacles : sequence of Polygon or (n, 2) array_like
         Regions in the world that neither part nor tool may touch [m]. They stop nothing in
         simulations: a run that touches one counts as a failure.

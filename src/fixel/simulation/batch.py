@@ -265,6 +265,7 @@ def _unpack(
         fallbacks=record.count[:, FALLBACKS].copy(),
         max_residual=record.total[:, WORST_RESIDUAL].copy(),
         force=record.drive[:, -1, :, 0] * units.force,
+        peak_force=record.drive[:, :, :, 0].max(axis=1) * units.force,
         stalled=record.drive[:, -1, :, 1] > 0.0,
         contacts=_last_contacts(scene, record) if record.contact.shape[1] else None,
         version=fixel_version(),
@@ -323,8 +324,7 @@ def _simulate_scenes(
     rollout_in_threads(batch, method, record, threads)
     results = []
     for r, (scene, part) in enumerate(zip(scenes, packed, strict=True)):
-        n_driven = len(scene.pushers)
-        n_moving = len(scene.bodies) + n_driven
+        n_driven, n_moving = len(scene.pushers), len(scene.bodies) + len(scene.pushers)
         own = BatchRecord._make(array[r : r + 1] for array in record)
         own = own._replace(
             pose=own.pose[:, :, :n_moving],

@@ -483,6 +483,8 @@ class BatchResult(Result):
         Worst residual of any step.
     force : (n, n_driven) float64
         Force on each pusher along its path at the end [N].
+    peak_force : (n, n_driven) float64
+        Largest such force at the samples [N]; those between two of them are not stored.
     stalled : (n, n_driven) bool
         Whether each pusher's drive stalled at the end.
     contacts : (n, n_moving, n_body) bool or None
@@ -522,6 +524,7 @@ class BatchResult(Result):
     fallbacks: IntArray
     max_residual: FloatArray
     force: FloatArray
+    peak_force: FloatArray
     stalled: BoolArray
     contacts: BoolArray | None = None
     accuracy: NDArray[np.str_] | None = None
@@ -581,7 +584,7 @@ class BatchResult(Result):
         """Return whether each run meets a goal, (n,) bool.
 
         A run that stopped early does not, unless its rigid pusher was jammed. Events are looked for
-        at the sampled `times`; forces are stored only for the end, so `ForceAbove` is rejected.
+        at the sampled `times`; forces between them are not stored, so `ForceAbove` is rejected.
         """
         stalled = np.asarray(self.stalled.any(axis=1))
         tracks = {name: BodyTrack(self.pose[:, :, k], stalled) for k, name in enumerate(self.names)}
@@ -624,10 +627,9 @@ class BatchResult(Result):
         tables = []
         if n and n_sample:
             unit, factor = _length_unit(self.final)
-            names = [body.name for body in self.scene.bodies]
             shown = [
-                (f"{name}, {axis} [{own}]", scale * self.final[:, k, j])
-                for k, name in enumerate(names[:MAX_BODIES])
+                (f"{body.name}, {axis} [{own}]", scale * self.final[:, k, j])
+                for k, body in enumerate(self.scene.bodies[:MAX_BODIES])
                 for j, (axis, own, scale) in enumerate(
                     (("x", unit, factor), ("y", unit, factor), ("angle", "deg", degrees(1.0)))
                 )
@@ -665,6 +667,7 @@ PER_RUN: Final = (
     "fallbacks",
     "max_residual",
     "force",
+    "peak_force",
     "stalled",
     "contacts",
     "accuracy",

@@ -34,7 +34,6 @@ from fixel.simulation import Simulation, simulate
 from fixel.simulation.batch import simulate_batch
 from fixel.simulation.threads import cores
 from fixel.testbed import imperfections
-from fixel.testbed.imperfections import uneven_table
 from fixel.typing import BoolArray, FloatArray, ProgressCallback
 
 Ratio = Annotated[float, fields.Value(fields.positive)]  # of a true to a nominal value
@@ -222,10 +221,10 @@ class SimulatedTestbed:
     def true_scene(self, planned: PlannedExperiment) -> Scene:
         """Return the scene with the true values that a run of this plan has."""
         scene, drawn = planned.scene, self._draw(planned.name)
-        plane = imperfections.rough_plane(
-            scene.plane, self.seed, self.plate_roughness, self.plate_grain
-        )
-        plane = uneven_table(plane, self.table_seed, self.uneven_table, self.table_length)
+        rough = self.seed, self.plate_roughness, self.plate_grain
+        uneven = self.table_seed, self.uneven_table, self.table_length
+        plane = imperfections.rough_plane(scene.plane, *rough)
+        plane = imperfections.uneven_table(plane, *uneven)
         return replace(
             scene,
             bodies=(self._true_body(scene.bodies[0], scene.gravity, drawn),),
@@ -436,8 +435,8 @@ class RepeatedPushes(NamedTuple):
 
     pose: FloatArray  # (n, n_push + 1, 3) true poses of the part: at the start, after each push
     way: FloatArray  # (n, n_push, n_sample, 3) those in each push, its end last
-    force: FloatArray  # (n,) force of the drive at the end of the last push [N]
-    stalled: BoolArray  # (n,) whether the drive is stalled then
+    force: FloatArray  # (n,) largest force of the drive at the samples of all pushes [N]
+    stalled: BoolArray  # (n,) whether the drive is stalled at the end of the last push
     failure: tuple[str, ...]  # (n,) why a run could not be finished; empty for others
     scene: Scene  # true scene, with the true size of the part
 
@@ -494,7 +493,6 @@ def repeat_pushes(
         for r, run in zip(scenes, done, strict=True):
             way[r, k], pose[r, k + 1 :] = run.pose[0, :, 0], run.pose[0, -1, 0]
             way[r, k + 1 :] = pose[r, k + 1]
-            force[r], stalled[r] = run.force[0, 0], run.stalled[0, 0]
-            status = str(run.status[0])
-            failure[r] = "" if status == "converged" else f"{status} in push {k + 1}"
+            force[r], stalled[r] = max(force[r], run.peak_force[0, 0]), run.stalled[0, 0]
+            failure[r] = "" if run.converged[0] else f"{run.status[0]} in push {k + 1}"
     return RepeatedPushes(pose, way, force, stalled, tuple(failure), true)

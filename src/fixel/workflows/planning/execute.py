@@ -96,7 +96,7 @@ def run_on_testbed(path: str | Path, *, trials: int = 1, seed: int = 1) -> Trial
         done = _carried_out(plan, testbed, plan.scenes, starts, name)
         fixels = None if plan.fixels is None else np.repeat(plan.fixels[None], trials, axis=0)
         way = done.way.reshape(trials, -1, 3)
-        track = BodyTrack(way, done.stalled, np.abs(done.force), fixels)
+        track = BodyTrack(way, done.stalled, done.force, fixels)
         ends, failure = done.pose[:, -1], done.failure
     else:
         each = [
