@@ -38,7 +38,7 @@ def run(folder, progress=None):
 
 
 def collect(project, folder, command, left_out):
-    """Return what a job has stored; store it again, which is nothing."""
+    """Return what a job has stored; a second call stores nothing."""
     plan = replace(plan_in(folder), left_out=left_out)
     found = calibration.collect(plan, folder)
     return add_to_project(project, replace(found, command=command))

@@ -1,9 +1,12 @@
 """The table of experiments and its marks, asked for as a program does."""
 
 import json
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from fastapi import applications
 from tests.datasets import recordings
 from tests.web.bench import Bench as WholeBench
 from tests.web.conftest import unpacked
@@ -134,6 +137,23 @@ def test_unknown_parameters_are_refused_wherever_there_are_others_or_none(bench)
     assert "did you mean 'limit'" in said["hint"]
     said = bench.get(f"{ADDRESS}/1?raw=1", 422)
     assert (said["found"], said["expected"]) == ("raw", "no parameters")
+
+
+def test_requests_at_the_same_time_generate_one_description(bench, monkeypatch):
+    """Warnings are ignored during its generation, for all threads: two at once undo each other."""
+    generates, calls = applications.get_openapi, []
+
+    def slowly(**options):
+        calls.append(len(calls))
+        time.sleep(0.2)  # any other request begins in it
+        return generates(**options)
+
+    monkeypatch.setattr(applications, "get_openapi", slowly)
+    monkeypatch.setattr(bench.api, "openapi_schema", None)
+    with ThreadPoolExecutor(4) as threads:
+        for answer in threads.map(bench.get, [f"{ADDRESS}?limit=1"] * 4):
+            assert answer["experiments"]
+    assert calls == [0]
 
 
 def test_words_to_filter_by(bench):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import reprlib
-from typing import Any
+import threading
+from typing import Any, Final
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
@@ -17,6 +18,7 @@ OUR_MISTAKE = "Internal error of fixel. The terminal in which the server runs sh
 UNPROCESSABLE = 422
 ABSENT = 404
 CONFLICT = 409
+GENERATES: Final = threading.Lock()  # the documentation of an API; not safe in several threads
 
 
 class Refusal(BaseModel):
@@ -97,7 +99,11 @@ def answer_errors(api: FastAPI) -> None:
 
 def refuse_unknown_query(request: Request) -> None:
     """Raise `InvalidInput` for a parameter in the address that the route does not document."""
-    route = request.app.openapi()["paths"][request.scope["route"].path][request.method.lower()]
+    if not request.query_params:
+        return
+    with GENERATES:
+        paths = request.app.openapi()["paths"]
+    route = paths[request.scope["route"].path][request.method.lower()]
     known = [one["name"] for one in route.get("parameters", ()) if one["in"] == "query"]
     for name in request.query_params:
         if not known:

@@ -11,7 +11,7 @@ from typing import Final, final
 import numpy as np
 from pydantic import Field
 
-from fixel.calibration.least_squares import LeastSquares
+from fixel.calibration.optimiser import AbstractOptimiser
 from fixel.calibration.result import FitKind
 from fixel.database.project import Project
 from fixel.database.store import Store
@@ -24,7 +24,6 @@ from fixel.workflows import jobs
 from fixel.workflows.calibration.execution import LiveSearch
 from fixel.workflows.calibration.parameter_options import command_of
 from fixel.workflows.calibration.plan import plan_in
-from fixel.workflows.calibration.request import CalibrationRequest
 from fixel.workflows.calibration.stored import collected
 
 KIND: Final = "calibrate"  # capability of its jobs
@@ -121,13 +120,14 @@ class ProgressReader:
             if status.state == "done" and not stored:  # it was computed elsewhere
                 stored = list(collected(self._project, folder).ids)
         plan, request, search = live.plan, live.plan.request, live.search
-        nominal = search.task.combined(search.nominal[None])
-        errors = np.append(nominal, search.trace().errors)
+        errors = np.append(search.task.combined(search.nominal[None]), search.trace().errors)
         start, *objective = request.error_of_one(errors, len(ids)).tolist()
         # The job counts chunks, which have about the same number of evaluations each.
         searching = live.stage in SEARCHES and not status.ended
         rate = status.rate * len(objective) / max(1, status.kept) if searching else 0.0
-        limit, left = _limit(request), None if status.ended else status.left_s
+        limit, left = None, None if status.ended else status.left_s
+        if isinstance(method := request.made_search, AbstractOptimiser) and request.mode != "each":
+            limit = request.max_evaluations or method.limit
         at_most = left is None and limit is not None and rate > 0.0
         if at_most and limit is not None:
             left = max(0.0, (limit - len(objective)) / rate)
@@ -157,11 +157,3 @@ class ProgressReader:
                 for k, error in zip(one.members, one.errors, strict=True)
             ],
         )
-
-
-def _limit(request: CalibrationRequest) -> int | None:
-    """Return the maximum number of evaluations; None without one."""
-    search, most = request.made_search, request.max_evaluations
-    if isinstance(search, LeastSquares) or request.mode == "each":
-        return None
-    return most or search.limit
