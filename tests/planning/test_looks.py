@@ -288,7 +288,7 @@ def test_lost_views_lower_the_stated_success():
 
 
 def test_a_part_that_is_seen_after_a_lost_view_is_corrected_as_one_that_is_seen_first(monkeypatch):
-    """Where views are lost, the stated policy and `correction` choose from the same seen poses."""
+    """The stated policy and `correction` choose from the same seen poses, also after lost views."""
     goal = replace(GOAL, position=1 * mm, angle=1.5 * deg)
     search = searched(goal, looks=2)
     table = CorrectionTable.of(search.simulator, UNKNOWN, 4_000, 3)

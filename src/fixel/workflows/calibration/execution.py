@@ -84,7 +84,7 @@ def run_plan(plan: CalibrationPlan, asked: SimpleNamespace) -> Calibrations:
         with project.store() as store:
             plan = replace(plan, asked=options_of(plan.request, map(store.find, keys)))
     folder = offered("methods", "prepare")(*_job(plan), project, plan.inputs)
-    return add_to_project(project, _run_in_folder(plan, folder, asked))
+    return add_to_project(project, _run_job(plan, folder, asked))
 
 
 def _job(plan: CalibrationPlan) -> tuple[Any, BaseModel]:
@@ -135,7 +135,7 @@ class LiveSearch:
 
     @property
     def best(self) -> Calibration | Calibrations | None:
-        """What an interrupted calibration has found; None if there is nothing yet."""
+        """Calibrations that an interrupted search has found so far; None before the first."""
         search, found = self.search, self.found
         if math.isfinite(search.best.error) and all(one.how != FitKind.DIRECT for one in found):
             own: dict[str, Any] = {"members": tuple(search.members), "point": search.best.point}
@@ -155,9 +155,14 @@ def _run_here(plan: CalibrationPlan, asked: SimpleNamespace) -> Calibrations:
 
 
 def _run_in_folder(plan: CalibrationPlan, folder: Path, asked: SimpleNamespace) -> Calibrations:
-    """Run or continue a calibration in a folder."""
+    """Run or continue a calibration in a folder that the user has named."""
     check_same(plan, folder)
     offered("methods", "prepare_in")(folder, *_job(plan), plan.inputs)
+    return _run_job(plan, folder, asked)
+
+
+def _run_job(plan: CalibrationPlan, folder: Path, asked: SimpleNamespace) -> Calibrations:
+    """Run or continue a prepared job."""
     if jobs.status_of(folder).state == "done":
         return collect(plan, folder)
     site = asked.site if isinstance(asked.site, Site | None) else load_site(Path(asked.site))

@@ -42,13 +42,7 @@ from fixel.workflows.calibration.parameter_options import (
     options_of,
     searched_unknowns,
 )
-from fixel.workflows.calibration.plan import (
-    load_task,
-    outcome_bytes,
-    outcome_of,
-    plan_in,
-    rounds,
-)
+from fixel.workflows.calibration.plan import load_task, outcome_bytes, outcome_of, plan_in, rounds
 from fixel.workflows.calibration.request import NAMED, CalibrationRequest, NamedOptions
 
 RUN: Final = "run"  # in the method of a record: checksum that all calibrations of a run share
@@ -280,11 +274,10 @@ def stored_rounds(
     """Calibrate in rounds of chunks; store the result in the project, if there is one."""
     result = yield from rounds(CalibrationSearch(load_task(inputs)).steps())
     if project is not None:
-        plan, folder = plan_in(inputs.parent), inputs.parent
+        folder = inputs.parent
+        run = Calibrations(**vars(plan_in(folder)), outcome=outcome_of(result), folder=folder)
         with suppress(NotStored):  # a job of another project, whose experiments this one lacks
-            add_to_project(
-                project, Calibrations(**vars(plan), outcome=outcome_of(result), folder=folder)
-            )
+            add_to_project(project, run)
     return result
 
 
