@@ -1,6 +1,7 @@
 """The command as a shell runs it."""
 
 import json
+import re
 
 import pytest
 from typer.testing import CliRunner
@@ -27,6 +28,22 @@ def answer(capsys, *arguments):
     code, out, err = fixel(capsys, *arguments, "--json")
     assert code == 0, err
     return json.loads(out)
+
+
+def missing(text, content, without=("Next:", "Took", "stored in", "wrote")):
+    """Numbers of a text that a JSON text has neither as written nor with more digits.
+
+    Lines with paths and with the time it took are left out.
+    """
+    number = r"(?<![\w.])\d+(?:\.\d+)?(?:e-?\d+)?"
+    lines = [line for line in text.splitlines() if not line.startswith(without)]
+    known = re.findall(number, content)
+    return [
+        one
+        for one in re.findall(number, "\n".join(lines))
+        if one not in known
+        and not any(f"{float(own):.{len(one.partition('.')[2])}f}" == one for own in known)
+    ]
 
 
 def invoked(app, *arguments):

@@ -35,6 +35,9 @@ def test_next_is_a_command_that_does_something(tmp_path, capsys):
     # An interval this wide is narrow enough at once, but only twice in a row.
     out = performed(capsys, *usual, "--until", "mu_support=0.9").out
     assert out.splitlines()[-1].startswith("Next: fixel calibrate --dataset few")
+    answer = json.loads(performed(capsys, *usual, "--until", "mu_support=0.9", "--json").out)
+    rows = [row for table in answer["tables"] for row in table["rows"]]
+    assert [row[0] for row in rows][:1] == ["mu_support"]
 
 
 def test_trouble_is_printed_once_without_a_terminal(capsys, monkeypatch):

@@ -4,7 +4,7 @@ import json
 import shlex
 
 import pytest
-from tests.cli.shell import fixel
+from tests.cli.shell import fixel, missing
 
 from fixel.cli.main import run
 
@@ -161,6 +161,7 @@ def test_stored_calibrations_are_listed_and_shown_again(capsys, project):
     assert estimate["verdict"] in shown
     assert f"after {answer['evaluations']} evaluations" in shown
     assert f"Calibration of {len(answer['experiments'])} experiments" in shown
+    assert missing(shown, out, without=("Repeat it",)) == []
     folder = project / "jobs"
     folder.rename(project / "away")  # its record alone is enough
     try:

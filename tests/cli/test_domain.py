@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from tests.cli.shell import fixel
+from tests.cli.shell import fixel, missing
 from tests.fixtures import project_of
 
 from fixel.database.project import Project
@@ -58,6 +58,19 @@ def test_json_has_the_tables_of_the_text(capsys, project):
     for cells in rows:
         assert any(all(cell in line for cell in cells if cell[:1].isalpha()) for line in lines)
     assert tables[0]["rows"][0][0] == "all"
+
+
+def test_json_has_the_warnings_of_the_text(capsys, project):
+    words = ("uncertainty", 1, "-p", project, "--fit", "mu_pusher=0:1", "--samples", 10)
+    words = (*words, "--no-model-error")
+    (_, text, _), (_, out, _) = fixel(capsys, *words), fixel(capsys, *words, "--json")
+    answer = json.loads(out)
+    lines = text.splitlines()
+    warned = [line for line in lines if line.startswith("Warning: ")]
+    assert warned == [f"Warning: {own}" for own in answer["warnings"]]
+    assert len(warned) > 0
+    assert answer["headline"] == lines[len(warned) :][: len(answer["headline"])]
+    assert missing(text, out) == []
 
 
 def test_another_threshold_needs_no_fit(capsys, project, monkeypatch):

@@ -2,12 +2,13 @@
 
 import csv
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.cli.shell import fixel
+from tests.cli.shell import fixel, missing
 
 from fixel.testing.scenes import pushed_square
 
@@ -81,6 +82,16 @@ def test_a_plan_is_checked_run_and_written_for_other_robots(capsys, plan, tmp_pa
     assert len(rows) == 4
     code, text, _ = fixel(capsys, "plan", "check", plan)
     assert "5 trials" in text
+
+
+@pytest.mark.parametrize("words", [("check",), ("run", "-n", 3), ("next", "--seen", "2,0,1")])
+def test_json_has_every_number_of_the_text(capsys, plan, tmp_path, words):
+    verb, *more = words
+    own = [shutil.copy(plan, tmp_path / f"{name}.plan") for name in ("text", "json")]
+    _, text, _ = fixel(capsys, "plan", verb, own[0], *more)
+    code, out, _ = fixel(capsys, "plan", verb, own[1], *more, "--json")
+    assert code == 0
+    assert missing(text, out) == []
 
 
 def test_a_plan_is_made_again_from_a_seen_pose(capsys, plan, tmp_path):

@@ -41,6 +41,7 @@ def calibrations(
             "parameters": dict(fit),
             "rms_error_mm": 1e3 * fit.rms_error,
             "experiments": list(fit.keys_of_experiments),
+            **fit.analysis.texts(),
             **{own: getattr(fit, own) for own in ("status", "evaluations", "command", "call")},
         },
         lambda: [repr(fit), *([f"Repeat it: {fit.command}"] if fit.command else [])],

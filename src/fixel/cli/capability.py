@@ -158,12 +158,7 @@ def _run(
     kept = [] if done.folder is None else [f"stored in {done.folder}"]
     print_answer(
         as_json,
-        lambda: {
-            **getattr(present, "content", content_of)(done),
-            "tables": [
-                {"title": own.title, "head": own.head, "rows": own.rows} for own in analysis.tables
-            ],
-        },
+        lambda: analysis.texts() | getattr(present, "content", content_of)(done),
         lambda: paragraphs(
             analysis.lines(),
             [f"Took {time_text(analysis.seconds)}.", *wrote(done.files.values()), *kept],

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from fixel.workflows.planning.execute import CheckedPlan
 
 FIND: Final = "find"
+RANGE: Final = ("mean", "low", "high", "worst", "best")  # of a success probability
 
 
 class GoalFirst(TyperGroup):
@@ -105,6 +106,7 @@ def held(
 ) -> None:
     """Compare stated with observed success on left-out experiments."""
     from fixel.units import deg, mm
+    from fixel.workflows.analysis import analysis_of
     from fixel.workflows.planning.execute import stored_held_success
 
     project = _project(folder)
@@ -113,7 +115,8 @@ def held(
     found = stored_held_success(
         project, calibration, position=position_mm * mm, angle=angle_deg * deg, seed=seed
     )
-    print_answer(as_json, found.to_dict, lambda: str(found))
+    words = analysis_of("plan", found).texts()
+    print_answer(as_json, lambda: words | found.to_dict(), lambda: str(found))
 
 
 @app.command("next")
@@ -162,8 +165,8 @@ def next_(
         as_json,
         lambda: {
             "met": False,
+            **analysis.texts(),
             **analysis.numbers,
-            "warnings": [*found.warnings],
             "files": [str(target)],
         },
         lambda: paragraphs(
@@ -257,6 +260,7 @@ def run(
 
     Ctrl-C, an alarm, or a start that was not planned stops the drive.
     """
+    from fixel.workflows.analysis import analysis_of
     from fixel.workflows.planning.execute import present_belief, run_on_testbed
     from fixel.workflows.planning.request import load_plan
 
@@ -281,7 +285,7 @@ def run(
         as_json,
         lambda: {"met": last.met, "failure": last.failure, "trials": done.n,
                  "successes": done.successes, "stated": done.mean, "least": done.stated,
-                 "refuted": done.refuted},
+                 "refuted": done.refuted, **analysis_of("plan", done).texts()},
         lambda: [*str(done).splitlines(), f"Next: {again}"],
     )  # fmt: skip
 
@@ -297,24 +301,25 @@ def _project(folder: Path) -> "Project | None":
 
 def _print_checked(checked: "CheckedPlan", files: list[Path], as_json: bool) -> None:
     plan = checked.found.plan
+    words = [str(plan.goal)], [f"push {k}: {one}" for k, one in enumerate(plan.pushes, 1)]
     content = {
         "plan": checked.id,
         "stated": plan.success.stated,
         "now": checked.now.stated,
-        "mean_now": checked.now.mean,
+        **{f"{name}_now": getattr(checked.now, name) for name in RANGE},
         "calibration": checked.calibration,
         "changed": checked.changed,
         "trials": checked.trials.n,
         "successes": checked.trials.successes,
         "refuted": checked.trials.refuted,
+        "sentences": [*words[0], *words[1], *checked.sentences],
         "files": [str(file) for file in files],
     }
     print_answer(
         as_json,
         lambda: content,
         lambda: paragraphs(
-            [str(plan.goal)],
-            [f"push {k}: {one}" for k, one in enumerate(plan.pushes, 1)],
+            *words,
             checked.sentences,
             wrote(files),
         ),

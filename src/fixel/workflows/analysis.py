@@ -107,6 +107,12 @@ class Analysis(_StoredFigure):
             lines += ["", *([table.title] if table.title else []), *table.lines()]
         return [*lines, *(["", *self.notes] if self.notes else [])]
 
+    def texts(self) -> dict[str, Any]:
+        """Return what `lines` has, as JSON can hold it."""
+        own = self.model_dump(include={"headline", "warnings", "notes"})
+        rows = [{"title": t.title, "head": t.head, "rows": t.rows} for t in self.tables]
+        return {**own, "tables": rows}
+
 
 def analysis_of(kind: str, result: Result, **more: Any) -> Analysis:
     """Return an analysis with the texts and tables that a result prints, and `more` fields."""
@@ -180,8 +186,6 @@ def content_of(done: StoredAnswer) -> dict[str, Any]:
     """Return the content of `--json`: numbers, and what `JSON` of the report's module names."""
     analysis, paths = done.analysis, [str(path) for path in done.files.values()]
     known = {
-        "headline": list(analysis.headline),
-        "warnings": list(analysis.warnings),
         "seconds": analysis.seconds,
         "folder": None if done.folder is None else str(done.folder),
         "files": paths,

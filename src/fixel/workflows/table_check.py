@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from fixel.progress import ProgressOption
     from fixel.workflows.analysis import AnalysisReport, StoredAnswer
 
-JSON: Final = ("headline", "folder", "pictures")  # what `--json` has besides numbers
+JSON: Final = ("folder", "pictures")  # what `--json` has besides numbers
 
 
 def table_check(

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from fixel.workflows.calibration.calibration import Calibration
 
 FITS: Final = Path("cache") / "parts"  # finished fits, in the project; of `fixel next` too
-JSON: Final = ("headline", "warnings", "folder", "files")  # what `--json` has besides numbers
+JSON: Final = ("folder", "files")  # what `--json` has besides numbers
 
 
 def table_map(

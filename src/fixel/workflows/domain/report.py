@@ -60,8 +60,6 @@ def content(done: StoredAnswer) -> dict[str, Any]:
     return {
         "unseen": analysis.numbers["unseen"],
         "title": analysis.title,
-        "headline": list(analysis.headline),
-        "warnings": list(analysis.warnings),
         "numbers": analysis.numbers,
         "calibration": next(iter(analysis.calibrations), None),
         "folder": str(done.folder),

@@ -25,7 +25,7 @@ from fixel.workflows.domain.evidence import FOLDER, mark_of
 from fixel.workflows.domain.fits import ProjectRequest, fit_store, stored_model
 from fixel.workflows.figures import Picture
 
-JSON: Final = ("headline", "warnings", "folder", "pictures")  # what `--json` has besides numbers
+JSON: Final = ("folder", "pictures")  # what `--json` has besides numbers
 # Largest number of fits with groups left out; more groups are left out several at a time.
 MAX_FOLDS: Final = 24
 

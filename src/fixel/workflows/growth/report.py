@@ -53,8 +53,6 @@ def content(done: StoredAnswer) -> dict[str, Any]:
     """Return the content of `--json`."""
     analysis, folder = done.analysis, done.folder or Path()
     return {
-        "headline": list(analysis.headline),
-        "warnings": list(analysis.warnings),
         "folder": str(folder),
         "pictures": [str(folder / f"{shown.name}.png") for shown in analysis.pictures],
         "copied": [str(path) for path in done.files.values()],

@@ -18,7 +18,7 @@ from fixel.workflows.planning.request import FoundPlan, PlanAnswer, save_plan
 
 if TYPE_CHECKING:
     from fixel.workflows.analysis import StoredAnswer
-JSON: Final = ("warnings", "files")  # what `--json` has besides numbers
+JSON: Final = ("files",)  # what `--json` has besides numbers
 # Files in the folder of the analysis.
 FILE: Final = "plan.plan"
 GOAL: Final = "goal.yaml"

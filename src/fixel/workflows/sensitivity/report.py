@@ -38,7 +38,7 @@ from fixel.workflows.calibration.stored import CalibratedValues, load_values, ne
 from fixel.workflows.figures import Picture, banner_over
 from fixel.workflows.sentences import rounded, sentences
 
-JSON: Final = ("headline", "warnings", "folder", "files")  # what `--json` has besides numbers
+JSON: Final = ("folder", "files")  # what `--json` has besides numbers
 MAX_SENTENCES: Final = 3  # pushes with sentences in the headline
 MAX_PICTURES: Final = 12  # of the pushes to avoid first; the table has all
 
