@@ -118,6 +118,21 @@ def test_the_remainder_makes_up_for_simulated_effects_that_are_too_small():
     assert found.rest_angle == pytest.approx(0.1, rel=0.1)
 
 
+def test_the_remainder_is_found_where_draws_have_heavy_tails():
+    """Effects and remainder share the factor of a run, as `drawn` has it."""
+    rng = np.random.default_rng(6)
+    turned = rng.uniform(0.2, 0.6, 3000)
+    factor = np.sqrt(3.0 / rng.chisquare(3.0, (3000, 1)))
+    known, left = rng.standard_normal((2, 3000, 3))
+    residual = factor * (0.02 * known + 0.05 * turned[:, None] * left)
+    drawn = np.sqrt(3.0 / rng.chisquare(3.0, (3000, 64, 1))) * rng.standard_normal((3000, 64, 3))
+    found = RunToRun(noise_position=1e-4, noise_angle=1e-4).with_remainder(
+        residual, 0.02 * drawn, turned
+    )
+    assert found.rest_position == pytest.approx(0.05, rel=0.06)
+    assert found.rest_angle == pytest.approx(0.05, rel=0.06)
+
+
 @pytest.mark.parametrize(
     "bad",
     [

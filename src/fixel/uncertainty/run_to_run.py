@@ -218,8 +218,8 @@ class RunToRun:
         from scipy.optimize import minimize
         from scipy.stats import t as student
 
-        low, high = np.nanquantile(drawn, (0.16, 0.84), axis=1)
-        inside = (0.5 * (high - low)) ** 2
+        low, high = np.nanquantile(drawn, (0.16, 0.84), axis=1, method="weibull")
+        inside = (0.5 * (high - low) / student.ppf(0.84, self.freedom)) ** 2
         names = ("noise_position", "noise_angle", "rest_position", "rest_angle")
         usual = np.log([max(getattr(self, name), 1e-6) for name in names])
 
