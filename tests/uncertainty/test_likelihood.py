@@ -13,7 +13,7 @@ from scipy.stats import multivariate_normal, norm
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer
 from fixel.errors import InvalidInput
-from fixel.model.space import ParameterSpace
+from fixel.model.space import ParameterSpace, Unknown
 from fixel.uncertainty.discrepancy import ModelError, draw_walks, shares_of_way, walk_over
 from fixel.uncertainty.likelihood import LogLikelihood, ParameterPrior, camera_noise
 from fixel.uncertainty.posterior import NestedSampling
@@ -75,6 +75,34 @@ def test_correlated_noise_counts_for_less(comparer):
     slow = Noise(position_m=NOISE.position_m, angle_rad=NOISE.angle_rad, correlation=4.0)
     red = LogLikelihood(comparer, [0, 1], slow)(points)
     assert red[0] - red[1] == pytest.approx((white[0] - white[1]) / 4.0)
+
+
+def test_correlated_noise_of_many_frames_is_that_of_the_mean():
+    """The width along a shift of a path of 1200 frames, of which a third are used."""
+    n, rho, sd = 1200, 0.8, 1e-3
+    unknown = Unknown(name="start_x", low=-1e-3, high=1e-3, nominal=0.0)
+
+    class Path:
+        space = ParameterSpace(unknowns=(unknown,))
+
+        def length(self, members):
+            return np.full(len(members), n)
+
+        def differences(self, which, points):
+            shift = np.zeros((len(which), n, 3))
+            shift[:, :, 0] = points[:, :1]
+            return shift, np.ones(len(which), bool), [""] * len(which)
+
+    noise = Noise(position_m=sd, angle_rad=sd, correlation=(1.0 + rho) / (1.0 - rho))
+    middle, aside = LogLikelihood(Path(), [0], noise)(np.array([[0.0], [sd]]))
+    stated = sd / np.sqrt(2.0 * (middle - aside))
+    # The same path many times, with noise that forgets by a fifth from frame to frame.
+    rng = np.random.default_rng(3)
+    path, total = sd * rng.standard_normal(4000), np.zeros(4000)
+    for _ in range(n):
+        total += path
+        path = rho * path + np.sqrt(1.0 - rho**2) * sd * rng.standard_normal(4000)
+    assert stated == pytest.approx(np.std(total / n), rel=0.05)
 
 
 def test_batches_do_not_change_a_bit(comparer):

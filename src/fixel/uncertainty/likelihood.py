@@ -18,7 +18,7 @@ from typing import Final, final
 
 import numpy as np
 
-from fixel.calibration.noise import MIN_SCATTER, Noise
+from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer
 from fixel.errors import InvalidInput
 from fixel.model.space import ParameterSpace
@@ -106,8 +106,11 @@ class LogLikelihood:
         self.noise = noise
         self.prior = ParameterPrior(comparer.space, model_error)
         self.evaluations = self.failed = 0
-        self._white = noise.correlation * noise.standard_deviations**2
-        self._seen = [_seen(int(n)) for n in comparer.length(self.members)]
+        length = comparer.length(self.members)
+        self._seen = [_seen(int(n)) for n in length]
+        # Of frames that are farther apart, fewer count as one.
+        correlation = np.maximum(1.0, noise.correlation / np.ceil(length / MAX_FRAMES))
+        self._white = correlation[:, None] * noise.standard_deviations**2
         known = range(0 if model_error is None else len(self.members))
         self._walks = [walk_over(self.shares(k)[self._seen[k]]) for k in known]
 
@@ -138,14 +141,14 @@ class LogLikelihood:
 
     def _one(self, own: int, difference: FloatArray, tau: FloatArray) -> FloatArray:
         """Return the log likelihood (k,) of one experiment from residuals (k, n_seen, 3)."""
+        white = self._white[own]
         if not self._walks:
-            n = difference.shape[1]
-            scale = n * float(np.log(2.0 * math.pi * self._white).sum())
-            return np.asarray(-0.5 * (np.sum(difference**2 / self._white, axis=(1, 2)) + scale))
+            scale = difference.shape[1] * float(np.log(2.0 * math.pi * white).sum())
+            return np.asarray(-0.5 * (np.sum(difference**2 / white, axis=(1, 2)) + scale))
         walk = self._walks[own]
         # (n, n) x (n, 3) for each point: bit for bit the same, whatever the size of the batch.
         rotated = np.matmul(walk.axes.T, difference)
-        return log_density(rotated, walk.variance, tau, self._white)
+        return log_density(rotated, walk.variance, tau, white)
 
     def shares(self, own: int) -> FloatArray:
         """Return the shares of the way (n_sample,) of one experiment, by its index in `members`."""
@@ -195,12 +198,8 @@ def camera_noise(comparer: Comparer, members: Sequence[int], point: FloatArray) 
         )
     table = np.concatenate(rows)
     sd = _SD_OF_MEDIAN * np.median(np.abs(table), axis=0) / math.sqrt(6.0)
-    return Noise(
-        position_m=max(MIN_SCATTER, float(np.sqrt(np.mean(sd[:2] ** 2)))),
-        angle_rad=max(MIN_SCATTER, float(sd[2])),
-        source="residuals",
-        freedom=float(max(1, table.size // 3)),
-    )
+    position, freedom = float(np.sqrt(np.mean(sd[:2] ** 2))), float(max(1, table.size // 3))
+    return Noise.of(position, float(sd[2]), "residuals", freedom=freedom)
 
 
 def _seen(length: int) -> np.ndarray:
