@@ -127,3 +127,9 @@ def test_contact_angles_on_both_sides_of_a_half_turn_are_neighbours():
     assert np.degrees(axis.edges[-1]) == pytest.approx(205.0)
     assert np.bincount(axis.find(np.radians(degrees).tolist())).tolist() == 8 * [5]
     assert axis.find(np.radians([0.0, 150.0, -150.0]).tolist()).tolist() == 3 * [-1]
+
+
+def test_a_contact_angle_between_tried_ones_is_in_the_nearest_cell():
+    axis = axis_of("contact_angle_rad", np.radians([170.0, 180.0, -170.0, -160.0]).tolist())
+    asked = np.radians([172.0, 178.0, -178.0, -172.0, -163.0, -150.0, 160.0])
+    assert [axis.nearest(angle) for angle in asked.tolist()] == [0, 1, 1, 2, 3, -1, -1]

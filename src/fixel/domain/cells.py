@@ -189,6 +189,7 @@ class CellAxis:
         if own >= 0 or self.is_text or isinstance(value, str | None) or len(self) < 2:
             return own
         centres = np.array(self.centres)
+        value = _after(value, self.centres[0]) if self.name == CONTACT_ANGLE else value
         inside = centres[0] <= value <= centres[-1]
         return int(np.abs(centres - value).argmin()) if inside and not self.edges else -1
 
