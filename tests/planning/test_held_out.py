@@ -1,10 +1,13 @@
 """Stated against held success in choices among recorded pushes."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import fixel
 from fixel import InvalidInput
+from fixel.planning import held_out
 from fixel.planning.held_out import HeldSuccess
 from fixel.testing.pushes import example_pushes
 from fixel.units import deg, mm
@@ -32,6 +35,30 @@ def test_the_curve_counts_pushes_and_not_choices():
     ((_, choices, pushes, _, share, low, high),) = held.curve.rows
     assert (choices, pushes, share) == (100, 1, 1.0)
     assert (low, high) == (pytest.approx(0.025), 1.0)  # one success proves little
+
+
+def test_choosing_does_not_raise_what_is_stated(monkeypatch):
+    """Forty pushes that end equally well, each off by as much in all runs of a world."""
+    size, fresh = np.array([2 * mm, 2 * mm, 1 * deg]), np.random.default_rng(5)
+
+    def drawn(belief, target, seed):
+        worlds = size * fresh.standard_normal((held_out.WORLDS, 1, 3))
+        runs = 0.1 * size * fresh.standard_normal((held_out.WORLDS, held_out.RUNS, 3))
+        return (worlds + runs).reshape(-1, 3)
+
+    monkeypatch.setattr(held_out, "target_of", lambda own: SimpleNamespace(pose=np.zeros((1, 3))))
+    monkeypatch.setattr(held_out, "learn_run_to_run", lambda *_, **__: None)
+    monkeypatch.setattr(held_out, "_ends", drawn)
+    monkeypatch.setattr(held_out, "_nominal", lambda *_: np.zeros(3))
+    monkeypatch.setattr(held_out, "_motion", lambda *_: size * fresh.standard_normal((1, 3)))
+    fit = SimpleNamespace(estimates={})
+    monkeypatch.setattr(held_out, "Belief", lambda **_: None)
+    rows = [
+        held_out._choices(fit, [None] * 40, [None] * 40, (3 * mm, 3 * deg), fresh, 0)[:2]
+        for _ in range(40)
+    ]
+    stated, held = np.mean(rows, axis=(0, 2))
+    assert stated == pytest.approx(held, abs=0.03)
 
 
 def test_too_few_pushes_are_refused():

@@ -34,7 +34,7 @@ FOLDS: Final = 5
 LEAST: Final = 20  # experiments from which the comparison is made
 GOALS: Final = 200  # of each fold
 WORLDS, RUNS = 32, 8
-# One half of the draws chooses and the other states, so that choosing does not raise the statement.
+# Half of the worlds choose and the others state, so that choosing does not raise the statement.
 BINS: Final = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 1.0)
 
 Fit = Callable[[Sequence[Experiment], int], CalibratedModel]
@@ -153,7 +153,7 @@ def _choices(
     goals = nominal[rng.integers(len(nominal), size=GOALS)]
     goals = goals + (2.0 * rng.random((GOALS, 3)) - 1.0) * size
     met = np.array([_within(draws, goal, tolerance) for goal in goals])  # (goal, push, draw)
-    even = np.arange(draws.shape[1]) % 2 == 0
+    even = np.arange(draws.shape[1]) // RUNS % 2 == 0
     chosen = met[:, :, even].mean(axis=2).argmax(axis=1)
     at = np.arange(GOALS)
     hit = np.array([_within(measured, goal, tolerance) for goal in goals])
