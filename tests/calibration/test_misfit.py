@@ -79,6 +79,15 @@ def test_experiments_that_fit_far_worse_are_named():
     assert found.sentences[1].endswith("come from 1 of 6 experiments: c.")
 
 
+def test_short_experiments_have_a_small_share_of_the_squared_residuals():
+    residuals = _residuals(5.0)
+    residuals[2] = 10.0 * residuals[2][:30]
+    found = misfit_of(residuals, list("abcdef"), NOISE)
+    squares = [np.square(one / NOISE.standard_deviations).sum() for one in residuals]
+    assert found.worst == ("c",)
+    assert found.share == pytest.approx(squares[2] / sum(squares))  # two thirds, not 95 %
+
+
 def test_of_one_experiment_the_variation_between_experiments_cannot_be_seen():
     found = misfit_of(_residuals(5.0, n=1), ["a"], NOISE)
     assert "only one experiment" in found.sentences[1]

@@ -149,7 +149,7 @@ def misfit_of(
     scaled = [one**2 / own for one, own in zip(residuals, variances, strict=True)]
     ratios = np.mean(np.concatenate(scaled), axis=0)
     sizes = [float(np.mean(one)) for one in scaled]
-    middle, total = float(np.median(sizes)), sum(sizes)
+    middle, sums = float(np.median(sizes)), [float(np.sum(one)) for one in scaled]
     order = sorted(range(len(sizes)), key=lambda k: -sizes[k])
     worst = [k for k in order if sizes[k] > OUTLYING * middle]
     return Misfit(
@@ -157,7 +157,7 @@ def misfit_of(
         angle_rad=math.sqrt(squares[2]),
         noise=noise,
         worst=tuple(keys[k] for k in worst),
-        share=sum(sizes[k] for k in worst) / total if total > 0.0 else 0.0,
+        share=sum(sums[k] for k in worst) / (sum(sums) or 1.0),
         experiments=len(sizes),
         position_ratio=math.sqrt(ratios[:2].mean()),
         angle_ratio=math.sqrt(ratios[2]),
