@@ -149,6 +149,8 @@ def test_repeated_pushes_count_once(model):
     from fixel.calibration.target import target_of
 
     assert distinct(PartPushes([target_of(own) for own in again])) == 1
+    found, once = targets.distribution("board"), model.after([one]).distribution("board")
+    np.testing.assert_allclose(found.covariance, once.covariance, rtol=1e-6, atol=1e-12)
 
 
 def test_one_part_and_one_experiment_have_no_bound():

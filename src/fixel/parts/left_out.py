@@ -118,8 +118,8 @@ def after(
 
     Each is believed as far as its end is certain; repeated ones count as one.
     """
-    noise = noise_of(round(len(which) / repeated)) * float(np.sqrt(repeated))
-    return fit.fit_part(group, which, prior, fit.errors_of(fit.slopes(group, which, prior), noise))
+    sizes = fit.errors_of(fit.slopes(group, which, prior), noise_of(round(len(which) / repeated)))
+    return fit.fit_part(group, which, prior, float(np.sqrt(repeated)) * sizes)
 
 
 def halves(n: int, seed: int) -> tuple[IntArray, IntArray]:
