@@ -34,12 +34,13 @@ def test_parameters_and_ends_are_those_of_the_distribution(model):
 
 def test_the_error_of_left_out_parts_is_added_unless_it_is_switched_off(model):
     push = example_parts(1, 1, seed=9)[0]
-    wide = predict(push.scene, model, samples=200, progress=False)
+    wide = predict(push.scene, model, samples=400, progress=False)
     narrow = predict(push.scene, model, samples=200, model_error=False, progress=False)
     assert narrow.drift is None
     assert wide.drift is not None
-    spread = np.std(wide.drift[:, -1, :2], axis=0)
-    np.testing.assert_allclose(spread, model.typical_error, rtol=0.3)
+    # The typical error is the median distance of ends, not their deviation along an axis.
+    away = np.hypot(*wide.drift[:, -1, :2].T)
+    assert np.median(away) == pytest.approx(model.typical_error, rel=0.1)
 
 
 def test_own_pushes_narrow_the_ends_and_stay_named(model):

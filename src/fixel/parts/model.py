@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final, NamedTuple, final
@@ -272,9 +272,8 @@ class PartModel(Result):
     def samples(self, k: int = 64, seed: int = 0, **conditions: str) -> dict[str, FloatArray]:
         """Return k samples of the support parameters of a part, (k,) by name.
 
-        Conditions name its surface, and the part if it is one of the known ones.
-
-        They are parameters of scenes, as for `fixel.simulate_batch`.
+        Conditions name its surface, and the part if it is one of the known ones. Samples are
+        parameters of scenes, as for `fixel.simulate_batch`.
         """
         z = np.random.default_rng(seed).normal(size=(k, len(fit.NAMES)))
         found = self.distribution(*(conditions.get(n, "") for n in (self.surface, self.part)))
@@ -302,13 +301,17 @@ class PartModel(Result):
     @property
     def proved_level(self) -> float:
         """Probability that the known parts can prove at most: n / (n + 1) for n parts."""
-        n = len(self.parts)
-        return n / (n + 1.0)
+        return (n := len(self.parts)) / (n + 1.0)
 
     @property
     def typical_error(self) -> float:
         """Median error of the position on parts that were left out [m]; 0 without any."""
         return _median(self.left_out.errors[:, 0])
+
+    @property
+    def typical_deviation(self) -> float:
+        """Standard deviation of the position, along either axis, with `typical_error` [m]."""
+        return self.typical_error / math.sqrt(2.0 * math.log(2.0))
 
     @cached_property
     def expected_error(self) -> FloatArray:
@@ -470,8 +473,7 @@ class PartModel(Result):
 
     def _summary(self) -> Summary:
         left = self.left_out
-        k = left.pushes
-        group = np.array(left.group)
+        k, group = left.pushes, np.array(left.group)
         rows = []
         for name in dict.fromkeys(left.group):
             errors = left.errors[group == name]
@@ -536,8 +538,7 @@ def distinct(pushes: fit.PartPushes) -> int:
 
 
 def _label(target: Target, surface: str, part: str) -> tuple[str, str]:
-    conditions: Mapping[str, str | float] = target.conditions
-    return str(conditions.get(surface, "")), str(conditions.get(part, ""))
+    return str(target.conditions.get(surface, "")), str(target.conditions.get(part, ""))
 
 
 def _one_label(targets: Sequence[Target], surface: str, part: str, where: str) -> tuple[str, str]:

@@ -308,8 +308,7 @@ class Belief:
             return _without_start(values), tau
         if isinstance(given, PartModel):
             labels = self._labels(given, scene)
-            error = given.typical_error
-            tau = np.full(worlds, error / math.sqrt(2.0 * math.log(2.0))) if error else None
+            tau = np.full(worlds, given.typical_deviation) if given.typical_error else None
             return given.samples(worlds, number, **labels), tau
         if self.run_to_run is None and isinstance(given, PredictiveModel):  # which computes it
             found = given.predictive

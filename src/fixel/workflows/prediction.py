@@ -66,8 +66,8 @@ def predict(
         `fixel uncertainty`.
     model_error : bool or float, optional
         Standard deviation of the model's own error at the end of the motion [m]; True for that of
-        the posterior. By default, that of the posterior if it has one, the median error on left-out
-        parts for a part model, and none for fixed parameters.
+        the posterior. By default, that of the posterior if it has one, for a part model that with
+        the median error on left-out parts, and none for fixed parameters.
     run_to_run : RunToRun, optional
         Scatter between runs of the same push, which replaces the model error: it acts inside the
         simulation, and grows with how far the part moves and turns.
@@ -191,7 +191,7 @@ def _parameters(
         push = push_of(scene, None, motion or QuasiStatic())
         labels = model.labels(scene if isinstance(scene, Experiment) else push.scene)
         best = model.distribution(labels.get(model.surface, ""), labels.get(model.part, ""))
-        tau = np.full(samples, model.typical_error) if model.typical_error else None
+        tau = np.full(samples, model.typical_deviation) if model.typical_error else None
         nominal = dict(zip(NAMES, best.mean.tolist(), strict=True))
         return (push, model.samples(samples, seed, **labels), nominal, tau)
     if isinstance(model, Posterior):
