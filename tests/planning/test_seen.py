@@ -53,6 +53,18 @@ def test_before_the_first_push_only_the_start_is_new(plan):
     assert found.belief.parameters == plan.belief.parameters
 
 
+@pytest.mark.parametrize("worlds", [8, 64, 201, 804])
+def test_few_worlds_are_drawn_from_all_parameter_sets(worlds):
+    """Sets after a look are in the order of the runs that they come from."""
+    friction = np.linspace(0.1, 0.5, 201)
+    sets = [{"mu_pusher": float(own)} for own in friction]
+    for belief in (Belief(parameters=sets), Belief(sets=sets)):
+        drawn = belief.scenarios(pushed_square(), worlds=worlds, runs=1).values["mu_pusher"]
+        assert drawn[0] == 0.1  # the nominal one
+        assert drawn.mean() == pytest.approx(0.3, abs=0.03)
+        assert drawn.std() == pytest.approx(friction.std(), rel=0.05)
+
+
 class CoarseModel:
     """Calibrated model whose predicted ends are off by 3 mm after a motion of 40 mm."""
 

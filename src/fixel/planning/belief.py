@@ -381,7 +381,7 @@ def _millimetres(low: float, high: float) -> str:
 
 
 def _of_sets(sets: Sequence[Mapping[str, float]], n: int) -> dict[str, FloatArray]:
-    rows = np.arange(n) % len(sets)
+    rows = np.arange(n) * max(n, len(sets)) // n % len(sets)  # of many, evenly spread ones
     return {name: np.array([own[name] for own in sets])[rows] for name in sets[0]}
 
 
