@@ -54,8 +54,7 @@ class Misfit(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """Ratio of residual to noise, the larger of those of position and angle; nan if the noise
-        is unknown."""
+        """Ratio of residual to noise, the larger of two; nan if the noise is unknown."""
         if self.noise.source == "residuals":
             return math.nan
         return max(self.position_ratio, self.angle_ratio)
@@ -179,8 +178,7 @@ def _second_differences(target: Target) -> list[FloatArray]:
 
 
 def _white(series: Sequence[FloatArray]) -> bool:
-    """Whether neighbours are correlated as for white noise; only signs are used, so that jumps
-    have little influence."""
+    """Whether neighbours are correlated as for white noise, by their signs: jumps hardly count."""
     pairs = sum(float(np.sign(one[1:]) @ np.sign(one[:-1])) for one in series)
     count = sum(int(np.count_nonzero(one[1:] * one[:-1])) for one in series)
     # Signs of normal variables agree with the correlation 2/pi asin(rho).
