@@ -17,11 +17,11 @@ a prior was given, and the interval is hardly narrower           not identified
 narrow, but the parameter stands for a property of               effective
 the object that the model lacks, and the model may misfit
 closed on both sides, and safe                                   identified
-closed and narrow as far as noise goes, but not when misfit is   precise, but the model
-allowed for                                                      misfits
 safe, but open on one side, and the best is on that bound        at bound
 safe, but open on one side, and the best lies inside             at least, or at most
 best on a bound, closed on the other side, not flat              at bound
+closed and narrow as far as noise goes, but not when misfit is   precise, but the model
+allowed for                                                      misfits
 narrow with the others fixed (slice), and some of them must move trades off with them
 to reach the ends of the interval, which is far wider
 anything else: flat, or closed but wide                          not identified
