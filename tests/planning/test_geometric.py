@@ -74,6 +74,32 @@ def test_displacements_are_those_of_the_frame_and_not_of_the_centre_of_mass():
     assert size(end - wanted) < 0.2 * size(moved)
 
 
+@pytest.mark.parametrize("turns", [-1, 1, 2])
+def test_a_displacement_by_more_than_half_a_turn_is_the_one_the_other_way(turns):
+    near = geometric_pushes(PART, (0.02, 0.005, -0.2), n=5)
+    same = geometric_pushes(PART, (0.02, 0.005, 2.0 * pi * turns - 0.2), n=5)
+    np.testing.assert_allclose(same, near, atol=1e-9)
+
+
+def test_a_goal_with_symmetry_has_pushes_by_its_smallest_turn():
+    """A square that is wanted at 80 degrees, or a quarter turn from it, turns by 10 back."""
+    body = Body("part", Polygon.rectangle(0.1, 0.1), mass=1.0, support=PART.support)
+    tool = Pusher(
+        "tip", Disk(1e-3), pose=(-0.2, 0.0, 0.0), drive=LineDrive(speed=0.01), friction=0.3
+    )
+    scene = Scene(bodies=(body,), pushers=(tool,), duration=1.0)
+    choice = FreePushes(length=(5e-3, 80e-3))
+    found = []
+    for degrees, symmetry in ((-10.0, 1), (80.0, 4)):
+        goal = PoseRegion(
+            (0.02, 0.005, np.radians(degrees)), position=1e-3, angle=0.01, symmetry=symmetry
+        )
+        simulator = simulator_of(scene, goal, choice, Belief(), None, None, 1)
+        found.append({np.round(own, 6).tobytes() for own in plans_of_mechanics(simulator)})
+    assert found[0]
+    assert found[0] <= found[1]
+
+
 def test_pushes_through_the_centre_are_offered_where_edges_allow_it():
     numbers = geometric_pushes(PART, (0.03, 0.0, 0.0))
     assert numbers[0] == pytest.approx([0.90625, 0.0, 0.03])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import pi, tau
+from math import pi, remainder, tau
 from typing import Final
 
 import numpy as np
@@ -87,9 +87,9 @@ def geometric_pushes(
     arm = friction_arm(part)
     # Motion of the centre of mass.
     c, s = np.cos(turn), np.sin(turn)
-    wanted = np.array([x, y, turn])
+    wanted = np.array([x, y, remainder(turn, tau)])
     wanted[:2] += np.array([[c, -s], [s, c]]) @ part.com - part.com
-    way = float(np.hypot(*wanted[:2])) + 2.0 * arm * abs(turn)
+    way = float(np.hypot(*wanted[:2])) + 2.0 * arm * abs(wanted[2])
     if way == 0.0:
         raise InvalidInput("displacement", found="none", expected="a motion other than zero")
     low, high = length or (2.0 * way / LENGTHS, 2.0 * way)
