@@ -6,13 +6,14 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fixel.formats.recording import RecordingHeader, RecordingWriter
 from fixel.formats.recording_video import jpeg_of
 from fixel.testbed.frame_source import CameraPicture, FrameSource, Stream
+from fixel.testbed.recorder import Recorder, RecordingSummary
 from fixel.vision.frame import Frame, Picture
 
 SIZE = (160, 120)
@@ -37,6 +38,13 @@ def film(
         for k in range(n):
             writer.write(Frame(k / rate, picture(k)), bits(k), k / rate)
     return folder
+
+
+def record(
+    source: FrameSource, folder: Path, codec: str = "as-it-comes", **more: Any
+) -> RecordingSummary:
+    """Record what a source sends."""
+    return Recorder(source=source, stream=source.open(), folder=folder, codec=codec, **more).run()
 
 
 class Pictures(FrameSource):

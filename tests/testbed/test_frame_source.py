@@ -14,30 +14,20 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from tests.testbed.films import SIZE, film, picture
+from tests.testbed.films import SIZE, film, picture, record
 
 from fixel.errors import InvalidInput
 from fixel.formats.recording import open_recording
 from fixel.formats.recording_video import brightness, jpeg_of, jpeg_size, shrunk
 from fixel.formats.video_file import VideoWriter
 from fixel.testbed.file_source import FileSource, PlayedTactile
-from fixel.testbed.frame_source import FrameQueue, FrameSource, Stream
+from fixel.testbed.frame_source import FrameQueue, Stream
 from fixel.testbed.loopback import LoopbackCamera
 from fixel.testbed.open_source import DeviceSource, UrlSource, check_size, source_of
-from fixel.testbed.recorder import Recorder, RecordingSummary
+from fixel.testbed.recorder import Recorder
 from fixel.vision.frame import Frame
 
 JPEG = jpeg_of(picture(0))
-
-
-def record(
-    source: FrameSource, folder: Path, expected: Stream | None = None, **options: Any
-) -> RecordingSummary:
-    """Record what a source sends as it comes."""
-    stream = source.open()
-    assert expected in (None, stream)
-    codec = "as-it-comes"
-    return Recorder(source=source, stream=stream, folder=folder, codec=codec, **options).run()
 
 
 # --- files ------------------------------------------------------------------------------------
@@ -119,8 +109,9 @@ def test_readings_play_with_their_film(tmp_path: Path) -> None:
 def test_a_film_goes_round_the_loop_bit_by_bit(tmp_path: Path) -> None:
     folder = film(tmp_path / "film")
     with LoopbackCamera(folder) as camera:
-        source = UrlSource(camera.url)
-        done = record(source, tmp_path / "r", Stream(SIZE, 0.0, True, True))
+        with UrlSource(camera.url) as source:
+            assert source.open() == Stream(SIZE, 0.0, True, True)
+        done = record(UrlSource(camera.url), tmp_path / "r")
     assert (done.frames, done.lost, done.reason) == (30, 0, "the camera ended the stream")
     sent = [data for _, data in open_recording(folder).jpegs()]
     assert [data for _, data in open_recording(tmp_path / "r").jpegs()] == sent

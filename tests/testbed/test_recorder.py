@@ -13,20 +13,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.testbed.films import SIZE, Fixels, Pictures, picture
+from tests.testbed.films import SIZE, Fixels, Pictures, picture, record
 
 from fixel.errors import InvalidInput
 from fixel.formats.recording import open_recording
 from fixel.formats.recording_video import jpeg_of
 from fixel.testbed import recorder as recorder_module
-from fixel.testbed.frame_source import CATCHING_UP, CameraPicture, FrameQueue, FrameSource
-from fixel.testbed.recorder import Recorder, RecordingStatus, RecordingSummary, Seating
-
-
-def record(
-    source: FrameSource, folder: Path, codec: str = "as-it-comes", **more: Any
-) -> RecordingSummary:
-    return Recorder(source=source, stream=source.open(), folder=folder, codec=codec, **more).run()
+from fixel.testbed.frame_source import CATCHING_UP, CameraPicture, FrameQueue
+from fixel.testbed.recorder import RecordingStatus, Seating
 
 
 @pytest.mark.parametrize("codec", ["as-it-comes", "near", "exact"])

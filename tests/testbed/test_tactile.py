@@ -266,8 +266,6 @@ def test_a_port_of_something_else_is_refused_with_what_it_said(says, found, monk
 
 
 def test_a_board_of_the_future_is_refused():
-    from fixel.testbed import tactile_protocol as frames
-
     def answer(heard: bytes) -> bytes:
         content = frames._IDENTITY.pack(3, 3, 900, 900, 900, 1, b"fixel-tactile")
         summed = heard[1:3] + bytes([len(content)]) + content
