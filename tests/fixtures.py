@@ -2,7 +2,11 @@
 
 from dataclasses import replace
 
+import numpy as np
+
 from fixel.database.project import Project
+from fixel.model import Experiment, Parameters, Provenance, Trajectory
+from fixel.model.records import CalibrationRecord, Member
 from fixel.sampling.published import thesis_plan
 
 
@@ -13,6 +17,28 @@ def project_of(folder, experiments):
         for experiment in experiments:
             store.add_experiment(experiment)
     return project
+
+
+def bare_experiment(name, **more):
+    """Return an experiment without a scene, of a part that rests for a second."""
+    usual = {
+        "dataset": "bare",
+        "real": True,
+        "provenance": Provenance(version="0"),
+        "trajectory": Trajectory(time=[0.0, 1.0], pose=np.zeros((2, 3))),
+    }
+    return Experiment(name=name, **usual | more)
+
+
+def calibration_record(members, values=(), **more):
+    """Return a made-up calibration of members, which are errors [mm^2] by ids of experiments."""
+    usual = {
+        "name": "made up",
+        "parameters": Parameters(values),
+        "members": tuple(Member(number, 1.0, error) for number, error in members.items()),
+        "provenance": Provenance(version="0"),
+    }
+    return CalibrationRecord(**usual | more)
 
 
 def short_plan(name="few", *, repetitions=2, speed=0.06):

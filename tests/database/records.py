@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from fixel.model import Channel, Experiment, Provenance, Trajectory
+from fixel.model import Channel, Experiment, Parameters, Provenance, Trajectory
+from fixel.model.records import SimulationRecord
 from fixel.testing.scenes import grasp
 
 HERE = Provenance(version="0.1", command="test", source="a.csv", sha256="00", seed=7)
@@ -13,6 +14,14 @@ HERE = Provenance(version="0.1", command="test", source="a.csv", sha256="00", se
 def path(n=5, shift=0.0):
     time = np.linspace(0.0, 1.0, n)
     return Trajectory(time=time, pose=np.column_stack((time + shift, -0.0 * time, 7.0 * time)))
+
+
+def simulation(number, error, parameters=()):
+    """A stored simulation of an experiment with this error [mm^2], of a part that rests."""
+    return SimulationRecord(
+        experiment_id=number, parameters=Parameters(parameters), provenance=Provenance(version="0"),
+        trajectory=Trajectory(time=[0.0, 1.0], pose=np.zeros((2, 3))), error_mm2=error,
+    )  # fmt: skip
 
 
 def experiment(name="1", **more):

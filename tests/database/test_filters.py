@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from tests.database.records import simulation
 
 from fixel.database.project import Project
 from fixel.database.query import ALL_EXPERIMENTS
 from fixel.errors import InvalidInput
-from fixel.model import Experiment, Flag, Parameters, Provenance, Trajectory
-from fixel.model.records import SimulationRecord
+from fixel.model import Experiment, Flag, Provenance, Trajectory
 from fixel.model.selection import KnownNames, holds, meant_filter, parse_filter, refuse_unknown
 from fixel.workflows.experiments import read_experiments
 
@@ -46,16 +46,7 @@ def filled(store):
     for number in range(40):
         added = store.add_experiment(random_experiment(rng, number))
         if rng.random() < 0.5:
-            track = Trajectory(time=[0.0, 1.0], pose=np.zeros((2, 3)))
-            store.add_simulation(
-                SimulationRecord(
-                    experiment_id=added.id,
-                    parameters=Parameters(),
-                    provenance=ORIGIN,
-                    trajectory=track,
-                    error_mm2=float(rng.choice([4.0, 9.0, 1600.0])),
-                )
-            )
+            store.add_simulation(simulation(added.id, float(rng.choice([4.0, 9.0, 1600.0]))))
     store.annotate([3, 5, 7], "slipped on Plywood")
     return store
 
