@@ -1,5 +1,6 @@
 """A whole application over a project folder, in this process."""
 
+import json
 import re
 
 from tests.web.client import Client
@@ -41,9 +42,24 @@ class Bench:
         """A browser that has not."""
         return Client(self.app, HERE, **options)
 
-    def post(self, path, json=None):
-        """As a page of ours does."""
-        return self.client.post(path, headers={WORD_HEADER: self.gate.word}, json=json)
+    def get(self, path, status=200):
+        """Return the content of an answer of the interface for programs."""
+        return self._content(self.client.get(f"/api/v1{path}"), status)
+
+    def post(self, path, body=None, status=200):
+        """Post to the interface as a page of ours does; return the content of the answer."""
+        text = None if body is None else json.dumps(body).encode()
+        return self._content(self.send(path, text), status)
+
+    def send(self, path, text):
+        """Post a text that may be no JSON; return the whole answer."""
+        headers = {WORD_HEADER: self.gate.word, "content-type": "application/json"}
+        return self.client.request("POST", f"/api/v1{path}", headers, content=text)
+
+    @staticmethod
+    def _content(answer, status):
+        assert answer.status_code == status, answer.text
+        return answer.json() if answer.content else None
 
     def submit(self, path, **fields):
         """Post a form with the hidden word of our pages; the answer is not followed."""

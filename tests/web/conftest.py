@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,11 @@ QUIET = [
     "--disable-dev-shm-usage",
     "--disable-gpu",
 ]
+RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
+VIOLATIONS = """async (rules) => (await window.axe.run(document, {
+  runOnly: { type: "tag", values: rules }, resultTypes: ["violations"],
+})).violations.filter((one) => one.impact !== "minor").map((one) => [one.id,
+  one.nodes.map((node) => `${node.target.join(" ")}: ${node.failureSummary}`)])"""
 SCRIPTS = ["<img src=x onerror=window.hacked=1>", "</script><script>window.hacked=1</script>"]
 
 
@@ -31,11 +37,11 @@ def project(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def bench(project, request):
-    """The application of the copy in this process, by the `Bench` of a module that has one."""
+def bench(project):
+    """The application of the copy in this process."""
     from tests.web.bench import Bench
 
-    made = getattr(request.module, "Bench", Bench)(project)
+    made = Bench(project)
     yield made
     made.close()
 
@@ -84,6 +90,24 @@ def browser_page(chromium, server):
     context.close()
     surprises = [p for p in problems if not any(e in p for e in page.expected_problems)]
     assert surprises == []
+
+
+@pytest.fixture(scope="module")
+def faults():
+    """Function that returns the faults of a page by the rules of axe, and of its width."""
+    package = pytest.importorskip("axe_playwright_python", reason="pip install 'fixel[dev]'")
+    rules = files(package).joinpath("axe.min.js").read_text(encoding="utf-8")
+
+    def found(page):
+        page.evaluate(rules)
+        return [*page.evaluate(VIOLATIONS, RULES), *width_fault(page)]
+
+    return found
+
+
+def width_fault(page):
+    wide = page.evaluate("document.documentElement.scrollWidth > innerWidth + 1")
+    return ["wider than the window"] if wide else []
 
 
 def unpacked(array):

@@ -10,7 +10,6 @@ import itertools
 import logging
 import re
 import sqlite3
-from pathlib import Path
 
 import pytest
 from tests.web.bench import filled
@@ -27,25 +26,12 @@ HOSTS = ("127.0.0.1:8000", "localhost:8000", "[::1]:8000", "evil.example", None)
 ORIGINS = ("absent", "same", "http://evil.example", "null", "picture on a page of another port")
 ORIGINS += ("link on another page", "form of ours", "form of another port", "form in a sandbox")
 CREDENTIALS = (
-    "nothing",
-    "prefix",
-    "token in query",
-    "wrong token in query",
-    "token twice in query",
-    "bearer",
-    "wrong bearer",
-    "bearer and prefix",
-    "cookie",
-    "cookie and word",
-    "cookie and wrong prefix",
-    "cookie and word and wrong prefix",
-    "cookie and prefix",
-    "wrong cookie and prefix",
-    "cookie and prefix and word",
-    "cookie and prefix and wrong word",
-    "word and prefix",
+    "nothing", "prefix", "token in query", "wrong token in query", "token twice in query",
+    "bearer", "wrong bearer", "bearer and prefix", "cookie", "cookie and word", "word and prefix",
+    "cookie and wrong prefix", "cookie and word and wrong prefix", "cookie and prefix",
+    "wrong cookie and prefix", "cookie and prefix and word", "cookie and prefix and wrong word",
     "cookie and prefix and wrong bearer",
-)
+)  # fmt: skip
 ADMITTED = 299  # no handler answers so
 
 
@@ -181,6 +167,7 @@ def test_the_full_matrix(bench, monkeypatch, every):
     asyncio.run(all_of_them())
     print(f"{len(cases)} requests: {counts}")
     assert surprises == []
+    assert "'unsafe" not in security.HEADERS["content-security-policy"]
     assert set(counts) == {ADMITTED, 303, 400, 401, 403}
 
 
@@ -209,7 +196,7 @@ def test_nothing_that_looks_changes_anything(bench):
             if "GET" in methods:
                 bench.client.get(path)
         assert version() == before
-        bench.post("/api/v1/experiments/delete", {"ids": [30]})
+        bench.post("/experiments/delete", {"ids": [30]})
         assert version() != before  # it would have been noticed
 
 
@@ -357,12 +344,3 @@ def test_nothing_is_uploaded(bench):
         for method, entry in entries.items():
             kinds = set(entry.get("requestBody", {}).get("content", {}))
             assert kinds <= {"application/json"}, (method, path)
-
-
-def test_nothing_is_unpickled_from_outside():
-    """No module of the server knows how."""
-    import fixel.web
-
-    folder = Path(fixel.web.__file__).parent
-    for path in folder.rglob("*.py"):
-        assert not re.search(r"\b(pickle|marshal|shelve|allow_pickle)\b", path.read_text()), path

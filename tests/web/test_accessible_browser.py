@@ -5,10 +5,9 @@ One look of each page here; all four with
     make test-slow PYTEST_ARGS=tests/web/test_accessible_browser.py
 """
 
-from importlib.resources import files
-
 import pytest
 from tests.laboratories import trusted_laboratory
+from tests.web.conftest import width_fault
 
 from fixel.testbed.recorder import RecordingStatus
 from fixel.testing.toy_work import MAKER
@@ -22,8 +21,6 @@ pytestmark = pytest.mark.system
 WIDE, NARROW = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
 LOOKS = [("light", WIDE), ("dark", NARROW)]
 OTHER_LOOKS = [("dark", WIDE), ("light", NARROW)]
-BAD = ("moderate", "serious", "critical")
-RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
 PATIENCE = 60_000  # [ms]
 
 # What can be reached; of a group of radio buttons or tabs, one.
@@ -55,13 +52,6 @@ FOCUSED = """() => {
   return { place: (group || node).dataset.wanted ?? "", ring: ring || style.boxShadow !== "none",
            what: `${node.tagName}#${node.id}` };
 }"""
-
-
-@pytest.fixture(scope="module")
-def axe():
-    """The rules, as the package brings them."""
-    package = pytest.importorskip("axe_playwright_python", reason="pip install 'fixel[dev]'")
-    return files(package).joinpath("axe.min.js").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -100,51 +90,35 @@ def settled(page, address):
     page.wait_for_timeout(100)
 
 
-def violations(page, axe):
-    page.evaluate(axe)
-    found = page.evaluate(
-        """async (rules) => (await window.axe.run(document, {
-          runOnly: { type: "tag", values: rules }, resultTypes: ["violations"],
-        })).violations.map((one) => ({
-          id: one.id, impact: one.impact, help: one.help,
-          nodes: one.nodes.map((node) => `${node.target.join(" ")}: ${node.failureSummary}`),
-        }))""",
-        RULES,
-    )
-    return [one for one in found if one["impact"] in BAD], found
-
-
-def judged(chromium, link, addresses, axe, looks):
+def judged(chromium, link, addresses, faults, looks):
+    """Faults of pages in some looks, and pages that do not fit on a phone."""
     bad = []
     for look, size in looks:
         context, page = opened(chromium, link, look, size)
         for address in addresses:
             settled(page, address)
-            wide = page.evaluate("document.documentElement.scrollWidth > innerWidth + 1")
-            serious, every = violations(page, axe)
-            for one in every:
-                mark = "BAD" if one in serious else "   "
-                print(mark, look, size["width"], address, one["id"], one["nodes"][:3])
-            where = f"{address} {look} {size['width']}"
-            bad += [(where, one["id"], one["nodes"]) for one in serious]
-            bad += [(where, "wider than the window", [])] if wide else []
+            found = faults(page)
+            page.set_viewport_size(NARROW)
+            found += width_fault(page)
+            page.set_viewport_size(size)
+            bad += [(address, look, size["width"], one) for one in found]
         context.close()
     return bad
 
 
-def test_no_violation(chromium, server, places, axe):
+def test_no_violation(chromium, server, places, faults):
     bad = []
     for look, some in zip(LOOKS, (places[::2], places[1::2]), strict=True):
-        bad += judged(chromium, server.link, some, axe, [look])
+        bad += judged(chromium, server.link, some, faults, [look])
     assert bad == []
 
 
 @pytest.mark.slow
-def test_no_violation_in_any_look(chromium, server, places, axe):
-    assert judged(chromium, server.link, places, axe, LOOKS + OTHER_LOOKS) == []
+def test_no_violation_in_any_look(chromium, server, places, faults):
+    assert judged(chromium, server.link, places, faults, LOOKS + OTHER_LOOKS) == []
 
 
-def test_nor_on_live_pages(chromium, axe):
+def test_nor_on_live_pages(chromium, faults):
     view, preview = LiveView(), RecordPreview("pushes/141")
     view.show(None, {"problems": ["a problem"], "remarks": ["a remark"], "state": "off"})
     preview.show(None, RecordingStatus(1.0, 30, 2, 30.0, 0b010, 5 * 10**10, ()))
@@ -155,7 +129,7 @@ def test_nor_on_live_pages(chromium, axe):
             for path in ("overlay", "record"):
                 page.goto(server.home + path)
                 page.wait_for_timeout(400)  # the streams never end
-                bad += [(path, one) for one in violations(page, axe)[0]]
+                bad += [(path, one) for one in faults(page)]
             context.close()
     assert bad == []
 

@@ -3,7 +3,6 @@
 import json
 import re
 import time
-from importlib.resources import files
 
 import pytest
 from tests.fixtures import short_plan
@@ -16,7 +15,6 @@ from fixel.web.bench_session import LOST
 pytestmark = pytest.mark.system
 
 PATIENCE = 180.0  # [s]
-RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
 
 
 @pytest.fixture(scope="module")
@@ -75,22 +73,9 @@ def phase(session):
     return json.loads(session.view.report)["phase"]
 
 
-def faults(page):
-    """Faults by the rules of axe, and what is wider than the window."""
-    axe = pytest.importorskip("axe_playwright_python", reason="pip install 'fixel[dev]'")
-    page.evaluate(files(axe).joinpath("axe.min.js").read_text(encoding="utf-8"))
-    found = page.evaluate(
-        """async (rules) => (await window.axe.run(document, {
-          runOnly: { type: "tag", values: rules }, resultTypes: ["violations"],
-        })).violations.filter((one) => one.impact !== "minor").map((one) => [one.id,
-          one.nodes.map((node) => `${node.target.join(" ")}: ${node.failureSummary}`)])""",
-        RULES,
-    )
-    wide = page.evaluate("document.documentElement.scrollWidth > innerWidth + 1")
-    return found + (["wider than the window"] if wide else [])
-
-
-def test_a_row_is_placed_pushed_tracked_accepted_and_calibrated(browser_page, server, session):
+def test_a_row_is_placed_pushed_tracked_accepted_and_calibrated(
+    browser_page, server, session, faults
+):
     page = browser_page
     begin(page, server, "whole")
     assert "not" not in page.inner_text("#link-state")
@@ -117,7 +102,7 @@ def test_a_row_is_placed_pushed_tracked_accepted_and_calibrated(browser_page, se
     assert page.inner_text("tr:has-text('whole')").split() == ["whole", "1", "0", "1"]
 
 
-def test_the_button_stops_the_drive(browser_page, server, session):
+def test_the_button_stops_the_drive(browser_page, server, session, faults):
     page = browser_page
     begin(page, server, "stopped")
     place(page)
@@ -152,7 +137,7 @@ def test_a_page_that_is_closed_during_a_push_stops_the_drive(browser_page, serve
     assert not session.loop.devices.drive.moving
 
 
-def test_a_fault_of_the_form_is_shown_at_its_field(browser_page, server):
+def test_a_fault_of_the_form_is_shown_at_its_field(browser_page, server, faults):
     page = browser_page
     page.expected_problems = ["422"]
     (server.context.project.folder / "mine.yaml").write_text(plan_text(short_plan("mine")))

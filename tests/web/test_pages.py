@@ -11,22 +11,9 @@ from fixel.testbed.recorder import RecordingStatus
 from fixel.web.app import create_app
 from fixel.web.live import LiveView
 from fixel.web.live_pages import RecordPreview, overlay_page
-from fixel.web.security import HEADERS, WORD_HEADER, Gate
+from fixel.web.security import WORD_HEADER, Gate
 
 HERE = "http://127.0.0.1:8000"
-GET = (
-    "/",
-    "/overlay",
-    "/overlay/picture.jpg",
-    "/overlay/status",
-    "/overlay/stream",
-    "/overlay/events",
-    "/record",
-    "/record/picture.jpg",
-    "/record/status",
-    "/static/style.css",
-    "/static/live.js",
-)
 
 
 class Bench:
@@ -51,28 +38,20 @@ def bench():
 # --- who gets in ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("path", GET)
-def test_nothing_opens_without_the_link(bench, path):
-    answer = bench.client(let_in=False).get(path)
-    assert answer.status_code == 403
-    assert "link" in answer.text
+def test_without_the_link_it_is_asked_for(bench):
+    for path in ("/", "/overlay/stream", "/static/live.js"):
+        answer = bench.client(let_in=False).get(path)
+        assert answer.status_code == 403
+        assert "link" in answer.text
 
 
-def test_nor_with_another_cookie(bench):
-    for wrong in (bench.gate.token, bench.gate.prefix, ""):
-        cookies = {bench.gate.cookie: wrong}
-        client = Client(bench.app, HERE + bench.gate.root, cookies=cookies)
-        assert client.get("/overlay").status_code == 403
-
-
-@pytest.mark.parametrize("path", GET)
 @pytest.mark.parametrize("prefix", ["", "/", "/guess", "//{prefix}", "/{prefix}x", "/x/{prefix}"])
-def test_nor_with_the_cookie_alone(bench, path, prefix):
+def test_the_cookie_alone_opens_nothing(bench, prefix):
     """Other servers of this machine may have it; the way is a second secret."""
     home = HERE + prefix.format(prefix=bench.gate.prefix)
     client = Client(bench.app, home, cookies={bench.gate.cookie: bench.gate.session})
     for headers in ({}, {"origin": HERE, "sec-fetch-site": "same-origin", WORD_HEADER: "x"}):
-        assert client.get(path, headers=headers).status_code == 403
+        assert client.get("/overlay", headers=headers).status_code == 403
 
 
 def test_cookies_of_other_servers_do_no_harm(bench):
@@ -122,15 +101,6 @@ def test_the_secrets_do_not_print(bench):
     assert not {gate.token, gate.session, gate.prefix, gate.word} & set(
         repr(gate).replace("'", " ").split()
     )
-
-
-@pytest.mark.parametrize("path", ["/overlay", "/overlay/status", "/nowhere", "/static/live.js"])
-def test_every_answer_carries_the_headers(bench, path):
-    for client in (bench.client(), bench.client(let_in=False)):
-        answer = client.get(path)
-        for name in HEADERS:
-            assert name in answer.headers, name
-    assert "'unsafe" not in HEADERS["content-security-policy"]
 
 
 @pytest.mark.parametrize(
@@ -220,26 +190,10 @@ def test_streams_end_when_the_view_is_closed(bench):
 # --- the recording ----------------------------------------------------------------------------
 
 
-def test_stop_needs_the_word_of_the_page(bench):
+def test_a_recording_is_stopped_by_the_page_and_not_by_looking(bench):
     client = bench.client()
-    assert client.post("/record/stop").status_code == 403
-    assert client.post("/record/stop", headers={WORD_HEADER: "guess"}).status_code == 403
-    foreign = {WORD_HEADER: bench.gate.word, "origin": "http://127.0.0.1:9999"}
-    assert client.post("/record/stop", headers=foreign).status_code == 403
-    no_cookie = bench.client(let_in=False).post(
-        "/record/stop", headers={WORD_HEADER: bench.gate.word}
-    )
-    assert no_cookie.status_code == 403
+    assert client.get("/record/stop").status_code == 405
     assert not bench.preview.stop_wanted
-
-
-def test_looking_does_not_stop(bench):
-    assert bench.client().get("/record/stop").status_code == 405
-    assert not bench.preview.stop_wanted
-
-
-def test_stop_from_the_page(bench):
-    client = bench.client()
     page = client.get("/record").text
     word = page.split('name="fixel-word" content="')[1].split('"')[0]
     answer = client.post("/record/stop", headers={WORD_HEADER: word, "origin": HERE})

@@ -12,50 +12,17 @@ from urllib.request import url2pathname
 
 import pytest
 from tests.processes import line_of
-from tests.web.client import Client
 
-from fixel.database.project import Project
 from fixel.database.store import Store
-from fixel.errors import InvalidInput
-from fixel.web.app import create_app
-from fixel.web.context import ProjectContext
-from fixel.web.pages.site import project_pages
 from fixel.web.palette import DARK, LIGHT, READABLE, ROLES, contrast_of, palette_css, readable
 from fixel.web.problems import OUR_MISTAKE
-from fixel.web.project import project_api, project_server
-from fixel.web.security import MAX_BODY, WORD_HEADER, Gate
-
-HERE = "http://127.0.0.1:8000"
-
-
-class Bench:
-    def __init__(self, folder):
-        self.gate = Gate()
-        self.context = ProjectContext(Project(folder))
-        self.app = create_app(
-            project_pages(self.context), self.gate, api=project_api(self.context), name="my_lab"
-        )
-
-    def client(self, *, let_in=True, **options):
-        cookies = {self.gate.cookie: self.gate.session} if let_in else None
-        home = HERE + self.gate.root if let_in else HERE
-        return Client(self.app, home, cookies=cookies, **options)
-
-    @property
-    def token(self):
-        return {"authorization": f"Bearer {self.gate.token}"}
-
-
-@pytest.fixture(scope="module")
-def bench(project):
-    made = Bench(project)
-    yield made
-    made.context.close()
+from fixel.web.project import project_server
+from fixel.web.security import MAX_BODY
 
 
 def test_a_program_gets_in_with_the_token(bench):
-    client = bench.client(let_in=False)
-    answer = client.get("/api/v1/project", headers=bench.token)
+    token = {"authorization": f"Bearer {bench.gate.token}"}
+    answer = bench.stranger().get("/api/v1/project", headers=token)
     assert answer.status_code == 200
     assert answer.json()["name"] == "my_lab"
     assert answer.json()["datasets"] == {"testbed": 30}
@@ -67,7 +34,7 @@ def test_a_program_gets_in_with_the_token(bench):
 )
 def test_and_with_nothing_else(bench, header):
     # Not even with the cookie: a program that sends a wrong token should hear of it.
-    for client in (bench.client(), bench.client(let_in=False)):
+    for client in (bench.client, bench.stranger()):
         sent = {"authorization": header.format(token=bench.gate.token)}
         answer = client.get("/api/v1/project", headers=sent)
         assert answer.status_code == 401
@@ -76,16 +43,14 @@ def test_and_with_nothing_else(bench, header):
 
 
 def test_refusals_at_the_gate_are_documents(bench):
-    answer = bench.client(let_in=False).get("/api/v1/project")
+    answer = bench.stranger().get("/api/v1/project")
     assert answer.status_code == 403
     assert "link" in answer.json()["sentence"]
 
 
 def test_what_is_not_there_is_a_document_below_api_and_a_page_elsewhere(bench):
-    client = bench.client()
-    document = client.get("/api/v1/nothing")
-    assert (document.status_code, document.json()["status"]) == (404, 404)
-    page = client.get("/nothing")
+    assert bench.get("/nothing", 404)["status"] == 404
+    page = bench.client.get("/nothing")
     assert page.status_code == 404
     assert "Back to the first page" in page.text
 
@@ -96,8 +61,8 @@ def test_a_mistake_of_ours_is_told_to_who_started_it(bench, monkeypatch, caplog)
 
     monkeypatch.setattr(Store, "experiments", mistaken)
     monkeypatch.setattr(Store, "experiment", mistaken)
-    document = bench.client().get("/api/v1/experiments")
-    page = bench.client().get("/experiments/1")
+    document = bench.client.get("/api/v1/experiments")
+    page = bench.client.get("/experiments/1")
     assert (document.status_code, page.status_code) == (500, 500)
     assert document.json()["sentence"] == OUR_MISTAKE
     assert page.text == f"{OUR_MISTAKE}\n"
@@ -109,7 +74,7 @@ def test_a_mistake_of_ours_is_told_to_who_started_it(bench, monkeypatch, caplog)
 
 
 def test_everything_is_described(bench):
-    described = bench.client().get("/api/v1/openapi.json").json()
+    described = bench.get("/openapi.json")
     assert described["servers"] == [{"url": "/api/v1"}]
     for path, entries in described["paths"].items():
         for method, entry in entries.items():
@@ -129,35 +94,20 @@ def descriptions(document):
 
 
 def test_no_description_repeats_its_words(bench):
-    described = bench.client().get("/api/v1/openapi.json").json()
-    texts = list(descriptions(described))
+    texts = list(descriptions(bench.get("/openapi.json")))
     assert len(texts) > 400
     assert [text for text in texts if re.search(r"\b(\w+(?: \w+)*)\W+\1\b", text)] == []
 
 
 def test_the_guide_names_every_operation(bench):
-    guide = bench.client().get("/api").text
-    described = bench.client().get("/api/v1/openapi.json").json()
-    for path in described["paths"]:
+    guide = bench.client.get("/api").text
+    for path in bench.get("/openapi.json")["paths"]:
         assert f"/api/v1{path}" in guide
     assert bench.gate.token not in guide
 
 
 def test_long_bodies_are_refused(bench):
-    sent = {WORD_HEADER: bench.gate.word}
-    answer = bench.client().request(
-        "POST", "/api/v1/project", headers=sent, content=b"x" * (MAX_BODY + 1)
-    )
-    assert answer.status_code == 413
-
-
-def test_pages_are_strict(bench):
-    client = bench.client()
-    for page in project_pages(bench.context):
-        text = client.get(page.path.replace("{number}", "1")).text
-        assert 'style="' not in text
-        assert "<script>" not in text
-        assert "https://" not in text
+    assert bench.send("/project", b"x" * (MAX_BODY + 1)).status_code == 413
 
 
 @pytest.mark.parametrize("role", ROLES)
@@ -257,13 +207,3 @@ def test_for_others_it_answers_to_its_own_names_and_no_other(bench):
             )
             assert line.getresponse().status == status
             line.close()
-
-
-def test_a_port_that_is_taken(project):
-    from fixel.cli.serve import serve
-
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        with pytest.raises(InvalidInput, match="--port"):
-            serve(place=project, port=taken.getsockname()[1], host="127.0.0.1")

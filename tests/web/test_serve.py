@@ -3,7 +3,6 @@
 import http.client
 import signal
 import socket
-import sys
 import time
 import urllib.error
 import urllib.request
@@ -108,10 +107,3 @@ def test_it_ends_though_a_browser_does_not_read(view):
     assert time.monotonic() - begun < 4.0
     connection.close()
     still.close()
-
-
-def test_the_package_itself_is_light():
-    assert "fixel.web" in sys.modules
-    import importlib
-
-    assert not hasattr(importlib.import_module("fixel.web"), "FastAPI")

@@ -7,11 +7,9 @@ import pytest
 from tests.fixtures import project_of
 
 from fixel.errors import InvalidInput
-from fixel.model import Parameters
 from fixel.sampling import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views import live_comparison
-from fixel.workflows.project.compare import compare_run
 
 HERE = Path("my_lab")
 
@@ -34,17 +32,6 @@ def test_the_thesis_parameters_come_first_and_all_of_them_have_a_meaning(live):
         for value in ends:
             assert slider.meaning
             assert live.compared(1, {slider.name: value}, "dynamic", HERE).motion.status
-
-
-def test_a_set_is_the_comparison_of_the_command_line(live):
-    values = {"mu_support": 0.3, "tripod_radius": 0.03}
-    answer = live.compared(1, values, "quasistatic", HERE)
-    same = compare_run(
-        live.experiment(1), Parameters(values), live_comparison.motion_model("quasistatic")
-    )
-    assert answer.error_mm2 == same.error_mm2
-    assert answer.motion.time[0] == same.simulated.time[0]
-    assert answer.motion.errors.position == pytest.approx(same.position)
 
 
 def test_what_is_kept_is_offered_next_time(live):
@@ -81,10 +68,3 @@ def test_a_name_with_quotes_does_not_leave_its_string(live, tmp_path):
     command = live_comparison.command_of(experiment, tmp_path, {}, "dynamic")
     assert shlex.split(command)[2] == experiment.key
     compile(live_comparison.python_of(experiment, tmp_path, {}, "dynamic"), "copied", "exec")
-
-
-def test_strangers_are_refused(live):
-    with pytest.raises(InvalidInput, match="mu_suport"):
-        live.compared(1, {"mu_suport": 0.3}, "dynamic", HERE)
-    with pytest.raises(InvalidInput, match="motion"):
-        live.compared(1, {}, "magic", HERE)
