@@ -3,12 +3,12 @@
 from importlib.metadata import version
 
 import numpy as np
+from tests.fixtures import calibration_record
 
 from fixel.calibration.objective import Comparer, MeanSquare
 from fixel.calibration.target import target_of
 from fixel.database.project import Project
-from fixel.model import Parameters, Provenance
-from fixel.model.records import CalibrationRecord, Member
+from fixel.model import Provenance
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.sampling.published import thesis_plan
 from fixel.simulation import QuasiStatic
@@ -59,13 +59,9 @@ def made_up_points(n, seed=0):
 
 
 def record(members, values, errors, **method):
-    return CalibrationRecord(
-        name="made up",
-        parameters=Parameters(values),
-        members=tuple(Member(m, 1.0, e) for m, e in zip(members, errors, strict=True)),
-        provenance=Provenance(version=version("fixel")),
-        method=METHOD | method,
-    )
+    own = dict(zip(members, errors, strict=True))
+    origin = Provenance(version=version("fixel"))
+    return calibration_record(own, values, provenance=origin, method=METHOD | method)
 
 
 def explored(store, **options):

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests.filtering.recordings import push
+from tests.fixtures import calibration_record, project_of
 from typer.testing import CliRunner
 
 from fixel.cli.main import app
-from fixel.database.project import Project
 from fixel.errors import InvalidInput, NotStored, StoreRefused
-from fixel.model import Flag, Parameters, Provenance
-from fixel.model.records import CalibrationRecord, Estimate, Member
+from fixel.model import Flag
+from fixel.model.records import Estimate
 from fixel.workflows.filtering.run import filter, filter_stored
 
 FEW = {"particles": 40, "priors": {"mu_pusher": (0.2, 0.6)}, "occlusion": (1.0, 2.0)}
@@ -23,23 +23,12 @@ FEW = {"particles": 40, "priors": {"mu_pusher": (0.2, 0.6)}, "occlusion": (1.0, 
 def project(tmp_path_factory):
     recorded = push(duration=3.0)
     flag = Flag("no-fixels", "nobody knows where", False)
-    found = Project.create(tmp_path_factory.mktemp("projects") / "my lab")
+    bare = replace(recorded, name="bare", scene=None, contact_mode="", flags=(flag,))
+    found = project_of(tmp_path_factory.mktemp("projects") / "my lab", [recorded, bare])
+    known = Estimate(label="mu_pusher", unit="-", value=0.35, low=0.31, verdict="at least")
     with found.store() as store:
-        number = store.add_experiment(recorded).id
-        store.add_calibration(
-            CalibrationRecord(
-                name="pushes",
-                parameters=Parameters({"mu_pusher": 0.35}),
-                members=(Member(number, 1.0, 0.01),),
-                provenance=Provenance(version="1"),
-                estimates=(
-                    Estimate(label="mu_pusher", unit="-", value=0.35, low=0.31, verdict="at least"),
-                ),
-            )
-        )
-        store.add_experiment(
-            replace(recorded, name="bare", scene=None, contact_mode="", flags=(flag,))
-        )
+        record = calibration_record({1: 0.01}, {"mu_pusher": 0.35}, estimates=(known,))
+        store.add_calibration(record)
     return found
 
 

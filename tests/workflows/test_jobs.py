@@ -63,16 +63,6 @@ def test_cancelled_with_its_workers_and_gone_on_with(tmp_path):
     assert_as_undisturbed(folder, **SLOW)
 
 
-@pytest.mark.system
-def test_a_lost_job_can_be_cancelled(tmp_path):
-    folder = toy_job(tmp_path / "job", **SLOW)
-    coordinator = start(folder)
-    await_true(lambda: jobs.status_of(folder).state == "running", "it to run")
-    coordinator.kill()
-    coordinator.wait()
-    assert jobs.cancel(folder).state == "cancelled"
-
-
 def test_how_a_job_is_run_is_kept_for_the_next_time(tmp_path):
     folder = toy_job(tmp_path / "job", **OPTIONS)
     assert jobs.arrange(folder, workers=0, lease_s=12.0).lease_s == 12.0

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests.filtering.recordings import push
-from tests.fixtures import project_of
+from tests.fixtures import calibration_record, project_of
 from tests.uncertainty.forks import fork
 from typer.testing import CliRunner
 
@@ -16,13 +16,12 @@ from fixel.cli.main import app
 from fixel.database.project import Project
 from fixel.errors import InvalidInput, NotStored
 from fixel.formats import SceneFile, save_scene
-from fixel.model import Flag, Parameters, Provenance
-from fixel.model.records import CalibrationRecord, Estimate, Member
+from fixel.model import Flag
+from fixel.model.records import Estimate
 from fixel.testing.scenes import micro_push
 from fixel.uncertainty.push import intervals_of
 from fixel.uncertainty.starts import ASME, StartError
 from fixel.workflows.analysis import load_analyses
-from fixel.workflows.calibration.stored import CalibratedValues
 from fixel.workflows.capabilities import prepare
 from fixel.workflows.sensitivity.run import SENSITIVITY, sensitivity
 
@@ -149,16 +148,10 @@ def test_one_experiment_as_json_with_indices(folder):
 def test_a_calibration_gives_values_ranges_and_motion(folder, quoted):
     pytest.importorskip("SALib")
     project = Project(folder)
-    record = CalibrationRecord(
-        name="one",
-        parameters=Parameters(mu_pusher=0.3),
-        members=(Member(1, 1.0, 0.1),),
-        provenance=Provenance(version="0"),
-        method={"motion": "quasistatic"},
-        estimates=(
-            Estimate(label="mu_pusher", unit="-", value=quoted, low=0.25, high=0.4, best_fit=0.3),
-        ),
-    )
+    estimate = Estimate(label="mu_pusher", unit="-", value=quoted, low=0.25, high=0.4, best_fit=0.3)
+    method = {"motion": "quasistatic"}
+    own = {"method": method, "estimates": (estimate,)}
+    record = calibration_record({1: 0.1}, {"mu_pusher": 0.3}, **own)
     with project.store() as store:
         number = store.add_calibration(record)
     words = ("testbed/push", "-p", folder, "--calibration", number, "--indices", "--base", "2")
@@ -172,20 +165,12 @@ def test_a_calibration_gives_values_ranges_and_motion(folder, quoted):
 
 def test_an_interval_is_that_of_the_surface_although_the_values_of_two_agree():
     ends = {"abs": (0.25, 0.4), "ply": (0.1, 0.9)}
-    record = CalibrationRecord(
-        name="two",
-        parameters=Parameters({}),
-        members=(Member(1, 1.0, 0.1),),
-        provenance=Provenance(version="0"),
-        estimates=tuple(
-            Estimate(label=f"mu_support[surface={name}]", unit="-", value=0.3, low=low, high=high)
-            for name, (low, high) in ends.items()
-        ),
-    )
-    model = CalibratedValues(1, record)
-    assert {
-        name: intervals_of(model.record.estimates, {"surface": name})["mu_support"] for name in ends
-    } == ends
+    estimates = [
+        Estimate(label=f"mu_support[surface={name}]", unit="-", value=0.3, low=low, high=high)
+        for name, (low, high) in ends.items()
+    ]
+    found = {name: intervals_of(estimates, {"surface": name})["mu_support"] for name in ends}
+    assert found == ends
 
 
 @pytest.mark.parametrize(

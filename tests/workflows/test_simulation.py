@@ -83,13 +83,6 @@ def test_impossible_files_are_refused_before_anything_is_simulated(scene, tmp_pa
             simulate_file(load_scene(scene), outputs)
 
 
-def test_plain_and_compiled_loops_give_the_same(scene):
-    compiled = simulate_file(load_scene(scene))
-    plain = simulate_file(load_scene(scene), plain=True)
-
-    assert compiled.final == plain.final
-
-
 def test_settings_are_parameters_or_keys_of_the_scene(tmp_path):
     """A parameter, with or without its unit, gives what the function and a changed file give."""
     path = scenes.pushed_square().save(tmp_path / "scene.yaml")

@@ -14,8 +14,9 @@ from tests.vision.plate import plate_picture, small_rig
 
 from fixel.errors import InvalidInput
 from fixel.formats.recording_video import jpeg_of
-from fixel.model import Body, Disk, Fixel, LineDrive, Polygon, Pusher, Scene, Tripod
+from fixel.model import Disk, Fixel
 from fixel.testbed.frame_source import CameraPicture, FrameSource, Stream
+from fixel.testing.scenes import grasp
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame
 from fixel.workflows.acquisition.overlay import (
@@ -30,29 +31,12 @@ from fixel.workflows.acquisition.overlay import (
 RIG = small_rig()
 WANTED = (0.11, -0.01, 0.35)
 TOLERANCE = Tolerance(distance=1e-3, angle=math.radians(1.0))
-HALF = 0.05375
-SQUARE = Polygon([[-HALF, -HALF], [HALF, -HALF], [HALF, HALF], [-HALF, HALF]])
-SCENE = Scene(
-    bodies=(
-        Body(
-            name="object",
-            shape=SQUARE,
-            mass=0.15,
-            pose=WANTED,
-            support=Tripod(radius=0.04, friction=0.25, angle=0.0),
-        ),
-    ),
-    pushers=(
-        Pusher(
-            name="actuator",
-            shape=Disk(0.0145),
-            pose=(0.0, 0.0, 0.0),
-            drive=LineDrive(direction=(1.0, 0.0), speed=0.0135),
-            friction=0.25,
-        ),
-    ),
-    fixels=(Fixel(name="fixel-1", shape=Disk(0.00476), pose=(0.24, 0.07, 0.0), friction=0.2),),
-    duration=1.0,
+PEG = (0.24, 0.07, 0.0)
+GRASP = grasp()
+SCENE = replace(
+    GRASP,
+    bodies=(replace(GRASP.bodies[0], pose=WANTED),),
+    fixels=(Fixel(name="fixel-1", shape=Disk(0.00476), pose=PEG, friction=0.2),),
 )
 AT_HOME = {"object": WANTED, "actuator": (0.0, 0.0, 0.0)}
 
@@ -207,7 +191,7 @@ def test_outlines_stand_where_the_part_stands():
     drawn = draw_look(picture, overlay.look(frame(picture)))
     changed = np.abs(drawn.astype(int) - picture).max(axis=2) > 60
     c, s = math.cos(0.35), math.sin(0.35)
-    corners = SQUARE.outline @ np.array([[c, s], [-s, c]]) + WANTED[:2]
+    corners = SCENE.bodies[0].shape.outline @ np.array([[c, s], [-s, c]]) + WANTED[:2]
     for u, v in np.round(RIG.camera.project_at(corners, 0.0254)).astype(int):
         assert changed[v - 1 : v + 2, u - 1 : u + 2].any()
 
@@ -268,7 +252,6 @@ def about(pose, inner):
 
 
 SHIFTED = (0.012, 0.008, math.radians(6.0))
-PEG = (0.24, 0.07, 0.0)
 
 
 def anchored_looks(poses, n=6, anchor="actuator"):

@@ -28,29 +28,13 @@ N = 8
 
 
 def scene():
-    square = Polygon(0.02 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]))
-    poses = moving(0.0)
-    return Scene(
-        bodies=(
-            Body(
-                name="object",
-                shape=square,
-                mass=0.1,
-                pose=poses["object"],
-                support=Tripod(radius=0.01, friction=0.3),
-            ),
-        ),
-        pushers=(
-            Pusher(
-                name="actuator",
-                shape=Polygon(square.vertices * 0.6),
-                pose=poses["actuator"],
-                drive=LineDrive(direction=(1.0, 0.0), speed=0.0135),
-                friction=0.3,
-            ),
-        ),
-        duration=1.0,
-    )
+    square = Polygon.rectangle(0.04, 0.04)
+    poses, drive = moving(0.0), LineDrive(direction=(1.0, 0.0), speed=0.0135)
+    support = Tripod(radius=0.01, friction=0.3)
+    part = Body("object", square, mass=0.1, pose=poses["object"], support=support)
+    head = Polygon(square.vertices * 0.6)
+    pusher = Pusher("actuator", head, pose=poses["actuator"], drive=drive, friction=0.3)
+    return Scene(part, pusher, duration=1.0)
 
 
 @pytest.fixture

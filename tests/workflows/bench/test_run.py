@@ -1,6 +1,5 @@
 """Faults of a bench and of requests are named before anything moves."""
 
-import threading
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -8,6 +7,7 @@ import numpy as np
 import pytest
 from tests.fixtures import short_plan
 from tests.jobs.helpers import await_true as until
+from tests.workflows.bench.test_loop import Hand
 
 from fixel.database.project import Project
 from fixel.errors import DeviceFailed, InvalidInput
@@ -54,23 +54,24 @@ def controller():
         yield emulated
 
 
+def opened(folder, **options):
+    """The bench with the small rig, or with other options."""
+    options = {"rig": str(folder / "rig.yaml")} | options
+    return open_bench(Project(folder / "lab"), folder / "one.yaml", **options)
+
+
 def refused(folder, kind=InvalidInput, **options):
     """The error of a bench that is not opened."""
     with (
         pytest.raises(kind) as caught,
-        open_bench(
-            Project(folder / "lab"),
-            folder / "one.yaml",
-            **{"rig": str(folder / "rig.yaml")} | options,
-        ),
+        opened(folder, **options),
     ):
         pass
     return caught.value
 
 
 def test_a_whole_bench_opens_and_its_drive_stays_where_it_is(folder, camera, controller):
-    lab, plan, rig = Project(folder / "lab"), folder / "one.yaml", str(folder / "rig.yaml")
-    with open_bench(lab, plan, rig=rig, camera=camera, port=controller.port) as loop:
+    with opened(folder, camera=camera, port=controller.port) as loop:
         assert len(loop.campaign.left) == 1
     assert controller.trace == []
 
@@ -78,17 +79,14 @@ def test_a_whole_bench_opens_and_its_drive_stays_where_it_is(folder, camera, con
 @pytest.mark.parametrize("check", [False, True])
 def test_a_controller_that_does_not_home_waits_for_its_zero(folder, camera, controller, check):
     """Nothing moves before a person confirms it, also after the controller was off and on."""
-    lab, plan, rig = Project(folder / "lab"), folder / "one.yaml", str(folder / "rig.yaml")
-    with open_bench(lab, plan, rig=rig, camera=camera, port=controller.port, check=check) as loop:
-        statuses = []
-        loop.show = lambda draw, status: statuses.append(status)
+    with opened(folder, camera=camera, port=controller.port, check=check) as loop:
         loop.ask("again")  # nothing was requested yet
-        ends = threading.Thread(target=loop.run)
+        hand = Hand(loop)
 
         def asked():
-            return statuses and "by hand to its position 0" in "".join(statuses[-1]["problems"])
+            return "by hand to its position 0" in "".join(hand.now().get("problems", ()))
 
-        ends.start()
+        hand.thread.start()
         for _ in range(1 if check else 2):
             until(asked)
             loop.ask("push")
@@ -96,11 +94,11 @@ def test_a_controller_that_does_not_home_waits_for_its_zero(folder, camera, cont
             if not check:  # else the head would move now
                 loop.ask("again")
                 until(lambda: loop.devices.drive.zero_known)
-                until(lambda: statuses[-1]["phase"] == "placing")
+                until(lambda: hand.now()["phase"] == "placing")
                 controller.power_cycle()
         loop.ask("end")
-        ends.join(60.0)
-        assert not ends.is_alive()
+        hand.thread.join(60.0)
+        assert not hand.thread.is_alive()
         assert not loop.campaign.attempts
     assert controller.trace == []
 
@@ -183,25 +181,22 @@ def test_a_wrong_setting_of_the_project_is_named(folder, tmp_path, text, where):
 
 
 def test_an_alarm_while_a_part_is_placed_is_named_and_ended_by_homing(folder, camera):
-    lab, plan, rig = Project(folder / "lab"), folder / "one.yaml", str(folder / "rig.yaml")
     with EmulatedGrbl(travel=200.0, start=0.0, homing=True, rate=5.0) as controller:
         with GrblActuator(controller.port, guard=False) as drive:
             drive.home()
-        with open_bench(lab, plan, rig=rig, camera=camera, port=controller.port) as loop:
-            statuses = []
-            loop.show = lambda draw, status: statuses.append(status)
-            ends = threading.Thread(target=loop.run)
-            ends.start()
-            until(lambda: statuses and statuses[-1]["phase"] == "placing")
+        with opened(folder, camera=camera, port=controller.port) as loop:
+            hand = Hand(loop)
+            hand.thread.start()
+            until(lambda: hand.now()["phase"] == "placing")
             controller.hit_switch()
-            until(lambda: statuses[-1]["phase"] == "trouble")
-            assert "in the state Alarm" in statuses[-1]["problems"][0]
+            until(lambda: hand.now()["phase"] == "trouble")
+            assert "in the state Alarm" in hand.now()["problems"][0]
             loop.ask("again")
-            until(lambda: statuses[-1]["phase"] == "placing")
+            until(lambda: hand.now()["phase"] == "placing")
             assert controller.state == "Idle"
             loop.ask("end")
-            ends.join(60.0)
-            assert not ends.is_alive()
+            hand.thread.join(60.0)
+            assert not hand.thread.is_alive()
             assert not loop.campaign.attempts
 
 
@@ -211,8 +206,7 @@ def test_a_disk_on_which_no_minute_fits_is_named_before_the_push(
     monkeypatch.setattr(
         "fixel.testbed.recorder.shutil.disk_usage", lambda _: SimpleNamespace(free=33 << 20)
     )
-    lab, plan, rig = Project(folder / "lab"), folder / "one.yaml", str(folder / "rig.yaml")
-    with open_bench(lab, plan, rig=rig, camera=camera, port=controller.port) as loop:
+    with opened(folder, camera=camera, port=controller.port) as loop:
         check = loop._disk_check()
         assert not check.passed
         assert "free disk space" in check.words

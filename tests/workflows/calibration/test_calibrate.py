@@ -216,16 +216,6 @@ def test_one_value_for_each_condition(pushes):
     assert eval(fit.call, {"fixel": fixel, "experiments": pushes}) == fit
 
 
-def test_limits_are_totals_and_repeat(pushes):
-    options = {"optimiser": "pattern-search", "verdicts": False, **QUIET}
-    short = fixel.calibrate(pushes[:2], BOUNDS, max_evaluations=20, **options)
-    assert short.status == "budget"
-    assert 20 <= short.evaluations < 40
-    again = fixel.calibrate(pushes[:2], BOUNDS, max_evaluations=short.evaluations, **options)
-    assert dict(again) == dict(short)
-    assert fixel.calibrate(pushes[:2], BOUNDS, budget=1e-6, **options).status == "budget"
-
-
 @pytest.mark.parametrize("optimiser", ["least-squares", "pattern-search", "nelder-mead", "cma-es"])
 @pytest.mark.parametrize("function", [fixel.calibrate, fixel.calibrate_each])
 @pytest.mark.parametrize("limit", [1, 10])

@@ -1,13 +1,13 @@
 """Stored calibrations as models to simulate with."""
 
 import pytest
-from tests.fixtures import project_of
+from tests.fixtures import calibration_record, project_of
 
 import fixel
 from fixel.calibration.objective import Robust, RootMeanSquare
 from fixel.errors import InvalidInput
-from fixel.model import Parameters, Provenance
-from fixel.model.records import CalibrationRecord, Estimate, Member
+from fixel.model import Parameters
+from fixel.model.records import Estimate
 from fixel.model.space import split_label
 from fixel.sampling.published import thesis_plan
 from fixel.simulation import QuasiStatic
@@ -24,13 +24,7 @@ def store(tmp_path):
 
 
 def _record(members, **changes):
-    settings = {
-        "name": "c",
-        "parameters": Parameters(mu_pusher=0.2),
-        "members": tuple(Member(m, 1.0, 1.0) for m in members),
-        "provenance": Provenance(version="0"),
-    } | changes
-    return CalibrationRecord(**settings)
+    return calibration_record(dict.fromkeys(members, 1.0), {"mu_pusher": 0.2}, **changes)
 
 
 def test_values_of_an_experiment_are_those_shared_and_its_own(store):

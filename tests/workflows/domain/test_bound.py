@@ -105,15 +105,6 @@ def test_too_few_experiments_are_refused_before_any_fit(pushes):
         error_bound(pushes, SPACE, groups=["surface"], **QUIET)
 
 
-def test_a_push_without_its_group_is_refused_with_the_call_that_works(pushes, tmp_path):
-    call = {"groups": ["side"], "folds": 2, "store": tmp_path, **QUIET}
-    one = error_bound(pushes, SPACE, **call)
-    with pytest.raises(InvalidInput, match=r"\.at\(scene, side='(left|right)'\)"):
-        one.at(pushes[0].scene)
-    with pytest.raises(InvalidInput, match="another seed: 0"):
-        error_bound(pushes, SPACE, seed=2, **call)
-
-
 @pytest.mark.parametrize("function", [fixel.error_bound, fixel.map_domain])
 def test_a_program_that_a_call_names_is_permitted(function, pushes, monkeypatch):
     named = []

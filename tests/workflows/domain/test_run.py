@@ -4,17 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.fixtures import project_of
+from tests.fixtures import calibration_record, project_of
 
 from fixel.calibration.objective import Comparer, Evaluation, MeanSquare, RootMeanSquare
 from fixel.calibration.target import targets_of
-from fixel.database.project import Project
 from fixel.domain.cells import coordinates_of, label_of
 from fixel.domain.held_out import Apart, CalibrationModel, held_out, noise_floor, stepper_for
 from fixel.errors import InvalidInput
 from fixel.io.array_bytes import ResultCache
-from fixel.model import Parameters, Provenance
-from fixel.model.records import CalibrationRecord, Member
 from fixel.model.space import ParameterSpace
 from fixel.sampling.published import thesis_plan
 from fixel.simulation import Dynamic
@@ -109,22 +106,14 @@ def test_errors_beside_own_bests_are_refused_before_any_fit(tmp_path, monkeypatc
 
 
 def test_own_bests_under_another_model_say_nothing(tmp_path):
-    with Project.create(tmp_path / "lab").store() as store:
-        for experiment in SimulatedTestbed.ideal().run(planned(3)):
-            store.add_experiment(experiment)
+    project = project_of(tmp_path / "lab", SimulatedTestbed.ideal().run(planned(3)))
+    with project.store() as store:
         targets = targets_of(store.experiment(k) for k in (1, 2, 3))
         with pytest.raises(InvalidInput, match="calibrate them first"):
             own_best(store, [1, 2, 3], model(targets))
         for k, change in enumerate(({}, {"motion": "quasistatic"}, {"error.angle_scale": 0.05})):
-            store.add_calibration(
-                CalibrationRecord(
-                    name=f"c{k}",
-                    parameters=Parameters(mu_pusher=0.2),
-                    members=(Member(k + 1, 1.0, 0.5),),
-                    provenance=Provenance(version="0"),
-                    method=METHOD | change,
-                )
-            )
+            own = calibration_record({k + 1: 0.5}, {"mu_pusher": 0.2}, method=METHOD | change)
+            store.add_calibration(own)
         best, notes = own_best(store, [1, 2, 3], model(targets))
     assert best[0] == 0.5
     assert np.isnan(best[1:]).all()
@@ -134,24 +123,15 @@ def test_own_bests_under_another_model_say_nothing(tmp_path):
 
 
 def test_fits_start_at_the_stored_calibration(tmp_path):
-    project = Project.create(tmp_path / "lab")
+    project = project_of(tmp_path / "lab", SimulatedTestbed.ideal().run(planned(2)))
     with project.store() as store:
-        for experiment in SimulatedTestbed.ideal().run(planned(2)):
-            store.add_experiment(experiment)
         targets = targets_of(store.experiment(k) for k in (1, 2))
-        assert (
-            stored_model(ProjectRequest(project, store, DOMAIN.request({})), targets).calibration
-            is None
-        )
-        record = CalibrationRecord(
-            name="joint",
-            parameters=Parameters(mu_pusher=0.37),
-            members=(Member(1, 1.0, 1.0), Member(2, 1.0, 1.0)),
-            provenance=Provenance(version="0"),
-            method=METHOD | {"how": "direct minimisation", "motion": "quasistatic"},
-        )
+        request = ProjectRequest(project, store, DOMAIN.request({}))
+        assert stored_model(request, targets).calibration is None
+        method = METHOD | {"how": "direct minimisation", "motion": "quasistatic"}
+        record = calibration_record({1: 1.0, 2: 1.0}, {"mu_pusher": 0.37}, method=method)
         number = store.add_calibration(record)
-        started = stored_model(ProjectRequest(project, store, DOMAIN.request({})), targets)
+        started = stored_model(request, targets)
     assert started.calibration == number
     space = started.model.space
     assert dict(zip(space.labels, space.nominal, strict=True))["mu_pusher"] == 0.37

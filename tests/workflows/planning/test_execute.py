@@ -38,7 +38,7 @@ from fixel.workflows.planning.request import (
     save_plan,
 )
 
-from .plans import plan_of, rig_plan, square_plan
+from .plans import grasp, plan_of, rig_plan, square_plan
 
 
 def stored(plan, path: Path) -> Path:
@@ -277,8 +277,6 @@ def test_a_check_counts_trials_and_repeats_the_statement(tmp_path: Path):
 
 def test_displaced_fixels_are_where_the_plan_wants_them():
     choose = fixel.RigPushes(stroke=(0.02, 0.1), fixels={"fixel-1": ((-0.01, 0.01), (0.0, 0.01))})
-    from .plans import grasp
-
     plan = plan_of(
         grasp("seated"), fixel.Seated("fixel-1"), choose, [(0, 0, 0, 0.02, 0.004, 0.006)]
     )

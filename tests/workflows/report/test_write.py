@@ -2,8 +2,6 @@
 
 import json
 import re
-import shutil
-import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -12,6 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from tests import calibrating as run
+from tests.web.conftest import chromium  # noqa: F401
 
 import fixel
 from fixel.database.project import Project
@@ -146,11 +145,12 @@ def test_an_analysis_of_another_calibration_has_no_place(project, tmp_path, with
     assert titles.count("Domain of applicability") <= 1
 
 
-def test_figures_are_there_as_pdf(report):
+def test_figures_are_there_as_pdf_and_sizes_in_json(report):
     assert len(report.figures) >= 4
     for path in report.figures:
         assert path.read_bytes().startswith(b"%PDF")
         assert path.with_suffix(".csv").is_file()
+    assert json.loads(json.dumps(report.summary()))["bytes"] == report.size
 
 
 def test_numbers_of_the_calibration_are_those_stored(project, report):
@@ -159,11 +159,6 @@ def test_numbers_of_the_calibration_are_those_stored(project, report):
     table = next(t for s in report.content.sections for t in s.tables if "Root mean" in t.title)
     assert table.rows[-1][0] == "calibrated"
     assert table.rows[-1][1] == pytest.approx(np.sqrt(errors).mean(), rel=5e-3)
-
-
-def test_a_plain_answer_for_json(report):
-    summary = json.loads(json.dumps(report.summary()))
-    assert summary["bytes"] == report.size
 
 
 def test_findings_of_results_are_words(tmp_path):
@@ -215,37 +210,14 @@ def test_every_work_that_is_cited_is_known():
     assert cited <= set(known_works())
 
 
-def _browser():
-    return next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))))
-
-
 @pytest.mark.system
-@pytest.mark.skipif(
-    not any(map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))),
-    reason="no Chromium here",
-)
-def test_a_real_browser_shows_and_prints_it(report, tmp_path):
+def test_a_real_browser_shows_and_prints_it(report, chromium, tmp_path):  # noqa: F811
     shot, printed = tmp_path / "shot.png", tmp_path / "page.pdf"
-    for option in (f"--screenshot={shot}", f"--print-to-pdf={printed}"):
-        subprocess.run(
-            [
-                _browser(),
-                "--headless",
-                "--no-sandbox",
-                "--disable-gpu",
-                "--disable-dev-shm-usage",
-                "--disable-background-networking",
-                "--disable-component-update",
-                "--no-first-run",
-                f"--user-data-dir={tmp_path / 'profile'}",
-                "--window-size=1000,1400",
-                option,
-                report.page.as_uri(),
-            ],
-            check=True,
-            capture_output=True,
-            timeout=120,
-        )
+    page = chromium.new_page(viewport={"width": 1000, "height": 1400})
+    page.goto(report.page.as_uri())
+    page.screenshot(path=shot)
+    page.pdf(path=printed)
+    page.close()
     with Image.open(shot) as image:
         pixels = np.asarray(image.convert("RGB"))
     # The band over simulated data, and text below it.

@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 from tests.filtering.recordings import push
-from tests.fixtures import project_of
+from tests.fixtures import calibration_record, project_of
 from typer.testing import CliRunner
 
 from fixel.cli.main import app
 from fixel.database.project import Project
 from fixel.errors import InvalidInput, NotStored
-from fixel.model import Parameters, Provenance
-from fixel.model.records import CalibrationRecord, Estimate, Member
+from fixel.model.records import Estimate
 from fixel.workflows.analysis import load_analyses
 from fixel.workflows.calibration.stored import CalibratedValues
 from fixel.workflows.capabilities import run
@@ -118,12 +117,10 @@ def _beside(low, high, quantiles, of=1, level=0.95):
     estimate = Estimate(
         label="mu_pusher", unit="-", value=0.256, low=low, high=high, verdict="identified"
     )
-    record = CalibrationRecord(
-        name="c",
+    record = calibration_record(
+        dict.fromkeys(range(21), 1.0),
+        {"mu_pusher": 0.2},
         method={"misfit": "model misfit: residuals of 2 mm\nmore", "misfit_ratio": 39.0},
-        parameters=Parameters(mu_pusher=0.2),
-        members=tuple(Member(k, 1.0, 1.0) for k in range(21)),
-        provenance=Provenance(version="1", command="fixel calibrate", seed=0),
         estimates=(estimate,),
         request={"level": level},
     )
