@@ -99,7 +99,7 @@ class Server:
                 time.sleep(0.1)
 
     def kill(self) -> None:
-        """As a power cut would: nothing is written any more."""
+        """End the server as a power cut would, without writing anything."""
         assert self.process is not None
         os.killpg(self.process.pid, signal.SIGKILL)
         self.process.wait()

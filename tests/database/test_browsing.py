@@ -137,7 +137,7 @@ def test_names_that_no_condition_has_are_refused(pushes):
 
 
 def test_a_small_turn_across_half_a_turn_is_small(store):
-    """From 170 to -163.5 degrees by the short way: 26.5, not -333.5; longer records go on."""
+    """170 to -163.5 degrees are 26.5 by the short way, not -333.5; longer records go on."""
     angles = np.radians([[170.0, -163.5], [-170.0, 163.5], [10.0, 20.0]])
     for k, (start, end) in enumerate(angles):
         ends = Trajectory(time=[0.0, 1.0], pose=[[0.0, 0.0, start], [0.1, 0.0, end]])

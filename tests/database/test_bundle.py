@@ -1,4 +1,4 @@
-"""What a bundle promises: nothing lost on the way, and nothing believed unseen."""
+"""Bundles lose nothing on the way, and nothing in them is believed unseen."""
 
 import hashlib
 import math

@@ -182,7 +182,7 @@ def test_pages_that_changed(folder, kind, seed):
 
 
 def held(file):
-    """What experiments, parameters and calibrations say, past fixel."""
+    """Rows of experiments, parameters and calibrations, read without fixel."""
     queries = (
         "SELECT * FROM series WHERE owner <> 'simulation'",
         "SELECT content_sha256, scene, conditions, name, start_x_m, end_x_m FROM experiment",
@@ -206,7 +206,7 @@ def test_a_spoiled_row_of_the_table_is_named(folder, value):
 
 
 def test_what_is_spoiled_is_named_where_it_is_touched(folder):
-    """What reads such records says so, and a traceback it is not."""
+    """Damaged records are refused in a sentence where they are read."""
     behind(
         folder, ROWS["no JSON"], ROWS["a byte less"], ROWS["columns"].replace("id = 7", "id = 25")
     )

@@ -1,5 +1,5 @@
-"""Processes and servers that die, disks that are full: records are whole or absent, and who asked
-is told why and what helps."""
+"""Processes and servers that die, disks that are full: records are whole or absent, and a refusal
+names the reason and a remedy."""
 
 import contextlib
 import os
@@ -220,7 +220,7 @@ def still_one(file):
 
 @contextlib.contextmanager
 def nobody():
-    """Without the rights of root, to whom nothing is read-only."""
+    """Drop the rights of root, to whom nothing is read-only."""
     if os.geteuid() != 0:
         yield
         return

@@ -38,7 +38,7 @@ def make_asset():
 
 
 def left_to_do(store):
-    """What tells the tables of a database from those of the program."""
+    """Differences of the tables of a database from those of the program."""
     with reading(store._engine) as connection:
         context = MigrationContext.configure(
             connection, opts={"compare_type": True, "compare_server_default": True}

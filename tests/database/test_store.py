@@ -1,4 +1,4 @@
-"""What `Store` promises, on both engines."""
+"""Promises of `Store` on both engines."""
 
 import dataclasses
 import math

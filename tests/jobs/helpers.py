@@ -83,7 +83,7 @@ def names_in(folder):
 
 
 def blocks_written(folder):
-    """How many blocks there are in a job's journal, those of equal names too."""
+    """Number of blocks in a job's journal, including those of equal names."""
     data = (folder / files.JOURNAL).read_bytes()
     mark = data[len(MAGIC) : len(MAGIC) + 8]
     return data.count(mark) - 1

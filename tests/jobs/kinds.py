@@ -24,7 +24,7 @@ from fixel.workflows.jobs import prepare_job
 
 
 class Undisturbed(NamedTuple):
-    """What a job comes to in one process to which nothing happens."""
+    """Result of a job in one process that nothing disturbs."""
 
     result: bytes
     names: list[str]  # of the blocks of its journal
@@ -38,7 +38,7 @@ class JobKind(abc.ABC):
         """A new job at this path or below it, and how it is to be run; its folder."""
 
     def undisturbed(self, folder):
-        """What this job comes to if nothing happens: it is run again in this process."""
+        """Result of this job, run again in this process without trouble."""
         job, inputs = files.read_job(folder), (folder / "inputs").iterdir()
         again = folder.with_name(f"{folder.name}-undisturbed")
         content = {path.name: path for path in inputs}
@@ -47,7 +47,7 @@ class JobKind(abc.ABC):
         return Undisturbed((again / files.RESULT).read_bytes(), names_in(again))
 
     def comparable(self, result):
-        """Of a result, what must be the same in every run."""
+        """Return the part of a result that is equal in every run."""
         return result
 
     def assert_as_undisturbed(self, folder):
@@ -75,7 +75,7 @@ class Toy(JobKind):
 
 
 def toy_undisturbed(inputs, **options):
-    """What toy work comes to; without its sleep, which may be minutes."""
+    """Result of toy work, without its sleep, which may be minutes."""
     quick = options | {"sleep_s": 0.0, "compute_s": 0.0}
     names = []
     with LocalEngine() as engine:

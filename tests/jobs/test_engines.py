@@ -1,4 +1,4 @@
-"""What every engine does, and what the one with workers does when they die."""
+"""Contract of all engines, and deaths of the workers of one of them."""
 
 import os
 import signal
@@ -215,7 +215,7 @@ def test_a_dead_scheduler_is_replaced_and_workers_stay(folder):
 
 
 def test_a_worker_that_is_refused_asks_again_until_its_patience_ends(folder):
-    """As after a lost connection that the scheduler still takes for a good one."""
+    """A scheduler refuses a worker whose lost connection it still takes for a good one."""
     with workers(folder, size=1) as engine:
         answers(engine, folder, chunks(1))
         (name,) = (path.stem for path in (folder / "workers").glob("*.json"))

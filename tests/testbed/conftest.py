@@ -7,7 +7,7 @@ from fixel.testbed.emulators import bench as emulated_mega
 
 @pytest.fixture(scope="session")
 def mega_folder() -> Path:
-    """Where the firmware and its emulator were built."""
+    """Folder of the built firmware and its emulator."""
     reason = emulated_mega.why_not()
     if reason:
         pytest.skip(reason)

@@ -33,7 +33,7 @@ def film(
     codec: str = "near",
     bits: Callable[[int], int] = lambda k: k % 8,
 ) -> Path:
-    """A recording, whose readings count unless told otherwise."""
+    """A recording, whose readings count by default."""
     with RecordingWriter(folder, RecordingHeader(size=SIZE, codec=codec)) as writer:
         for k in range(n):
             writer.write(Frame(k / rate, picture(k)), bits(k), k / rate)

@@ -1,4 +1,4 @@
-"""What stands in for hardware fails loudly, and ends, where it or its program hangs."""
+"""Emulated hardware fails loudly, and ends, if it or its program hangs."""
 
 import os
 import threading

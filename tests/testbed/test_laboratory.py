@@ -174,7 +174,7 @@ def test_the_part_moves_as_in_one_simulation_of_the_true_scene():
 
 @pytest.mark.parametrize("number", [0, 198])
 def test_pushes_of_the_thesis_end_as_the_simulated_testbed_performs_them(monkeypatch, number):
-    """Also where the part is squeezed between head and fixels; only the speeds differ a little."""
+    """The second is squeezed between head and fixels; only speeds differ a little."""
     planned = thesis_plan().experiments[number]
     (performed,) = TRUTH.run([planned])
     monkeypatch.setattr(EmulatedLaboratory, "_taken", lambda self, view, tracks, middle: None)

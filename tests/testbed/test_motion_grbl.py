@@ -483,7 +483,7 @@ def test_a_rotary_axis_is_refused():
 
 
 def test_homing_of_an_axis_follows_the_masks_of_its_passes():
-    """In grblHAL an axis that is in no pass is not homed, although homing is enabled."""
+    """An axis of grblHAL that is in no pass is not homed, although homing is enabled."""
     lines = [*GRBL_HAL.splitlines(), "$44=4", "$45=1"]
     assert not grbl.settings_of(lines, "Y").homing
     assert grbl.settings_of([*lines, "$46=2"], "Y").homing

@@ -1,4 +1,4 @@
-"""Who gets in: every route, credential, name of the server, origin and method, at once.
+"""Access to the server: every route, credential, server name, origin and method at once.
 
 What should happen is computed here from the rules as they are written in docs/how-to/web-safety.md,
 and not by asking the gate.
@@ -131,7 +131,7 @@ async def status_of(app, scope):
 
 
 async def _bell(scope, receive, send):
-    """In place of everything behind the gate: says that somebody got in."""
+    """Application instead of all behind the gate; its answer shows that a request got in."""
     await send({"type": "http.response.start", "status": ADMITTED, "headers": []})
     await send({"type": "http.response.body", "body": b""})
 
@@ -237,7 +237,7 @@ def test_secrets_are_long_and_never_twice():
 
 
 def test_the_token_is_in_no_log(caplog):
-    """Of a real server, whatever is asked of it, with every logger wide open."""
+    """Ask a real server for everything, with all loggers enabled."""
     import http.client
 
     with caplog.at_level(logging.DEBUG), WebServer([overlay_page(LiveView(), "x")]) as server:
@@ -265,7 +265,7 @@ def test_other_machines_only_where_that_is_said(project, host):
 
 
 def test_there_is_always_a_token():
-    """Also where others are let in: no option leaves it out."""
+    """A server that lets other machines in has a token too."""
     server = WebServer([overlay_page(LiveView(), "x")], host="0.0.0.0")
     try:
         assert len(server.gate.token) >= 43
@@ -296,7 +296,7 @@ ESCAPES = (
 
 
 def test_no_parameter_is_a_path(bench):
-    """Every parameter of every address, of pages, too: refused, and nothing of a file told."""
+    """Every parameter of every address and page refuses paths, and reveals no file."""
     templates = [page.path for page in bench.pages]
     templates += [f"/api/v1{path}" for path in bench.api.openapi()["paths"]]
     templates += ["/static/{file}", "/static/{folder}/style.css"]
@@ -318,7 +318,7 @@ def test_no_parameter_is_a_path(bench):
 
 @pytest.mark.parametrize("told", [None, "10", "nonsense", "-1"])
 def test_long_bodies_are_cut_off_whatever_they_say(bench, told):
-    """Also one whose length is not told beforehand, or told wrong: it is not read to its end."""
+    """Bodies of unknown or wrong length are not read to their end."""
     scope = request(bench.gate, "/api/v1/scenes/read", "bearer", HOSTS[0], "absent", "POST")
     scope["headers"].append((b"content-type", b"application/json"))
     if told is not None:

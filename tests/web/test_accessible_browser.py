@@ -56,7 +56,7 @@ FOCUSED = """() => {
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory):
-    """With calibrations and a map."""
+    """Laboratory with calibrations and a map."""
     return trusted_laboratory(tmp_path_factory.mktemp("copy") / "my_lab")
 
 

@@ -1,4 +1,4 @@
-"""The server killed with -9 at random while it writes: everything told of is there, whole.
+"""The server killed with -9 at random while it writes: every answered write is there, whole.
 
 Three kills here, a hundred with: make soak PYTEST_ARGS=tests/web/test_kills.py
 """

@@ -99,7 +99,7 @@ def total(server):
 
 
 def rob(server, cookies):
-    """What a thief gets who has the cookies and forges everything else."""
+    """Return what opens for a thief who has the cookies and forges everything else."""
     home = f"http://127.0.0.1:{server.port}"
     forged = {
         "Cookie": cookies,

@@ -1,4 +1,4 @@
-"""What the Compare and Simulate pages ask for."""
+"""Requests of the Compare and Simulate pages."""
 
 import json
 from dataclasses import replace
@@ -194,7 +194,7 @@ def test_speeds_that_no_pusher_has_are_no_mistake_of_ours(bench, speed):
 
 
 def test_a_body_of_very_many_keys_is_one_complaint(bench):
-    """Unknown keys are not told one by one: 120,000 took 1.5 s before the first was answered."""
+    """Unknown keys are not listed: 120,000 took 1.5 s until the answer."""
     taking = [
         path
         for path, kinds in bench.api.openapi()["paths"].items()

@@ -46,7 +46,7 @@ def editor(page, expression):
 
 
 def spot(page, kind, index):
-    """Where a thing of the scene editor is on the screen."""
+    """Place of a thing of the scene editor on the screen."""
     return page.evaluate(
         """([kind, index]) => {
             const { stage, scene } = document.getElementById('simulate').editor;

@@ -184,7 +184,7 @@ def test_scripts_know_no_way_to_write_markup():
 
 
 def test_nothing_unpickles(bench):
-    """Of all that is asked of the server, whatever is sent to it."""
+    """No request makes the server unpickle anything."""
     found = []
 
     def hook(event, arguments):
@@ -269,7 +269,7 @@ def test_the_token_leaves_the_address_and_is_no_referrer(watched, server):
 
 
 def test_live_pages(chromium):
-    """What scenes, rigs and recordings are called, in reports that change while one looks."""
+    """Names of scenes, rigs and recordings in reports that change on an open page."""
     view, preview = LiveView(), RecordPreview(ALL)
     view.show(None, {"problems": [ALL], "remarks": [ALL], "state": ALL, "parts": []})
     with WebServer([overlay_page(view, ALL), preview.page()]) as server:

@@ -28,7 +28,7 @@ METHOD = {
 
 
 def planned(shape="square", layouts=("collinear-tight",)):
-    """Of the thesis's plan."""
+    """Experiments of the thesis's plan."""
     return [
         one
         for one in thesis_plan().experiments

@@ -1,4 +1,4 @@
-"""Where a measured part appears in its video."""
+"""Outlines of measured parts in their videos."""
 
 from dataclasses import replace
 

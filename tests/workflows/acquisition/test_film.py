@@ -1,4 +1,4 @@
-"""Films of scenes, plans and stored experiments, and the truth beside them."""
+"""Films of scenes, plans and stored experiments, with their true motions."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""How far parts are from where a scene wants them."""
+"""Distances of parts from the places that a scene wants."""
 
 import math
 import re
@@ -185,7 +185,7 @@ def test_drawing_leaves_the_picture_alone(poses):
 
 
 def test_outlines_stand_where_the_part_stands():
-    """In place, the drawn upper outline runs through the projected corners of the part."""
+    """The upper outline of a placed part runs through its projected corners."""
     picture = plate_picture(RIG, AT_HOME)
     overlay = Overlay(RIG, SCENE, TOLERANCE)
     drawn = draw_look(picture, overlay.look(frame(picture)))

@@ -29,7 +29,7 @@ def found(pushes):
 
 
 def test_bounds_of_few_experiments_are_an_order_statistic(pushes, found):
-    """Without features: the (n + 1) level'th smallest held-out error (Vovk et al., 2005)."""
+    """The bound is the (n + 1) level'th smallest held-out error (Vovk et al., 2005)."""
     bound = found.at(pushes[3])
     k = math.ceil(15 * 0.9) - 1
     # Every score is the error itself, less a constant that differs a little between folds.

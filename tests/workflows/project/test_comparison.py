@@ -22,7 +22,7 @@ def found(pushes):
 
 
 def test_errors_are_those_of_the_poses(found):
-    """Computed anew from measured and simulated poses, angles at 35 mm per radian."""
+    """Errors computed here from measured and simulated poses, angles at 35 mm per radian."""
     for row in found.rows:
         track = row.run.experiment.trajectory
         difference = row.run.simulated.at(track.time[1:]) - track.pose[1:]

@@ -1,4 +1,4 @@
-"""Uncertainty of a stored experiment: what is found, kept and told, from Python and the shell."""
+"""Uncertainty of a stored experiment, computed, stored and printed from Python and the shell."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def test_questions_that_make_no_sense_are_refused(folder, changes, words):
 
 
 def _beside(low, high, quantiles, of=1, level=0.95):
-    """Warnings of a posterior of mu_pusher beside a calibration of 21 experiments."""
+    """Warnings of a posterior of mu_pusher compared with a calibration of 21 experiments."""
     estimate = Estimate(
         label="mu_pusher", unit="-", value=0.256, low=low, high=high, verdict="identified"
     )
