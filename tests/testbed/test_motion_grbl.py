@@ -174,7 +174,7 @@ def garble_reports(controller: EmulatedGrbl) -> None:
 def test_a_drive_that_must_be_homed_says_so():
     with driven(homing=True, start=5.0, **FAST) as (controller, drive):
         assert drive.state == "Alarm"
-        assert drive.zero_known  # homing tells it; nobody needs to confirm it
+        assert drive.zero_known  # by its switches, without a person
         with pytest.raises(DeviceFailed, match="fixel actuator home"):
             drive.move(to=0.01)
 

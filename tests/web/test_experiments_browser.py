@@ -110,7 +110,7 @@ def test_keys_move_select_delete_and_undo(table):
     table.wait_for_url("**/experiments/1")
 
 
-def test_deleted_ones_are_shown_and_restored(table):
+def test_deleted_ones_are_shown_and_restored_and_not_calibrated(table):
     table.locator(f"{ROW} td.select").nth(2).click()
     table.locator(f"{ROW} td.select").nth(5).click(modifiers=["Shift"])
     table.wait_for_selector("#chosen:text-is('4 selected')")  # painted after the click
@@ -118,6 +118,11 @@ def test_deleted_ones_are_shown_and_restored(table):
     wait_for_total(table, 26)
     table.select_option("[data-pick=is]", "deleted")
     wait_for_total(table, 4)
+    table.keyboard.press("x")
+    assert table.is_hidden("#act-calibrate")
+    table.keyboard.press("c")
+    assert table.url.endswith("filter=is%3Adeleted")
+    table.keyboard.press("x")
     table.check("#all")
     table.click("#act-delete")
     table.wait_for_selector("#nothing")
@@ -137,20 +142,6 @@ def test_calibrating_the_selected_ones(table):
     table.keyboard.press("j")
     table.keyboard.press("c")  # the one that the keys are on
     table.wait_for_url("**/run/calibrate?experiments=2")
-
-
-def test_what_is_deleted_is_not_calibrated(table):
-    table.locator(f"{ROW} td.select").nth(0).click()
-    table.click("#act-delete")
-    wait_for_total(table, 29)
-    table.select_option("[data-pick=is]", "deleted")
-    wait_for_total(table, 1)
-    table.keyboard.press("x")
-    assert table.is_hidden("#act-calibrate")
-    table.keyboard.press("c")
-    assert table.url.endswith("filter=is%3Adeleted")
-    table.click("#act-delete")
-    table.wait_for_selector("#nothing")
 
 
 def test_errors_before_are_made_for_those_that_have_none(table, server):
@@ -242,7 +233,7 @@ def one(browser_page, server):
     return browser_page
 
 
-def test_an_experiment_is_shown_with_its_simulation_and_scrubbed(one):
+def test_an_experiment_has_its_simulation_a_player_and_neighbours(one):
     assert "simulation 1, nominal values" in one.inner_text("#which")
     assert one.locator(".legend li").count() == 2
     assert "mm" in one.inner_text("#figures")
@@ -258,6 +249,12 @@ def test_an_experiment_is_shown_with_its_simulation_and_scrubbed(one):
     one.keyboard.press("Space")
     one.wait_for_function("t => document.getElementById('player').player.time > t", arg=time)
     one.keyboard.press("Space")
+    one.keyboard.press("j")
+    one.wait_for_url("**/experiments/2")
+    one.wait_for_selector("#previous[href]")
+    one.wait_for_load_state("networkidle")
+    one.keyboard.press("k")
+    one.wait_for_url("**/experiments/1")
 
 
 def test_notes_and_flags_of_one(one):
@@ -276,15 +273,6 @@ def test_notes_and_flags_of_one(one):
     one.wait_for_selector("#flags .tag:not(.fault)")
     one.click("#flags button")
     one.wait_for_function("() => !document.querySelector('#flags .tag')")
-
-
-def test_neighbours_by_keys(one):
-    one.keyboard.press("j")
-    one.wait_for_url("**/experiments/2")
-    one.wait_for_selector("#previous[href]")
-    one.wait_for_load_state("networkidle")
-    one.keyboard.press("k")
-    one.wait_for_url("**/experiments/1")
 
 
 def test_names_are_never_markup(browser_page, server):

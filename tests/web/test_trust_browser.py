@@ -78,28 +78,21 @@ def test_a_calibration_is_begun_watched_stopped_and_resumed(browser_page, server
     page.wait_for_selector("#calibrating[data-state=cancelled]")
 
 
-def test_a_wrong_request_says_why_and_can_be_mended(browser_page, server):
-    page = browser_page
-    page.expected_problems.append("422")
-    page.goto(server.home + "run/calibrate?experiments=6&experiments=7&fit=mu_pusher%3D1:-1")
-    page.click("button[type=submit]")
-    assert "mu_pusher" in page.inner_text("[role=alert]")
-    assert page.input_value("#experiments").split() == ["6", "7"]
-
-
-def test_no_button_can_be_clicked_before_its_script_listens(browser_page, server):
+def test_a_form_is_sent_once_its_script_listens_and_shows_why_it_was_refused(browser_page, server):
     page = browser_page
     page.expected_problems.append("422")
     slow = []
     # Playwright sets an attribute of the function, which `slow.append` cannot have.
     page.route("**/static/page.js", lambda route: slow.append(route))
-    page.goto(server.home + "run/calibrate?experiments=6&fit=mu_pusher%3D1:-1", wait_until="commit")
+    asked = "run/calibrate?experiments=6&experiments=7&fit=mu_pusher%3D1:-1"
+    page.goto(server.home + asked, wait_until="commit")
     page.wait_for_selector("button[type=submit]", state="attached")
     with pytest.raises(Exception, match="Timeout 2000ms"):
         page.click("button[type=submit]", timeout=2000)
     slow[0].continue_()
     page.click("button[type=submit]")
     assert "mu_pusher" in page.inner_text("[role=alert]")
+    assert page.input_value("#experiments").split() == ["6", "7"]
 
 
 def test_the_page_shows_the_report_and_leads_to_the_worst_experiments(one, project):
@@ -194,7 +187,7 @@ def test_no_map_yet(browser_page, server, project):
 # --- nominal against calibrated -------------------------------------------------------------------
 
 
-def test_an_experiment_opens_with_nominal_against_calibrated(browser_page, server):
+def test_an_experiment_and_a_comparison_open_with_nominal_against_calibrated(browser_page, server):
     page = browser_page
     page.goto(server.home + "experiments/7")
     page.wait_for_selector("#figures td")
@@ -203,10 +196,6 @@ def test_an_experiment_opens_with_nominal_against_calibrated(browser_page, serve
     before, after = page.locator("#figures tbody tr:first-child td").all_inner_texts()
     assert float(after) < float(before)  # it was calibrated on this experiment
     assert "calibrated on this experiment" in page.inner_text("#which")
-
-
-def test_comparing_opens_with_nominal_against_calibrated(browser_page, server):
-    page = browser_page
     page.goto(server.home + "compare?experiment=id:7")
     page.wait_for_selector("#sets svg")
     shown = [row.get_attribute("data-set") for row in page.locator("#sets tr").all()]
