@@ -132,7 +132,7 @@ def test_the_script_says_what_the_template_says(fake, folder, said, monkeypatch,
         "module load python",
     ):
         assert line in script, line
-    assert script[-1].startswith("exec '/opt/my python/bin/python' -m fixel.jobs.worker ")
+    assert script[-1].startswith("exec '/opt/my python/bin/python' -P -m fixel.jobs.worker ")
     for words in (
         "--name slurm-$SLURM_JOB_ID",
         "--threads 3",

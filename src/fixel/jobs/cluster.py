@@ -81,7 +81,7 @@ class Cluster:
         with (folder / "workers" / "scheduler.log").open("ab") as log:
             self.process = subprocess.Popen(
                 [
-                    sys.executable, "-m", "fixel.jobs.scheduler", str(folder.resolve()),
+                    sys.executable, "-P", "-m", "fixel.jobs.scheduler", str(folder.resolve()),
                     "--interface", interface, "--lease-s", str(lease_s),
                 ],
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, start_new_session=True,

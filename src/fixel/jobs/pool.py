@@ -121,7 +121,7 @@ class LocalPool(AbstractPool):
 def worker_command(folder: Path, name: str, interface: str, cores: int) -> list[str]:
     """Return the arguments of the interpreter that start a worker."""
     return [
-        "-m", "fixel.jobs.worker", str(folder.resolve()),
+        "-P", "-m", "fixel.jobs.worker", str(folder.resolve()),
         "--name", name,
         "--stamp", stamp(),
         "--interface", interface,

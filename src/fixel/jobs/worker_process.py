@@ -20,6 +20,7 @@ from fixel.errors import JobRefused
 
 GLANCE: Final = 0.02  # [s] between two checks whether the caller still waits
 STARTS_WITHIN: Final = 120.0  # [s], with an engine to compile
+SAFE_PATH: Final = "PYTHONSAFEPATH"  # environment variable of Python, as its option -P
 
 
 class CallCancellation(Exception):
@@ -118,7 +119,8 @@ class WorkerProcess:
         self._process = context.Process(
             target=_serve, args=(theirs, self._function, self._ready), daemon=True
         )
-        self._process.start()
+        with _safe_path():
+            self._process.start()
         theirs.close()
         self._pipe = ours
         late = JobRefused(
@@ -175,10 +177,24 @@ class WorkerProcess:
         self._process = self._pipe = None
 
 
+@contextmanager
+def _safe_path() -> Iterator[None]:
+    """Let processes started in the block import no module from the folder that they start in."""
+    before = os.environ.get(SAFE_PATH)
+    os.environ[SAFE_PATH] = "1"
+    try:
+        yield
+    finally:
+        del os.environ[SAFE_PATH]
+        if before is not None:
+            os.environ[SAFE_PATH] = before
+
+
 def _serve(
     pipe: Connection, function: Callable[[Any], Any], ready: Callable[[], object] | None
 ) -> None:
     """Call the function for each argument until the pipe is closed; runs in the process."""
+    os.environ.pop(SAFE_PATH, None)  # not for programs that the function starts
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the parent process
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if ready is not None:

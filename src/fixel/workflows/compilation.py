@@ -61,7 +61,7 @@ def compile_kernels(progress: ProgressOption = None) -> list[CompiledPart]:
 
 
 def _compiled(name: str) -> CompiledPart:
-    command = [sys.executable, "-m", "fixel.workflows.compilation", name]
+    command = [sys.executable, "-P", "-m", "fixel.workflows.compilation", name]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         last = (done.stderr.strip().splitlines() or [f"ended with status {done.returncode}"])[-1]

@@ -139,7 +139,7 @@ def run_detached(folder: Path) -> JobStatus:
     """Run or continue a job in its own process, which outlives this one."""
     with (folder / files.LOG).open("ab") as log:
         process = subprocess.Popen(
-            [sys.executable, "-m", "fixel.jobs.coordinator", str(folder.resolve())],
+            [sys.executable, "-P", "-m", "fixel.jobs.coordinator", str(folder.resolve())],
             stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True,
         )  # fmt: skip
     deadline = time.monotonic() + START_S
@@ -171,7 +171,7 @@ def run_on_slurm(folder: Path) -> str:
     workers = folder / "workers"
     workers.mkdir(exist_ok=True)
     script = workers / "coordinator.sh"
-    command = ["-m", "fixel.jobs.coordinator", shlex.quote(str(folder.resolve()))]
+    command = ["-P", "-m", "fixel.jobs.coordinator", shlex.quote(str(folder.resolve()))]
     alone = run.site.model_copy(update={"cores": 1})
     script.write_text(job_script(alone, f"{job.label}-c", command, workers.resolve()))
     try:

@@ -115,12 +115,8 @@ def pushes_of_parts(
     """Return experiments with a scene, and the conditions that name their part and surface."""
     used = tuple(own for own in experiments if own.scene is not None)
     if not used:
-        raise InvalidInput(
-            "experiments",
-            found="none with a scene",
-            expected="pushes of parts",
-            hint="fixel.read_experiments(folder) reads them",
-        )
+        expected, hint = "pushes of parts", "fixel.read_experiments(folder) reads them"
+        raise InvalidInput("experiments", found="none with a scene", expected=expected, hint=hint)
     return used, part or _condition(used, PARTS, "part"), surface or _condition(used, SURFACES, "")
 
 

@@ -165,11 +165,8 @@ def _engine(wanted: EngineName, case: SourceCase) -> AbstractPhysicsEngine:
     """Return the engine with the calibrated values of its own parameters."""
     engine = engine_of(str(wanted))
     if wanted.version and engine.version != wanted.version:
-        raise InvalidInput(
-            f"engine {wanted.name}",
-            found=f"version {engine.version}",
-            expected=f"version {wanted.version}",
-        )
+        found, expected = f"version {engine.version}", f"version {wanted.version}"
+        raise InvalidInput(f"engine {wanted.name}", found=found, expected=expected)
     own = {
         name.partition(".")[2]: value
         for name, value in case.values.items()

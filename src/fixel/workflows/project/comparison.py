@@ -280,11 +280,8 @@ def _named(models: Any) -> dict[str, Any]:
     if hasattr(models, "values_for"):
         return {NOMINAL: None, CALIBRATED: models}
     if not isinstance(models, Mapping) or not models:
-        raise InvalidInput(
-            "models",
-            found=models,
-            expected="values of parameters, a calibration, or several by name",
-        )
+        found, expected = models, "values of parameters, a calibration, or several by name"
+        raise InvalidInput("models", found=found, expected=expected)
     several = any(model is None or isinstance(model, Mapping) for model in models.values())
     return dict(models) if several else {"given": models}
 
