@@ -70,3 +70,82 @@ def test_no_process_imports_a_module_of_the_folder_that_it_starts_in(
     start(tmp_path)
     assert not mark.exists()
     assert "PYTHONSAFEPATH" not in os.environ
+
+
+# --- folders of jobs ------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need a permission there")
+@pytest.mark.parametrize(
+    "name",
+    [
+        "log.txt",
+        "journal",
+        "journal.lock",
+        "result",
+        "inputs/a",
+        "late",
+        "workers",
+        "workers/x.log",
+    ],
+)
+def test_a_job_with_a_link_is_refused(name: str, tmp_path: Path) -> None:
+    """A run would write, empty or delete what the link leads to, and a packed job would have it."""
+    job, precious = job_in(tmp_path / "job"), tmp_path / "own"
+    precious.mkdir()
+    thesis = precious / "thesis.txt"
+    thesis.write_text("ten pages")
+    path = job / name
+    path.unlink(missing_ok=True)
+    path.parent.mkdir(exist_ok=True)
+    path.symlink_to(precious if name in ("late", "workers") else thesis)
+    steps: list[Callable[[], Any]] = [
+        lambda: jobs.arrange(job),
+        lambda: jobs.run_here(job),
+        lambda: jobs.pack(job, tmp_path / "packed.zip"),
+        lambda: list(jobs.log_lines(job)),
+        lambda: jobs.cancel(job),
+    ]
+    for step in steps:
+        with pytest.raises(InvalidInput, match="found a link"):
+            step()
+    assert jobs.readable_status(job).state == "unreadable"
+    assert [*precious.iterdir()] == [thesis]
+    assert thesis.read_text() == "ten pages"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="several workers need Linux or macOS")
+def test_the_key_of_a_foreign_folder_is_replaced(tmp_path: Path) -> None:
+    pytest.importorskip("cryptography")
+    tls = tmp_path / "tls"
+    tls.mkdir()
+    tls.chmod(0o777)
+    known = {}
+    for name in ("key.pem", "certificate.pem"):
+        (tls / name).write_text(f"{name} of a stranger")
+        known[name] = (tls / name).stat().st_ino
+    link.make_tls(tmp_path)
+    for name in known:
+        assert "stranger" not in (tls / name).read_text()
+        assert (tls / name).stat().st_mode & 0o777 == 0o600
+    assert tls.stat().st_mode & 0o777 == 0o700
+    first = (tls / "key.pem").read_text()
+    link.make_tls(tmp_path)
+    assert (tls / "key.pem").read_text() != first
+
+
+def test_a_job_writes_no_file_outside_its_project(tmp_path: Path) -> None:
+    project = project_of(tmp_path / "lab", example_pushes(2, duration=0.3))
+    mine = tmp_path / "own.fixel"
+    mine.write_text("mine")
+    capability = CAPABILITIES["table-map"]
+    request = capability.request({"out": mine})
+    with pytest.raises(InvalidInput, match="in the folder of the project"):
+        prepare(capability, request, project)
+    job = project.folder / "jobs" / "foreign"
+    prepare_in(job, capability, request, {})  # as a stranger could
+    with pytest.raises(InvalidInput, match="in the folder of the project"):
+        jobs.run_here(job)
+    assert mine.read_text() == "mine"
+    inside = capability.request({"out": project.folder / "own.fixel"})
+    assert prepare(capability, inside, project).is_dir()

@@ -50,7 +50,9 @@ def coordinate(
         try:
             state.enter("preparing")
             _check_unchanged(folder, job, run)
-            _report_damage(journal, state.notify)
+            if n := journal.damaged:
+                lost = f"the journal is damaged in {n} places"
+                state.notify(f"{lost}; the chunks there are computed again")
             result = _run(folder, job, run, journal, state, local)
             state.enter("collecting")
             write_whole(folder / files.RESULT, result, durable=True)
@@ -151,11 +153,6 @@ def _check_unchanged(folder: Path, job: Job, run: RunSettings) -> None:
             f"the files in {folder / 'inputs'} are not those with which the job was prepared",
             hint="restore them, or prepare another job",
         )
-
-
-def _report_damage(journal: Journal, notify: Notify) -> None:
-    if n := journal.damaged:
-        notify(f"the journal is damaged in {n} places; the chunks there are computed again")
 
 
 @final

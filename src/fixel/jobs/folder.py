@@ -18,12 +18,13 @@ from __future__ import annotations
 import datetime
 import hashlib
 import json
+import os
 import secrets
 import shutil
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, Literal, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -48,6 +49,7 @@ RESULT: Final = "result"
 LOG: Final = "log.txt"
 CANCEL: Final = "cancel"
 STATE: Final = "state.json"
+Record = TypeVar("Record", bound=BaseModel)
 UNFINISHED: Final = ".inputs."  # prefix of the name of a folder of inputs until it is complete
 
 
@@ -131,18 +133,22 @@ def prepare(
 
 
 def read_job(folder: Path) -> Job:
-    """Load the job of a folder; raise `InvalidInput` if it has none."""
+    """Load the job of a folder; raise `InvalidInput` if it has none.
+
+    A folder that comes from elsewhere may have links, through which a run would write outside it.
+    """
     if not (folder / "job.json").is_file():
         raise InvalidInput(str(folder), found="no job", expected="a folder with a job.json")
-    job: Job = _read(folder / "job.json", Job)
-    return job
+    for place, folders, names in os.walk(folder):
+        for path in (Path(place, name) for name in (*folders, *names)):
+            if path.is_symlink():
+                raise InvalidInput(str(path), found="a link", expected="a folder without links")
+    return _read(folder / "job.json", Job)
 
 
 def read_run(folder: Path) -> RunSettings:
     """Load the settings of the last run, or the default settings."""
-    path = folder / "run.json"
-    run: RunSettings = _read(path, RunSettings) if path.is_file() else RunSettings()
-    return run
+    return _read(folder / "run.json", RunSettings)
 
 
 def write_run(folder: Path, run: RunSettings) -> None:
@@ -152,9 +158,7 @@ def write_run(folder: Path, run: RunSettings) -> None:
 
 def read_status(folder: Path) -> JobState:
     """Load the state of a job."""
-    path = folder / STATE
-    status: JobState = _read(path, JobState) if path.is_file() else JobState()
-    return status
+    return _read(folder / STATE, JobState)
 
 
 def write_status(folder: Path, status: JobState) -> None:
@@ -215,8 +219,9 @@ def _write(path: Path, record: BaseModel) -> None:
     write_whole(path, json.dumps(record.model_dump(), indent=1) + "\n", durable=True)
 
 
-def _read(path: Path, kind: type[Any]) -> Any:
-    content = read_document(path)
+def _read(path: Path, kind: type[Record]) -> Record:
+    """Load a record; without its file, one of defaults."""
+    content = read_document(path) if path.is_file() else {}
     try:
         return kind.model_validate(content)
     except ValidationError as problem:

@@ -170,14 +170,15 @@ def late_answers(folder: Path) -> Iterator[Late]:
 
 
 def make_tls(folder: Path) -> None:
-    """Create the key and certificate of a job, readable by the owner only, if missing."""
+    """Create a new key and certificate of a job, readable by the owner only.
+
+    Those who know the key can run code in its processes, and the folder may come from elsewhere.
+    """
     tls = folder / "tls"
-    if (tls / "certificate.pem").exists() and (tls / "key.pem").exists():
-        return
-    shutil.rmtree(tls, ignore_errors=True)
-    tls.mkdir(mode=0o700)
-    key, certificate = _pair()
-    for name, content in (("key.pem", key), ("certificate.pem", certificate)):
+    tls.mkdir(exist_ok=True)  # workers that wait for the new key end without it
+    tls.chmod(0o700)
+    for name, content in zip(("key.pem", "certificate.pem"), _pair(), strict=True):
+        (tls / name).unlink(missing_ok=True)
         descriptor = os.open(tls / name, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with os.fdopen(descriptor, "wb") as stream:
             stream.write(content)

@@ -212,6 +212,14 @@ def request_of(inputs: Path) -> JobRequest:
     return JobRequest(capability, request, project)
 
 
+def _check_files(capability: Capability, request: BaseModel, project: Project | None) -> None:
+    """Raise for a file that a job would write outside its project: its folder may be foreign."""
+    for name, path in capability.files(request).items():
+        if project is None or not path.resolve().is_relative_to(project.folder.resolve()):
+            expected = "a file in the folder of the project, or this command without a job"
+            raise InvalidInput(name, found=str(path), expected=expected)
+
+
 @callable_by_jobs
 def run_request(inputs: Path, options: Mapping[str, Any]) -> Work:
     """Run the request of a job and store its analysis; the result is the name of its folder.
@@ -225,6 +233,7 @@ def run_request(inputs: Path, options: Mapping[str, Any]) -> Work:
 
     capability, request, project = request_of(inputs)
     check_named(*capability.programs(request))
+    _check_files(capability, request, project)
     begun, arguments = time.monotonic(), capability.arguments(request)
     if capability.rounds is None:
         yield from ()
@@ -259,6 +268,7 @@ def prepare(
     if not capability.on_project:
         raise InvalidInput("job", found=capability.name, expected="a capability on a project")
     project = _on_table(project, capability, request)
+    _check_files(capability, request, project)
     if capability.settled is not None:
         request = capability.settled(project, request)
     table, of = project.view, list[Any]()
