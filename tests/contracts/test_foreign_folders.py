@@ -149,3 +149,31 @@ def test_a_job_writes_no_file_outside_its_project(tmp_path: Path) -> None:
     assert mine.read_text() == "mine"
     inside = capability.request({"out": project.folder / "own.fixel"})
     assert prepare(capability, inside, project).is_dir()
+
+
+# --- settings of a project ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "sqlite:///file:{outside}?uri=true",
+        "sqlite:///file:..%2foutside.db?uri=true",
+        "sqlite:///experiments.db?uri=true",
+        "sqlite://@/{outside}",
+        "duckdb:///{outside}",
+        "mysql://host/name",
+    ],
+)
+def test_settings_name_no_file_outside_by_another_spelling(
+    url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A URI, or the file of another kind of database, in a project that the user works in."""
+    lab, outside = tmp_path / "lab", tmp_path / "outside.db"
+    Project.create(lab)
+    (lab / "fixel.yaml").write_text(f"name: lab\ndatabase: {url.format(outside=outside)!r}\n")
+    monkeypatch.chdir(lab)
+    for place in (Path(), lab):
+        with pytest.raises(Exception, match=r"database: found|is not a database URL"):
+            Project(place).upgrade()
+    assert not outside.exists()

@@ -34,6 +34,8 @@ def open_engine(url: str) -> sa.Engine:
         parsed = sa.make_url(url)
         if parsed.get_backend_name() == "sqlite":
             return _sqlite(parsed)
+        if parsed.get_backend_name() != "postgresql":
+            raise exc.ArgumentError
         return sa.create_engine(parsed, pool_pre_ping=True, pool_size=2, max_overflow=8)
     except exc.ArgumentError:
         raise StoreRefused(

@@ -12,6 +12,7 @@ import copy
 import hashlib
 import json
 import os
+import re
 import shlex
 import sqlite3
 import sys
@@ -462,8 +463,9 @@ def _check_inside(path: Path, database: str | None) -> None:
     """
     if database is None or not database.lower().startswith("sqlite"):
         return
-    file = Path(database.partition(":///")[2].partition("?")[0])
-    if "\0" in database or not file.resolve().is_relative_to(path.parent.resolve()):
+    # A query, or anything before the file, may make it another one: `file:/x?uri=true`.
+    file = re.fullmatch(r"sqlite[\w+]*:///([^?\0]+)", database, re.IGNORECASE)
+    if file is None or not Path(file[1]).resolve().is_relative_to(path.parent.resolve()):
         raise InvalidInput(
             f"{path}: database",
             found=database,
