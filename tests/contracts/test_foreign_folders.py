@@ -177,3 +177,28 @@ def test_settings_name_no_file_outside_by_another_spelling(
         with pytest.raises(Exception, match=r"database: found|is not a database URL"):
             Project(place).upgrade()
     assert not outside.exists()
+
+
+# --- terminals ------------------------------------------------------------------------------------
+
+
+def test_no_control_sequence_of_a_file_reaches_the_terminal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lab = project_of(tmp_path / "lab", example_pushes(1, duration=0.3)).folder
+    job = job_in(lab / "jobs" / "one")
+    (job / "state.json").write_text('{"state": "failed", "reason": "\\u001b]0;mine\\u0007\\u202e"}')
+    (job / "log.txt").write_text(SEQUENCE)
+    (tmp_path / "table.csv").write_text(f"time_s,x_mm,{SEQUENCE}\n1,2,3\n")
+    commands = (
+        ["jobs", "status", str(lab)],
+        ["jobs", "status", str(job)],
+        ["jobs", "logs", str(job)],
+        ["import", str(tmp_path / "table.csv"), "--project", str(lab)],
+    )
+    for words in commands:
+        with pytest.raises(SystemExit):
+            run(words)
+        said = "".join(capsys.readouterr())
+        assert r"\x1b]0;mine\x07" in said
+        assert not {"\x1b", "\x07", "\u202e"} & {*said}

@@ -71,11 +71,9 @@ def calibrate(
     from fixel.workflows.acquisition.camera.calibrate import calibrate as run
 
     if board is None:
+        expected = "the board in the pictures: charuco:7x5:30mm:22mm or checkerboard:9x6:25mm"
         raise InvalidInput(
-            "--board",
-            found=None,
-            expected="the board in the pictures: charuco:7x5:30mm:22mm or checkerboard:9x6:25mm",
-            hint="to print one: fixel camera board",
+            "--board", found=None, expected=expected, hint="to print one: fixel camera board"
         )
     with show_progress() as bar:
         answer = run(pictures, board, out, coefficients=coefficients, fisheye=fisheye, progress=bar)
@@ -253,11 +251,8 @@ def tags(
     from fixel.workflows.acquisition.camera.calibrate import print_rig_tags, print_tags
 
     if (rig is None) == (ids is None):
-        raise InvalidInput(
-            "tags",
-            found="a rig and --ids" if rig else "neither a rig nor --ids",
-            expected="one of them",
-        )
+        found, expected = "a rig and --ids" if rig else "neither a rig nor --ids", "one of them"
+        raise InvalidInput("tags", found=found, expected=expected)
     if rig is not None:
         answer = print_rig_tags(rig, out, paper)
     else:

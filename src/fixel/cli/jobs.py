@@ -15,7 +15,7 @@ from fixel.cli.options import (
     required,
     with_options,
 )
-from fixel.cli.screen import command_of, job_bar, notify, print_answer, table
+from fixel.cli.screen import command_of, job_bar, notify, plain, print_answer, table
 from fixel.errors import InvalidInput
 from fixel.progress import time_text
 
@@ -124,7 +124,7 @@ def logs(
     from fixel.workflows import jobs
 
     for line in jobs.log_lines(folder, follow):
-        typer.echo(line)
+        typer.echo(plain(line))
 
 
 @app.command("site")
@@ -275,11 +275,9 @@ def trust(
     if remove:
         removed = [] if program is None else distrust(program)
         if not removed:
+            found, expected = repr(program), "an entry of the list of trusted programs"
             raise InvalidInput(
-                "program",
-                found=repr(program),
-                expected="an entry of the list of trusted programs",
-                hint="print the list: fixel trust",
+                "program", found=found, expected=expected, hint="print the list: fixel trust"
             )
         title, entries = "Removed:", removed
     elif program is None:

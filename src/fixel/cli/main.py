@@ -40,6 +40,7 @@ from fixel.cli import (
     testbed,
 )
 from fixel.cli.capability import typer_command, typer_commands
+from fixel.cli.screen import notify
 from fixel.errors import (
     DatasetMissing,
     FixelError,
@@ -231,7 +232,7 @@ def run(
 def _exit(code: int, error: Exception | None, as_json: bool) -> None:
     sentence = "stopped." if error is None else _sentence(error)
     if not as_json:
-        print(f"fixel: {sentence}", file=sys.stderr)
+        notify(f"fixel: {sentence}")
         sys.exit(code)
     kind = "Interrupted" if error is None else type(error).__name__
     content: dict[str, Any] = {"kind": kind, "sentence": sentence, "exit_code": code}

@@ -21,6 +21,7 @@ from fixel.cli.screen import (
     command_line,
     command_of,
     notify,
+    plain,
     print_answer,
     project_words,
     shortened,
@@ -116,7 +117,7 @@ def import_(
         print_answer(as_json, lambda: content, lambda: [*lines, *_skipped(plan.skipped), following])
         return
     if not as_json:
-        typer.echo("\n".join(lines))
+        typer.echo(plain("\n".join(lines)))
     done = project.add(plan)
     content["skipped"] = list(plan.skipped)
     template = write_template(plan, project.folder)

@@ -1,6 +1,7 @@
 """Output of the commands: answers as text or JSON, sentences, commands, progress."""
 
 import json
+import re
 import shlex
 import sys
 import time
@@ -17,6 +18,12 @@ if TYPE_CHECKING:
 
 JOB_BAR = 24  # [characters]
 BETWEEN_LINES_S = 30.0  # [s] where the progress of a job goes into a file
+CONTROLS = re.compile(r"[\0-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+
+
+def plain(text: str) -> str:
+    """Return text with codes for control characters of a file, which a terminal would obey."""
+    return CONTROLS.sub(lambda found: ascii(found[0])[1:-1], text)
 
 
 def print_answer(
@@ -31,7 +38,7 @@ def print_answer(
 
         typer.echo(json.dumps(plain_numbers(content()), allow_nan=False))
     else:
-        typer.echo("\n".join(text()))
+        typer.echo(plain("\n".join(text())))
 
 
 def paragraphs(*blocks: Sequence[str]) -> list[str]:
@@ -53,7 +60,7 @@ def wrote(files: Iterable[Path | None]) -> list[str]:
 
 def notify(sentence: str) -> None:
     """Print a sentence on standard error."""
-    print(sentence, file=sys.stderr, flush=True)
+    print(plain(sentence), file=sys.stderr, flush=True)
 
 
 def command_line(without: str = "") -> str:

@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 
 from fixel.cli.options import AsJson, ProjectFolder, ProjectPlace, option, project_at, with_options
-from fixel.cli.screen import notify
+from fixel.cli.screen import notify, plain
 from fixel.errors import InvalidInput
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
@@ -77,8 +77,8 @@ def _announce(name: str, link: str, host: str, as_json: bool) -> None:
         print(json.dumps({"project": name, "link": link}), flush=True)
         return
     print(
-        f"Open {name} with this link; anyone who has it can read and change the project:\n\n  "
-        f"{link}\n",
+        f"Open {plain(name)} with this link; "
+        f"anyone who has it can read and change the project:\n\n  {link}\n",
         flush=True,
     )
     if host not in LOOPBACK:
