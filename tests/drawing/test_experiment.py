@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
+from matplotlib.text import Text
 from PIL import Image
 from tests.drawing.collisions import axes_of, check_page
 
@@ -53,6 +54,21 @@ def test_experiments_and_comparisons_can_be_drawn(tmp_path):
     save_figure(lambda: experiment_figure(REAL), tmp_path / "one.png")
     save_figure(lambda: comparison_figure(REAL, AWAY, TACTILE), tmp_path / "both.png")
     assert all(path.stat().st_size > 5000 for path in tmp_path.iterdir())
+
+
+def test_names_are_no_formulas(tmp_path):
+    """Matplotlib would refuse the first name, and draw the second as a letter."""
+    for name in ("$\\frac{$", "$\\mu$"):
+        figures = []
+
+        def make(name=name, figures=figures):
+            figures.append(experiment_figure(replace(REAL, dataset=name)))
+            return figures[0]
+
+        save_figure(make, tmp_path / "one.png")
+        named = [text for text in figures[0].findobj(Text) if name in text.get_text()]
+        assert named
+        assert not any(text.get_parse_math() or text.get_usetex() for text in named)
 
 
 def test_users_get_embedded_fonts_and_300_pixels_an_inch(tmp_path, full_style, monkeypatch):

@@ -36,4 +36,7 @@ STYLE: Final = {
     "pdf.fonttype": 42,  # embed fonts: journals reject text converted to outlines
     "svg.fonttype": "none",
     "savefig.dpi": 300,
+    # Names come from files: they are no formulas, nor programs of TeX.
+    "text.parse_math": False,
+    "text.usetex": False,
 }

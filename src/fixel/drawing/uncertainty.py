@@ -131,6 +131,7 @@ class _Corner:
         axis = getattr(axes, f"{which}axis")
         if self._logarithmic(k):
             getattr(axes, f"set_{which}scale")("log")
+            axis.set_major_formatter("{x:g}")
             axis.set_minor_formatter(NullFormatter())
             return
         axis.set_major_locator(MaxNLocator(2, steps=(1, 2, 5, 10)))
