@@ -488,6 +488,15 @@ def test_chunk_that_unpacks_to_gigabytes(tmp_path: Path, how: str) -> None:
         fixel.read_experiments(path)
 
 
+def test_poses_are_counted_not_messages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One message may have any number of transforms."""
+    own = [transform(START, "table", f"frame{k}", np.eye(4)) for k in range(20)]
+    bag = write_bag(tmp_path / "bag", [("/tf", START, tf(*own))])
+    monkeypatch.setattr("fixel.datasets.bag_file.MAX_POSES", 19)
+    with pytest.raises(InvalidInput, match="19 poses"):
+        fixel.read_experiments(bag)
+
+
 @pytest.mark.parametrize("length", [2**31, 2**40, 2**63])
 def test_record_length_that_a_file_declares_is_not_believed(tmp_path: Path, length: int) -> None:
     path = tmp_path / "a.mcap"

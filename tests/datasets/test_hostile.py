@@ -113,6 +113,21 @@ def test_archives_that_cannot_be_read_are_refused(
         IMPORTERS["csv"].read(path)
 
 
+def test_parquet_that_unpacks_to_many_cells_is_refused_unread(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three million cells in a few kilobytes."""
+    arrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    zeros = arrow.array([0] * 1_000_000, arrow.int8())
+    path = tmp_path / "own.parquet"
+    parquet.write_table(arrow.table({name: zeros for name in ("t_s", "x_m", "y_m")}), path)
+    assert path.stat().st_size < 20_000
+    monkeypatch.setattr(files, "MAX_CELLS", 2_999_999)
+    monkeypatch.setattr(parquet.ParquetFile, "read", lambda *_: pytest.fail("it was read"))
+    with pytest.raises(InvalidInput, match="at most 2 million cells"):
+        IMPORTERS["csv"].read(path)
+
+
 def test_json_nested_without_end_is_refused(tmp_path: Path) -> None:
     path = tmp_path / f"{recordings.RECORD}.json"
     path.write_text('{"object_pose": ' + "[" * 100_000)

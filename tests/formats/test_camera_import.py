@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -256,6 +257,41 @@ def test_what_cannot_be_read_is_refused(name: str, text: str, word: str, tmp_pat
     with pytest.raises(InvalidInput) as refused:
         import_camera(path)
     assert word in str(refused.value)
+
+
+NESTED = {
+    "a.yml": "%YAML:1.0\n# opencv-matrix\n---\na: " + "[" * 100_000,
+    "a.json": '{"opencv-matrix": ' + "[" * 100_000,
+    "a.xml": '<?xml version="1.0"?>\n<opencv_storage>' + "<a>" * 100_000,
+}
+
+
+@pytest.mark.parametrize("name", NESTED)
+def test_nesting_of_which_the_parser_of_opencv_dies_is_refused(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(NESTED[name])
+    with pytest.raises(InvalidInput, match="more than 10000 brackets"):
+        import_camera(tmp_path / name)
+
+
+def test_a_mat_file_that_unpacks_to_much_is_refused(tmp_path: Path) -> None:
+    """Gigabytes of zeros, and a cell array of a billion cells in its header alone."""
+    from scipy.io import savemat
+
+    savemat(tmp_path / "a.mat", {"fc": np.zeros(13_000_000)}, do_compression=True)
+    assert (tmp_path / "a.mat").stat().st_size < 200_000
+    with pytest.raises(InvalidInput, match="more than 100 MB, unpacked"):
+        import_camera(tmp_path / "a.mat")
+    savemat(tmp_path / "b.mat", {"fc": np.full((1, 7), "x", dtype=object)})
+    data = (tmp_path / "b.mat").read_bytes()
+    size, giant = np.array([1, 7], "<i4").tobytes(), np.array([1, 2**30], "<i4").tobytes()
+    assert data.count(size) == 1
+    (tmp_path / "b.mat").write_bytes(data.replace(size, giant))
+    tracemalloc.start()
+    with pytest.raises(InvalidInput, match="fc is missing"):
+        import_camera(tmp_path / "b.mat")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 50e6
 
 
 def test_sizes_are_checked(tmp_path: Path) -> None:

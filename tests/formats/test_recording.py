@@ -223,6 +223,8 @@ def test_writing_refuses_what_cannot_be(tmp_path: Path) -> None:
         RecordingWriter(tmp_path / "file" / "r", RecordingHeader(size=SIZE))
     with pytest.raises(InvalidInput, match=r"recording\.codec"):
         RecordingHeader(size=SIZE, codec="h266")
+    with pytest.raises(InvalidInput, match="at most 89 megapixels"):
+        RecordingHeader(size=(20_000, 20_000))
 
 
 def test_a_picture_the_camera_sent_spoilt_is_named(tmp_path: Path) -> None:

@@ -92,6 +92,7 @@ class Bag:
     tracks: dict[str, FrameTrack] = field(default_factory=dict)
     names: dict[str, list[tuple[float, str]]] = field(default_factory=lambda: defaultdict(list))
     unstamped: int = 0  # messages without a time of their own
+    n: int = 0  # poses and texts
 
     def add(self, message: Message) -> None:
         """Add the poses of a message."""
@@ -118,13 +119,20 @@ class Bag:
                 name = f"{getattr(one, 'family', 'tag')}:{ids}"
                 self._add(message, name, header, (pose.position, pose.orientation))
         else:
+            self._count(topic)
             self.names[topic].append((logged, str(m.data)[:100]))
+
+    def _count(self, topic: str) -> None:
+        self.n += 1
+        if self.n > MAX_POSES:
+            raise InvalidInput(topic, found="more", expected=f"{MAX_POSES} poses and texts in all")
 
     def _add(self, message: Message, name: str, header: Any, pose: tuple[Any, Any]) -> None:
         named = hasattr(header, "frame_id")
         parent = str(header.frame_id if named else getattr(header, "parent_frame_id", ""))
         stamp = getattr(header, "stamp", None) or header.timestamp
         time = stamp.sec + 1e-9 * getattr(stamp, "nanosec", getattr(stamp, "nsec", 0))
+        self._count(message.topic)
         self.unstamped += not time and message.logged > 0.0
         static = message.topic.endswith("tf_static")
         own = self.tracks.setdefault(name, FrameTrack(parent, message.topic, static))
@@ -145,7 +153,7 @@ def bag_files(source: Path) -> list[Path]:
 def read_bag(source: Path) -> Bag:
     """Read the poses of a bag; raise for damaged files, no poses, or a missing package."""
     readers = {".mcap": _from_mcap, ".db3": _from_sqlite, TAGS: _from_tags}
-    bag, n = Bag(), 0
+    bag = Bag()
     if not (files := bag_files(source)):
         raise DatasetMissing(source, f"a file that ends in {', '.join(readers)}")
     for path in files:
@@ -153,9 +161,6 @@ def read_bag(source: Path) -> Bag:
         with parsed(path, hint if path.suffix == ".mcap" else None):
             for message in readers[path.suffix.lower()](path):
                 bag.add(message)
-                n += 1
-                if n > MAX_POSES:
-                    raise InvalidInput(path.name, found="more", expected=f"{MAX_POSES} messages")
     for name, track in bag.tracks.items():
         track.finish(name)
     return bag

@@ -121,11 +121,8 @@ class Importer(ABC):
         for option in options:
             if option not in self.options:
                 known = ", ".join(self.options) or "none"
-                raise InvalidInput(
-                    f"importer {self.name}",
-                    found=f"the option {option}",
-                    expected=f"one of its options: {known}",
-                )
+                found, expected = f"the option {option}", f"one of its options: {known}"
+                raise InvalidInput(f"importer {self.name}", found=found, expected=expected)
 
     def read(self, source: Path, **options: object) -> ImportPlan:
         """Read a file or folder and plan its import.

@@ -134,18 +134,12 @@ class CsvRows:
                 yield row, self._not_whole(name, row, MAX_WHOLE)
 
     def _repeated(self, name: str, row: int) -> InvalidInput:
-        return InvalidInput(
-            self.place(name, row),
-            found=f"{self.columns[name][row]!r} again",
-            expected="each name once",
-        )
+        found, expected = f"{self.columns[name][row]!r} again", "each name once"
+        return InvalidInput(self.place(name, row), found=found, expected=expected)
 
     def _not_whole(self, name: str, row: int, largest: int) -> InvalidInput:
-        return InvalidInput(
-            self.place(name, row),
-            found=float(self.columns[name][row]),
-            expected=f"a whole number from 0 to {largest}",
-        )
+        found, expected = float(self.columns[name][row]), f"a whole number from 0 to {largest}"
+        return InvalidInput(self.place(name, row), found=found, expected=expected)
 
     def stacked(self, *names: str, blank: bool = False) -> FloatArray:
         """Return several columns as numbers, (n, n_name)."""
@@ -155,11 +149,8 @@ class CsvRows:
         """Raise `InvalidInput` if one of these columns is missing."""
         for name in names:
             if name not in self.columns:
-                raise InvalidInput(
-                    self.source,
-                    found="the columns " + ", ".join(self.columns),
-                    expected=f"a column {name}",
-                )
+                found, expected = "the columns " + ", ".join(self.columns), f"a column {name}"
+                raise InvalidInput(self.source, found=found, expected=expected)
 
     def place(self, name: str, row: int) -> str:
         """Return the place of a cell, for messages."""
@@ -197,11 +188,8 @@ def table_rows(table: Any, source: str = "table") -> CsvRows:
     elif isinstance(table, Mapping):
         columns = {str(name): [*column] for name, column in table.items()}
     else:
-        raise InvalidInput(
-            source,
-            found=f"the type {type(table).__name__}",
-            expected="a file, a folder, or a table of pandas, polars or Arrow",
-        )
+        expected = "a file, a folder, or a table of pandas, polars or Arrow"
+        raise InvalidInput(source, found=f"the type {type(table).__name__}", expected=expected)
     lengths = {name: len(column) for name, column in columns.items()}
     if not lengths or len({*lengths.values()}) > 1 or not max(lengths.values()):
         raise InvalidInput(
@@ -231,7 +219,13 @@ def read_table(path: Path, *, torn: bool = False) -> CsvRows:
         import pyarrow.parquet
 
         try:
-            return table_rows(pyarrow.parquet.read_table(path), path.name)
+            with pyarrow.parquet.ParquetFile(path) as file:
+                about = file.metadata
+                groups = [about.row_group(k) for k in range(about.num_row_groups)]
+                each = range(about.num_columns)
+                if sum(own.column(k).num_values for own in groups for k in each) > MAX_CELLS:
+                    raise _too_many_cells(path.name)
+                return table_rows(file.read(), path.name)
         except (OSError, pyarrow.ArrowException) as problem:
             found = f"an error ({str(problem).splitlines()[0]})"
             raise InvalidInput(path.name, found=found, expected="a Parquet file") from None
@@ -244,11 +238,9 @@ def read_table(path: Path, *, torn: bool = False) -> CsvRows:
             cells = csv.reader(chain([header_line], lines), delimiter=separator)
             rows = _bounded_rows(cells if separator == "," else map(_pointed, cells), path.name)
     except UnicodeDecodeError:
+        expected, hint = "a readable CSV file", 'save the table as "CSV UTF-8"'
         raise InvalidInput(
-            path.name,
-            found="characters that are not UTF-8",
-            expected="a readable CSV file",
-            hint='save the table as "CSV UTF-8"',
+            path.name, found="characters that are not UTF-8", expected=expected, hint=hint
         ) from None
     except (OSError, EOFError, zlib.error, csv.Error) as problem:
         raise InvalidInput(path.name, found=problem, expected="a readable CSV file") from None
@@ -301,11 +293,14 @@ def _bounded_rows(rows: Iterable[list[str]], source: str) -> list[list[str]]:
     for row in rows:
         cells += len(row) + 1  # an empty row takes memory too
         if cells > MAX_CELLS:
-            raise InvalidInput(
-                source, found="more", expected=f"at most {MAX_CELLS // 10**6} million cells"
-            )
+            raise _too_many_cells(source)
         found.append(row)
     return found
+
+
+def _too_many_cells(source: str) -> InvalidInput:
+    expected = f"at most {MAX_CELLS // 10**6} million cells"
+    return InvalidInput(source, found="more", expected=expected)
 
 
 def read_json(path: Path) -> dict[str, Any]:

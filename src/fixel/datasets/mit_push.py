@@ -181,11 +181,8 @@ def read_mit_pushes(folder: Path) -> MitPushes:
     deep = pushes.gap < -MAX_CORRECTION
     for name in pushes.bodies:
         if deep[pushes.shape == name].all():
-            raise InvalidInput(
-                f"{folder.name}: {name}",
-                found="no push that starts outside the plate",
-                expected="at least one",
-            )
+            found, expected = "no push that starts outside the plate", "at least one"
+            raise InvalidInput(f"{folder.name}: {name}", found=found, expected=expected)
     return pushes
 
 

@@ -225,10 +225,9 @@ def _rows(path: Path, key: str, given: Any) -> FloatArray:
         rows = np.zeros(0)
     width = _KEYS[key]
     if rows.ndim != 2 or not len(rows) or not width <= rows.shape[1] <= 4:
+        found = "nothing" if given is None else f"shape {rows.shape}"
         raise InvalidInput(
-            f"{path.name}: {key}",
-            found="nothing" if given is None else f"shape {rows.shape}",
-            expected=f"rows of {width} numbers, time first",
+            f"{path.name}: {key}", found=found, expected=f"rows of {width} numbers, time first"
         )
     if not np.isfinite(rows).all() or np.abs(rows).max() > LARGEST_NUMBER:
         raise InvalidInput(
@@ -244,11 +243,8 @@ def _conditions(path: Path, about: Mapping[str, Any]) -> dict[str, str | float]:
     surface, shape = about.get("surface", named.get("surface")), about.get("shape")
     shape = shape or named.get("shape")
     if not isinstance(surface, str) or not isinstance(shape, str):
-        raise InvalidInput(
-            path.name,
-            found="no surface and shape",
-            expected="both in the file, or in its name: motion_surface=..._shape=..._a=..._v=...",
-        )
+        expected = "both in the file, or in its name: motion_surface=..._shape=..._a=..._v=..."
+        raise InvalidInput(path.name, found="no surface and shape", expected=expected)
     conditions: dict[str, str | float] = {"surface": surface, "shape": shape}
     for target, key, short, scale in _NUMBERS:
         value = about.get(key, named.get(short))

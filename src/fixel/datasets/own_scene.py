@@ -182,10 +182,9 @@ def _object_of(scene: Scene, source: str, name: str | None) -> Any:
 
 def _pusher_of(scene: Scene, source: str) -> Pusher:
     if len(scene.pushers) != 1:
+        expected = "one pusher, since the table has the path of one"
         raise InvalidInput(
-            f"{source}: pushers",
-            found=f"{len(scene.pushers)} pushers",
-            expected="one pusher, since the table has the path of one",
+            f"{source}: pushers", found=f"{len(scene.pushers)} pushers", expected=expected
         )
     return scene.pushers[0]
 
@@ -334,12 +333,8 @@ def refuse_implausible(
 
 
 def _refuse(where: str, found: str, unit: str, other: str) -> None:
-    raise InvalidInput(
-        where,
-        found=found,
-        expected=f"the motion of a pushed object, with angles in {WORDS[unit]}",
-        hint=hint_of(other, unit),
-    )
+    expected = f"the motion of a pushed object, with angles in {WORDS[unit]}"
+    raise InvalidInput(where, found=found, expected=expected, hint=hint_of(other, unit))
 
 
 def hint_of(other: str, unit: str) -> str:

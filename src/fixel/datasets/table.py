@@ -344,10 +344,9 @@ def _columns(
     roles: dict[str, _TableColumn] = {}
     for column in parsed:
         if column.role in roles:
+            found = f"{roles[column.role].title!r} and {column.title!r}"
             raise InvalidInput(
-                f"{table.source}, header",
-                found=f"{roles[column.role].title!r} and {column.title!r}",
-                expected=f"one column of {column.role}",
+                f"{table.source}, header", found=found, expected=f"one column of {column.role}"
             )
         if column.role:
             roles[column.role] = column
@@ -378,11 +377,8 @@ def _parsed(title: str, chosen: str | None, taken: Collection[str]) -> _TableCol
 
 def _checked(column: _TableColumn) -> _TableColumn:
     if column.role and column.unit and column.unit.kind != _kind(column.role):
-        raise InvalidInput(
-            f"column {column.title}",
-            found=f"a unit of {column.unit.kind}",
-            expected=f"a unit of {_kind(column.role)}",
-        )
+        found, expected = f"a unit of {column.unit.kind}", f"a unit of {_kind(column.role)}"
+        raise InvalidInput(f"column {column.title}", found=found, expected=expected)
     return column
 
 

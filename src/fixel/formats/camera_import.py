@@ -8,6 +8,9 @@ from __future__ import annotations
 
 import io
 import re
+import shlex
+import struct
+import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -28,6 +31,9 @@ FORMATS: Final = ("matlab", "opencv", "kalibr", "ros")
 ASSIGNMENT: Final = re.compile(r"^\s*(\w+)\s*=\s*(\[[^\]]*\]|[-+.\deE]+)\s*;?", re.MULTILINE)
 COEFFICIENTS: Final = ("k1", "k2", "p1", "p2", "k3")
 NEARBY: Final = (0.01, 100.0)  # [m] plausible distances of a camera from its plate
+MAX_BRACKETS: Final = 10_000  # lists and mappings in an OpenCV storage, which has tens
+MATLAB: Final = ("double", "single", "int32", "int64")  # types of numbers, not of cells
+MAX_UNPACKED: Final = 100_000_000  # [bytes] of a MATLAB file
 PINHOLE: Final = {"plumb_bob": 5, "rational_polynomial": 8}
 
 
@@ -68,8 +74,10 @@ def import_camera(
     if kind not in readers:
         raise InvalidInput("format", found=repr(kind), expected="auto, " + ", ".join(FORMATS))
     try:
-        if kind == "opencv":
-            _head(path)  # OpenCV does not say why a file cannot be read
+        # OpenCV does not say why a file cannot be read, and its parser dies of deep nesting.
+        if kind == "opencv" and len(re.findall(rb"[\[{]|<\w", _head(path))) > MAX_BRACKETS:
+            found, expected = f"more than {MAX_BRACKETS} brackets", "an OpenCV storage of a camera"
+            raise InvalidInput("file", found=found, expected=expected)
         camera, remarks = readers[kind]()
     except InvalidInput as problem:
         where = str(path) if problem.where == "file" else problem.where
@@ -90,7 +98,7 @@ def _kind_of(path: Path) -> str:
             str(path),
             found="a camera file of fixel already",
             expected="a camera file of another program",
-            hint=f"run: fixel camera check {path.name}",
+            hint=f"run: {shlex.join(['fixel', 'camera', 'check', path.name])}",
         )
     if b"opencv-matrix" in head or b"<opencv_storage" in head:
         return "opencv"
@@ -160,11 +168,8 @@ def _ros(path: Path) -> Lens:
     _refuse_cropped(raw)
     model = raw.get("distortion_model")
     if model not in (*PINHOLE, "equidistant"):
-        raise InvalidInput(
-            "distortion_model",
-            found=repr(model),
-            expected="plumb_bob, rational_polynomial or equidistant",
-        )
+        found, expected = repr(model), "plumb_bob, rational_polynomial or equidistant"
+        raise InvalidInput("distortion_model", found=found, expected=expected)
     matrix, coefficients = (
         numbers(raw, message, count)
         if message in raw
@@ -176,11 +181,8 @@ def _ros(path: Path) -> Lens:
     )
     most = PINHOLE.get(model, 4)
     if len(coefficients) > most:
-        raise InvalidInput(
-            "distortion_coefficients",
-            found=f"{len(coefficients)} numbers",
-            expected=f"at most {most} for {model}",
-        )
+        found, expected = f"{len(coefficients)} numbers", f"at most {most} for {model}"
+        raise InvalidInput("distortion_coefficients", found=found, expected=expected)
     size = tuple(
         int(numbers(raw, name, None)[0])
         for name in (("width", "height") if "width" in raw else ("image_width", "image_height"))
@@ -214,11 +216,8 @@ def numbers(raw: Any, key: str, count: int | None, within_key: str = "") -> list
     row: list[Any] = value if isinstance(value, list) else [value]
     good = [float(n) for n in row if type(n) in (int, float) and abs(n) < 1e30]
     if len(good) < len(row) or (count is not None and len(row) != count):
-        raise InvalidInput(
-            f"{within_key}{key}",
-            found=value,
-            expected=f"{count} numbers" if count and count > 1 else "numbers",
-        )
+        found, expected = value, f"{count} numbers" if count and count > 1 else "numbers"
+        raise InvalidInput(f"{within_key}{key}", found=found, expected=expected)
     return good
 
 
@@ -340,17 +339,29 @@ def _of_m(data: bytes) -> Variables:
     return found
 
 
+def _refuse_bomb(data: bytes) -> None:
+    """Raise `ValueError` for a MATLAB file whose compressed elements unpack to too much."""
+    place, left, order = 128, MAX_UNPACKED, "<" if data[126:128] == b"IM" else ">"
+    while place + 8 <= len(data):
+        kind, size = struct.unpack_from(f"{order}II", data, place)
+        place += 8 + size
+        if kind == 15:  # compressed
+            left -= len(zlib.decompressobj().decompress(data[place - size : place], left + 1))
+        if left < 0:
+            raise ValueError(f"more than {MAX_UNPACKED // 10**6} MB, unpacked")
+
+
 def _of_mat(data: bytes) -> Variables:
-    from scipy.io import loadmat
+    from scipy.io import loadmat, whosmat
 
     try:
-        content: dict[str, Any] = loadmat(io.BytesIO(data))
+        _refuse_bomb(data)
+        named = [own[0] for own in whosmat(io.BytesIO(data)) if own[2] in MATLAB]
+        content: dict[str, Any] = loadmat(io.BytesIO(data), variable_names=named)
     except NotImplementedError:
+        expected, hint = "an older version", "in MATLAB: save('Calib_Results_v7.mat', '-v7')"
         raise InvalidInput(
-            "file",
-            found="MATLAB's format of version 7.3",
-            expected="an older version",
-            hint="in MATLAB: save('Calib_Results_v7.mat', '-v7')",
+            "file", found="MATLAB's format of version 7.3", expected=expected, hint=hint
         ) from None
     except Exception as problem:
         # scipy lets any error of its parser pass: TypeError, zlib.error, MemoryError, ...

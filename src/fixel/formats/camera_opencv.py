@@ -40,10 +40,9 @@ def lens_of(
             "camera_matrix", found=f"an array of {k.shape}", expected="3 x 3 finite numbers"
         )
     if k[0, 0] <= 0.0:
+        expected = "a calibrated camera: focal lengths above 0 px"
         raise InvalidInput(
-            "camera_matrix",
-            found=f"a focal length of {k[0, 0]:g} px",
-            expected="a calibrated camera: focal lengths above 0 px",
+            "camera_matrix", found=f"a focal length of {k[0, 0]:g} px", expected=expected
         )
     if (np.abs([k[1, 0], k[2, 0], k[2, 1], k[2, 2] - 1.0]) > 1e-9).any():
         raise InvalidInput(
@@ -110,11 +109,8 @@ def opencv_camera(path: Path, size: tuple[int, int] | None) -> MeasuredCamera:
         finally:
             storage.release()
     except cv2.error as problem:
-        raise InvalidInput(
-            "file",
-            found=f"a file that OpenCV cannot read ({problem.err})",
-            expected="an OpenCV storage",
-        ) from None
+        found, expected = f"a file that OpenCV cannot read ({problem.err})", "an OpenCV storage"
+        raise InvalidInput("file", found=found, expected=expected) from None
     except SystemError:  # raised by its bindings when the parser fails
         raise InvalidInput(
             "file", found="a file that OpenCV cannot read", expected="an OpenCV storage"
@@ -209,11 +205,8 @@ def _ros_matrix(matrix: FloatArray) -> dict[str, Any]:
 
 def _check_export(lens: Lens, path: str | Path, format: str) -> None:
     if Path(path).suffix.lower() not in ENDINGS[format]:
-        raise InvalidInput(
-            str(path),
-            found=f"the ending {Path(path).suffix!r}",
-            expected="a file that ends with " + ", ".join(ENDINGS[format]),
-        )
+        expected = "a file that ends with " + ", ".join(ENDINGS[format])
+        raise InvalidInput(str(path), found=f"the ending {Path(path).suffix!r}", expected=expected)
     if lens.skew and not lens.fisheye:
         width = lens.skew * lens.image_size[1] / 2.0
         raise InvalidInput(

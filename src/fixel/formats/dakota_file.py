@@ -330,10 +330,9 @@ def _space(block: _Block) -> ParameterSpace:
     for keyword in ("initial_point", "lower_bounds", "upper_bounds", "descriptors"):
         column = block.need(keyword)
         if len(column) != count:
+            expected = f"{count}, the number given by continuous_design"
             raise InvalidInput(
-                block.at(keyword),
-                found=f"{len(column)} after {keyword}",
-                expected=f"{count}, the number given by continuous_design",
+                block.at(keyword), found=f"{len(column)} after {keyword}", expected=expected
             )
         columns.append(column)
     unknowns = []

@@ -111,12 +111,8 @@ class Recording:
             frame = decoder.frame(float(self.time[k]), data, where)
             if frame is None:
                 width, height = self.header.size
-                raise InvalidInput(
-                    where,
-                    found="no picture in it",
-                    expected=f"a picture of {width} x {height} pixels",
-                    hint="the camera sent it so",
-                )
+                expected, hint = f"a picture of {width} x {height} pixels", "the camera sent it so"
+                raise InvalidInput(where, found="no picture in it", expected=expected, hint=hint)
             yield frame
 
 
@@ -205,11 +201,8 @@ def _checked(folder: Path) -> tuple[RecordingRows, int, int]:
             hint="frames and readings can no longer be paired without guessing",
         )
     if matched == 0:
-        raise InvalidInput(
-            str(folder),
-            found="a recording that ended before its first frame was whole",
-            expected="one frame at least",
-        )
+        found = "a recording that ended before its first frame was whole"
+        raise InvalidInput(str(folder), found=found, expected="one frame at least")
     return rows, matched, seen
 
 
@@ -295,16 +288,12 @@ class RecordingWriter:
         """
         width, height = self.header.size
         if self.header.codec == "as-it-comes":
-            raise InvalidInput(
-                "recording.codec",
-                found="a decoded picture",
-                expected="JPEG data; the codecs near and exact take pictures",
-            )
+            expected = "JPEG data; the codecs near and exact take pictures"
+            raise InvalidInput("recording.codec", found="a decoded picture", expected=expected)
         if frame.picture.shape != (height, width, 3) or frame.picture.dtype.name != "uint8":
+            found = f"a picture of shape {frame.picture.shape}, {frame.picture.dtype}"
             raise InvalidInput(
-                f"frame {self.frames}",
-                found=f"a picture of shape {frame.picture.shape}, {frame.picture.dtype}",
-                expected=f"({height}, {width}, 3), uint8",
+                f"frame {self.frames}", found=found, expected=f"({height}, {width}, 3), uint8"
             )
         time_us = self._checked_time(frame.time, reading)
         written = self._video.append_picture(time_us, frame.picture)

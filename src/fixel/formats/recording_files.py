@@ -32,6 +32,7 @@ CODECS: Final = ("as-it-comes", "near", "exact")
 CLOCK: Final = "monotonic, in seconds since the recording began; one for frames and readings"
 HEAD: Final = "frame,time_s,reading,reading_time_s,bytes,video_bytes,picture_crc32,row_crc32\n"
 MICRO: Final = 1_000_000
+MAX_PIXELS: Final = 89_000_000  # of a picture; decoders take more for an attack
 
 
 @final
@@ -53,10 +54,9 @@ class RecordingHeader:
 
     def __post_init__(self) -> None:
         width, height = (int(side) for side in self.size)
-        if width < 1 or height < 1:
-            raise InvalidInput(
-                "recording.size", found=f"{width} x {height}", expected="width and height [px]"
-            )
+        if min(width, height) < 1 or width * height > MAX_PIXELS:
+            expected = f"width and height [px], at most {MAX_PIXELS // 10**6} megapixels"
+            raise InvalidInput("recording.size", found=f"{width} x {height}", expected=expected)
         if self.codec not in CODECS:
             raise InvalidInput(
                 "recording.codec", found=repr(self.codec), expected=", ".join(CODECS)
@@ -245,8 +245,5 @@ def _refuse_disorder(path: Path, number: int, row: RecordingRow, rows: list[Reco
             hint="rows were lost or inserted, so frames and readings cannot be matched",
         )
     if rows and row.time_us <= rows[-1].time_us:
-        raise InvalidInput(
-            f"{path}, line {number}",
-            found=f"time {_seconds(row.time_us)} s after {_seconds(rows[-1].time_us)} s",
-            expected="increasing times",
-        )
+        found = f"time {_seconds(row.time_us)} s after {_seconds(rows[-1].time_us)} s"
+        raise InvalidInput(f"{path}, line {number}", found=found, expected="increasing times")

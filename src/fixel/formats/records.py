@@ -441,11 +441,9 @@ def unknown_key(root: type[FileRecord], path: KeyPath) -> InvalidInput:
     """Error for a path whose last key the record there does not have."""
     record = record_at(root, path[:-1])
     known = list(record.model_fields) if record else []
+    found, expected = "an unknown key", "one of " + ", ".join(known) if known else "no keys here"
     return InvalidInput(
-        written(path),
-        found="an unknown key",
-        expected="one of " + ", ".join(known) if known else "no keys here",
-        hint=did_you_mean(path[-1], known),
+        written(path), found=found, expected=expected, hint=did_you_mean(path[-1], known)
     )
 
 

@@ -88,11 +88,9 @@ def load_camera(path: str | Path) -> MeasuredCamera:
     """Load a camera file: YAML, or JSON if the name ends in `.json`."""
     raw = read_document(Path(path))
     if not isinstance(raw, dict) or "lens" not in raw:
+        hint = "to import a file of MATLAB, OpenCV, Kalibr or ROS: fixel camera import FILE"
         raise InvalidInput(
-            str(path),
-            found="no lens in it",
-            expected="a camera file of fixel",
-            hint="to import a file of MATLAB, OpenCV, Kalibr or ROS: fixel camera import FILE",
+            str(path), found="no lens in it", expected="a camera file of fixel", hint=hint
         )
     with records.within(str(path)):
         return camera_from_dict(raw)
@@ -205,11 +203,8 @@ def rig_of(name_or_path: str | Path) -> Rig:
 def _rig_path(name_or_path: str | Path) -> Path:
     path = Path(name_or_path)
     if not path.suffix and not path.exists():
-        raise InvalidInput(
-            "rig",
-            found=f"no file {str(path)!r}",
-            expected="a rig file, or one of " + ", ".join(EXAMPLES),
-        )
+        found, expected = f"no file {str(path)!r}", "a rig file, or one of " + ", ".join(EXAMPLES)
+        raise InvalidInput("rig", found=found, expected=expected)
     return path
 
 

@@ -361,10 +361,9 @@ def _key(container: Any, segment: str, path: records.KeyPath) -> str | int:
         if segment.isdecimal() and int(segment) < len(container):
             return int(segment)
         there = ", ".join(str(name) for name in names if name is not None)
+        expected = f"a number below {len(container)}" + (f", or one of {there}" if there else "")
         raise InvalidInput(
-            f"{records.written(path)}.{segment}",
-            found="no such index",
-            expected=f"a number below {len(container)}" + (f", or one of {there}" if there else ""),
+            f"{records.written(path)}.{segment}", found="no such index", expected=expected
         )
     if isinstance(container, dict):
         record = records.record_at(SceneRecord, path)

@@ -148,17 +148,15 @@ class VideoWriter:
         """Append a frame; its time must be at least 0 and later than that of the previous one."""
         picture = np.ascontiguousarray(frame.picture)
         if picture.shape[1::-1] != tuple(self.size):
+            found = f"a frame of {picture.shape[1]} x {picture.shape[0]}"
             raise InvalidInput(
-                str(self.path),
-                found=f"a frame of {picture.shape[1]} x {picture.shape[0]}",
-                expected="{} x {} pixels, as before".format(*self.size),
+                str(self.path), found=found, expected="{} x {} pixels, as before".format(*self.size)
             )
         tick = round(frame.time * TICKS)
         if tick <= self._last:
+            found = f"a frame at {frame.time:.6f} s after one at {self._last / TICKS:.6f} s"
             raise InvalidInput(
-                str(self.path),
-                found=f"a frame at {frame.time:.6f} s after one at {self._last / TICKS:.6f} s",
-                expected="frames in order of time, from 0 s",
+                str(self.path), found=found, expected="frames in order of time, from 0 s"
             )
         self._last = tick
         import av
