@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import secrets
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -35,11 +36,8 @@ def refuse_ending(path: str | Path, endings: Sequence[str], what: str) -> None:
     """Raise `InvalidInput` for a file name whose ending is not one of `endings`."""
     ending = Path(path).suffix
     if ending.lower() not in endings:
-        raise InvalidInput(
-            str(path),
-            found=f"the ending {ending!r}" if ending else "no ending",
-            expected=f"a {what} file: " + ", ".join(endings),
-        )
+        found = f"the ending {ending!r}" if ending else "no ending"
+        raise InvalidInput(str(path), found=found, expected=f"a {what} file: " + ", ".join(endings))
 
 
 @contextmanager
@@ -52,7 +50,7 @@ def written_whole(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
     """
     path = Path(path)
     refuse_unwritable(path)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    temporary = path.with_name(f".{path.stem}.{secrets.token_hex(6)}{path.suffix}")
     try:
         yield temporary
         if durable:

@@ -48,11 +48,9 @@ def read_document(path: Path, kind: str = "file") -> Any:
     UTF-8, or not one valid document within the limits raises `InvalidInput`.
     """
     if path.is_file() and path.name.lower().endswith(TABLES):
+        hint = f"import its poses into a project: {shlex.join(['fixel', 'import', str(path)])}"
         raise InvalidInput(
-            str(path),
-            found="a table",
-            expected=f"a {kind}, in YAML or JSON",
-            hint=f"import its poses into a project: {shlex.join(['fixel', 'import', str(path)])}",
+            str(path), found="a table", expected=f"a {kind}, in YAML or JSON", hint=hint
         )
     text = _text(path)
     parse = parse_json if path.suffix.lower() == ".json" else parse_yaml
