@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Iterable
-from contextlib import suppress
 from pathlib import Path
 from string import hexdigits
 from typing import Any
-from uuid import uuid4
 
 import numpy as np
 import sqlalchemy as sa
 
 from fixel.database.tables import MEDIA_BYTES, series
-from fixel.errors import StoreRefused, os_reason
-from fixel.io.atomic import sync_folder
+from fixel.errors import InvalidInput, StoreRefused, os_reason
+from fixel.io.atomic import sync_folder, write_whole
 from fixel.typing import FloatArray
 
 
@@ -76,19 +73,13 @@ def keep(data: bytes, media: Path) -> str:
     path = media_path(digest, media)
     if path.exists():
         return digest
-    temporary = path.with_name(f".{digest}.{uuid4().hex}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with open(temporary, "wb") as stream:
-            stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(temporary, path)
+        write_whole(path, data, durable=True)
         sync_folder(path.parent)
-    except OSError as problem:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        refused = f"{media} cannot be written to: {os_reason(problem)}"
+    except (OSError, InvalidInput) as problem:
+        why = problem.found if isinstance(problem, InvalidInput) else os_reason(problem)
+        refused = f"{media} cannot be written to: {why}"
         hint = "make the folder writable, or free disk space"
         raise StoreRefused(refused, hint) from None
     return digest
