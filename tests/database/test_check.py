@@ -141,10 +141,6 @@ def test_a_row_without_what_it_names(store, folder):
     assert ("flag", "1 row of flag without their experiment_id") in found
 
 
-def test_upgrade_says_both_versions(folder):
-    assert Project(folder).upgrade() == ("0005", "0005")
-
-
 def test_a_server_makes_its_own_backups(store, folder):
     if store._engine.dialect.name == "sqlite":
         assert Project(folder).backup(folder / "b.db").size > 0

@@ -68,7 +68,6 @@ ROWS = {
     "no scene": "UPDATE experiment SET scene = NULL WHERE id = 4",
     "its start": "UPDATE experiment SET start_x_m = start_x_m + 1e-6 WHERE id = 4",
     "its duration": "UPDATE experiment SET duration_s = 99 WHERE id = 4",
-    "its frames": "UPDATE experiment SET n_frame = n_frame - 1 WHERE id = 4",
     "its checksum": "UPDATE experiment SET content_sha256 = 'x' WHERE id = 4",
     "a row less": "DELETE FROM experiment WHERE id = 4",
     "another geometry": "UPDATE experiment SET object_geometry_id = pusher_geometry_id"
@@ -86,7 +85,6 @@ ROWS = {
     "an owner that is none": "UPDATE series SET owner = 'nobody' WHERE id = 7",
     "a file that is none": f"UPDATE series SET media_sha256 = '{'a' * 64}' WHERE media_sha256 > ''",
     "a flag it came with": "UPDATE experiment SET n_import_flag = 5 WHERE id = 4",
-    "a flag of nobody": "UPDATE flag SET experiment_id = 999 WHERE id = 1",
     "a parameter": "UPDATE system_parameters SET mu_pusher = 0.9 WHERE id = 1",
     "path of a simulation": "UPDATE series SET data = zeroblob(length(data)) WHERE"
     " owner = 'simulation' AND place = 0 AND owner_id = 1",

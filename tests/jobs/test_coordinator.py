@@ -236,8 +236,3 @@ def test_files_that_say_what_they_should_not(tmp_path, file, change):
     (folder / file).write_text(json.dumps(content | change))
     with pytest.raises(InvalidInput, match=file):
         coordinate(folder)
-
-
-def test_a_folder_that_is_no_job(tmp_path):
-    with pytest.raises(InvalidInput, match="found no job"):
-        coordinate(tmp_path)

@@ -268,12 +268,6 @@ def test_interfaces_are_named_ones():
         link.listening("nowhere0")
 
 
-def test_without_the_packages_it_says_what_to_install(monkeypatch):
-    monkeypatch.setattr(link, "find_spec", lambda name: None)
-    with pytest.raises(JobRefused, match=r'pip install "fixel\[cluster\]"'):
-        link.require_dask()
-
-
 def test_a_pool_of_none_is_refused(folder):
     with pytest.raises(InvalidInput, match="workers is 0"):
         LocalPool(folder, 0)

@@ -5,6 +5,7 @@ import json
 import pytest
 from tests.jobs.kinds import toy_undisturbed
 
+import fixel
 from fixel.errors import InvalidInput
 from fixel.io.journal import Journal
 from fixel.jobs.engine import LocalEngine, answer_of
@@ -161,8 +162,6 @@ def test_threads_of_a_worker(monkeypatch):
 
 
 def test_the_stamp_is_of_this_version():
-    import fixel
-
     assert stamp().startswith(f"{fixel.__version__}+")
 
 

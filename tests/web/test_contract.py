@@ -244,12 +244,9 @@ def test_bombs(operations, served, name, is_json):
          "multipart/form-data; boundary=x"),
         (b"<?xml version='1.0'?><!DOCTYPE x [<!ENTITY a SYSTEM 'file:///etc/passwd'>]><x>&a;</x>",
          "application/xml"),
-        (b"[" * 100_000, "application/json"),
         (b'{"ids": [1e400]}', "application/json"),
         (b'{"ids": [' + b"9" * 100_000 + b"]}", "application/json"),
-        (b'{"ids": [1], "text": "\\ud800"}', "application/json"),
         (b"\xff\xfe", "application/json"),
-        (b"", "application/json"),
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("path", ["/experiments/note", "/scenes/read", "/experiments/1/comparison"])

@@ -2,10 +2,15 @@
 
 import http.client
 import json
+import os
 import re
+import signal
 import socket
+import stat
 import subprocess
 import sys
+import time
+import urllib.request
 from pathlib import Path
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
@@ -126,9 +131,6 @@ def test_the_palette_is_that_of_the_figures():
 
 @pytest.mark.system
 def test_the_command_prints_a_link_that_opens_and_ends_at_once(project):
-    import signal
-    import urllib.request
-
     code = "from fixel.cli.main import run; run()"
     with subprocess.Popen(
         [sys.executable, "-c", code, "serve", str(project), "--json"],
@@ -157,11 +159,7 @@ def test_the_command_prints_a_link_that_opens_and_ends_at_once(project):
 @pytest.mark.skipif(sys.platform != "linux", reason="a terminal of Linux, and its list of programs")
 def test_no_other_user_reads_the_token_in_the_arguments_of_the_browser(project, tmp_path):
     """A browser of ours reports its arguments, and where the file it was given leads."""
-    import os
     import pty
-    import signal
-    import stat
-    import time
 
     seen, browser = tmp_path / "seen", tmp_path / "browser"
     browser.write_text(f'#!/bin/sh\nprintf "%s" "$*" > {seen}.part; mv {seen}.part {seen}\n')
@@ -198,6 +196,7 @@ def test_for_others_it_answers_to_its_own_names_and_no_other(bench):
     server = project_server(bench.context, host="0.0.0.0")
     with server:
         assert socket.gethostname() in server.link
+        assert server.gate.token in server.link  # no option leaves it out
         for name, status in ((socket.gethostname(), 200), ("evil.example", 400)):
             line = http.client.HTTPConnection("127.0.0.1", server.port, timeout=60)
             line.request(

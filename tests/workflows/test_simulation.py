@@ -61,12 +61,7 @@ def test_all_files_are_written(scene, tmp_path):
     run = simulate_file(load_scene(scene, ["bodies.block.velocity=[0.2, 0, 0]"]), outputs)
 
     assert run.converged
-    assert sorted(p.name for p in tmp_path.iterdir()) == [
-        "block.gif",
-        "block.parquet",
-        "block.svg",
-        "block.yaml",
-    ]
+    assert {p.suffix for p in tmp_path.iterdir()} == {".gif", ".parquet", ".svg", ".yaml"}
 
 
 def test_impossible_files_are_refused_before_anything_is_simulated(scene, tmp_path, monkeypatch):

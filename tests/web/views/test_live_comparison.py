@@ -1,6 +1,7 @@
 """Sets of parameters against one experiment."""
 
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -62,8 +63,6 @@ def test_the_command_and_the_python_say_the_same(live, tmp_path):
 
 
 def test_a_name_with_quotes_does_not_leave_its_string(live, tmp_path):
-    from dataclasses import replace
-
     experiment = replace(live.experiment(1), name='it\'s "$(rm)" `x`')
     command = live_comparison.command_of(experiment, tmp_path, {}, "dynamic")
     assert shlex.split(command)[2] == experiment.key

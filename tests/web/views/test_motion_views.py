@@ -1,17 +1,24 @@
 """Motions made ready to be shown."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from fixel.errors import InvalidInput
 from fixel.model import Disk
 from fixel.model.shape import placed
+from fixel.sampling import thesis_plan
 from fixel.simulation import simulate
 from fixel.simulation.geometry import gap
+from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing.scenes import grasp
 from fixel.web.views.motion_views import (
+    _continuous,
+    animation_of_experiment,
     animation_of_scene,
     contacts_of,
+    measured_motion,
     simulated_motion,
     things_of,
 )
@@ -81,19 +88,12 @@ def test_a_simulation_without_contacts_has_none(simulation):
 
 
 def test_angles_are_continuous():
-    from fixel.web.views.motion_views import _continuous
-
     pose = np.zeros((40, 3))
     pose[:, 2] = np.mod(np.linspace(0.0, 9.0, 40) + np.pi, 2 * np.pi) - np.pi
     assert np.abs(np.diff(_continuous(pose)[:, 2])).max() < 0.3
 
 
 def test_an_experiment_nobody_can_draw_is_refused():
-    from dataclasses import replace
-
-    from fixel.sampling import thesis_plan
-    from fixel.testbed.simulated import SimulatedTestbed
-    from fixel.web.views.motion_views import animation_of_experiment, measured_motion
 
     experiment = next(iter(SimulatedTestbed(seed=1).run(thesis_plan().experiments[:1])))
     motion = measured_motion(experiment)

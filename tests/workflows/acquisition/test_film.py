@@ -14,6 +14,7 @@ from fixel.formats.plan_file import plan_text
 from fixel.formats.recording import open_recording
 from fixel.formats.rig_file import rig_of, save_rig
 from fixel.formats.scene_file import SceneFile, load_scene, save_scene
+from fixel.formats.video_file import open_video
 from fixel.sampling import thesis_plan
 from fixel.simulation import simulate
 from fixel.testbed.simulated import SimulatedTestbed
@@ -164,8 +165,6 @@ def test_a_film_that_is_broken_off_is_readable_up_to_there(tmp_path, rig, scene)
 
 
 def test_a_full_film_leaves_a_video_too(tmp_path, rig, scene):
-    from fixel.formats.video_file import open_video
-
     film([scene], tmp_path / "film", FilmSettings(rig=rig, frames=4), video=tmp_path / "film.mp4")
     video = open_video(tmp_path / "film.mp4")
     times = [frame.time for frame in video.frames()]

@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 from tests.workflows.bench.test_loop import bench, opened  # noqa: F401
 
+import fixel
+from fixel.errors import InvalidInput
+from fixel.sampling import thesis_plan
 from fixel.workflows.bench import acceptance
 from fixel.workflows.bench.acceptance import BenchFigure, BenchRun, figure_table, measure_bench
 from fixel.workflows.bench.run import report_of
@@ -25,8 +28,6 @@ def test_a_figure_is_good_up_to_what_is_needed():
 
 
 def test_placement_and_scatter_of_three_runs():
-    from fixel.sampling import thesis_plan
-
     first, other = thesis_plan().experiments[:2]
     here = first.scene.bodies[0].pose
 
@@ -51,8 +52,6 @@ def test_placement_and_scatter_of_three_runs():
 @pytest.mark.parametrize("delay", [0.0, 0.07])
 def test_the_delay_of_the_board_from_a_part_that_moves_against_a_fixel(delay):
     """A square of 40 mm moves at 20 mm/s; its side meets a peg of 5 mm at x = 35 mm after 0.5 s."""
-    import fixel
-
     square = fixel.Body("part", fixel.Polygon.rectangle(0.04, 0.04), mass=0.1)
     peg = fixel.Fixel("peg", fixel.Disk(0.005), pose=(0.035, 0.0, 0.0), friction=0.2)
     far = fixel.Fixel("far", fixel.Disk(0.005), pose=(0.5, 0.0, 0.0), friction=0.2)
@@ -112,9 +111,6 @@ def test_the_check_measures_an_emulated_laboratory(bench):  # noqa: F811
 
 
 def test_a_part_that_is_not_seen_is_refused():
-    from fixel.errors import InvalidInput
-    from fixel.sampling import thesis_plan
-
     scene = thesis_plan().experiments[0].scene
     unseen = SimpleNamespace(name="object", measured=None)
     overlay = SimpleNamespace(scene=scene, look=lambda frame: SimpleNamespace(parts=[unseen]))

@@ -6,10 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 
 from fixel.cli import main
+from fixel.errors import InvalidInput
+from fixel.formats.goal_file import goal_file_from_dict
 from fixel.model import Trajectory
 from fixel.testing.pushes import example_pushes
+from fixel.testing.scenes import pushed_square
 from fixel.workflows.demo import story_demo
 from fixel.workflows.demo.story_demo import GOAL, DemoClaim, DemoStep, expected, write_table
 
@@ -64,11 +68,6 @@ def test_a_wrong_claim_is_printed_and_ends_with_an_error(tmp_path, capsys, monke
 
 
 def test_the_goal_file_states_scatter_of_friction_alone():
-    import yaml
-
-    from fixel.errors import InvalidInput
-    from fixel.formats.goal_file import goal_file_from_dict
-    from fixel.testing.scenes import pushed_square
 
     content = yaml.safe_load(GOAL)
     scatter = goal_file_from_dict(content).belief.run_to_run
