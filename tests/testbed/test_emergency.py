@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 import tty
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
 import pytest
 from tests.processes import line_of
@@ -198,6 +198,26 @@ def test_a_session_folder_that_cannot_be_had_keeps_no_drive_from_being_found(tmp
     with EmulatedGrbl() as controller, GrblActuator(controller.port):
         (found,) = emergency.running()
         assert found.port == controller.port
+
+
+@pytest.mark.parametrize("how", ["of another user", "a link"])
+def test_a_folder_that_another_user_created_is_not_used(how, tmp_path, monkeypatch):
+    """Through a link in it, a program would overwrite a file; its entries may be anything."""
+    foreign = emergency.announcements()[0]
+    place = tmp_path / "foreign" if how == "a link" else foreign
+    place.mkdir(mode=0o777)
+    if how == "a link":
+        foreign.symlink_to(place)
+    else:
+        other = os.getuid() + 1
+        monkeypatch.setattr(os, "getuid", lambda: other)
+        foreign.rename(place := emergency.announcements()[0])
+    (place / "a.json").write_text(json.dumps({"port": "/dev/x", "pid": os.getpid(), "guard": 0}))
+    assert emergency.running() == []
+    refused = nullcontext() if how == "a link" else pytest.raises(DeviceFailed)
+    with EmulatedGrbl() as controller, refused:
+        GrblActuator(controller.port).connect().disconnect()
+    assert [path.name for path in place.iterdir()] == ["a.json"]
 
 
 def test_a_drive_that_nobody_would_find_is_not_driven(tmp_path, monkeypatch):

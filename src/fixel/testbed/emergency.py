@@ -12,6 +12,7 @@ import json
 import os
 import select
 import signal
+import stat
 import subprocess
 import sys
 import tempfile
@@ -124,6 +125,8 @@ class StopGuard:
         for folder in announcements():
             with contextlib.suppress(OSError):
                 folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+                if not _is_ours(folder):
+                    continue
                 self._entry = folder / f"{name}.json"
                 self._entry.write_text(entry, encoding="utf-8")
                 return
@@ -146,10 +149,19 @@ def announcements() -> list[Path]:
     return [Path(place) / f"fixel-actuators-{user}" for place in places]
 
 
+def _is_ours(folder: Path) -> bool:
+    """Whether a folder exists and is of this user: others may create it in a shared folder."""
+    with contextlib.suppress(OSError):
+        found = folder.lstat()
+        return stat.S_ISDIR(found.st_mode) and found.st_uid == getattr(os, "getuid", int)()
+    return False
+
+
 def running() -> list[Running]:
     """Programs of this user that drive an actuator now."""
     found = []
-    for path in sorted(path for folder in announcements() for path in folder.glob("*.json")):
+    ours = filter(_is_ours, announcements())
+    for path in sorted(path for folder in ours for path in folder.glob("*.json")):
         try:
             entry = json.loads(path.read_text(encoding="utf-8"))
             program = Running(str(entry["port"]), int(entry["pid"]), int(entry["guard"]))

@@ -80,11 +80,9 @@ def open_port(port: str, baud: int, what: str) -> Serial:
         reason = _errno(problem)
         if reason in (errno.EAGAIN, errno.EWOULDBLOCK, errno.EBUSY):
             user = _program_at(port) or "another program"
+            expected = f"{what} at a port that is free"
             raise InvalidInput(
-                where,
-                found=f"a port in use by {user}",
-                expected=f"{what} at a port that is free",
-                hint="close it",
+                where, found=f"a port in use by {user}", expected=expected, hint="close it"
             ) from None
         if reason in (errno.EACCES, errno.EPERM) and sys.platform != "win32":
             raise InvalidInput(
@@ -107,12 +105,8 @@ def closed_on_failure(close: Callable[[], None], port: str, what: str) -> Iterat
         yield
     except OSError as problem:
         close()
-        raise InvalidInput(
-            f"port {port}",
-            found=f"that the device was disconnected: {problem}",
-            expected=what,
-            hint="connect it again",
-        ) from None
+        found, hint = f"that the device was disconnected: {problem}", "connect it again"
+        raise InvalidInput(f"port {port}", found=found, expected=what, hint=hint) from None
     except BaseException:
         close()
         raise

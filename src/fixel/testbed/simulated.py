@@ -401,10 +401,9 @@ def _check_plan(planned: Sequence[PlannedExperiment]) -> None:
         fields.instance(item, PlannedExperiment, f"planned[{index}]", "a PlannedExperiment")
         _check_scene(item)
         if item.name in seen_names:
+            expected = "unique names, since the random numbers of a run depend on its name"
             raise InvalidInput(
-                f"planned[{index}]",
-                found=f"the name {item.name!r} again",
-                expected="unique names, since the random numbers of a run depend on its name",
+                f"planned[{index}]", found=f"the name {item.name!r} again", expected=expected
             )
         seen_names.add(item.name)
 
@@ -413,18 +412,14 @@ def _check_scene(planned: PlannedExperiment) -> None:
     where, scene = f"planned {planned.name!r}", planned.scene
     check_push(scene, where)
     if scene.contact_friction:
+        expected = "friction of pusher and fixels only, for which the testbed has true values"
         raise InvalidInput(
-            f"{where}.contact_friction",
-            found="friction of named pairs",
-            expected="friction of pusher and fixels only, for which the testbed has true values",
+            f"{where}.contact_friction", found="friction of named pairs", expected=expected
         )
     taken = [name for name in planned.conditions if name.startswith(TRUTH)]
     if taken:
-        raise InvalidInput(
-            f"{where}.conditions",
-            found=repr(taken[0]),
-            expected=f"names that do not begin with {TRUTH!r}",
-        )
+        found, expected = repr(taken[0]), f"names that do not begin with {TRUTH!r}"
+        raise InvalidInput(f"{where}.conditions", found=found, expected=expected)
 
 
 LATE: Final = 1.1  # duration of a push over the planned one: slow drives also reach their end
