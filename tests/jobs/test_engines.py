@@ -74,6 +74,13 @@ def test_the_contract_of_engines(folder, kind):
     assert not processes(folder, "scheduler")
 
 
+@pytest.mark.parametrize("size", [0, 1_000_000])
+def test_a_number_of_workers_that_no_machine_has_is_refused(folder, size):
+    """The number may come from a foreign folder, and each worker is a process."""
+    with pytest.raises(InvalidInput, match="on this machine"):
+        LocalPool(folder, size)
+
+
 def test_all_talk_is_encrypted_and_on_loopback(folder):
     with workers(folder) as engine:
         answers(engine, folder, chunks(2))

@@ -28,6 +28,7 @@ from fixel.jobs.site import Site, check_site
 from fixel.jobs.worker import REFUSED
 
 MAX_STILLBORN: Final = 3  # workers in a row that end before they have joined
+MAX_LOCAL, MAX_A_CORE = 64, 8  # worker processes of a machine, the larger limit of both
 TAIL: Final = 12  # lines of a log in an error message
 
 
@@ -62,8 +63,9 @@ class LocalPool(AbstractPool):
     """
 
     def __init__(self, folder: Path, size: int, python: str | None = None) -> None:
-        if size < 1:
-            raise InvalidInput("workers", found=size, expected="at least 1")
+        most = max(MAX_LOCAL, MAX_A_CORE * (os.cpu_count() or 1))
+        if not 1 <= size <= most:  # the number may come from a foreign folder
+            raise InvalidInput("workers", found=size, expected=f"1 to {most} on this machine")
         self.size = size
         self._folder = folder
         self._python = python or sys.executable
