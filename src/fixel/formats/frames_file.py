@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import secrets
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -129,7 +130,7 @@ def pusher_at(experiment: Experiment, time: FloatArray) -> FloatArray:
 def folder_whole(folder: Path) -> Iterator[Path]:
     """Yield a temporary folder that replaces `folder`, which must be new or empty, on success."""
     refuse_folder(folder)
-    unfinished = folder.with_name(f".{folder.name}.{os.getpid()}")
+    unfinished = folder.with_name(f".{folder.name}.{secrets.token_hex(6)}")
     try:
         unfinished.mkdir()
         yield unfinished

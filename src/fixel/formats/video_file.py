@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import secrets
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -130,7 +131,8 @@ class VideoWriter:
         import av
 
         encoder, pixels, options = CODECS[codec]
-        self._temporary = self.path.with_name(f".{self.path.stem}.{os.getpid()}{self.path.suffix}")
+        token = secrets.token_hex(6)
+        self._temporary = self.path.with_name(f".{self.path.stem}.{token}{self.path.suffix}")
         self._pixels = pixels
         self._last = -1
         self._container = av.open(str(self._temporary), "w")
