@@ -23,11 +23,24 @@ def fixel(capsys, *arguments):
     return code, out, err
 
 
-def answer(capsys, *arguments):
-    """The JSON object of a command that succeeds."""
-    code, out, err = fixel(capsys, *arguments, "--json")
+def output(capsys, *arguments):
+    """Standard output of a command that succeeds."""
+    code, out, err = fixel(capsys, *arguments)
     assert code == 0, err
-    return json.loads(out)
+    return out
+
+
+def json_of(capsys, *arguments):
+    """The JSON object of a command that succeeds."""
+    return json.loads(output(capsys, *arguments, "--json"))
+
+
+def refusal(capsys, *arguments):
+    """Standard error of a command that refuses its input, and prints nothing else."""
+    code, out, err = fixel(capsys, *arguments)
+    assert (code, out) == (2, ""), err
+    assert "Traceback" not in err
+    return err
 
 
 def missing(text, content, without=("Next:", "Took", "stored in", "wrote")):

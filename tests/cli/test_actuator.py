@@ -4,10 +4,9 @@ import io
 import json
 
 import pytest
+from tests.cli.shell import fixel, json_of, output, refusal
 
 from fixel.testbed.emulators.grbl import EmulatedGrbl
-
-from .shell import fixel
 
 
 @pytest.fixture
@@ -21,32 +20,32 @@ def controller(tmp_path, monkeypatch):
 def test_a_day_with_a_controller(capsys, controller):
     port = ("--port", controller.port)
 
-    code, out, _ = fixel(capsys, "actuator", "where", *port)
-    assert (code, "Alarm" in out) == (0, True)
+    out = output(capsys, "actuator", "where", *port)
+    assert "Alarm" in out
     assert "Next: fixel actuator home" in out
 
-    code, out, _ = fixel(capsys, "actuator", "home", *port, "--json")
-    assert json.loads(out)["position_m"] == pytest.approx(0.001)
+    homed = json_of(capsys, "actuator", "home", *port)
+    assert homed["position_m"] == pytest.approx(0.001)
 
-    code, out, _ = fixel(capsys, "actuator", "move", *port, "--to", 6, "--speed", 40, "--json")
-    assert (code, json.loads(out)["state"]) == (0, "Idle")
+    moved = json_of(capsys, "actuator", "move", *port, "--to", 6, "--speed", 40)
+    assert moved["state"] == "Idle"
     assert controller.place == pytest.approx(6.0, abs=0.01)
 
-    code, out, _ = fixel(capsys, "actuator", "move", *port, "--by", -2, "--speed", 40)
-    assert (code, "at 4.000 mm of 0 to 150 mm, Idle" in out) == (0, True)
+    out = output(capsys, "actuator", "move", *port, "--by", -2, "--speed", 40)
+    assert "at 4.000 mm of 0 to 150 mm, Idle" in out
 
 
 def test_two_axes_move_together(capsys, controller):
     port = ("--port", controller.port, "--axes", "XY")
     fixel(capsys, "actuator", "home", *port)
 
-    code, out, _ = fixel(capsys, "actuator", "move", *port, "--to", "6,3", "--speed", 40)
-    assert (code, "at 6.000, 3.000 mm, Idle" in out) == (0, True)
+    out = output(capsys, "actuator", "move", *port, "--to", "6,3", "--speed", 40)
+    assert "at 6.000, 3.000 mm, Idle" in out
     assert f"Next: fixel actuator move --by 10,10 --port {controller.port} --axes XY" in out
     assert controller.places == pytest.approx((6.0, 3.0, 1.0), abs=0.01)
 
-    code, out, _ = fixel(capsys, "actuator", "move", *port, "--by=-2,1", "--speed", 40, "--json")
-    assert (code, json.loads(out)["place_m"]) == (0, pytest.approx([0.004, 0.004]))
+    moved = json_of(capsys, "actuator", "move", *port, "--by=-2,1", "--speed", 40)
+    assert moved["place_m"] == pytest.approx([0.004, 0.004])
 
 
 def test_a_locked_controller_is_unlocked_when_asked(capsys, controller):
@@ -54,30 +53,23 @@ def test_a_locked_controller_is_unlocked_when_asked(capsys, controller):
 
     code, _, err = fixel(capsys, *arguments)
     assert (code, "locked" in err) == (1, True)
-    code, out, _ = fixel(capsys, *arguments, "--unlock")
-    assert (code, "at 3.000 mm" in out) == (0, True)
+    assert "at 3.000 mm" in output(capsys, *arguments, "--unlock")
 
 
 def test_stop_writes_to_the_port_that_is_named(capsys, controller):
-    code, out, _ = fixel(capsys, "actuator", "stop", "--port", controller.port, "--json")
-
-    assert (code, json.loads(out)) == (0, {"stopped": [controller.port]})
+    answer = json_of(capsys, "actuator", "stop", "--port", controller.port)
+    assert answer == {"stopped": [controller.port]}
     controller.wait_for("reset")
 
 
 @pytest.mark.parametrize("device", ["actuator", "tactile"])
 def test_ports(capsys, device):
-    code, out, _ = fixel(capsys, device, "ports", "--json")
-
-    assert code == 0
-    assert isinstance(json.loads(out)["ports"], list)
+    assert isinstance(json_of(capsys, device, "ports")["ports"], list)
 
 
 def test_the_simulated_drive(capsys):
-    arguments = ("--driver", "simulated", "--to", 1, "--speed", 100, "--json")
-    code, out, _ = fixel(capsys, "actuator", "move", *arguments)
-
-    assert (code, json.loads(out)["position_m"]) == (0, 0.001)
+    arguments = ("--driver", "simulated", "--to", 1, "--speed", 100)
+    assert json_of(capsys, "actuator", "move", *arguments)["position_m"] == 0.001
 
 
 def test_questions_to_the_operator_stay_out_of_the_answer(capsys, monkeypatch):
@@ -104,6 +96,4 @@ def test_questions_to_the_operator_stay_out_of_the_answer(capsys, monkeypatch):
     ],
 )
 def test_what_cannot_be_is_refused(capsys, controller, arguments, says):
-    code, _, err = fixel(capsys, "actuator", *arguments)
-
-    assert (code, says in err) == (2, True), err
+    assert says in refusal(capsys, "actuator", *arguments)

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 import typer
-from tests.cli.shell import fixel
+from tests.cli.shell import fixel, json_of, output, refusal
 
 from fixel.cli.main import app
 from fixel.database.project import Project
@@ -76,8 +76,7 @@ def test_the_tolerance_of_a_part_is_named_alike_everywhere():
 )  # fmt: skip
 def test_what_is_next_can_be_pasted(capsys, lab, words):
     (lab.parent / "run.csv").write_text("t_s,x_mm,y_mm\n0,0,0\n1,2,0\n")
-    code, out, err = fixel(capsys, *words, "--project", lab)
-    assert code == 0, err
+    out = output(capsys, *words, "--project", lab)
     known = dict(commands(typer.main.get_command(app)))
     for line in out.splitlines():
         if not line.startswith("Next: "):
@@ -103,9 +102,9 @@ def test_what_is_next_without_a_project_can_be_pasted(capsys, tmp_path, monkeypa
 
 
 def test_numbers_that_are_an_id_and_a_name_are_told_apart(capsys, lab):
-    code, out, _ = fixel(capsys, "show", "1", "--project", lab)
-    assert (code, out.splitlines()[0]) == (0, "own/run 1; true: real")
-    assert fixel(capsys, "show", "2", "--project", lab)[0] == 0  # id and name of one
+    out = output(capsys, "show", "1", "--project", lab)
+    assert out.startswith("own/run 1; true: real\n")
+    output(capsys, "show", "2", "--project", lab)  # id and name of one
     with Project(lab).store() as store:
         store.add_experiment(
             Experiment(
@@ -113,9 +112,7 @@ def test_numbers_that_are_an_id_and_a_name_are_told_apart(capsys, lab):
                 trajectory=Trajectory(time=[0.0, 1.0], pose=np.zeros((2, 3))),
             )
         )  # fmt: skip
-    code, _, err = fixel(capsys, "show", "1", "--project", lab)
-    assert code == 2
-    assert "id:1 or own/1" in err
+    assert "id:1 or own/1" in refusal(capsys, "show", "1", "--project", lab)
     assert fixel(capsys, "show", "id:1", "--project", lab)[1].startswith("own/run 1; true")
     assert fixel(capsys, "show", "own/1", "--project", lab)[1].startswith("own/1")
 
@@ -128,9 +125,7 @@ def test_what_was_mistyped_is_asked_about(capsys, lab):
         (("calibrate", "--where", "surface=flet"), "'felt'"),
         (("show", "own/run 1; treu"), "'own/run 1; true'"),
     ):
-        code, _, err = fixel(capsys, *words, "--project", lab)
-        assert code == 2
-        assert f"did you mean {meant}?" in err
+        assert f"did you mean {meant}?" in refusal(capsys, *words, "--project", lab)
 
 
 def test_conditions_are_compared(capsys, lab):
@@ -138,11 +133,10 @@ def test_conditions_are_compared(capsys, lab):
         ("speed_m_s>0.03", [2]), ("speed_m_s<=0.02", [1]), ("speed_m_s!=0.02", [2]),
         ("surface!=felt", [2]), ("speed_m_s=0.05", [2]),
     ):  # fmt: skip
-        code, out, err = fixel(capsys, "list", "--where", condition, "--json", "--project", lab)
-        assert code == 0, err
-        assert [row["id"] for row in json.loads(out)["experiments"]] == ids, condition
+        listed = json_of(capsys, "list", "--where", condition, "--project", lab)
+        assert [row["id"] for row in listed["experiments"]] == ids, condition
     for condition in ("speed_m_s>fast", "surface>0"):
-        assert fixel(capsys, "list", "--where", condition, "--project", lab)[0] == 2
+        refusal(capsys, "list", "--where", condition, "--project", lab)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import json
 import shlex
 
 import pytest
-from tests.cli.shell import fixel, missing
+from tests.cli.shell import fixel, json_of, missing, output, refusal
 
 from fixel.cli.main import run
 
@@ -23,8 +23,7 @@ QUICK = ("--option", "threshold_delta=0.05", "--no-verdicts")
 
 
 def test_one_experiment_is_a_table_and_a_next_command(capsys, project):
-    code, out, _ = fixel(capsys, "calibrate", 1, "-p", project, *QUICK)
-    assert code == 0
+    out = output(capsys, "calibrate", 1, "-p", project, *QUICK)
     lines = out.splitlines()
     assert lines[0].startswith("Calibration of testbed/")
     assert lines[1].startswith("error: ")
@@ -33,29 +32,25 @@ def test_one_experiment_is_a_table_and_a_next_command(capsys, project):
 
 
 def test_all_of_it_as_json(capsys, project):
-    code, out, _ = fixel(capsys, "calibrate", "-p", project, "--mode", "each", *QUICK, "--json")
-    assert code == 0
-    answer = json.loads(out)
+    answer = json_of(capsys, "calibrate", "-p", project, "--mode", "each", *QUICK)
     assert len(answer["experiments"]) == len(answer["found"]) == 3
     assert answer["found"][0]["errors"][0] < answer["nominal_error"][0]
     assert answer["pictures"] == []
 
 
 def test_least_squares_finds_one_set_for_all(capsys, project):
-    options = ("--optimiser", "least-squares", "--no-verdicts", "--json")
+    options = ("--optimiser", "least-squares", "--no-verdicts")
     fit = ("--fit", "mu_pusher", "--fit", "tripod_radius_mm=10:60:30")
-    code, out, _ = fixel(capsys, "calibrate", "-p", project, "--mode", "joint", *fit, *options)
-    assert code == 0
-    (one,) = json.loads(out)["found"]
+    answer = json_of(capsys, "calibrate", "-p", project, "--mode", "joint", *fit, *options)
+    (one,) = answer["found"]
     assert one["how"] == "direct minimisation"
     assert one["evaluations"] < 200
-    assert sum(one["errors"]) < sum(json.loads(out)["nominal_error"])
+    assert sum(one["errors"]) < sum(answer["nominal_error"])
 
 
 def test_verdicts_are_said(capsys, project):
     options = ("--option", "threshold_delta=0.05", "--fit", "mu_pusher", "--name", "judged")
-    code, out, _ = fixel(capsys, "calibrate", 1, "-p", project, *options)
-    assert code == 0
+    out = output(capsys, "calibrate", 1, "-p", project, *options)
     row = next(line for line in out.splitlines() if line.startswith("mu_pusher "))
     words = ("identified", "not excited", "at bound", "at most", "at least", "precise")
     assert any(word in row for word in words)
@@ -63,58 +58,47 @@ def test_verdicts_are_said(capsys, project):
 
 
 def test_the_best_of_those_stored(capsys, project):
-    options = ("--fit", "mu_pusher", "--mode", "stored", "--json")
-    code, out, _ = fixel(capsys, "calibrate", "-p", project, *options)
-    assert code == 0
-    (one,) = json.loads(out)["found"]
+    stored = ("calibrate", "-p", project, "--mode", "stored", "--fit")
+    (one,) = json_of(capsys, *stored, "mu_pusher")["found"]
     assert one["how"] == "best of the stored sets"
     assert len(one["errors"]) == 3
-    code, _, err = fixel(capsys, "calibrate", "-p", project, "--fit", "start_x", "--mode", "stored")
-    assert code == 2
-    assert "no stored calibration" in err
+    assert "no stored calibration" in refusal(capsys, *stored, "start_x")
 
 
 def test_an_experiment_counts_once_under_whatever_names(capsys, project):
     keys = (1, "testbed/001-square-collinear-tight-nominal")
-    code, out, _ = fixel(capsys, "calibrate", *keys, "-p", project, *QUICK, "--json")
-    assert code == 0
-    assert json.loads(out)["mode"] == "each"
-    assert len(json.loads(out)["experiments"]) == 1
+    answer = json_of(capsys, "calibrate", *keys, "-p", project, *QUICK)
+    assert (answer["mode"], len(answer["experiments"])) == ("each", 1)
 
 
 def test_the_next_command_is_the_worst_under_what_it_was_calibrated_with(capsys, project):
     options = ("--mode", "each", "--fit", "mu_pusher", "--set", "mu_support=0.3")
     more = ("--motion", "quasistatic", "--option", "threshold_delta=0.05")
-    code, out, _ = fixel(capsys, "calibrate", "-p", project, *options, *more)
-    assert code == 0
-    code, told, _ = fixel(capsys, "calibrate", "-p", project, *options, *more, "--json")
-    worst = max(json.loads(told)["found"], key=lambda one: one["errors"][0])
+    out = output(capsys, "calibrate", "-p", project, *options, *more)
+    found = json_of(capsys, "calibrate", "-p", project, *options, *more)["found"]
+    worst = max(found, key=lambda one: one["errors"][0])
     last = out.splitlines()[-1]
     assert last.startswith(f"Next: fixel compare {worst['experiments'][0]} --calibration ")
-    code, compared, _ = fixel(capsys, *shlex.split(last)[2:], "--json")
-    assert code == 0
-    assert json.loads(compared)["error_mm2"] == pytest.approx(worst["errors"][0], rel=1e-2)
+    compared = json_of(capsys, *shlex.split(last)[2:])
+    assert compared["error_mm2"] == pytest.approx(worst["errors"][0], rel=1e-2)
     verdicts = next(line for line in out.splitlines() if line.startswith("mu_pusher: "))
     assert " in 3" in verdicts or ", " in verdicts
     assert worst["noise"].startswith("noise ")
 
 
 def test_a_campaign_lists_every_experiment_once(capsys, project):
-    code, out, _ = fixel(capsys, "calibrate", "-p", project, "--mode", "campaign", *QUICK)
-    assert code == 0
+    out = output(capsys, "calibrate", "-p", project, "--mode", "campaign", *QUICK)
     listed = [line for line in out.splitlines() if line.startswith("testbed/")]
     assert len(listed) == 3
 
 
 def test_a_job_to_submit_elsewhere(capsys, project):
-    code, out, _ = fixel(capsys, "calibrate", 2, "-p", project, *QUICK, "--prepare", "--name", "x")
-    assert code == 0
+    out = output(capsys, "calibrate", 2, "-p", project, *QUICK, "--prepare", "--name", "x")
     assert "Next: fixel jobs submit" in out
     (folder,) = (project / "jobs").glob("x-*")
-    code, _, _ = fixel(capsys, "jobs", "submit", folder)
-    assert code == 0
-    code, out, _ = fixel(capsys, "calibrate", 2, "-p", project, *QUICK, "--name", "x", "--json")
-    assert json.loads(out)["job"] == str(folder)
+    output(capsys, "jobs", "submit", folder)
+    answer = json_of(capsys, "calibrate", 2, "-p", project, *QUICK, "--name", "x")
+    assert answer["job"] == str(folder)
 
 
 @pytest.mark.parametrize(
@@ -137,24 +121,16 @@ def test_a_job_to_submit_elsewhere(capsys, project):
     ],
 )
 def test_what_cannot_be_is_refused_in_a_sentence(capsys, project, arguments, said):
-    code, out, err = fixel(capsys, "calibrate", "-p", project, *arguments)
-    assert code == 2
-    assert out == ""
-    assert said in err
+    assert said in refusal(capsys, "calibrate", "-p", project, *arguments)
 
 
 def test_stored_calibrations_are_listed_and_shown_again(capsys, project):
-    code, out, _ = fixel(
-        capsys, "calibrate", "-p", project, "--fit", "mu_pusher", "--json", "--name", "again"
-    )
-    assert code == 0
-    number = json.loads(out)["found"][0]["calibration"]
-    code, out, _ = fixel(capsys, "calibrations", "-p", project)
-    assert code == 0
+    made = json_of(capsys, "calibrate", "-p", project, "--fit", "mu_pusher", "--name", "again")
+    number = made["found"][0]["calibration"]
+    out = output(capsys, "calibrations", "-p", project)
     assert out.splitlines()[1].split()[:2] == [str(number), "again:"]
-    code, shown, _ = fixel(capsys, "calibrations", number, "-p", project)
-    assert code == 0
-    code, out, _ = fixel(capsys, "calibrations", number, "-p", project, "--json")
+    shown = output(capsys, "calibrations", number, "-p", project)
+    out = output(capsys, "calibrations", number, "-p", project, "--json")
     answer = json.loads(out)
     (estimate,) = answer["estimates"]
     assert estimate["label"] == "mu_pusher"

@@ -4,12 +4,11 @@ import functools
 import gc
 import hashlib
 import http.server
-import json
 import socket
 import threading
 
 import pytest
-from tests.cli.shell import fixel
+from tests.cli.shell import fixel, json_of
 
 CONTENT = b"time_s,x_mm,y_mm,theta_deg\n0.0,1,2,3\n0.1,1,2,3\n"
 
@@ -33,9 +32,7 @@ def site(tmp_path):
 
 
 def test_every_dataset_has_a_licence_and_a_citation(capsys):
-    code, out, _ = fixel(capsys, "data", "--json")
-    assert code == 0
-    known = json.loads(out)["datasets"]
+    known = json_of(capsys, "data")["datasets"]
     assert {entry["name"] for entry in known} == {
         "rpi-2dgad", "mit-push", "mit-pusher-slider", "cmu-tripod", "cmu-two-point",
     }  # fmt: skip
@@ -46,11 +43,8 @@ def test_every_dataset_has_a_licence_and_a_citation(capsys):
 def test_a_file_is_fetched_and_checked(site, tmp_path, capsys):
     digest = hashlib.sha256(CONTENT).hexdigest()
     folder = tmp_path / "data"
-    code, out, err = fixel(
-        capsys, "data", f"{site}/run.csv", "-o", folder, "--sha256", digest, "--json"
-    )
-    assert code == 0, err
-    assert json.loads(out)["sha256"] == digest
+    answer = json_of(capsys, "data", f"{site}/run.csv", "-o", folder, "--sha256", digest)
+    assert answer["sha256"] == digest
     assert (folder / "run.csv").read_bytes() == CONTENT
 
 

@@ -1,9 +1,7 @@
 """`fixel testbed film`, as a person and as a program."""
 
-import json
-
 import pytest
-from tests.cli.shell import fixel
+from tests.cli.shell import json_of, output, refusal
 from tests.vision.rendered import small_rig
 
 from fixel.formats.rig_file import save_rig
@@ -20,12 +18,10 @@ def files(tmp_path):
 
 def test_five_frames_of_a_scene(capsys, files):
     out = files / "film"
-    code, said, _ = fixel(
+    said = output(
         capsys, "testbed", "film", files / "push.yaml", "--rig", files / "rig.yaml",
         "--frames", 5, "--out", out,
     )  # fmt: skip
-
-    assert code == 0
     assert said.splitlines()[0].split() == [
         "film",
         "frames",
@@ -40,31 +36,25 @@ def test_five_frames_of_a_scene(capsys, files):
 
 
 def test_the_answer_as_json(capsys, files):
-    code, said, err = fixel(
+    answer = json_of(
         capsys, "testbed", "film", files / "push.yaml", "--rig", files / "rig.yaml",
-        "--frames", 2, "--looks", "clean", "--out", files / "film", "--json",
+        "--frames", 2, "--looks", "clean", "--out", files / "film",
     )  # fmt: skip
-    (one,) = json.loads(said)["films"]
-
-    assert (code, err) == (0, "")
+    (one,) = answer["films"]
     assert (one["name"], one["frames"], one["video"]) == ("push", 2, None)
 
 
 def test_looks_that_do_not_exist_are_bad_input(capsys, files):
-    code, _, err = fixel(
+    err = refusal(
         capsys, "testbed", "film", files / "push.yaml", "--looks", "herd", "--out", files / "film"
     )
-
-    assert code == 2
     assert "did you mean 'hard'?" in err
 
 
 def test_what_carries_no_mark_is_said(capsys, files):
     save_scene(SceneFile(scene=sliding_block()), files / "block.yaml")
-    code, said, _ = fixel(
+    said = output(
         capsys, "testbed", "film", files / "block.yaml", "--rig", files / "rig.yaml",
         "--frames", 2, "--out", files / "film",
     )  # fmt: skip
-
-    assert code == 0
     assert "rendered without markers, since the rig has none for them: block" in said

@@ -15,14 +15,6 @@ GROUP: Any = typer.main.get_command(main.app)
 COMMANDS = [command.name for command in main.app.registered_commands if command.name]
 
 
-def test_help_lists_every_command() -> None:
-    result = CliRunner().invoke(main.app, ["--help"])
-
-    assert result.exit_code == 0
-    for command in COMMANDS:
-        assert command in result.output
-
-
 def groups(command: Any, path: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
     """Return the words of the command itself and of all groups below it."""
     if not hasattr(command, "commands"):

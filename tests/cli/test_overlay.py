@@ -8,10 +8,9 @@ import time
 import urllib.request
 
 import pytest
-from tests.cli.shell import fixel
+from tests.cli.shell import fixel, json_of, output, refusal
 from tests.vision.plate import plate_picture, small_rig
 
-from fixel.cli.main import run
 from fixel.formats.rig_file import save_rig
 from fixel.formats.video_file import VideoWriter
 from fixel.testbed import open_source
@@ -84,8 +83,7 @@ def once(bench, film, *more):
 
 
 def test_in_place(bench, capsys):
-    code, out, _ = fixel(capsys, *once(bench, "placed.mp4"))
-    assert code == 0
+    out = output(capsys, *once(bench, "placed.mp4"))
     assert out.startswith("In place")
     assert "tolerance: 1 mm, 1 deg" in out
     setting = f"--camera {bench}/placed.mp4 --rig {bench}/rig.yaml --scene {bench}/scene.yaml"
@@ -101,9 +99,7 @@ def test_off(bench, capsys):
 
 
 def test_tolerances_are_those_asked_for(bench, capsys):
-    code, out, _ = fixel(capsys, *once(bench, "off.mp4", "--tolerance-mm", "7", "--json"))
-    answer = json.loads(out)
-    assert code == 0
+    answer = json_of(capsys, *once(bench, "off.mp4", "--tolerance-mm", "7"))
     assert answer["placed"]
     assert answer["tolerance_mm"] == 7.0
     assert answer["parts"][0]["dx_mm"] == pytest.approx(6.0, abs=0.1)
@@ -117,8 +113,7 @@ def test_poses_from_the_object_as_it_is_seen(bench, capsys):
     assert code == 4
     assert part["within"]
     assert actuator["dx_mm"] == pytest.approx(-6.0, abs=0.1)
-    code, _, err = fixel(capsys, *once(bench, "off.mp4", "--anchor", "head"))
-    assert code == 2
+    err = refusal(capsys, *once(bench, "off.mp4", "--anchor", "head"))
     assert "anchor is 'head', but must be one of object, actuator" in err
 
 
@@ -182,24 +177,19 @@ def test_ctrl_c_ends_the_page(bench, capsys, monkeypatch):
 )
 def test_refusals(bench, capsys, monkeypatch, arguments, words):
     monkeypatch.chdir(bench)
-    code, out, err = fixel(capsys, "overlay", *arguments)
-    assert code == 2
-    assert not out
-    assert words in err
+    assert words in refusal(capsys, "overlay", *arguments)
 
 
 def test_the_place_of_a_stored_experiment(bench, capsys, tmp_path):
     project = tmp_path / "lab"
-    assert fixel(capsys, "new", project)[0] == 0
-    code, _, err = fixel(
+    output(capsys, "new", project)
+    err = refusal(
         capsys, "overlay", "--rig", bench / "rig.yaml", "--experiment", "nothing/1",
         "--project", project, "--once", "--output", tmp_path / "a.png",
     )  # fmt: skip
-    assert code == 2
     assert "nothing/1" in err
-    both = fixel(capsys, *asked(bench, "0"), "--experiment", "nothing/1")
-    assert both[0] == 2
-    assert "both a scene and an experiment" in both[2]
+    err = refusal(capsys, *asked(bench, "0"), "--experiment", "nothing/1")
+    assert "both a scene and an experiment" in err
 
 
 def test_a_camera_that_fails_says_so(bench, capsys, monkeypatch):
@@ -213,9 +203,3 @@ def test_a_camera_that_fails_says_so(bench, capsys, monkeypatch):
     assert code == 0
     assert "the plug was pulled" in err
     assert out.startswith("In place")
-
-
-def test_the_help_is_there(capsys):
-    with pytest.raises(SystemExit):
-        run(["overlay", "--help"])
-    assert "--tolerance-mm" in capsys.readouterr().out

@@ -1,11 +1,10 @@
 """The way of a newcomer: a CSV file of one's own, its scene, a calibration."""
 
-import json
 import shlex
 
 import numpy as np
 import pytest
-from tests.cli.shell import fixel
+from tests.cli.shell import json_of, output, refusal
 from tests.closed_form import SIDE, push, table_text
 
 MU = 0.15
@@ -23,15 +22,12 @@ def test_from_a_table_to_a_friction(capsys, tmp_path, monkeypatch):
         time, pose, tip = push(MU, offset, angle=angle, rate=25.0)
         pose = pose + noise.normal(size=pose.shape) * (5e-5, 5e-5, 5e-4)
         (tmp_path / f"run {run}.csv").write_text(table_text(time, pose, tip))
-    assert fixel(capsys, "new", "my lab")[0] == 0
+    output(capsys, "new", "my lab")
 
-    code, out, _ = fixel(capsys, "import", "run 0.csv", "--project", "my lab")
-    assert code == 0
+    out = output(capsys, "import", "run 0.csv", "--project", "my lab")
     words = shlex.split(out.splitlines()[-1].removeprefix("Next: "))
     assert words[-2:] == ["--scene", "run 0.scene.yaml"]
-    code, _, err = fixel(capsys, *words[1:])  # as it is: refused, with what is to be filled in
-    assert code == 2
-    assert "FILL_IN" in err
+    assert "FILL_IN" in refusal(capsys, *words[1:])
     scene = tmp_path / "run 0.scene.yaml"
     text = scene.read_text().replace("shape: FILL_IN", f"shape: {SQUARE}", 1)
     text = text.replace("shape: FILL_IN", "shape: {disk: 0.005}").replace("FILL_IN", "0.5")
@@ -39,20 +35,11 @@ def test_from_a_table_to_a_friction(capsys, tmp_path, monkeypatch):
 
     for run in range(3):
         command = ("import", f"run {run}.csv", "--project", "my lab", "--scene", scene)
-        code, out, err = fixel(capsys, *command)
-        assert code == 0, err
-        assert "stored 1 experiment in" in out
-    code, out, err = fixel(
-        capsys, "calibrate", "--project", "my lab", "--motion", "quasistatic",
-        "--fit", "mu_pusher", "--no-verdicts", "--json",
-    )  # fmt: skip
-    assert code == 0, err
-    (found,) = json.loads(out)["found"]
+        assert "stored 1 experiment in" in output(capsys, *command)
+    options = ("--motion", "quasistatic", "--fit", "mu_pusher", "--no-verdicts")
+    (found,) = json_of(capsys, "calibrate", "--project", "my lab", *options)["found"]
     assert found["parameters"]["mu_pusher"] == pytest.approx(MU, abs=0.02)
 
-    _, out, _ = fixel(
-        capsys, "compare", "csv/run 0", "--project", "my lab", "--calibration", "1", "--json"
-    )
-    compared = json.loads(out)
+    compared = json_of(capsys, "compare", "csv/run 0", "--project", "my lab", "--calibration", "1")
     assert compared["parameters"] == found["parameters"]
     assert compared["method"]["motion"] == "quasistatic"

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.cli.shell import answer, fixel
+from tests.cli.shell import fixel, json_of, output, refusal
 from tests.datasets import push_files, recordings
 
 from fixel.database.project import Project
@@ -32,10 +32,8 @@ def recording(tmp_path):
 
 def test_a_new_project_is_a_folder(lab, capsys):
     assert {p.name for p in lab.iterdir()} >= {"fixel.yaml", "experiments.db", "media"}
-    code, _, err = fixel(capsys, "new", lab)
-    assert code == 2
-    assert "a project" in err
-    assert answer(capsys, "new", lab.parent / "other")["name"] == "other"
+    assert "a project" in refusal(capsys, "new", lab)
+    assert json_of(capsys, "new", lab.parent / "other")["name"] == "other"
 
 
 def test_what_is_no_project_is_refused(tmp_path, capsys):
@@ -43,9 +41,7 @@ def test_what_is_no_project_is_refused(tmp_path, capsys):
     assert code == 1
     assert "fixel new" in err
     (tmp_path / "thing").write_text("x", encoding="utf-8")
-    code, _, err = fixel(capsys, "new", tmp_path)
-    assert code == 2
-    assert "empty folder" in err
+    assert "empty folder" in refusal(capsys, "new", tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -57,75 +53,67 @@ def test_what_is_no_project_is_refused(tmp_path, capsys):
 )
 def test_settings_and_conditions_that_cannot_be(lab, capsys, settings, words, said):
     (lab / "fixel.yaml").write_text(settings, encoding="utf-8")
-    code, _, err = fixel(capsys, "list", "--project", lab, *words)
-    assert code == 2
-    assert said in err
+    assert said in refusal(capsys, "list", "--project", lab, *words)
 
 
 def test_import_list_and_import_again(lab, recording, capsys):
-    dry = answer(capsys, "import", recording, "--project", lab, "--dry-run")
+    dry = json_of(capsys, "import", recording, "--project", lab, "--dry-run")
     assert dry["experiments"] == 1
     assert dry["understood"]
-    assert answer(capsys, "list", "--project", lab)["total"] == 0
+    assert json_of(capsys, "list", "--project", lab)["total"] == 0
 
-    done = answer(capsys, "import", recording, "--project", lab)
+    done = json_of(capsys, "import", recording, "--project", lab)
     assert (done["new"], done["known"]) == (1, 0)
-    again = answer(capsys, "import", recording, "--project", lab)
+    again = json_of(capsys, "import", recording, "--project", lab)
     assert (again["new"], again["known"]) == (0, 1)
 
-    listed = answer(capsys, "list", "--project", lab)
+    listed = json_of(capsys, "list", "--project", lab)
     (row,) = listed["experiments"]
     assert (row["dataset"], row["name"], row["is_real"]) == ("csv", "run-7", True)
     assert row["end_x_m"] == pytest.approx(0.19)
 
-    code, out, _ = fixel(capsys, "list", "--project", lab)
-    assert code == 0
+    out = output(capsys, "list", "--project", lab)
     assert "csv/run-7" in out
     assert "Next: fixel show csv/run-7" in out
 
 
 def test_a_dry_run_needs_no_project(recording, capsys):
-    code, out, _ = fixel(capsys, "import", recording, "--dry-run")
-    assert code == 0
-    assert "1 experiment, read as csv" in out
+    assert "1 experiment, read as csv" in output(capsys, "import", recording, "--dry-run")
 
 
 def test_a_plan_on_the_simulated_testbed(lab, capsys):
-    done = answer(capsys, "testbed", "run", "--project", lab, "--limit", "3", "--seed", "5")
+    done = json_of(capsys, "testbed", "run", "--project", lab, "--limit", "3", "--seed", "5")
     assert done["new"] == 3
-    assert answer(capsys, "testbed", "run", "-p", lab, "--limit", "3", "--seed", "5")["known"] == 3
-    code, out, _ = fixel(capsys, "list", "--project", lab)
-    assert code == 0
+    assert json_of(capsys, "testbed", "run", "-p", lab, "--limit", "3", "--seed", "5")["known"] == 3
+    out = output(capsys, "list", "--project", lab)
     assert out.count("SIMULATED") == 3
-    assert answer(capsys, "list", "--project", lab, "--real")["total"] == 0
-    found = answer(capsys, "list", "--project", lab, "--where", "shape=square", "--limit", "2")
+    assert json_of(capsys, "list", "--project", lab, "--real")["total"] == 0
+    found = json_of(capsys, "list", "--project", lab, "--where", "shape=square", "--limit", "2")
     assert found["total"] == 3
     assert len(found["experiments"]) == 2
 
 
 def test_the_environment_names_another_database(lab, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("FIXEL_DATABASE", f"sqlite:///{tmp_path}/elsewhere.db")
-    code, _, err = fixel(capsys, "list", "--project", lab)
-    assert code == 1
-    assert f"run: fixel db upgrade '{lab}'" in err
-    code, _, err = fixel(capsys, "serve", lab)
-    assert code == 1
-    assert f"run: fixel db upgrade '{lab}'" in err
+    for words in (("list", "--project", lab), ("serve", lab)):
+        code, _, err = fixel(capsys, *words)
+        assert code == 1
+        assert f"run: fixel db upgrade '{lab}'" in err
     assert Path(lab / "experiments.db").exists()
 
 
 def test_a_bundle_goes_from_one_project_to_another(lab, recording, tmp_path, capsys):
-    answer(capsys, "import", recording, "--project", lab)
-    answer(capsys, "testbed", "run", "-p", lab, "--limit", "2")
-    assert fixel(capsys, "export", lab, tmp_path / "all.zip")[0] == 0
+    json_of(capsys, "import", recording, "--project", lab)
+    json_of(capsys, "testbed", "run", "-p", lab, "--limit", "2")
+    output(capsys, "export", lab, tmp_path / "all.zip")
     other = tmp_path / "other"
-    fixel(capsys, "new", other)
-    dry = answer(capsys, "import", tmp_path / "all.zip", "-p", other, "--dry-run")
+    output(capsys, "new", other)
+    dry = json_of(capsys, "import", tmp_path / "all.zip", "-p", other, "--dry-run")
     assert dry["experiments"] == 3
-    assert answer(capsys, "list", "-p", other)["total"] == 0
-    assert answer(capsys, "import", tmp_path / "all.zip", "-p", other)["experiments"] == 3
-    assert answer(capsys, "import", tmp_path / "all.zip", "-p", other)["known"] == 3
-    assert answer(capsys, "list", "-p", other, "--simulated")["total"] == 2
+    assert json_of(capsys, "list", "-p", other)["total"] == 0
+    assert json_of(capsys, "import", tmp_path / "all.zip", "-p", other)["experiments"] == 3
+    assert json_of(capsys, "import", tmp_path / "all.zip", "-p", other)["known"] == 3
+    assert json_of(capsys, "list", "-p", other, "--simulated")["total"] == 2
 
 
 def test_import_lists_what_is_left_out(lab, tmp_path, capsys):
@@ -134,29 +122,25 @@ def test_import_lists_what_is_left_out(lab, tmp_path, capsys):
     )
     expected = "mit-push/felt_block_1: pushes.csv.gz, row 2, column obj_x1 is '?'"
 
-    dry = answer(capsys, "import", folder, "--project", lab, "--dry-run")
+    dry = json_of(capsys, "import", folder, "--project", lab, "--dry-run")
     assert (dry["experiments"], len(dry["skipped"])) == (2, 1)
     assert dry["skipped"][0].startswith(expected)
 
-    code, out, _ = fixel(capsys, "import", folder, "--project", lab)
-    assert code == 0
+    out = output(capsys, "import", folder, "--project", lab)
     assert "skipped 1:" in out
     assert expected in out
-    assert answer(capsys, "import", folder, "--project", lab)["skipped"] == dry["skipped"]
+    assert json_of(capsys, "import", folder, "--project", lab)["skipped"] == dry["skipped"]
 
     push_files.mit_push(folder, push_files.push(0), push_files.push(1), push_files.push(2))
-    mended = answer(capsys, "import", folder, "--project", lab)
+    mended = json_of(capsys, "import", folder, "--project", lab)
     assert (mended["new"], mended["known"], mended["skipped"]) == (1, 2, [])
 
 
 def test_import_of_nothing_sound_is_refused_and_stores_nothing(lab, tmp_path, capsys):
     folder = push_files.mit_push(tmp_path / "pushes", push_files.push(0, obj_x1="?"))
 
-    code, _, err = fixel(capsys, "import", folder, "--project", lab)
-
-    assert code == 2
-    assert "column obj_x1" in err
-    assert answer(capsys, "list", "--project", lab)["total"] == 0
+    assert "column obj_x1" in refusal(capsys, "import", folder, "--project", lab)
+    assert json_of(capsys, "list", "--project", lab)["total"] == 0
 
 
 def test_simulations_of_the_publisher_are_stored_and_compared(lab, tmp_path, capsys):
@@ -170,17 +154,16 @@ def test_simulations_of_the_publisher_are_stored_and_compared(lab, tmp_path, cap
             for k in frames
         ],
     )  # fmt: skip
-    assert answer(capsys, "import", folder, "--project", lab)["skipped"] == []
-    assert answer(capsys, "import", folder, "--project", lab)["known"] == 3
+    assert json_of(capsys, "import", folder, "--project", lab)["skipped"] == []
+    assert json_of(capsys, "import", folder, "--project", lab)["known"] == 3
 
-    found = answer(capsys, "compare", "9", "--project", lab)["by_publisher"]
+    found = json_of(capsys, "compare", "9", "--project", lab)["by_publisher"]
 
     # The measured path of the trial, moved by 3 mm.
     assert found["position_rms_m"] == pytest.approx(0.003)
     assert found["final_angle_rad"] == pytest.approx(0.0, abs=1e-9)
     assert found["error_mm2"] == pytest.approx(9.0)
-    code, out, _ = fixel(capsys, "compare", "9", "--project", lab)
-    assert code == 0
+    out = output(capsys, "compare", "9", "--project", lab)
     assert "the publisher of the data" in out
     with Project(lab).store() as store:
         assert [
@@ -191,11 +174,11 @@ def test_simulations_of_the_publisher_are_stored_and_compared(lab, tmp_path, cap
 
 def test_simulations_of_the_publisher_go_from_project_to_project(lab, tmp_path, capsys):
     folder = recordings.rpi_2dgad(tmp_path / "trials")
-    answer(capsys, "import", folder, "--project", lab)
+    json_of(capsys, "import", folder, "--project", lab)
     other = tmp_path / "other"
-    answer(capsys, "new", other)
-    answer(capsys, "export", lab, tmp_path / "all.zip")
-    answer(capsys, "import", tmp_path / "all.zip", "--project", other)
+    json_of(capsys, "new", other)
+    json_of(capsys, "export", lab, tmp_path / "all.zip")
+    json_of(capsys, "import", tmp_path / "all.zip", "--project", other)
 
     both = [Project(place).experiments().simulations for place in (lab, other)]
 

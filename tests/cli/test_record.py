@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.cli.shell import fixel
+from tests.cli.shell import fixel, json_of, output, refusal
 from tests.processes import line_of
 from tests.testbed.films import SIZE, film
 
@@ -33,21 +33,17 @@ FIXEL = [sys.executable, "-c", "from fixel.cli.main import run; run()"]
 
 def test_a_film_is_recorded(capsys: Any, tmp_path: Path) -> None:
     played, out = film(tmp_path / "film"), tmp_path / "push 1"
-    code, said, _ = fixel(
-        capsys, "record", "--camera", played, "--fast", "--tactile", "film", "--out", out
-    )
-    assert code == 0
+    said = output(capsys, "record", "--camera", played, "--fast", "--tactile", "film", "--out", out)
     assert "30 frames in 0.290 s, 100.00 frames/s, 0 lost" in said
     assert "ended: the file has ended" in said
     # Without a rig, `fixel track` would be refused.
     after = f"Next: fixel track '{out}' --rig RIG, with your rig for RIG"
     assert said.splitlines()[-1] == after
-    code, said, _ = fixel(capsys, "record", "check", out)
-    assert code == 0
+    said = output(capsys, "record", "check", out)
     assert "30 readings, 160 x 120 pixels, as-it-comes\nevery frame matches its row" in said
     assert said.splitlines()[-1] == after
     save_rig(rig_of("thesis-tags"), out / "rig.yaml")
-    _, said, _ = fixel(capsys, "record", "check", out)
+    said = output(capsys, "record", "check", out)
     assert said.splitlines()[-1] == f"Next: fixel track '{out}'"
 
 
@@ -58,12 +54,11 @@ def test_it_ends_when_the_fixels_say_so(
     played = film(tmp_path / "film", n=200, bits=lambda k: 0b100 if k >= 20 else 0)
     out = tmp_path / "r"
     monkeypatch.setattr("fixel.workflows.acquisition.record.check_size", lambda *_: None)
-    code, said, _ = fixel(
+    answer = json_of(
         capsys, "record", "--camera", played, "--fast", "--tactile", "film", "--out", out,
-        "--until", "seated", "--mode", "100", "--json", *(["--rig", rig] if rig else []),
+        "--until", "seated", "--mode", "100", *(["--rig", rig] if rig else []),
     )  # fmt: skip
-    answer = json.loads(said)
-    assert (code, answer["frames"], answer["without_reading"]) == (0, 71, 0)
+    assert (answer["frames"], answer["without_reading"]) == (71, 0)
     assert answer["reason"] == "seated: contact mode 100 for 0.5 s"
     assert (out / "rig.yaml").exists() == (rig is not None)
     kept = open_recording(out)
@@ -76,19 +71,15 @@ def test_what_broke_off_is_checked_and_repaired(capsys: Any, tmp_path: Path) -> 
     (folder / "end.json").unlink()
     video = folder / VIDEO
     video.write_bytes(video.read_bytes()[:-99])
-    code, said, _ = fixel(capsys, "record", "check", folder)
-    assert code == 0
+    said = output(capsys, "record", "check", folder)
     assert "problem: interrupted at t = 0.280 s: no end mark" in said
     assert f"Next: fixel record repair {folder}" in said
-    code, said, _ = fixel(capsys, "record", "repair", folder, "--json")
-    answer = json.loads(said)
-    assert (code, answer["complete"], answer["frames"]) == (0, True, 29)
+    answer = json_of(capsys, "record", "repair", folder)
+    assert (answer["complete"], answer["frames"]) == (True, 29)
     assert "interrupted at t = 0.280 s" in answer["reason"]
     rows = (folder / ROWS).read_bytes()
     (folder / ROWS).write_bytes(rows[:100] + b"0" + rows[101:])
-    code, _, complaint = fixel(capsys, "record", "check", folder)
-    assert code == 2
-    assert "damaged row" in complaint
+    assert "damaged row" in refusal(capsys, "record", "check", folder)
 
 
 @pytest.mark.parametrize(
@@ -248,8 +239,7 @@ def test_a_recording_that_ends_early_says_so_in_its_exit_code(capsys: Any, tmp_p
         )  # fmt: skip
         answer = json.loads(said)
         assert (code, answer["early"], answer["frames"]) == (1, True, 30)
-        code, said, _ = fixel(
+        said = output(
             capsys, "record", "--camera", camera.url, "--out", tmp_path / "b", "--limit", "0.1s"
         )
-        assert code == 0
         assert "ended: the limit of 0.1 s" in said
