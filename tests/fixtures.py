@@ -1,10 +1,12 @@
-"""Projects for tests of all rooms: built once for each module, or for each test that writes."""
+"""Projects and refusals for tests of all rooms."""
 
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from fixel.database.project import Project
+from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters, Provenance, Trajectory
 from fixel.model.records import CalibrationRecord, Member
 from fixel.sampling.published import thesis_plan
@@ -53,3 +55,10 @@ def short_plan(name="few", *, repetitions=2, speed=0.06):
         repetitions=repetitions,
         rig=replace(plan.rig, speed=speed, travel=0.12),
     )
+
+
+def refused(call, *arguments, match=None, **options):
+    """Return the `InvalidInput` that a call must raise, with these words."""
+    with pytest.raises(InvalidInput, match=match) as refusal:
+        call(*arguments, **options)
+    return refusal.value

@@ -9,7 +9,7 @@ from fixel.calibration import CmaEs, SearchBox
 from fixel.testing.optimiser_contract import bowl, box, run
 
 
-def rastrigin(x) -> float:
+def rastrigin(x):
     z = (x - 0.62) / 0.1
     return float((z**2 + 3.0 * (1.0 - np.cos(2.0 * np.pi * z))).sum())
 

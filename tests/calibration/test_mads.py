@@ -5,7 +5,7 @@ import signal
 import numpy as np
 import pytest
 
-from fixel.calibration import Mads, MultiStart, mads
+from fixel.calibration import Mads, mads
 from fixel.errors import InvalidInput
 from fixel.testing.optimiser_contract import bowl, box, run
 
@@ -79,13 +79,6 @@ def test_frame_size_ends_it():
     search = Mads(threshold=0.05).start(box())
     run(search, bowl)
     assert search.reason == "the frame shrank to 0.05 of the scale"
-
-
-@pytest.mark.system
-def test_runs_from_several_starts():
-    several = MultiStart(optimiser=Mads(threshold=0.01), starts=2).start(box())
-    run(several, bowl)
-    assert several.best.error == pytest.approx(1.0, abs=1e-3)
 
 
 def test_silent(capfd):

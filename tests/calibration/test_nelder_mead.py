@@ -11,16 +11,16 @@ from fixel.errors import InvalidInput
 from fixel.testing.optimiser_contract import bowl, box, crease, run
 
 
-def wide(n: int, start) -> SearchBox:
+def wide(n, start):
     start = np.array(start, np.float64)
     return SearchBox(start - 1e3, start + 1e3, start, np.full(n, 0.5))
 
 
-def rosenbrock(x) -> float:
+def rosenbrock(x):
     return float(100.0 * (x[1] - x[0] ** 2) ** 2 + (1.0 - x[0]) ** 2)
 
 
-def bent(x) -> float:
+def bent(x):
     return float(np.abs(x[0] - x[1] ** 2) + np.abs(x[1] + x[2]) + 0.1 * np.abs(x[2] - 1.0))
 
 
@@ -127,7 +127,7 @@ def test_a_restart_leaves_a_crease():
 # --- several starts -------------------------------------------------------------------------------
 
 
-def two_valleys(x) -> float:
+def two_valleys(x):
     places = (x - box().low) / box().scale
     return float(
         min(1.0 + ((places - 7.0) ** 2).sum(), 0.5 + 4.0 * ((places - [1.0, 2.0, 8.0]) ** 2).sum())

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 from tests.calibration.toys import TIMES, TRUTH, box, calibrated, decay
+from tests.fixtures import refused
 
 from fixel.calibration.noise import (
     MIN_SCATTER,
@@ -146,15 +147,9 @@ def test_exact_copies_scatter_by_what_simulations_are_exact_to():
 
 
 def test_refusals():
-    with pytest.raises(InvalidInput, match=r"noise\.position_m"):
-        Noise(position_m=0.0, angle_rad=0.01)
-    with pytest.raises(InvalidInput, match=r"noise\.correlation"):
-        Noise(position_m=1.0, angle_rad=0.01, correlation=0.5)
-    with pytest.raises(InvalidInput, match=r"noise\.source"):
-        Noise(position_m=1.0, angle_rad=0.01, source="guess")
-    with pytest.raises(InvalidInput, match="repeated"):
-        noise_from_repetitions([np.zeros((1, 5, 3))])
-    with pytest.raises(InvalidInput, match=r"groups\[0\]"):
-        noise_from_repetitions([np.zeros((2, 5))])
-    with pytest.raises(InvalidInput, match="level"):
-        Dispersion(value=1.0).threshold(1.0)
+    refused(Noise, position_m=0.0, angle_rad=0.01, match=r"noise\.position_m")
+    refused(Noise, position_m=1.0, angle_rad=0.01, correlation=0.5, match=r"noise\.correlation")
+    refused(Noise, position_m=1.0, angle_rad=0.01, source="guess", match=r"noise\.source")
+    refused(noise_from_repetitions, [np.zeros((1, 5, 3))], match="repeated")
+    refused(noise_from_repetitions, [np.zeros((2, 5))], match=r"groups\[0\]")
+    refused(Dispersion(value=1.0).threshold, 1.0, match="level")

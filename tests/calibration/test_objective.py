@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 
 from fixel.calibration.objective import (
     Comparer,
@@ -55,13 +56,11 @@ DIFFERENCE = np.array([[[3e-3, 4e-3, 0.0], [0.0, 0.0, 0.1]], [[0.0, 0.0, 0.0], [
         (MeanSquare(angle_scale=0.01), [(25.0 + 1.0) / 2, 0.5]),
         (RootMeanSquare(), [math.sqrt((25.0 + 3.5**2) / 2), math.sqrt(0.5)]),
         (EndPose(), [3.5**2, 1.0]),
-        (
-            Robust(distance=1e-3),
-            [(math.sqrt(26.0) - 1.0) + (math.sqrt(1 + 3.5**2) - 1.0), math.sqrt(2.0) - 1.0],
-        ),
+        (Robust(distance=1e-3),
+         [(math.sqrt(26.0) - 1.0) + (math.sqrt(1 + 3.5**2) - 1.0), math.sqrt(2.0) - 1.0]),
     ],
     ids=lambda x: getattr(x, "name", ""),
-)
+)  # fmt: skip
 def test_errors_by_hand(error, expected):
     assert error.of(DIFFERENCE) == pytest.approx(expected, rel=1e-12)
 
@@ -111,10 +110,7 @@ def test_a_value_shared_by_some_experiments_changes_only_these(experiments):
             *(replace(shape, where={"shape": name}) for name in ("square", "pentagon")),
         ]
     )
-    assert shared.labels[1:] == (
-        "tripod_radius[shape=square]",
-        "tripod_radius[shape=pentagon]",
-    )
+    assert shared.labels[1:] == ("tripod_radius[shape=square]", "tripod_radius[shape=pentagon]")
     comparer = Comparer(targets, shared)
     point = np.array([[0.2, 0.03, 0.03], [0.2, 0.03, 0.05]])
     found, _ = Objective(comparer).members_at(point)
@@ -188,8 +184,7 @@ def test_what_cannot_be_compared_is_refused(experiments):
         InvalidInput, match=r"no measured pose .* at least one pose after the first"
     ):
         target_of(replace(experiment, trajectory=one, channels=(), effective=None))
-    with pytest.raises(InvalidInput, match="experiments"):
-        targets_of([])
+    refused(targets_of, [], match="experiments")
     strange = ParameterSpace(
         unknowns=[
             Unknown(name="mu_pusher", low=0.0, high=1.0, nominal=0.2, where={"surface": "ice"})

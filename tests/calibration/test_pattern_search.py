@@ -14,11 +14,11 @@ LOW, HIGH = np.zeros(4), np.array([1.0, 1.0, 0.06, 1.0])
 THESIS = SearchBox(LOW, HIGH, np.array([0.2, 0.2, 0.025, 0.25]), 0.1 * HIGH)
 
 
-def box(n: int = 2, start: float = 0.5) -> SearchBox:
+def box(n=2, start=0.5):
     return SearchBox(np.zeros(n), np.ones(n), np.full(n, start), np.full(n, 0.1))
 
 
-def tell(search, *errors: float) -> None:
+def tell(search, *errors):
     search.tell(np.array(errors))
 
 
@@ -62,7 +62,7 @@ def test_step_contracts_always_in_the_thesis_prose():
         assert search.delta == pytest.approx(0.5 * 0.9**k)
 
 
-def successes(search, count: int) -> None:
+def successes(search, count):
     for _ in range(count):
         errors = np.full(len(search.ask()), math.inf)
         errors[0] = search.best.error - 1.0

@@ -2,7 +2,6 @@
 
 import csv
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from fixel import Body, Disk, LineDrive, Polygon, Pusher, Scene, Tripod
 NAMES = ("time_s", "x_m", "y_m", "theta_rad", "pusher_x_m", "pusher_y_m", "pusher_theta_rad")
 
 
-def pushes(size: float, file: Path) -> list[fixel.Experiment]:
+def pushes(size, file):
     """Six pushes of a part of this size, whose tripod has 0.3 of it and whose friction is 0.25."""
     rng, found = np.random.default_rng(0), []
     outline = size * np.array([(-0.5, -0.35), (0.5, -0.35), (0.5, 0.35), (-0.5, 0.35)])
@@ -38,8 +37,8 @@ def pushes(size: float, file: Path) -> list[fixel.Experiment]:
 
 
 @pytest.mark.parametrize("size", [1e-3, 1.0])
-def test_a_part_of_any_size_has_the_same_friction_and_support(size: float, tmp_path: Path):
-    def estimates(size: float) -> dict[str, np.ndarray]:
+def test_a_part_of_any_size_has_the_same_friction_and_support(size, tmp_path):
+    def estimates(size):
         bounds = {"mu_pusher": (0, 1), "tripod_radius": (0.1 * size, 0.6 * size)}
         fit = fixel.calibrate(
             pushes(size, tmp_path / "push.csv"), bounds, motion="quasistatic", progress=False

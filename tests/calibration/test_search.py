@@ -25,18 +25,9 @@ def task():
     targets = targets_of(example_pushes(3))
     space = search_space({"mu_pusher": (0, 1), "tripod_radius": 0.038}, targets, None)
     return CalibrationTask(
-        comparer=Comparer(targets, space),
-        mode="joint",
-        optimiser=LeastSquares(),
-        combine="sum",
-        seed=0,
-        max_evaluations=None,
-        noise=None,
-        level=0.95,
-        verdicts=True,
-        budget=None,
-        stored=(),
-    )
+        comparer=Comparer(targets, space), mode="joint", optimiser=LeastSquares(), combine="sum",
+        seed=0, max_evaluations=None, noise=None, level=0.95, verdicts=True, budget=None, stored=(),
+    )  # fmt: skip
 
 
 def part_answer(task, question, part):

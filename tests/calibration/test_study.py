@@ -44,13 +44,6 @@ def test_each_alone_finds_what_each_likes():
         assert trace.ended
 
 
-def test_company_changes_nothing():
-    many = run_study(calibrate_each(range(5), BOX, PatternSearch()), bowls)
-    alone = run_study(calibrate_each([3], BOX, PatternSearch()), bowls)
-    assert (alone[0].points == many[3].points).all()
-    assert (alone[0].errors == many[3].errors).all()
-
-
 def test_points_of_recent_requests_are_simulated_once_unless_they_failed():
     seen, failed = [], []
 

@@ -14,7 +14,7 @@ NAMES = ("mu_pusher", "mu_fixel", "mu_support", "tripod_radius")
 THRESHOLD = Dispersion(value=1.0).threshold()
 
 
-def box(low, high, start=None) -> SearchBox:
+def box(low, high, start=None):
     low, high = np.array(low, np.float64), np.array(high, np.float64)
     start = 0.5 * (low + high) if start is None else np.array(start, np.float64)
     return SearchBox(low, high, start, 0.1 * (high - low))
@@ -73,7 +73,7 @@ def calibrated(residuals, where, threshold=THRESHOLD, prior=None, **options):
     return found, run_profiles(search, residuals)
 
 
-def space_of(where, **changes) -> ParameterSpace:
+def space_of(where, **changes):
     """Unknowns with some known names for a box."""
     return ParameterSpace(
         unknowns=tuple(

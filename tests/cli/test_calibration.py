@@ -31,13 +31,6 @@ def test_one_experiment_is_a_table_and_a_next_command(capsys, project):
     assert lines[-1].startswith("Next: fixel compare testbed/")
 
 
-def test_all_of_it_as_json(capsys, project):
-    answer = json_of(capsys, "calibrate", "-p", project, "--mode", "each", *QUICK)
-    assert len(answer["experiments"]) == len(answer["found"]) == 3
-    assert answer["found"][0]["errors"][0] < answer["nominal_error"][0]
-    assert answer["pictures"] == []
-
-
 def test_least_squares_finds_one_set_for_all(capsys, project):
     options = ("--optimiser", "least-squares", "--no-verdicts")
     fit = ("--fit", "mu_pusher", "--fit", "tripod_radius_mm=10:60:30")
@@ -90,15 +83,6 @@ def test_a_campaign_lists_every_experiment_once(capsys, project):
     out = output(capsys, "calibrate", "-p", project, "--mode", "campaign", *QUICK)
     listed = [line for line in out.splitlines() if line.startswith("testbed/")]
     assert len(listed) == 3
-
-
-def test_a_job_to_submit_elsewhere(capsys, project):
-    out = output(capsys, "calibrate", 2, "-p", project, *QUICK, "--prepare", "--name", "x")
-    assert "Next: fixel jobs submit" in out
-    (folder,) = (project / "jobs").glob("x-*")
-    output(capsys, "jobs", "submit", folder)
-    answer = json_of(capsys, "calibrate", 2, "-p", project, *QUICK, "--name", "x")
-    assert answer["job"] == str(folder)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from fixel.workflows import compilation
 
 
 @pytest.fixture
-def programs(monkeypatch, tmp_path) -> dict[str, str]:
+def programs(monkeypatch, tmp_path):
     """Programs that run instead of the parts."""
     found = {"one": "print(2.5)", "two": "print(0.0)"}
     monkeypatch.setattr(compilation, "_PARTS", found)

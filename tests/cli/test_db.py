@@ -18,12 +18,9 @@ from fixel.model import Experiment, Provenance, Trajectory
 def experiment(name):
     time = np.linspace(0.0, 1.0, 5)
     return Experiment(
-        dataset="lab",
-        name=name,
-        real=True,
-        provenance=Provenance(version="0.1"),
+        dataset="lab", name=name, real=True, provenance=Provenance(version="0.1"),
         trajectory=Trajectory(time=time, pose=np.column_stack((time, time, time))),
-    )
+    )  # fmt: skip
 
 
 call = partial(invoked, db.app)
@@ -77,15 +74,6 @@ def test_check(folder):
         "",
         f"Next: fixel db backup backup.db '{folder}'",
     ]
-
-
-def test_check_as_json(folder):
-    code, out = call("check", folder, "--json")
-    answer = json.loads(out)
-    assert code == 0
-    assert answer["ok"] is True
-    assert answer["counts"]["experiment"] == 3
-    assert answer["troubles"] == []
 
 
 def test_check_of_a_damaged_file(folder):

@@ -23,13 +23,8 @@ def test_five_frames_of_a_scene(capsys, files):
         "--frames", 5, "--out", out,
     )  # fmt: skip
     assert said.splitlines()[0].split() == [
-        "film",
-        "frames",
-        "time",
-        "[s]",
-        "simulation",
-        "recording",
-    ]
+        "film", "frames", "time", "[s]", "simulation", "recording",
+    ]  # fmt: skip
     assert said.splitlines()[1].split()[:2] == ["push", "5"]
     assert said.splitlines()[-1] == f"Next: fixel track {out}"
     assert (out / "recording.json").is_file()

@@ -3,7 +3,6 @@
 import csv
 import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -33,7 +32,7 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def plan(folder: Path):
+def plan(folder):
     from fixel.workflows.planning.run import plan_goal
 
     made = folder / "made.plan"
@@ -102,7 +101,7 @@ def test_a_seen_pose_in_the_goal_needs_no_push(capsys, plan):
 
 
 @pytest.fixture(scope="module")
-def with_looks(folder: Path):
+def with_looks(folder):
     """A plan that sees the part twice, with wide errors of its start."""
     from fixel.workflows.planning.run import plan_goal
 

@@ -1,7 +1,5 @@
 """`fixel record`, `record check`, `record repair` and `testbed serve` as a shell runs them."""
 
-from __future__ import annotations
-
 import json
 import os
 import pty
@@ -12,9 +10,6 @@ import sys
 import threading
 import time
 import urllib.request
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import pytest
 from tests.cli.shell import fixel, json_of, output, refusal
@@ -31,7 +26,7 @@ from fixel.testbed.recorder import RecordingStatus
 FIXEL = [sys.executable, "-c", "from fixel.cli.main import run; run()"]
 
 
-def test_a_film_is_recorded(capsys: Any, tmp_path: Path) -> None:
+def test_a_film_is_recorded(capsys, tmp_path):
     played, out = film(tmp_path / "film"), tmp_path / "push 1"
     said = output(capsys, "record", "--camera", played, "--fast", "--tactile", "film", "--out", out)
     assert "30 frames in 0.290 s, 100.00 frames/s, 0 lost" in said
@@ -48,9 +43,7 @@ def test_a_film_is_recorded(capsys: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("rig", [None, "thesis-tags"])
-def test_it_ends_when_the_fixels_say_so(
-    capsys: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rig: str | None
-) -> None:
+def test_it_ends_when_the_fixels_say_so(capsys, tmp_path, monkeypatch, rig):
     played = film(tmp_path / "film", n=200, bits=lambda k: 0b100 if k >= 20 else 0)
     out = tmp_path / "r"
     monkeypatch.setattr("fixel.workflows.acquisition.record.check_size", lambda *_: None)
@@ -66,7 +59,7 @@ def test_it_ends_when_the_fixels_say_so(
     assert kept.reading_time.tolist() == kept.time.tolist()
 
 
-def test_what_broke_off_is_checked_and_repaired(capsys: Any, tmp_path: Path) -> None:
+def test_what_broke_off_is_checked_and_repaired(capsys, tmp_path):
     folder = film(tmp_path / "r")
     (folder / "end.json").unlink()
     video = folder / VIDEO
@@ -105,9 +98,7 @@ def test_what_broke_off_is_checked_and_repaired(capsys: Any, tmp_path: Path) -> 
         (["--camera", "FILM", "--out", "OUT", "--tactile", "/dev/nothing"], "/dev/nothing"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_recorded_is_refused(
-    capsys: Any, tmp_path: Path, arguments: list[str], complaint: str
-) -> None:
+def test_what_cannot_be_recorded_is_refused(capsys, tmp_path, arguments, complaint):
     (tmp_path / "out").mkdir()
     out = tmp_path / "out" / "r"
     names = {"FILM": tmp_path / "film", "OUT": out, "OUT/..": tmp_path / "out"}
@@ -120,13 +111,13 @@ def test_what_cannot_be_recorded_is_refused(
     assert not out.exists()
 
 
-def filled(argument: str, names: dict[str, Path]) -> str:
+def filled(argument, names):
     """An argument, or the `--name=VALUE` of one, with the path that it stands for."""
     name, sign, value = argument.rpartition("=")
     return f"{name}{sign}{names.get(value, value)}"
 
 
-def ended_by(tmp_path: Path, end: Callable[[subprocess.Popen[bytes], int], object]) -> str:
+def ended_by(tmp_path, end):
     """Record on a terminal until something is done to the process; the reason it gives."""
     played, out = film(tmp_path / "film", n=3000), tmp_path / "r"
     ours, theirs = pty.openpty()
@@ -164,14 +155,12 @@ def ended_by(tmp_path: Path, end: Callable[[subprocess.Popen[bytes], int], objec
         (lambda p, tty: p.terminate(), "stopped by a signal"),
     ],
 )
-def test_whatever_stops_it_ends_it_well(
-    tmp_path: Path, end: Callable[[subprocess.Popen[bytes], int], object], reason: str
-) -> None:
+def test_whatever_stops_it_ends_it_well(tmp_path, end, reason):
     assert ended_by(tmp_path, end) == reason
 
 
 @pytest.mark.system
-def test_a_served_film_is_a_camera(tmp_path: Path, capsys: Any) -> None:
+def test_a_served_film_is_a_camera(tmp_path, capsys):
     played, out = film(tmp_path / "film"), tmp_path / "r"
     server = subprocess.Popen(
         [*FIXEL, "testbed", "serve", played, "--json"], stdout=subprocess.PIPE, text=True
@@ -188,21 +177,19 @@ def test_a_served_film_is_a_camera(tmp_path: Path, capsys: Any) -> None:
     assert "ended early: the camera ended the stream" in said
 
 
-def test_the_preview_shows_and_ends_it(
-    tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_preview_shows_and_ends_it(tmp_path, capsys, monkeypatch):
     from fixel.web.security import WORD_HEADER
     from fixel.web.serve import WebServer
 
-    pages: list[str] = []
+    pages = []
     start = WebServer.start
 
-    def started(self: WebServer) -> WebServer:
+    def started(self):
         start(self)
         threading.Thread(target=press_stop, args=(self.link, self.gate.word)).start()
         return self
 
-    def press_stop(link: str, word: str) -> None:
+    def press_stop(link, word):
         visit = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
         with visit.open(link) as answer:
             pages.append(answer.read().decode())
@@ -221,16 +208,16 @@ def test_the_preview_shows_and_ends_it(
     assert "Recording" in pages[0]
 
 
-def test_the_status_line() -> None:
+def test_the_status_line():
     shown = status_line(RecordingStatus(12.34, 370, 2, 30.0, 0b010, 61_000_000_000, ()))
     assert shown == "   12.3 s  370 frames  2 lost  30.0 frames/s  fixels 010  61.0 GB free"
 
 
-def test_durations() -> None:
+def test_durations():
     assert [duration(text) for text in ("15s", "15", "10min", "1.5 h")] == [15, 15, 600, 5400]
 
 
-def test_a_recording_that_ends_early_says_so_in_its_exit_code(capsys: Any, tmp_path: Path) -> None:
+def test_a_recording_that_ends_early_says_so_in_its_exit_code(capsys, tmp_path):
     """A network camera that goes away after 30 frames; then a limit that is reached."""
     with LoopbackCamera(film(tmp_path / "film")) as camera:
         code, said, _ = fixel(

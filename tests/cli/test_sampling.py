@@ -37,10 +37,7 @@ def test_json_has_the_keys_of_the_contract(capsys):
 
 @pytest.mark.parametrize(
     ("words", "plan"),
-    [
-        pytest.param([], thesis_plan, marks=pytest.mark.system),
-        (["--eight-push"], eight_push_plan),
-    ],
+    [pytest.param([], thesis_plan, marks=pytest.mark.system), (["--eight-push"], eight_push_plan)],
 )
 def test_what_it_writes_it_reads(words, plan, tmp_path, capsys):
     file, picture = tmp_path / "my plan.yaml", tmp_path / "plan.png"

@@ -1,7 +1,6 @@
 """`fixel simulate`, as another program would call it: standard output, error, exit code."""
 
 import json
-from pathlib import Path
 
 import pytest
 from tests.cli.shell import fixel, json_of, output, refusal
@@ -15,7 +14,7 @@ KEYS = {
 
 
 @pytest.fixture
-def scene(tmp_path: Path) -> Path:
+def scene(tmp_path):
     path = tmp_path / "grasp.yaml"
     save_scene(SceneFile(scene=scenes.grasp("seated")), path)
     return path

@@ -1,19 +1,15 @@
 """Tiny datasets in the formats of the real ones, with numbers of our own."""
 
-from __future__ import annotations
-
 import csv
 import gzip
 import json
 import math
-from pathlib import Path
-from typing import Any
 
 SQUARE = [[0.03, 0.03], [-0.03, 0.03], [-0.03, -0.03], [0.03, -0.03]]
 TIP = 0.00475
 
 
-def write_table(path: Path, rows: list[dict[str, Any]]) -> None:
+def write_table(path, rows):
     opened = gzip.open if path.suffix == ".gz" else open
     with opened(path, "wt", encoding="utf-8", newline="") as stream:
         writer = csv.DictWriter(stream, list(rows[0]))
@@ -21,7 +17,7 @@ def write_table(path: Path, rows: list[dict[str, Any]]) -> None:
         writer.writerows(rows)
 
 
-def push(number: int, **changes: Any) -> dict[str, Any]:
+def push(number, **changes):
     """A push through the middle of a side: the object goes straight on for 50 mm."""
     touch = 0.03 + TIP
     return {
@@ -35,7 +31,7 @@ def push(number: int, **changes: Any) -> dict[str, Any]:
     } | changes  # fmt: skip
 
 
-def mit_push(folder: Path, *pushes: dict[str, Any]) -> Path:
+def mit_push(folder, *pushes):
     folder.mkdir(exist_ok=True)
     write_table(folder / "pushes.csv.gz", list(pushes))
     shapes = {
@@ -47,7 +43,7 @@ def mit_push(folder: Path, *pushes: dict[str, Any]) -> Path:
     return folder
 
 
-def rpi_2dgad(folder: Path, frames: int = 31) -> Path:
+def rpi_2dgad(folder, frames=31):
     """Trial 7: a square pushed down at 9 mm/s, from 2 mm away; of trial 8 only the number."""
     folder.mkdir(exist_ok=True)
     write_table(folder / "experiments.csv", [{"experiment_id": 7}, {"experiment_id": 8}])
@@ -83,7 +79,7 @@ def rpi_2dgad(folder: Path, frames: int = 31) -> Path:
     return folder
 
 
-def mit_timeseries(folder: Path) -> Path:
+def mit_timeseries(folder):
     """One second of pushing a square straight on at 20 mm/s, read twice per new value."""
     folder.mkdir(exist_ok=True)
     square = [[0.045, 0.045], [-0.045, 0.045], [-0.045, -0.045], [0.045, -0.045]]

@@ -1,17 +1,13 @@
 """Tiny recordings in the formats of the real ones, with numbers of our own."""
 
-from __future__ import annotations
-
 import json
 import math
-from pathlib import Path
-from typing import Any
 
 from tests.datasets import push_files
 from tests.datasets.push_files import TIP, write_table
 
 
-def rpi_2dgad(folder: Path) -> Path:
+def rpi_2dgad(folder):
     """Trial 7 is complete; of 8 (object 17, no valid mode) and 9 only the object is kept."""
     push_files.rpi_2dgad(folder)
     common = {"start_frame": 2, "end_frame": 30}
@@ -35,7 +31,7 @@ def rpi_2dgad(folder: Path) -> Path:
     return folder
 
 
-def mit_pusher_slider(folder: Path, **changes: Any) -> Path:
+def mit_pusher_slider(folder, **changes):
     """A second of pushing a square on at 20 mm/s, read twice per new value."""
     push_files.mit_timeseries(folder)
     rows = []
@@ -50,7 +46,7 @@ def mit_pusher_slider(folder: Path, **changes: Any) -> Path:
     return folder
 
 
-def record(**changes: Any) -> dict[str, Any]:
+def record(**changes):
     """A push of the published data set: 50 readings at 250 Hz, on a clock since 1970."""
     begin = 1460088637.0
     times = [begin + 0.004 * k for k in range(50)]
@@ -64,7 +60,7 @@ def record(**changes: Any) -> dict[str, Any]:
 RECORD = "motion_surface=felt_shape=rect1_a=0_v=100_i=1.000_s=0.500_t=-0.349"
 
 
-def mit_records(folder: Path) -> Path:
+def mit_records(folder):
     """A published file as JSON, in a folder below the outlines."""
     push_files.mit_timeseries(folder)
     (folder / "cpush_Straight.csv.gz").unlink()
@@ -73,7 +69,7 @@ def mit_records(folder: Path) -> Path:
     return folder
 
 
-def cmu_tripod(folder: Path, **changes: Any) -> Path:
+def cmu_tripod(folder, **changes):
     """Two pushes of a triangle, one on three points and one on its face."""
     folder.mkdir(exist_ok=True)
     points = [[-0.02, -0.02], [0.04, -0.02], [-0.02, 0.04]]
@@ -113,7 +109,7 @@ def cmu_tripod(folder: Path, **changes: Any) -> Path:
     return folder
 
 
-def cmu_two_point(folder: Path) -> Path:
+def cmu_two_point(folder):
     """Two runs of 40 readings, the last five of each without the object."""
     folder.mkdir(exist_ok=True)
     runs = [
@@ -136,6 +132,6 @@ def cmu_two_point(folder: Path) -> Path:
     return folder
 
 
-def table_file(path: Path, text: str) -> Path:
+def table_file(path, text):
     path.write_text(text, encoding="utf-8")
     return path

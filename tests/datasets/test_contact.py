@@ -1,14 +1,12 @@
 """Round tips beside outlines: gaps, and the shortest way out."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
 
 from fixel.datasets.contact import corrected_path, moved_to_contact
-from fixel.model import Disk, Polygon, Shape
+from fixel.model import Disk, Polygon
 
 SQUARE = Polygon(np.array([[0.03, 0.03], [-0.03, 0.03], [-0.03, -0.03], [0.03, -0.03]]))
 TURNED = np.array([[0.5, 0.2, math.pi / 2]])
@@ -25,9 +23,7 @@ TURNED = np.array([[0.5, 0.2, math.pi / 2]])
         (Disk(0.03), (0.0, 0.036), 0.001, (0.0, 0.0)),
     ],
 )
-def test_tips_leave_along_the_normal(
-    shape: Shape, local: tuple[float, float], gap: float, way: tuple[float, float]
-) -> None:
+def test_tips_leave_along_the_normal(shape, local, gap, way):
     """The object is turned a quarter: its x is the y of the world, its y the -x."""
     tip = np.array([[0.5 - local[1], 0.2 + local[0]]])
 
@@ -39,7 +35,7 @@ def test_tips_leave_along_the_normal(
     assert after[0] >= 0.0
 
 
-def test_a_correction_fades() -> None:
+def test_a_correction_fades():
     path = np.column_stack((np.arange(5.0), np.zeros((5, 3))))
     offset = np.array([1.0, -2.0])
 

@@ -1,13 +1,9 @@
 """Files that were cut, changed or made to hurt: a clear refusal, or experiments; nothing else."""
 
-from __future__ import annotations
-
 import contextlib
 import gzip
 import random
 import shutil
-from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 from tests.datasets import push_files, recordings
@@ -16,11 +12,11 @@ from fixel.datasets import IMPORTERS, files
 from fixel.errors import FixelError, InvalidInput
 
 
-def _pushes(folder: Path) -> Path:
+def _pushes(folder):
     return push_files.mit_push(folder, push_files.push(0), push_files.push(1))
 
 
-def _table(folder: Path) -> Path:
+def _table(folder):
     folder.mkdir()
     text = "time_s,x_mm,y_mm,theta_deg,pusher_x_mm,pusher_y_mm,fx_n,touch_bool,note\n" + "".join(
         f"{0.1 * k},{10 * k},0,{k},{10 * k - 40},0,1.5,{k % 2},felt\n" for k in range(12)
@@ -28,7 +24,7 @@ def _table(folder: Path) -> Path:
     return recordings.table_file(folder / "own.csv", text)
 
 
-MAKERS: dict[str, tuple[str, Callable[[Path], Path]]] = {
+MAKERS = {
     "trials": ("rpi-2dgad", recordings.rpi_2dgad),
     "pushes": ("mit-push", _pushes),
     "records": ("mit-push", recordings.mit_records),
@@ -47,7 +43,7 @@ MUTATIONS = 60
 
 
 @pytest.mark.parametrize("kind", MAKERS)
-def test_mutated_files_are_imported_or_refused(kind: str, tmp_path: Path) -> None:
+def test_mutated_files_are_imported_or_refused(kind, tmp_path):
     name, make = MAKERS[kind]
     whole = make(tmp_path / "whole")
     root = whole if whole.is_dir() else whole.parent
@@ -62,7 +58,7 @@ def test_mutated_files_are_imported_or_refused(kind: str, tmp_path: Path) -> Non
         shutil.rmtree(copy)
 
 
-def _mutate(path: Path, rng: random.Random) -> None:
+def _mutate(path, rng):
     """Change one thing: cut the file, or put something else in place of a value or a byte."""
     packed = path.read_bytes()
     inside = path.suffix == ".gz" and rng.random() < 0.8
@@ -79,7 +75,7 @@ def _mutate(path: Path, rng: random.Random) -> None:
     path.write_bytes(gzip.compress(content) if inside else content)
 
 
-def _damaged() -> bytes:
+def _damaged():
     packed = bytearray(gzip.compress(b"t_s,x_m,y_m\n0,0,0\n" * 100))
     packed[12:20] = b"\xff" * 8
     return bytes(packed)
@@ -97,13 +93,7 @@ def _damaged() -> bytes:
     ],
     ids=["too long", "too many cells", "a line without end", "damaged"],
 )  # fmt: skip
-def test_archives_that_cannot_be_read_are_refused(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    limits: dict[str, int],
-    content: bytes,
-    message: str,
-) -> None:
+def test_archives_that_cannot_be_read_are_refused(tmp_path, monkeypatch, limits, content, message):
     for name, limit in limits.items():
         monkeypatch.setattr(files, name, limit)
     path = tmp_path / "own.csv.gz"
@@ -113,9 +103,7 @@ def test_archives_that_cannot_be_read_are_refused(
         IMPORTERS["csv"].read(path)
 
 
-def test_parquet_that_unpacks_to_many_cells_is_refused_unread(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_parquet_that_unpacks_to_many_cells_is_refused_unread(tmp_path, monkeypatch):
     """Three million cells in a few kilobytes."""
     arrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
     zeros = arrow.array([0] * 1_000_000, arrow.int8())
@@ -128,7 +116,7 @@ def test_parquet_that_unpacks_to_many_cells_is_refused_unread(
         IMPORTERS["csv"].read(path)
 
 
-def test_json_nested_without_end_is_refused(tmp_path: Path) -> None:
+def test_json_nested_without_end_is_refused(tmp_path):
     path = tmp_path / f"{recordings.RECORD}.json"
     path.write_text('{"object_pose": ' + "[" * 100_000)
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tests.closed_form import SIDE, push, table_text
 from tests.datasets.recordings import table_file
+from tests.fixtures import refused
 
 from fixel.datasets import IMPORTERS
 from fixel.datasets.own_scene import template_text
@@ -59,13 +60,12 @@ def test_placeholders_that_are_left_are_named_all_together(tmp_path):
     source = table(tmp_path)
     scene = filled(tmp_path, source, shapes=())
 
-    with pytest.raises(InvalidInput) as refused:
-        CSV.read(source, scene=str(scene))
+    refusal = refused(CSV.read, source, scene=str(scene))
 
-    assert refused.value.where == "bodies[0].shape"
-    assert "FILL_IN" in str(refused.value)
-    assert "disk" in refused.value.expected
-    assert "pushers[0].shape" in refused.value.hint
+    assert refusal.where == "bodies[0].shape"
+    assert "FILL_IN" in str(refusal)
+    assert "disk" in refusal.expected
+    assert "pushers[0].shape" in refusal.hint
 
 
 @pytest.mark.parametrize(
@@ -108,10 +108,9 @@ def test_a_stated_unit_that_makes_a_part_spin_is_refused(tmp_path, title):
     """21.7 degrees in 20 s, read as radians: 1243 degrees, though at 1.1 rad/s only."""
     source = turning(tmp_path, title, -21.7 / 200, 201, dx=0.1)
 
-    with pytest.raises(InvalidInput) as refused:
-        CSV.read(source, angle_unit="rad")
-    assert refused.value.found == "an object that turns 1243 degrees"
-    assert "likely in degrees: set angle_unit=deg" in refused.value.hint
+    refusal = refused(CSV.read, source, angle_unit="rad")
+    assert refusal.found == "an object that turns 1243 degrees"
+    assert "likely in degrees: set angle_unit=deg" in refusal.hint
 
     (experiment,) = CSV.read(source, angle_unit="deg").experiments()
     assert experiment.trajectory.pose[-1, 2] == pytest.approx(math.radians(-21.7))

@@ -1,19 +1,16 @@
 """The real recordings, where they are: how many experiments, and what is known of them."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fixel.datasets import importer_for
-from fixel.model import Experiment, support_points
+from fixel.model import support_points
 
 
-def _imported(folder: Path, name: str | None = None) -> list[Experiment]:
+def _imported(folder, name=None):
     if not folder.exists():
         pytest.skip(f"no recordings at {folder}")
     experiments = list(importer_for(folder, name).read(folder).experiments())
@@ -22,11 +19,11 @@ def _imported(folder: Path, name: str | None = None) -> list[Experiment]:
     return experiments
 
 
-def _flags(experiments: list[Experiment]) -> Counter[str]:
+def _flags(experiments):
     return Counter(flag.name for experiment in experiments for flag in experiment.flags)
 
 
-def test_twenty_trials(data_root: Path) -> None:
+def test_twenty_trials(data_root):
     trials = _imported(data_root / "rpi_2dgad")
 
     assert len(trials) == 20
@@ -34,7 +31,6 @@ def test_twenty_trials(data_root: Path) -> None:
     assert whole.name == "141"
     assert whole.contact_mode == "010"
     assert whole.fixel_height == pytest.approx(51.0794e-3)
-    assert whole.pusher is not None
     # The raw marker stops where the actuator stalls; the README gives 243.1 mm.
     assert whole.pusher.pose[-1, 1] == pytest.approx(0.2431, abs=5e-4)
     modes = {trial.name: trial.contact_mode for trial in trials}
@@ -44,7 +40,7 @@ def test_twenty_trials(data_root: Path) -> None:
 
 
 @pytest.mark.system
-def test_all_pushes_of_the_end_point_set(data_root: Path) -> None:
+def test_all_pushes_of_the_end_point_set(data_root):
     pushes = _imported(data_root / "mit_push_endpoints")
 
     assert len(pushes) == 4835
@@ -54,7 +50,7 @@ def test_all_pushes_of_the_end_point_set(data_root: Path) -> None:
     assert found["pusher-moved-to-contact"] == 1336
 
 
-def test_the_record_of_a_push(data_root: Path) -> None:
+def test_the_record_of_a_push(data_root):
     (push,) = _imported(data_root / "mit_timeseries" / "push_plywood_hex_v150.json", "mit-push")
     assert _imported(data_root / "mit_timeseries", "mit-push") == [push]
     record = data_root / "mit_timeseries" / "push_plywood_hex_v150.json"
@@ -63,13 +59,12 @@ def test_the_record_of_a_push(data_root: Path) -> None:
     assert push.scene is not None
     assert push.conditions["speed_m_s"] == pytest.approx(0.15)
     force = push.channel("force")
-    assert force is not None
     # The impact of 5.7 N that the README gives is the y component; both together have 11.6 N.
     assert np.abs(force.values[:, 1]).max() == pytest.approx(5.7, abs=0.1)
     assert np.hypot(*force.values[:, :2].T).max() == pytest.approx(11.6, abs=0.1)
 
 
-def test_five_runs(data_root: Path) -> None:
+def test_five_runs(data_root):
     runs = _imported(data_root / "mit_timeseries")
 
     assert len(runs) == 5
@@ -86,7 +81,7 @@ def test_five_runs(data_root: Path) -> None:
 
 
 @pytest.mark.system
-def test_pushes_on_known_supports(data_root: Path) -> None:
+def test_pushes_on_known_supports(data_root):
     pushes = _imported(data_root / "cmu_tripod_push")
 
     assert len(pushes) == 245
@@ -95,14 +90,13 @@ def test_pushes_on_known_supports(data_root: Path) -> None:
     setup = json.loads((data_root / "cmu_tripod_push" / "setup.json").read_text())
     for push in pushes[::35]:
         expected = setup["support_load_fraction"][push.conditions["support"]]
-        assert push.scene is not None
         body = push.scene.bodies[0]
         loads = support_points(body.support, body.shape, body.com, body.mass, 9.81)[1]
         if expected is not None:
             assert loads / loads.sum() == pytest.approx(expected, abs=1e-3)
 
 
-def test_twenty_eight_runs_of_two_fingers(data_root: Path) -> None:
+def test_twenty_eight_runs_of_two_fingers(data_root):
     runs = _imported(data_root / "cmu_two_point_push")
 
     assert len(runs) == 28

@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 
 from fixel.calibration.contacts import Configurations, PushedContacts, TouchedPlaces, contacts_of
 from fixel.domain.error_bound import ConformalBound
 from fixel.errors import InvalidInput
 from fixel.model import Polygon
-from fixel.typing import FloatArray
 
 SIDES = 4
 EACH = 16  # pushes of a side
@@ -21,23 +21,19 @@ class Laboratory:
     Features are where a push is along its side and how long it is, not which side it is on.
     """
 
-    def __init__(self, parts: int, bias: float, seed: int) -> None:
+    def __init__(self, parts, bias, seed):
         self.rng = np.random.default_rng(seed)
         self.bias = bias * self.rng.standard_normal((parts, SIDES))
         self.parts = parts
 
-    def push(
-        self, part: int, side: int, seen: bool
-    ) -> tuple[FloatArray, FloatArray, TouchedPlaces]:
+    def push(self, part, side, seen):
         """Features, errors and contacts of the pushes of one side."""
         features = self.rng.uniform(-0.4, 0.4, (EACH, 2))
         noise = self.rng.standard_normal(EACH) * np.exp(features[:, 0])
         errors = np.abs(noise + (0.0 if seen else self.bias[part, side]))
         return features, errors, contacts_on(side, features[:, 0])
 
-    def pushes(
-        self, cells: list[tuple[int, int]], seen: bool
-    ) -> tuple[FloatArray, FloatArray, TouchedPlaces, list[int], list[tuple[int, int]]]:
+    def pushes(self, cells, seen):
         found = [self.push(part, side, seen) for part, side in cells]
         labels = [cell for cell in cells for _ in range(EACH)]
         return (
@@ -49,14 +45,14 @@ class Laboratory:
         )
 
 
-def contacts_on(side: int, along: FloatArray, speed: float = 0.01) -> TouchedPlaces:
+def contacts_on(side, along, speed=0.01):
     angle = np.full(len(along), 0.5 * math.pi * side)
     c, s = np.cos(angle), np.sin(angle)
     return TouchedPlaces(angle, np.column_stack((c - s * along, s + c * along)),
                     np.full(len(along), speed))  # fmt: skip
 
 
-def coverage(bias: float, repeats: int = 12) -> dict[str, FloatArray]:
+def coverage(bias, repeats=12):
     """Shares of the pushes of new sides, and of known ones, within 90 % bounds; mean bounds."""
     rows = []
     for seed in range(repeats):
@@ -81,20 +77,20 @@ def coverage(bias: float, repeats: int = 12) -> dict[str, FloatArray]:
     return dict(zip(names, np.mean(rows, axis=0), strict=True))
 
 
-def test_bounds_hold_on_a_new_side_where_every_side_is_biased() -> None:
+def test_bounds_hold_on_a_new_side_where_every_side_is_biased():
     found = coverage(bias=2.0)
     assert found["blind"] < 0.75
     assert found["new"] >= 0.88
     assert found["known"] == pytest.approx(0.905, abs=0.025)
 
 
-def test_without_a_bias_bounds_on_a_new_side_are_hardly_wider() -> None:
+def test_without_a_bias_bounds_on_a_new_side_are_hardly_wider():
     found = coverage(bias=0.0)
     assert 0.88 <= found["new"] <= 0.97
     assert found["new_mean"] < 1.25 * found["blind_mean"]
 
 
-def test_a_new_side_or_speed_has_no_data_and_says_why() -> None:
+def test_a_new_side_or_speed_has_no_data_and_says_why():
     lab = Laboratory(1, 2.0, 0)
     x, e, contacts, _, _ = lab.pushes([(0, side) for side in range(3)], seen=True)
     ways = (contacts_on(1, np.zeros(1)), contacts_on(3, np.zeros(1)),
@@ -111,7 +107,7 @@ def test_a_new_side_or_speed_has_no_data_and_says_why() -> None:
     assert "speed never pushed" in reasons[3]
 
 
-def test_what_is_new_in_both_or_of_a_new_part_has_no_data_even_with_left_out_sides() -> None:
+def test_what_is_new_in_both_or_of_a_new_part_has_no_data_even_with_left_out_sides():
     lab = Laboratory(10, 1.0, 0)
     known = [(part, side) for part in range(10) for side in range(3)]
     x, e, contacts, parts, units = lab.pushes(known, seen=True)
@@ -134,7 +130,7 @@ def test_what_is_new_in_both_or_of_a_new_part_has_no_data_even_with_left_out_sid
     ]  # fmt: skip
 
 
-def test_a_finite_bound_takes_nine_left_out_sides() -> None:
+def test_a_finite_bound_takes_nine_left_out_sides():
     lab = Laboratory(4, 0.0, 0)
     for sides, good in ((8, False), (9, True)):
         cells = [(k % 4, k // 4) for k in range(sides)]
@@ -149,21 +145,18 @@ def test_a_finite_bound_takes_nine_left_out_sides() -> None:
                 ConformalBound.fit(x, e, parts, units=units)
 
 
-def test_contacts_are_asked_for_and_refused() -> None:
+def test_contacts_are_asked_for_and_refused():
     lab = Laboratory(1, 0.0, 0)
     x, e, contacts, parts, _ = lab.pushes([(0, 0), (0, 1)], seen=True)
     plain = ConformalBound.fit(x, e, parts, model="neighbours")
-    with pytest.raises(InvalidInput, match="contacts"):
-        plain.for_contacts(contacts, parts).bounds(x, parts)
-    with pytest.raises(InvalidInput, match="contacts"):
-        plain.bounds(x, parts, contacts)
-    with pytest.raises(InvalidInput, match="without units"):
-        plain.for_contacts(contacts, parts, plain)
+    refused(plain.for_contacts(contacts, parts).bounds, x, parts, match="contacts")
+    refused(plain.bounds, x, parts, contacts, match="contacts")
+    refused(plain.for_contacts, contacts, parts, plain, match="without units")
     with pytest.raises(InvalidInput, match="positive speeds"):
         PushedContacts(contacts._replace(speed=np.zeros(len(e))), parts)
 
 
-def test_contacts_of_a_turned_square() -> None:
+def test_contacts_of_a_turned_square():
     """The finger stands 3 mm off the middle of each side, whichever way the square lies."""
     half, radius = 0.05, 0.005
     square = Polygon(half * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]]))

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from tests.domain.worlds import STEPS, line, scattered
+from tests.fixtures import refused
 
 from fixel.domain.cells import axis_of, cells_of
 from fixel.domain.claim import COLOURS, DOUBTFUL, NO_DATA, NOT_TRUSTED, PREDICTED, TRUSTED, Claim
@@ -150,12 +151,9 @@ def test_what_would_teach_most_is_open_and_near():
 
 
 def test_too_few_experiments_are_refused_with_how_many_are_needed():
-    with pytest.raises(InvalidInput, match="at least 6"):
-        mapped(line(VALLEY).rows([0, 1, 2]))
-    with pytest.raises(InvalidInput, match="confidence"):
-        Claim(threshold=1.0, confidence=0.4)
-    with pytest.raises(InvalidInput, match="positive"):
-        Claim(threshold=0.0)
+    refused(mapped, line(VALLEY).rows([0, 1, 2]), match="at least 6")
+    refused(Claim, threshold=1.0, confidence=0.4, match="confidence")
+    refused(Claim, threshold=0.0, match="positive")
 
 
 def test_the_usual_threshold_is_twice_the_median():
@@ -206,14 +204,10 @@ def test_offsets_one_at_a_time_are_arms_and_a_grid_is_a_grid():
 
 def test_axes_and_nominals_that_cannot_be_are_refused():
     evidence = _plane([(0.0, 0.0), (0.01, 0.01)])
-    with pytest.raises(InvalidInput, match="one of offset_x_m"):
-        cells_of(evidence, ("offset_z_m",))
-    with pytest.raises(InvalidInput, match="each axis once"):
-        cells_of(evidence, ("offset_x_m", "offset_x_m"))
-    with pytest.raises(InvalidInput, match="with experiments"):
-        cells_of(evidence, ("offset_x_m",), {"offset_x_m": 0.5})
-    with pytest.raises(InvalidInput, match="one of the axes"):
-        cells_of(evidence, ("offset_x_m",), {"offset_y_m": 0.0})
+    refused(cells_of, evidence, ("offset_z_m",), match="one of offset_x_m")
+    refused(cells_of, evidence, ("offset_x_m", "offset_x_m"), match="each axis once")
+    refused(cells_of, evidence, ("offset_x_m",), {"offset_x_m": 0.5}, match="with experiments")
+    refused(cells_of, evidence, ("offset_x_m",), {"offset_y_m": 0.0}, match="one of the axes")
 
 
 # --- folds --------------------------------------------------------------------------------------

@@ -1,20 +1,17 @@
 """What configurations say before they are tried, where the answer is known by hand."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from fixel.calibration.contacts import Configurations
 from fixel.domain import features
 from fixel.model import Disk, Polygon
-from fixel.typing import BoolArray, FloatArray, IntArray
 
 SQUARE = Polygon(0.03 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]))
 RADIUS = 0.005
 K = 10
 
 
-def two_pushes() -> Configurations:
+def two_pushes():
     """Into the left side, 10 mm above the middle: straight, and on a plate turned by a quarter."""
     start = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.5 * np.pi]])
     tip = np.array([[-0.035, 0.01], [0.09, -0.035]])
@@ -22,7 +19,7 @@ def two_pushes() -> Configurations:
     return Configurations(SQUARE, RADIUS, start, tip, tip + way)
 
 
-def test_the_same_push_on_a_turned_plate_has_the_same_place() -> None:
+def test_the_same_push_on_a_turned_plate_has_the_same_place():
     found = features.configuration_features(two_pushes())
     names = ("tip_x", "tip_y", "along_x", "along_y", "incidence", "arm", "corner")
     both = found.columns(names)
@@ -32,7 +29,7 @@ def test_the_same_push_on_a_turned_plate_has_the_same_place() -> None:
     )
 
 
-def carried(which: IntArray, values: Mapping[str, FloatArray]) -> tuple[FloatArray, BoolArray]:
+def carried(which, values):
     """The plate goes with the pusher; friction at the pusher adds an angle, one push fails."""
     asked = two_pushes()
     share = np.arange(1, K + 1)[None, :, None] / K
@@ -50,7 +47,7 @@ def carried(which: IntArray, values: Mapping[str, FloatArray]) -> tuple[FloatArr
     return pose, good
 
 
-def test_motion_contact_and_sensitivity_of_rollouts() -> None:
+def test_motion_contact_and_sensitivity_of_rollouts():
     found = features.simulated_features(two_pushes(), carried, 0.2)
     names = ("distance", "turned", "slid", "stuck", "parted", "sensitive_sideways", "lost")
     table = found.columns(names)
@@ -66,7 +63,7 @@ def test_motion_contact_and_sensitivity_of_rollouts() -> None:
     assert np.isfinite(found.table).all()
 
 
-def test_corners_of_polygons_and_of_round_things() -> None:
+def test_corners_of_polygons_and_of_round_things():
     points = np.array([[0.03, 0.04], [0.0, 0.035]])
     np.testing.assert_allclose(
         features.corner_distance(SQUARE, points, RADIUS), [0.005, np.hypot(0.03, 0.005) - RADIUS]

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 
 from fixel.calibration.objective import Evaluation
 from fixel.domain import growth
-from fixel.errors import InvalidInput
 
 # A toy: every experiment has a best point of its own, and its error is the squared distance to it.
 BEST = np.random.default_rng(4).uniform(0.0, 1.0, (21, 2))
@@ -113,10 +113,8 @@ def test_experiments_whose_own_calibration_failed_do_not_weigh():
 
 
 def test_too_few_experiments_to_grow_are_refused():
-    with pytest.raises(InvalidInput, match="lacks y-1, theta1"):
-        grow([_group(growth.ROWS[:11])], _singles(), _evaluate)
-    with pytest.raises(InvalidInput, match="groups"):
-        grow([], _singles(), _evaluate)
+    refused(grow, [_group(growth.ROWS[:11])], _singles(), _evaluate, match="lacks y-1, theta1")
+    refused(grow, [], _singles(), _evaluate, match="groups")
 
 
 def test_the_same_rollout_is_run_once():

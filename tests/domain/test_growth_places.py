@@ -1,6 +1,7 @@
 """Which experiments join a domain when: corrected, and as the thesis's code is printed."""
 
 import pytest
+from tests.fixtures import refused
 
 from fixel.domain.growth import NOMINAL, ROWS, AxisPlace, ExperimentGroup, domain, interval, joining
 from fixel.errors import InvalidInput
@@ -56,14 +57,10 @@ def test_intervals_hold_the_nominal_sample(axis, size, ends):
 
 
 def test_what_cannot_be_is_refused():
-    with pytest.raises(InvalidInput, match="2 samples"):
-        interval("x", 1)
-    with pytest.raises(InvalidInput, match="x, y or theta"):
-        interval("z", 3)
-    with pytest.raises(InvalidInput, match="as printed"):
-        joining(6, "printed")
-    with pytest.raises(InvalidInput, match="corrected or printed"):
-        joining(1, "other")
+    refused(interval, "x", 1, match="2 samples")
+    refused(interval, "z", 3, match="x, y or theta")
+    refused(joining, 6, "printed", match="as printed")
+    refused(joining, 1, "other", match="corrected or printed")
     with pytest.raises(InvalidInput, match="no nominal"):
         ExperimentGroup(shape="square", layout="a", at={AxisPlace("x", 1): 0})
 

@@ -110,7 +110,6 @@ def test_a_side_that_was_pushed_on_another_part_only_has_no_data():
     )
     cells = cells_of(evidence, ["contact_angle_rad"])
     bounds = predicted_cells(evidence, cells, 0.9)
-    assert bounds is not None
     assert np.isfinite(bounds[0]).all()
     assert np.isfinite(bounds[1]).tolist() == 9 * [True] + 3 * [False]
     domain = domain_map(evidence, cells, "absolute", 0, bounds)

@@ -40,10 +40,7 @@ def scattered(maps=8, members=2, scatter=0.15, seed=0):
                 group.append(f"map {g}")
                 error.append(np.exp(2.0 * (middle[k] + scatter * rng.normal())))
     evidence = HeldOutErrors(
-        keys=tuple(keys),
-        ids=tuple(range(len(keys))),
-        coordinates={"offset_y_m": tuple(y)},
-        error_mm2=np.array(error),
-        group=tuple(group),
-    )
+        keys=tuple(keys), ids=tuple(range(len(keys))), coordinates={"offset_y_m": tuple(y)},
+        error_mm2=np.array(error), group=tuple(group),
+    )  # fmt: skip
     return evidence, np.array(truth)

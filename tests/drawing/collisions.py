@@ -1,7 +1,5 @@
 """Texts that lie over one another, by Matplotlib's own renderer, and pages of one column."""
 
-from __future__ import annotations
-
 from itertools import combinations, pairwise
 
 import numpy as np

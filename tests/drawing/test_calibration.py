@@ -59,15 +59,9 @@ def profile(widened=False, **changes):
     values = np.linspace(0.1, 0.5, 9)
     rises = ((values - 0.3) / 0.05) ** 2
     own = ProfileRecord(
-        label="mu_pusher",
-        values=values,
-        deviances=rises,
-        slice_values=values,
-        slice_deviances=2.0 * rises,
-        low=0.2,
-        high=0.4,
-        threshold=4.0,
-    )
+        label="mu_pusher", values=values, deviances=rises, slice_values=values,
+        slice_deviances=2.0 * rises, low=0.2, high=0.4, threshold=4.0,
+    )  # fmt: skip
     own = replace(own, **changes)
     estimate = Estimate(label="mu_pusher", unit="-", value=0.3, low=own.low, high=own.high)
     if widened:

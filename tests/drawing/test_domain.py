@@ -1,6 +1,5 @@
 """Charts of maps: what is drawn is what the table says."""
 
-from pathlib import Path
 from types import SimpleNamespace
 
 import matplotlib as mpl
@@ -113,17 +112,3 @@ def test_what_is_called_blue_is_blue():
         for text, handle in zip(legend.get_texts(), legend.legend_handles, strict=True)
     }
     assert to_hex(shown["trusted"].get_facecolor()) == palette.BODY.lower()
-
-
-@pytest.mark.parametrize(
-    "file",
-    [
-        "docs/how-to/domain.md",
-        "docs/theory/domain.md",
-        "src/fixel/domain/domain.py",
-        "src/fixel/drawing/domain.py",
-    ],
-)
-def test_no_text_calls_a_trusted_cell_green(file):
-    root = Path(__file__).parents[2]
-    assert "green" not in (root / file).read_text(encoding="utf-8").lower()

@@ -30,18 +30,11 @@ TACTILE = Channel(
     name="tactile", time=TIME, columns=("fixel_1_bool", "fixel_2_bool", "fixel_3_bool"), values=ON
 )
 REAL = Experiment(
-    dataset="bench",
-    name="1",
-    real=True,
-    provenance=Provenance(version="0"),
-    object_name=SCENE.bodies[0].name,
-    trajectory=PATH,
+    dataset="bench", name="1", real=True, provenance=Provenance(version="0"),
+    object_name=SCENE.bodies[0].name, trajectory=PATH,
     pusher=Trajectory(time=TIME, pose=SCENE.pushers[0].pose + TIME[:, None] * (0.03, 0.0, 0.0)),
-    scene=SCENE,
-    channels=(TACTILE,),
-    contact_mode="100",
-    effective=(0.5, 2.0),
-)
+    scene=SCENE, channels=(TACTILE,), contact_mode="100", effective=(0.5, 2.0),
+)  # fmt: skip
 NOT_REAL = replace(REAL, real=False, simulated_by="a test")
 PATH_ONLY = replace(REAL, scene=None, pusher=None, channels=())
 ENDS = Trajectory(time=TIME[[0, -1]], pose=PATH.pose[[0, -1]])

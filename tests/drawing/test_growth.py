@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from fixel.domain.along_axis import AxisStudy
-from fixel.drawing.chart import draw_chart
 from fixel.drawing.growth import axis_chart, growth_matrix, growth_steps
 
 STEPS = np.arange(-5, 6)
@@ -16,16 +15,9 @@ def _study(size=3):
     error = np.vstack((np.abs(STEPS) + 1.0, 2.0 * np.abs(STEPS) + 1.0))
     error[1, 0] = np.nan
     return AxisStudy(
-        shape="square",
-        axis="y",
-        size=size,
-        interval=(-1, 1),
-        steps=STEPS,
-        layouts=("a", "b"),
-        sets=(),
-        error=error,
-        own=np.full((2, 11), 0.5),
-    )
+        shape="square", axis="y", size=size, interval=(-1, 1), steps=STEPS, layouts=("a", "b"),
+        sets=(), error=error, own=np.full((2, 11), 0.5),
+    )  # fmt: skip
 
 
 def _growth():
@@ -80,10 +72,3 @@ def test_the_table_has_layouts_and_averages():
     assert b[7:] == (None, 0.5, None)
     average = next(row for row in table.rows if row[5:7] == ("average", 2))
     assert average[7:] == (4.0, 0.5, 3.5)
-
-
-def test_files_are_the_same_twice(tmp_path):
-    chart = axis_chart([_study(), _study(5)], 4.0, "mm^2", 0.008)
-    for name in ("one.png", "two.png"):
-        draw_chart(chart, tmp_path / name, banner="SIMULATED by a test")
-    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()

@@ -1,13 +1,11 @@
 """Prints of boards and tags: the right squares, of the right size."""
 
-from __future__ import annotations
-
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
+from tests.fixtures import refused
 
 from fixel.drawing import prints
 from fixel.errors import InvalidInput
@@ -16,7 +14,7 @@ from fixel.vision.tracking.tag_reader import read_tags
 
 
 @pytest.mark.parametrize("text", ["charuco:7x5:30mm:20mm", "charuco:4x6:24mm:16mm:5x5"])
-def test_a_board_is_the_one_of_opencv(text: str) -> None:
+def test_a_board_is_the_one_of_opencv(text):
     board = board_of(text)
     per_metre = 4000.0
     size = tuple(round(side * per_metre) for side in board.size)
@@ -29,7 +27,7 @@ def test_a_board_is_the_one_of_opencv(text: str) -> None:
     assert np.mean(ours != theirs) < 0.02  # rounding of cells to whole pixels
 
 
-def test_a_printed_board_is_found() -> None:
+def test_a_printed_board_is_found():
     board = board_of("charuco:7x5:30mm:22mm")
     image = prints.rastered(prints.board_sheet(board, "a board"), 4000.0).convert("L")
     corners = board.find(np.asarray(image))
@@ -38,13 +36,13 @@ def test_a_printed_board_is_found() -> None:
     assert scale == pytest.approx(4000.0, rel=1e-3)
 
 
-def test_a_printed_checkerboard_is_found() -> None:
+def test_a_printed_checkerboard_is_found():
     board = board_of("checkerboard:9x6:25mm")
     image = prints.rastered(prints.board_sheet(board, "a board"), 3000.0).convert("L")
     assert len(board.find(np.asarray(image)).places) == 54
 
 
-def test_printed_tags_are_read() -> None:
+def test_printed_tags_are_read():
     tags = [(Tag(id=k, size=0.02 + 0.001 * k, height=0.0), "plate") for k in range(7)]
     (sheet,) = prints.tag_sheets(tags)
     found = read_tags(np.asarray(prints.rastered(sheet, 4000.0).convert("L")), {"apriltag-36h11"})
@@ -54,7 +52,7 @@ def test_printed_tags_are_read() -> None:
         assert side == pytest.approx(4000.0 * tag.size, abs=2.0)
 
 
-def test_files_know_their_size(tmp_path: Path) -> None:
+def test_files_know_their_size(tmp_path):
     sheet = prints.board_sheet(board_of("charuco:7x5:30mm:22mm"), "a board")
     prints.save_sheets([sheet], tmp_path / "a.pdf")
     prints.save_sheets([sheet], tmp_path / "a.png")
@@ -67,7 +65,7 @@ def test_files_know_their_size(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("board", ["3x6:40mm", "6x8:40mm", "6x7:56mm", "8x6:40mm"])
-def test_the_hinted_paper_fits(board: str) -> None:
+def test_the_hinted_paper_fits(board):
     squares = board_of(f"checkerboard:{board}")
     try:
         prints.board_sheet(squares, "")
@@ -86,15 +84,11 @@ def test_the_hinted_paper_fits(board: str) -> None:
     assert papers == fitting[:1]
 
 
-def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput, match="--paper a3"):
-        prints.board_sheet(board_of("charuco:9x6:40mm:30mm"), "")
-    with pytest.raises(InvalidInput, match="smaller squares"):
-        prints.board_sheet(board_of("charuco:9x7:90mm:60mm"), "")
-    with pytest.raises(InvalidInput, match="a4"):
-        prints.board_sheet(board_of("charuco:7x5:30mm:22mm"), "", "a9")
-    with pytest.raises(InvalidInput, match="586"):
-        prints.tag_sheets([(Tag(id=5000, size=0.03, height=0.0), "")])
+def test_what_does_not_fit_is_refused(tmp_path):
+    refused(prints.board_sheet, board_of("charuco:9x6:40mm:30mm"), "", match="--paper a3")
+    refused(prints.board_sheet, board_of("charuco:9x7:90mm:60mm"), "", match="smaller squares")
+    refused(prints.board_sheet, board_of("charuco:7x5:30mm:22mm"), "", "a9", match="a4")
+    refused(prints.tag_sheets, [(Tag(id=5000, size=0.03, height=0.0), "")], match="586")
     sheets = prints.tag_sheets([(Tag(id=k, size=0.09, height=0.0), "") for k in range(9)])
     assert len(sheets) > 1
     with pytest.raises(InvalidInput, match=r"\.pdf"):

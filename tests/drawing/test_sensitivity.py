@@ -19,13 +19,9 @@ def ensemble_chart():
     end = drawn + np.array([0.06, 0.0, 0.1])
     end[40:, 1] += 0.02
     ends = OutcomePoses(
-        scene=fork(),
-        drawn=drawn,
-        end=end,
-        nominal=end[0],
-        outcome=(np.arange(50) >= 40).astype(int),
-        share=(0.8, 0.2),
-    )
+        scene=fork(), drawn=drawn, end=end, nominal=end[0],
+        outcome=(np.arange(50) >= 40).astype(int), share=(0.8, 0.2),
+    )  # fmt: skip
     return ends_chart(ends, "a fork")
 
 
@@ -33,16 +29,10 @@ def a_push():
     table = np.array([[0.6, 0.3]] * 2)
     indices = Indices(
         factors=(Factor("mu_pusher", 0.1, 0.3), Factor("start_x", -1e-4, 1e-4)),
-        outcomes=("along", "across"),
-        units=("m", "m"),
-        first=table,
-        total=1.2 * table,
-        first_error=0.1 * table,
-        total_error=0.1 * table,
-        deviation=np.array([1e-3, 1e-3]),
-        evaluations=1,
-        failed=0,
-    )
+        outcomes=("along", "across"), units=("m", "m"), first=table, total=1.2 * table,
+        first_error=0.1 * table, total_error=0.1 * table, deviation=np.array([1e-3, 1e-3]),
+        evaluations=1, failed=0,
+    )  # fmt: skip
     return indices_chart(SimpleNamespace(indices=indices))
 
 

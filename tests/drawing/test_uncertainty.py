@@ -1,7 +1,5 @@
 """Pictures of posteriors, bands, final poses and coverage, and their tables."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import matplotlib as mpl
@@ -67,13 +65,10 @@ def _curve():
     [
         (_corner(), ("mu_pusher", "tripod_radius_m", "model error_m", "mode"), 60),
         (_final(), ("what", "x_m", "y_m", "theta_rad"), 81),
-        (
-            _curve(),
-            ("bounds", "level", "held", "true_levels_from", "true_levels_to", "outcomes"),
-            6,
-        ),
+        (_curve(), ("bounds", "level", "held", "true_levels_from", "true_levels_to", "outcomes"),
+         6),
     ],
-)
+)  # fmt: skip
 def test_a_picture_and_its_table(chart, columns, rows, tmp_path):
     draw_chart(chart, tmp_path / "a.png", tmp_path / "a.pdf", banner="SIMULATED")
     assert (tmp_path / "a.png").stat().st_size > 5_000

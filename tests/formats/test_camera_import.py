@@ -1,23 +1,19 @@
 """Cameras of other programs: read as they mean them, checked by OpenCV's own projection."""
 
-from __future__ import annotations
-
 import json
 import tracemalloc
-from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.fixtures import refused
 
 from fixel.errors import InvalidInput
 from fixel.formats.camera_import import import_camera
 from fixel.formats.camera_opencv import matrix_of, save_opencv, save_ros
 from fixel.formats.rig_file import load_camera, save_camera
-from fixel.typing import FloatArray
 from fixel.vision.camera import Camera, MeasuredCamera
 from fixel.vision.lens import Lens
 
@@ -77,9 +73,9 @@ distortion_coefficients:
 """
 
 
-def seen_by_opencv(lens: Lens, points: FloatArray) -> FloatArray:
+def seen_by_opencv(lens, points):
     """Pixels of points in the camera's axes (n, 3), by OpenCV."""
-    model: Any = cv2.fisheye if lens.fisheye else cv2
+    model = cv2.fisheye if lens.fisheye else cv2
     none = np.zeros(3)
     found = (
         model.projectPoints(points[:, None], none, none, matrix_of(lens), lens.distortion)
@@ -89,13 +85,13 @@ def seen_by_opencv(lens: Lens, points: FloatArray) -> FloatArray:
     return np.asarray(found[0]).reshape(-1, 2)
 
 
-def points_in_view(lens: Lens, n: int = 200) -> FloatArray:
+def points_in_view(lens, n=200):
     random = np.random.default_rng(1)
     flat = lens.direction(random.uniform((0, 0), np.array(lens.image_size) - 1.0, (n, 2)))
     return np.column_stack([flat, np.ones(n)]) * random.uniform(0.3, 2.0, (n, 1))
 
 
-def test_matlab_file_is_read_as_the_toolbox_means_it(tmp_path: Path) -> None:
+def test_matlab_file_is_read_as_the_toolbox_means_it(tmp_path):
     (tmp_path / "Calib_Results.m").write_text(CALIB_RESULTS)
     found = import_camera(tmp_path / "Calib_Results.m")
     lens = found.camera.lens
@@ -114,7 +110,7 @@ def test_matlab_file_is_read_as_the_toolbox_means_it(tmp_path: Path) -> None:
     assert "skew" not in found.camera.names
 
 
-def test_matlab_plane_that_looks_away_is_turned(tmp_path: Path) -> None:
+def test_matlab_plane_that_looks_away_is_turned(tmp_path):
     path = tmp_path / "Calib_Results.m"
     path.write_text(CALIB_RESULTS)
     found = import_camera(path)
@@ -128,7 +124,7 @@ def test_matlab_plane_that_looks_away_is_turned(tmp_path: Path) -> None:
     np.testing.assert_allclose(camera.project_at([0.1, -0.05], 0.0), expected, atol=1e-9)
 
 
-def test_mat_file_says_the_same_as_the_m_file(tmp_path: Path) -> None:
+def test_mat_file_says_the_same_as_the_m_file(tmp_path):
     from scipy.io import savemat
 
     (tmp_path / "a.m").write_text(CALIB_RESULTS)
@@ -153,9 +149,7 @@ def test_mat_file_says_the_same_as_the_m_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("text", "which"), [(KALIBR, "cam0"), (KALIBR, "cam1"), (ROS, "")])
-def test_cameras_of_kalibr_and_ros_project_as_opencv_does(
-    text: str, which: str, tmp_path: Path
-) -> None:
+def test_cameras_of_kalibr_and_ros_project_as_opencv_does(text, which, tmp_path):
     (tmp_path / "a.yaml").write_text(text)
     lens = import_camera(tmp_path / "a.yaml", **({"which": which} if which else {})).camera.lens
     assert lens.fisheye == (which == "cam1")
@@ -165,18 +159,18 @@ def test_cameras_of_kalibr_and_ros_project_as_opencv_does(
 
 
 LENSES = [
-    Lens(image_size=(640, 480), focal=(500.0, 502.0), centre=(321.0, 238.0),  # type: ignore[arg-type]
-         distortion=(-0.2, 0.05, 0.001, -0.002, 0.01)),  # type: ignore[arg-type]
-    Lens(image_size=(640, 480), focal=(500.0, 502.0), centre=(321.0, 238.0),  # type: ignore[arg-type]
-         distortion=(0.2, 0.05, 0.001, -0.002, 0.01, 0.3, 0.02, 0.01)),  # type: ignore[arg-type]
-    Lens(image_size=(640, 480), focal=(300.0, 301.0), centre=(321.0, 238.0), fisheye=True,  # type: ignore[arg-type]
-         distortion=(-0.02, 0.005, 0.001, -0.002)),  # type: ignore[arg-type]
+    Lens(image_size=(640, 480), focal=(500.0, 502.0), centre=(321.0, 238.0),
+         distortion=(-0.2, 0.05, 0.001, -0.002, 0.01)),
+    Lens(image_size=(640, 480), focal=(500.0, 502.0), centre=(321.0, 238.0),
+         distortion=(0.2, 0.05, 0.001, -0.002, 0.01, 0.3, 0.02, 0.01)),
+    Lens(image_size=(640, 480), focal=(300.0, 301.0), centre=(321.0, 238.0), fisheye=True,
+         distortion=(-0.02, 0.005, 0.001, -0.002)),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize("lens", LENSES)
 @pytest.mark.parametrize("name", ["a.yml", "a.xml", "a.json", "ros.yaml"])
-def test_exported_lenses_come_back(lens: Lens, name: str, tmp_path: Path) -> None:
+def test_exported_lenses_come_back(lens, name, tmp_path):
     path = tmp_path / name
     (save_ros if name == "ros.yaml" else save_opencv)(lens, path)
     assert import_camera(path).camera.lens == lens
@@ -187,24 +181,15 @@ def test_exported_lenses_come_back(lens: Lens, name: str, tmp_path: Path) -> Non
     shift=st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(0.1, 3)),
 )
 @settings(max_examples=20, deadline=None)
-def test_camera_files_read_back(
-    numbers: list[float],
-    shift: tuple[float, float, float],
-    tmp_path_factory: pytest.TempPathFactory,
-) -> None:
-    lens = Lens(image_size=(64, 48), focal=(50, 51), centre=(31, 22), distortion=numbers)  # type: ignore[arg-type]
+def test_camera_files_read_back(numbers, shift, tmp_path_factory):
+    lens = Lens(image_size=(64, 48), focal=(50, 51), centre=(31, 22), distortion=numbers)
     placed = Camera.looking_down(
         lens, shift[2], above=shift[:2], turned=shift[0], tilted=(0.1, 0.2)
     )
     measured = MeasuredCamera(
-        lens=lens,
-        camera=placed,
-        names=("fx", "k1", "tz"),
-        covariance=np.diag([1.0, 1e-4, 1e-8]),
-        noise=0.1,
-        seen=np.arange(8).reshape(2, 4),
-        source="a test",
-    )
+        lens=lens, camera=placed, names=("fx", "k1", "tz"), covariance=np.diag([1.0, 1e-4, 1e-8]),
+        noise=0.1, seen=np.arange(8).reshape(2, 4), source="a test",
+    )  # fmt: skip
     path = tmp_path_factory.mktemp("camera") / "camera.yaml"
     save_camera(measured, path)
     again = load_camera(path)
@@ -219,11 +204,8 @@ def test_camera_files_read_back(
     [
         ("a.m", CALIB_RESULTS.replace("nx = 1280;", ""), "nx"),
         ("a.m", CALIB_RESULTS.replace("fc = [ 944", "fc = [ -944"), "above 0"),
-        (
-            "a.m",
-            CALIB_RESULTS.replace("516.0", "0.5160").replace("100.0 ; 50.0", "0.1 ; 0.05"),
-            "unit",
-        ),
+        ("a.m", CALIB_RESULTS.replace("516.0", "0.5160").replace("100.0 ; 50.0", "0.1 ; 0.05"),
+         "unit"),
         ("a.m", CALIB_RESULTS.replace("nx = 1280", "nx = 320"), "another resolution"),
         ("a.m", "fc = inv(K);", "fc"),
         ("a.m", "\x00\xff", "fc"),
@@ -243,20 +225,15 @@ def test_camera_files_read_back(
         ("a.yaml", ROS.replace("640", "many"), "image_width"),
         ("a.yaml", "hello: world", "unknown format"),
         ("a.yml", "%YAML:1.0\n---\nK: !!opencv-matrix\n   rows: 3\n", "OpenCV"),
-        (
-            "a.xml",
-            '<?xml version="1.0"?>\n<opencv_storage><a>1</a></opencv_storage>',
-            "camera matrix",
-        ),
+        ("a.xml", '<?xml version="1.0"?>\n<opencv_storage><a>1</a></opencv_storage>',
+         "camera matrix"),
         ("a.json", json.dumps({"x": "opencv-matrix"}), "camera matrix"),
     ],
-)
-def test_what_cannot_be_read_is_refused(name: str, text: str, word: str, tmp_path: Path) -> None:
+)  # fmt: skip
+def test_what_cannot_be_read_is_refused(name, text, word, tmp_path):
     path = tmp_path / name
     path.write_bytes(text.encode("latin-1"))
-    with pytest.raises(InvalidInput) as refused:
-        import_camera(path)
-    assert word in str(refused.value)
+    assert word in str(refused(import_camera, path))
 
 
 NESTED = {
@@ -267,13 +244,13 @@ NESTED = {
 
 
 @pytest.mark.parametrize("name", NESTED)
-def test_nesting_of_which_the_parser_of_opencv_dies_is_refused(name: str, tmp_path: Path) -> None:
+def test_nesting_of_which_the_parser_of_opencv_dies_is_refused(name, tmp_path):
     (tmp_path / name).write_text(NESTED[name])
     with pytest.raises(InvalidInput, match="more than 10000 brackets"):
         import_camera(tmp_path / name)
 
 
-def test_a_mat_file_that_unpacks_to_much_is_refused(tmp_path: Path) -> None:
+def test_a_mat_file_that_unpacks_to_much_is_refused(tmp_path):
     """Gigabytes of zeros, and a cell array of a billion cells in its header alone."""
     from scipy.io import savemat
 
@@ -294,7 +271,7 @@ def test_a_mat_file_that_unpacks_to_much_is_refused(tmp_path: Path) -> None:
     assert peak < 50e6
 
 
-def test_sizes_are_checked(tmp_path: Path) -> None:
+def test_sizes_are_checked(tmp_path):
     path = tmp_path / "ost.yaml"
     path.write_text(ROS)
     with pytest.raises(InvalidInput, match="turned by 90"):
@@ -309,7 +286,7 @@ def test_sizes_are_checked(tmp_path: Path) -> None:
         lens.for_pictures_of((640, 360), rescale=True)
 
 
-def test_opencv_file_without_a_size_needs_one(tmp_path: Path) -> None:
+def test_opencv_file_without_a_size_needs_one(tmp_path):
     path = tmp_path / "a.yml"
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
     storage.write("K", np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]))
@@ -318,9 +295,3 @@ def test_opencv_file_without_a_size_needs_one(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="--size"):
         import_camera(path)
     assert import_camera(path, size=(640, 480)).camera.lens.image_size == (640, 480)
-
-
-def test_skew_is_not_lost_in_an_export(tmp_path: Path) -> None:
-    lens = Lens(image_size=(64, 48), focal=(50, 50), centre=(32, 24), skew=0.01)  # type: ignore[arg-type]
-    with pytest.raises(InvalidInput, match="skew"):
-        save_opencv(lens, tmp_path / "a.yml")

@@ -1,7 +1,6 @@
 """Goal files against the objects that they describe; errors name the key or the line."""
 
 import math
-from pathlib import Path
 
 import pytest
 
@@ -59,7 +58,7 @@ GOAL = goals.AllOf(
 )
 
 
-def test_a_goal_file_describes_goal_choice_and_belief(tmp_path: Path):
+def test_a_goal_file_describes_goal_choice_and_belief(tmp_path):
     (tmp_path / "goal.yaml").write_text(FULL)
     found = load_goal(tmp_path / "goal.yaml")
 
@@ -71,7 +70,6 @@ def test_a_goal_file_describes_goal_choice_and_belief(tmp_path: Path):
     assert dict(found.choose.fixels or {}) == {"fixel-1": ((-1e-3, 1e-3), (0.0, 2e-3))}
     assert found.belief.start == RPI_CAMERA
     assert found.views == {"camera": ASME, "lost_views": 0.1}
-    assert found.belief.rig is not None
     assert found.belief.rig.fixels == 5e-5
     assert found.belief.conditions == {"shape": "hex"}
     assert (found.calibration, found.run_to_run) == (7, False)
@@ -79,7 +77,7 @@ def test_a_goal_file_describes_goal_choice_and_belief(tmp_path: Path):
     assert found.scene == tmp_path / "scenes" / "rig.yaml"
 
 
-def seated(rest: str):
+def seated(rest):
     """A file with a goal and other entries."""
     text = f"{{fixel: 1, goal: {{seated: {{fixels: [a]}}}}, {rest}}}"
     return goal_file_from_dict(parse_yaml(text, "text"))
@@ -144,7 +142,7 @@ def test_free_pushes_and_intervals_of_parameters():
         ("{start: {preset: asme, kind: normal}}", "a preset and sizes"),
     ],
 )
-def test_units_and_kinds_are_named(belief: str, message: str):
+def test_units_and_kinds_are_named(belief, message):
     with pytest.raises(InvalidInput, match=message):
         seated(f"belief: {belief}")
 
@@ -156,11 +154,8 @@ def test_units_and_kinds_are_named(belief: str, message: str):
         ("position_mm", "positoin_mm", r"goal\.any\[0\]\.pose\.positoin_mm.*position_mm"),
         ("position_mm: 2", "position_mm: -2", r"goal\.any\[0\]\.pose\.position_mm.*greater than 0"),
         ("fixel: fixel-4", "fixels: fixel-4", r"goal\.never\[0\]\.contact"),
-        (
-            "[[8, 0], [8, -1]]",
-            "[[8, 0], [8, 0]]",
-            r"goal\.any\[2\]\.all\[1\]\.beyond\.line.*different",
-        ),
+        ("[[8, 0], [8, -1]]", "[[8, 0], [8, 0]]",
+         r"goal\.any\[2\]\.all\[1\]\.beyond\.line.*different"),
         ("[[0, 0], [10, 0], [10, 5]]", "[[0, 0], [10, 0], [20, 0]]", r"goal\.any\[2\].*no area"),
         ("force_above: 30", "forces_above: 30", "did you mean 'force_above'"),
         ("position_mm: 2, angle_deg: 2, ", "", r"goal\.any\[0\]\.pose.*found a pose without"),
@@ -175,8 +170,8 @@ def test_units_and_kinds_are_named(belief: str, message: str):
         ("goal:", "goals:", "^goal is missing: give a value"),
         ("  any:", "   any: {", "line"),
     ],
-)
-def test_errors_name_the_key_or_the_line(old: str, new: str, message: str, tmp_path: Path):
+)  # fmt: skip
+def test_errors_name_the_key_or_the_line(old, new, message, tmp_path):
     assert old in FULL
     (tmp_path / "goal.yaml").write_text(FULL.replace(old, new, 1))
     with pytest.raises(InvalidInput, match=message):

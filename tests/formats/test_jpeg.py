@@ -1,7 +1,5 @@
 """Decoding of JPEG pictures: the same pixels by OpenCV and Pillow, or a refusal."""
 
-from __future__ import annotations
-
 import io
 import sys
 from contextlib import suppress

@@ -5,7 +5,6 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
@@ -18,7 +17,7 @@ from fixel.sampling import Grid, Nominal, OffsetList, OffsetSample, thesis_plan
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "sampling.md"
 
 
-def content() -> dict[str, Any]:
+def content():
     return copy.deepcopy(yaml.safe_load(plan_text(thesis_plan())))
 
 

@@ -8,6 +8,7 @@ from tempfile import TemporaryDirectory
 from time import process_time
 
 import pytest
+from tests.fixtures import refused
 
 from fixel.errors import InvalidInput
 from fixel.formats import (
@@ -100,25 +101,16 @@ def everything():
     ]
     bodies = [
         Body(
-            name=name,
-            shape=square,
-            mass=0.1 + k / 7,
-            pose=(0.2 * k, 0, 0.01),
-            support=support,
+            name=name, shape=square, mass=0.1 + k / 7, pose=(0.2 * k, 0, 0.01), support=support,
             velocity=(0, 1 / 3, 0),
         )
         for k, (name, support) in enumerate(zip(NAMES, supports, strict=True))
-    ]
+    ]  # fmt: skip
     odd = Body(
-        name="odd",
-        shape=ell,
-        mass=1e-7,
-        pose=(0, 1, 0),
-        inertia=1 / 3,
-        centre_of_mass=(0.005, 0.005),
-        force=(0.1, 0, 0.2),
+        name="odd", shape=ell, mass=1e-7, pose=(0, 1, 0), inertia=1 / 3,
+        centre_of_mass=(0.005, 0.005), force=(0.1, 0, 0.2),
         spring=Spring(stiffness=5.0, anchor=(0, 1.1)),
-    )
+    )  # fmt: skip
     line = LineDrive(direction=(1, 2), speed=0.1)
     path = PathDrive(waypoints=[[0, 0, 2, 0], [1.5, 0.1, 2, 0.1]], force_limit=20)
     return SceneFile(
@@ -185,11 +177,6 @@ def test_a_scene_that_was_saved_is_read_back_equal(tmp_path, suffix):
     assert load_scene(str(path)) == everything()
 
 
-def test_the_content_is_plain_and_survives_json():
-    content = scene_dict(everything())
-    assert scene_file_from_dict(json.loads(json.dumps(content))) == everything()
-
-
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_the_examples_are_scenes(path, tmp_path):
     made = load_scene(path)
@@ -224,84 +211,44 @@ def test_numbers_and_text_are_those_of_yaml_1_2():
         ({"bodies.0.name": 3}, "bodies[0].name", "must be text"),
         ({"bodies.0.shape": "square"}, "bodies[0].shape", "the keys polygon, disk"),
         ({"bodies.0.shape": {}}, "bodies[0].shape", "is missing: give exactly one of polygon"),
-        (
-            {"bodies.0.shape": {"polygon": SQUARE, "disk": 1.0}},
-            "bodies[0].shape",
-            "found polygon and disk, but fixel needs exactly one",
-        ),
-        (
-            {"bodies.0.shape": {"polygon": [[0, 0], [1, 1], [1, 0], [0, 1]]}},
-            "bodies[0].shape.polygon",
-            "crosses or touches itself",
-        ),
-        (
-            {"bodies.0.shape": {"polygon": [[0, 0], [1, 0], [inf, 1]]}},
-            "bodies[0].shape.polygon[2][0]",
-            "finite",
-        ),
-        (
-            {"bodies.0.shape": {"disk": 0}},
-            "bodies[0].shape.disk",
-            "greater than 0 (radius of the disk [m])",
-        ),
-        (
-            {"bodies.0.support": {"points": {"at": [[1, 0], [2, 0], [1, 1]], "friction": 0.1}}},
-            "bodies[0].support.points.at",
-            "outside the support triangle",
-        ),
-        (
-            {"bodies.0.support": {"points": {"at": SQUARE, "friction": "rough"}}},
-            "bodies[0].support.points.friction",
-            "must be a number",
-        ),
-        (
-            {"bodies.0.support": {"tripod": {"radius": 1, "friction": 0}, "none": {}}},
-            "bodies[0].support",
-            "found tripod and none",
-        ),
+        ({"bodies.0.shape": {"polygon": SQUARE, "disk": 1.0}}, "bodies[0].shape",
+         "found polygon and disk, but fixel needs exactly one"),
+        ({"bodies.0.shape": {"polygon": [[0, 0], [1, 1], [1, 0], [0, 1]]}},
+         "bodies[0].shape.polygon", "crosses or touches itself"),
+        ({"bodies.0.shape": {"polygon": [[0, 0], [1, 0], [inf, 1]]}},
+         "bodies[0].shape.polygon[2][0]", "finite"),
+        ({"bodies.0.shape": {"disk": 0}}, "bodies[0].shape.disk",
+         "greater than 0 (radius of the disk [m])"),
+        ({"bodies.0.support": {"points": {"at": [[1, 0], [2, 0], [1, 1]], "friction": 0.1}}},
+         "bodies[0].support.points.at", "outside the support triangle"),
+        ({"bodies.0.support": {"points": {"at": SQUARE, "friction": "rough"}}},
+         "bodies[0].support.points.friction", "must be a number"),
+        ({"bodies.0.support": {"tripod": {"radius": 1, "friction": 0}, "none": {}}},
+         "bodies[0].support", "found tripod and none"),
         ({"bodies": []}, "bodies", "no free body"),
         ({"bodies": {"name": "a"}}, "bodies", "a list"),
         ({"fixel": 2}, "fixel", "must be 1"),
         ({"motion": "static"}, "motion", "'dynamic', 'quasistatic' or 'first-order'"),
         ({"support_directions": 3}, "support_directions", "at least 4"),
-        (
-            {"pushers.0.drive": {"speed": 1}},
-            "pushers[0].drive",
-            "exactly one of direction, waypoints",
-        ),
+        ({"pushers.0.drive": {"speed": 1}}, "pushers[0].drive",
+         "exactly one of direction, waypoints"),
         ({"pushers.0.drive": {"direction": [1, 0]}}, "pushers[0].drive.speed", "a speed"),
         ({"pushers.0.drive.direction": [0, 0]}, "pushers[0].drive.direction", "a direction"),
         ({"pushers.0.pose": None}, "pushers[0].pose", "is missing"),
-        (
-            {"pushers.0.drive": {"waypoints": [[0, 0, 0, 0]], "speed": 1}},
-            "pushers[0].drive.speed",
-            "in addition to waypoints",
-        ),
-        (
-            {"pushers.0.drive": {"waypoints": [[0, 0, 0, 0], [2, 0, 0, 0], [1, 0, 0, 0]]}},
-            "pushers[0].drive.waypoints[2]",
-            "has decreasing times",
-        ),
+        ({"pushers.0.drive": {"waypoints": [[0, 0, 0, 0]], "speed": 1}}, "pushers[0].drive.speed",
+         "in addition to waypoints"),
+        ({"pushers.0.drive": {"waypoints": [[0, 0, 0, 0], [2, 0, 0, 0], [1, 0, 0, 0]]}},
+         "pushers[0].drive.waypoints[2]", "has decreasing times"),
         ({"fixels.0.pose": [0.09, 0.0, 0]}, "'object' and 'fixel-1'", "mm at the start"),
         ({"fixels.0.name": "object"}, "scene", "the name 'object' twice"),
         ({"contact_friction.0.pair": ["object"]}, "contact_friction[0].pair", "at least 2 entries"),
-        (
-            {"contact_friction.0.pair": ["object", "fixel"]},
-            "contact_friction[0].pair",
-            "did you mean",
-        ),
+        ({"contact_friction.0.pair": ["object", "fixel"]}, "contact_friction[0].pair",
+         "did you mean"),
         ({"plane": {"anisotropy": [1, 0]}}, "plane.anisotropy[1]", "greater than 0"),
-        (
-            {
-                "plane": {
-                    "friction_map": {"origin": [0, 0], "cell": [1, 1], "factor": [[1, 2], [1]]}
-                }
-            },
-            "plane.friction_map.factor",
-            "2 numbers",
-        ),
+        ({"plane": {"friction_map": {"origin": [0, 0], "cell": [1, 1], "factor": [[1, 2], [1]]}}},
+         "plane.friction_map.factor", "2 numbers"),
     ],
-)
+)  # fmt: skip
 def test_a_wrong_value_is_refused_with_the_path_of_its_key(change, where, words):
     raw = contract()
     for path, value in change.items():
@@ -310,10 +257,9 @@ def test_a_wrong_value_is_refused_with_the_path_of_its_key(change, where, words)
         for key in parents:
             container = container[key]
         container[last] = value
-    with pytest.raises(InvalidInput) as refusal:
-        scene_file_from_dict(raw)
-    assert refusal.value.where == where
-    assert words in str(refusal.value)
+    refusal = refused(scene_file_from_dict, raw)
+    assert refusal.where == where
+    assert words in str(refusal)
 
 
 @pytest.mark.parametrize(
@@ -327,10 +273,9 @@ def test_a_wrong_value_is_refused_with_the_path_of_its_key(change, where, words)
     ],
 )
 def test_unknown_and_missing_keys_are_refused(old, new, where, words):
-    with pytest.raises(InvalidInput) as refusal:
-        loaded(CONTRACT.replace(old, new, 1))
-    assert refusal.value.where == where
-    assert words in str(refusal.value)
+    refusal = refused(loaded, CONTRACT.replace(old, new, 1))
+    assert refusal.where == where
+    assert words in str(refusal)
 
 
 @pytest.mark.parametrize("raw", [None, [], "scene", 3, [{}], {}])
@@ -344,10 +289,9 @@ def test_something_else_than_a_scene_is_refused(raw):
 
 def refusal_of(text, suffix=".yaml"):
     start = process_time()
-    with pytest.raises(InvalidInput) as refusal:
-        loaded(text, suffix)
+    refusal = refused(loaded, text, suffix)
     assert process_time() - start < 5.0
-    return str(refusal.value)
+    return str(refusal)
 
 
 def test_a_file_of_a_hundred_megabytes_is_refused_unread(tmp_path):
@@ -412,12 +356,9 @@ def test_a_file_that_is_no_text_is_refused(tmp_path):
 
 
 def test_a_missing_file_and_a_folder_are_refused(tmp_path):
-    with pytest.raises(InvalidInput, match="no such file"):
-        load_scene(tmp_path / "nothing.yaml")
-    with pytest.raises(InvalidInput, match="a folder"):
-        load_scene(tmp_path)
-    with pytest.raises(InvalidInput):
-        load_scene("\0")
+    refused(load_scene, tmp_path / "nothing.yaml", match="no such file")
+    refused(load_scene, tmp_path, match="a folder")
+    refused(load_scene, "\0")
 
 
 def test_a_byte_order_mark_is_fine():
@@ -431,14 +372,10 @@ def test_overrides_change_values_by_number_and_by_name():
     made = loaded(
         CONTRACT,
         overrides=[
-            "duration=5",
-            "bodies.0.mass=2e-1",
-            "bodies.object.support.tripod.friction=0.3",
-            "bodies[0].pose.2=0.1",
-            "fixels.fixel-1.pose=[0.25, 0.01, 0]",
-            "motion=quasistatic",
+            "duration=5", "bodies.0.mass=2e-1", "bodies.object.support.tripod.friction=0.3",
+            "bodies[0].pose.2=0.1", "fixels.fixel-1.pose=[0.25, 0.01, 0]", "motion=quasistatic",
         ],
-    )
+    )  # fmt: skip
     assert made.scene.duration == 5
     assert made.motion == "quasistatic"
     assert made.scene.bodies[0].mass == 0.2
@@ -463,10 +400,8 @@ def test_an_override_leaves_the_dict_it_was_given_alone():
 @pytest.mark.parametrize(
     ("override", "words"),
     [
-        (
-            "bodies.1.mass=1",
-            "bodies.1: found no such index, but fixel needs a number below 1, or one of object",
-        ),
+        ("bodies.1.mass=1",
+         "bodies.1: found no such index, but fixel needs a number below 1, or one of object"),
         ("bodies.objekt.mass=1", "one of object"),
         ("bodies.0.mas=1", "bodies[0].mas: found an unknown key"),
         ("bodies.0.mass.kg=1", "fixel needs a list or a mapping"),
@@ -481,11 +416,9 @@ def test_an_override_leaves_the_dict_it_was_given_alone():
         ("bodies.0.support.uniform.friction=0.1", "found tripod and uniform"),
         ("bodies.0.spring.stiffness=1", "bodies[0].spring.anchor is missing"),
     ],
-)
+)  # fmt: skip
 def test_an_override_that_leads_nowhere_is_refused(override, words):
-    with pytest.raises(InvalidInput) as refusal:
-        loaded(CONTRACT, overrides=[override])
-    assert words in str(refusal.value)
+    assert words in str(refused(loaded, CONTRACT, overrides=[override]))
 
 
 def test_an_override_cannot_add_to_a_list_the_file_left_out():

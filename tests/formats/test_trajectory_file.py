@@ -53,14 +53,9 @@ def test_columns_are_those_of_the_contract(run):
     columns = trajectory_columns(run)
 
     assert list(columns)[:7] == [
-        "time_s",
-        "object.x_m",
-        "object.y_m",
-        "object.theta_rad",
-        "object.vx_m_per_s",
-        "object.vy_m_per_s",
-        "object.omega_rad_per_s",
-    ]
+        "time_s", "object.x_m", "object.y_m", "object.theta_rad", "object.vx_m_per_s",
+        "object.vy_m_per_s", "object.omega_rad_per_s",
+    ]  # fmt: skip
     touched = {name.split(".")[0] for name in columns if name.endswith(".touching")}
     assert {f"{a}|{b}" for a, b in run.touching} <= touched
     for pair in touched:

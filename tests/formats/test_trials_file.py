@@ -1,6 +1,7 @@
 """Files of trials: round trip, damage, crashes, and files of something else."""
 
 import pytest
+from tests.fixtures import refused
 
 from fixel.errors import InvalidInput
 from fixel.formats.trials_file import append_trials, read_trials, write_trials
@@ -59,10 +60,8 @@ def test_any_cut_loses_at_most_the_row_that_was_being_written(path):
 def test_damaged_and_foreign_files_are_rejected_by_line(path, old, new, where):
     path.write_text(path.read_text().replace(old, new, 1))
     before = path.read_bytes()
-    with pytest.raises(InvalidInput, match=where):
-        read_trials(path, plan="a1")
-    with pytest.raises(InvalidInput, match=where):
-        append_trials(path, TRIALS[0], plan="a1")
+    refused(read_trials, path, plan="a1", match=where)
+    refused(append_trials, path, TRIALS[0], plan="a1", match=where)
     assert path.read_bytes() == before
 
 
@@ -77,7 +76,5 @@ def test_other_files_are_rejected(tmp_path, content):
 
 
 def test_missing_files_and_stated_probabilities_are_not_replaced(path, tmp_path):
-    with pytest.raises(InvalidInput, match="no such file"):
-        read_trials(tmp_path / "none.csv")
-    with pytest.raises(InvalidInput, match="existing file"):
-        write_trials(path, NONE)
+    refused(read_trials, tmp_path / "none.csv", match="no such file")
+    refused(write_trials, path, NONE, match="existing file")

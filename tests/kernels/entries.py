@@ -4,19 +4,16 @@ import math
 
 import numpy as np
 
-from fixel.kernels.arrays import N_PLACE, Problem, Workspace
+from fixel.kernels.arrays import N_PLACE
 from fixel.kernels.gap import contact_pair
 from fixel.kernels.jit import entry
 from fixel.kernels.lemke import allocate_tableau, lemke
 from fixel.kernels.linear_form import NOT_LINEAR, solve_linear_form, tableau_size
 from fixel.kernels.residual import residual
-from fixel.typing import FloatArray, IntArray
 
 
 @entry
-def measure_contacts(
-    world: FloatArray, real: IntArray, start: IntArray, radius: FloatArray, margin: float
-) -> tuple[IntArray, FloatArray, IntArray]:
+def measure_contacts(world, real, start, radius, margin):
     """Compute contacts of many pairs of convex pieces in world coordinates.
 
     Parameters
@@ -52,7 +49,7 @@ def measure_contacts(
 
 
 @entry
-def solve_lcp(matrix: FloatArray, vector: FloatArray, max_pivots: int) -> tuple[FloatArray, int]:
+def solve_lcp(matrix, vector, max_pivots):
     """Solve 0 <= z _|_ M z + q >= 0.
 
     Parameters
@@ -76,18 +73,14 @@ def solve_lcp(matrix: FloatArray, vector: FloatArray, max_pivots: int) -> tuple[
     return tableau.answer, code
 
 
-def solve_problem(
-    problem: Problem, work: Workspace, sides_for_discs: int, max_pivots: int, rows: int = 0
-) -> tuple[float, int, int]:
+def solve_problem(problem, work, sides_for_discs, max_pivots, rows=0):
     """Call `solve_linear_form` with a new tableau, of this many rows if they are stated; returns
     the natural-map residual, the code and the number of pivots."""
     return _solve_problem(problem, work, sides_for_discs, max_pivots, rows)
 
 
 @entry
-def _solve_problem(
-    problem: Problem, work: Workspace, sides_for_discs: int, max_pivots: int, rows: int
-) -> tuple[float, int, int]:
+def _solve_problem(problem, work, sides_for_discs, max_pivots, rows):
     n = tableau_size(problem, sides_for_discs)
     if n < 0:
         return residual(problem, work.right), NOT_LINEAR, 0

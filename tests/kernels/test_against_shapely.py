@@ -122,16 +122,12 @@ def make_fuzz(seed):
     second_pose = random_poses(random, share * radius[second])
     convex = np.array([shape.is_convex for shape in shapes])
     return Fuzz(
-        packed=packed,
-        first=first,
-        second=second,
-        first_pose=first_pose,
-        second_pose=second_pose,
+        packed=packed, first=first, second=second, first_pose=first_pose, second_pose=second_pose,
         found=measure_gaps(*packed, first, second, first_pose, second_pose),
         first_geometry=placed_geometries(shapes, first, first_pose),
         second_geometry=placed_geometries(shapes, second, second_pose),
         convex=convex[first] & convex[second],
-    )
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")

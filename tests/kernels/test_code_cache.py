@@ -19,28 +19,28 @@ pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is com
 PACKAGE = Path(fixel.__file__).parent
 
 
-def doubled(x: float) -> float:
+def doubled(x):
     return x + x
 
 
-def squared(x: float) -> float:
+def squared(x):
     return x * x
 
 
 @pytest.fixture
-def cache(tmp_path, monkeypatch) -> Path:
+def cache(tmp_path, monkeypatch):
     monkeypatch.setenv("FIXEL_CACHE_DIR", str(tmp_path / "cache"))
     return tmp_path / "cache"
 
 
-def is_loaded(function=doubled) -> bool:
+def is_loaded(function=doubled):
     """Use the function as a new process would, and return whether its code came from the disk."""
     compiled = entry(function)
     assert compiled(1.25) == function(1.25)
     return not compiled.stats.cache_misses
 
 
-def stored(cache: Path, name: str = "doubled") -> Path:
+def stored(cache, name="doubled"):
     (file,) = cache.rglob(f"*.{name}-*")
     return file
 
@@ -48,26 +48,26 @@ def stored(cache: Path, name: str = "doubled") -> Path:
 class Program:
     """Pickle that writes a file when it is loaded."""
 
-    def __init__(self, file: Path) -> None:
+    def __init__(self, file):
         self.file = file
 
     def __reduce__(self):
         return (self.file.write_text, ("run",))
 
 
-def replaced(file: Path) -> None:
+def replaced(file):
     """Replace a file by the sound one of another entry."""
     entry(squared)(1.25)
     shutil.copy(stored(file.parents[1], "squared"), file)
 
 
-def flipped(file: Path, place: int) -> None:
+def flipped(file, place):
     content = bytearray(file.read_bytes())
     content[place] ^= 1
     file.write_bytes(content)
 
 
-def instead(file: Path, make) -> None:
+def instead(file, make):
     file.unlink()
     make(file)
 
@@ -128,18 +128,15 @@ def run():
 """
 
 
-def process(tmp_path: Path, script: str, cache: Path) -> subprocess.Popen:
+def process(tmp_path, script, cache):
     # Code belongs to a file, so the same file with all scripts.
     file = tmp_path / "script.py"
     file.write_text(SCRIPT + "exec(sys.argv[1])", encoding="utf-8")
     command = [sys.executable, str(file), script]
     return subprocess.Popen(
-        command,
-        env=os.environ | {"FIXEL_CACHE_DIR": str(cache)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+        command, env=os.environ | {"FIXEL_CACHE_DIR": str(cache)}, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
 
 
 @pytest.mark.system

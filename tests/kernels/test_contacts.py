@@ -59,26 +59,17 @@ def model_of(pieces):
     ]
     fields = dict.fromkeys(Model._fields, empty)
     fields.update(
-        wrench=np.zeros((0, 3)),
-        spring=np.zeros((0, 3)),
-        drag=np.zeros((0, 3, 3)),
+        wrench=np.zeros((0, 3)), spring=np.zeros((0, 3)), drag=np.zeros((0, 3, 3)),
         piece_body=np.array([body for body, _, _ in pieces], np.int64),
-        piece_start=np.cumsum([0, *sizes]).astype(np.int64),
-        piece_bound=np.array(bound, float),
+        piece_start=np.cumsum([0, *sizes]).astype(np.int64), piece_bound=np.array(bound, float),
         piece_radius=np.array([r for *_, r in pieces], float),
         vertex=np.concatenate([v for _, v, _ in pieces]).astype(float),
-        edge_real=np.ones(sum(sizes), np.int64),
-        friction=np.zeros((0, 0)),
-        restitution=np.zeros((0, 0)),
-        element_body=np.zeros(0, np.int64),
-        element_kind=np.zeros(0, np.int64),
-        element_point=np.zeros((0, 2)),
-        path_start=np.zeros(1, np.int64),
-        path=np.zeros((0, 4)),
-        drive_dof=np.zeros(0, np.int64),
-        map_factor=np.zeros((0, 0)),
-        sides=0,
-    )
+        edge_real=np.ones(sum(sizes), np.int64), friction=np.zeros((0, 0)),
+        restitution=np.zeros((0, 0)), element_body=np.zeros(0, np.int64),
+        element_kind=np.zeros(0, np.int64), element_point=np.zeros((0, 2)),
+        path_start=np.zeros(1, np.int64), path=np.zeros((0, 4)), drive_dof=np.zeros(0, np.int64),
+        map_factor=np.zeros((0, 0)), sides=0,
+    )  # fmt: skip
     return Model(**fields)
 
 

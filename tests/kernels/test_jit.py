@@ -17,17 +17,17 @@ compiled = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compi
 
 
 @kernel
-def twice(x: float) -> float:
+def twice(x):
     return x + x
 
 
 @entry
-def four_times(x: float) -> float:
+def four_times(x):
     return twice(twice(x))
 
 
 @numba.njit(pipeline_class=EntryCompiler)
-def kernel_sum(x: float, y: float) -> float:
+def kernel_sum(x, y):
     return x + y
 
 
@@ -77,11 +77,11 @@ def test_flags_are_compared_as_numba_compares_them():
 
 
 @kernel
-def squared(x: float) -> float:
+def squared(x):
     return x * x
 
 
-def fourth_power(x: float) -> float:
+def fourth_power(x):
     return squared(squared(x))
 
 

@@ -8,18 +8,17 @@ import pytest
 from tests.kernels.entries import solve_lcp
 
 from fixel.kernels.lemke import INACCURATE, MAX_PIVOTS, RAY, SOLVED
-from fixel.typing import FloatArray
 
 LCP_TOLERANCE = 1e-10  # natural map of every answer called solved, n <= 60
 PIVOTS = 5000
 
 
-def natural_map(matrix: FloatArray, vector: FloatArray, z: FloatArray) -> float:
+def natural_map(matrix, vector, z):
     """Largest entry of min(z, M z + q), computed apart from the kernels."""
     return float(np.abs(np.minimum(z, matrix @ z + vector)).max(initial=0.0))
 
 
-def solutions(matrix: FloatArray, vector: FloatArray) -> list[FloatArray]:
+def solutions(matrix, vector):
     """Every solution with a regular complementary basis."""
     n = vector.size
     found = []
@@ -48,9 +47,7 @@ def solutions(matrix: FloatArray, vector: FloatArray) -> list[FloatArray]:
         (np.eye(2), np.array([math.nan, 1.0]), 10, INACCURATE),
     ],
 )
-def test_problems_that_need_no_method(
-    matrix: FloatArray, vector: FloatArray, pivots: int, expected: int
-) -> None:
+def test_problems_that_need_no_method(matrix, vector, pivots, expected):
     z, code = solve_lcp(matrix, vector, pivots)
     assert code == expected
     assert z.size == vector.size
@@ -58,7 +55,7 @@ def test_problems_that_need_no_method(
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, 10, 30, 60])
-def test_positive_definite(n: int) -> None:
+def test_positive_definite(n):
     """Symmetric or not, a positive definite matrix has exactly one solution."""
     random = np.random.default_rng(n)
     for _ in range(20 if n <= 10 else 5):
@@ -74,7 +71,7 @@ def test_positive_definite(n: int) -> None:
 
 
 @pytest.mark.parametrize("n", [4, 6, 8, 10])
-def test_degenerate_integers_against_enumeration(n: int) -> None:
+def test_degenerate_integers_against_enumeration(n):
     """Positive semidefinite with ties everywhere: solved wherever enumeration finds a solution.
 
     For such matrices a ray proves that there is none; small integers make nearly every pivot a tie.
@@ -94,7 +91,7 @@ def test_degenerate_integers_against_enumeration(n: int) -> None:
     assert n > 6 or seen == {SOLVED, RAY}
 
 
-def friction_lcp(random: np.random.Generator, n_contact: int) -> tuple[FloatArray, FloatArray]:
+def friction_lcp(random, n_contact):
     """Linear form of one to four free bodies of unit inertia in frictional contact, by NumPy."""
     n_body = int(random.integers(1, 5))
     levers = np.zeros((3 * n_contact, 3 * n_body))
@@ -124,7 +121,7 @@ def friction_lcp(random: np.random.Generator, n_contact: int) -> tuple[FloatArra
 
 
 @pytest.mark.parametrize("n_contact", [1, 2, 5, 10, 15])
-def test_frictional_contact_always_has_a_solution(n_contact: int) -> None:
+def test_frictional_contact_always_has_a_solution(n_contact):
     """Anitescu & Potra (1997), theorem 3.1: no ray where nothing is prescribed. n = 4 n_contact."""
     random = np.random.default_rng(n_contact)
     for _ in range(40 if n_contact < 10 else 10):

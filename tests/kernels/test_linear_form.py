@@ -7,22 +7,20 @@ import pytest
 from tests.kernels.entries import solve_problem
 
 from fixel.kernels import entries
-from fixel.kernels.arrays import Problem, Workspace
 from fixel.kernels.lemke import RAY, SOLVED
 from fixel.kernels.linear_form import NO_ROOM, NOT_LINEAR
 from fixel.model import Body, Polygon, Scene, UniformPressure
-from fixel.simulation.motion import AbstractMotionModel, Dynamic, QuasiStatic
+from fixel.simulation.motion import Dynamic, QuasiStatic
 from fixel.simulation.simulate import simulate
 from fixel.simulation.solver import Lemke
 from fixel.simulation.stepper import Midpoint, StewartTrinkle
 from fixel.testing.scenes import grasp
-from fixel.typing import FloatArray
 
 STEP_TOLERANCE = 1e-9  # the judge's, as in kernels/solve.py
 PIVOTS = 5000
 
 
-def empty(n_free: int, n_drive: int, n_contact: int, n_element: int) -> tuple[Problem, Workspace]:
+def empty(n_free, n_drive, n_contact, n_element):
     """Problem and workspace without rows yet."""
     n_dof = 3 * n_free + n_drive
     problem, work = entries.empty(n_dof, n_contact, n_element, 0, 0, 0, 0)
@@ -30,7 +28,7 @@ def empty(n_free: int, n_drive: int, n_contact: int, n_element: int) -> tuple[Pr
     return problem, work
 
 
-def set_foot(problem: Problem, e: int, dof: int, r: FloatArray, limit: float, sides: int) -> None:
+def set_foot(problem, e, dof, r, limit, sides):
     """A support point at r from the centre of mass."""
     problem.element_dof[e] = dof
     problem.element_sides[e] = sides
@@ -40,7 +38,7 @@ def set_foot(problem: Problem, e: int, dof: int, r: FloatArray, limit: float, si
     problem.stiffness[dof : dof + 3] += limit
 
 
-def set_drive(problem: Problem, e: int, dof: int, speed: float, limit: float) -> None:
+def set_drive(problem, e, dof, speed, limit):
     """A drive that wants `speed` and gives up at the impulse `limit`."""
     problem.element_dof[e] = dof
     problem.element_row[e, 0, 0] = 1.0
@@ -50,7 +48,7 @@ def set_drive(problem: Problem, e: int, dof: int, speed: float, limit: float) ->
     problem.velocity[dof] = speed
 
 
-def set_side(problem: Problem, i: int, side: int, dof: int, n: FloatArray, r: FloatArray) -> None:
+def set_side(problem, i, side, dof, n, r):
     """One of the two bodies of contact i, touched at r; the normal points into the first."""
     sign = 1.0 - 2.0 * side
     columns = slice(3 * side, 3 * side + 3)
@@ -59,9 +57,7 @@ def set_side(problem: Problem, i: int, side: int, dof: int, n: FloatArray, r: Fl
     problem.tangent[i, columns] = sign * np.array([-n[1], n[0], r @ n])
 
 
-def pushed_block(
-    sides: int, quasi_static: bool, slide: float, drive_limit: float | None
-) -> tuple[Problem, Workspace]:
+def pushed_block(sides, quasi_static, slide, drive_limit):
     """A block on a tripod, pushed off its centre at unit speed along +x; `slide`: also along +y."""
     driven = drive_limit is not None
     problem, work = empty(1, int(driven), 1, 3 + int(driven))
@@ -91,9 +87,7 @@ def pushed_block(
 @pytest.mark.parametrize("quasi_static", [False, True])
 @pytest.mark.parametrize("slide", [0.0, 0.1, 3.0])
 @pytest.mark.parametrize("drive_limit", [None, 0.05, 1000.0])
-def test_pushed_block(
-    sides: int, quasi_static: bool, slide: float, drive_limit: float | None
-) -> None:
+def test_pushed_block(sides, quasi_static, slide, drive_limit):
     problem, work = pushed_block(sides, quasi_static, slide, drive_limit)
     off, code, _ = solve_problem(problem, work, 0, PIVOTS)
     assert code == SOLVED
@@ -110,7 +104,7 @@ def test_pushed_block(
         assert abs(p_t) < 0.4 * p_n
 
 
-def test_block_slides_to_rest_in_the_closed_form() -> None:
+def test_block_slides_to_rest_in_the_closed_form():
     """All feet alike and no turning: the impulse is the limit, or what stops the block."""
     for speed, left in ((1.0, 0.7), (0.2, 0.0)):
         problem, work = pushed_block(16, False, 0.0, None)
@@ -122,9 +116,7 @@ def test_block_slides_to_rest_in_the_closed_form() -> None:
         assert problem.velocity[:3] == pytest.approx([left, 0.0, 0.0], abs=1e-12)
 
 
-def random_problem(
-    random: np.random.Generator, sides: int, quasi_static: bool, driven: bool
-) -> tuple[Problem, Workspace]:
+def random_problem(random, sides, quasi_static, driven):
     """One to four bodies on tripods; at most one contact pushes, so that nothing can jam."""
     n_free = int(random.integers(1, 5))
     n_contact = int(random.integers(0, 9))
@@ -177,7 +169,7 @@ def random_problem(
 @pytest.mark.parametrize("sides", [4, 16])
 @pytest.mark.parametrize("quasi_static", [False, True])
 @pytest.mark.parametrize("driven", [False, True])
-def test_random_steps(sides: int, quasi_static: bool, driven: bool) -> None:
+def test_random_steps(sides, quasi_static, driven):
     random = np.random.default_rng(sides)
     for _ in range(50):
         problem, work = random_problem(random, sides, quasi_static, driven)
@@ -188,7 +180,7 @@ def test_random_steps(sides: int, quasi_static: bool, driven: bool) -> None:
 
 @pytest.mark.parametrize("sides", [4, 16])
 @pytest.mark.parametrize("quasi_static", [False, True])
-def test_pivots_of_a_step_are_bounded(sides: int, quasi_static: bool) -> None:
+def test_pivots_of_a_step_are_bounded(sides, quasi_static):
     """In all, not for each call; ten a row are enough for all but one step in a hundred."""
     random = np.random.default_rng(40 + sides)
     n_failed = 0
@@ -202,16 +194,13 @@ def test_pivots_of_a_step_are_bounded(sides: int, quasi_static: bool) -> None:
     assert n_failed <= 2
 
 
-def test_too_many_rows_are_left_to_newton() -> None:
+def test_too_many_rows_are_left_to_newton():
     """64 points of support with 16 directions each are 1,088 rows: a second of pivots a step."""
     block = Body(
-        name="block",
-        shape=Polygon([[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]]),
-        mass=1.0,
-        pose=(0.0, 0.0, 0.0),
-        velocity=(0.3, 0.0, 1.0),
+        name="block", shape=Polygon([[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]]),
+        mass=1.0, pose=(0.0, 0.0, 0.0), velocity=(0.3, 0.0, 1.0),
         support=UniformPressure(friction=0.3, n_points=64),
-    )
+    )  # fmt: skip
     scene = Scene(bodies=(block,), duration=0.02, support_directions=16)
     run = simulate(scene, stepper=StewartTrinkle(step=0.01), solver=Lemke())
     assert run.status == "converged"
@@ -223,7 +212,7 @@ def test_too_many_rows_are_left_to_newton() -> None:
 @pytest.mark.parametrize("sides", [4, 8, 16])
 @pytest.mark.parametrize("quasi_static", [False, True])
 @pytest.mark.parametrize("driven", [False, True])
-def test_many_random_steps(sides: int, quasi_static: bool, driven: bool) -> None:
+def test_many_random_steps(sides, quasi_static, driven):
     """Never solved and wrong; unsolved in fewer than one in a thousand (mass ratio 1e6)."""
     random = np.random.default_rng(1000 + sides)
     n_failed = 0
@@ -238,9 +227,7 @@ def test_many_random_steps(sides: int, quasi_static: bool, driven: bool) -> None
 @pytest.mark.parametrize("motion", [Dynamic(), QuasiStatic()])
 @pytest.mark.parametrize("force_limit", [None, 34.3])
 @pytest.mark.parametrize("sides", [4, 16])
-def test_grasp_step_by_step(
-    motion: AbstractMotionModel, force_limit: float | None, sides: int
-) -> None:
+def test_grasp_step_by_step(motion, force_limit, sides):
     """Every step of a whole grasp by pivoting alone; the seated one ends with the drive stalled."""
     scene = grasp("slip" if force_limit is None else "seated", force_limit, sides)
     result = simulate(scene, motion=motion, stepper=Midpoint(step=0.1), solver=Lemke())
@@ -249,7 +236,7 @@ def test_grasp_step_by_step(
     assert result.fallbacks == 0
 
 
-def test_squeezed_block_ends_on_a_ray() -> None:
+def test_squeezed_block_ends_on_a_ray():
     """Two rigid pushers from two sides: no solution, and said so, for any motion."""
     for quasi_static in (False, True):
         problem, work = empty(1, 0, 2, 3)
@@ -267,7 +254,7 @@ def test_squeezed_block_ends_on_a_ray() -> None:
         assert solve_problem(problem, work, 0, PIVOTS)[1] == RAY
 
 
-def test_discs_are_refused_or_approximated() -> None:
+def test_discs_are_refused_or_approximated():
     problem, work = pushed_block(0, False, 0.1, None)
     assert solve_problem(problem, work, 0, PIVOTS)[1] == NOT_LINEAR
     off, code, _ = solve_problem(problem, work, 16, PIVOTS)
@@ -277,19 +264,19 @@ def test_discs_are_refused_or_approximated() -> None:
     assert 0.0 < off < 0.2 * 0.1
 
 
-def test_ellipsoids_are_not_linear() -> None:
+def test_ellipsoids_are_not_linear():
     problem, work = pushed_block(16, False, 0.1, None)
     problem.element_row[0, 2, 2] = 0.5
     assert solve_problem(problem, work, 16, PIVOTS)[1] == NOT_LINEAR
 
 
-def test_small_tableau_is_told() -> None:
+def test_small_tableau_is_told():
     problem, work = pushed_block(16, False, 0.1, None)
     assert solve_problem(problem, work, 0, PIVOTS, 4 + 3 * 17 - 1)[1] == NO_ROOM
     assert solve_problem(problem, work, 0, PIVOTS, 4 + 3 * 17)[1] == SOLVED
 
 
-def test_a_free_body_has_no_rows() -> None:
+def test_a_free_body_has_no_rows():
     problem, work = empty(1, 0, 0, 0)
     problem.inertia[range(3), range(3)] = 2.0
     problem.stiffness[:3] = 2.0

@@ -146,7 +146,7 @@ def test_friction_holds_a_wedge_that_would_slip_out_without():
         assert entries.may_jam(problem, work, False) is held
 
 
-def many_bodies(n: int, coupled: bool):
+def many_bodies(n, coupled):
     """A row of bodies that fall on a floor; neighbours push each other sideways where coupled."""
     n_contact = n + (n - 1 if coupled else 0)
     problem, work = entries.empty(3 * n, n_contact, 0, 0, 0, 0, 0)

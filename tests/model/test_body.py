@@ -5,8 +5,8 @@ from math import inf, pi
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 
-from fixel.errors import InvalidInput
 from fixel.model import (
     Body,
     Disk,
@@ -80,9 +80,7 @@ NO_WEIGHT = SupportPoints(points=[[0, 0], [1, 0], [0, 0.5]], friction=0.1)
     ],
 )  # fmt: skip
 def test_what_cannot_be_is_refused(build, where):
-    with pytest.raises(InvalidInput) as refusal:
-        build()
-    assert refusal.value.where == where
+    assert refused(build).where == where
 
 
 def test_the_direction_of_a_drive_is_scaled_once():
@@ -112,9 +110,7 @@ def test_a_path_says_where_the_pusher_starts():
     ],
 )
 def test_a_path_that_cannot_be_driven_is_refused(waypoints, where, words):
-    with pytest.raises(InvalidInput, match=words) as refusal:
-        PathDrive(waypoints=waypoints)
-    assert refusal.value.where == where
+    assert refused(PathDrive, waypoints=waypoints, match=words).where == where
 
 
 def test_half_a_turn_between_samples_is_fine():

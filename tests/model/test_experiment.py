@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 
 from fixel.errors import InvalidInput
 from fixel.model import Channel, Experiment, Flag, Provenance, Trajectory
@@ -34,10 +35,8 @@ def test_equal_by_content_and_hashable():
 
 
 def test_simulated_for_ever():
-    with pytest.raises(InvalidInput, match="the simulator"):
-        experiment(real=False)
-    with pytest.raises(InvalidInput, match="empty for a real experiment"):
-        experiment(simulated_by="a testbed")
+    refused(experiment, real=False, match="the simulator")
+    refused(experiment, simulated_by="a testbed", match="empty for a real experiment")
     assert not experiment(real=False, simulated_by="a testbed").real
 
 
@@ -81,17 +80,13 @@ def test_scene_and_contact_mode_agree():
     assert good.contact_mode == "010"
     with pytest.raises(InvalidInput, match="one per fixel"):
         experiment(scene=scene, object_name=scene.bodies[0].name, contact_mode="01")
-    with pytest.raises(InvalidInput, match="a body of the scene"):
-        experiment(scene=scene, object_name="nothing")
-    with pytest.raises(InvalidInput, match="0 or 1"):
-        experiment(contact_mode="2")
+    refused(experiment, scene=scene, object_name="nothing", match="a body of the scene")
+    refused(experiment, contact_mode="2", match="0 or 1")
 
 
 def test_heights_and_times_are_checked():
-    with pytest.raises(InvalidInput, match="height"):
-        experiment(height=-0.04)
-    with pytest.raises(InvalidInput, match="increasing order"):
-        experiment(effective=(1.0, 0.5))
+    refused(experiment, height=-0.04, match="height")
+    refused(experiment, effective=(1.0, 0.5), match="increasing order")
 
 
 @pytest.mark.parametrize("low", [-np.pi, 0.0, 40.0])

@@ -1,7 +1,5 @@
 """Nets of support points."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from timeit import repeat
 
@@ -19,7 +17,7 @@ ELLIPSE = Polygon(np.column_stack((0.05 * np.cos(TURN), 0.03 * np.sin(TURN))))
 HOOK = Polygon([[0.0, 0.0], [0.1, 0.0], [0.1, 0.02], [0.02, 0.02], [0.02, 0.1], [0.0, 0.1]])
 
 
-def test_a_square_has_corners_middles_and_centre() -> None:
+def test_a_square_has_corners_middles_and_centre():
     net, part = support_grid(SQUARE)
 
     assert net.shape == (13, 2)
@@ -31,7 +29,7 @@ def test_a_square_has_corners_middles_and_centre() -> None:
 
 
 @pytest.mark.parametrize("shape", [ELLIPSE, Disk(0.04)], ids=["ellipse", "disk"])
-def test_smooth_outlines_have_even_rings(shape: Polygon | Disk) -> None:
+def test_smooth_outlines_have_even_rings(shape):
     net, part = support_grid(shape)
 
     assert net.shape == (17, 2)
@@ -41,7 +39,7 @@ def test_smooth_outlines_have_even_rings(shape: Polygon | Disk) -> None:
 
 
 @pytest.mark.parametrize("shape", [SQUARE, ELLIPSE, Disk(0.04), HOOK])
-def test_points_lie_inside_and_can_carry_a_body(shape: Polygon | Disk) -> None:
+def test_points_lie_inside_and_can_carry_a_body(shape):
     net, part = support_grid(shape)
 
     assert len(part) == len(net)
@@ -52,12 +50,12 @@ def test_points_lie_inside_and_can_carry_a_body(shape: Polygon | Disk) -> None:
 
 
 @pytest.mark.parametrize("sizes", [{"outer": 1.0}, {"inner": 0.0}])
-def test_rings_beyond_the_outline_are_refused(sizes: dict[str, float]) -> None:
+def test_rings_beyond_the_outline_are_refused(sizes):
     with pytest.raises(InvalidInput, match="fraction between 0 and 1"):
         support_grid(SQUARE, **sizes)
 
 
-def test_cells_are_the_same_for_equal_shapes_and_cannot_be_written_to() -> None:
+def test_cells_are_the_same_for_equal_shapes_and_cannot_be_written_to():
     points, share = cells(Polygon(ELLIPSE.vertices), 64)
 
     assert cells(ELLIPSE, 64)[0] is points
@@ -68,7 +66,7 @@ def test_cells_are_the_same_for_equal_shapes_and_cannot_be_written_to() -> None:
     )
 
 
-def test_a_traced_outline_has_as_many_cells_as_requested() -> None:
+def test_a_traced_outline_has_as_many_cells_as_requested():
     """A fan of triangles has one for each corner or more: 570 points instead of 64."""
     turn = np.arange(508) * (2.0 * np.pi / 508)
     radius = 0.05 * (1.0 + 0.3 * np.cos(2.0 * turn) + 0.1 * np.cos(4.0 * turn))
@@ -87,7 +85,7 @@ def test_a_traced_outline_has_as_many_cells_as_requested() -> None:
     assert len(cells(shape, 3)[0]) == 4
 
 
-def test_bodies_of_many_corners_are_built_again_as_fast_as_others() -> None:
+def test_bodies_of_many_corners_are_built_again_as_fast_as_others():
     """A dataset builds its body once for every push, so the cells must not be cut each time."""
     took = {}
     for n in (4, 500):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import shapely
 from scipy.stats import binomtest
+from tests.fixtures import refused
 
 from fixel.errors import InvalidInput
 from fixel.io import load, save
@@ -229,14 +230,10 @@ def test_goals_refuse_what_makes_no_sense():
     for bad in ({}, {"position": -1.0}, {"position": 1.0, "symmetry": 1.5}, {"angle": np.nan}):
         with pytest.raises(InvalidInput, match="goal"):
             PoseRegion((0, 0, 0), **bad)
-    with pytest.raises(InvalidInput, match="two different points"):
-        Beyond([(0, 0), (0, 0)])
-    with pytest.raises(InvalidInput, match="never"):
-        AllOf(Contact("left"))
-    with pytest.raises(InvalidInput, match=r"goal\.never\[0\]"):
-        AllOf(Seated("left"), never=[Seated("low")])
-    with pytest.raises(InvalidInput, match="one at least"):
-        AnyOf()
+    refused(Beyond, [(0, 0), (0, 0)], match="two different points")
+    refused(AllOf, Contact("left"), match="never")
+    refused(AllOf, Seated("left"), never=[Seated("low")], match=r"goal\.never\[0\]")
+    refused(AnyOf, match="one at least")
 
 
 @pytest.mark.parametrize(
@@ -248,16 +245,10 @@ def test_goals_refuse_what_makes_no_sense():
         (PoseRegion((0.2, 0, 0), position=0.01, symmetry=3), "changes .* % of 'part'"),
         (PoseRegion((0.0, 0, 0), position=0.001, angle=0.01), "overlaps 'left' by"),
         (Inside([(0, 0), (0.1, 0), (0.1, 0.015), (0, 0.015)]), "does not fit"),
-        (
-            AllOf(
-                PoseRegion((0.2, 0, 0), position=0.01), PoseRegion((0.2, 0.03, 0), position=0.01)
-            ),
-            "no pose meets together",
-        ),
-        (
-            AllOf(PoseRegion((0.2, 0, 0), angle=0.1), PoseRegion((0, 0, 1), angle=0.1)),
-            "no pose meets together",
-        ),
+        (AllOf(PoseRegion((0.2, 0, 0), position=0.01), PoseRegion((0.2, 0.03, 0), position=0.01)),
+         "no pose meets together"),
+        (AllOf(PoseRegion((0.2, 0, 0), angle=0.1), PoseRegion((0, 0, 1), angle=0.1)),
+         "no pose meets together"),
         (
             AllOf(
                 Inside([(0.1, 0), (0.3, 0), (0.3, 0.1), (0.1, 0.1)]),
@@ -265,24 +256,16 @@ def test_goals_refuse_what_makes_no_sense():
             ),
             "no pose meets together",
         ),
-        (
-            AllOf(Seated("left"), Inside([(0.1, 0), (0.3, 0), (0.3, 0.1), (0.1, 0.1)])),
-            "no pose meets together",
-        ),
+        (AllOf(Seated("left"), Inside([(0.1, 0), (0.3, 0), (0.3, 0.1), (0.1, 0.1)])),
+         "no pose meets together"),
         (AllOf(Seated("left"), never=[Contact("left")]), "no pose meets together"),
-        (
-            AllOf(Seated("left"), never=[Exit([(0.2, 0.2), (0.4, 0.2), (0.4, 0.4), (0.2, 0.4)])]),
-            "no pose meets together",
-        ),
-        (
-            AllOf(
-                Seated("left"), never=[Exit([(-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2)])]
-            ),
-            "the start already does",
-        ),
+        (AllOf(Seated("left"), never=[Exit([(0.2, 0.2), (0.4, 0.2), (0.4, 0.4), (0.2, 0.4)])]),
+         "no pose meets together"),
+        (AllOf(Seated("left"), never=[Exit([(-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2)])]),
+         "the start already does"),
         (PoseRegion((0.9, 0, 0), position=0.01), "outside the field"),
     ],
-)
+)  # fmt: skip
 def test_goals_that_do_not_fit_the_scene_are_refused(goal, message):
     field = Polygon([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
     with pytest.raises(InvalidInput, match=message):
@@ -344,7 +327,5 @@ def test_the_interval_of_a_probability_is_exact(good, n):
 
 
 def test_probabilities_of_no_cases_are_refused():
-    with pytest.raises(InvalidInput):
-        Probability.of(0, 0)
-    with pytest.raises(InvalidInput):
-        Probability.of(1, 2, level=1.0)
+    refused(Probability.of, 0, 0)
+    refused(Probability.of, 1, 2, level=1.0)

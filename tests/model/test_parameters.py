@@ -3,6 +3,7 @@
 import pickle
 
 import pytest
+from tests.fixtures import refused
 
 from fixel.errors import InvalidInput
 from fixel.model import KNOWN_PARAMETERS, Parameters
@@ -33,10 +34,8 @@ def test_every_point_of_a_net_has_a_load_and_shifts_may_be_negative():
 
 
 def test_an_unknown_name_is_refused_with_the_nearest_or_the_known_ones():
-    with pytest.raises(InvalidInput, match=r"'mu_suport'.*did you mean 'mu_support'"):
-        Parameters(mu_suport=0.2)
-    with pytest.raises(InvalidInput, match=r"mu_pusher.*tripod_radius"):
-        Parameters(xyz=0.2)
+    refused(Parameters, mu_suport=0.2, match=r"'mu_suport'.*did you mean 'mu_support'")
+    refused(Parameters, xyz=0.2, match=r"mu_pusher.*tripod_radius")
 
 
 @pytest.mark.parametrize(

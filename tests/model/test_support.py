@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from tests.fixtures import refused
 
 from fixel.errors import InvalidInput
 from fixel.model import (
@@ -83,9 +84,7 @@ def test_more_points_carry_equal_loads_or_those_given():
     ],
 )
 def test_a_support_that_cannot_be_is_refused(build, where):
-    with pytest.raises(InvalidInput) as refusal:
-        build()
-    assert refusal.value.where == where
+    assert refused(build).where == where
 
 
 def test_the_lever_of_even_pressure_under_a_disk():

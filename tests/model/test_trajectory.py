@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.fixtures import refused
 
-from fixel.errors import InvalidInput
 from fixel.model import Trajectory, pose_error, wrapped
 
 
@@ -58,6 +58,4 @@ def test_what_is_no_angle_stays_none():
     ],
 )
 def test_a_trajectory_that_cannot_be_is_refused(time, pose, where):
-    with pytest.raises(InvalidInput) as refusal:
-        Trajectory(time=time, pose=pose)
-    assert refusal.value.where == where
+    assert refused(Trajectory, time=time, pose=pose).where == where

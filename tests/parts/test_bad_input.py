@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 from tests.parts.test_candidates import polygon_pusher
 
 from fixel.domain.push_bound import NO_DATA
@@ -89,16 +90,12 @@ def _two_pushers():
 @pytest.mark.parametrize("make", [_two_bodies, _two_pushers, polygon_pusher])
 def test_other_scenes_are_refused_by_predictions_and_proposals(model, make):
     for call in (lambda s: model.at(s), lambda s: model.next_pushes([s])):
-        with pytest.raises(InvalidInput) as caught:
-            call(make())
-        assert caught.value.expected
+        assert refused(call, make()).expected
 
 
 def test_no_candidates_and_no_number_are_refused(model):
     for candidates, n, where in (([], 5, "candidates"), (_scene(box(0.1, 0.1)), 0, "n")):
-        with pytest.raises(InvalidInput) as caught:
-            model.next_pushes(candidates, n=n)
-        assert caught.value.where == where
+        assert refused(model.next_pushes, candidates, n=n).where == where
 
 
 def _away(scene):
@@ -135,10 +132,8 @@ def test_candidates_of_two_parts_are_refused(model):
     with pytest.raises(InvalidInput, match="outlines"):
         model.next_pushes(scenes)
     pushes = example_parts(2, 3, seed=9)
-    with pytest.raises(InvalidInput, match="part-1"):
-        model.next_pushes([pushes[0], pushes[5]])
-    with pytest.raises(InvalidInput, match="one part on one surface"):
-        model.after(pushes)
+    refused(model.next_pushes, [pushes[0], pushes[5]], match="part-1")
+    refused(model.after, pushes, match="one part on one surface")
 
 
 def test_repeated_pushes_count_once(model):

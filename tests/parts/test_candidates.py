@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
+from tests.fixtures import refused
 
-from fixel.errors import InvalidInput
 from fixel.model import (
     Body,
     Disk,
@@ -104,9 +104,7 @@ def _two_bodies():
     ],
 )
 def test_bad_input_is_rejected(part, options, where):
-    with pytest.raises(InvalidInput) as caught:
-        push_candidates(part, **options)
-    assert caught.value.where == where
+    assert refused(push_candidates, part, **options).where == where
 
 
 def test_an_outline_of_thousands_of_vertices_is_quick():

@@ -1,7 +1,5 @@
 """Predictions for new parts, on simulated parts and on real plates."""
 
-from __future__ import annotations
-
 import math
 import os
 from dataclasses import replace
@@ -14,14 +12,13 @@ import fixel
 from fixel.domain.error_bound import min_experiments
 from fixel.parts.fit import PartPushes
 from fixel.parts.left_out import leave_parts_out
-from fixel.parts.model import PartModel
 from fixel.testing.pushes import example_parts
 
 DATA = Path(os.environ.get("FIXEL_DATA", "no data")) / "mit_push_endpoints"
 
 
 @pytest.fixture(scope="module")
-def model() -> PartModel:
+def model():
     return fixel.part_model(example_parts(4, 14), progress=False)
 
 
@@ -122,7 +119,7 @@ def test_real_plates_never_seen_are_predicted_better_than_with_even_pressure():
         for own in found
         if own.conditions["surface"] == "plywood" and own.scene is not None and not own.flags
     ]
-    by: dict[str, list[fixel.Experiment]] = {}
+    by = {}
     for own in some:
         by.setdefault(str(own.conditions["shape"]), []).append(own)
     plates = [name for name in ("rect1", "rect3", "tri1", "tri3") if len(by.get(name, ())) > 40]

@@ -46,12 +46,6 @@ def test_places_are_next_to_the_outline_in_its_frame(found, candidates):
         assert np.hypot(*(end - place)) == pytest.approx(0.04)
 
 
-def test_the_order_of_the_candidates_does_not_matter(model, candidates, found):
-    order = np.random.default_rng(2).permutation(len(candidates))
-    other = model.next_pushes([candidates[k] for k in order], n=4, part="new", surface="board")
-    assert [int(order[k]) for k in other.order] == list(found.order)
-
-
 def test_bits_are_equal_for_any_number_of_threads(model, candidates, found):
     from dataclasses import replace
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 
 import fixel
 from fixel.errors import InvalidInput
@@ -79,12 +80,9 @@ def test_a_flat_table_gets_no_map():
 
 def test_another_table_and_another_laboratory_are_refused(table, pushes):
     other = replace(pushes[0], conditions={**pushes[0].conditions, "surface": "desk"})
-    with pytest.raises(InvalidInput, match="surface=desk"):
-        table.on(other)
-    with pytest.raises(InvalidInput, match="world coordinates"):
-        table.on(replace(pushes[0], dataset="elsewhere"))
-    with pytest.raises(InvalidInput, match="one table"):
-        fixel.table_map([*pushes[:6], other], progress=False)
+    refused(table.on, other, match="surface=desk")
+    refused(table.on, replace(pushes[0], dataset="elsewhere"), match="world coordinates")
+    refused(fixel.table_map, [*pushes[:6], other], progress=False, match="one table")
     stranger = replace(pushes[0], conditions={**pushes[0].conditions, "part": "part-9"})
     with pytest.raises(InvalidInput, match="part-9"):
         table.predict([stranger])

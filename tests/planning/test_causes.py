@@ -9,7 +9,7 @@ from fixel.planning.causes import Explanation
 N = 1024
 
 
-def _effect(found: Explanation, name: str):
+def _effect(found, name):
     return next(own for own in found.effects if own.name == name)
 
 

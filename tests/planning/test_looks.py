@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 
 import fixel
 from fixel import Belief, FreePushes, InvalidInput, PoseRegion, Seated, StartError
@@ -41,10 +42,7 @@ def met(plan, pose):
 
 def in_one_world(plan, rng):
     """Carry out a plan in one world drawn here, by single simulations."""
-    world = {
-        "mu_pusher": rng.uniform(0.1, 0.5),
-        "friction_centre_y": rng.uniform(-3 * mm, 3 * mm),
-    }
+    world = {"mu_pusher": rng.uniform(0.1, 0.5), "friction_centre_y": rng.uniform(-3 * mm, 3 * mm)}
     size = UNKNOWN.start.size
     state = {"pose": plan.first_pose + size * rng.standard_normal(3)}
 
@@ -263,10 +261,8 @@ def test_the_chart_of_looks_names_the_direction_in_which_each_push_moves_the_par
 
 def test_a_plan_without_looks_has_no_chart_of_them_and_no_corrections():
     plan = fixel.plan(pushed_square(), GOAL, rollouts=1_000, progress=False)
-    with pytest.raises(InvalidInput, match="no looks"):
-        plan.plot("looks")
-    with pytest.raises(InvalidInput, match="looks=1"):
-        plan.correction((0.0, 0.0, 0.0))
+    refused(plan.plot, "looks", match="no looks")
+    refused(plan.correction, (0.0, 0.0, 0.0), match="looks=1")
 
 
 @pytest.mark.system

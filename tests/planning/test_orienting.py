@@ -5,6 +5,7 @@ from time import process_time
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 
 from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, NoSupport, Polygon, UniformPressure
@@ -97,14 +98,10 @@ def test_what_cannot_be_oriented_is_refused(build, part, options, message):
 
 
 def test_distances_of_bad_arms_and_supports_are_refused():
-    with pytest.raises(InvalidInput, match="arm"):
-        flush_distance(L_SHAPE, 0.1, arm=0.0)
-    with pytest.raises(InvalidInput, match="support"):
-        friction_arm(_body(L_SHAPE))
-    with pytest.raises(InvalidInput, match="support"):
-        friction_arm(_body(L_SHAPE, support=UniformPressure(friction=0.0)))
-    with pytest.raises(InvalidInput, match="depth"):
-        stable_push_angle(0.2, 0.1, 0.0)
+    refused(flush_distance, L_SHAPE, 0.1, arm=0.0, match="arm")
+    refused(friction_arm, _body(L_SHAPE), match="support")
+    refused(friction_arm, _body(L_SHAPE, support=UniformPressure(friction=0.0)), match="support")
+    refused(stable_push_angle, 0.2, 0.1, 0.0, match="depth")
 
 
 def test_distances_are_finite_except_from_a_balanced_corner():

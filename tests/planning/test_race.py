@@ -10,7 +10,7 @@ from fixel.planning.race import _sign_test, race, race_rounds
 N = 1024
 
 
-def problem(kind: str, n_plans: int, seed: int) -> np.ndarray:
+def problem(kind, n_plans, seed):
     """Margins of plans that differ in middle, sensitivity to shared unknowns, and noise."""
     rng = np.random.default_rng([seed, 7])
     middle = rng.normal(-0.5, 0.8, n_plans)

@@ -21,7 +21,7 @@ TRUTHS = {
 }
 
 
-def _margins(rng: np.random.Generator, rates: np.ndarray, n_runs: int) -> np.ndarray:
+def _margins(rng, rates, n_runs):
     return np.where(rng.random((len(rates), n_runs)) < rates[:, None], 0.5, -0.5)
 
 

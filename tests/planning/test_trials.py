@@ -5,18 +5,12 @@ import pytest
 from scipy.stats import beta, binom, norm
 
 from fixel.errors import InvalidInput
-from fixel.planning.trials import (
-    PlanTrial,
-    Trials,
-    _fixed_test,
-    evidence_against,
-    prior_counts,
-)
+from fixel.planning.trials import PlanTrial, Trials, _fixed_test, evidence_against, prior_counts
 
 NOW = "2026-11-22T21:00:00+00:00"
 
 
-def refuted_within(stated: float, truth: float, n_trials: int) -> float:
+def refuted_within(stated, truth, n_trials):
     """Probability that the e-value reaches 20 within `n_trials` trials, by dynamic programming.
 
     Up to a number of trials the e-value depends on the number of failures alone; after them also
@@ -27,7 +21,7 @@ def refuted_within(stated: float, truth: float, n_trials: int) -> float:
     alive = {0: 1.0}
     refuted = 0.0
     for n in range(1, n_trials + 1):
-        after: dict[int, float] = {}
+        after = {}
         for failures, chance in alive.items():
             after[failures] = after.get(failures, 0.0) + chance * truth
             after[failures + 1] = after.get(failures + 1, 0.0) + chance * (1.0 - truth)

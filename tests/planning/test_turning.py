@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 
 import fixel
 from fixel import FreePushes, InvalidInput, PoseRegion
@@ -116,10 +117,8 @@ def test_a_plan_that_turns_can_be_stored_and_named_in_a_goal_file(tmp_path):
 
 
 def test_turns_that_are_none():
-    with pytest.raises(InvalidInput, match=r"choose\.turn"):
-        FreePushes(turn=(0.2, -0.2))
-    with pytest.raises(InvalidInput, match=r"first: .*do not turn"):
-        FreePushes().numbers([PlanPush(0.5, 0.0, 0.02, 0.1)])
+    refused(FreePushes, turn=(0.2, -0.2), match=r"choose\.turn")
+    refused(FreePushes().numbers, [PlanPush(0.5, 0.0, 0.02, 0.1)], match=r"first: .*do not turn")
 
 
 @pytest.mark.parametrize("turn", [None, (-0.5, 0.5)])

@@ -24,7 +24,7 @@ class Problem(NamedTuple):
     clipped: bool = False
 
 
-def linear_rank_one(m: int) -> Residuals:
+def linear_rank_one(m):
     i = np.arange(1, m + 1)
     return lambda x: i * (np.arange(1, len(x) + 1) @ x) - 1.0
 
@@ -140,7 +140,7 @@ def mancino(x):
     return 1400.0 * x + (i - 50.0) ** 3 + waves.sum(axis=1)
 
 
-def mancino_start(n: int) -> tuple[float, ...]:
+def mancino_start(n):
     return tuple((-8.710996e-4 * (mancino(np.zeros(n)))).tolist())
 
 
@@ -168,7 +168,7 @@ def heart(x):
     )
 
 
-def spread(n: int) -> tuple[float, ...]:
+def spread(n):
     return tuple((np.arange(1, n + 1) / (n + 1)).tolist())
 
 
@@ -197,10 +197,10 @@ PROBLEMS = (
 FORMS = ("smooth", "nondiff", "wild3")
 
 
-def objective(problem: Problem, form: str) -> Callable[[np.ndarray], float]:
+def objective(problem, form):
     """One of the forms: sum of squares, sum of magnitudes, squares with a wild factor of 0.1 %."""
 
-    def value(x: np.ndarray) -> float:
+    def value(x):
         with np.errstate(all="ignore"):
             at = np.maximum(x, 0.0) if form == "nondiff" and problem.clipped else x
             f = problem.residuals(at)
@@ -212,14 +212,14 @@ def objective(problem: Problem, form: str) -> Callable[[np.ndarray], float]:
     return value
 
 
-def wild(x: np.ndarray) -> float:
+def wild(x):
     """The noise of Moré & Wild, eqs. 4.2-4.3: deterministic, from -1 to 1."""
     one, two, most = (np.linalg.norm(x, p) for p in (1, 2, np.inf))
     phi = 0.9 * np.sin(100.0 * one) * np.cos(100.0 * most) + 0.1 * np.cos(two)
     return float(phi * (4.0 * phi**2 - 3.0))
 
 
-def solved_after(histories: np.ndarray, best: float, tolerance: float) -> int:
+def solved_after(histories, best, tolerance):
     """Evaluations until the error fell by 1 - tolerance of what it can; a large number for never.
 
     Moré & Wild, eq. 2.2.

@@ -14,17 +14,13 @@ MASS, PRESS, PULL, WALL = 0.5, 1.0, 1.0, 0.3  # kg, N, N, friction of the wall
 ARM = 0.03  # [m] from the wall to the centre of mass
 
 
-def _along_a_wall(duration, speed=0.0, pull=PULL, press=PRESS, support=None, plane=None) -> Scene:
+def _along_a_wall(duration, speed=0.0, pull=PULL, press=PRESS, support=None, plane=None):
     """A block that a force presses on a wall and pulls along it, without turning it."""
     block = Body(
-        name="block",
-        shape=box(0.1, 2.0 * ARM),
-        mass=MASS,
-        pose=row(0.0, ARM, 0.0),
-        velocity=row(speed, 0.0, 0.0),
-        force=row(pull, -press, -WALL * press * ARM),
+        name="block", shape=box(0.1, 2.0 * ARM), mass=MASS, pose=row(0.0, ARM, 0.0),
+        velocity=row(speed, 0.0, 0.0), force=row(pull, -press, -WALL * press * ARM),
         support=support or NoSupport(),
-    )
+    )  # fmt: skip
     wall = Fixel(name="wall", shape=box(40.0, 0.02), pose=row(10.0, -0.01, 0.0), friction=WALL)
     return Scene(bodies=(block,), fixels=(wall,), duration=duration, plane=plane or Plane())
 

@@ -5,25 +5,21 @@ Source: Zhou, Paolini, Bagnell & Mason (2016), ICRA; the authors measured 0.282 
 three standard errors.
 """
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 from reproductions.cmu_tripod import surface_friction, transfer_rows
-from reproductions.tripod_pushes import TripodPush, fit_points, machined, read_pushes, support_of
+from reproductions.tripod_pushes import fit_points, machined, read_pushes, support_of
 
 from fixel.calibration.least_squares import LeastSquares
 
 
 @pytest.fixture(scope="module")
-def pushes(data_root: Path) -> list[TripodPush]:
+def pushes(data_root):
     return read_pushes(data_root / "cmu_tripod_push")
 
 
 @pytest.mark.system
-def test_friction_of_the_surfaces_from_forces(pushes: list[TripodPush]) -> None:
+def test_friction_of_the_surfaces_from_forces(pushes):
     rows = {r["surface"]: r for r in surface_friction(pushes) if r["support"] == "all"}
     # Reached: 0.271 and 0.311, medians 0.280 and 0.324.
     assert rows["hardboard"]["mu_median"] == pytest.approx(0.282, abs=0.02)
@@ -32,9 +28,7 @@ def test_friction_of_the_surfaces_from_forces(pushes: list[TripodPush]) -> None:
 
 
 @pytest.mark.system
-def test_a_wide_support_is_found_within_a_centimetre_and_its_radius_within_millimetres(
-    pushes: list[TripodPush],
-) -> None:
+def test_a_wide_support_is_found_within_a_centimetre_and_its_radius_within_millimetres(pushes):
     own = [p for p in pushes if support_of(p) == "3pts2"][::3]
     found = fit_points(own, LeastSquares(loss="soft_l1", width=2.0), forces=False)
     apart = np.hypot(*(found.points - machined(own[0])).T)
@@ -44,7 +38,7 @@ def test_a_wide_support_is_found_within_a_centimetre_and_its_radius_within_milli
 
 
 @pytest.mark.slow
-def test_known_points_predict_better_than_even_pressure(pushes: list[TripodPush]) -> None:
+def test_known_points_predict_better_than_even_pressure(pushes):
     rows = transfer_rows(pushes, "3pts1", LeastSquares(loss="soft_l1", width=2.0))
     error = {
         row["points"]: row["position_mm_mean"]

@@ -30,13 +30,9 @@ STEPPERS = [Adaptive(), StewartTrinkle(step=0.01), Midpoint(step=0.01)]
 def test_block_inside_the_cone_holds_for_a_minute(stepper, motion, share):
     reach = share * 0.3 * 0.5 * 9.81
     block = Body(
-        name="block",
-        shape=box(0.1, 0.05),
-        mass=0.5,
-        pose=(0.1, 0.2, 0.3),
-        support=Tripod(radius=0.03, friction=0.3),
-        force=(0.6 * reach, -0.8 * reach, 0.0),
-    )
+        name="block", shape=box(0.1, 0.05), mass=0.5, pose=(0.1, 0.2, 0.3),
+        support=Tripod(radius=0.03, friction=0.3), force=(0.6 * reach, -0.8 * reach, 0.0),
+    )  # fmt: skip
     run = simulate(Scene(bodies=(block,), duration=60.0), motion=motion, stepper=stepper)
     assert run.converged
     assert np.abs(run.pose["block"][-1] - block.pose).max() < 1e-9
@@ -46,20 +42,14 @@ def test_block_inside_the_cone_holds_for_a_minute(stepper, motion, share):
 @pytest.mark.parametrize("solver", [Newton(), GaussSeidel()])
 def test_gripped_block_holds_for_a_minute_against_a_side_force(stepper, solver):
     block = Body(
-        name="block",
-        shape=box(0.1, 0.1),
-        mass=0.2,
-        pose=(0, 0, 0),
+        name="block", shape=box(0.1, 0.1), mass=0.2, pose=(0, 0, 0),
         support=SupportPoints(points=[[0.01, 0], [-0.01, 0], [0, 0.01], [0, -0.01]], friction=1e-6),
         force=(0.0, 1.5, 0.0),
-    )
+    )  # fmt: skip
     jaw = Pusher(
-        name="jaw",
-        shape=box(0.02, 0.06),
-        pose=(-0.06, 0, 0),
-        drive=LineDrive(direction=(1, 0), speed=0.01, force_limit=5.0),
-        friction=0.3,
-    )
+        name="jaw", shape=box(0.02, 0.06), pose=(-0.06, 0, 0),
+        drive=LineDrive(direction=(1, 0), speed=0.01, force_limit=5.0), friction=0.3,
+    )  # fmt: skip
     wall = Fixel(name="wall", shape=box(0.02, 0.06), pose=(0.06, 0, 0), friction=0.3)
     scene = Scene(bodies=(block,), pushers=(jaw,), fixels=(wall,), duration=60.0)
     # Two faces of 5 N at 0.3 hold 3 N, twice the force.

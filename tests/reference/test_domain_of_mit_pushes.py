@@ -4,7 +4,6 @@ Source: K.-T. Yu et al. (2016), IROS.
 """
 
 from itertools import islice
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,18 +15,14 @@ from fixel.workflows.domain.run import map_stored
 
 
 @pytest.mark.system
-def test_a_steel_plate_on_plastic_by_where_it_is_pushed(data_root: Path, tmp_path: Path) -> None:
+def test_a_steel_plate_on_plastic_by_where_it_is_pushed(data_root, tmp_path):
     """Every sixth of 360 pushes; a published simulator is off by 2.7 mm on average there."""
     plan = plan_import(data_root / "mit_push_endpoints")
     project = project_of(tmp_path / "lab", islice(plan.experiments(), 0, 360, 6))
     done = map_stored(
-        project,
-        axes=("contact_angle_rad",),
-        cells={"contact_angle_rad": np.pi / 4},
-        fit=("mu_pusher", "registration_x", "registration_y"),
-        folds=2,
-        threshold=6e-3,
-    )
+        project, axes=("contact_angle_rad",), cells={"contact_angle_rad": np.pi / 4},
+        fit=("mu_pusher", "registration_x", "registration_y"), folds=2, threshold=6e-3,
+    )  # fmt: skip
     rms = np.sqrt(done.gathered.errors.error_mm2)
     assert np.isfinite(rms).all()
     assert 1.0 < np.median(rms) < 6.0

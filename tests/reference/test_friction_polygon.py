@@ -14,15 +14,12 @@ from fixel.testing.scenes import box
 H = 1e-6  # [s]
 
 
-def _friction(directions: int | None, headings: np.ndarray) -> np.ndarray:
+def _friction(directions, headings):
     """Friction along the motion over mu N, for a body sliding along each heading."""
     body = Body(
-        name="block",
-        shape=box(0.1, 0.1),
-        mass=1.0,
-        pose=(0, 0, 0),
+        name="block", shape=box(0.1, 0.1), mass=1.0, pose=(0, 0, 0),
         support=SupportPoints(points=[[0.01, 0.0], [-0.01, 0.0]], friction=0.5),
-    )
+    )  # fmt: skip
     scenes = [
         Scene(
             bodies=(replace(body, velocity=(np.cos(a), np.sin(a), 0.0)),),

@@ -15,23 +15,20 @@ R = 0.05
 G = 9.81
 
 
-def _wall(friction: float = 0.0, restitution: float = 0.0) -> Fixel:
+def _wall(friction=0.0, restitution=0.0):
     return Fixel(
-        name="wall",
-        shape=box(20.0, 1.0),
-        pose=(0, -0.5, 0),
-        friction=friction,
+        name="wall", shape=box(20.0, 1.0), pose=(0, -0.5, 0), friction=friction,
         restitution=restitution,
-    )
+    )  # fmt: skip
 
 
-def _disc(height: float, velocity, wall: Fixel, duration: float, weight: float = 0.0) -> Scene:
+def _disc(height, velocity, wall, duration, weight=0.0):
     pose, force = (0, height, 0), (0, -weight, 0)
     ball = Body("ball", Disk(R), mass=0.2, pose=pose, velocity=velocity, force=force)
     return Scene(bodies=(ball,), fixels=(wall,), duration=duration)
 
 
-def _ball(restitution: float, speed: float, duration: float) -> Scene:
+def _ball(restitution, speed, duration):
     return _disc(R, (0, speed, 0), _wall(0.0, restitution), duration, weight=0.2 * G)
 
 
@@ -64,7 +61,7 @@ def test_A16_bounce_n_takes_2_v_e_n_over_g(restitution, stepper, tolerance):
     assert hits[: len(expected)] == pytest.approx(expected, abs=tolerance)
 
 
-def _pair(m1, m2, v1, v2, restitution, friction=0.0, offset=0.0, duration=0.2) -> Scene:
+def _pair(m1, m2, v1, v2, restitution, friction=0.0, offset=0.0, duration=0.2):
     a = Body(name="a", shape=Disk(R), mass=m1, pose=(-0.1, 0, 0), velocity=(v1, 0, 0))
     b = Body(name="b", shape=Disk(R), mass=m2, pose=(0.1, offset, 0), velocity=(v2, 0, 0))
     entry = PairFriction(pair=("a", "b"), friction=friction, restitution=restitution)
@@ -90,7 +87,7 @@ def test_A17_central_impact_of_two_discs(m1, m2, e, stepper):
     assert momentum == pytest.approx(m1 * v1 + m2 * v2, rel=1e-9, abs=1e-9)
 
 
-def _thrown(friction: float, restitution: float, steep: float) -> Scene:
+def _thrown(friction, restitution, steep):
     velocity = (cos(steep), -sin(steep), 0)
     return _disc(3 * R, velocity, _wall(friction, restitution), duration=0.5)
 
@@ -126,7 +123,7 @@ def test_A18_oblique_impact_sticks_iff_mu_reaches_pt_over_pn(
     assert (abs(v[0] + R * v[2]) < tolerance) == sticks
 
 
-def _totals(scene: Scene, run, k: int) -> np.ndarray:
+def _totals(scene, run, k):
     """Momentum and spin about the origin."""
     total = np.zeros(3)
     for body in scene.bodies:

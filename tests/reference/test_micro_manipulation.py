@@ -61,7 +61,7 @@ def test_A23_the_path_does_not_depend_on_the_speed(test):
 
 
 def test_A23_half_the_speed_is_half_the_velocity():
-    def first(speed: float) -> np.ndarray:
+    def first(speed):
         scene = micro_push(3, "p1", speed=speed)
         run = simulate(
             scene, motion=QuasiStatic(), stepper=StewartTrinkle(step=0.001 * scene.duration)

@@ -4,21 +4,16 @@ Source: K.-T. Yu et al. (2016), IROS; predictions of J. Zhou's quasi-static simu
 fourth-order (poly4) and an ellipsoidal (quad) limit surface fitted to force data.
 """
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import pytest
 
-from fixel.replay import Replay, ReplayRequest, replay_dataset
+from fixel.replay import ReplayRequest, replay_dataset
 
 
-def pooled(answer: Replay) -> dict[str, Any]:
+def pooled(answer):
     return answer.groups[-1]
 
 
-def test_two_hundred_pushes_are_as_near_as_the_published_simulator(data_root: Path) -> None:
+def test_two_hundred_pushes_are_as_near_as_the_published_simulator(data_root):
     """Spread over all 17 groups. Bounds: the whole set's figures and three standard errors."""
     answer = replay_dataset(data_root / "mit_push_endpoints", ReplayRequest(limit=200))
 
@@ -30,7 +25,7 @@ def test_two_hundred_pushes_are_as_near_as_the_published_simulator(data_root: Pa
 
 
 @pytest.mark.slow
-def test_all_usable_pushes(data_root: Path) -> None:
+def test_all_usable_pushes(data_root):
     answer = replay_dataset(data_root / "mit_push_endpoints")
 
     assert len(answer.pushes) == 4774

@@ -36,7 +36,7 @@ PUBLISHED = {
 }
 
 
-def area(problem) -> SearchBox:
+def area(problem):
     """As good as unbounded; a tenth of the unknown, or of 1, is a step worth taking."""
     start = np.array(problem.start)
     scale = 0.1 * np.maximum(np.abs(start), 1.0)
@@ -66,7 +66,7 @@ def scipys(error, box, limit):
 
 
 @cache
-def histories(name: str, form: str) -> tuple[np.ndarray, ...]:
+def histories(name, form):
     """Errors in the order evaluated, for each problem."""
     found = []
     for problem in PROBLEMS:
@@ -79,14 +79,10 @@ def histories(name: str, form: str) -> tuple[np.ndarray, ...]:
     return tuple(found)
 
 
-OURS = {
-    "simplex": SIMPLEX,
-    "pattern": PATTERN,
-    "several": MultiStart(optimiser=SIMPLEX, starts=4),
-}
+OURS = {"simplex": SIMPLEX, "pattern": PATTERN, "several": MultiStart(optimiser=SIMPLEX, starts=4)}
 
 
-def profiles(form: str, tolerance: float, *names: str) -> np.ndarray:
+def profiles(form, tolerance, *names):
     """(names, problems): evaluations to solve, in units of n + 1."""
     runs = [histories(name, form) for name in names]
     rows = []

@@ -17,26 +17,21 @@ MASS = 1.0
 G = 9.81
 
 
-def _rod(tilt: float, slip: float, friction: float, spin: float = 0.0) -> Scene:
+def _rod(tilt, slip, friction, spin=0.0):
     width = 0.002
     # The lowest corner of the thin box touches the wall.
     low = min(
         sin(tilt) * x + cos(tilt) * y for x in (-HALF, HALF) for y in (-0.5 * width, 0.5 * width)
     )
     rod = Body(
-        name="rod",
-        shape=box(2 * HALF, width),
-        mass=MASS,
-        inertia=MASS * HALF**2 / 3,
-        pose=(0.0, -low, tilt),
-        velocity=(slip, 0.0, spin),
-        force=(0.0, -MASS * G, 0.0),
-    )
+        name="rod", shape=box(2 * HALF, width), mass=MASS, inertia=MASS * HALF**2 / 3,
+        pose=(0.0, -low, tilt), velocity=(slip, 0.0, spin), force=(0.0, -MASS * G, 0.0),
+    )  # fmt: skip
     wall = Fixel(name="wall", shape=box(20.0, 1.0), pose=(0, -0.5, 0), friction=friction)
     return Scene(bodies=(rod,), fixels=(wall,), duration=1.0)
 
 
-def _energy(run, scene: Scene) -> np.ndarray:
+def _energy(run, scene):
     rod = scene.bodies[0]
     v, x = run.twist["rod"], run.pose["rod"]
     kinetic = 0.5 * rod.mass * (v[:, 0] ** 2 + v[:, 1] ** 2)

@@ -17,7 +17,7 @@ N_TRIPOD = 50
 PER_TRIPOD = 200
 
 
-def _tripod(rng: np.random.Generator) -> np.ndarray:
+def _tripod(rng):
     """Three points around the centre of mass, which is then the centre of friction as well."""
     while True:
         points = rng.uniform(-0.049, 0.049, (3, 2))
@@ -26,7 +26,7 @@ def _tripod(rng: np.random.Generator) -> np.ndarray:
             return points
 
 
-def _pushes(rng: np.random.Generator):
+def _pushes(rng):
     """Random contact points on the lower edge of the box, and random directions into it."""
     along = rng.uniform(-0.049, 0.049, PER_TRIPOD)
     towards = rng.uniform(-1.3, 1.3, PER_TRIPOD)
@@ -37,12 +37,9 @@ def _pushes(rng: np.random.Generator):
 def _velocities(points, start, friction):
     scene = free_push(SupportPoints(points=points, friction=0.3), step=STEP, speed=SPEED)
     run = simulate_batch(
-        scene,
-        {"mu_pusher": friction},
-        start=start,
-        motion=QuasiStatic(),
+        scene, {"mu_pusher": friction}, start=start, motion=QuasiStatic(),
         stepper=StewartTrinkle(step=STEP),
-    )
+    )  # fmt: skip
     assert run.converged.all()
     assert run.max_residual.max() <= 1e-9
     return (run.final[:, 0] - start) / STEP

@@ -17,7 +17,7 @@ WEIGHT = 0.2 * 9.81
 MU = 0.3
 
 
-def _line(n: int) -> SupportPoints:
+def _line(n):
     x = HALF * ((2 * np.arange(n) + 1) / n - 1)
     return SupportPoints(points=np.column_stack((x, np.zeros(n))), friction=MU)
 
@@ -27,13 +27,9 @@ def test_A5_limit_curve_of_a_uniform_rod(share):
     d = share * HALF
     # d falls between two of the 400 supports, where the sums are exact. It turns about (d, 0).
     rod = Body(
-        name="rod",
-        shape=box(2 * HALF, 0.002),
-        mass=0.2,
-        pose=(0, 0, 0),
-        velocity=(0.0, -d * 10.0, 10.0),
-        support=_line(400),
-    )
+        name="rod", shape=box(2 * HALF, 0.002), mass=0.2, pose=(0, 0, 0),
+        velocity=(0.0, -d * 10.0, 10.0), support=_line(400),
+    )  # fmt: skip
     h = 1e-7
     run = simulate(Scene(bodies=(rod,), duration=h), stepper=StewartTrinkle(step=h))
     change = (run.twist["rod"][-1] - rod.velocity) / h
@@ -46,7 +42,7 @@ def test_A5_limit_curve_of_a_uniform_rod(share):
     assert torque == pytest.approx(MU * WEIGHT * HALF / 2 * (1 - ratio**2), abs=1e-6)
 
 
-def _push(support: SupportPoints, along: float, step: float = 1e-2):
+def _push(support, along, step=1e-2):
     """Velocity (3,) and push force of a rod, pushed square at `along` from its centre.
 
     Rows are taken at the step's start, so the first velocity is the same for any step.

@@ -1,17 +1,11 @@
 """Why simulations miss experiment 141; figures of docs/reproductions/rpi-141.md."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 from reproductions.rpi_141 import HYPOTHESES, evaluate_hypothesis, experiment_141, lateral_misses
 
-from fixel.model import Experiment
-
 
 @pytest.fixture(scope="module")
-def experiment(data_root: Path) -> Experiment:
+def experiment(data_root):
     return experiment_141(data_root / "rpi_2dgad")
 
 
@@ -28,7 +22,7 @@ def experiment(data_root: Path) -> Experiment:
         ("plane with a grain", 0.59, 1.06),
     ],
 )
-def test_errors_of_hypotheses(experiment: Experiment, name: str, free: float, whole: float) -> None:
+def test_errors_of_hypotheses(experiment, name, free, whole):
     hypothesis = next(h for h in HYPOTHESES if h.name == name)
     row, _ = evaluate_hypothesis(experiment, hypothesis, starts=1)
     # A tenth of a millimetre: what the step and the end of a search are worth.
@@ -36,9 +30,7 @@ def test_errors_of_hypotheses(experiment: Experiment, name: str, free: float, wh
     assert row["rms_mm"] == pytest.approx(whole, abs=0.15)
 
 
-def test_only_two_of_twenty_trials_go_sideways_where_the_laboratory_did_not(
-    data_root: Path,
-) -> None:
+def test_only_two_of_twenty_trials_go_sideways_where_the_laboratory_did_not(data_root):
     rows = lateral_misses(data_root / "rpi_2dgad")
     far = [r for r in rows if abs(r["sideways_mm"] - r["sideways_mm_simulated"]) > 5.0]
     assert len(rows) == 20

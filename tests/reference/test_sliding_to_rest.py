@@ -99,7 +99,7 @@ def test_A4_disk_stops_sliding_and_spinning_together_at_ratio_0_653(ratio):
     assert not ((np.abs(twist[:, 2]) < 1e-9) ^ (np.abs(twist[:, 0]) < 1e-9)).any()
 
 
-def _stops(scene: Scene, steps: np.ndarray) -> np.ndarray:
+def _stops(scene, steps):
     name = scene.bodies[0].name
     return np.array([simulate(scene, stepper=StewartTrinkle(step=h)).pose[name][-1] for h in steps])
 
@@ -125,11 +125,8 @@ def test_A21_error_of_the_first_order_step_halves_with_the_step(scene):
 
 def test_block_thrown_across_the_plane_at_rest_stays_at_rest():
     body = Body(
-        name="b",
-        shape=box(0.1, 0.1),
-        mass=1.0,
-        pose=(0, 0, 0),
+        name="b", shape=box(0.1, 0.1), mass=1.0, pose=(0, 0, 0),
         support=Tripod(radius=0.03, friction=0.3),
-    )
+    )  # fmt: skip
     run = simulate(Scene(bodies=(body,), duration=5.0))
     assert np.array_equal(run.pose["b"][-1], np.zeros(3))

@@ -14,16 +14,12 @@ from fixel.testing.scenes import box
 G = 9.81
 
 
-def _slope(angle: float, friction: float, duration: float) -> Scene:
+def _slope(angle, friction, duration):
     mass = 0.3
     block = Body(
-        name="block",
-        shape=box(0.1, 0.06),
-        mass=mass,
-        pose=(0, 0, 0.2),
-        support=Tripod(radius=0.02, friction=friction),
-        force=(mass * G * sin(angle), 0, 0),
-    )
+        name="block", shape=box(0.1, 0.06), mass=mass, pose=(0, 0, 0.2),
+        support=Tripod(radius=0.02, friction=friction), force=(mass * G * sin(angle), 0, 0),
+    )  # fmt: skip
     return Scene(bodies=(block,), gravity=G * cos(angle), duration=duration)
 
 
@@ -55,16 +51,13 @@ def test_A14_sticks_with_a_wrench_off_the_centre(motion):
     assert np.abs(run.pose["block"][-1] - [0, 0, 0.2]).max() < 1e-9
 
 
-def _oscillator(start: float, friction: float = 0.1, duration: float = 5.0) -> Scene:
+def _oscillator(start, friction=0.1, duration=5.0):
     mass = 1.0
     block = Body(
-        name="block",
-        shape=box(0.1, 0.1),
-        mass=mass,
-        pose=(start, 0, 0),
+        name="block", shape=box(0.1, 0.1), mass=mass, pose=(start, 0, 0),
         support=Tripod(radius=0.03, friction=friction),
         spring=Spring(stiffness=40.0, anchor=(0, 0)),
-    )
+    )  # fmt: skip
     return Scene(bodies=(block,), duration=duration)
 
 

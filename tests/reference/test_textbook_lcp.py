@@ -17,14 +17,14 @@ CPS_3 = np.array([[0, 0, 10, 20], [0, 0, 30, 15], [10, 20, 0, 0], [30, 15, 0, 0]
 
 
 @pytest.mark.parametrize("n", [1, 6, 16])
-def test_murty_exponential_example(n: int) -> None:
+def test_murty_exponential_example(n):
     matrix = np.eye(n) + np.triu(np.full((n, n), 2.0), 1)
     z, code = solve_lcp(matrix, -np.ones(n), 1000)
     assert code == SOLVED
     assert z == pytest.approx(np.eye(n)[-1], abs=1e-14)
 
 
-def test_a_line_of_solutions() -> None:
+def test_a_line_of_solutions():
     z, code = solve_lcp(np.ones((2, 2)), -np.ones(2), 100)
     assert code == SOLVED
     assert z.min() >= 0.0
@@ -39,13 +39,13 @@ def test_a_line_of_solutions() -> None:
     ],
     ids=["cps-2", "cps-5-tie"],
 )
-def test_cps_2_and_5(matrix: list[list[int]], vector: list[int], answer: list[int]) -> None:
+def test_cps_2_and_5(matrix, vector, answer):
     z, code = solve_lcp(np.array(matrix, float), np.array(vector, float), 100)
     assert code == SOLVED
     assert z == pytest.approx(answer, abs=1e-14)
 
 
-def test_cps_3_has_three_solutions_and_ends_on_a_ray() -> None:
+def test_cps_3_has_three_solutions_and_ends_on_a_ray():
     """Lemke's method with a covering vector of ones finds none of them, and must say so."""
     vector = -np.ones(4)
     found = solutions(CPS_3, vector)
@@ -59,7 +59,7 @@ def test_cps_3_has_three_solutions_and_ends_on_a_ray() -> None:
 
 
 @pytest.mark.parametrize("load", [-10.0, 0.0, 14.0, 22.9, 23.0, 24.0, 50.0])
-def test_cps_4(load: float) -> None:
+def test_cps_4(load):
     matrix = np.array([[11, 0, 10, -1], [0, 11, 10, -1], [10, 10, 21, -1], [1, 1, 1, 0]], float)
     vector = np.array([50.0, 50.0, load, -6.0])
     z, code = solve_lcp(matrix, vector, 100)
@@ -71,7 +71,7 @@ def test_cps_4(load: float) -> None:
     assert z == pytest.approx(expected, abs=1e-12)
 
 
-def test_no_solution_is_said_so() -> None:
+def test_no_solution_is_said_so():
     z, code = solve_lcp(-np.ones((1, 1)), -np.ones(1), 100)
     assert code == RAY
     assert (z == 0.0).all()

@@ -51,12 +51,9 @@ def _error(experiment, values):
     """E of one simulation: mean squares of x, y in mm and of 35 times the angle."""
     target = target_of(experiment)
     simulation = simulate(
-        target.case.scene,
-        Parameters(dict(zip(NAMES, values, strict=True))),
-        motion=QuasiStatic(),
-        duration=float(target.case.times[-1]),
-        output_interval=INTERVAL,
-    )
+        target.case.scene, Parameters(dict(zip(NAMES, values, strict=True))), motion=QuasiStatic(),
+        duration=float(target.case.times[-1]), output_interval=INTERVAL,
+    )  # fmt: skip
     pose = simulation[experiment.object_name].at(target.case.times)
     difference = pose - target.pose
     turn = (difference[:, 2] + pi) % (2.0 * pi) - pi

@@ -4,7 +4,6 @@ Source: K.-T. Yu et al. (2016), IROS.
 """
 
 from itertools import islice
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ POLYGONS = ("hex", "rect", "tri")  # smooth outlines have no sides: neighbours o
 
 
 @pytest.fixture(scope="module")
-def targets(data_root: Path):
+def targets(data_root):
     plan = plan_import(data_root / "mit_push_endpoints")
     return targets_of(islice(plan.experiments(), 0, None, 4))
 

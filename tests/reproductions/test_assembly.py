@@ -47,7 +47,6 @@ def test_tree_over_nominal_simulations_reaches_the_goal_without_errors():
     prepared = choose.prepared(replace(scene, duration=1.0))
     simulator = simulator_of(prepared, goal, choose, fixel.Belief(), None, None, 1)
     plan = nominal_rrt(simulator, seed=1)
-    assert plan is not None
     end = simulator.planned(plan[None]).nominal
     assert simulator.margins(end)[0] >= 0.0
     assert (nominal_rrt(simulator, seed=1) == plan).all()

@@ -5,15 +5,7 @@ import math
 import numpy as np
 import pytest
 from reproductions import cmu_tripod
-from reproductions.tripod_pushes import (
-    GRAVITY,
-    SAMPLES,
-    STEP,
-    SupportFit,
-    TripodPush,
-    fit_points,
-    unit_forces,
-)
+from reproductions.tripod_pushes import GRAVITY, SAMPLES, STEP, TripodPush, fit_points, unit_forces
 
 from fixel.calibration.least_squares import LeastSquares
 from fixel.calibration.target import Target
@@ -29,20 +21,16 @@ MU_FINGER = 0.5
 DURATION = 6.0
 
 
-def scene(place: float, slant: float, mu: float) -> Scene:
+def scene(place, slant, mu):
     """A finger against the edge y = -50 mm or x = -50 mm, at a place from -1 to 1 along it."""
     upright = place > 0.0
     along = -0.03 + 0.1 * abs(place)
     start = (-0.0511, along) if upright else (along, -0.0511)
     heading = slant + (0.0 if upright else 0.5 * math.pi)
     block = Body(
-        name="block",
-        shape=Polygon(OUTLINE),
-        mass=1.518,
-        centre_of_mass=np.zeros(2),
-        pose=np.zeros(3),
-        support=SupportPoints(points=POINTS, friction=mu),
-    )
+        name="block", shape=Polygon(OUTLINE), mass=1.518, centre_of_mass=np.zeros(2),
+        pose=np.zeros(3), support=SupportPoints(points=POINTS, friction=mu),
+    )  # fmt: skip
     finger = Pusher(
         name="finger",
         shape=Disk(0.001),
@@ -56,7 +44,7 @@ def scene(place: float, slant: float, mu: float) -> Scene:
 
 
 @pytest.fixture(scope="module")
-def pushes() -> list[TripodPush]:
+def pushes():
     made = []
     for k, place in enumerate((-0.95, -0.7, -0.45, -0.2, -0.05, 0.05, 0.2, 0.45, 0.7, 0.95)):
         surface = "plywood" if k % 2 else "hardboard"
@@ -72,22 +60,22 @@ def pushes() -> list[TripodPush]:
 
 
 @pytest.fixture(scope="module")
-def found(pushes: list[TripodPush]) -> SupportFit:
+def found(pushes):
     options = LeastSquares(starts=2, most_iterations=25)
     return fit_points(pushes, options, forces=True)
 
 
-def test_exact_poses_and_forces_give_the_points_back(found: SupportFit) -> None:
+def test_exact_poses_and_forces_give_the_points_back(found):
     # The model made the data: what is left is where the search ends.
     assert np.hypot(*(found.points - POINTS).T).max() < 1e-3
 
 
-def test_and_the_friction_of_finger_and_surfaces(found: SupportFit) -> None:
+def test_and_the_friction_of_finger_and_surfaces(found):
     assert found.values["mu_pusher"] == pytest.approx(MU_FINGER, abs=0.02)
     assert found.friction == pytest.approx(MU, abs=0.005)
 
 
-def test_known_points_leave_only_the_finger_to_fit(pushes: list[TripodPush]) -> None:
+def test_known_points_leave_only_the_finger_to_fit(pushes):
     known = fit_points(pushes, LeastSquares(most_iterations=15), forces=False, known=True)
     np.testing.assert_array_equal(known.points, POINTS)
     # The finger sticks in most of these pushes: any friction that holds it does.
@@ -95,25 +83,25 @@ def test_known_points_leave_only_the_finger_to_fit(pushes: list[TripodPush]) -> 
     assert known.deviance < 0.1
 
 
-def test_friction_of_the_surface_from_forces(pushes: list[TripodPush]) -> None:
+def test_friction_of_the_surface_from_forces(pushes):
     rows = cmu_tripod.surface_friction(pushes, MU_FINGER)
     found = {row["surface"]: row["mu"] for row in rows if row["support"] == "all"}
     assert found == pytest.approx(MU, abs=1e-4)
 
 
-def test_force_of_a_block_that_only_slides_is_its_friction_along_the_way() -> None:
+def test_force_of_a_block_that_only_slides_is_its_friction_along_the_way():
     way = np.array([[[0.0, 0.0, 0.3], [3e-3, 4e-3, 0.3]]])
     force = unit_forces(way, POINTS[None], np.full((1, 3), 1 / 3))
     np.testing.assert_allclose(force, [[[0.6, 0.8]]], atol=1e-12)
 
 
-def test_a_block_that_turns_about_its_centre_needs_no_force() -> None:
+def test_a_block_that_turns_about_its_centre_needs_no_force():
     points = 0.03 * np.array([[[1.0, 0.0], [-0.5, 0.75**0.5], [-0.5, -(0.75**0.5)]]])
     way = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]]])
     force = unit_forces(way, points, np.full((1, 3), 1 / 3))
     np.testing.assert_allclose(force, 0.0, atol=1e-12)
 
 
-def test_no_motion_no_force() -> None:
+def test_no_motion_no_force():
     force = unit_forces(np.zeros((1, 3, 3)), POINTS[None], np.full((1, 3), 1 / 3))
     np.testing.assert_array_equal(force, 0.0)

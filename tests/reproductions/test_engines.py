@@ -1,9 +1,6 @@
 """Comparison of engines on made-up pushes of known parameters, and on real ones."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +15,6 @@ from fixel.datasets.mit_push import read_mit_pushes
 from fixel.errors import DatasetMissing
 from fixel.model import SupportPoints, UniformPressure
 from fixel.simulation.rollouts import RolloutCase, ensemble_of
-from fixel.typing import FloatArray, IntArray
 
 TWO = {
     "fixel": engines.SETTINGS["fixel"],
@@ -27,9 +23,7 @@ TWO = {
 
 
 @pytest.mark.system
-def test_engines_are_compared_and_a_second_run_simulates_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_engines_are_compared_and_a_second_run_simulates_nothing(tmp_path, monkeypatch):
     pytest.importorskip("pymunk")
     monkeypatch.setattr(engines, "SETTINGS", TWO | {"Drake": engines.SETTINGS["Drake"]})
     monkeypatch.setattr(engines, "QUICK", 8)
@@ -57,27 +51,25 @@ def test_engines_are_compared_and_a_second_run_simulates_nothing(
     assert again.tables == answer.tables
 
 
-def test_a_push_that_an_engine_cannot_finish_counts_as_one_that_did_not_move(
-    tmp_path: Path,
-) -> None:
+def test_a_push_that_an_engine_cannot_finish_counts_as_one_that_did_not_move(tmp_path):
     cases = engines.mit_cases(made_up(tmp_path, 30), quick=True)
     engine = engines._Engine(cases, engines.SETTINGS["fixel"])
     some = cases.members[0].held_out
 
-    def simulate(which: IntArray, values: dict[str, FloatArray]) -> engines.Ends:
+    def simulate(which, values):
         good = np.arange(len(which)) > 0
         return engines.Ends(
             np.full((len(which), 3), np.nan) + np.where(good, 1.0, 0.0)[:, None], good
         )
 
-    engine.simulate = simulate  # type: ignore[method-assign,assignment]
+    engine.simulate = simulate
     found = engine.ends(some, {})
 
     assert found.pose[0].tolist() == cases.start[some[0]].tolist()
     assert found.good.tolist() == [False, *[True] * (len(some) - 1)]
 
 
-def tripod_pushes() -> list[TripodPush]:
+def tripod_pushes():
     """Pushes of a block on two surfaces, each on three points and on its face."""
     made = []
     for surface, mu in MU.items():
@@ -96,14 +88,14 @@ def tripod_pushes() -> list[TripodPush]:
 
 
 def test_training_pushes_of_cmu_share_neither_surface_nor_support_with_held_out_ones(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    tmp_path, monkeypatch
+):
     monkeypatch.setattr(engines, "read_pushes", lambda folder: tripod_pushes())
     monkeypatch.setattr(engines, "SETTINGS", {"fixel": engines.SETTINGS["fixel"]})
     monkeypatch.setattr(engines, "RESAMPLES", 200)
     cases = engines.cmu_cases(tmp_path, quick=False)
 
-    def groups(places: IntArray) -> set[tuple[float, bool]]:
+    def groups(places):
         found = [cases.cases[k].scene.bodies[0].support for k in places.tolist()]
         assert all(isinstance(own, SupportPoints) for own in found)
         return {(own.friction, len(own.points) == 3) for own in found}
@@ -128,7 +120,7 @@ def test_training_pushes_of_cmu_share_neither_surface_nor_support_with_held_out_
         reproduce("engines", tmp_path / "elsewhere")
 
 
-def test_own_parameters_start_as_shipped() -> None:
+def test_own_parameters_start_as_shipped():
     setting = engines.Setting("mujoco:step=0.004", ("timeconst", "impratio"))
 
     timeconst, impratio = engines.own_beliefs(setting)
@@ -138,7 +130,7 @@ def test_own_parameters_start_as_shipped() -> None:
     assert np.exp([impratio.low, impratio.high]) == pytest.approx([1.0, 100.0])
 
 
-def test_the_interval_of_a_difference_is_that_of_groups() -> None:
+def test_the_interval_of_a_difference_is_that_of_groups():
     group = np.repeat([0, 1, 2, 3], 50)
     more = np.array([0.0, 0.0, 1.0, 1.0])[group]
 
@@ -150,9 +142,7 @@ def test_the_interval_of_a_difference_is_that_of_groups() -> None:
 
 
 @pytest.mark.slow
-def test_calibration_makes_fixel_better_on_real_pushes(
-    data_root: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_calibration_makes_fixel_better_on_real_pushes(data_root, monkeypatch):
     monkeypatch.setattr(engines, "SETTINGS", {"fixel": engines.SETTINGS["fixel"]})
     monkeypatch.setattr(engines, "HELD_OUT", 84)
     monkeypatch.setattr(engines, "LEFT_OUT", {"ellip2"})

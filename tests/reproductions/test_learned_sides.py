@@ -1,9 +1,5 @@
 """Learned residuals on sides never pushed, on made-up pushes and on real ones."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 from reproductions import protocols
@@ -18,7 +14,7 @@ from fixel.io.array_bytes import ResultCache
 pytest.importorskip("sklearn")
 
 
-def test_quarters_are_equally_large_and_contiguous(tmp_path: Path) -> None:
+def test_quarters_are_equally_large_and_contiguous(tmp_path):
     data = read_mit_pushes(made_up(tmp_path / "data", 32))
     bench = BenchmarkData(data, BenchmarkRequest(), ResultCache(None), lambda *_: None)
     group = bench.group(next(key for key in bench.rows if key[1] == "block"))
@@ -36,9 +32,7 @@ def test_quarters_are_equally_large_and_contiguous(tmp_path: Path) -> None:
 
 
 @pytest.mark.system
-def test_the_command_reports_what_it_has_measured(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_reports_what_it_has_measured(tmp_path, monkeypatch):
     monkeypatch.setattr(protocols, "QUICK_SHAPES", 1)
     monkeypatch.setattr(protocols, "QUICK_ITERATIONS", 1)
     made_up(tmp_path / "mit_push_endpoints", 64)
@@ -55,7 +49,7 @@ def test_the_command_reports_what_it_has_measured(
 
 
 @pytest.mark.slow
-def test_a_process_does_no_harm_on_real_sides_never_pushed(data_root: Path) -> None:
+def test_a_process_does_no_harm_on_real_sides_never_pushed(data_root):
     answer = reproduce("learned-sides", data_root)
     for row in answer.tables["overall"]:
         for unit, limit in MAX_LOSS.items():

@@ -1,10 +1,7 @@
 """The benchmark on straight pushes: made-up ones of known parameters, and real ones."""
 
-from __future__ import annotations
-
 import csv
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +9,9 @@ from reproductions.__main__ import app
 from reproductions.protocols import PROTOCOLS
 from reproductions.pushes import PushGroup, rows_by_key
 from reproductions.residuals import Split, few_of, folds, learned_ends, random_split
-from reproductions.result import Benchmark
 from reproductions.run import BenchmarkRequest, benchmark_real
 from tests.datasets import push_files
+from tests.fixtures import refused
 from typer.testing import CliRunner
 
 from fixel.datasets.mit_push import read_mit_pushes
@@ -27,7 +24,7 @@ TRUTH = {
 }  # fmt: skip
 
 
-def made_up(folder: Path, n: int = 30) -> Path:
+def made_up(folder, n=30):
     """Pushes of two plates on one surface, that end where the simulator says under the truth."""
     rng = np.random.default_rng(7)
     rows = [_start(k, name, rng) for name in ("block", "egg") for k in range(n)]
@@ -45,7 +42,7 @@ def made_up(folder: Path, n: int = 30) -> Path:
     return push_files.mit_push(folder, *rows)
 
 
-def _start(k: int, name: str, rng: np.random.Generator) -> dict[str, object]:
+def _start(k, name, rng):
     """A push into one of the four sides; the tip is recorded where it seems to touch."""
     reach = {"block": (0.03, 0.03), "egg": (0.03, 0.04)}[name][k % 2] + push_files.TIP
     angle, side = rng.uniform(-3.0, 3.0), 0.5 * np.pi * (k % 4)
@@ -60,7 +57,7 @@ def _start(k: int, name: str, rng: np.random.Generator) -> dict[str, object]:
     )  # fmt: skip
 
 
-def pooled(answer: Benchmark, protocol: str, model: str) -> float:
+def pooled(answer, protocol, model):
     row = next(row for row in answer.rows if row["protocol"] == protocol)
     return float(row[model]["position_mm"]["mean"])
 
@@ -68,7 +65,7 @@ def pooled(answer: Benchmark, protocol: str, model: str) -> float:
 # --- splits ---------------------------------------------------------------------------------------
 
 
-def test_splits_share_out_every_stratum() -> None:
+def test_splits_share_out_every_stratum():
     strata = [10.0] * 20 + [20.0] * 10
 
     split = random_split(strata, 0.6, 1)
@@ -80,7 +77,7 @@ def test_splits_share_out_every_stratum() -> None:
     assert random_split(strata, 0.6, 1).train.tolist() == split.train.tolist()
 
 
-def test_folds_hold_everybody_out_once() -> None:
+def test_folds_hold_everybody_out_once():
     found = folds([1] * 7 + [2] * 6, 5, 0)
 
     assert sorted(np.concatenate([own.held_out for own in found]).tolist()) == list(range(13))
@@ -89,7 +86,7 @@ def test_folds_hold_everybody_out_once() -> None:
         assert len(own.held_out) in (2, 3)
 
 
-def test_few_are_some_of_those_for_training() -> None:
+def test_few_are_some_of_those_for_training():
     split = random_split([1] * 50, 0.6, 0)
 
     few = few_of(split, 10, 0)
@@ -99,21 +96,19 @@ def test_few_are_some_of_those_for_training() -> None:
     assert few.held_out is split.held_out
 
 
-def test_wrong_splits_are_refused() -> None:
-    with pytest.raises(InvalidInput, match="2 to 3"):
-        folds([1, 1, 1], 4, 0)
-    with pytest.raises(InvalidInput, match="between 0 and 1"):
-        random_split([1, 1], 1.0, 0)
+def test_wrong_splits_are_refused():
+    refused(folds, [1, 1, 1], 4, 0, match="2 to 3")
+    refused(random_split, [1, 1], 1.0, 0, match="between 0 and 1")
 
 
 # --- finished fits --------------------------------------------------------------------------------
 
 
-def test_what_is_finished_is_not_done_again(tmp_path: Path) -> None:
+def test_what_is_finished_is_not_done_again(tmp_path):
     kept = ResultCache(tmp_path / "fits")
     calls = []
 
-    def compute() -> dict[str, object]:
+    def compute():
         calls.append(1)
         return {"answer": len(calls)}
 
@@ -129,10 +124,10 @@ def test_what_is_finished_is_not_done_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.system
-def test_made_up_pushes_are_found_out(tmp_path: Path) -> None:
+def test_made_up_pushes_are_found_out(tmp_path):
     folder = made_up(tmp_path / "data")
     out = tmp_path / "out"
-    told: list[tuple[int, int]] = []
+    told = []
     request = BenchmarkRequest(seeds=1)
 
     answer = benchmark_real(
@@ -164,11 +159,11 @@ def test_made_up_pushes_are_found_out(tmp_path: Path) -> None:
     assert again.timing["seconds"] < answer.timing["seconds"]
 
 
-def test_a_stopped_run_goes_on_where_it_was(tmp_path: Path) -> None:
+def test_a_stopped_run_goes_on_where_it_was(tmp_path):
     folder, out = made_up(tmp_path / "data", 12), tmp_path / "out"
     request = BenchmarkRequest(protocols=("calibrated",), seeds=1, quick=True)
 
-    def stop(done: int, of: int, what: str) -> None:
+    def stop(done, of, what):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -182,7 +177,7 @@ def test_a_stopped_run_goes_on_where_it_was(tmp_path: Path) -> None:
 
 
 @pytest.mark.system
-def test_what_is_held_out_is_never_looked_at(tmp_path: Path) -> None:
+def test_what_is_held_out_is_never_looked_at(tmp_path):
     """Wrong ends of held-out pushes change no prediction, neither of physics nor of the process."""
     data = read_mit_pushes(made_up(tmp_path / "data"))
     (key, rows), *_ = rows_by_key(data, data.usable).items()
@@ -202,7 +197,7 @@ def test_what_is_held_out_is_never_looked_at(tmp_path: Path) -> None:
 
 
 @pytest.mark.system
-def test_fits_depend_on_training_pushes_alone(tmp_path: Path) -> None:
+def test_fits_depend_on_training_pushes_alone(tmp_path):
     folder = made_up(tmp_path / "data", 16)
     data = read_mit_pushes(folder)
     request = BenchmarkRequest(protocols=("calibrated", "few"), seeds=1, quick=True)
@@ -221,7 +216,7 @@ def test_fits_depend_on_training_pushes_alone(tmp_path: Path) -> None:
     assert len(data) == len(rows)
 
 
-def _unzipped(folder: Path) -> list[str]:
+def _unzipped(folder):
     import gzip
 
     with gzip.open(folder / "pushes.csv.gz", "rt", encoding="utf-8") as stream:
@@ -232,7 +227,7 @@ def _unzipped(folder: Path) -> list[str]:
 
 
 @pytest.mark.system
-def test_command_prints_json_and_a_table(tmp_path: Path) -> None:
+def test_command_prints_json_and_a_table(tmp_path):
     folder = made_up(tmp_path / "data", 12)
     arguments = ["--data", str(folder), "--quick", "--protocol", "few"]
 
@@ -255,12 +250,12 @@ def test_command_prints_json_and_a_table(tmp_path: Path) -> None:
         ({"folds": 1}, "2 or more"),
     ],
 )
-def test_wrong_requests_are_refused(changes: dict[str, object], complaint: str) -> None:
+def test_wrong_requests_are_refused(changes, complaint):
     with pytest.raises(InvalidInput, match=complaint):
-        BenchmarkRequest(**changes)  # type: ignore[arg-type]
+        BenchmarkRequest(**changes)
 
 
-def test_a_folder_without_the_data_is_refused(tmp_path: Path) -> None:
+def test_a_folder_without_the_data_is_refused(tmp_path):
     with pytest.raises(DatasetMissing):
         benchmark_real(tmp_path)
     with pytest.raises(InvalidInput, match="must be one of mit"):
@@ -271,9 +266,7 @@ def test_a_folder_without_the_data_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_real_pushes_are_nearer_than_the_published_simulator(
-    data_root: Path, tmp_path: Path
-) -> None:
+def test_real_pushes_are_nearer_than_the_published_simulator(data_root, tmp_path):
     """One plate on plywood, whose warp the published model does not know. Reached: 1.9 mm."""
     source = data_root / "mit_push_endpoints"
     rows = [

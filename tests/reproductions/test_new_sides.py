@@ -1,9 +1,5 @@
 """Bounds on sides and at speeds that were never pushed, on made-up pushes and on real ones."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 from reproductions import new_sides
@@ -18,7 +14,7 @@ from fixel.domain import features
 from fixel.io.array_bytes import ResultCache
 
 
-def test_a_side_left_out_has_no_push_in_training() -> None:
+def test_a_side_left_out_has_no_push_in_training():
     side = np.arange(200) % 4
     split = split_without(side, 2, 0)
     assert sorted([*split.train, *split.held_out]) == list(range(200))
@@ -26,7 +22,7 @@ def test_a_side_left_out_has_no_push_in_training() -> None:
     assert [(side[split.train] == k).sum() for k in (0, 1, 3)] == [38, 38, 38]
 
 
-def test_sides_are_those_the_pushes_were_made_up_on(tmp_path: Path) -> None:
+def test_sides_are_those_the_pushes_were_made_up_on(tmp_path):
     """The k-th push goes into side k modulo 4 of a square, whichever way that is turned."""
     data = read_mit_pushes(made_up(tmp_path / "data", 64))
     bench = BenchmarkData(data, BenchmarkRequest(), ResultCache(None), lambda *_: None)
@@ -37,9 +33,7 @@ def test_sides_are_those_the_pushes_were_made_up_on(tmp_path: Path) -> None:
 
 
 @pytest.mark.system
-def test_without_other_plates_a_new_side_has_no_data(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_other_plates_a_new_side_has_no_data(tmp_path, monkeypatch):
     """Two plates of four sides: too few left-out sides of the other plate to bound a new one."""
     monkeypatch.setattr(features, "TREES", 4)
     made_up(tmp_path / "mit_push_endpoints", 64)
@@ -61,7 +55,7 @@ def test_without_other_plates_a_new_side_has_no_data(
     assert (tmp_path / "out" / "new-sides.png").stat().st_size > 5_000
 
 
-def test_a_speed_that_only_left_out_speeds_bound_is_a_conclusion() -> None:
+def test_a_speed_that_only_left_out_speeds_bound_is_a_conclusion():
     """On real pushes, bounds that ignore the contact have no data at a speed never pushed."""
     n = 4
     counted = new_sides.CoverageCount(
@@ -91,7 +85,7 @@ def test_a_speed_that_only_left_out_speeds_bound_is_a_conclusion() -> None:
 
 
 @pytest.mark.slow
-def test_bounds_hold_on_real_sides_never_pushed(data_root: Path) -> None:
+def test_bounds_hold_on_real_sides_never_pushed(data_root):
     answer = reproduce("new-sides", data_root)
     for row in answer.tables["overall"]:
         if row["contacts"] == "all":

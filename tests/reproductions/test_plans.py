@@ -4,12 +4,7 @@ import numpy as np
 import pytest
 from reproductions.mit_push import PUBLISHED
 from reproductions.plans import Actions, choose, chosen_pairs, goals_of, off_goal
-from reproductions.predicted_pushes import (
-    REPEATS,
-    GroupPrediction,
-    PredictedPushes,
-    predict_group,
-)
+from reproductions.predicted_pushes import REPEATS, GroupPrediction, PredictedPushes, predict_group
 from reproductions.protocols import calibrated_bench
 from reproductions.result import RunOptions
 
@@ -48,7 +43,7 @@ def test_the_certain_push_is_chosen_although_another_is_predicted_nearer():
     assert found["probability"].stated.tolist() == [1.0, 0.0]
 
 
-def exact(motions: np.ndarray, error: float = 0.0) -> PredictedPushes:
+def exact(motions, error=0.0):
     """Pushes whose draws are the motions themselves, recorded with an error of the way."""
     draws = np.repeat(motions[:, None], 8 * REPEATS, axis=1)
     measured = motions + np.array([error, 0.0, 0.0])

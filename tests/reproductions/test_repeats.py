@@ -8,8 +8,6 @@ from reproductions import repeats
 from reproductions.repeat_groups import RepeatGroup, group_scene, outline_of, read_groups, rig_noise
 from reproductions.run import reproduce
 
-from fixel.errors import DatasetMissing
-
 
 def made(start, end, start_pose="a", heading=0.0):
     time = np.linspace(0.0, 4.0, 20)
@@ -52,11 +50,6 @@ def test_outlines_are_as_large_as_the_readme_says():
     triangle = outline_of("tri")
     assert triangle.area == pytest.approx(0.5 * 58e-3 * 27.5e-3)
     np.testing.assert_allclose(triangle.centroid, 0.0, atol=1e-15)
-
-
-def test_no_folder_no_answer(tmp_path):
-    with pytest.raises(DatasetMissing):
-        reproduce("repeats", tmp_path)
 
 
 def test_groups_of_the_real_logs(data_root):

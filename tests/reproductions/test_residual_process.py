@@ -1,7 +1,5 @@
 """Gaussian processes on what physics leaves over, among their examples and beyond them."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np
@@ -9,12 +7,11 @@ import pytest
 from reproductions.residual_process import NINETY, ResidualProcess
 
 from fixel.errors import InvalidInput
-from fixel.typing import FloatArray
 
 pytest.importorskip("sklearn")
 
 
-def made_up(n: int, seed: int) -> tuple[FloatArray, FloatArray]:
+def made_up(n, seed):
     """Residuals of two outputs that two of three features explain, but for noise."""
     rng = np.random.default_rng(seed)
     features = rng.uniform(-2.0, 2.0, (n, 3))
@@ -22,14 +19,12 @@ def made_up(n: int, seed: int) -> tuple[FloatArray, FloatArray]:
     return features, residuals + rng.normal(0.0, 0.1e-3, (n, 2))
 
 
-def predicted_at_one_place(
-    features: FloatArray, residuals: FloatArray, new: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def predicted_at_one_place(features, residuals, new):
     process = ResidualProcess(features, residuals, np.zeros((len(features), 1)))
     return process.predict(new, np.zeros((len(new), 1)))
 
 
-def test_it_learns_and_knows_how_well() -> None:
+def test_it_learns_and_knows_how_well():
     features, residuals = made_up(120, 1)
     new, truth = made_up(200, 2)
 
@@ -40,7 +35,7 @@ def test_it_learns_and_knows_how_well() -> None:
     assert 0.8 < inside.mean() < 0.97
 
 
-def test_noise_teaches_nothing() -> None:
+def test_noise_teaches_nothing():
     rng = np.random.default_rng(3)
     features, residuals = rng.normal(size=(60, 4)), rng.normal(size=(60, 1))
 
@@ -50,7 +45,7 @@ def test_noise_teaches_nothing() -> None:
     assert sd.mean() == pytest.approx(1.0, abs=0.4)
 
 
-def test_features_that_never_change_are_left_out() -> None:
+def test_features_that_never_change_are_left_out():
     features, residuals = made_up(40, 4)
     still = np.column_stack((features, np.full(40, 7.0)))
 
@@ -59,7 +54,7 @@ def test_features_that_never_change_are_left_out() -> None:
     assert np.isfinite(mean).all()
 
 
-def sides_of_a_plate(n: int, seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+def sides_of_a_plate(n, seed):
     """Pushes on four sides: what physics leaves over is of the other sign on the last one.
 
     Features vary along each side; places also have the direction of the side.
@@ -73,7 +68,7 @@ def sides_of_a_plate(n: int, seed: int) -> tuple[FloatArray, FloatArray, FloatAr
     return side, residual[:, None], np.column_stack((features, 2 * np.cos(turn), 2 * np.sin(turn)))
 
 
-def test_on_a_side_without_examples_only_physics_predicts() -> None:
+def test_on_a_side_without_examples_only_physics_predicts():
     """The residual of the last side cannot be known from the others, and would be made twice as
     large by what these suggest."""
     side, residual, table = sides_of_a_plate(300, 7)
@@ -87,7 +82,7 @@ def test_on_a_side_without_examples_only_physics_predicts() -> None:
     assert inside.mean() > 0.8  # errors as large as those among the examples are expected
 
 
-def test_among_dense_examples_the_process_keeps_its_gain() -> None:
+def test_among_dense_examples_the_process_keeps_its_gain():
     _, residual, table = sides_of_a_plate(400, 8)
     train, held = np.arange(400) % 2 == 0, np.arange(400) % 2 == 1
 
@@ -100,7 +95,7 @@ def test_among_dense_examples_the_process_keeps_its_gain() -> None:
     assert 0.82 < (left <= NINETY * sd).mean() < 0.97
 
 
-def test_equal_places_have_no_spacing_to_go_by() -> None:
+def test_equal_places_have_no_spacing_to_go_by():
     """Repeated pushes of one contact: the process predicts there, physics anywhere else."""
     features, residuals = made_up(40, 9)
     residuals += 5e-3
@@ -114,7 +109,7 @@ def test_equal_places_have_no_spacing_to_go_by() -> None:
     assert sd.min() > 3e-3
 
 
-def test_few_examples_do_not_reach_the_next_side() -> None:
+def test_few_examples_do_not_reach_the_next_side():
     """Ten pushes on two sides that face away from each other, and none on the third."""
     features, residuals = made_up(10, 10)
     residuals += 5e-3
@@ -130,7 +125,7 @@ def test_few_examples_do_not_reach_the_next_side() -> None:
 
 
 @pytest.mark.parametrize("n", [3, 20])
-def test_too_few_or_broken_examples_are_refused(n: int) -> None:
+def test_too_few_or_broken_examples_are_refused(n):
     features, residuals = made_up(n, 5)
     residuals[0] = np.nan
 
@@ -138,7 +133,7 @@ def test_too_few_or_broken_examples_are_refused(n: int) -> None:
         ResidualProcess(features, residuals, features)
 
 
-def test_without_scikit_learn_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_scikit_learn_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "sklearn", None)
     features, residuals = made_up(20, 6)
 

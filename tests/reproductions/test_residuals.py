@@ -7,7 +7,7 @@ from reproductions.residuals import neighbour_features
 from fixel.errors import InvalidInput
 
 
-def test_neighbours_tell_how_far_off_they_were_and_whether_they_agree() -> None:
+def test_neighbours_tell_how_far_off_they_were_and_whether_they_agree():
     place = np.array([[0.0], [1.0], [2.0], [10.0]])
     same = np.tile([1e-3, 0.0, 0.0], (4, 1))
     mixed = same * np.array([[1.0], [-1.0], [1.0], [-1.0]])
@@ -18,7 +18,7 @@ def test_neighbours_tell_how_far_off_they_were_and_whether_they_agree() -> None:
     np.testing.assert_allclose(differ, [[0.5, 1e-3, 0.0]], atol=1e-12)
 
 
-def test_nobody_is_a_neighbour_of_itself() -> None:
+def test_nobody_is_a_neighbour_of_itself():
     place = np.arange(4.0)[:, None]
     residual = np.diag([5e-3, 1e-3, 1e-3])[[0, 1, 2, 2]]
     itself = np.array([0, -1, -1, -1])

@@ -32,12 +32,9 @@ def random_grasp(seed):
     back = float(min(outline @ (math.cos(theta), -math.sin(theta))))
     x = 0.0145 + rng.uniform(0.002, 0.02) - back
     part = Body(
-        name="part",
-        shape=Polygon(outline),
-        mass=0.15,
-        pose=(x, y, theta),
+        name="part", shape=Polygon(outline), mass=0.15, pose=(x, y, theta),
         support=Tripod(radius=rng.uniform(0.01, 0.06), friction=rng.uniform(0.1, 0.6)),
-    )
+    )  # fmt: skip
     head = 0.0145 * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
     drive = LineDrive(direction=(1, 0), speed=0.0135, travel=0.15, force_limit=34.3)
     pusher = Pusher(

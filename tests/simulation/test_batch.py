@@ -77,12 +77,8 @@ def test_rollout_that_stops_early_keeps_its_last_pose():
         ({"parameters": {"mu_fixel": [0.1, -0.2]}}, "mu_fixel", "-0.2", "at least 0"),
         ({"parameters": {"mu_fixel": [0.1, np.nan]}}, "mu_fixel", "nan", "finite"),
         ({"parameters": {"mu_fixle": [0.1]}}, "parameters", "mu_fixle", "mu_fixel"),
-        (
-            {"parameters": [Parameters(mu_fixel=0.1), Parameters(mu_pusher=0.1)]},
-            "parameters[1]",
-            "mu_pusher",
-            "mu_fixel",
-        ),
+        ({"parameters": [Parameters(mu_fixel=0.1), Parameters(mu_pusher=0.1)]}, "parameters[1]",
+         "mu_pusher", "mu_fixel"),
         ({"start": np.zeros((4, 2))}, "start", "(4, 1, 2)", "(n, 1, 3)"),
         ({"start": np.full((4, 3), np.nan)}, "start", "not all finite", "finite"),
         ({"start": np.zeros((2, 3)), "parameters": {"mu_fixel": [1]}}, "variations", "2", "same"),
@@ -94,7 +90,7 @@ def test_rollout_that_stops_early_keeps_its_last_pose():
         ({"threads": 0}, "threads", "0", "at least 1"),
         ({"duration": -1.0}, "duration", "-1.0", "positive"),
     ],
-)
+)  # fmt: skip
 def test_what_does_not_fit_is_refused(options, where, found, expected):
     with pytest.raises(InvalidInput) as refusal:
         simulate_batch(grasp(), **options, **QUICK)
@@ -157,11 +153,8 @@ RIGID = replace(grasp(force_limit=None), duration=12.0)  # ends in a jam
 @pytest.mark.parametrize(
     ("scene", "method", "varied"),
     [
-        (
-            grasp("seated"),
-            {},
-            {"parameters": {"mu_fixel": [0.1, 0.2], "tripod_radius": [2e-2, 3e-2]}},
-        ),
+        (grasp("seated"), {},
+         {"parameters": {"mu_fixel": [0.1, 0.2], "tripod_radius": [2e-2, 3e-2]}}),
         (grasp("seated"), {"motion": "quasistatic"}, {"start": [[0.09, 0, 0.1], [0.1, 0.01, 0.2]]}),
         (grasp(), QUICK, {"waypoints": [[[0.0, 0, 0, 0], [11.0, x, 0, 0]] for x in (0.02, 0.04)]}),
         (grasp(), QUICK, {"parameters": {"outline_y": [0.0, 1e-3]}, "duration": 3.0, "threads": 1}),
@@ -169,7 +162,7 @@ RIGID = replace(grasp(force_limit=None), duration=12.0)  # ends in a jam
         (RIGID, {}, {"parameters": [{"mu_fixel": 0.5}, {"mu_fixel": 0.01}]}),
     ],
     ids=["parameters", "start", "waypoints", "outline", "heap", "jam"],
-)
+)  # fmt: skip
 def test_ends_are_those_of_a_batch(scene, method, varied):
     simulator = Simulator(scene, **method)
     options = dict(varied)

@@ -52,14 +52,9 @@ def test_a_velocity_without_a_square_is_no_answer(step):
 
 def squeezed(stepper):
     return simulate_batch(
-        grasp("seated"),
-        FRICTION,
-        start=SQUEEZED[None],
-        waypoints=HEAD[None],
-        motion=FirstOrder(),
-        stepper=stepper,
-        duration=1 / 30,
-    )
+        grasp("seated"), FRICTION, start=SQUEEZED[None], waypoints=HEAD[None], motion=FirstOrder(),
+        stepper=stepper, duration=1 / 30,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("stepper", [StewartTrinkle(step=1 / 30), Midpoint(step=1 / 30)])

@@ -49,12 +49,9 @@ def test_as_one_by_one():
     for r, k in enumerate(which):
         case = cases[k]
         alone = simulate(
-            case.scene,
-            Parameters({name: float(v[r]) for name, v in values.items()}),
-            motion=QuasiStatic(),
-            duration=float(case.times[-1]),
-            output_interval=0.5,
-        )
+            case.scene, Parameters({name: float(v[r]) for name, v in values.items()}),
+            motion=QuasiStatic(), duration=float(case.times[-1]), output_interval=0.5,
+        )  # fmt: skip
         pose = alone.pose[case.scene.bodies[0].name][1:]
         assert outcome.pose[r, : len(pose)] == pytest.approx(pose, abs=2e-4)
         assert (outcome.pose[r, len(pose) :] == outcome.pose[r, len(pose) - 1]).all()

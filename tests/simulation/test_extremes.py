@@ -22,36 +22,27 @@ def scene_of(n_free, n_fixel, entries=()):
     return Scene(
         bodies=[
             Body(
-                name=("a", "b", "c1", "c2", "d", "e")[k] if k < 6 else f"x{k}",
-                shape=disk,
-                mass=0.1,
-                support=Tripod(radius=0.005, friction=0.3),
-                pose=(0.03 * k, 0.0, 0.0),
+                name=("a", "b", "c1", "c2", "d", "e")[k] if k < 6 else f"x{k}", shape=disk,
+                mass=0.1, support=Tripod(radius=0.005, friction=0.3), pose=(0.03 * k, 0.0, 0.0),
             )
             for k in range(n_free)
         ],
         pushers=[
             Pusher(
-                name="p",
-                shape=disk,
-                pose=(0.0, -0.1, 0.0),
-                friction=0.11,
+                name="p", shape=disk, pose=(0.0, -0.1, 0.0), friction=0.11,
                 drive=LineDrive(direction=(1.0, 0.0), speed=0.01, travel=0.1),
             )
         ],
         fixels=[
             Fixel(
-                name=f"c{k + 8}",
-                shape=disk,
-                pose=(0.03 * k, 0.1, 0.0),
-                friction=0.01 * k,
+                name=f"c{k + 8}", shape=disk, pose=(0.03 * k, 0.1, 0.0), friction=0.01 * k,
                 restitution=0.001 * k,
             )
             for k in range(n_fixel)
         ],
         contact_friction=entries,
         duration=0.1,
-    )
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("seed", range(40))

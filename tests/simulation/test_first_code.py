@@ -53,12 +53,12 @@ _DIES = "import os; os._exit(9)"
 
 
 @pytest.fixture
-def cold(tmp_path, monkeypatch) -> Path:
+def cold(tmp_path, monkeypatch):
     monkeypatch.setenv("FIXEL_CACHE_DIR", str(tmp_path / "cache"))
     return tmp_path / "cache"
 
 
-def in_a_new_process(cache: Path, compile_: str = _WAITS, plain: str = "") -> tuple[list, str]:
+def in_a_new_process(cache, compile_=_WAITS, plain=""):
     """Answers of a process whose two children run these programs; the real one by default."""
     environment = {**os.environ, "FIXEL_CACHE_DIR": str(cache)}
     environment.pop("NUMBA_DISABLE_JIT", None)

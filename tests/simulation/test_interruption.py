@@ -6,9 +6,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 import numpy as np
 import pytest
@@ -30,12 +28,12 @@ pytestmark = [
 
 
 @contextmanager
-def ctrl_c() -> Iterator[None]:
+def ctrl_c():
     """Send the signal of Ctrl-C to this process soon, and check how long the block goes on."""
     simulate(pushed_square())  # compiled before
-    sent: list[float] = []
+    sent = []
 
-    def send() -> None:
+    def send():
         sent.append(time.monotonic())
         os.kill(os.getpid(), signal.SIGINT)
 
@@ -49,7 +47,7 @@ def ctrl_c() -> Iterator[None]:
 
 
 @contextmanager
-def restored(fd: int, handler: Any) -> Iterator[None]:
+def restored(fd, handler):
     try:
         yield
     finally:
@@ -57,7 +55,7 @@ def restored(fd: int, handler: Any) -> Iterator[None]:
         signal.signal(signal.SIGUSR1, handler)
 
 
-def test_a_long_rollout_stops_with_its_motion_up_to_then() -> None:
+def test_a_long_rollout_stops_with_its_motion_up_to_then():
     with ctrl_c(), pytest.raises(Interrupted) as stop:
         simulate(pushed_square(), output_interval=0.001, **LONG)
 
@@ -70,7 +68,7 @@ def test_a_long_rollout_stops_with_its_motion_up_to_then() -> None:
 
 
 @pytest.mark.parametrize("n_threads", [1, 2])
-def test_a_long_batch_stops_with_the_runs_that_ended(n_threads: int) -> None:
+def test_a_long_batch_stops_with_the_runs_that_ended(n_threads):
     friction = np.linspace(0.1, 0.4, 5_000)  # of 15 ms each
 
     with ctrl_c(), pytest.raises(KeyboardInterrupt) as stop:
@@ -83,8 +81,8 @@ def test_a_long_batch_stops_with_the_runs_that_ended(n_threads: int) -> None:
     assert np.array_equal(runs[0].final, alone.final)
 
 
-def test_other_threads_run_their_rollouts_themselves() -> None:
-    ends: list[str] = []
+def test_other_threads_run_their_rollouts_themselves():
+    ends = []
     other = threading.Thread(target=lambda: ends.append(simulate(pushed_square()).status))
     other.start()
     other.join()
@@ -92,11 +90,11 @@ def test_other_threads_run_their_rollouts_themselves() -> None:
     assert ends == ["converged"]
 
 
-def test_a_late_signal_of_an_earlier_call_stops_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    calls: list[int] = []
+def test_a_late_signal_of_an_earlier_call_stops_nothing(monkeypatch):
+    calls = []
     roll = threads.kernel.rollout_batch
 
-    def stopped_once(*arguments: Any) -> None:
+    def stopped_once(*arguments):
         calls.append(1)
         if len(calls) == 1:
             arguments[2].total[:, STOP] = 1.0
@@ -109,7 +107,7 @@ def test_a_late_signal_of_an_earlier_call_stops_nothing(monkeypatch: pytest.Monk
     assert len(calls) == 2
 
 
-def test_other_signals_reach_whoever_waited_for_them() -> None:
+def test_other_signals_reach_whoever_waited_for_them():
     receiver, sender = socket.socketpair()
     sender.setblocking(False)
     before = signal.signal(signal.SIGUSR1, lambda *_: None)
@@ -126,7 +124,7 @@ def test_other_signals_reach_whoever_waited_for_them() -> None:
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of forking beside another thread
-def test_a_forked_process_watches_for_itself() -> None:
+def test_a_forked_process_watches_for_itself():
     simulate(pushed_square())
     friction = {"mu_pusher": np.linspace(0.1, 0.4, 8)}
     runs = simulate_batch(pushed_square(), friction, threads=2)

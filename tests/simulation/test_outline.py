@@ -1,8 +1,5 @@
 """Outlines of many corners: simplified for contacts, and full in everything else."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
 from time import process_time
 
@@ -10,10 +7,9 @@ import numpy as np
 import pytest
 import shapely
 
-from fixel.model import Body, Disk, LineDrive, Polygon, Scene, UniformPressure
+from fixel.model import Disk, LineDrive, Polygon, UniformPressure
 from fixel.simulation import Dynamic, QuasiStatic, Simulator, pack, simulate
 from fixel.simulation.geometry import contact_outline
-from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import Adaptive
 from fixel.simulation.vary import Variation
 from fixel.testing.scenes import pushed_square
@@ -21,7 +17,7 @@ from fixel.testing.scenes import pushed_square
 N_PUSH = 12
 
 
-def butterfly(n: int, size: float = 1.0, noise: float = 0.0) -> Polygon:
+def butterfly(n, size=1.0, noise=0.0):
     """Smooth outline with two hollows, 0.14 m wide, with `n` corners that scatter by `noise`."""
     angle = np.arange(n) * (2.0 * np.pi / n)
     radius = 0.05 * size * (1.0 + 0.3 * np.cos(2.0 * angle) + 0.1 * np.cos(4.0 * angle))
@@ -29,13 +25,13 @@ def butterfly(n: int, size: float = 1.0, noise: float = 0.0) -> Polygon:
     return Polygon(np.column_stack((radius * np.cos(angle), radius * np.sin(angle))))
 
 
-def distance(a: Polygon, b: Polygon) -> float:
+def distance(a, b):
     """Hausdorff distance of two outlines, by points every tenth of an edge."""
     one, other = (shapely.LinearRing(shape.vertices) for shape in (a, b))
     return float(shapely.hausdorff_distance(one, other, densify=0.1))
 
 
-def push(shape: Polygon, seed: int, support: UniformPressure | None = None) -> Scene:
+def push(shape, seed, support=None):
     """Push of 45 mm at a random angle and offset, from 2 mm beyond the circle about the shape."""
     rng = np.random.default_rng(seed)
     scene = pushed_square(duration=3.5)
@@ -52,9 +48,7 @@ def push(shape: Polygon, seed: int, support: UniformPressure | None = None) -> S
 
 @pytest.mark.parametrize("noise", [0.0, 3e-6])
 @pytest.mark.parametrize(("size", "tolerance"), [(1.0, 1e-5), (0.01, 1.4e-7), (10.0, 1e-5)])
-def test_a_simplified_outline_is_within_the_tolerance(
-    size: float, tolerance: float, noise: float
-) -> None:
+def test_a_simplified_outline_is_within_the_tolerance(size, tolerance, noise):
     full = butterfly(508, size, size * noise * min(1.0, 1.0 / size))
     used = contact_outline(full)
 
@@ -64,7 +58,7 @@ def test_a_simplified_outline_is_within_the_tolerance(
         assert len(used.vertices) < 0.6 * len(full.vertices)
 
 
-def test_true_corners_and_flat_sides_remain() -> None:
+def test_true_corners_and_flat_sides_remain():
     frame = shapely.segmentize(shapely.box(-0.05, -0.03, 0.05, 0.03), 2e-3)
     points = shapely.get_coordinates(frame)[:-1]
     traced = Polygon(points + np.random.default_rng(2).normal(0.0, 1e-6, points.shape))
@@ -77,14 +71,14 @@ def test_true_corners_and_flat_sides_remain() -> None:
 
 
 @pytest.mark.parametrize("build", [lambda: butterfly(64), lambda: Disk(0.05)], ids=["64", "disk"])
-def test_outlines_of_few_corners_stay_as_they_are(build: Callable[[], Polygon | Disk]) -> None:
+def test_outlines_of_few_corners_stay_as_they_are(build):
     for shape in (build(), build()):  # not an equal one from before
         assert contact_outline(shape) is shape
 
 
-def test_mass_and_inertia_are_those_of_the_full_outline() -> None:
+def test_mass_and_inertia_are_those_of_the_full_outline():
     scene = push(butterfly(508), 0)
-    part: Body = scene.bodies[0]
+    part = scene.bodies[0]
     packed = pack.pack(scene, Dynamic(), Adaptive(), Variation({}), 1, 1.0)
     triangles = shapely.constrained_delaunay_triangles(shapely.Polygon(part.shape.outline)).geoms
     area = shapely.area(triangles)
@@ -97,7 +91,7 @@ def test_mass_and_inertia_are_those_of_the_full_outline() -> None:
     assert in_si == pytest.approx(inertia, rel=1e-9)
 
 
-def test_the_result_states_the_simplification() -> None:
+def test_the_result_states_the_simplification():
     run = simulate(push(butterfly(508), 0), duration=0.1)
     used = contact_outline(butterfly(508))
 
@@ -114,9 +108,7 @@ def test_the_result_states_the_simplification() -> None:
     "motion", [pytest.param(Dynamic(), marks=pytest.mark.system), QuasiStatic()],
     ids=["dynamic", "quasistatic"],
 )  # fmt: skip
-def test_ends_are_near_those_of_the_full_outline(
-    motion: AbstractMotionModel, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ends_are_near_those_of_the_full_outline(motion, monkeypatch):
     """All of 480 measured pushes end within 0.14 mm: some enlarge an offset tenfold."""
     scenes = [push(butterfly(508), seed) for seed in range(N_PUSH)]
     ends = [simulate(scene, motion=motion).final["part"] for scene in scenes]
@@ -132,9 +124,7 @@ def test_ends_are_near_those_of_the_full_outline(
 
 
 @pytest.mark.parametrize("motion", [Dynamic(), QuasiStatic()], ids=lambda m: m.name)
-def test_a_push_of_a_traced_outline_costs_a_few_times_that_of_a_square(
-    motion: AbstractMotionModel,
-) -> None:
+def test_a_push_of_a_traced_outline_costs_a_few_times_that_of_a_square(motion):
     """2.5 to 4 times; 14 to 22 with the full outline and a support point for each corner."""
     even = UniformPressure(friction=0.3)
     took = []

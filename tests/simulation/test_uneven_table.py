@@ -1,7 +1,5 @@
 """Loads of a plate on a table that is not flat."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,16 +9,16 @@ from fixel.simulation.uneven_table import LENGTH, MAX_EXPONENT, TABLE_NAMES, fac
 CROSS = LENGTH * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 
 
-def factors(angle: float, **values: float) -> np.ndarray:
+def factors(angle, **values):
     table = {name: np.array([value]) for name, value in values.items()}
     return factors_on_table(CROSS, np.array([angle]), table)[0]
 
 
-def test_every_one_is_a_known_parameter() -> None:
+def test_every_one_is_a_known_parameter():
     assert set(TABLE_NAMES) == {name for name in KNOWN_PARAMETERS if name.startswith("table_")}
 
 
-def test_a_flat_table_changes_nothing() -> None:
+def test_a_flat_table_changes_nothing():
     assert factors(0.3) == pytest.approx(np.ones(4))
     assert factors(0.3, **dict.fromkeys(TABLE_NAMES, 0.0)) == pytest.approx(np.ones(4))
 
@@ -36,7 +34,5 @@ def test_a_flat_table_changes_nothing() -> None:
         (0.0, {"table_bend": 50.0}, [MAX_EXPONENT] * 4),
     ],
 )
-def test_factors_of_a_table(
-    angle: float, values: dict[str, float], logarithms: list[float]
-) -> None:
+def test_factors_of_a_table(angle, values, logarithms):
     assert factors(angle, **values) == pytest.approx(np.exp(logarithms))

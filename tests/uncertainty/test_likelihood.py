@@ -1,7 +1,5 @@
 """Likelihoods of paths: against the full covariance, threads, failures, and the camera's noise."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,10 +7,10 @@ import pytest
 from benchmarks.sbc import MODEL_ERROR, NOISE, pushes
 from benchmarks.simulation_based_calibration import measured_path
 from scipy.stats import multivariate_normal, norm
+from tests.fixtures import refused
 
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer
-from fixel.errors import InvalidInput
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.uncertainty.discrepancy import ModelError, draw_walks, shares_of_way, walk_over
 from fixel.uncertainty.likelihood import LogLikelihood, ParameterPrior, camera_noise
@@ -182,7 +180,5 @@ def test_priors_are_uniform_or_cut_normal(comparer):
 
 
 def test_what_cannot_be_is_refused(comparer):
-    with pytest.raises(InvalidInput, match="experiments: found none"):
-        LogLikelihood(comparer, [], NOISE)
-    with pytest.raises(InvalidInput, match="increasing bounds"):
-        ModelError(low=1e-2, high=1e-3)
+    refused(LogLikelihood, comparer, [], NOISE, match="experiments: found none")
+    refused(ModelError, low=1e-2, high=1e-3, match="increasing bounds")

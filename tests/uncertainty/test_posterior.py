@@ -1,7 +1,5 @@
 """Posteriors whose answer is known: evidence, separated minima, seeds, and plateaus of failure."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

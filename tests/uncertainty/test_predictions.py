@@ -1,7 +1,5 @@
 """Bands, bounds, what they are made of, their coverage, and fits of many unknowns."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from benchmarks.sbc import NOISE

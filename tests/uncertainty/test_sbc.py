@@ -1,7 +1,5 @@
 """Ranks of truths: even for a right posterior, and not for one that is too sure."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from benchmarks.sbc import some_ranks

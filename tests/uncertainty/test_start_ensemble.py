@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 from tests.uncertainty.forks import fork
 
 from fixel.errors import InvalidInput
@@ -114,7 +115,6 @@ def test_groups_are_found_and_the_largest_comes_first():
 
 
 def test_few_starts_and_foreign_scenes_are_refused():
-    with pytest.raises(InvalidInput, match="at least 50"):
-        sensitivity_of(simulate_starts(micro_push(1), ASME, 20))
+    refused(sensitivity_of, simulate_starts(micro_push(1), ASME, 20), match="at least 50")
     with pytest.raises(InvalidInput, match="one per start"):
         simulate_starts(micro_push(1), ASME, 20, values={"mu_pusher": np.ones(3)})

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 
 from fixel.errors import InvalidInput
 from fixel.uncertainty.starts import ASME, StartError, even_points, preset
@@ -65,7 +66,5 @@ def test_no_such_error(wrong):
 
 
 def test_no_such_preset_or_number():
-    with pytest.raises(InvalidInput, match="asme"):
-        preset("asmee")
-    with pytest.raises(InvalidInput, match="samples"):
-        even_points(0, 3, 0)
+    refused(preset, "asmee", match="asme")
+    refused(even_points, 0, 3, 0, match="samples")

@@ -1,7 +1,5 @@
 """A plate with tags on it, as a camera would see it: enough for tests of looking at it."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 
@@ -16,7 +14,7 @@ FINE = 4  # subpixels along a side
 CELLS = 10  # of a tag of 36h11, its white border included; 8 without
 
 
-def small_rig(**changed) -> Rig:
+def small_rig(**changed):
     """The bench of the thesis, seen by a camera of a quarter of its pixels."""
     lens = Lens(
         image_size=(640, 360), focal=(472.0, 476.0), centre=(322.0, 185.5), distortion=(0, -0.0536)
@@ -34,7 +32,7 @@ def small_rig(**changed) -> Rig:
     return Rig(**(values | changed))
 
 
-def plate_picture(rig: Rig, poses: dict[str, tuple[float, float, float]], tops=()) -> np.ndarray:
+def plate_picture(rig, poses, tops=()):
     """(h, w, 3) uint8 of the plate with its tags, parts at poses, and tops of fixels."""
     width, height = rig.camera.lens.image_size
     fine = np.full((FINE * height, FINE * width), 165, dtype=np.uint8)
@@ -53,7 +51,7 @@ def plate_picture(rig: Rig, poses: dict[str, tuple[float, float, float]], tops=(
     return cv2.cvtColor(cv2.GaussianBlur(gray, (0, 0), 0.6), cv2.COLOR_GRAY2BGR)
 
 
-def _lay(fine: np.ndarray, rig: Rig, tag: Tag, pose) -> None:
+def _lay(fine, rig, tag, pose):
     dictionary = dictionary_of(tag.family)
     side = 30 * CELLS
     card = np.full((side, side), 255, dtype=np.uint8)

@@ -1,7 +1,5 @@
 """A small bench for tests of rendered pictures: the thesis's resolution, a fifth of its field."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,15 +7,13 @@ import numpy as np
 from fixel.formats.rig_file import rig_of
 from fixel.testing.scenes import grasp
 from fixel.vision.lens import Lens
-from fixel.vision.marks import Rig
 from fixel.vision.render.bench import RenderedBench
-from fixel.vision.render.looks import CameraEffects
 
 SIZE = (420, 320)
 AWAY = np.array([-0.5, -0.4, 0.0])  # where nobody sees it
 
 
-def small_rig(name: str = "thesis-tags", size: tuple[int, int] = SIZE) -> Rig:
+def small_rig(name="thesis-tags", size=SIZE):
     """The middle of an example rig's picture, without tags on the plate."""
     rig = rig_of(name)
     lens = rig.camera.lens
@@ -33,9 +29,7 @@ def bare_scene():
     return replace(grasp(), fixels=())
 
 
-def still(
-    rig: Rig, looks: CameraEffects, pose: object, scene: object = None, **more: object
-) -> np.ndarray:
+def still(rig, looks, pose, scene=None, **more):
     """(h, w, 3) light of one instant."""
     bench = RenderedBench(scene or bare_scene(), rig, looks, 1)
     return bench.light([{"object": np.asarray(pose), "actuator": AWAY, **more}])

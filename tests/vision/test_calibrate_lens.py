@@ -1,7 +1,5 @@
 """Lenses from pictures of boards that were rendered through a known lens."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2
@@ -11,39 +9,38 @@ from benchmarks.board_pictures import Studio, seen_corners, spread
 
 from fixel.errors import InvalidInput
 from fixel.vision.calibrate_lens import BoardView, SkippedPicture, calibrate_lens, find_boards
-from fixel.vision.frame import Picture
 from fixel.vision.lens import Lens
 from fixel.vision.marks import Board, Corners, board_of
 from fixel.vision.plane_errors import radius95
 
-LENS = Lens(image_size=(480, 360), focal=(440.0, 444.0), centre=(244.0, 177.0),  # type: ignore[arg-type]
-            distortion=(-0.12, 0.05, 0.001, -0.0008))  # type: ignore[arg-type]  # fmt: skip
-WIDE = Lens(image_size=(480, 360), focal=(260.0, 261.0), centre=(244.0, 177.0), fisheye=True,  # type: ignore[arg-type]
-            distortion=(0.05, -0.01, 0.002, -0.001))  # type: ignore[arg-type]  # fmt: skip
+LENS = Lens(image_size=(480, 360), focal=(440.0, 444.0), centre=(244.0, 177.0),
+            distortion=(-0.12, 0.05, 0.001, -0.0008))  # fmt: skip
+WIDE = Lens(image_size=(480, 360), focal=(260.0, 261.0), centre=(244.0, 177.0), fisheye=True,
+            distortion=(0.05, -0.01, 0.002, -0.001))  # fmt: skip
 CHARUCO = board_of("charuco:7x5:30mm:20mm")
 CHECKERS = board_of("checkerboard:8x5:25mm")
 
 
 @pytest.fixture(scope="module")
-def studio() -> Studio:
+def studio():
     return Studio(LENS, CHARUCO)
 
 
 @pytest.fixture(scope="module")
-def pictures(studio: Studio) -> list[tuple[str, Picture]]:
+def pictures(studio):
     return [(f"p{k}", studio.picture(*place)) for k, place in enumerate(spread(studio, 8, 0.30))]
 
 
-def values_of(lens: Lens, names: tuple[str, ...]) -> np.ndarray:
+def values_of(lens, names):
     return np.array([lens.parameters[name] for name in names])
 
 
-def within_three_sigma(lens: Lens, names: tuple[str, ...], deviations: list[float]) -> bool:
+def within_three_sigma(lens, names, deviations):
     off = values_of(lens, names) - values_of(LENS, names)
     return bool((np.abs(off) < 3.5 * np.array(deviations)).all())
 
 
-def test_charuco_pictures_recover_the_lens(pictures: list[tuple[str, Picture]]) -> None:
+def test_charuco_pictures_recover_the_lens(pictures):
     views, dropped = find_boards(
         [*pictures, ("white", np.full((360, 480), 255, np.uint8))], CHARUCO
     )
@@ -58,7 +55,7 @@ def test_charuco_pictures_recover_the_lens(pictures: list[tuple[str, Picture]]) 
 
 
 @pytest.mark.system
-def test_checkerboard_pictures_recover_the_lens() -> None:
+def test_checkerboard_pictures_recover_the_lens():
     studio = Studio(LENS, CHECKERS)
     places = spread(studio, 8, 0.40, near=0.6)
     views, _ = find_boards([(f"p{k}", studio.picture(*p)) for k, p in enumerate(places)], CHECKERS)
@@ -69,32 +66,28 @@ def test_checkerboard_pictures_recover_the_lens() -> None:
     assert within_three_sigma(found.camera.lens, found.camera.names, deviations)
 
 
-def test_it_agrees_with_opencv() -> None:
+def test_it_agrees_with_opencv():
     """With all corners good and the same unknowns, both find the same least squares."""
     views = seen_corners(LENS, CHECKERS, 8, noise=0.05)
     found = calibrate_lens(views, coefficients=4)
     solid = [np.column_stack([v.corners.places, np.zeros(len(v.corners.places))]) for v in views]
     rms, matrix, distortion, *_ = cv2.calibrateCamera(
-        [s.astype(np.float32) for s in solid],
-        [v.corners.pixels.astype(np.float32) for v in views],
-        LENS.image_size,
-        None,
-        None,
-        flags=cv2.CALIB_FIX_K3,
-    )
+        [s.astype(np.float32) for s in solid], [v.corners.pixels.astype(np.float32) for v in views],
+        LENS.image_size, None, None, flags=cv2.CALIB_FIX_K3,
+    )  # fmt: skip
     lens = found.camera.lens
     np.testing.assert_allclose(lens.focal, [matrix[0, 0], matrix[1, 1]], rtol=1e-5)
     np.testing.assert_allclose(lens.distortion[:4], distortion.ravel()[:4], atol=2e-5)
     assert found.rms * np.sqrt(2) == pytest.approx(rms, rel=1e-4)
 
 
-def test_fisheye_is_found() -> None:
+def test_fisheye_is_found():
     found = calibrate_lens(seen_corners(WIDE, CHECKERS, 10, noise=0.05, depth=0.2), fisheye=True)
     off = values_of(found.camera.lens, found.camera.names) - values_of(WIDE, found.camera.names)
     assert (np.abs(off) < 3.5 * np.array(list(found.camera.deviations.values()))).all()
 
 
-def test_a_bad_picture_is_dropped_with_the_reason() -> None:
+def test_a_bad_picture_is_dropped_with_the_reason():
     views = list(seen_corners(LENS, CHECKERS, 8, noise=0.05))
     bent = views[3].corners
     wave = 2.0 * np.sin(40.0 * bent.places[:, :1] + 20.0 * bent.places[:, 1:])
@@ -109,12 +102,12 @@ def test_a_bad_picture_is_dropped_with_the_reason() -> None:
     assert found.rms < 0.08
 
 
-def replace_corners(view: BoardView, corners: Corners) -> BoardView:
+def replace_corners(view, corners):
     return BoardView(view.name, view.size, corners)
 
 
 @pytest.mark.parametrize("count", [0, 3])
-def test_too_few_pictures(count: int) -> None:
+def test_too_few_pictures(count):
     views = seen_corners(LENS, CHECKERS, 8, noise=0.05)[:count]
     with pytest.raises(InvalidInput, match="at least 4"):
         calibrate_lens(views, [SkippedPicture("x.png", "no such board")])
@@ -123,7 +116,7 @@ def test_too_few_pictures(count: int) -> None:
 @pytest.mark.parametrize(
     ("lens", "seen", "options", "message"),
     [
-        (replace(LENS, distortion=(0.0,)), {"noise": 0.05, "tilt": 0.02}, {},  # type: ignore[arg-type]
+        (replace(LENS, distortion=(0.0,)), {"noise": 0.05, "tilt": 0.02}, {},
          "of parallel"),
         # Distortion bends boards as a tilt would; then the fit itself knows too little.
         (LENS, {"noise": 0.05, "tilt": 0.02}, {}, "more tilted"),
@@ -132,28 +125,26 @@ def test_too_few_pictures(count: int) -> None:
     ],
     ids=["parallel", "parallel and distorted", "hardly tilted", "coefficients"],
 )  # fmt: skip
-def test_boards_that_say_too_little_are_refused(
-    lens: Lens, seen: dict[str, float], options: dict[str, int], message: str
-) -> None:
+def test_boards_that_say_too_little_are_refused(lens, seen, options, message):
     with pytest.raises(InvalidInput, match=message):
         calibrate_lens(seen_corners(lens, CHECKERS, 5, **seen), **options)
 
 
 @pytest.mark.parametrize(("size", "word"), [((360, 480), "90 degrees"), ((960, 720), "one size")])
-def test_mixed_sizes(size: tuple[int, int], word: str) -> None:
+def test_mixed_sizes(size, word):
     views = list(seen_corners(LENS, CHECKERS, 8, noise=0.05))
     views[2] = BoardView("odd.png", size, views[2].corners)
     with pytest.raises(InvalidInput, match=word):
         calibrate_lens(views)
 
 
-def test_mirrored_pictures(pictures: list[tuple[str, Picture]]) -> None:
+def test_mirrored_pictures(pictures):
     mirrored = [(name, np.ascontiguousarray(picture[:, ::-1])) for name, picture in pictures]
     with pytest.raises(InvalidInput, match="mirrored"):
         find_boards(mirrored, CHARUCO)
 
 
-def test_another_board(pictures: list[tuple[str, Picture]]) -> None:
+def test_another_board(pictures):
     views, dropped = find_boards(pictures[:4], CHECKERS)
     assert not views
     with pytest.raises(InvalidInput, match="no such board"):
@@ -167,18 +158,18 @@ def test_another_board(pictures: list[tuple[str, Picture]]) -> None:
      "charuco:7x5:30mm:22mm:9x9",
      "checkerboard:9x6:0mm"],
 )  # fmt: skip
-def test_boards_that_cannot_be(text: str) -> None:
+def test_boards_that_cannot_be(text):
     with pytest.raises(InvalidInput):
         board_of(text)
 
 
-def test_boards_are_read() -> None:
+def test_boards_are_read():
     assert board_of("checkerboard:9x6:25mm") == Board(columns=10, rows=7, square=0.025)
     assert board_of("charuco:7x5:3cm:22mm:5x5").dictionary == "5x5"
 
 
-def test_fewer_coefficients_stay_nought() -> None:
-    lens = replace(LENS, distortion=(0.0,))  # type: ignore[arg-type]
+def test_fewer_coefficients_stay_nought():
+    lens = replace(LENS, distortion=(0.0,))
     found = calibrate_lens(seen_corners(lens, CHECKERS, 6, noise=0.05), coefficients=1)
     assert not found.camera.lens.distortion[1:].any()
     assert set(found.camera.names) == {"fx", "fy", "cx", "cy", "k1"}
@@ -187,7 +178,7 @@ def test_fewer_coefficients_stay_nought() -> None:
 # --- lenses that the usual model does not describe ----------------------------------------------
 
 
-def otherwise_seen(k3: float, seed: int, n_view: int = 12) -> list[BoardView]:
+def otherwise_seen(k3, seed, n_view=12):
     """Corners by OpenCV's projection, with noise, and a bias that is smooth over each picture."""
     rng = np.random.default_rng(seed)
     matrix = np.array([[951.3, 0, 652.7], [0, 948.6, 351.4], [0, 0, 1.0]])
@@ -213,7 +204,7 @@ def otherwise_seen(k3: float, seed: int, n_view: int = 12) -> list[BoardView]:
 
 @pytest.mark.system
 @pytest.mark.parametrize("k3", [pytest.param(0.0, marks=pytest.mark.slow), -0.06])
-def test_the_lens_is_as_sure_as_it_says_in_the_corners(k3: float) -> None:
+def test_the_lens_is_as_sure_as_it_says_in_the_corners(k3):
     """Directions of pixels all over the picture, against OpenCV's: 95 of 100 within the radius.
 
     A lens has no place, so directions are compared after the turn that suits them best.
@@ -255,7 +246,7 @@ def test_the_lens_is_as_sure_as_it_says_in_the_corners(k3: float) -> None:
 
 
 @pytest.mark.system
-def test_it_is_said_whether_more_coefficients_are_needed() -> None:
+def test_it_is_said_whether_more_coefficients_are_needed():
     found = calibrate_lens(otherwise_seen(-0.06, 0, n_view=10))
     assert set(found.unseen) == {4, 5, 8}
     assert found.unseen[5] < found.unseen[4]

@@ -1,9 +1,5 @@
 """Lenses: both ways over the whole picture, and as OpenCV has it."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import cv2
 import numpy as np
 import pytest
@@ -11,16 +7,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fixel.errors import InvalidInput
-from fixel.typing import FloatArray
 from fixel.vision.lens import Lens
 
 
-def lens(size: tuple[int, int] = (1280, 720), **others: Any) -> Lens:
-    usual: dict[str, Any] = {"focal": (944.7, 952.7), "centre": (644.7, 371.2)}
+def lens(size=(1280, 720), **others):
+    usual = {"focal": (944.7, 952.7), "centre": (644.7, 371.2)}
     return Lens(image_size=size, **(usual | others))
 
 
-def whole_picture(of: Lens, columns: int = 81, rows: int = 49) -> FloatArray:
+def whole_picture(of, columns=81, rows=49):
     width, height = of.image_size
     u, v = np.linspace(-0.5, width - 0.5, columns), np.linspace(-0.5, height - 0.5, rows)
     return np.stack(np.meshgrid(u, v), axis=-1)
@@ -39,7 +34,7 @@ MODELS = {
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_pixels_come_back(name: str) -> None:
+def test_pixels_come_back(name):
     model = MODELS[name]
     pixels = whole_picture(model)
     # The figure that was asked for is 1e-6 px.
@@ -53,9 +48,7 @@ def test_pixels_come_back(name: str) -> None:
     fisheye=st.booleans(),
 )
 @settings(max_examples=60)
-def test_any_lens_comes_back_or_is_refused(
-    brown: list[float], aside: list[float], skew: float, fisheye: bool
-) -> None:
+def test_any_lens_comes_back_or_is_refused(brown, aside, skew, fisheye):
     model = lens(distortion=(*brown, *aside), skew=skew, fisheye=fisheye)
     pixels = whole_picture(model, 17, 11)
     try:
@@ -66,19 +59,19 @@ def test_any_lens_comes_back_or_is_refused(
 
 
 @pytest.mark.parametrize("name", ["thesis", "barrel", "pincushion", "rational", "fisheye"])
-def test_pixels_are_those_of_opencv(name: str) -> None:
+def test_pixels_are_those_of_opencv(name):
     model = MODELS[name]
     widest = 1.5 if model.fisheye else 0.5
     flat = np.random.default_rng(0).uniform(-widest, widest, (200, 2))
     solid = np.column_stack([flat, np.ones(200)])[:, None]
     matrix = np.array([[model.focal[0], 0, model.centre[0]], [0, model.focal[1], model.centre[1]],
                        [0, 0, 1.0]])  # fmt: skip
-    project: Any = cv2.fisheye.projectPoints if model.fisheye else cv2.projectPoints
+    project = cv2.fisheye.projectPoints if model.fisheye else cv2.projectPoints
     theirs, _ = project(solid, np.zeros(3), np.zeros(3), matrix, model.distortion)
     np.testing.assert_allclose(model.pixel(flat), theirs[:, 0], atol=1e-9)
 
 
-def test_what_a_lens_folds_is_refused() -> None:
+def test_what_a_lens_folds_is_refused():
     # With k1 = -1 directions beyond 0.577 fold back; nothing is seen beyond 0.385.
     folded = lens(distortion=(-1.0,))
     near = folded.pixel([0.3, 0.0])
@@ -89,7 +82,7 @@ def test_what_a_lens_folds_is_refused() -> None:
 
 @pytest.mark.parametrize("pixel", [[np.nan, 0.0], [np.inf, 0.0]])
 @pytest.mark.parametrize("name", ["thesis", "fisheye"])
-def test_no_number_is_no_answer(pixel: list[float], name: str) -> None:
+def test_no_number_is_no_answer(pixel, name):
     with pytest.raises(InvalidInput):
         MODELS[name].direction(pixel)
 
@@ -103,7 +96,7 @@ def test_no_number_is_no_answer(pixel: list[float], name: str) -> None:
         ({"image_size": (0, 10)}, "width and height"),
     ],
 )
-def test_lenses_that_cannot_be(change: dict[str, Any], word: str) -> None:
-    usual: dict[str, Any] = {"image_size": (64, 48), "focal": (50, 50), "centre": (32, 24)}
+def test_lenses_that_cannot_be(change, word):
+    usual = {"image_size": (64, 48), "focal": (50, 50), "centre": (32, 24)}
     with pytest.raises(InvalidInput, match=word):
         Lens(**(usual | change))

@@ -24,7 +24,7 @@ CAMERA = Camera.looking_down(LENS, 0.516, above=(0.05, 0.02), turned=0.1)
 SQUARE = Polygon([[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]])
 
 
-def picture(level: int = 0) -> np.ndarray:
+def picture(level=0):
     return np.full((180, 320, 3), level, dtype=np.uint8)
 
 

@@ -1,8 +1,5 @@
 """Where a camera is: from a board and from tags, and how right places on the plane are then."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
 
 import cv2
@@ -12,33 +9,31 @@ from benchmarks.board_pictures import Studio, seen_corners
 
 from fixel.errors import InvalidInput
 from fixel.formats.rig_file import rig_of
-from fixel.typing import FloatArray
 from fixel.vision.calibrate_lens import calibrate_lens
 from fixel.vision.camera import PLACE, Camera, MeasuredCamera
-from fixel.vision.frame import Picture
 from fixel.vision.lens import Lens
 from fixel.vision.marks import Tag, board_of
 from fixel.vision.place_camera import place_by_board, place_by_points, place_by_tags
 from fixel.vision.plane_errors import plane_errors, radius95, shifted
 
-LENS = Lens(image_size=(480, 360), focal=(440.0, 444.0), centre=(244.0, 177.0),  # type: ignore[arg-type]
-            distortion=(-0.12, 0.05, 0.001, -0.0008))  # type: ignore[arg-type]  # fmt: skip
+LENS = Lens(image_size=(480, 360), focal=(440.0, 444.0), centre=(244.0, 177.0),
+            distortion=(-0.12, 0.05, 0.001, -0.0008))  # fmt: skip
 BOARD = board_of("charuco:7x5:30mm:20mm")
 CHECKERS = board_of("checkerboard:8x5:25mm")
 KNOWN = MeasuredCamera(lens=LENS)
 
 
-def above(turned: float = 0.3) -> Camera:
+def above(turned=0.3):
     return Camera.looking_down(LENS, 0.4, above=(0.1, 0.07), turned=turned, tilted=(0.04, -0.03))
 
 
 @pytest.fixture(scope="module")
-def studio() -> Studio:
+def studio():
     return Studio(LENS, BOARD)
 
 
 @pytest.mark.parametrize("turned", [0.0, 0.3, 2.0])
-def test_board_on_the_plate(turned: float, studio: Studio) -> None:
+def test_board_on_the_plate(turned, studio):
     true = above(turned)
     picture = studio.picture(true.rotation, true.translation)
     found = place_by_board(KNOWN, picture, BOARD)
@@ -50,7 +45,7 @@ def test_board_on_the_plate(turned: float, studio: Studio) -> None:
     assert np.abs(camera.on_plane([240.0, 180.0]) - true.on_plane([240.0, 180.0])).max() < 2e-4
 
 
-def test_board_elsewhere_and_thick(studio: Studio) -> None:
+def test_board_elsewhere_and_thick(studio):
     true = above()
     picture = studio.picture(true.rotation, true.translation)
     plain = place_by_board(KNOWN, picture, BOARD).camera.placed()
@@ -63,7 +58,7 @@ def test_board_elsewhere_and_thick(studio: Studio) -> None:
     np.testing.assert_allclose(moved.camera.placed().on_plane(pixel, 0.004), expected, atol=1e-9)
 
 
-def tagged(true: Camera, tags: tuple[Tag, ...]) -> Picture:
+def tagged(true, tags):
     """A white plate with tags, by the projection of each pixel of theirs."""
     width, height = true.lens.image_size
     fine = 4
@@ -88,17 +83,17 @@ def tagged(true: Camera, tags: tuple[Tag, ...]) -> Picture:
 
 
 TAGS = tuple(
-    Tag(id=k, size=0.03, pose=(x, y, 0.1 * k), height=0.0001)  # type: ignore[arg-type]
+    Tag(id=k, size=0.03, pose=(x, y, 0.1 * k), height=0.0001)
     for k, (x, y) in enumerate([(0.0, 0.0), (0.2, 0.0), (0.2, 0.14), (0.0, 0.14)])
 )
 
 
 @pytest.fixture(scope="module")
-def plate() -> Picture:
+def plate():
     return tagged(above(), TAGS)
 
 
-def test_tags_on_the_plate(plate: Picture) -> None:
+def test_tags_on_the_plate(plate):
     found = place_by_tags(KNOWN, plate, TAGS)
     camera = found.camera.placed()
     assert found.rms < 0.2  # tags are drawn to a quarter of a pixel
@@ -110,7 +105,7 @@ def test_tags_on_the_plate(plate: Picture) -> None:
 @pytest.mark.parametrize(
     ("seen", "tags", "message"),
     [
-        (lambda plate: plate, (*TAGS[:3], replace(TAGS[3], pose=(0.02, 0.14, 0.3))),  # type: ignore[arg-type]
+        (lambda plate: plate, (*TAGS[:3], replace(TAGS[3], pose=(0.02, 0.14, 0.3))),
          "mm from its nominal"),
         (lambda plate: plate, (TAGS[0], replace(TAGS[1], id=77)), "at least 2"),
         (lambda plate: plate[:, ::-1], TAGS, "mirrored"),
@@ -118,14 +113,12 @@ def test_tags_on_the_plate(plate: Picture) -> None:
     ],
     ids=["a tag elsewhere", "too few tags", "mirrored", "another size"],
 )  # fmt: skip
-def test_pictures_that_do_not_show_the_plate_are_refused(
-    plate: Picture, seen: Callable[[Picture], Picture], tags: tuple[Tag, ...], message: str
-) -> None:
+def test_pictures_that_do_not_show_the_plate_are_refused(plate, seen, tags, message):
     with pytest.raises(InvalidInput, match=message):
         place_by_tags(KNOWN, np.ascontiguousarray(seen(plate)), tags)
 
 
-def test_a_tag_twice(plate: Picture) -> None:
+def test_a_tag_twice(plate):
     twice = plate.copy()
     u, v = above().project_at(TAGS[0].pose[:2], 0.0).astype(int)
     p, q = above().project_at([0.1, 0.07], 0.0).astype(int)
@@ -134,7 +127,7 @@ def test_a_tag_twice(plate: Picture) -> None:
         place_by_tags(KNOWN, twice, TAGS)
 
 
-def test_rig_tags_seen_by_its_own_camera() -> None:
+def test_rig_tags_seen_by_its_own_camera():
     rig = rig_of("thesis-tags")
     picture = tagged(rig.camera, rig.plate)
     found = place_by_tags(MeasuredCamera(lens=rig.camera.lens), picture, rig.plate)
@@ -145,19 +138,19 @@ def test_rig_tags_seen_by_its_own_camera() -> None:
 
 
 @pytest.mark.parametrize("ratio", [0.0, 0.3, 1.0])
-def test_radius_holds_95_percent(ratio: float) -> None:
+def test_radius_holds_95_percent(ratio):
     draws = np.random.default_rng(0).normal(size=(200_000, 2)) * [3.0, 3.0 * ratio]
     radius = radius95(np.diag([9.0, 9.0 * ratio**2]))
     assert np.mean(np.hypot(*draws.T) < radius) == pytest.approx(0.95, abs=0.002)
 
 
-def flat_points() -> FloatArray:
+def flat_points():
     i, j = np.meshgrid(np.linspace(0.02, 0.2, 7), np.linspace(0.02, 0.13, 5))
     return np.column_stack([i.ravel(), j.ravel(), np.zeros(35)])
 
 
 @pytest.mark.system
-def test_errors_hold_95_percent_of_the_time() -> None:
+def test_errors_hold_95_percent_of_the_time():
     """Lens and place anew from noisy corners, ten times: is the truth within the radius?"""
     true, points, held, ratios = above(), flat_points(), [], []
     for seed in range(10):
@@ -175,7 +168,7 @@ def test_errors_hold_95_percent_of_the_time() -> None:
     assert 0.25 < np.median(ratios) < 0.8
 
 
-def test_errors_are_those_of_drawn_cameras() -> None:
+def test_errors_are_those_of_drawn_cameras():
     """The linear propagation against cameras drawn from the covariance."""
     found = calibrate_lens(seen_corners(LENS, CHECKERS, 6, noise=0.05))
     points = flat_points()
@@ -197,13 +190,13 @@ def test_errors_are_those_of_drawn_cameras() -> None:
     np.testing.assert_allclose(share, 0.95, atol=0.04)
 
 
-def test_nothing_known_is_said_so() -> None:
+def test_nothing_known_is_said_so():
     errors = plane_errors(MeasuredCamera(lens=LENS, camera=above()), 0.0)
     assert not errors.known
     assert not errors.whole.any()
 
 
-def test_rescaled_cameras_err_the_same_on_the_plane() -> None:
+def test_rescaled_cameras_err_the_same_on_the_plane():
     found = calibrate_lens(seen_corners(LENS, CHECKERS, 6, noise=0.05))
     points = flat_points()
     placed = place_by_points(
@@ -214,13 +207,13 @@ def test_rescaled_cameras_err_the_same_on_the_plane() -> None:
     np.testing.assert_allclose(here.camera[1, 1], there.camera[1, 1], rtol=0.05)
 
 
-def test_tags_of_another_family_are_named(plate: Picture) -> None:
+def test_tags_of_another_family_are_named(plate):
     others = tuple(replace(tag, family="aruco-4x4-50") for tag in TAGS)
     with pytest.raises(InvalidInput, match="apriltag-36h11 tags 0, 1, 2, 3"):
         place_by_tags(KNOWN, plate, others)
 
 
-def test_a_board_of_another_dictionary_is_named() -> None:
+def test_a_board_of_another_dictionary_is_named():
     studio = Studio(LENS, board_of("charuco:7x5:30mm:20mm:5x5"))
     true = above()
     with pytest.raises(InvalidInput, match="a board with tags of 5x5"):

@@ -1,7 +1,5 @@
 """What the camera's errors do to poses, against cameras drawn from them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2
@@ -14,7 +12,6 @@ from fixel.formats.rig_file import rig_of
 from fixel.model.shape import placed
 from fixel.vision.camera import Camera, MeasuredCamera
 from fixel.vision.frame import Frame
-from fixel.vision.marks import Rig
 from fixel.vision.plane_errors import pose_covariance, shifted
 from fixel.vision.tracking.checks import check_camera_place
 
@@ -23,14 +20,14 @@ SPREAD = np.array([0.8, 0.8, 0.8, 0.8, 2e-3, 4e-4, 4e-4, 4e-4, 2e-4, 2e-4, 4e-4]
 POINTS = np.array([[-0.02, 0.03], [0.02, 0.03], [0.02, -0.01], [-0.02, -0.01]])
 
 
-def measured() -> MeasuredCamera:
+def measured():
     rig = rig_of("thesis-tags")
     return MeasuredCamera(
         lens=rig.camera.lens, camera=rig.camera, names=NAMES, covariance=np.diag(SPREAD**2)
     )
 
 
-def kabsch(own: np.ndarray, seen: np.ndarray) -> np.ndarray:
+def kabsch(own, seen):
     """(3,) pose by the singular value decomposition."""
     a, b = own - own.mean(0), seen - seen.mean(0)
     u, _, v = np.linalg.svd(a.T @ b)
@@ -38,7 +35,7 @@ def kabsch(own: np.ndarray, seen: np.ndarray) -> np.ndarray:
     return np.append(seen.mean(0) - turn @ own.mean(0), np.arctan2(turn[1, 0], turn[0, 0]))
 
 
-def test_poses_err_as_with_cameras_drawn() -> None:
+def test_poses_err_as_with_cameras_drawn():
     """Points are projected by OpenCV through a camera drawn; the pose is told by the nominal."""
     known, rng, height = measured(), np.random.default_rng(0), 0.0254
     pose = np.array([0.21, -0.05, 0.7])
@@ -61,7 +58,7 @@ def test_poses_err_as_with_cameras_drawn() -> None:
     np.testing.assert_allclose(covariance / scale, drawn / scale, atol=0.1)
 
 
-def off_by(rig: Rig, metres: float) -> Frame:
+def off_by(rig, metres):
     """The plate as a camera sees it that stands `metres` beside where the rig has it."""
     camera = rig.camera
     aside = camera.rotation @ [metres, 0.0, 0.0]
@@ -72,7 +69,7 @@ def off_by(rig: Rig, metres: float) -> Frame:
     return Frame(0.0, np.repeat(gray[..., None], 3, axis=2))
 
 
-def test_a_camera_that_never_moved_is_not_said_to_have() -> None:
+def test_a_camera_that_never_moved_is_not_said_to_have():
     """1 mm off is within a calibration that is sure to 1.4 mm, and not within one that is sure."""
     rig = rig_of("thesis-tags")
     unsure = MeasuredCamera(

@@ -19,13 +19,13 @@ PLAIN = CameraEffects(shadows=0.0)
 RED = 2
 
 
-def poses(n: int, seed: int):
+def poses(n, seed):
     random = np.random.default_rng(seed)
     for _ in range(n):
         yield np.array([0.15, 0.008, 0.0]) + random.uniform(-1, 1, 3) * (0.03, 0.02, 3.0)
 
 
-def moment(weight: np.ndarray) -> np.ndarray:
+def moment(weight):
     v, u = np.indices(weight.shape)
     return np.array([(weight * u).sum(), (weight * v).sum()]) / weight.sum()
 

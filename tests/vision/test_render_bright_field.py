@@ -19,7 +19,7 @@ def rig():
     return rig_of("microscope")
 
 
-def darkness(light: np.ndarray) -> np.ndarray:
+def darkness(light):
     return (film.GROUND - light[..., 0].astype(float)) / (film.GROUND - film.BLACK)
 
 

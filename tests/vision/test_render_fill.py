@@ -11,7 +11,7 @@ from fixel.vision.render.canvas import Canvas, FilledPolygons, PictureWindow, co
 WIDTH, HEIGHT = 24, 18
 
 
-def shares(points: np.ndarray) -> np.ndarray:
+def shares(points):
     mask = np.zeros((HEIGHT, WIDTH), np.float32)
     room = np.zeros((HEIGHT, WIDTH + 2))
     cover(mask, room, np.asarray(points, float))

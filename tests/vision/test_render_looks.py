@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 from tests.vision.rendered import AWAY, bare_scene, small_rig, still
 
 from fixel.errors import InvalidInput
@@ -17,14 +18,14 @@ POSE = np.array([0.15, 0.008, 0.3])
 TIMES = np.arange(0.0, 12.0, 1.0 / 30.0)
 
 
-def resting() -> dict[str, Trajectory]:
+def resting():
     return {
         name: Trajectory(time=[0.0, 1.0], pose=[pose, pose])
         for name, pose in (("object", POSE), ("actuator", AWAY))
     }
 
 
-def film(looks: CameraEffects, times, seed: int = 1) -> list[np.ndarray]:
+def film(looks, times, seed=1):
     scene, rig = bare_scene(), small_rig()
     return [f.picture for f in film_scene(scene, resting(), rig, looks, np.array(times), seed)]
 
@@ -94,7 +95,7 @@ def test_drift_wanders_slowly_about_one():
     assert np.abs(np.diff(factors)).max() < 0.004
 
 
-def edge_width(picture: np.ndarray) -> float:
+def edge_width(picture):
     """Deviation of the slope across the object's left edge, in the middle row of the picture."""
     profile = picture[150:170, 60:210, 0].mean(axis=0)
     slope = np.abs(np.diff(profile))
@@ -182,12 +183,9 @@ def test_frames_are_lost_and_late_as_often_as_they_should():
 
 def test_presets_have_names_and_strangers_are_refused():
     assert {"clean", "thesis", "hard", "microscope"} <= set(PRESETS)
-    with pytest.raises(InvalidInput, match="did you mean 'thesis'"):
-        looks_named("thessis")
-    with pytest.raises(InvalidInput, match=r"looks.dropped is 1.5"):
-        CameraEffects(dropped=1.5)
-    with pytest.raises(InvalidInput, match=r"looks.lighting"):
-        CameraEffects(lighting="below")
+    refused(looks_named, "thessis", match="did you mean 'thesis'")
+    refused(CameraEffects, dropped=1.5, match=r"looks.dropped is 1.5")
+    refused(CameraEffects, lighting="below", match=r"looks.lighting")
 
 
 def test_numbers_of_looks_are_changed_by_name():
@@ -205,10 +203,7 @@ def test_a_motion_that_lacks_a_body_is_refused():
     with pytest.raises(InvalidInput, match="no trajectory of 'actuator'"):
         next(
             film_scene(
-                bare_scene(),
-                {"object": resting()["object"]},
-                small_rig(),
-                CameraEffects(),
+                bare_scene(), {"object": resting()["object"]}, small_rig(), CameraEffects(),
                 np.zeros(1),
             )
-        )
+        )  # fmt: skip

@@ -28,7 +28,7 @@ class TestFixel(EngineContract):
     angle = math.radians(0.02)
 
     @pytest.fixture
-    def engine(self) -> str:
+    def engine(self):
         return "dynamic"
 
 
@@ -44,7 +44,7 @@ class TestPymunk(EngineContract):
     }
 
     @pytest.fixture
-    def engine(self) -> str:
+    def engine(self):
         pytest.importorskip("pymunk")
         return "pymunk"
 
@@ -60,7 +60,7 @@ class TestBox2D(EngineContract):
     }
 
     @pytest.fixture
-    def engine(self) -> str:
+    def engine(self):
         pytest.importorskip("Box2D")
         return "box2d"
 
@@ -70,7 +70,7 @@ class TestMuJoCo(EngineContract):
     position, angle, stop = 3e-4, math.radians(0.7), 5e-4
 
     @pytest.fixture
-    def engine(self) -> str:
+    def engine(self):
         pytest.importorskip("mujoco")
         return "mujoco:step=0.0005,timeconst=0.004,impratio=10"
 
@@ -83,13 +83,13 @@ class TestDrake(EngineContract):
     }
 
     @pytest.fixture
-    def engine(self) -> str:
+    def engine(self):
         pytest.importorskip("pydrake")
         return "drake:approximation=tamsi,stiction=1e-05"
 
 
 @pytest.mark.parametrize("engine", ["pymunk", "box2d", "mujoco", "drake"])
-def test_engines_as_shipped_follow_the_micro_push_of_the_examples(engine: str) -> None:
+def test_engines_as_shipped_follow_the_micro_push_of_the_examples(engine):
     """A part of 1.6 mm and 0.1 mg turns by 38 degrees before a probe that travels 0.7 mm."""
     pytest.importorskip({"box2d": "Box2D", "drake": "pydrake"}.get(engine, engine))
     scene = load_scene(str(Path(__file__).parents[3] / "examples/scenes/micro_push.yaml")).scene
@@ -100,7 +100,7 @@ def test_engines_as_shipped_follow_the_micro_push_of_the_examples(engine: str) -
 
 
 @pytest.mark.parametrize("engine", ["mujoco", "drake"])
-def test_feet_may_be_rougher_than_their_weight_suggests(engine: str) -> None:
+def test_feet_may_be_rougher_than_their_weight_suggests(engine):
     """A friction force of ten times the weight stops a block within a tenth of the way."""
     pytest.importorskip({"drake": "pydrake"}.get(engine, engine))
     block = sliding_block(0.3).bodies[0]
@@ -114,7 +114,7 @@ def test_feet_may_be_rougher_than_their_weight_suggests(engine: str) -> None:
     assert end.pose["block"][-1, 0] == pytest.approx(0.3**2 / (2.0 * 20.0 / 0.4), abs=2e-4)
 
 
-def test_fixel_through_the_contract_is_fixel() -> None:
+def test_fixel_through_the_contract_is_fixel():
     """No layer between: the same class, so the same bits and the same time."""
     scene = grasp("slip")
     cases = [RolloutCase(scene, np.linspace(0.5, scene.duration, 5))]

@@ -1,7 +1,5 @@
 """Tests of simulations as plain numbers."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +13,6 @@ from fixel.model.bodies import Spring
 from fixel.model.support import UniformPressure
 from fixel.simulation.engines.contract import fault, overlap
 from fixel.simulation.engines.task import (
-    PlainTask,
     bench_units,
     plain,
     segments,
@@ -35,17 +32,16 @@ SCENE = Scene(
 TIMES = np.array([0.1, 0.33, 0.7 + 1e-13, 1.5])
 
 
-def test_a_task_survives_json() -> None:
+def test_a_task_survives_json():
     task, _ = task_of(SCENE, TIMES, {}, {"grip": 0.5})
     back = task_from(json.loads(json.dumps(plain(task))))
     assert plain(back) == plain(task)
     assert back.body.points.shape == task.body.points.shape
 
 
-def test_parameters_mean_what_they_mean_to_fixel() -> None:
+def test_parameters_mean_what_they_mean_to_fixel():
     values = {"mu_pusher": 0.11, "mu_fixel": 0.12, "mu_support": 0.4, "mass": 0.6}
     task, _ = task_of(SCENE, TIMES, values | {"contact_offset": 1e-3}, {})
-    assert task.pusher is not None
     assert task.pusher.friction == 0.11
     assert task.fixels[0].friction == 0.12
     assert task.pusher.outline.radius == pytest.approx(0.006)
@@ -55,15 +51,14 @@ def test_parameters_mean_what_they_mean_to_fixel() -> None:
     assert float(task.body.loads.sum()) == pytest.approx(0.6 * 9.81)
 
 
-def test_registration_moves_the_path() -> None:
+def test_registration_moves_the_path():
     task, _ = task_of(SCENE, TIMES, {"registration_x": 2e-3, "registration_theta": np.pi / 2}, {})
-    assert task.pusher is not None
     # A quarter turn about the origin of the world, then the shift.
     np.testing.assert_allclose(task.pusher.path[:, 1], -PATH[:, 2] + 2e-3, atol=1e-15)
     np.testing.assert_allclose(task.pusher.path[:, 2], PATH[:, 1], atol=1e-15)
 
 
-def test_frames_return_to_the_scene() -> None:
+def test_frames_return_to_the_scene():
     """The start of a task, whose frame is at the centre of mass, is the start of the body."""
     task, frames = task_of(SCENE, TIMES, {}, {})
     body = SCENE.bodies[0]
@@ -72,7 +67,7 @@ def test_frames_return_to_the_scene() -> None:
     np.testing.assert_allclose(frames.scene_poses(moved) - body.pose, [0.01, 0, 0], atol=1e-15)
 
 
-def test_segments_reach_every_sample_and_follow_the_path() -> None:
+def test_segments_reach_every_sample_and_follow_the_path():
     task, _ = task_of(SCENE, TIMES, {}, {})
     found = list(segments(task))
     assert [s.sample for s in found] == [True, True, True, False, True]
@@ -85,7 +80,7 @@ def test_segments_reach_every_sample_and_follow_the_path() -> None:
     assert min(s.duration for s in found) > 1e-6
 
 
-def test_a_sample_at_the_last_waypoint_is_one_end() -> None:
+def test_a_sample_at_the_last_waypoint_is_one_end():
     task, _ = task_of(SCENE, np.array([0.5, 1.0, 1.5]), {}, {})
     assert [s.duration for s in segments(task)] == pytest.approx([0.5, 0.2, 0.3, 0.5])
 
@@ -105,7 +100,7 @@ BOUNCY = replace(PUSH.pushers[0], restitution=0.5)
         (replace(PUSH, pushers=(BOUNCY,)), "restitution"),
     ],
 )
-def test_what_a_task_cannot_hold_is_said(scene: Scene, found: str) -> None:
+def test_what_a_task_cannot_hold_is_said(scene, found):
     assert found in unsupported(scene)
     assert bool(unsupported(scene)) == bool(found)
 
@@ -113,15 +108,14 @@ def test_what_a_task_cannot_hold_is_said(scene: Scene, found: str) -> None:
 MICRO = load_scene(str(Path(__file__).parents[3] / "examples/scenes/micro_push.yaml")).scene
 
 
-def test_a_small_task_becomes_one_of_the_bench_with_the_same_motion() -> None:
+def test_a_small_task_becomes_one_of_the_bench_with_the_same_motion():
     """Ratios without units, from which the motion follows, are those of the task in SI."""
     fixed = Fixel("peg", Disk(2e-4), pose=(0.0, 2e-3, 0.1), friction=0.15)
     task, _ = task_of(replace(MICRO, fixels=(fixed,)), np.array([1.0, 7.0]), {}, {})
     units = bench_units(task.body)
     found = units.task(task)
 
-    def ratios(own: PlainTask) -> list[float]:
-        assert own.pusher is not None
+    def ratios(own):
         body, path = own.body, own.pusher.path
         size = float(np.ptp(body.outline.pieces[0][:, 0]))
         speed = np.hypot(*(path[1] - path[0])[1:3]) / path[1, 0]
@@ -145,12 +139,12 @@ def test_a_small_task_becomes_one_of_the_bench_with_the_same_motion() -> None:
     np.testing.assert_allclose(units.si_poses(found.body.start), task.body.start, atol=1e-18)
 
 
-def test_a_task_of_the_bench_stays_as_it_is() -> None:
+def test_a_task_of_the_bench_stays_as_it_is():
     task, _ = task_of(SCENE, TIMES, {}, {})
     assert bench_units(task.body).task(task) is task
 
 
-def test_the_judge_is_as_strict_with_small_parts() -> None:
+def test_the_judge_is_as_strict_with_small_parts():
     """A finger of 12.5 micrometres passes through a part of 1.6 mm that does not move."""
     task, _ = task_of(MICRO, np.array([3.0, 7.0]), {}, {})
     still = np.repeat(task.body.start[None], 2, axis=0)
@@ -159,7 +153,7 @@ def test_the_judge_is_as_strict_with_small_parts() -> None:
     assert "a jump" in fault(task, away)
 
 
-def test_an_ellipsoid_keeps_its_arm() -> None:
+def test_an_ellipsoid_keeps_its_arm():
     support = Ellipsoid(force=0.4, torque=0.012)
     scene = replace(pushed_square(), bodies=(replace(pushed_square().bodies[0], support=support),))
     task, _ = task_of(scene, TIMES, {}, {})
@@ -167,11 +161,10 @@ def test_an_ellipsoid_keeps_its_arm() -> None:
     assert task.body.loads.tolist() == [pytest.approx(0.4)]
 
 
-def test_the_judge_measures_overlap() -> None:
+def test_the_judge_measures_overlap():
     """A body that stays where a pusher of radius 5 mm passes through its edge."""
     task, _ = task_of(pushed_square(), np.array([1.0, 2.0]), {}, {})
     still = np.repeat(task.body.start[None], 2, axis=0)
-    assert task.pusher is not None
     way = task.pusher.path[-1, 1] - task.pusher.path[0, 1]
     assert overlap(task, still) == pytest.approx(way - 5e-3, abs=1e-9)  # it starts 5 mm away
     assert "inside an obstacle" in fault(task, still)

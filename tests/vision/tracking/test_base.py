@@ -1,7 +1,5 @@
 """What all methods share: predictions, and how sure a pose is."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

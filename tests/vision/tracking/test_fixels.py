@@ -1,7 +1,5 @@
 """Fixels, by the rims of their tops."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

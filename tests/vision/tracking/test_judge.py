@@ -1,7 +1,5 @@
 """Which poses are believed, and which part of a motion counts."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The compiled loops, against what they were made from."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
