@@ -49,18 +49,14 @@ def _space(*names, **changes):
 DIFFERENCE = np.array([[[3e-3, 4e-3, 0.0], [0.0, 0.0, 0.1]], [[0.0, 0.0, 0.0], [1e-3, 0.0, 0.0]]])
 
 
-@pytest.mark.parametrize(
-    ("error", "expected"),
-    [
-        (MeanSquare(), [(25.0 + 3.5**2) / 2, 0.5]),
-        (MeanSquare(angle_scale=0.01), [(25.0 + 1.0) / 2, 0.5]),
-        (RootMeanSquare(), [math.sqrt((25.0 + 3.5**2) / 2), math.sqrt(0.5)]),
-        (EndPose(), [3.5**2, 1.0]),
-        (Robust(distance=1e-3),
-         [(math.sqrt(26.0) - 1.0) + (math.sqrt(1 + 3.5**2) - 1.0), math.sqrt(2.0) - 1.0]),
-    ],
-    ids=lambda x: getattr(x, "name", ""),
-)  # fmt: skip
+@pytest.mark.parametrize(("error", "expected"), [
+    (MeanSquare(), [(25.0 + 3.5**2) / 2, 0.5]),
+    (MeanSquare(angle_scale=0.01), [(25.0 + 1.0) / 2, 0.5]),
+    (RootMeanSquare(), [math.sqrt((25.0 + 3.5**2) / 2), math.sqrt(0.5)]),
+    (EndPose(), [3.5**2, 1.0]),
+    (Robust(distance=1e-3),
+     [(math.sqrt(26.0) - 1.0) + (math.sqrt(1 + 3.5**2) - 1.0), math.sqrt(2.0) - 1.0]),
+], ids=lambda x: getattr(x, "name", ""))  # fmt: skip
 def test_errors_by_hand(error, expected):
     assert error.of(DIFFERENCE) == pytest.approx(expected, rel=1e-12)
 

@@ -100,18 +100,15 @@ def test_expansion_switched_off():
     assert search.delta == 0.1
 
 
-@pytest.mark.parametrize(
-    ("options", "error", "moves"),
-    [
-        # 0.01 x 0.5^2 = 0.0025 below the iterate's.
-        ({}, 0.9976, False),
-        ({}, 0.9974, True),
-        # 1e-8 is more than 0.01 x 1e-4^2, but within the accuracy of a simulation.
-        ({"initial_delta": 1e-4, "resolution": 1e-6}, 1.0 - 1e-8, False),
-        ({"initial_delta": 1e-4, "resolution": 1e-9}, 1.0 - 1e-8, True),
-        ({"initial_delta": 1e-4, "resolution": 0.0}, 1.0 - 1e-8, True),
-    ],
-)
+@pytest.mark.parametrize(("options", "error", "moves"), [
+    # 0.01 x 0.5^2 = 0.0025 below the iterate's.
+    ({}, 0.9976, False),
+    ({}, 0.9974, True),
+    # 1e-8 is more than 0.01 x 1e-4^2, but within the accuracy of a simulation.
+    ({"initial_delta": 1e-4, "resolution": 1e-6}, 1.0 - 1e-8, False),
+    ({"initial_delta": 1e-4, "resolution": 1e-9}, 1.0 - 1e-8, True),
+    ({"initial_delta": 1e-4, "resolution": 0.0}, 1.0 - 1e-8, True),
+])  # fmt: skip
 def test_decrease_has_to_be_sufficient_and_above_the_resolution(options, error, moves):
     search = PatternSearch(**options).start(box())
     tell(search, 1.0)
@@ -130,15 +127,12 @@ def test_a_flat_direction_is_not_followed_for_ever(resolution, limit):
     assert search.evaluations == limit
 
 
-@pytest.mark.parametrize(
-    ("search", "start", "trials"),
-    [
-        (PatternSearch(initial_delta=5.0), box(),
-         [[1.0, 0.5], [0.5, 1.0], [0.0, 0.5], [0.5, 0.0]]),  # a bound itself is within
-        (PatternSearch(), box(2, start=0.98), [[0.93, 0.98], [0.98, 0.93]]),  # left out, not moved
-        (FixedStepSearch(), box(1, start=0.02), [[0.07], [0.0]]),  # moved onto the bound
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("search", "start", "trials"), [
+    (PatternSearch(initial_delta=5.0), box(),
+     [[1.0, 0.5], [0.5, 1.0], [0.0, 0.5], [0.5, 0.0]]),  # a bound itself is within
+    (PatternSearch(), box(2, start=0.98), [[0.93, 0.98], [0.98, 0.93]]),  # left out, not moved
+    (FixedStepSearch(), box(1, start=0.02), [[0.07], [0.0]]),  # moved onto the bound
+])  # fmt: skip
 def test_trials_at_the_bounds(search, start, trials):
     search = search.start(start)
     tell(search, 1.0)
@@ -166,13 +160,10 @@ def test_stops_at_the_accuracy_if_there_is_one():
     assert not search.done
 
 
-@pytest.mark.parametrize(
-    ("limit", "evaluations", "reason"),
-    [
-        ({"max_iterations": 3}, 1 + 3 * 4, "3 iterations were made"),
-        ({"max_function_evaluations": 10}, 13, "10 evaluations were made"),  # a whole iteration
-    ],
-)
+@pytest.mark.parametrize(("limit", "evaluations", "reason"), [
+    ({"max_iterations": 3}, 1 + 3 * 4, "3 iterations were made"),
+    ({"max_function_evaluations": 10}, 13, "10 evaluations were made"),  # a whole iteration
+])  # fmt: skip
 def test_stops_at_a_limit_but_finishes_its_iteration(limit, evaluations, reason):
     search = PatternSearch(**limit).start(box())
     run(search, lambda point: 1.0)
@@ -180,13 +171,10 @@ def test_stops_at_a_limit_but_finishes_its_iteration(limit, evaluations, reason)
     assert search.reason == reason
 
 
-@pytest.mark.parametrize(
-    ("start", "errors", "best"),
-    [
-        (9.0, (8.0, 5.0, 7.0, 5.0), 1),  # of equal ones the first
-        (math.nan, (math.inf, math.nan, 1e6, math.inf), 2),  # any that works
-    ],
-)
+@pytest.mark.parametrize(("start", "errors", "best"), [
+    (9.0, (8.0, 5.0, 7.0, 5.0), 1),  # of equal ones the first
+    (math.nan, (math.inf, math.nan, 1e6, math.inf), 2),  # any that works
+])  # fmt: skip
 def test_best_of_all_trials_is_taken(start, errors, best):
     search = PatternSearch().start(box())
     tell(search, start)

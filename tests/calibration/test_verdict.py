@@ -42,20 +42,17 @@ def test_identified():
         assert "% of the range" in verdict.reason
 
 
-@pytest.mark.parametrize(
-    ("residuals", "expected"),
-    [
-        (lambda p: np.c_[p[:, 0] - 0.3, p[:, 1] - 0.6, 0 * p[:, 2]] / 0.05,
-         ["identified", "identified", "not identified"]),  # flat
-        (lambda p: np.c_[(p[:, 0] - 0.5) / 0.2, (p[:, 1:] - 0.5) / 0.1],
-         ["not identified", "identified", "identified"]),  # wide
-        (lambda p: np.c_[p[:, 0] + p[:, 1] - 1, p[:, 2] - 0.4] / 0.01,
-         ["trades off with mu_fixel", "trades off with mu_pusher", "identified"]),
-        # Correlated, but narrow.
-        (lambda p: np.c_[p[:, 0] + p[:, 1] - 1, 0.1 * (p[:, 0] - p[:, 1]), p[:, 2] - 0.4] / 0.005,
-         ["identified"] * 3),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("residuals", "expected"), [
+    (lambda p: np.c_[p[:, 0] - 0.3, p[:, 1] - 0.6, 0 * p[:, 2]] / 0.05,
+     ["identified", "identified", "not identified"]),  # flat
+    (lambda p: np.c_[(p[:, 0] - 0.5) / 0.2, (p[:, 1:] - 0.5) / 0.1],
+     ["not identified", "identified", "identified"]),  # wide
+    (lambda p: np.c_[p[:, 0] + p[:, 1] - 1, p[:, 2] - 0.4] / 0.01,
+     ["trades off with mu_fixel", "trades off with mu_pusher", "identified"]),
+    # Correlated, but narrow.
+    (lambda p: np.c_[p[:, 0] + p[:, 1] - 1, 0.1 * (p[:, 0] - p[:, 1]), p[:, 2] - 0.4] / 0.005,
+     ["identified"] * 3),
+])  # fmt: skip
 def test_words_of_linear_residuals(residuals, expected):
     estimates = verdicts(residuals)
     assert words(estimates) == expected

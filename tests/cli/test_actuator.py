@@ -80,20 +80,17 @@ def test_questions_to_the_operator_stay_out_of_the_answer(capsys, monkeypatch):
     assert "Position of the drive in mm: " in err
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (("stop",), "no program of yours"),
-        (("where",), "the port of the actuator's controller"),
-        (("where", "--driver", "robot"), "one of grbl, manual, simulated"),
-        (("move", "--driver", "simulated"), "a target position"),
-        (("move", "--driver", "simulated", "--to", 500), "from 0 to 150 mm"),
-        (("move", "--driver", "simulated", "--to", "5,5"), "must be a number [mm]"),
-        (("move", "--driver", "simulated", "--to", "far"), "must be a number [mm]"),
-        (("move", "--driver", "simulated", "--axes", "XY", "--by", "5"), "2 numbers with commas"),
-        (("move", "--driver", "simulated", "--axes", "XY", "--to", "5,500"), "the travels"),
-        (("where", "--driver", "manual", "--axes", "XY"), "one axis with --driver manual"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "says"), [
+    (("stop",), "no program of yours"),
+    (("where",), "the port of the actuator's controller"),
+    (("where", "--driver", "robot"), "one of grbl, manual, simulated"),
+    (("move", "--driver", "simulated"), "a target position"),
+    (("move", "--driver", "simulated", "--to", 500), "from 0 to 150 mm"),
+    (("move", "--driver", "simulated", "--to", "5,5"), "must be a number [mm]"),
+    (("move", "--driver", "simulated", "--to", "far"), "must be a number [mm]"),
+    (("move", "--driver", "simulated", "--axes", "XY", "--by", "5"), "2 numbers with commas"),
+    (("move", "--driver", "simulated", "--axes", "XY", "--to", "5,500"), "the travels"),
+    (("where", "--driver", "manual", "--axes", "XY"), "one axis with --driver manual"),
+])  # fmt: skip
 def test_what_cannot_be_is_refused(capsys, controller, arguments, says):
     assert says in refusal(capsys, "actuator", *arguments)

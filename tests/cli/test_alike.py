@@ -66,14 +66,11 @@ def test_the_tolerance_of_a_part_is_named_alike_everywhere():
     assert "--tolerance-angle-deg" in options["bench"]  # its name in version 0.2
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("list",), ("list", "--where", "speed_m_s>1"), ("show", "own/run 1; true"), ("db", "check"),
-        ("db", "upgrade"), ("jobs", "status"), ("import", "run.csv", "--dry-run"),
-        ("import", "run.csv"), ("export", "all.zip"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("words", [
+    ("list",), ("list", "--where", "speed_m_s>1"), ("show", "own/run 1; true"), ("db", "check"),
+    ("db", "upgrade"), ("jobs", "status"), ("import", "run.csv", "--dry-run"),
+    ("import", "run.csv"), ("export", "all.zip"),
+])  # fmt: skip
 def test_what_is_next_can_be_pasted(capsys, lab, words):
     (lab.parent / "run.csv").write_text("t_s,x_mm,y_mm\n0,0,0\n1,2,0\n")
     out = output(capsys, *words, "--project", lab)
@@ -139,15 +136,12 @@ def test_conditions_are_compared(capsys, lab):
         refusal(capsys, "list", "--where", condition, "--project", lab)
 
 
-@pytest.mark.parametrize(
-    ("words", "code", "kind"),
-    [
-        (("show", "nothing"), 2, "NotStored"),
-        (("list", "--where", "x"), 2, "InvalidInput"),
-        (("list", "--limits", "3"), 2, "NoSuchOption"),
-        (("show",), 2, "MissingParameter"),
-    ],
-)
+@pytest.mark.parametrize(("words", "code", "kind"), [
+    (("show", "nothing"), 2, "NotStored"),
+    (("list", "--where", "x"), 2, "InvalidInput"),
+    (("list", "--limits", "3"), 2, "NoSuchOption"),
+    (("show",), 2, "MissingParameter"),
+])  # fmt: skip
 def test_errors_are_json_where_answers_are(capsys, lab, words, code, kind):
     found, out, _ = fixel(capsys, *words, "--project", lab, "--json")
     assert found == code

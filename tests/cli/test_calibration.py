@@ -85,25 +85,22 @@ def test_a_campaign_lists_every_experiment_once(capsys, project):
     assert len(listed) == 3
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (("--option", "delta"), "NAME=VALUE"),
-        (("--fit", "mu_pushr"), "known names; did you mean 'mu_pusher'?"),
-        (("--fit", "tripod_radius=10:60"), "is 10 to 60 m, but must be bounds in metres"),
-        (("--fit", "tripod_radius=10:60"), "write tripod_radius_mm=LOW:HIGH"),
-        (("--fit", "start_theta=-5:5"), "write start_theta_deg=LOW:HIGH"),
-        (("--fit", "mu_pusher=1:0"), "the lower bound first"),
-        (("--fit", "mu_pusher", "--fit", "mu_pusher=0:1"), "--fit: found mu_pusher twice"),
-        (("--set", "mu_fixel=0", "--set", "mu_fixel=1"), "--set: found mu_fixel twice"),
-        (("--fit", "mu_pusher=0:1:2"), "outside the bounds"),
-        (("--optimiser", "least-squares", "--mode", "each"), "mode joint"),
-        (("nowhere",), "no experiment 'nowhere'"),
-        (("--noise-mm", "-1", "--noise-mrad", "1"), "--noise-mm is -0.001"),
-        (("--name", "../mine"), "--name is '../mine'"),
-        (("1", "--where", "shape=none"), "--where: found names of experiments too"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "said"), [
+    (("--option", "delta"), "NAME=VALUE"),
+    (("--fit", "mu_pushr"), "known names; did you mean 'mu_pusher'?"),
+    (("--fit", "tripod_radius=10:60"), "is 10 to 60 m, but must be bounds in metres"),
+    (("--fit", "tripod_radius=10:60"), "write tripod_radius_mm=LOW:HIGH"),
+    (("--fit", "start_theta=-5:5"), "write start_theta_deg=LOW:HIGH"),
+    (("--fit", "mu_pusher=1:0"), "the lower bound first"),
+    (("--fit", "mu_pusher", "--fit", "mu_pusher=0:1"), "--fit: found mu_pusher twice"),
+    (("--set", "mu_fixel=0", "--set", "mu_fixel=1"), "--set: found mu_fixel twice"),
+    (("--fit", "mu_pusher=0:1:2"), "outside the bounds"),
+    (("--optimiser", "least-squares", "--mode", "each"), "mode joint"),
+    (("nowhere",), "no experiment 'nowhere'"),
+    (("--noise-mm", "-1", "--noise-mrad", "1"), "--noise-mm is -0.001"),
+    (("--name", "../mine"), "--name is '../mine'"),
+    (("1", "--where", "shape=none"), "--where: found names of experiments too"),
+])  # fmt: skip
 def test_what_cannot_be_is_refused_in_a_sentence(capsys, project, arguments, said):
     assert said in refusal(capsys, "calibrate", "-p", project, *arguments)
 

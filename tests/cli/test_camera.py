@@ -135,31 +135,28 @@ def test_prints(capsys, tmp_path):
     assert (tmp_path / "tags.pdf").read_bytes().startswith(b"%PDF")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "word"),
-    [
-        (("calibrate", "{}/boards"), "--board"),
-        (("calibrate", "{}/boards", "--board", "charuco:7x5"), "charuco:7x5:30mm"),
-        (("calibrate", "{}/flat.png", "--board", BOARD), "at least 4"),
-        (("calibrate", "{}", "--board", "checkerboard:9x6:25mm"), "at least 4"),
-        (("calibrate", "{}/boards", "--board", BOARD, "--out", "{}/a.txt"), ".yaml"),
-        (("place", "{}/camera.yaml", "{}/flat.png"), "--board or --rig"),
-        (("place", "{}/camera.yaml", "{}/flat.png", "--board", BOARD, "--at", "1,2"), "--at"),
-        (("place", "{}/camera.yaml", "{}/flat.png", "--rig", "microscope"), "no tags"),
-        (("place", "{}/camera.yaml", "{}/flat.png", "--rig", "thesis-tags"), "at least 2"),
-        (("place", "{}/camera.yaml", "{}/camera.yaml", "--board", BOARD), "ending"),
-        (("check", "nowhere.yaml"), "no such file"),
-        (("import", "{}/flat.png"), "unknown format"),
-        (("import", "{}/camera.yaml"), "already"),
-        (("import", "{}/camera.yaml", "--size", "big"), "1280x720"),
-        (("tags",), "neither a rig nor --ids"),
-        (("tags", "--ids", "9-0"), "range"),
-        (("tags", "--ids", "x"), "0-9"),
-        (("tags", "thesis-stickers"), "no tags"),
-        (("board", "charuco:9x6:40mm:30mm"), "--paper"),
-        (("board", "--out", "{}/board.txt"), ".pdf"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "word"), [
+    (("calibrate", "{}/boards"), "--board"),
+    (("calibrate", "{}/boards", "--board", "charuco:7x5"), "charuco:7x5:30mm"),
+    (("calibrate", "{}/flat.png", "--board", BOARD), "at least 4"),
+    (("calibrate", "{}", "--board", "checkerboard:9x6:25mm"), "at least 4"),
+    (("calibrate", "{}/boards", "--board", BOARD, "--out", "{}/a.txt"), ".yaml"),
+    (("place", "{}/camera.yaml", "{}/flat.png"), "--board or --rig"),
+    (("place", "{}/camera.yaml", "{}/flat.png", "--board", BOARD, "--at", "1,2"), "--at"),
+    (("place", "{}/camera.yaml", "{}/flat.png", "--rig", "microscope"), "no tags"),
+    (("place", "{}/camera.yaml", "{}/flat.png", "--rig", "thesis-tags"), "at least 2"),
+    (("place", "{}/camera.yaml", "{}/camera.yaml", "--board", BOARD), "ending"),
+    (("check", "nowhere.yaml"), "no such file"),
+    (("import", "{}/flat.png"), "unknown format"),
+    (("import", "{}/camera.yaml"), "already"),
+    (("import", "{}/camera.yaml", "--size", "big"), "1280x720"),
+    (("tags",), "neither a rig nor --ids"),
+    (("tags", "--ids", "9-0"), "range"),
+    (("tags", "--ids", "x"), "0-9"),
+    (("tags", "thesis-stickers"), "no tags"),
+    (("board", "charuco:9x6:40mm:30mm"), "--paper"),
+    (("board", "--out", "{}/board.txt"), ".pdf"),
+])  # fmt: skip
 def test_bad_input_is_one_sentence(capsys, placed, folder, tmp_path, monkeypatch, arguments, word):
     monkeypatch.chdir(tmp_path)
     assert word in refusal(capsys, "camera", *(a.format(folder) for a in arguments))

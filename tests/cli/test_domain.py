@@ -94,26 +94,23 @@ def test_what_was_offset_elsewhere_is_left_out_and_said(capsys, project):
     assert any("5 experiments were skipped" in sentence for sentence in answer["warnings"])
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (("--threshold-mm", "0.01"), "below the error that measurement noise alone causes"),
-        (("--threshold-mm", "2", "--relative", "1"), "one of them"),
-        (("--threshold-mm", "0"), "--threshold-mm is 0 mm, but must be more than 0"),
-        (("--relative", "1"), "fixel calibrate --mode each"),
-        (("--axes", "offset_z_m"), "axis offset_z_m"),
-        (("--nominal", "offset_x_m"), "AXIS=VALUE"),
-        (("--nominal", "offset_x_m=0.5"), "a value with experiments"),
-        (("--step", "offset_x_m=wide"), "a number"),
-        (("--by", "colour"), "without colour"),
-        (("--facets", "colour"), "without colour"),
-        (("--cells", "offset_x_m=-1"), "a positive step"),
-        (("--where", "shape=disc"), "found none"),
-        (("--folds", "40"), "at least 40"),
-        (("--calibration", "7"), "no calibration"),
-        (("--where", "axis=nominal"), "at least 2"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "said"), [
+    (("--threshold-mm", "0.01"), "below the error that measurement noise alone causes"),
+    (("--threshold-mm", "2", "--relative", "1"), "one of them"),
+    (("--threshold-mm", "0"), "--threshold-mm is 0 mm, but must be more than 0"),
+    (("--relative", "1"), "fixel calibrate --mode each"),
+    (("--axes", "offset_z_m"), "axis offset_z_m"),
+    (("--nominal", "offset_x_m"), "AXIS=VALUE"),
+    (("--nominal", "offset_x_m=0.5"), "a value with experiments"),
+    (("--step", "offset_x_m=wide"), "a number"),
+    (("--by", "colour"), "without colour"),
+    (("--facets", "colour"), "without colour"),
+    (("--cells", "offset_x_m=-1"), "a positive step"),
+    (("--where", "shape=disc"), "found none"),
+    (("--folds", "40"), "at least 40"),
+    (("--calibration", "7"), "no calibration"),
+    (("--where", "axis=nominal"), "at least 2"),
+])  # fmt: skip
 def test_what_cannot_be_is_refused_in_a_sentence(capsys, project, arguments, said):
     fit = () if "--calibration" in arguments else FIT
     folds = () if "--folds" in arguments else ("--folds", "2")

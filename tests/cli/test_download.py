@@ -63,14 +63,11 @@ def test_without_a_checksum_it_is_told(site, tmp_path, capsys):
     assert "No checksum" in err
 
 
-@pytest.mark.parametrize(
-    ("url", "code", "says"),
-    [
-        ("{site}/nothing.csv", 1, "could not be downloaded"),
-        ("run.csv", 2, "http"),
-        ("{site}/", 2, "FILE"),
-    ],
-)
+@pytest.mark.parametrize(("url", "code", "says"), [
+    ("{site}/nothing.csv", 1, "could not be downloaded"),
+    ("run.csv", 2, "http"),
+    ("{site}/", 2, "FILE"),
+])  # fmt: skip
 def test_addresses_that_lead_nowhere(site, tmp_path, capsys, url, code, says):
     found, _, err = fixel(capsys, "data", url.format(site=site), "-o", tmp_path / "data")
     assert found == code

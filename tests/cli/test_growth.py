@@ -50,18 +50,15 @@ def test_the_answer_for_programs(folder):
     assert answer["step_length"]["y"] == pytest.approx(8e-3)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--index", "other"), "corrected' or 'printed'"),
-        (("--sizes", "z=3"), "--sizes"),
-        (("--sizes", "y=many"), "--sizes"),
-        (("--sizes", "y=7"), "2 to 5"),
-        (("--threshold", "0"), "--limit"),
-        (("--shape", "disc"), "of shape disc"),
-        (("--motion", "dynamic"), "21 of 21"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "words"), [
+    (("--index", "other"), "corrected' or 'printed'"),
+    (("--sizes", "z=3"), "--sizes"),
+    (("--sizes", "y=many"), "--sizes"),
+    (("--sizes", "y=7"), "2 to 5"),
+    (("--threshold", "0"), "--limit"),
+    (("--shape", "disc"), "of shape disc"),
+    (("--motion", "dynamic"), "21 of 21"),
+])  # fmt: skip
 def test_what_cannot_be_is_refused(folder, arguments, words):
     result = call(folder, *arguments)
     assert isinstance(result.exception, InvalidInput)

@@ -51,17 +51,13 @@ def test_version(capsys):
     assert capsys.readouterr().out == f"fixel {fixel.__version__}\n"
 
 
-@pytest.mark.parametrize(
-    ("error", "code", "sentence"),
-    [
-        (InvalidInput("bodies[0].mass", found=-1, expected="a positive number"), 2,
-         "bodies[0].mass is -1"),
-        (DatasetMissing("pushes"), 2, "pushes: no such file or folder"),
-        (SolveFailed("the pusher is jammed"), 3, "the pusher is jammed"),
-        (KeyboardInterrupt(), 130, "stopped"),
-    ],
-    ids=lambda value: type(value).__name__ if isinstance(value, BaseException) else "",
-)  # fmt: skip
+@pytest.mark.parametrize(("error", "code", "sentence"), [
+    (InvalidInput("bodies[0].mass", found=-1, expected="a positive number"), 2,
+     "bodies[0].mass is -1"),
+    (DatasetMissing("pushes"), 2, "pushes: no such file or folder"),
+    (SolveFailed("the pusher is jammed"), 3, "the pusher is jammed"),
+    (KeyboardInterrupt(), 130, "stopped"),
+], ids=lambda value: type(value).__name__ if isinstance(value, BaseException) else "")  # fmt: skip
 def test_failure_becomes_a_sentence_and_an_exit_code(error, code, sentence, capsys):
     app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 

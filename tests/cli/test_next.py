@@ -86,18 +86,15 @@ def test_candidates_of_a_plan_are_the_only_ones(capsys, project, new_part, tmp_p
     assert f"fixel next --surface board --candidates {out}" in text.splitlines()[-1]
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ((), "--part: found none, but fixel needs one of part-1, part-2"),
-        (("--part", "part-9"), "a part without experiments needs its scene file"),
-        (("--part", "surprise=1"), "no usable push of another part"),
-        (("--part", "part-4", "--out", "next.txt"), "a plan file: .yaml"),
-        (("--part", "part-4", "--travel-mm", "-3"), "--travel-mm"),
-        (("--part", "part-4", "--where", "surface=ice"), "ice"),
-        (("--part", "part-4", "--radius-mm", "0"), "--radius-mm"),
-    ],
-)
+@pytest.mark.parametrize(("words", "message"), [
+    ((), "--part: found none, but fixel needs one of part-1, part-2"),
+    (("--part", "part-9"), "a part without experiments needs its scene file"),
+    (("--part", "surprise=1"), "no usable push of another part"),
+    (("--part", "part-4", "--out", "next.txt"), "a plan file: .yaml"),
+    (("--part", "part-4", "--travel-mm", "-3"), "--travel-mm"),
+    (("--part", "part-4", "--where", "surface=ice"), "ice"),
+    (("--part", "part-4", "--radius-mm", "0"), "--radius-mm"),
+])  # fmt: skip
 def test_bad_input_is_one_sentence(capsys, project, words, message):
     assert message in refusal(capsys, "next", "-p", project.folder, *words)
 

@@ -163,18 +163,15 @@ def test_ctrl_c_ends_the_page(bench, capsys, monkeypatch):
     assert source.closed.is_set()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--rig", "nowhere"], "a rig file, or one of thesis-tags"),
-        (["--rig", "thesis-tags"], "neither scene nor experiment"),
-        (["scene.yaml", "--rig", "microscope"], "found part, probe"),
-        (["scene.yaml", "--rig", "rig.yaml", "--tolerance-mm", "0"], "greater than 0"),
-        (["scene.yaml", "--rig", "rig.yaml", "--camera", "none.mp4"], "none.mp4"),
-        (["scene.yaml", "--rig", "rig.yaml", "--once", "--output", "a.txt"], ".png"),
-        (["scene.yaml", "--rig", "thesis-tags", "--camera", "off.mp4", "--once"], "film at that"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "words"), [
+    (["--rig", "nowhere"], "a rig file, or one of thesis-tags"),
+    (["--rig", "thesis-tags"], "neither scene nor experiment"),
+    (["scene.yaml", "--rig", "microscope"], "found part, probe"),
+    (["scene.yaml", "--rig", "rig.yaml", "--tolerance-mm", "0"], "greater than 0"),
+    (["scene.yaml", "--rig", "rig.yaml", "--camera", "none.mp4"], "none.mp4"),
+    (["scene.yaml", "--rig", "rig.yaml", "--once", "--output", "a.txt"], ".png"),
+    (["scene.yaml", "--rig", "thesis-tags", "--camera", "off.mp4", "--once"], "film at that"),
+])  # fmt: skip
 def test_refusals(bench, capsys, monkeypatch, arguments, words):
     monkeypatch.chdir(bench)
     assert words in refusal(capsys, "overlay", *arguments)

@@ -159,19 +159,16 @@ def test_what_a_plan_with_looks_does_not_take_is_refused(capsys, with_looks):
         assert message in refusal(capsys, "plan", *words)
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (("plan", "check", "goal.yaml"), "a result saved by fixel"),
-        (("plan", "next", "made.plan", "--seen", "1,2"), "x,y,angle"),
-        (("plan", "next", "made.plan", "--seen", "0,0,0", "--done", "1"), "--done"),
-        (("plan", "next", "made.plan", "--seen", "0,0,0", "--seen", "1,0,0"), "--seen"),
-        (("plan", "run", "made.plan", "--driver", "simulated"), "one stroke along the axis"),
-        (("plan", "run", "made.plan", "--driver", "robot"), "--driver"),
-        (("plan", "bad.yaml"), "goal.pose.symmetry"),
-        (("plan", "far.yaml", "--rollouts", "1000"), "at 40 mm, 0 mm, 0 deg: it misses by"),
-    ],
-)
+@pytest.mark.parametrize(("words", "message"), [
+    (("plan", "check", "goal.yaml"), "a result saved by fixel"),
+    (("plan", "next", "made.plan", "--seen", "1,2"), "x,y,angle"),
+    (("plan", "next", "made.plan", "--seen", "0,0,0", "--done", "1"), "--done"),
+    (("plan", "next", "made.plan", "--seen", "0,0,0", "--seen", "1,0,0"), "--seen"),
+    (("plan", "run", "made.plan", "--driver", "simulated"), "one stroke along the axis"),
+    (("plan", "run", "made.plan", "--driver", "robot"), "--driver"),
+    (("plan", "bad.yaml"), "goal.pose.symmetry"),
+    (("plan", "far.yaml", "--rollouts", "1000"), "at 40 mm, 0 mm, 0 deg: it misses by"),
+])  # fmt: skip
 def test_what_is_wrong_is_told_in_one_line(capsys, plan, folder, words, message):
     (folder / "bad.yaml").write_text(GOAL.replace("symmetry: 4", "symmetry: four"))
     (folder / "far.yaml").write_text(GOAL.replace("[31, 0, 0]", "[900, 0, 0]"))

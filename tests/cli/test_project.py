@@ -44,13 +44,10 @@ def test_what_is_no_project_is_refused(tmp_path, capsys):
     assert "empty folder" in refusal(capsys, "new", tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("settings", "words", "said"),
-    [
-        ("name: lab\ncolour: red\n", (), "colour"),
-        ("name: lab\n", ("--where", "shape"), "is 'shape'"),
-    ],
-)
+@pytest.mark.parametrize(("settings", "words", "said"), [
+    ("name: lab\ncolour: red\n", (), "colour"),
+    ("name: lab\n", ("--where", "shape"), "is 'shape'"),
+])  # fmt: skip
 def test_settings_and_conditions_that_cannot_be(lab, capsys, settings, words, said):
     (lab / "fixel.yaml").write_text(settings, encoding="utf-8")
     assert said in refusal(capsys, "list", "--project", lab, *words)

@@ -75,29 +75,26 @@ def test_what_broke_off_is_checked_and_repaired(capsys, tmp_path):
     assert "damaged row" in refusal(capsys, "record", "check", folder)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "complaint"),
-    [
-        ([], "--camera"),
-        (["--camera", "FILM", "--out", "OUT", "--size", "640x480"], "found pictures of 160 x 120"),
-        (["--camera", "FILM", "--out", "OUT", "--size", "big"], "must be WIDTHxHEIGHT"),
-        (["--camera", "FILM", "--out", "OUT", "--rig", "thesis-tags"], "fixel needs 1280 x 720"),
-        (["--camera", "FILM", "--out", "OUT", "--rig", "nowhere"], "rig: found no file"),
-        (["--camera", "FILM", "--out", "FILM"], "found a recording, but fixel needs a new folder"),
-        (["--camera", "FILM", "--out", "OUT/.."], "found an existing file or folder"),
-        (["--camera", "FILM", "--out", "OUT", "--codec", "h264"], "as-it-comes, near, exact"),
-        (["--camera", "EXACT", "--out", "OUT", "--codec", "as-it-comes"], "does not send JPEG"),
-        (["--camera", "FILM", "--out", "OUT", "--until", "limit"], "a duration such as 15s"),
-        (["--camera", "FILM", "--out", "OUT", "--limit", "soon"], "must be a duration"),
-        (["--camera", "FILM", "--out", "OUT", "--limit", "0s"], "more than 0 s"),
-        (["--camera", "FILM", "--out", "OUT", "--mode", "010"], "--until seated"),
-        (["--camera", "FILM", "--out", "OUT", "--mode", "01", "--until", "seated", "--tactile",
-          "film"], "each of 3 fixels"),
-        (["--camera", "/dev/video77", "--out", "OUT"], "no such device"),
-        (["--camera", "no.mp4", "--out", "OUT"], "no such file"),
-        (["--camera", "FILM", "--out", "OUT", "--tactile", "/dev/nothing"], "/dev/nothing"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("arguments", "complaint"), [
+    ([], "--camera"),
+    (["--camera", "FILM", "--out", "OUT", "--size", "640x480"], "found pictures of 160 x 120"),
+    (["--camera", "FILM", "--out", "OUT", "--size", "big"], "must be WIDTHxHEIGHT"),
+    (["--camera", "FILM", "--out", "OUT", "--rig", "thesis-tags"], "fixel needs 1280 x 720"),
+    (["--camera", "FILM", "--out", "OUT", "--rig", "nowhere"], "rig: found no file"),
+    (["--camera", "FILM", "--out", "FILM"], "found a recording, but fixel needs a new folder"),
+    (["--camera", "FILM", "--out", "OUT/.."], "found an existing file or folder"),
+    (["--camera", "FILM", "--out", "OUT", "--codec", "h264"], "as-it-comes, near, exact"),
+    (["--camera", "EXACT", "--out", "OUT", "--codec", "as-it-comes"], "does not send JPEG"),
+    (["--camera", "FILM", "--out", "OUT", "--until", "limit"], "a duration such as 15s"),
+    (["--camera", "FILM", "--out", "OUT", "--limit", "soon"], "must be a duration"),
+    (["--camera", "FILM", "--out", "OUT", "--limit", "0s"], "more than 0 s"),
+    (["--camera", "FILM", "--out", "OUT", "--mode", "010"], "--until seated"),
+    (["--camera", "FILM", "--out", "OUT", "--mode", "01", "--until", "seated", "--tactile",
+      "film"], "each of 3 fixels"),
+    (["--camera", "/dev/video77", "--out", "OUT"], "no such device"),
+    (["--camera", "no.mp4", "--out", "OUT"], "no such file"),
+    (["--camera", "FILM", "--out", "OUT", "--tactile", "/dev/nothing"], "/dev/nothing"),
+])  # fmt: skip
 def test_what_cannot_be_recorded_is_refused(capsys, tmp_path, arguments, complaint):
     (tmp_path / "out").mkdir()
     out = tmp_path / "out" / "r"
@@ -147,14 +144,11 @@ def ended_by(tmp_path, end):
 
 
 @pytest.mark.system
-@pytest.mark.parametrize(
-    ("end", "reason"),
-    [
-        (lambda p, tty: os.write(tty, b"\n"), "stopped with Enter"),
-        (lambda p, tty: p.send_signal(signal.SIGINT), "stopped with Ctrl-C"),
-        (lambda p, tty: p.terminate(), "stopped by a signal"),
-    ],
-)
+@pytest.mark.parametrize(("end", "reason"), [
+    (lambda p, tty: os.write(tty, b"\n"), "stopped with Enter"),
+    (lambda p, tty: p.send_signal(signal.SIGINT), "stopped with Ctrl-C"),
+    (lambda p, tty: p.terminate(), "stopped by a signal"),
+])  # fmt: skip
 def test_whatever_stops_it_ends_it_well(tmp_path, end, reason):
     assert ended_by(tmp_path, end) == reason
 

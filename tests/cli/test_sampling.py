@@ -79,17 +79,14 @@ def test_simulating_finds_more(capsys):
     assert 0 < len(answer["problems"]) <= 25
 
 
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (["nowhere.yaml"], "nowhere.yaml"),
-        (["--plot", "plan.bmp"], "fixel needs a picture file"),
-        (["--out", "plan.txt"], "fixel needs a plan file"),
-        (["--out", "no/such/folder/plan.yaml"], "no folder"),
-        (["bad.yaml"], "fixel: head.speed is -1"),
-        (["good.yaml", "--out", "good.yaml"], "the plan file itself"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "sentence"), [
+    (["nowhere.yaml"], "nowhere.yaml"),
+    (["--plot", "plan.bmp"], "fixel needs a picture file"),
+    (["--out", "plan.txt"], "fixel needs a plan file"),
+    (["--out", "no/such/folder/plan.yaml"], "no folder"),
+    (["bad.yaml"], "fixel: head.speed is -1"),
+    (["good.yaml", "--out", "good.yaml"], "the plan file itself"),
+])  # fmt: skip
 def test_bad_input_exits_2(arguments, sentence, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     good = plan_text(thesis_plan())

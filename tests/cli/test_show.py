@@ -139,16 +139,13 @@ def test_compare_can_draw(folder, tmp_path):
     assert answer["method"]["motion"] == "quasistatic"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (["compare", "push", "--set", "mu_support"], "NAME=NUMBER"),
-        (["compare", "push", "--set", "mu_suport=0.3"], "did you mean 'mu_support'"),
-        (["compare", "push", "--plot", "a.bmp"], "a picture file"),
-        (["show", "push", "--plot", "a.bmp"], "a picture file"),
-        (["compare", "lab/a 1"], "no scene"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "sentence"), [
+    (["compare", "push", "--set", "mu_support"], "NAME=NUMBER"),
+    (["compare", "push", "--set", "mu_suport=0.3"], "did you mean 'mu_support'"),
+    (["compare", "push", "--plot", "a.bmp"], "a picture file"),
+    (["show", "push", "--plot", "a.bmp"], "a picture file"),
+    (["compare", "lab/a 1"], "no scene"),
+])  # fmt: skip
 def test_bad_input_is_refused(folder, arguments, sentence):
     result = call(folder, *arguments)
 

@@ -77,20 +77,17 @@ def test_a_jam_exits_3_with_what_was_computed(scene, tmp_path, capsys):
     assert path.read_text().startswith('"time_s"')
 
 
-@pytest.mark.parametrize(
-    ("arguments", "reason"),
-    [
-        (["--set", "bodies.0.mas=1"], "did you mean 'mass'"),
-        (["--set", "bodies.0.mass=-1"], "must be a number greater than 0"),
-        (["--plot", "a.bmp"], "fixel needs a picture file"),
-        (["--trajectory", "nowhere/a.csv"], "no folder nowhere"),
-        (["--solver", "lemke"], "support_directions"),
-        (["--step", "-1"], "must be a positive time"),
-        (["--step", "0.1", "--tolerance", "1"], "leave one out"),
-        (["--motion", "magic"], "magic"),
-        (["--solver", "magic"], "must be 'newton', 'gauss-seidel' or 'lemke'"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "reason"), [
+    (["--set", "bodies.0.mas=1"], "did you mean 'mass'"),
+    (["--set", "bodies.0.mass=-1"], "must be a number greater than 0"),
+    (["--plot", "a.bmp"], "fixel needs a picture file"),
+    (["--trajectory", "nowhere/a.csv"], "no folder nowhere"),
+    (["--solver", "lemke"], "support_directions"),
+    (["--step", "-1"], "must be a positive time"),
+    (["--step", "0.1", "--tolerance", "1"], "leave one out"),
+    (["--motion", "magic"], "magic"),
+    (["--solver", "magic"], "must be 'newton', 'gauss-seidel' or 'lemke'"),
+])  # fmt: skip
 def test_bad_input_exits_2_with_the_reason_and_no_traceback(scene, arguments, reason, capsys):
     code, out, err = fixel(capsys, "simulate", scene, "--json", *arguments)
 

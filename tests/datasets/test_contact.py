@@ -12,17 +12,14 @@ SQUARE = Polygon(np.array([[0.03, 0.03], [-0.03, 0.03], [-0.03, -0.03], [0.03, -
 TURNED = np.array([[0.5, 0.2, math.pi / 2]])
 
 
-@pytest.mark.parametrize(
-    ("shape", "local", "gap", "way"),
-    [
-        (SQUARE, (0.040, 0.0), 0.005, (0.0, 0.0)),
-        (SQUARE, (0.034, 0.0), -0.001, (0.001, 0.0)),
-        (SQUARE, (0.033, 0.033), 0.003 * math.sqrt(2) - 0.005, (0.000536, 0.000536)),
-        (SQUARE, (0.0, -0.028), -0.007, (0.0, -0.007)),
-        (Disk(0.03), (0.0, 0.034), -0.001, (0.0, 0.001)),
-        (Disk(0.03), (0.0, 0.036), 0.001, (0.0, 0.0)),
-    ],
-)
+@pytest.mark.parametrize(("shape", "local", "gap", "way"), [
+    (SQUARE, (0.040, 0.0), 0.005, (0.0, 0.0)),
+    (SQUARE, (0.034, 0.0), -0.001, (0.001, 0.0)),
+    (SQUARE, (0.033, 0.033), 0.003 * math.sqrt(2) - 0.005, (0.000536, 0.000536)),
+    (SQUARE, (0.0, -0.028), -0.007, (0.0, -0.007)),
+    (Disk(0.03), (0.0, 0.034), -0.001, (0.0, 0.001)),
+    (Disk(0.03), (0.0, 0.036), 0.001, (0.0, 0.0)),
+])  # fmt: skip
 def test_tips_leave_along_the_normal(shape, local, gap, way):
     """The object is turned a quarter: its x is the y of the world, its y the -x."""
     tip = np.array([[0.5 - local[1], 0.2 + local[0]]])

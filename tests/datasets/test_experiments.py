@@ -46,15 +46,12 @@ def test_a_filter_selects_like_a_loop(pushes):
     assert len(pushes.where("real")) == 0
 
 
-@pytest.mark.parametrize(
-    ("text", "complaint"),
-    [
-        ("surfce=abs", "did you mean 'surface'"),
-        ("surface=plywod", "did you mean 'plywood'"),
-        ("error>5", "errors of simulations; use fixel.compare"),
-        ("moved>far", "must be a number"),
-    ],
-)
+@pytest.mark.parametrize(("text", "complaint"), [
+    ("surfce=abs", "did you mean 'surface'"),
+    ("surface=plywod", "did you mean 'plywood'"),
+    ("error>5", "errors of simulations; use fixel.compare"),
+    ("moved>far", "must be a number"),
+])  # fmt: skip
 def test_filters_that_cannot_be_met_are_refused(pushes, text, complaint):
     with pytest.raises(InvalidInput, match=complaint):
         pushes.where(text)

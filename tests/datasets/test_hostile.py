@@ -81,18 +81,14 @@ def _damaged():
     return bytes(packed)
 
 
-@pytest.mark.parametrize(
-    ("limits", "content", "message"),
-    [
-        ({"MAX_FILE": 2_000_000}, gzip.compress(b"t_s,x_m,y_m\n" + b"0,0,0\n" * 1_000_000),
-         "at most 2 million characters"),
-        ({"MAX_CELLS": 1_000_000}, gzip.compress(b"t_s,x_m,y_m\n" + b"\n" * 2_000_000),
-         "at most 1 million cells"),
-        ({}, gzip.compress(b"x," * 1_000_000), "a line of 1000000 characters"),
-        ({}, _damaged(), "a readable CSV file"),
-    ],
-    ids=["too long", "too many cells", "a line without end", "damaged"],
-)  # fmt: skip
+@pytest.mark.parametrize(("limits", "content", "message"), [
+    ({"MAX_FILE": 2_000_000}, gzip.compress(b"t_s,x_m,y_m\n" + b"0,0,0\n" * 1_000_000),
+     "at most 2 million characters"),
+    ({"MAX_CELLS": 1_000_000}, gzip.compress(b"t_s,x_m,y_m\n" + b"\n" * 2_000_000),
+     "at most 1 million cells"),
+    ({}, gzip.compress(b"x," * 1_000_000), "a line of 1000000 characters"),
+    ({}, _damaged(), "a readable CSV file"),
+], ids=["too long", "too many cells", "a line without end", "damaged"])  # fmt: skip
 def test_archives_that_cannot_be_read_are_refused(tmp_path, monkeypatch, limits, content, message):
     for name, limit in limits.items():
         monkeypatch.setattr(files, name, limit)

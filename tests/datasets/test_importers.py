@@ -168,15 +168,12 @@ def test_a_tip_deep_inside_has_no_scene(tmp_path):
     assert flags(push) == ["misregistered", "no-scene"]
 
 
-@pytest.mark.parametrize(
-    ("changes", "flag"),
-    [
-        ({"gap0_mm": 3.5}, "misregistered"),
-        ({"gap1_mm": -3.5}, "misregistered"),
-        ({"surface": "plywood", "shape": "hex"}, "systematic-offset"),
-        ({"surface": "abs", "shape": "rect1", "speed_mm_s": 20}, "unexplained-error"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "flag"), [
+    ({"gap0_mm": 3.5}, "misregistered"),
+    ({"gap1_mm": -3.5}, "misregistered"),
+    ({"surface": "plywood", "shape": "hex"}, "systematic-offset"),
+    ({"surface": "abs", "shape": "rect1", "speed_mm_s": 20}, "unexplained-error"),
+])  # fmt: skip
 def test_known_faults_are_flagged(changes, flag, tmp_path):
     folder = push_files.mit_push(tmp_path, push_files.push(0, **changes))
     shapes = json.loads((folder / "shapes.json").read_text())

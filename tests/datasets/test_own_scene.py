@@ -68,15 +68,12 @@ def test_placeholders_that_are_left_are_named_all_together(tmp_path):
     assert "pushers[0].shape" in refusal.hint
 
 
-@pytest.mark.parametrize(
-    ("header", "turn", "scale", "complaint"),
-    [
-        # Degrees, radians and metres that the header calls something else.
-        ("time_s,x_mm,y_mm,theta_rad,tip_x_mm,tip_y_mm", DEGREE, 1e3, "angle_unit=deg"),
-        (None, 1.0, 1e3, "angle_unit=rad"),
-        ("time_s,x_m,y_m,theta_deg,tip_x_m,tip_y_m", DEGREE, 1e3, "a motion of 33 m"),
-    ],
-)
+@pytest.mark.parametrize(("header", "turn", "scale", "complaint"), [
+    # Degrees, radians and metres that the header calls something else.
+    ("time_s,x_mm,y_mm,theta_rad,tip_x_mm,tip_y_mm", DEGREE, 1e3, "angle_unit=deg"),
+    (None, 1.0, 1e3, "angle_unit=rad"),
+    ("time_s,x_m,y_m,theta_deg,tip_x_m,tip_y_m", DEGREE, 1e3, "a motion of 33 m"),
+])  # fmt: skip
 def test_units_in_which_nothing_moves_so_are_refused(tmp_path, header, turn, scale, complaint):
     right = table(tmp_path)
     scene = filled(tmp_path, right)

@@ -78,29 +78,25 @@ def test_what_is_written_is_read(plan, tmp_path):
         write_rows(tmp_path / "rows", rows)
 
 
-@pytest.mark.parametrize(
-    ("text", "where", "words"),
-    [
-        ("id,x_mm\na,1\n", "plan.csv", "fixel needs a column name"),
-        ("name,x\na,1\n", "plan.csv, header", "'x', but must be one of"),
-        ("name,speed_mms\na,1\n", "plan.csv, header", "did you mean 'speed_mm_s'"),
-        ("name,ofset_x_mm\na,1\n", "plan.csv, row 1, a.ofset_x_m", "mean 'offset_x_m'"),
-        ("name,x_deg\na,1\n", "plan.csv, header", "'x_deg'"),
-        ("name|x_mm\na|1\n", "plan.csv", "fixel needs a column name"),
-        ("name,x_mm\na,160\nb,far\n", "plan.csv, row 2, column x_mm",
-         "'far', but must be a finite"),
-        ("name,x_mm\na,nan\n", "plan.csv, row 1, column x_mm", "finite number"),
-        ("name,speed_mm_s\na,0\n", "plan.csv, row 1, a.drive", "greater than 0"),
-        ("name,x_mm\na,160\na,161\n", "plan.csv, row 2, column name", "'a' twice"),
-        ("name,x_mm\na/b,160\n", "plan.csv, row 1, column name", "'a/b', but must be at most"),
-        ("name,x_mm\na,160\nb,20\n", "plan.csv, row 2, b.'object' and 'actuator'", "an overlap of"),
-        ("name,scene\na,none.yaml\n", "plan.csv, row 1, column scene", "none.yaml"),
-        ("name,scene,experiment\na,scene.yaml,lab/push-1\n", "plan.csv, row 1, column scene",
-         "one of them"),
-        ("name,x_mm\na,160,3\n", "plan.csv, row 1", "3 cells"),
-        ("name\n", "plan.csv", "a header and rows"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("text", "where", "words"), [
+    ("id,x_mm\na,1\n", "plan.csv", "fixel needs a column name"),
+    ("name,x\na,1\n", "plan.csv, header", "'x', but must be one of"),
+    ("name,speed_mms\na,1\n", "plan.csv, header", "did you mean 'speed_mm_s'"),
+    ("name,ofset_x_mm\na,1\n", "plan.csv, row 1, a.ofset_x_m", "mean 'offset_x_m'"),
+    ("name,x_deg\na,1\n", "plan.csv, header", "'x_deg'"),
+    ("name|x_mm\na|1\n", "plan.csv", "fixel needs a column name"),
+    ("name,x_mm\na,160\nb,far\n", "plan.csv, row 2, column x_mm", "'far', but must be a finite"),
+    ("name,x_mm\na,nan\n", "plan.csv, row 1, column x_mm", "finite number"),
+    ("name,speed_mm_s\na,0\n", "plan.csv, row 1, a.drive", "greater than 0"),
+    ("name,x_mm\na,160\na,161\n", "plan.csv, row 2, column name", "'a' twice"),
+    ("name,x_mm\na/b,160\n", "plan.csv, row 1, column name", "'a/b', but must be at most"),
+    ("name,x_mm\na,160\nb,20\n", "plan.csv, row 2, b.'object' and 'actuator'", "an overlap of"),
+    ("name,scene\na,none.yaml\n", "plan.csv, row 1, column scene", "none.yaml"),
+    ("name,scene,experiment\na,scene.yaml,lab/push-1\n", "plan.csv, row 1, column scene",
+     "one of them"),
+    ("name,x_mm\na,160,3\n", "plan.csv, row 1", "3 cells"),
+    ("name\n", "plan.csv", "a header and rows"),
+])  # fmt: skip
 def test_what_is_refused(text, where, words, read):
     problem = refused(read, text)
 

@@ -106,17 +106,14 @@ def test_trials_without_their_files_are_left_out(tmp_path):
     assert "exp7_frames.csv" in plan.skipped[0]
 
 
-@pytest.mark.parametrize(
-    ("changes", "complaint"),
-    [
-        ({"obj_x1": "much"}, r"row 1, column obj_x1 is 'much'"),
-        ({"obj_x1": "nan"}, r"row 1, column obj_x1"),
-        ({"obj_x1": "-1e19"}, r"row 1, column obj_x1 is '-1e19', but must be a number within"),
-        ({"tip_x0": ""}, r"row 1, column tip_x0 is ''"),
-        ({"shape": "star"}, r"the shape star"),
-        ({"speed_mm_s": 0}, r"a positive speed"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "complaint"), [
+    ({"obj_x1": "much"}, r"row 1, column obj_x1 is 'much'"),
+    ({"obj_x1": "nan"}, r"row 1, column obj_x1"),
+    ({"obj_x1": "-1e19"}, r"row 1, column obj_x1 is '-1e19', but must be a number within"),
+    ({"tip_x0": ""}, r"row 1, column tip_x0 is ''"),
+    ({"shape": "star"}, r"the shape star"),
+    ({"speed_mm_s": 0}, r"a positive speed"),
+])  # fmt: skip
 def test_wrong_pushes_are_refused(changes, complaint, tmp_path):
     folder = push_files.mit_push(tmp_path, push_files.push(0, **changes))
 

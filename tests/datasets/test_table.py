@@ -135,29 +135,25 @@ def test_a_compressed_table(tmp_path):
     assert experiment.provenance.source == "run.csv.gz"
 
 
-@pytest.mark.parametrize(
-    ("text", "complaint"),
-    [
-        ("t_s,x_m,y_m\n0,0,0\n0,0,0\n", "row 2: found t = 0 s after 0 s"),
-        ("t_s,x_m,y_m\n0,0,0\n2,0,0\n1,0,0\n", "row 3: found t = 1 s after 2 s"),
-        ("t_s,x_m,y_m\n0,nan,0\n", "row 1, column x_m is 'nan'"),
-        ("t_s,x_m,y_m\n0,1e30,0\n", "row 1, column x_m is '1e30'"),
-        ("t_s,x_m,y_m\n,0,0\n", "column t_s is ''"),
-        ("t_s,x_m\n0,0\n", "a column for y; name columns"),
-        ("t_s,x_m,y_m,pusher_x_m\n0,0,0,0\n", "a column for pusher_y"),
-        ("t_s,x_m,x_mm,y_m\n0,0,0,0\n", "found 'x_m' and 'x_mm'"),
-        ("t_s,x_m,x_m,y_m\n0,0,0,0\n", "header: found 'x_m' twice"),
-        ("t_s,x_deg,y_m\n0,0,0\n", "column x_deg: found a unit of angle"),
-        ('t_s,x_m,y_m\n"0,5",0,0\n',
-         "is '0,5', but must be a finite number; write a decimal point"),
-        ("t_s;x_m;y_m\n0;1.000,5;0\n", "is '1.000,5', but must be a finite number"),
-        ("t_s,x_m,y_m,touch_bool\n0,0,0,2\n", "column touch_bool is '2'"),
-        ("t_s,x_m,y_m\n0,,\n", "no pose of the object"),
-        ("t_s,x_m,y_m\n0,0\n", "2 cells, but fixel needs 3"),
-        ("t_s,x_m,y_m\n", "a header without rows"),
-        ("", "an empty file"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("text", "complaint"), [
+    ("t_s,x_m,y_m\n0,0,0\n0,0,0\n", "row 2: found t = 0 s after 0 s"),
+    ("t_s,x_m,y_m\n0,0,0\n2,0,0\n1,0,0\n", "row 3: found t = 1 s after 2 s"),
+    ("t_s,x_m,y_m\n0,nan,0\n", "row 1, column x_m is 'nan'"),
+    ("t_s,x_m,y_m\n0,1e30,0\n", "row 1, column x_m is '1e30'"),
+    ("t_s,x_m,y_m\n,0,0\n", "column t_s is ''"),
+    ("t_s,x_m\n0,0\n", "a column for y; name columns"),
+    ("t_s,x_m,y_m,pusher_x_m\n0,0,0,0\n", "a column for pusher_y"),
+    ("t_s,x_m,x_mm,y_m\n0,0,0,0\n", "found 'x_m' and 'x_mm'"),
+    ("t_s,x_m,x_m,y_m\n0,0,0,0\n", "header: found 'x_m' twice"),
+    ("t_s,x_deg,y_m\n0,0,0\n", "column x_deg: found a unit of angle"),
+    ('t_s,x_m,y_m\n"0,5",0,0\n', "is '0,5', but must be a finite number; write a decimal point"),
+    ("t_s;x_m;y_m\n0;1.000,5;0\n", "is '1.000,5', but must be a finite number"),
+    ("t_s,x_m,y_m,touch_bool\n0,0,0,2\n", "column touch_bool is '2'"),
+    ("t_s,x_m,y_m\n0,,\n", "no pose of the object"),
+    ("t_s,x_m,y_m\n0,0\n", "2 cells, but fixel needs 3"),
+    ("t_s,x_m,y_m\n", "a header without rows"),
+    ("", "an empty file"),
+])  # fmt: skip
 def test_wrong_tables_are_refused(text, complaint, tmp_path):
     with pytest.raises(InvalidInput, match=complaint):
         plan_of(tmp_path, text)

@@ -92,16 +92,13 @@ def test_too_few_experiments_are_refused_with_the_number_needed():
     assert np.isfinite(promise.bounds(nine)).all()
 
 
-@pytest.mark.parametrize(
-    ("change", "complaint"),
-    [
-        (lambda f, e: (f * np.nan, e), "not finite"),
-        (lambda f, e: (f[:, 0], e), "table of finite numbers"),
-        (lambda f, e: (f, -e), "0 or more"),
-        (lambda f, e: (f, e * np.nan), "0 or more"),
-        (lambda f, e: (f, e[:-1]), "fixel needs \\(30,\\)"),
-    ],
-)
+@pytest.mark.parametrize(("change", "complaint"), [
+    (lambda f, e: (f * np.nan, e), "not finite"),
+    (lambda f, e: (f[:, 0], e), "table of finite numbers"),
+    (lambda f, e: (f, -e), "0 or more"),
+    (lambda f, e: (f, e * np.nan), "0 or more"),
+    (lambda f, e: (f, e[:-1]), "fixel needs \\(30,\\)"),
+])  # fmt: skip
 def test_numbers_that_cannot_be_are_refused(change, complaint):
     features, errors, _ = made_up(30, 0)
     with pytest.raises(InvalidInput, match=complaint):

@@ -40,17 +40,14 @@ def test_the_corrected_domain_has_every_row_once_the_printed_one_has_row_16_twic
     assert [len(domain(k)) for k in range(6)] == [1, 5, 9, 13, 17, 21]
 
 
-@pytest.mark.parametrize(
-    ("axis", "size", "ends"),
-    [
-        ("x", 2, (0, 1)),
-        ("theta", 4, (0, 3)),
-        ("y", 3, (-1, 1)),
-        ("y", 5, (-2, 2)),
-        ("y", 2, (0, 1)),
-        ("y", 4, (-1, 2)),
-    ],
-)
+@pytest.mark.parametrize(("axis", "size", "ends"), [
+    ("x", 2, (0, 1)),
+    ("theta", 4, (0, 3)),
+    ("y", 3, (-1, 1)),
+    ("y", 5, (-2, 2)),
+    ("y", 2, (0, 1)),
+    ("y", 4, (-1, 2)),
+])  # fmt: skip
 def test_intervals_hold_the_nominal_sample(axis, size, ends):
     assert interval(axis, size) == ends
     assert ends[0] <= 0 <= ends[1]

@@ -60,15 +60,11 @@ def _curve():
     return coverage_chart(curves, "Coverage", groups)
 
 
-@pytest.mark.parametrize(
-    ("chart", "columns", "rows"),
-    [
-        (_corner(), ("mu_pusher", "tripod_radius_m", "model error_m", "mode"), 60),
-        (_final(), ("what", "x_m", "y_m", "theta_rad"), 81),
-        (_curve(), ("bounds", "level", "held", "true_levels_from", "true_levels_to", "outcomes"),
-         6),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("chart", "columns", "rows"), [
+    (_corner(), ("mu_pusher", "tripod_radius_m", "model error_m", "mode"), 60),
+    (_final(), ("what", "x_m", "y_m", "theta_rad"), 81),
+    (_curve(), ("bounds", "level", "held", "true_levels_from", "true_levels_to", "outcomes"), 6),
+])  # fmt: skip
 def test_a_picture_and_its_table(chart, columns, rows, tmp_path):
     draw_chart(chart, tmp_path / "a.png", tmp_path / "a.pdf", banner="SIMULATED")
     assert (tmp_path / "a.png").stat().st_size > 5_000

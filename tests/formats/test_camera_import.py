@@ -199,37 +199,32 @@ def test_camera_files_read_back(numbers, shift, tmp_path_factory):
     np.testing.assert_allclose(again.placed().translation, placed.translation, atol=1e-14)
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "word"),
-    [
-        ("a.m", CALIB_RESULTS.replace("nx = 1280;", ""), "nx"),
-        ("a.m", CALIB_RESULTS.replace("fc = [ 944", "fc = [ -944"), "above 0"),
-        ("a.m", CALIB_RESULTS.replace("516.0", "0.5160").replace("100.0 ; 50.0", "0.1 ; 0.05"),
-         "unit"),
-        ("a.m", CALIB_RESULTS.replace("nx = 1280", "nx = 320"), "another resolution"),
-        ("a.m", "fc = inv(K);", "fc"),
-        ("a.m", "\x00\xff", "fc"),
-        ("a.mat", "not a mat file", "MATLAB"),
-        ("a.mat", "MATLAB 7.3 MAT-file" + " " * 105 + "\x00\x02IM", "MATLAB"),
-        ("a.yaml", KALIBR, "--which"),
-        ("a.yaml", KALIBR.replace("pinhole", "omni"), "--which"),
-        ("a.yaml", KALIBR[: KALIBR.index("cam1")].replace("pinhole", "omni"), "pinhole"),
-        ("a.yaml", KALIBR[: KALIBR.index("cam1")].replace("radtan", "fov"), "radtan"),
-        ("a.yaml", KALIBR[: KALIBR.index("cam1")].replace("[461.6, ", "["), "4 numbers"),
-        ("a.yaml", ROS.replace("plumb_bob", "fov"), "plumb_bob"),
-        ("a.yaml", ROS.replace("0.0007, 0.0", "0.0007, 0.0, 0.1"), "at most 5"),
-        ("a.yaml", ROS.replace("438.7", "0.0"), "calibrated"),
-        ("a.yaml", ROS.replace("438.7, 0.0", "438.7, 1.0"), "skew"),
-        ("a.yaml", ROS + "binning_x: 2\n", "binned"),
-        ("a.yaml", ROS + "roi: {x_offset: 12, width: 320}\n", "cropped"),
-        ("a.yaml", ROS.replace("640", "many"), "image_width"),
-        ("a.yaml", "hello: world", "unknown format"),
-        ("a.yml", "%YAML:1.0\n---\nK: !!opencv-matrix\n   rows: 3\n", "OpenCV"),
-        ("a.xml", '<?xml version="1.0"?>\n<opencv_storage><a>1</a></opencv_storage>',
-         "camera matrix"),
-        ("a.json", json.dumps({"x": "opencv-matrix"}), "camera matrix"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("name", "text", "word"), [
+    ("a.m", CALIB_RESULTS.replace("nx = 1280;", ""), "nx"),
+    ("a.m", CALIB_RESULTS.replace("fc = [ 944", "fc = [ -944"), "above 0"),
+    ("a.m", CALIB_RESULTS.replace("516.0", "0.5160").replace("100.0 ; 50.0", "0.1 ; 0.05"), "unit"),
+    ("a.m", CALIB_RESULTS.replace("nx = 1280", "nx = 320"), "another resolution"),
+    ("a.m", "fc = inv(K);", "fc"),
+    ("a.m", "\x00\xff", "fc"),
+    ("a.mat", "not a mat file", "MATLAB"),
+    ("a.mat", "MATLAB 7.3 MAT-file" + " " * 105 + "\x00\x02IM", "MATLAB"),
+    ("a.yaml", KALIBR, "--which"),
+    ("a.yaml", KALIBR.replace("pinhole", "omni"), "--which"),
+    ("a.yaml", KALIBR[: KALIBR.index("cam1")].replace("pinhole", "omni"), "pinhole"),
+    ("a.yaml", KALIBR[: KALIBR.index("cam1")].replace("radtan", "fov"), "radtan"),
+    ("a.yaml", KALIBR[: KALIBR.index("cam1")].replace("[461.6, ", "["), "4 numbers"),
+    ("a.yaml", ROS.replace("plumb_bob", "fov"), "plumb_bob"),
+    ("a.yaml", ROS.replace("0.0007, 0.0", "0.0007, 0.0, 0.1"), "at most 5"),
+    ("a.yaml", ROS.replace("438.7", "0.0"), "calibrated"),
+    ("a.yaml", ROS.replace("438.7, 0.0", "438.7, 1.0"), "skew"),
+    ("a.yaml", ROS + "binning_x: 2\n", "binned"),
+    ("a.yaml", ROS + "roi: {x_offset: 12, width: 320}\n", "cropped"),
+    ("a.yaml", ROS.replace("640", "many"), "image_width"),
+    ("a.yaml", "hello: world", "unknown format"),
+    ("a.yml", "%YAML:1.0\n---\nK: !!opencv-matrix\n   rows: 3\n", "OpenCV"),
+    ("a.xml", '<?xml version="1.0"?>\n<opencv_storage><a>1</a></opencv_storage>', "camera matrix"),
+    ("a.json", json.dumps({"x": "opencv-matrix"}), "camera matrix"),
+])  # fmt: skip
 def test_what_cannot_be_read_is_refused(name, text, word, tmp_path):
     path = tmp_path / name
     path.write_bytes(text.encode("latin-1"))

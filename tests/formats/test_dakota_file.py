@@ -85,13 +85,10 @@ def test_newer_and_older_spellings():
     assert dakota_from_text(text)[:2] == dakota_from_text(THESIS)[:2]
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"'results.out'": "'results.out’", "'fC'": "‘fC’"},  # quotes copied from a page
-        {"'sPRD'": "'tripod_radius'", " 25 ": " 0.025 ", "1 1 60 1": "1 1 0.06 1"},  # our units
-    ],
-)
+@pytest.mark.parametrize("changes", [
+    {"'results.out'": "'results.out’", "'fC'": "‘fC’"},  # quotes copied from a page
+    {"'sPRD'": "'tripod_radius'", " 25 ": " 0.025 ", "1 1 60 1": "1 1 0.06 1"},  # our units
+])  # fmt: skip
 def test_other_quotes_and_our_own_names_are_the_same_space(changes):
     text = THESIS
     for old, new in changes.items():
@@ -115,37 +112,31 @@ def test_what_is_left_out_is_as_dakota_has_it():
     assert "initial_delta 1" in notes[-1]
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("initial_delta =", "inital_delta =",
-         r"line 15: found inital_delta, .*did you mean 'initi"),
-        ("coliny_pattern_search", "coliny_ea",
-         r"line 11: found coliny_ea, but fixel needs one of coliny"),
-        ("method,", "methods,", r"dakota: found no method block"),
-        ("strategy,", "strategies,", r"line 6: found strategies, .*did you mean 'strategy"),
-        ("basic_pattern", "adaptive_pattern",
-         r"line 18: found adaptive_pattern, but fixel needs expl"),
-        ("coordinate", "simplex",
-         r"line 17: found simplex, but fixel needs pattern_basis to be coord"),
-        ("0.9", "", r"line 21: found model, but fixel needs a number after contraction_factor"),
-        ("0.9", "0.9 0.8", r"fixel needs a number after contraction_factor"),
-        ("0.9", "1.9", r"line 11\.PatternSearch\.contraction_factor is 1\.9"),
-        ("= 10000", "= 10.5", r"line 12: .*a whole number after max_iterations"),
-        ("= 10000", "= 1\n  max_iterations = 2", r"line 13: .*each keyword once"),
-        ("single\n\nvar", "surrogate global\n\nvar", r"line 22: found surrogate"),
-        ("continuous_design = 4", "continuous_design = 3", r"line 26: found 4 after initial_point"),
-        ("'sFC'", "'sFC2'", r"line 29: found 'sFC2', .*did you mean 'sFC'"),
-        ("'sFC'", "'fC'", r"found mu_fixel twice"),
-        ("1 1 60 1", "1 0 60 1", r"line 25\.mu_pusher: found bounds 0 to 0"),
-        ("0.2 0.2 25", "0.2 1.2 25", r"line 25\.mu_pusher\.nominal: .*move the start"),
-        ("    upper_bounds 1 1 60 1\n", "", r"line 24: found variables without upper_bounds"),
-        ("1 1 60 1", "1 1 inf 1", r"line 28: found inf, but fixel needs a finite number"),
-        ("0 0 0 0", "0 0 0 -Inf", r"line 27: found -Inf, but fixel needs a finite number"),
-        ("0 0 0 0", "0.5*0", r"a count before"),
-        ("responses,", "method, coliny_pattern_search responses,", r"one method block"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ("initial_delta =", "inital_delta =", r"line 15: found inital_delta, .*did you mean 'initi"),
+    ("coliny_pattern_search", "coliny_ea",
+     r"line 11: found coliny_ea, but fixel needs one of coliny"),
+    ("method,", "methods,", r"dakota: found no method block"),
+    ("strategy,", "strategies,", r"line 6: found strategies, .*did you mean 'strategy"),
+    ("basic_pattern", "adaptive_pattern", r"line 18: found adaptive_pattern, but fixel needs expl"),
+    ("coordinate", "simplex", r"line 17: found simplex, but fixel needs pattern_basis to be coord"),
+    ("0.9", "", r"line 21: found model, but fixel needs a number after contraction_factor"),
+    ("0.9", "0.9 0.8", r"fixel needs a number after contraction_factor"),
+    ("0.9", "1.9", r"line 11\.PatternSearch\.contraction_factor is 1\.9"),
+    ("= 10000", "= 10.5", r"line 12: .*a whole number after max_iterations"),
+    ("= 10000", "= 1\n  max_iterations = 2", r"line 13: .*each keyword once"),
+    ("single\n\nvar", "surrogate global\n\nvar", r"line 22: found surrogate"),
+    ("continuous_design = 4", "continuous_design = 3", r"line 26: found 4 after initial_point"),
+    ("'sFC'", "'sFC2'", r"line 29: found 'sFC2', .*did you mean 'sFC'"),
+    ("'sFC'", "'fC'", r"found mu_fixel twice"),
+    ("1 1 60 1", "1 0 60 1", r"line 25\.mu_pusher: found bounds 0 to 0"),
+    ("0.2 0.2 25", "0.2 1.2 25", r"line 25\.mu_pusher\.nominal: .*move the start"),
+    ("    upper_bounds 1 1 60 1\n", "", r"line 24: found variables without upper_bounds"),
+    ("1 1 60 1", "1 1 inf 1", r"line 28: found inf, but fixel needs a finite number"),
+    ("0 0 0 0", "0 0 0 -Inf", r"line 27: found -Inf, but fixel needs a finite number"),
+    ("0 0 0 0", "0.5*0", r"a count before"),
+    ("responses,", "method, coliny_pattern_search responses,", r"one method block"),
+])  # fmt: skip
 def test_refusals_name_the_line(old, new, message):
     assert old in THESIS
     with pytest.raises(InvalidInput, match=message):

@@ -91,14 +91,11 @@ def test_obstacles_and_cost_of_pushes(form):
     assert [own.area for own in found.choose.obstacles] == pytest.approx([1e-4, 5e-7])
 
 
-@pytest.mark.parametrize(
-    ("text", "where"),
-    [
-        ("{cost: lenght}", "choose.free.cost"),
-        ("{obstacles_mm: [[[0, 0], [1, 0]]]}", r"choose.free.obstacles_mm\[0\]"),
-        ("{obstacles_mm: [[[0, 0], [1, 0], [2, 0]]]}", r"choose.free.obstacles\[0\].*no area"),
-    ],
-)
+@pytest.mark.parametrize(("text", "where"), [
+    ("{cost: lenght}", "choose.free.cost"),
+    ("{obstacles_mm: [[[0, 0], [1, 0]]]}", r"choose.free.obstacles_mm\[0\]"),
+    ("{obstacles_mm: [[[0, 0], [1, 0], [2, 0]]]}", r"choose.free.obstacles\[0\].*no area"),
+])  # fmt: skip
 def test_obstacles_and_costs_that_are_none(text, where):
     with pytest.raises(InvalidInput, match=where):
         seated(f"choose: {{free: {text}}}")
@@ -130,47 +127,40 @@ def test_free_pushes_and_intervals_of_parameters():
     assert found.belief.start.kind == "uniform"
 
 
-@pytest.mark.parametrize(
-    ("belief", "message"),
-    [
-        ("{parameters: {friction_centre_x: [-2, 2]}}", "fixel needs friction_centre_x_mm.*mm"),
-        ("{parameters: {tripod_radius: 0.03}}", "fixel needs tripod_radius_mm"),
-        ("{parameters: {start_theta: 0.1}}", "fixel needs start_theta_deg"),
-        ("{parameters: {mu_pusher_mm: 0.1}}", "needs mu_pusher;"),
-        ("{parameters: {friction_center_x_mm: 1}}", "did you mean 'friction_centre_x'"),
-        ("{start: {x_mm: 1}}", r"belief\.start\.kind: found none.*half-widths"),
-        ("{start: {preset: asme, kind: normal}}", "a preset and sizes"),
-    ],
-)
+@pytest.mark.parametrize(("belief", "message"), [
+    ("{parameters: {friction_centre_x: [-2, 2]}}", "fixel needs friction_centre_x_mm.*mm"),
+    ("{parameters: {tripod_radius: 0.03}}", "fixel needs tripod_radius_mm"),
+    ("{parameters: {start_theta: 0.1}}", "fixel needs start_theta_deg"),
+    ("{parameters: {mu_pusher_mm: 0.1}}", "needs mu_pusher;"),
+    ("{parameters: {friction_center_x_mm: 1}}", "did you mean 'friction_centre_x'"),
+    ("{start: {x_mm: 1}}", r"belief\.start\.kind: found none.*half-widths"),
+    ("{start: {preset: asme, kind: normal}}", "a preset and sizes"),
+])  # fmt: skip
 def test_units_and_kinds_are_named(belief, message):
     with pytest.raises(InvalidInput, match=message):
         seated(f"belief: {belief}")
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("fixel: 1", "fixel: 2", "^fixel is 2"),
-        ("position_mm", "positoin_mm", r"goal\.any\[0\]\.pose\.positoin_mm.*position_mm"),
-        ("position_mm: 2", "position_mm: -2", r"goal\.any\[0\]\.pose\.position_mm.*greater than 0"),
-        ("fixel: fixel-4", "fixels: fixel-4", r"goal\.never\[0\]\.contact"),
-        ("[[8, 0], [8, -1]]", "[[8, 0], [8, 0]]",
-         r"goal\.any\[2\]\.all\[1\]\.beyond\.line.*different"),
-        ("[[0, 0], [10, 0], [10, 5]]", "[[0, 0], [10, 0], [20, 0]]", r"goal\.any\[2\].*no area"),
-        ("force_above: 30", "forces_above: 30", "did you mean 'force_above'"),
-        ("position_mm: 2, angle_deg: 2, ", "", r"goal\.any\[0\]\.pose.*found a pose without"),
-        ("any:", "both:", r"goal\.both: found an unknown key"),
-        ("stroke_mm: [20, 150]", "stroke_mm: [150, 20]", r"choose\.rig\.stroke"),
-        ("stroke_mm: [20, 150]", "stroke_mm: [-20, 150]", r"choose\.rig\.stroke.*from 0"),
-        ("preset: rpi-camera", "preset: rpi", r"belief\.start\.preset.*one of asme, rpi-camera"),
-        ("{preset: rpi-camera}", "{preset: asme, x_mm: 1}", r"belief\.start.*a preset and sizes"),
-        ("calibration: 7", "calibration: seven", r"belief\.calibration.*whole number"),
-        ("calibration: 7", "calibration: 7\n  parameters: {mu_pusher: 1}", "one of them"),
-        ("success: 0.9", "success: 90", r"want\.success.*at most 1"),
-        ("goal:", "goals:", "^goal is missing: give a value"),
-        ("  any:", "   any: {", "line"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ("fixel: 1", "fixel: 2", "^fixel is 2"),
+    ("position_mm", "positoin_mm", r"goal\.any\[0\]\.pose\.positoin_mm.*position_mm"),
+    ("position_mm: 2", "position_mm: -2", r"goal\.any\[0\]\.pose\.position_mm.*greater than 0"),
+    ("fixel: fixel-4", "fixels: fixel-4", r"goal\.never\[0\]\.contact"),
+    ("[[8, 0], [8, -1]]", "[[8, 0], [8, 0]]", r"goal\.any\[2\]\.all\[1\]\.beyond\.line.*different"),
+    ("[[0, 0], [10, 0], [10, 5]]", "[[0, 0], [10, 0], [20, 0]]", r"goal\.any\[2\].*no area"),
+    ("force_above: 30", "forces_above: 30", "did you mean 'force_above'"),
+    ("position_mm: 2, angle_deg: 2, ", "", r"goal\.any\[0\]\.pose.*found a pose without"),
+    ("any:", "both:", r"goal\.both: found an unknown key"),
+    ("stroke_mm: [20, 150]", "stroke_mm: [150, 20]", r"choose\.rig\.stroke"),
+    ("stroke_mm: [20, 150]", "stroke_mm: [-20, 150]", r"choose\.rig\.stroke.*from 0"),
+    ("preset: rpi-camera", "preset: rpi", r"belief\.start\.preset.*one of asme, rpi-camera"),
+    ("{preset: rpi-camera}", "{preset: asme, x_mm: 1}", r"belief\.start.*a preset and sizes"),
+    ("calibration: 7", "calibration: seven", r"belief\.calibration.*whole number"),
+    ("calibration: 7", "calibration: 7\n  parameters: {mu_pusher: 1}", "one of them"),
+    ("success: 0.9", "success: 90", r"want\.success.*at most 1"),
+    ("goal:", "goals:", "^goal is missing: give a value"),
+    ("  any:", "   any: {", "line"),
+])  # fmt: skip
 def test_errors_name_the_key_or_the_line(old, new, message, tmp_path):
     assert old in FULL
     (tmp_path / "goal.yaml").write_text(FULL.replace(old, new, 1))

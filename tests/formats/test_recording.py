@@ -161,28 +161,25 @@ def edit_json(name, **values):
     return edit
 
 
-@pytest.mark.parametrize(
-    ("spoil", "sentence"),
-    [
-        (swap_video, "does not match its row"),
-        (spoil_picture, "does not match its row"),
-        (edit_rows(lambda x: [*x[:4], *x[5:]]), "frame 4, but fixel needs frame 3"),
-        (edit_rows(lambda x: [*x[:4], x[4].replace(b",3,", b",5,"), *x[5:]]), "damaged row"),
-        (edit_rows(lambda x: [*x[:4], x[5], x[4], *x[6:]]), "fixel needs frame 3"),
-        (edit_rows(lambda x: x[1:]), "an unexpected first line"),
-        (edit_rows(lambda x: x[:1]), "before its first frame"),
-        (lambda folder: (folder / VIDEO).write_bytes(b""), "before its first frame"),
-        (lambda folder: (folder / VIDEO).write_bytes(b"no video" * 99), "before its first frame"),
-        (lambda folder: (folder / VIDEO).unlink(), "no such file"),
-        (lambda folder: (folder / ROWS).unlink(), "no such file"),
-        (lambda folder: (folder / HEADER).unlink(), "no recording.json"),
-        (lambda folder: (folder / HEADER).write_text("{"), "fixel needs a JSON file"),
-        (edit_json(HEADER, version=9), "version 9"),
-        (edit_json(HEADER, codec="h266"), "recording.codec"),
-        (edit_json(HEADER, size=None), "fixel needs a header"),
-        (edit_json(END, frames=3), "12 rows"),
-    ],
-)
+@pytest.mark.parametrize(("spoil", "sentence"), [
+    (swap_video, "does not match its row"),
+    (spoil_picture, "does not match its row"),
+    (edit_rows(lambda x: [*x[:4], *x[5:]]), "frame 4, but fixel needs frame 3"),
+    (edit_rows(lambda x: [*x[:4], x[4].replace(b",3,", b",5,"), *x[5:]]), "damaged row"),
+    (edit_rows(lambda x: [*x[:4], x[5], x[4], *x[6:]]), "fixel needs frame 3"),
+    (edit_rows(lambda x: x[1:]), "an unexpected first line"),
+    (edit_rows(lambda x: x[:1]), "before its first frame"),
+    (lambda folder: (folder / VIDEO).write_bytes(b""), "before its first frame"),
+    (lambda folder: (folder / VIDEO).write_bytes(b"no video" * 99), "before its first frame"),
+    (lambda folder: (folder / VIDEO).unlink(), "no such file"),
+    (lambda folder: (folder / ROWS).unlink(), "no such file"),
+    (lambda folder: (folder / HEADER).unlink(), "no recording.json"),
+    (lambda folder: (folder / HEADER).write_text("{"), "fixel needs a JSON file"),
+    (edit_json(HEADER, version=9), "version 9"),
+    (edit_json(HEADER, codec="h266"), "recording.codec"),
+    (edit_json(HEADER, size=None), "fixel needs a header"),
+    (edit_json(END, frames=3), "12 rows"),
+])  # fmt: skip
 def test_what_does_not_fit_is_refused(tmp_path, spoil, sentence):
     folder = tmp_path / "r"
     write(folder)

@@ -67,25 +67,22 @@ def test_parts_have_the_names_of_the_scenes():
         assert set(rig_of(name).parts) == named
 
 
-@pytest.mark.parametrize(
-    ("path", "value", "where", "word"),
-    [
-        (("camera",), 3, "camera", "camera file"),
-        (("camera",), "no.yaml", "camera", "no such file"),
-        (("camera", "place"), None, "camera.place", "fixel camera place"),
-        (("camera", "lens", "focal_px"), [-1.0, 900.0], "camera.lens.focal_px", "greater than 0"),
-        (("camera", "lens", "focal"), [900.0, 900.0], "camera.lens.focal", "did you mean"),
-        (("camera", "lens", "distortion"), [1.0] * 9, "camera.lens.distortion", "8"),
-        (("parts", "object", "height_mm"), 0.0, "parts.object.height_mm", "greater than 0"),
-        (("parts", "object", "tags", 0, "family"), "x", "parts.object.tags[0].family", "36h11"),
-        (("parts", "object", "tags", 0, "id"), 20, "rig.parts", "tag 20"),
-        (("parts", "object", "tags", 0, "size_mm"), float("nan"), "size_mm", "number"),
-        (("plate", 0, "pose_mm_deg"), [0.0], "plate[0].pose_mm_deg", "3 entries"),
-        (("tactile_bits",), ["a", "a"], "rig.tactile", "each once"),
-        (("name",), "", "rig.name", "name"),
-        (("fixel_rig",), 2, "fixel_rig", "1"),
-    ],
-)
+@pytest.mark.parametrize(("path", "value", "where", "word"), [
+    (("camera",), 3, "camera", "camera file"),
+    (("camera",), "no.yaml", "camera", "no such file"),
+    (("camera", "place"), None, "camera.place", "fixel camera place"),
+    (("camera", "lens", "focal_px"), [-1.0, 900.0], "camera.lens.focal_px", "greater than 0"),
+    (("camera", "lens", "focal"), [900.0, 900.0], "camera.lens.focal", "did you mean"),
+    (("camera", "lens", "distortion"), [1.0] * 9, "camera.lens.distortion", "8"),
+    (("parts", "object", "height_mm"), 0.0, "parts.object.height_mm", "greater than 0"),
+    (("parts", "object", "tags", 0, "family"), "x", "parts.object.tags[0].family", "36h11"),
+    (("parts", "object", "tags", 0, "id"), 20, "rig.parts", "tag 20"),
+    (("parts", "object", "tags", 0, "size_mm"), float("nan"), "size_mm", "number"),
+    (("plate", 0, "pose_mm_deg"), [0.0], "plate[0].pose_mm_deg", "3 entries"),
+    (("tactile_bits",), ["a", "a"], "rig.tactile", "each once"),
+    (("name",), "", "rig.name", "name"),
+    (("fixel_rig",), 2, "fixel_rig", "1"),
+])  # fmt: skip
 def test_what_is_wrong_is_said(path, value, where, word):
     content = copy.deepcopy(rig_dict(rig_of("thesis-tags")))
     at = content

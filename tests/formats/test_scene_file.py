@@ -199,56 +199,51 @@ def test_numbers_and_text_are_those_of_yaml_1_2():
 # --- wrong keys and values ----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("change", "where", "words"),
-    [
-        ({"bodies.0.mass": -1}, "bodies[0].mass", "is -1, but must be a number greater than 0"),
-        ({"bodies.0.mass": "heavy"}, "bodies[0].mass", "is 'heavy', but must be a number"),
-        ({"bodies.0.mass": None}, "bodies[0].mass", "is missing"),
-        ({"bodies.0.pose": [0, 0]}, "bodies[0].pose", "at least 3 entries"),
-        ({"bodies.0.pose": [0, 0, "x"]}, "bodies[0].pose[2]", "is 'x', but must be a number"),
-        ({"bodies.0.pose": [0, 0, float("nan")]}, "bodies[0].pose[2]", "finite number"),
-        ({"bodies.0.name": 3}, "bodies[0].name", "must be text"),
-        ({"bodies.0.shape": "square"}, "bodies[0].shape", "the keys polygon, disk"),
-        ({"bodies.0.shape": {}}, "bodies[0].shape", "is missing: give exactly one of polygon"),
-        ({"bodies.0.shape": {"polygon": SQUARE, "disk": 1.0}}, "bodies[0].shape",
-         "found polygon and disk, but fixel needs exactly one"),
-        ({"bodies.0.shape": {"polygon": [[0, 0], [1, 1], [1, 0], [0, 1]]}},
-         "bodies[0].shape.polygon", "crosses or touches itself"),
-        ({"bodies.0.shape": {"polygon": [[0, 0], [1, 0], [inf, 1]]}},
-         "bodies[0].shape.polygon[2][0]", "finite"),
-        ({"bodies.0.shape": {"disk": 0}}, "bodies[0].shape.disk",
-         "greater than 0 (radius of the disk [m])"),
-        ({"bodies.0.support": {"points": {"at": [[1, 0], [2, 0], [1, 1]], "friction": 0.1}}},
-         "bodies[0].support.points.at", "outside the support triangle"),
-        ({"bodies.0.support": {"points": {"at": SQUARE, "friction": "rough"}}},
-         "bodies[0].support.points.friction", "must be a number"),
-        ({"bodies.0.support": {"tripod": {"radius": 1, "friction": 0}, "none": {}}},
-         "bodies[0].support", "found tripod and none"),
-        ({"bodies": []}, "bodies", "no free body"),
-        ({"bodies": {"name": "a"}}, "bodies", "a list"),
-        ({"fixel": 2}, "fixel", "must be 1"),
-        ({"motion": "static"}, "motion", "'dynamic', 'quasistatic' or 'first-order'"),
-        ({"support_directions": 3}, "support_directions", "at least 4"),
-        ({"pushers.0.drive": {"speed": 1}}, "pushers[0].drive",
-         "exactly one of direction, waypoints"),
-        ({"pushers.0.drive": {"direction": [1, 0]}}, "pushers[0].drive.speed", "a speed"),
-        ({"pushers.0.drive.direction": [0, 0]}, "pushers[0].drive.direction", "a direction"),
-        ({"pushers.0.pose": None}, "pushers[0].pose", "is missing"),
-        ({"pushers.0.drive": {"waypoints": [[0, 0, 0, 0]], "speed": 1}}, "pushers[0].drive.speed",
-         "in addition to waypoints"),
-        ({"pushers.0.drive": {"waypoints": [[0, 0, 0, 0], [2, 0, 0, 0], [1, 0, 0, 0]]}},
-         "pushers[0].drive.waypoints[2]", "has decreasing times"),
-        ({"fixels.0.pose": [0.09, 0.0, 0]}, "'object' and 'fixel-1'", "mm at the start"),
-        ({"fixels.0.name": "object"}, "scene", "the name 'object' twice"),
-        ({"contact_friction.0.pair": ["object"]}, "contact_friction[0].pair", "at least 2 entries"),
-        ({"contact_friction.0.pair": ["object", "fixel"]}, "contact_friction[0].pair",
-         "did you mean"),
-        ({"plane": {"anisotropy": [1, 0]}}, "plane.anisotropy[1]", "greater than 0"),
-        ({"plane": {"friction_map": {"origin": [0, 0], "cell": [1, 1], "factor": [[1, 2], [1]]}}},
-         "plane.friction_map.factor", "2 numbers"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("change", "where", "words"), [
+    ({"bodies.0.mass": -1}, "bodies[0].mass", "is -1, but must be a number greater than 0"),
+    ({"bodies.0.mass": "heavy"}, "bodies[0].mass", "is 'heavy', but must be a number"),
+    ({"bodies.0.mass": None}, "bodies[0].mass", "is missing"),
+    ({"bodies.0.pose": [0, 0]}, "bodies[0].pose", "at least 3 entries"),
+    ({"bodies.0.pose": [0, 0, "x"]}, "bodies[0].pose[2]", "is 'x', but must be a number"),
+    ({"bodies.0.pose": [0, 0, float("nan")]}, "bodies[0].pose[2]", "finite number"),
+    ({"bodies.0.name": 3}, "bodies[0].name", "must be text"),
+    ({"bodies.0.shape": "square"}, "bodies[0].shape", "the keys polygon, disk"),
+    ({"bodies.0.shape": {}}, "bodies[0].shape", "is missing: give exactly one of polygon"),
+    ({"bodies.0.shape": {"polygon": SQUARE, "disk": 1.0}}, "bodies[0].shape",
+     "found polygon and disk, but fixel needs exactly one"),
+    ({"bodies.0.shape": {"polygon": [[0, 0], [1, 1], [1, 0], [0, 1]]}},
+     "bodies[0].shape.polygon", "crosses or touches itself"),
+    ({"bodies.0.shape": {"polygon": [[0, 0], [1, 0], [inf, 1]]}},
+     "bodies[0].shape.polygon[2][0]", "finite"),
+    ({"bodies.0.shape": {"disk": 0}}, "bodies[0].shape.disk",
+     "greater than 0 (radius of the disk [m])"),
+    ({"bodies.0.support": {"points": {"at": [[1, 0], [2, 0], [1, 1]], "friction": 0.1}}},
+     "bodies[0].support.points.at", "outside the support triangle"),
+    ({"bodies.0.support": {"points": {"at": SQUARE, "friction": "rough"}}},
+     "bodies[0].support.points.friction", "must be a number"),
+    ({"bodies.0.support": {"tripod": {"radius": 1, "friction": 0}, "none": {}}},
+     "bodies[0].support", "found tripod and none"),
+    ({"bodies": []}, "bodies", "no free body"),
+    ({"bodies": {"name": "a"}}, "bodies", "a list"),
+    ({"fixel": 2}, "fixel", "must be 1"),
+    ({"motion": "static"}, "motion", "'dynamic', 'quasistatic' or 'first-order'"),
+    ({"support_directions": 3}, "support_directions", "at least 4"),
+    ({"pushers.0.drive": {"speed": 1}}, "pushers[0].drive", "exactly one of direction, waypoints"),
+    ({"pushers.0.drive": {"direction": [1, 0]}}, "pushers[0].drive.speed", "a speed"),
+    ({"pushers.0.drive.direction": [0, 0]}, "pushers[0].drive.direction", "a direction"),
+    ({"pushers.0.pose": None}, "pushers[0].pose", "is missing"),
+    ({"pushers.0.drive": {"waypoints": [[0, 0, 0, 0]], "speed": 1}}, "pushers[0].drive.speed",
+     "in addition to waypoints"),
+    ({"pushers.0.drive": {"waypoints": [[0, 0, 0, 0], [2, 0, 0, 0], [1, 0, 0, 0]]}},
+     "pushers[0].drive.waypoints[2]", "has decreasing times"),
+    ({"fixels.0.pose": [0.09, 0.0, 0]}, "'object' and 'fixel-1'", "mm at the start"),
+    ({"fixels.0.name": "object"}, "scene", "the name 'object' twice"),
+    ({"contact_friction.0.pair": ["object"]}, "contact_friction[0].pair", "at least 2 entries"),
+    ({"contact_friction.0.pair": ["object", "fixel"]}, "contact_friction[0].pair", "did you mean"),
+    ({"plane": {"anisotropy": [1, 0]}}, "plane.anisotropy[1]", "greater than 0"),
+    ({"plane": {"friction_map": {"origin": [0, 0], "cell": [1, 1], "factor": [[1, 2], [1]]}}},
+     "plane.friction_map.factor", "2 numbers"),
+])  # fmt: skip
 def test_a_wrong_value_is_refused_with_the_path_of_its_key(change, where, words):
     raw = contract()
     for path, value in change.items():
@@ -262,16 +257,13 @@ def test_a_wrong_value_is_refused_with_the_path_of_its_key(change, where, words)
     assert words in str(refusal)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "where", "words"),
-    [
-        ("mass:", "mas:", "bodies[0].mass", "is missing"),
-        ("gravity:", "gravitiy:", "gravitiy", "an unknown key"),
-        ("travel:", "travell:", "pushers[0].drive.travell", "did you mean 'travel'?"),
-        ("radius:", "radios:", "bodies[0].support.tripod.radius", "required"),
-        ("inertia:", "inertai:", "bodies[0].inertai", "did you mean 'inertia'?"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "where", "words"), [
+    ("mass:", "mas:", "bodies[0].mass", "is missing"),
+    ("gravity:", "gravitiy:", "gravitiy", "an unknown key"),
+    ("travel:", "travell:", "pushers[0].drive.travell", "did you mean 'travel'?"),
+    ("radius:", "radios:", "bodies[0].support.tripod.radius", "required"),
+    ("inertia:", "inertai:", "bodies[0].inertai", "did you mean 'inertia'?"),
+])  # fmt: skip
 def test_unknown_and_missing_keys_are_refused(old, new, where, words):
     refusal = refused(loaded, CONTRACT.replace(old, new, 1))
     assert refusal.where == where
@@ -316,34 +308,31 @@ def test_an_alias_bomb_is_refused():
     assert "line 2: found the alias *a0, but fixel needs no aliases" in refusal_of("\n".join(lines))
 
 
-@pytest.mark.parametrize(
-    ("text", "suffix", "words"),
-    [
-        ("duration: 1\nduration: 2\n", ".yaml", "line 2: found the key 'duration' twice"),
-        ('{"duration": 1, "duration": 2}', ".json", "the key 'duration' twice"),
-        ("a: !!python/object/apply:os.system [ls]", ".yaml", "found the tag"),
-        ("a: !!binary aGVsbG8=", ".yaml", "found the tag"),
-        ("[a, b]: 1", ".yaml", "as a key"),
-        ("a: [1, 2", ".yaml", "well-formed YAML"),
-        ("a: 1\n---\nb: 2\n", ".yaml", "a second document"),
-        ("\tduration: 1", ".yaml", "well-formed YAML"),
-        ("a: \x00", ".yaml", "well-formed YAML"),
-        ("", ".yaml", "the keys fixel, gravity"),
-        ("", ".json", "well-formed JSON"),
-        ("{", ".json", "line 1"),
-        ('{"duration": NaN}', ".json", "duration is nan"),
-        ('{"duration": ' + "9" * 5000 + "}", ".json", "numbers that can be read"),
-        ("duration: " + "9" * 5000, ".yaml", "duration is inf"),
-        ("duration: 1:30", ".yaml", "is '1:30'"),
-        ("duration: 1_000", ".yaml", "is '1_000'"),
-        ("duration: .nan", ".yaml", "is nan"),
-        ("duration: yes", ".yaml", "is 'yes'"),
-        ("duration: true", ".yaml", "is True"),
-        ("bodies: &a [*a]", ".yaml", "no aliases"),
-        ("{a: " * 41 + "1" + "}" * 41, ".yaml", "more than 40 levels"),
-        ('{"a": ' * 41 + "1" + "}" * 41, ".json", "more than 40 levels"),
-    ],
-)
+@pytest.mark.parametrize(("text", "suffix", "words"), [
+    ("duration: 1\nduration: 2\n", ".yaml", "line 2: found the key 'duration' twice"),
+    ('{"duration": 1, "duration": 2}', ".json", "the key 'duration' twice"),
+    ("a: !!python/object/apply:os.system [ls]", ".yaml", "found the tag"),
+    ("a: !!binary aGVsbG8=", ".yaml", "found the tag"),
+    ("[a, b]: 1", ".yaml", "as a key"),
+    ("a: [1, 2", ".yaml", "well-formed YAML"),
+    ("a: 1\n---\nb: 2\n", ".yaml", "a second document"),
+    ("\tduration: 1", ".yaml", "well-formed YAML"),
+    ("a: \x00", ".yaml", "well-formed YAML"),
+    ("", ".yaml", "the keys fixel, gravity"),
+    ("", ".json", "well-formed JSON"),
+    ("{", ".json", "line 1"),
+    ('{"duration": NaN}', ".json", "duration is nan"),
+    ('{"duration": ' + "9" * 5000 + "}", ".json", "numbers that can be read"),
+    ("duration: " + "9" * 5000, ".yaml", "duration is inf"),
+    ("duration: 1:30", ".yaml", "is '1:30'"),
+    ("duration: 1_000", ".yaml", "is '1_000'"),
+    ("duration: .nan", ".yaml", "is nan"),
+    ("duration: yes", ".yaml", "is 'yes'"),
+    ("duration: true", ".yaml", "is True"),
+    ("bodies: &a [*a]", ".yaml", "no aliases"),
+    ("{a: " * 41 + "1" + "}" * 41, ".yaml", "more than 40 levels"),
+    ('{"a": ' * 41 + "1" + "}" * 41, ".json", "more than 40 levels"),
+])  # fmt: skip
 def test_a_careless_file_is_refused(text, suffix, words):
     assert words in refusal_of(text, suffix)
 
@@ -397,26 +386,23 @@ def test_an_override_leaves_the_dict_it_was_given_alone():
     assert raw == before
 
 
-@pytest.mark.parametrize(
-    ("override", "words"),
-    [
-        ("bodies.1.mass=1",
-         "bodies.1: found no such index, but fixel needs a number below 1, or one of object"),
-        ("bodies.objekt.mass=1", "one of object"),
-        ("bodies.0.mas=1", "bodies[0].mas: found an unknown key"),
-        ("bodies.0.mass.kg=1", "fixel needs a list or a mapping"),
-        ("durations=1", "did you mean 'duration'?"),
-        ("duration", "fixel needs path.to.key=value"),
-        ("=1", "fixel needs path.to.key=value"),
-        ("duration=[", "well-formed YAML"),
-        ("duration=-1", "duration is -1"),
-        ("duration=", "duration is missing"),
-        ("bodies.0.pose.3=1", "a number below 3"),
-        ("plane.friction_map.cells=1", "did you mean 'cell'?"),
-        ("bodies.0.support.uniform.friction=0.1", "found tripod and uniform"),
-        ("bodies.0.spring.stiffness=1", "bodies[0].spring.anchor is missing"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("override", "words"), [
+    ("bodies.1.mass=1",
+     "bodies.1: found no such index, but fixel needs a number below 1, or one of object"),
+    ("bodies.objekt.mass=1", "one of object"),
+    ("bodies.0.mas=1", "bodies[0].mas: found an unknown key"),
+    ("bodies.0.mass.kg=1", "fixel needs a list or a mapping"),
+    ("durations=1", "did you mean 'duration'?"),
+    ("duration", "fixel needs path.to.key=value"),
+    ("=1", "fixel needs path.to.key=value"),
+    ("duration=[", "well-formed YAML"),
+    ("duration=-1", "duration is -1"),
+    ("duration=", "duration is missing"),
+    ("bodies.0.pose.3=1", "a number below 3"),
+    ("plane.friction_map.cells=1", "did you mean 'cell'?"),
+    ("bodies.0.support.uniform.friction=0.1", "found tripod and uniform"),
+    ("bodies.0.spring.stiffness=1", "bodies[0].spring.anchor is missing"),
+])  # fmt: skip
 def test_an_override_that_leads_nowhere_is_refused(override, words):
     assert words in str(refused(loaded, CONTRACT, overrides=[override]))
 

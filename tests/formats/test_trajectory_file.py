@@ -74,15 +74,12 @@ def test_impulse_is_force_times_step_and_zero_without_touching(run):
     assert (force[~columns["object|actuator.touching"]] == 0.0).all()
 
 
-@pytest.mark.parametrize(
-    ("name", "sentence"),
-    [
-        ("run", r"\.csv, \.parquet"),
-        ("run.xlsx", r"\.csv, \.parquet"),
-        ("run.csv.gz", r"\.csv, \.parquet"),
-        ("nowhere/run.csv", r"no folder .*nowhere, but fixel needs an existing folder"),
-    ],
-)
+@pytest.mark.parametrize(("name", "sentence"), [
+    ("run", r"\.csv, \.parquet"),
+    ("run.xlsx", r"\.csv, \.parquet"),
+    ("run.csv.gz", r"\.csv, \.parquet"),
+    ("nowhere/run.csv", r"no folder .*nowhere, but fixel needs an existing folder"),
+])  # fmt: skip
 def test_other_endings_and_missing_folders_are_refused(run, name, sentence, tmp_path):
     with pytest.raises(InvalidInput, match=sentence):
         save_trajectory(run, tmp_path / name)

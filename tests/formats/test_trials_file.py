@@ -40,23 +40,20 @@ def test_any_cut_loses_at_most_the_row_that_was_being_written(path):
     assert path.read_bytes() == whole
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "where"),
-    [
-        ("\n2,", "\n3,", "line 4"),
-        (",no,", ",maybe,", "line 4"),
-        ("0.1,0.2", "0.1,x", "line 3"),
-        ("0.1,0.2", "0.1,nan", "line 3"),
-        ("0.1,0.2", "0.1", "line 3"),
-        ("2026", "then", "line 3"),
-        ("trial,time", "trial,when", "line 2"),
-        ('"stated": 0.9', '"stated": 1.9', "line 1"),
-        ('"stated": 0.9', '"stated": "high"', "line 1"),
-        ('"trials"', '"plan"', "line 1"),
-        ('"format": 1', '"format": 2', "format 2"),
-        ('"plan": "a1"', '"plan": "b2"', "plan b2"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "where"), [
+    ("\n2,", "\n3,", "line 4"),
+    (",no,", ",maybe,", "line 4"),
+    ("0.1,0.2", "0.1,x", "line 3"),
+    ("0.1,0.2", "0.1,nan", "line 3"),
+    ("0.1,0.2", "0.1", "line 3"),
+    ("2026", "then", "line 3"),
+    ("trial,time", "trial,when", "line 2"),
+    ('"stated": 0.9', '"stated": 1.9', "line 1"),
+    ('"stated": 0.9', '"stated": "high"', "line 1"),
+    ('"trials"', '"plan"', "line 1"),
+    ('"format": 1', '"format": 2', "format 2"),
+    ('"plan": "a1"', '"plan": "b2"', "plan b2"),
+])  # fmt: skip
 def test_damaged_and_foreign_files_are_rejected_by_line(path, old, new, where):
     path.write_text(path.read_text().replace(old, new, 1))
     before = path.read_bytes()

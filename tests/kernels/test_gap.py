@@ -279,13 +279,10 @@ def test_point_sliding_over_a_corner_between_pieces_meets_no_hidden_wall():
 # --- disks ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("centre", "other", "radius", "expected"),
-    [
-        ((0.0, 0.0), (0.0, 0.0), (1.0, 2.0), -3.0),  # concentric disks
-        ((1.0, 1.0), SQUARE, (0.1, 0.0), -0.1),  # the centre on a corner
-    ],
-)
+@pytest.mark.parametrize(("centre", "other", "radius", "expected"), [
+    ((0.0, 0.0), (0.0, 0.0), (1.0, 2.0), -3.0),  # concentric disks
+    ((1.0, 1.0), SQUARE, (0.1, 0.0), -0.1),  # the centre on a corner
+])  # fmt: skip
 def test_a_normal_that_nothing_determines_has_length_one(centre, other, radius, expected):
     ((distance, normal, _, _),) = contacts(centre, other, radius=radius)
     assert distance == pytest.approx(expected, abs=EXACT)
@@ -300,16 +297,13 @@ def test_disks():
     assert key == 0
 
 
-@pytest.mark.parametrize(
-    ("centre", "distance", "normal"),
-    [
-        ((0.5, 1.4), 0.3, (0.0, 1.0)),  # above an edge
-        ((1.3, 1.4), 0.4, (0.6, 0.8)),  # off a corner
-        ((0.5, 0.9), -0.2, (0.0, 1.0)),  # centre inside
-        ((0.5, 1.0), -0.1, (0.0, 1.0)),  # centre on the edge
-        ((1.0, 0.5), -0.1, (1.0, 0.0)),
-    ],
-)
+@pytest.mark.parametrize(("centre", "distance", "normal"), [
+    ((0.5, 1.4), 0.3, (0.0, 1.0)),  # above an edge
+    ((1.3, 1.4), 0.4, (0.6, 0.8)),  # off a corner
+    ((0.5, 0.9), -0.2, (0.0, 1.0)),  # centre inside
+    ((0.5, 1.0), -0.1, (0.0, 1.0)),  # centre on the edge
+    ((1.0, 0.5), -0.1, (1.0, 0.0)),
+])  # fmt: skip
 def test_disk_and_polygon(centre, distance, normal):
     ((found, n, point, _),) = contacts(centre, SQUARE, radius=(0.1, 0.0))
     assert found == pytest.approx(distance, abs=EXACT)

@@ -38,15 +38,12 @@ def solutions(matrix, vector):
 # --- the method ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("matrix", "vector", "pivots", "expected"),
-    [
-        (np.zeros((0, 0)), np.zeros(0), 10, SOLVED),
-        (-np.ones((3, 3)), np.ones(3), 0, SOLVED),  # a positive vector needs no pivot
-        (np.eye(5), -np.arange(1.0, 6.0), 2, MAX_PIVOTS),
-        (np.eye(2), np.array([math.nan, 1.0]), 10, INACCURATE),
-    ],
-)
+@pytest.mark.parametrize(("matrix", "vector", "pivots", "expected"), [
+    (np.zeros((0, 0)), np.zeros(0), 10, SOLVED),
+    (-np.ones((3, 3)), np.ones(3), 0, SOLVED),  # a positive vector needs no pivot
+    (np.eye(5), -np.arange(1.0, 6.0), 2, MAX_PIVOTS),
+    (np.eye(2), np.array([math.nan, 1.0]), 10, INACCURATE),
+])  # fmt: skip
 def test_problems_that_need_no_method(matrix, vector, pivots, expected):
     z, code = solve_lcp(matrix, vector, pivots)
     assert code == expected

@@ -52,15 +52,11 @@ polygon = njit(lambda x, y, limit, sides: nearest_in_polygon(x, y, limit, sides)
 
 
 @pytest.mark.system
-@pytest.mark.parametrize(
-    ("solve", "quasi_static", "allowed"),
-    [
-        (lambda problem, work: swept(problem, work, 1000), False, TOLERANCE),
-        (lambda problem, work: swept(problem, work, 100_000), True, TOLERANCE),
-        (lambda problem, work: proximal(problem, work, 30), False, 1e-6),
-    ],
-    ids=["sweeps", "sweeps of a body without inertia", "proximal steps"],
-)
+@pytest.mark.parametrize(("solve", "quasi_static", "allowed"), [
+    (lambda problem, work: swept(problem, work, 1000), False, TOLERANCE),
+    (lambda problem, work: swept(problem, work, 100_000), True, TOLERANCE),
+    (lambda problem, work: proximal(problem, work, 30), False, 1e-6),
+], ids=["sweeps", "sweeps of a body without inertia", "proximal steps"])  # fmt: skip
 def test_what_stands_behind_newton_settles_on_the_answer(solve, quasi_static, allowed):
     momentum, limit = ((-0.6, -2.0, 0.0), 2.0) if quasi_static else ((-1.0, -2.0, 0.5), 0.25)
     problem, work = step_problem(momentum, WALLS, limit=limit)

@@ -54,31 +54,28 @@ def test_bodies_are_compared_by_value_and_can_be_pickled():
 NO_WEIGHT = SupportPoints(points=[[0, 0], [1, 0], [0, 0.5]], friction=0.1)
 
 
-@pytest.mark.parametrize(
-    ("build", "where"),
-    [
-        (lambda: body(pose=(0, 0, inf)), "body 'object'.pose"),
-        (lambda: body(force=None), "body 'object'.force"),
-        (lambda: body(shape="square"), "body 'object'.shape"),
-        (lambda: body(support=0.25), "body 'object'.support"),
-        (lambda: body(spring=1.0), "body 'object'.spring"),
-        (lambda: body(name=""), "body.name"),
-        (lambda: body(name=3), "body.name"),
-        (lambda: body(support=NO_WEIGHT), "body 'object'.support.points.at"),
-        (lambda: pusher(pose=None), "pusher 'p'.pose"),
-        (lambda: pusher(drive="north"), "pusher 'p'.drive"),
-        (lambda: LineDrive(speed=1, direction=(0, 0)), "drive.direction"),
-        (lambda: LineDrive(speed=1, travel=float("nan")), "drive.travel"),
-        (lambda: Plane(anisotropy=(1, 0)), "plane.anisotropy"),
-        (lambda: Plane(axis=inf), "plane.axis"),
-        (lambda: Plane(friction_map=[[1]]), "plane.friction_map"),
-        (lambda: FrictionMap(origin=(0, 0), cell=(0, 1), factor=[[1]]), "friction_map.cell"),
-        (lambda: FrictionMap(origin=(0, 0), cell=(1, 1), factor=[]), "friction_map.factor"),
-        (lambda: FrictionMap(origin=(0, 0), cell=(1, 1), factor=[[]]), "friction_map.factor"),
-        (lambda: FrictionMap(origin=(0, 0), cell=(1, 1), factor=[[1, 1], [1, -1]]),
-         "friction_map.factor[1][1]"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("build", "where"), [
+    (lambda: body(pose=(0, 0, inf)), "body 'object'.pose"),
+    (lambda: body(force=None), "body 'object'.force"),
+    (lambda: body(shape="square"), "body 'object'.shape"),
+    (lambda: body(support=0.25), "body 'object'.support"),
+    (lambda: body(spring=1.0), "body 'object'.spring"),
+    (lambda: body(name=""), "body.name"),
+    (lambda: body(name=3), "body.name"),
+    (lambda: body(support=NO_WEIGHT), "body 'object'.support.points.at"),
+    (lambda: pusher(pose=None), "pusher 'p'.pose"),
+    (lambda: pusher(drive="north"), "pusher 'p'.drive"),
+    (lambda: LineDrive(speed=1, direction=(0, 0)), "drive.direction"),
+    (lambda: LineDrive(speed=1, travel=float("nan")), "drive.travel"),
+    (lambda: Plane(anisotropy=(1, 0)), "plane.anisotropy"),
+    (lambda: Plane(axis=inf), "plane.axis"),
+    (lambda: Plane(friction_map=[[1]]), "plane.friction_map"),
+    (lambda: FrictionMap(origin=(0, 0), cell=(0, 1), factor=[[1]]), "friction_map.cell"),
+    (lambda: FrictionMap(origin=(0, 0), cell=(1, 1), factor=[]), "friction_map.factor"),
+    (lambda: FrictionMap(origin=(0, 0), cell=(1, 1), factor=[[]]), "friction_map.factor"),
+    (lambda: FrictionMap(origin=(0, 0), cell=(1, 1), factor=[[1, 1], [1, -1]]),
+     "friction_map.factor[1][1]"),
+])  # fmt: skip
 def test_what_cannot_be_is_refused(build, where):
     assert refused(build).where == where
 
@@ -98,17 +95,14 @@ def test_a_path_says_where_the_pusher_starts():
     assert pusher(drive=late, pose=None).pose == pytest.approx([2, 4, 1])
 
 
-@pytest.mark.parametrize(
-    ("waypoints", "where", "words"),
-    [
-        ([[0, 0, 0, 0], [2, 1, 0, 0], [1, 2, 0, 0]], "drive.waypoints[2]", "has decreasing times"),
-        ([[0, 0, 0, 0], [0, 1, 0, 0]], "drive.waypoints[1]", "has repeated times"),
-        ([[0, 0, 0, 3.1], [1, 0, 0, -3.1]], "drive.waypoints[1]", "unwrap"),
-        ([[0, 0, 0, 0], [1, 0, float("nan"), 0]], "drive.waypoints[1]", "finite"),
-        ([], "drive.waypoints", "empty"),
-        ([[0, 0, 0]], "drive.waypoints", "4 numbers"),
-    ],
-)
+@pytest.mark.parametrize(("waypoints", "where", "words"), [
+    ([[0, 0, 0, 0], [2, 1, 0, 0], [1, 2, 0, 0]], "drive.waypoints[2]", "has decreasing times"),
+    ([[0, 0, 0, 0], [0, 1, 0, 0]], "drive.waypoints[1]", "has repeated times"),
+    ([[0, 0, 0, 3.1], [1, 0, 0, -3.1]], "drive.waypoints[1]", "unwrap"),
+    ([[0, 0, 0, 0], [1, 0, float("nan"), 0]], "drive.waypoints[1]", "finite"),
+    ([], "drive.waypoints", "empty"),
+    ([[0, 0, 0]], "drive.waypoints", "4 numbers"),
+])  # fmt: skip
 def test_a_path_that_cannot_be_driven_is_refused(waypoints, where, words):
     assert refused(PathDrive, waypoints=waypoints, match=words).where == where
 

@@ -236,36 +236,28 @@ def test_goals_refuse_what_makes_no_sense():
     refused(AnyOf, match="one at least")
 
 
-@pytest.mark.parametrize(
-    ("goal", "message"),
-    [
-        (Seated("right"), "one of left, low"),
-        (Seated("left", body="object"), r"goal\.body"),
-        (AllOf(Seated("left"), never=[Contact("lef")]), "did you mean 'left'"),
-        (PoseRegion((0.2, 0, 0), position=0.01, symmetry=3), "changes .* % of 'part'"),
-        (PoseRegion((0.0, 0, 0), position=0.001, angle=0.01), "overlaps 'left' by"),
-        (Inside([(0, 0), (0.1, 0), (0.1, 0.015), (0, 0.015)]), "does not fit"),
-        (AllOf(PoseRegion((0.2, 0, 0), position=0.01), PoseRegion((0.2, 0.03, 0), position=0.01)),
-         "no pose meets together"),
-        (AllOf(PoseRegion((0.2, 0, 0), angle=0.1), PoseRegion((0, 0, 1), angle=0.1)),
-         "no pose meets together"),
-        (
-            AllOf(
-                Inside([(0.1, 0), (0.3, 0), (0.3, 0.1), (0.1, 0.1)]),
-                Beyond([(0.31, 0), (0.31, -1)]),
-            ),
-            "no pose meets together",
-        ),
-        (AllOf(Seated("left"), Inside([(0.1, 0), (0.3, 0), (0.3, 0.1), (0.1, 0.1)])),
-         "no pose meets together"),
-        (AllOf(Seated("left"), never=[Contact("left")]), "no pose meets together"),
-        (AllOf(Seated("left"), never=[Exit([(0.2, 0.2), (0.4, 0.2), (0.4, 0.4), (0.2, 0.4)])]),
-         "no pose meets together"),
-        (AllOf(Seated("left"), never=[Exit([(-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2)])]),
-         "the start already does"),
-        (PoseRegion((0.9, 0, 0), position=0.01), "outside the field"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("goal", "message"), [
+    (Seated("right"), "one of left, low"),
+    (Seated("left", body="object"), r"goal\.body"),
+    (AllOf(Seated("left"), never=[Contact("lef")]), "did you mean 'left'"),
+    (PoseRegion((0.2, 0, 0), position=0.01, symmetry=3), "changes .* % of 'part'"),
+    (PoseRegion((0.0, 0, 0), position=0.001, angle=0.01), "overlaps 'left' by"),
+    (Inside([(0, 0), (0.1, 0), (0.1, 0.015), (0, 0.015)]), "does not fit"),
+    (AllOf(PoseRegion((0.2, 0, 0), position=0.01), PoseRegion((0.2, 0.03, 0), position=0.01)),
+     "no pose meets together"),
+    (AllOf(PoseRegion((0.2, 0, 0), angle=0.1), PoseRegion((0, 0, 1), angle=0.1)),
+     "no pose meets together"),
+    (AllOf(Inside([(0.1, 0), (0.3, 0), (0.3, 0.1), (0.1, 0.1)]), Beyond([(0.31, 0), (0.31, -1)])),
+     "no pose meets together"),
+    (AllOf(Seated("left"), Inside([(0.1, 0), (0.3, 0), (0.3, 0.1), (0.1, 0.1)])),
+     "no pose meets together"),
+    (AllOf(Seated("left"), never=[Contact("left")]), "no pose meets together"),
+    (AllOf(Seated("left"), never=[Exit([(0.2, 0.2), (0.4, 0.2), (0.4, 0.4), (0.2, 0.4)])]),
+     "no pose meets together"),
+    (AllOf(Seated("left"), never=[Exit([(-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2)])]),
+     "the start already does"),
+    (PoseRegion((0.9, 0, 0), position=0.01), "outside the field"),
+])  # fmt: skip
 def test_goals_that_do_not_fit_the_scene_are_refused(goal, message):
     field = Polygon([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
     with pytest.raises(InvalidInput, match=message):

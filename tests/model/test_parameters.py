@@ -38,15 +38,12 @@ def test_an_unknown_name_is_refused_with_the_nearest_or_the_known_ones():
     refused(Parameters, xyz=0.2, match=r"mu_pusher.*tripod_radius")
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        *(("mu_fixel", value) for value in (-0.1, float("nan"), float("inf"), "0.2", True, None)),
-        ("tripod_radius", 0.0),
-        ("ellipsoid_force", 0.0),
-        ("load_0", 0.5),
-    ],
-)
+@pytest.mark.parametrize(("name", "value"), [
+    *(("mu_fixel", value) for value in (-0.1, float("nan"), float("inf"), "0.2", True, None)),
+    ("tripod_radius", 0.0),
+    ("ellipsoid_force", 0.0),
+    ("load_0", 0.5),
+])  # fmt: skip
 def test_a_value_that_cannot_be_is_refused(name, value):
     with pytest.raises(InvalidInput, match=name):
         Parameters({name: value})

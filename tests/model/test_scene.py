@@ -40,63 +40,54 @@ def test_the_names_come_in_order():
     assert made.restitution("f", "a") == 0.4
 
 
-@pytest.mark.parametrize(
-    ("a", "b", "depth"),
-    [
-        (free("a", 0, 0, 0), fixel("b", 0.9, 0.2, 0), "100 mm"),
-        (free("a", 0, 0, 0), fixel("b", 0.6, 0, pi / 4), "607.1 mm"),
-        (free("a", 0, 0, 0, shape=Disk(1.0)), fixel("b", 0, 1.9, 0, shape=Disk(1.0)), "100 mm"),
-        (free("a", 0, 0, 0, shape=Disk(0.25)), fixel("b", 0.7, 0, 0), "50 mm"),
-        (free("a", 0, 0, 0), fixel("b", 0.1, 0, 0, shape=Disk(0.01)), "410 mm"),
-        (free("a", 0, 0, 0, shape=ELL), fixel("b", 1.4, 1.55, 0, shape=SQUARE), "100 mm"),
-    ],
-)
+@pytest.mark.parametrize(("a", "b", "depth"), [
+    (free("a", 0, 0, 0), fixel("b", 0.9, 0.2, 0), "100 mm"),
+    (free("a", 0, 0, 0), fixel("b", 0.6, 0, pi / 4), "607.1 mm"),
+    (free("a", 0, 0, 0, shape=Disk(1.0)), fixel("b", 0, 1.9, 0, shape=Disk(1.0)), "100 mm"),
+    (free("a", 0, 0, 0, shape=Disk(0.25)), fixel("b", 0.7, 0, 0), "50 mm"),
+    (free("a", 0, 0, 0), fixel("b", 0.1, 0, 0, shape=Disk(0.01)), "410 mm"),
+    (free("a", 0, 0, 0, shape=ELL), fixel("b", 1.4, 1.55, 0, shape=SQUARE), "100 mm"),
+])  # fmt: skip
 def test_bodies_that_overlap_are_refused_with_their_names_and_the_depth(a, b, depth):
     with pytest.raises(InvalidInput, match=f"'a' and 'b': found an overlap of {depth}"):
         scene(a, fixels=[b])
 
 
-@pytest.mark.parametrize(
-    ("shape", "fixels"),
-    [
-        (SQUARE, [fixel("b", 1, 0, 0)]),
-        (SQUARE, [fixel("b", 1 - 1e-7, 0.9, 0)]),
-        (SQUARE, [fixel("b", 0.5 + 0.5**0.5, 0, pi / 4)]),
-        (SQUARE, [fixel("b", 0, 0.51, 0, shape=Disk(0.01))]),
-        (ELL, [fixel("b", 1.6, 1.6, 0)]),  # in the notch
-        (SQUARE, [fixel("b", 5, 0, 0), fixel("c", 5, 0, 0)]),  # obstacles over each other
-    ],
-)
+@pytest.mark.parametrize(("shape", "fixels"), [
+    (SQUARE, [fixel("b", 1, 0, 0)]),
+    (SQUARE, [fixel("b", 1 - 1e-7, 0.9, 0)]),
+    (SQUARE, [fixel("b", 0.5 + 0.5**0.5, 0, pi / 4)]),
+    (SQUARE, [fixel("b", 0, 0.51, 0, shape=Disk(0.01))]),
+    (ELL, [fixel("b", 1.6, 1.6, 0)]),  # in the notch
+    (SQUARE, [fixel("b", 5, 0, 0), fixel("c", 5, 0, 0)]),  # obstacles over each other
+])  # fmt: skip
 def test_bodies_that_touch_and_obstacles_that_overlap_are_fine(shape, fixels):
     made = scene(free("a", 0, 0, 0, shape=shape), fixels=fixels)
     assert made.names == ("a", "b", "c")[: 1 + len(fixels)]
 
 
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda: scene(), "no free body"),
-        (lambda: scene(free("a", 0, 0, 0), fixels=[fixel("a", 5, 0, 0)]), "the name 'a' twice"),
-        (lambda: scene(free("a", 0, 0, 0), duration=0), "duration"),
-        (lambda: scene(free("a", 0, 0, 0), duration=float("inf")), "duration"),
-        (lambda: scene(free("a", 0, 0, 0), gravity=-1), "gravity"),
-        (lambda: scene(free("a", 0, 0, 0), support_directions=3), "support_directions"),
-        (lambda: scene(free("a", 0, 0, 0), support_directions=True), "support_directions"),
-        (lambda: scene(free("a", 0, 0, 0), fixels=[3]), r"fixels\[0\]"),
-        (lambda: scene(free("a", 0, 0, 0), plane=None), "plane"),
-        (
-            lambda: scene(
-                free("box", 0, 0, 0),
-                fixels=[fixel("f", 5, 0, 0)],
-                contact_friction=[PairFriction(pair=("bxo", "f"), friction=0.1)],
-            ),
-            r"contact_friction\[0\].pair is 'bxo', but must be one of box, f; did you mean 'box'",
+@pytest.mark.parametrize(("make", "words"), [
+    (lambda: scene(), "no free body"),
+    (lambda: scene(free("a", 0, 0, 0), fixels=[fixel("a", 5, 0, 0)]), "the name 'a' twice"),
+    (lambda: scene(free("a", 0, 0, 0), duration=0), "duration"),
+    (lambda: scene(free("a", 0, 0, 0), duration=float("inf")), "duration"),
+    (lambda: scene(free("a", 0, 0, 0), gravity=-1), "gravity"),
+    (lambda: scene(free("a", 0, 0, 0), support_directions=3), "support_directions"),
+    (lambda: scene(free("a", 0, 0, 0), support_directions=True), "support_directions"),
+    (lambda: scene(free("a", 0, 0, 0), fixels=[3]), r"fixels\[0\]"),
+    (lambda: scene(free("a", 0, 0, 0), plane=None), "plane"),
+    (
+        lambda: scene(
+            free("box", 0, 0, 0),
+            fixels=[fixel("f", 5, 0, 0)],
+            contact_friction=[PairFriction(pair=("bxo", "f"), friction=0.1)],
         ),
-        (lambda: PairFriction(pair=("a", "a"), friction=0.1), "twice"),
-        (lambda: PairFriction(pair="ab", friction=0.1), "two names"),
-        (lambda: PairFriction(pair=("a", "b"), friction=-0.1), "at least 0"),
-    ],
-)
+        r"contact_friction\[0\].pair is 'bxo', but must be one of box, f; did you mean 'box'",
+    ),
+    (lambda: PairFriction(pair=("a", "a"), friction=0.1), "twice"),
+    (lambda: PairFriction(pair="ab", friction=0.1), "two names"),
+    (lambda: PairFriction(pair=("a", "b"), friction=-0.1), "at least 0"),
+])  # fmt: skip
 def test_a_scene_that_cannot_be_is_refused(make, words):
     with pytest.raises(InvalidInput, match=words):
         make()

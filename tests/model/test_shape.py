@@ -54,27 +54,24 @@ def test_a_closing_vertex_on_a_straight_edge_is_taken_out():
     np.testing.assert_array_equal(Polygon([*SQUARE, [-1, 0.5]]).vertices, SQUARE)
 
 
-@pytest.mark.parametrize(
-    ("vertices", "where", "words"),
-    [
-        ([[0, 0], [1, 1], [1, 0], [0, 1]], "polygon", "vertex 0 to 1 meets the edge from vertex 2"),
-        ([[0, 0], [2, 0], [1, 0.5], [1, 0], [0, 1]], "polygon", "touches itself"),
-        ([[0, 0], [2, 0], [1, 0]], "polygon", "no area"),
-        ([[0, 0], [1, 0], [2, 0], [3, 0]], "polygon", "no area"),
-        ([[0, 0], [1, 0], [1, 1], [1, 2], [1, 1]], "polygon", "itself"),
-        ([[0, 0], [1, 0]], "polygon", "at least 3"),
-        ([[0, 0], [1, 0], [0, 0], [0, 0]], "polygon", "at least 3"),
-        ([[0, 0], [1, 0], [float("nan"), 1]], "polygon[2]", "finite"),
-        ([[0, 0], [1, 0], [float("inf"), 1]], "polygon[2]", "finite"),
-        ([], "polygon", "empty"),
-        ([[0, 0, 0], [1, 0, 0], [1, 1, 0]], "polygon", "2 numbers"),
-        ([[0, 0], [1]], "polygon", "2 numbers"),
-        ("square", "polygon", "square"),
-        ([[0, 0], [1e300, 0], [0, 1e300]], "polygon", "a size of 1e+300 m"),
-        ([[0, 0], [1e-200, 0], [0, 1e-200]], "polygon", "a size of 1e-200 m"),
-        ([[0, 0], [1, True], ["1", 0]], "polygon", "2 numbers"),
-    ],
-)
+@pytest.mark.parametrize(("vertices", "where", "words"), [
+    ([[0, 0], [1, 1], [1, 0], [0, 1]], "polygon", "vertex 0 to 1 meets the edge from vertex 2"),
+    ([[0, 0], [2, 0], [1, 0.5], [1, 0], [0, 1]], "polygon", "touches itself"),
+    ([[0, 0], [2, 0], [1, 0]], "polygon", "no area"),
+    ([[0, 0], [1, 0], [2, 0], [3, 0]], "polygon", "no area"),
+    ([[0, 0], [1, 0], [1, 1], [1, 2], [1, 1]], "polygon", "itself"),
+    ([[0, 0], [1, 0]], "polygon", "at least 3"),
+    ([[0, 0], [1, 0], [0, 0], [0, 0]], "polygon", "at least 3"),
+    ([[0, 0], [1, 0], [float("nan"), 1]], "polygon[2]", "finite"),
+    ([[0, 0], [1, 0], [float("inf"), 1]], "polygon[2]", "finite"),
+    ([], "polygon", "empty"),
+    ([[0, 0, 0], [1, 0, 0], [1, 1, 0]], "polygon", "2 numbers"),
+    ([[0, 0], [1]], "polygon", "2 numbers"),
+    ("square", "polygon", "square"),
+    ([[0, 0], [1e300, 0], [0, 1e300]], "polygon", "a size of 1e+300 m"),
+    ([[0, 0], [1e-200, 0], [0, 1e-200]], "polygon", "a size of 1e-200 m"),
+    ([[0, 0], [1, True], ["1", 0]], "polygon", "2 numbers"),
+])  # fmt: skip
 def test_a_polygon_that_cannot_be_is_refused(vertices, where, words):
     refusal = refused(Polygon, vertices)
     assert refusal.where == where

@@ -70,19 +70,16 @@ def test_more_points_carry_equal_loads_or_those_given():
     assert friction.tolist() == [0.1, 0.2, 0.3, 0.4]
 
 
-@pytest.mark.parametrize(
-    ("build", "where"),
-    [
-        (lambda: SupportPoints(points=[[0, 0, 0]], friction=0.1), "points.at"),
-        (lambda: SupportPoints(points=TRIANGLE, friction=[0.1, 0.2]), "points.friction"),
-        (lambda: SupportPoints(points=TRIANGLE, friction=[0.1, 0.2, -1]), "points.friction[2]"),
-        (lambda: SupportPoints(points=TRIANGLE, friction=0.1, loads=[1, 1, 1]), "points.loads"),
-        (lambda: SupportPoints(points=[[0, 0]], friction=0.1, loads=[0.0]), "points.loads"),
-        (lambda: SupportPoints(points=[[0, 0]], friction=0.1, loads=[-1.0]), "points.loads[0]"),
-        (lambda: UniformPressure(friction=0.1, n_points=2), "uniform.n_points"),
-        (lambda: UniformPressure(friction=0.1, n_points=3.5), "uniform.n_points"),
-    ],
-)
+@pytest.mark.parametrize(("build", "where"), [
+    (lambda: SupportPoints(points=[[0, 0, 0]], friction=0.1), "points.at"),
+    (lambda: SupportPoints(points=TRIANGLE, friction=[0.1, 0.2]), "points.friction"),
+    (lambda: SupportPoints(points=TRIANGLE, friction=[0.1, 0.2, -1]), "points.friction[2]"),
+    (lambda: SupportPoints(points=TRIANGLE, friction=0.1, loads=[1, 1, 1]), "points.loads"),
+    (lambda: SupportPoints(points=[[0, 0]], friction=0.1, loads=[0.0]), "points.loads"),
+    (lambda: SupportPoints(points=[[0, 0]], friction=0.1, loads=[-1.0]), "points.loads[0]"),
+    (lambda: UniformPressure(friction=0.1, n_points=2), "uniform.n_points"),
+    (lambda: UniformPressure(friction=0.1, n_points=3.5), "uniform.n_points"),
+])  # fmt: skip
 def test_a_support_that_cannot_be_is_refused(build, where):
     assert refused(build).where == where
 

@@ -46,16 +46,13 @@ def test_what_is_no_angle_stays_none():
     assert np.isnan(wrapped(np.array([np.nan, 0.1]))).tolist() == [True, False]
 
 
-@pytest.mark.parametrize(
-    ("time", "pose", "where"),
-    [
-        ([0, 0], [[0, 0, 0]] * 2, "trajectory.time"),
-        ([1, 0], [[0, 0, 0]] * 2, "trajectory.time"),
-        ([0, float("nan")], [[0, 0, 0]] * 2, "trajectory.time"),
-        ([0], [[0, 0, 0]] * 2, "trajectory.time"),
-        ([0, 1], [[0, 0, 0], [0, 0, float("nan")]], "trajectory.pose[1]"),
-        ([], [], "trajectory.pose"),
-    ],
-)
+@pytest.mark.parametrize(("time", "pose", "where"), [
+    ([0, 0], [[0, 0, 0]] * 2, "trajectory.time"),
+    ([1, 0], [[0, 0, 0]] * 2, "trajectory.time"),
+    ([0, float("nan")], [[0, 0, 0]] * 2, "trajectory.time"),
+    ([0], [[0, 0, 0]] * 2, "trajectory.time"),
+    ([0, 1], [[0, 0, 0], [0, 0, float("nan")]], "trajectory.pose[1]"),
+    ([], [], "trajectory.pose"),
+])  # fmt: skip
 def test_a_trajectory_that_cannot_be_is_refused(time, pose, where):
     assert refused(Trajectory, time=time, pose=pose).where == where

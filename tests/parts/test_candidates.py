@@ -91,18 +91,15 @@ def _two_bodies():
     )
 
 
-@pytest.mark.parametrize(
-    ("part", "options", "where"),
-    [
-        (_body(box(0.1, 0.1)), {"radius": 0.0}, "radius"),
-        (_body(box(0.1, 0.1)), {"travel": -0.1}, "travel"),
-        (_body(box(0.1, 0.1)), {"speed": math.nan}, "speed"),
-        (_body(box(0.1, 0.1)), {"contacts": 0}, "contacts"),
-        (polygon_pusher(), {}, "part"),
-        (_two_bodies(), {}, "part"),
-        ("a square", {}, "part"),
-    ],
-)
+@pytest.mark.parametrize(("part", "options", "where"), [
+    (_body(box(0.1, 0.1)), {"radius": 0.0}, "radius"),
+    (_body(box(0.1, 0.1)), {"travel": -0.1}, "travel"),
+    (_body(box(0.1, 0.1)), {"speed": math.nan}, "speed"),
+    (_body(box(0.1, 0.1)), {"contacts": 0}, "contacts"),
+    (polygon_pusher(), {}, "part"),
+    (_two_bodies(), {}, "part"),
+    ("a square", {}, "part"),
+])  # fmt: skip
 def test_bad_input_is_rejected(part, options, where):
     assert refused(push_candidates, part, **options).where == where
 

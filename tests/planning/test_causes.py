@@ -82,14 +82,11 @@ def test_value_of_a_noisy_influence():
     assert effect.share == pytest.approx(0.01 / (0.85 * 0.15), abs=0.02)
 
 
-@pytest.mark.parametrize(
-    ("margin", "below", "above", "sentence"),
-    [
-        (lambda x: 0.006 - x, None, 0.006, "Fails when load is above "),
-        (lambda x: x + 0.006, -0.006, None, "Fails when load is below -"),
-        (lambda x: 0.008 - np.abs(x), -0.008, 0.008, "Fails when load is below -"),
-    ],
-)
+@pytest.mark.parametrize(("margin", "below", "above", "sentence"), [
+    (lambda x: 0.006 - x, None, 0.006, "Fails when load is above "),
+    (lambda x: x + 0.006, -0.006, None, "Fails when load is below -"),
+    (lambda x: 0.008 - np.abs(x), -0.008, 0.008, "Fails when load is below -"),
+])  # fmt: skip
 def test_region_where_a_plan_fails(margin, below, above, sentence):
     load = np.random.default_rng(3).uniform(-0.01, 0.01, N)
     found = Explanation.of(margin(load)[None], {"load": load}, units={"load": "m"})
@@ -143,17 +140,14 @@ def test_explanation_is_saved_and_loaded(tmp_path):
     assert fixel.load(found.save(tmp_path / "explanation.fixel")) == found
 
 
-@pytest.mark.parametrize(
-    ("options", "where"),
-    [
-        ({"margins": np.ones((1, 63))}, "63 scenarios"),
-        ({"margins": np.full((1, N), np.nan)}, "margins"),
-        ({"unknowns": {"load": np.ones(N - 1)}}, "load"),
-        ({"unknowns": {"load": np.full(N, np.nan)}}, "load"),
-        ({"worlds": np.arange(3)}, "worlds"),
-        ({"plan": 1}, "plan"),
-    ],
-)
+@pytest.mark.parametrize(("options", "where"), [
+    ({"margins": np.ones((1, 63))}, "63 scenarios"),
+    ({"margins": np.full((1, N), np.nan)}, "margins"),
+    ({"unknowns": {"load": np.ones(N - 1)}}, "load"),
+    ({"unknowns": {"load": np.full(N, np.nan)}}, "load"),
+    ({"worlds": np.arange(3)}, "worlds"),
+    ({"plan": 1}, "plan"),
+])  # fmt: skip
 def test_impossible_input_is_rejected(options, where):
     given = {"margins": np.ones((1, N)), "unknowns": {}} | options
     with pytest.raises(InvalidInput, match=where):

@@ -363,15 +363,12 @@ def test_a_saved_plan_chooses_the_same_corrections(plan, tmp_path):
     assert again.success.mean == plan.success.mean
 
 
-@pytest.mark.parametrize(
-    ("options", "found"),
-    [
-        ({"looks": -1}, "looks"),
-        ({"looks": 9}, "looks"),
-        ({"looks": 1, "lost_views": 1.0}, "lost_views"),
-        ({"looks": 1, "camera": (1, 1, 1)}, "camera"),
-    ],
-)
+@pytest.mark.parametrize(("options", "found"), [
+    ({"looks": -1}, "looks"),
+    ({"looks": 9}, "looks"),
+    ({"looks": 1, "lost_views": 1.0}, "lost_views"),
+    ({"looks": 1, "camera": (1, 1, 1)}, "camera"),
+])  # fmt: skip
 def test_wrong_looks_are_refused_before_any_search(options, found):
     with pytest.raises(InvalidInput, match=found):
         fixel.plan(pushed_square(), GOAL, belief=UNKNOWN, **options)

@@ -78,20 +78,17 @@ def test_outlines_with_many_corners_take_a_second_at_most():
     assert ends == pytest.approx(np.full(1000, plan.angle))
 
 
-@pytest.mark.parametrize(
-    ("build", "part", "options", "message"),
-    [
-        (orienting_plan, Disk(0.1), {}, "fixel needs a part with corners"),
-        (orienting_plan, _body(Disk(0.1)), {}, "fixel needs a part with corners"),
-        (PushFunction.of, "square", {}, "part"),
-        (PushFunction.of, None, {}, "part"),
-        (PushFunction.of, _body(Polygon.rectangle(1, 1), centre_of_mass=(2, 0)), {},
-         "outside the outline"),
-        (orienting_plan, L_SHAPE, {"angle_error": -0.1}, "angle_error"),
-        (orienting_plan, L_SHAPE, {"angle_error": np.nan}, "angle_error"),
-        (orienting_plan, L_SHAPE, {"angle_error": np.inf}, "angle_error"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("build", "part", "options", "message"), [
+    (orienting_plan, Disk(0.1), {}, "fixel needs a part with corners"),
+    (orienting_plan, _body(Disk(0.1)), {}, "fixel needs a part with corners"),
+    (PushFunction.of, "square", {}, "part"),
+    (PushFunction.of, None, {}, "part"),
+    (PushFunction.of, _body(Polygon.rectangle(1, 1), centre_of_mass=(2, 0)), {},
+     "outside the outline"),
+    (orienting_plan, L_SHAPE, {"angle_error": -0.1}, "angle_error"),
+    (orienting_plan, L_SHAPE, {"angle_error": np.nan}, "angle_error"),
+    (orienting_plan, L_SHAPE, {"angle_error": np.inf}, "angle_error"),
+])  # fmt: skip
 def test_what_cannot_be_oriented_is_refused(build, part, options, message):
     with pytest.raises(InvalidInput, match=message):
         build(part, **options)

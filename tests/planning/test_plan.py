@@ -118,15 +118,12 @@ def test_a_later_belief_has_its_own_motion_unless_one_was_chosen(
     assert plan.under(plan.belief).motion == plan.motion
 
 
-@pytest.mark.parametrize(
-    ("centre", "inside"),
-    [
-        ({"friction_centre_x": (-2.0, 2.0)}, False),  # two metres
-        ({"friction_centre_x": 0.05, "friction_centre_y": 0.05}, True),
-        ({"friction_centre_x": 0.051, "friction_centre_y": 0.0}, False),
-        ({"friction_centre_y": (-0.001, 0.06)}, False),
-    ],
-)
+@pytest.mark.parametrize(("centre", "inside"), [
+    ({"friction_centre_x": (-2.0, 2.0)}, False),  # two metres
+    ({"friction_centre_x": 0.05, "friction_centre_y": 0.05}, True),
+    ({"friction_centre_x": 0.051, "friction_centre_y": 0.0}, False),
+    ({"friction_centre_y": (-0.001, 0.06)}, False),
+])  # fmt: skip
 def test_a_centre_of_friction_is_on_the_part(centre, inside):
     """The square has sides of 100 mm, and its centre of mass is in the middle."""
     belief = Belief(parameters=centre)
@@ -224,15 +221,12 @@ def test_numbers_of_rollouts_that_are_none(rollouts):
         fixel.plan(pushed_square(), GOAL, rollouts=rollouts, progress=False)
 
 
-@pytest.mark.parametrize(
-    ("make", "where"),
-    [
-        (lambda: FreePushes(length=(-5 * mm, 60 * mm)), "choose.length"),
-        (lambda: RigPushes(stroke=(-10 * mm, 60 * mm)), "choose.stroke"),
-        (lambda: PlanPush(0.5, 0.0, -0.01), "push.length"),
-        (lambda: FreePushes(cost="tiem"), r"choose\.cost is .*tiem.*did you mean .*time"),
-    ],
-)
+@pytest.mark.parametrize(("make", "where"), [
+    (lambda: FreePushes(length=(-5 * mm, 60 * mm)), "choose.length"),
+    (lambda: RigPushes(stroke=(-10 * mm, 60 * mm)), "choose.stroke"),
+    (lambda: PlanPush(0.5, 0.0, -0.01), "push.length"),
+    (lambda: FreePushes(cost="tiem"), r"choose\.cost is .*tiem.*did you mean .*time"),
+])  # fmt: skip
 def test_negative_lengths_and_unknown_costs_are_refused(make, where):
     with pytest.raises(InvalidInput, match=where):
         make()

@@ -108,16 +108,13 @@ def test_race_of_one_plan():
     assert found.best == 0
 
 
-@pytest.mark.parametrize(
-    ("options", "where"),
-    [
-        ({"sizes": (8, 8)}, "sizes"),
-        ({"sizes": ()}, "sizes"),
-        ({"finalists": 0}, "finalists"),
-        ({"worlds": np.arange(N - 1)}, "worlds"),
-        ({"confidence": 1.0}, "confidence"),
-    ],
-)
+@pytest.mark.parametrize(("options", "where"), [
+    ({"sizes": (8, 8)}, "sizes"),
+    ({"sizes": ()}, "sizes"),
+    ({"finalists": 0}, "finalists"),
+    ({"worlds": np.arange(N - 1)}, "worlds"),
+    ({"confidence": 1.0}, "confidence"),
+])  # fmt: skip
 def test_impossible_races_are_rejected(options, where):
     with pytest.raises(InvalidInput, match=where):
         race(lookup(np.ones((4, N))), 4, **options)

@@ -25,13 +25,10 @@ def _margins(rng, rates, n_runs):
     return np.where(rng.random((len(rates), n_runs)) < rates[:, None], 0.5, -0.5)
 
 
-@pytest.mark.parametrize(
-    ("n", "confidence", "bound"),
-    [
-        (29, 0.95, 0.90), (59, 0.95, 0.95), (299, 0.95, 0.99), (2995, 0.95, 0.999),
-        (44, 0.99, 0.90), (90, 0.99, 0.95), (459, 0.99, 0.99), (4603, 0.99, 0.999),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("n", "confidence", "bound"), [
+    (29, 0.95, 0.90), (59, 0.95, 0.95), (299, 0.95, 0.99), (2995, 0.95, 0.999),
+    (44, 0.99, 0.90), (90, 0.99, 0.95), (459, 0.99, 0.99), (4603, 0.99, 0.999),
+])  # fmt: skip
 def test_smallest_number_of_runs_without_failure_for_a_bound(n, confidence, bound):
     # Closed form: the bound of n successes in n runs is (1 - confidence)^(1/n).
     assert lower_bound(n, n, confidence) >= bound > lower_bound(n - 1, n - 1, confidence)

@@ -121,18 +121,15 @@ def test_trials_are_saved_and_loaded(tmp_path):
     assert fixel.load(trials.save(tmp_path / "trials.fixel")) == trials
 
 
-@pytest.mark.parametrize(
-    ("values", "where"),
-    [
-        ({"time": "yesterday"}, "time"),
-        ({"time": "2026-11-22T21:00:00"}, "time"),
-        ({"met": 1}, "met"),
-        ({"failure": "slid off"}, "failure"),
-        ({"start": (0.0, 1.0)}, "start"),
-        ({"end": (0.0, 1.0, float("nan"))}, "end"),
-        ({"by": "a\nb"}, "by"),
-    ],
-)
+@pytest.mark.parametrize(("values", "where"), [
+    ({"time": "yesterday"}, "time"),
+    ({"time": "2026-11-22T21:00:00"}, "time"),
+    ({"met": 1}, "met"),
+    ({"failure": "slid off"}, "failure"),
+    ({"start": (0.0, 1.0)}, "start"),
+    ({"end": (0.0, 1.0, float("nan"))}, "end"),
+    ({"by": "a\nb"}, "by"),
+])  # fmt: skip
 def test_impossible_trials_are_rejected(values, where):
     with pytest.raises(InvalidInput, match=where):
         PlanTrial(**({"time": NOW, "met": True} | values))

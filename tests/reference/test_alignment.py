@@ -20,14 +20,11 @@ MICRO = Polygon.rectangle(LONG, SHORT)
 FINE = Adaptive(tolerance=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("shape", "off", "bound", "even", "arm"),
-    [
-        (SQUARE, [40, 5, 10, 22.5], [193.0, 14.31, 29.26, 72.24], [72.0, 7.36, 14.59, 32.80], EVEN),
-        (MICRO, [90.5, 95, 120], [0.0161, 0.1611, 1.018], [0.0096, 0.0950, 0.5379], MICRO_ARM),
-        (MICRO, [0.5, 5, 10], [0.0211, 0.2232, 0.4852], [0.0086, 0.0872, 0.1807], MICRO_ARM),
-    ],
-)
+@pytest.mark.parametrize(("shape", "off", "bound", "even", "arm"), [
+    (SQUARE, [40, 5, 10, 22.5], [193.0, 14.31, 29.26, 72.24], [72.0, 7.36, 14.59, 32.80], EVEN),
+    (MICRO, [90.5, 95, 120], [0.0161, 0.1611, 1.018], [0.0096, 0.0950, 0.5379], MICRO_ARM),
+    (MICRO, [0.5, 5, 10], [0.0211, 0.2232, 0.4852], [0.0086, 0.0872, 0.1807], MICRO_ARM),
+])  # fmt: skip
 def test_K5_table_of_distances(shape, off, bound, even, arm):
     angles = np.radians(off)
     assert 1e3 * flush_distance(shape, angles) == pytest.approx(bound, rel=5e-3)

@@ -42,15 +42,12 @@ def test_A16_a_bouncing_ball_finishes_at_rest(restitution, stepper):
     assert abs(run.twist["ball"][-1, 1]) < 1e-2
 
 
-@pytest.mark.parametrize(
-    ("stepper", "tolerance"),
-    [
-        # Each bounce is found a step late at most, and the speed after it is off by g h.
-        (StewartTrinkle(step=2e-5), 4e-4),
-        # The tolerance of a step, 1e-7 m, at speeds of 0.2 to 1 m/s and over tens of steps.
-        (Adaptive(tolerance=1e-7), 2e-5),
-    ],
-)
+@pytest.mark.parametrize(("stepper", "tolerance"), [
+    # Each bounce is found a step late at most, and the speed after it is off by g h.
+    (StewartTrinkle(step=2e-5), 4e-4),
+    # The tolerance of a step, 1e-7 m, at speeds of 0.2 to 1 m/s and over tens of steps.
+    (Adaptive(tolerance=1e-7), 2e-5),
+])  # fmt: skip
 @pytest.mark.parametrize("restitution", [0.5, 0.8, 1.0])
 def test_A16_bounce_n_takes_2_v_e_n_over_g(restitution, stepper, tolerance):
     run = simulate(_ball(restitution, 1.0, 0.7), stepper=stepper)
@@ -93,19 +90,16 @@ def _thrown(friction, restitution, steep):
 
 
 @pytest.mark.parametrize("friction", [0.05, 0.1, 0.3, 1.0])
-@pytest.mark.parametrize(
-    ("stepper", "restitution", "tolerance"),
-    [
-        # A plastic impact is found by the adaptive step to within rounding.
-        (Adaptive(), 0.0, 1e-6),
-        # The contact point lies on the wall, up to v h = 1e-5 m below the disc: 2e-4 of its radius.
-        (StewartTrinkle(step=1e-5), 0.0, 4e-4),
-        (StewartTrinkle(step=1e-5), 0.6, 4e-4),
-        (Midpoint(step=1e-5), 0.6, 4e-4),
-        # It takes a bounce in a step of its own, of 1e-7 of the scene's time.
-        (Adaptive(), 0.6, 1e-6),
-    ],
-)
+@pytest.mark.parametrize(("stepper", "restitution", "tolerance"), [
+    # A plastic impact is found by the adaptive step to within rounding.
+    (Adaptive(), 0.0, 1e-6),
+    # The contact point lies on the wall, up to v h = 1e-5 m below the disc: 2e-4 of its radius.
+    (StewartTrinkle(step=1e-5), 0.0, 4e-4),
+    (StewartTrinkle(step=1e-5), 0.6, 4e-4),
+    (Midpoint(step=1e-5), 0.6, 4e-4),
+    # It takes a bounce in a step of its own, of 1e-7 of the scene's time.
+    (Adaptive(), 0.6, 1e-6),
+])  # fmt: skip
 def test_A18_oblique_impact_sticks_iff_mu_reaches_pt_over_pn(
     friction, restitution, stepper, tolerance
 ):

@@ -9,19 +9,16 @@ def experiment(data_root):
     return experiment_141(data_root / "rpi_2dgad")
 
 
-@pytest.mark.parametrize(
-    ("name", "free", "whole"),
-    [
-        ("as recorded", 6.86, 9.02),
-        ("inertia", 6.85, 9.01),
-        ("smoothed actuator path", 6.92, 9.18),
-        ("gravity as in the laboratory's code", 5.35, 6.98),
-        ("even pressure", 5.68, 7.33),
-        ("push above the plane", 4.33, 5.60),
-        ("push above the plane, friction", 1.75, 3.55),
-        ("plane with a grain", 0.59, 1.06),
-    ],
-)
+@pytest.mark.parametrize(("name", "free", "whole"), [
+    ("as recorded", 6.86, 9.02),
+    ("inertia", 6.85, 9.01),
+    ("smoothed actuator path", 6.92, 9.18),
+    ("gravity as in the laboratory's code", 5.35, 6.98),
+    ("even pressure", 5.68, 7.33),
+    ("push above the plane", 4.33, 5.60),
+    ("push above the plane, friction", 1.75, 3.55),
+    ("plane with a grain", 0.59, 1.06),
+])  # fmt: skip
 def test_errors_of_hypotheses(experiment, name, free, whole):
     hypothesis = next(h for h in HYPOTHESES if h.name == name)
     row, _ = evaluate_hypothesis(experiment, hypothesis, starts=1)

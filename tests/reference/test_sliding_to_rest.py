@@ -51,17 +51,14 @@ _PENTAGON = Polygon([[np.cos(a), np.sin(a)] for a in 2 * np.pi * np.arange(5) / 
 _SIDE = 2 * np.sin(np.pi / 5)
 
 
-@pytest.mark.parametrize(
-    ("shape", "expected"),
-    [
-        (Disk(1.0), 2 / 3),
-        (box(1.0, 1.0), (np.sqrt(2) + np.log(1 + np.sqrt(2))) / 6),
-        (box(0.1075, 0.1075), 0.04113),  # the thesis's square
-        (box(842e-6, 1621e-6), 485.5e-6),  # the part of the 2006 paper
-        (_PENTAGON, 0.49644 * _SIDE),
-        (box(1e-4, 1.0), 0.25),
-    ],
-)
+@pytest.mark.parametrize(("shape", "expected"), [
+    (Disk(1.0), 2 / 3),
+    (box(1.0, 1.0), (np.sqrt(2) + np.log(1 + np.sqrt(2))) / 6),
+    (box(0.1075, 0.1075), 0.04113),  # the thesis's square
+    (box(842e-6, 1621e-6), 485.5e-6),  # the part of the 2006 paper
+    (_PENTAGON, 0.49644 * _SIDE),
+    (box(1e-4, 1.0), 0.25),
+])  # fmt: skip
 def test_A3_mean_distance_of_a_footprint_from_its_centre(shape, expected):
     pressure = UniformPressure(friction=0.3, n_points=4096)
     points, loads, _ = support_points(pressure, shape, shape.centroid, 1.0, 1.0)
@@ -104,15 +101,11 @@ def _stops(scene, steps):
     return np.array([simulate(scene, stepper=StewartTrinkle(step=h)).pose[name][-1] for h in steps])
 
 
-@pytest.mark.parametrize(
-    "scene",
-    [
-        sliding_block(0.5, 0.25, duration=0.3),
-        spinning_disk(10.0, n_points=256, duration=0.3),
-        spinning_disk(10.0, speed=0.3, n_points=256, duration=0.3),
-    ],
-    ids=["A1", "A2", "A4"],
-)
+@pytest.mark.parametrize("scene", [
+    sliding_block(0.5, 0.25, duration=0.3),
+    spinning_disk(10.0, n_points=256, duration=0.3),
+    spinning_disk(10.0, speed=0.3, n_points=256, duration=0.3),
+], ids=["A1", "A2", "A4"])  # fmt: skip
 def test_A21_error_of_the_first_order_step_halves_with_the_step(scene):
     steps = 0.02 / 2.0 ** np.arange(5)
     fine = _stops(scene, np.array([steps[-1] / 32]))[0]

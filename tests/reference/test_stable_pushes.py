@@ -14,16 +14,13 @@ from fixel.planning.geometric import stable_push_angle
 from fixel.simulation import StewartTrinkle, simulate_batch
 
 
-@pytest.mark.parametrize(
-    ("friction", "half_width", "depth", "angle"),
-    [
-        (0.2, 0.05375, 0.05375, 11.31),  # square, flush
-        (0.3, 0.009, 0.0175, 16.70),  # fingers on the long edge of CMU's block
-        (0.3, 0.009, 0.0250, 16.70),  # and on the short one
-        (2.0, 0.009, 0.0175, 27.2),  # what geometry alone allows
-        (2.0, 0.009, 0.0250, 19.8),
-    ],
-)
+@pytest.mark.parametrize(("friction", "half_width", "depth", "angle"), [
+    (0.2, 0.05375, 0.05375, 11.31),  # square, flush
+    (0.3, 0.009, 0.0175, 16.70),  # fingers on the long edge of CMU's block
+    (0.3, 0.009, 0.0250, 16.70),  # and on the short one
+    (2.0, 0.009, 0.0175, 27.2),  # what geometry alone allows
+    (2.0, 0.009, 0.0250, 19.8),
+])  # fmt: skip
 def test_K9_table_of_angles(friction, half_width, depth, angle):
     assert degrees(stable_push_angle(friction, half_width, depth)) == pytest.approx(angle, abs=0.05)
 

@@ -31,14 +31,10 @@ def test_a_line_of_solutions():
     assert z.sum() == pytest.approx(1.0, abs=1e-14)
 
 
-@pytest.mark.parametrize(
-    ("matrix", "vector", "answer"),
-    [
-        ([[0, -1, 2], [2, 0, -2], [-1, 1, 0]], [-3, 6, -1], [0, 1, 3]),
-        ([[1, -1], [-1, 1]], [1, -1], [0, 1]),
-    ],
-    ids=["cps-2", "cps-5-tie"],
-)
+@pytest.mark.parametrize(("matrix", "vector", "answer"), [
+    ([[0, -1, 2], [2, 0, -2], [-1, 1, 0]], [-3, 6, -1], [0, 1, 3]),
+    ([[1, -1], [-1, 1]], [1, -1], [0, 1]),
+], ids=["cps-2", "cps-5-tie"])  # fmt: skip
 def test_cps_2_and_5(matrix, vector, answer):
     z, code = solve_lcp(np.array(matrix, float), np.array(vector, float), 100)
     assert code == SOLVED

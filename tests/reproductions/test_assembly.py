@@ -17,16 +17,13 @@ from fixel.units import deg, mm
 UM = 1e-6
 
 
-@pytest.mark.parametrize(
-    ("front", "y", "angle", "met"),
-    [
-        (850 * UM, 0.0, 90.0, True),
-        (850 * UM, 0.0, -90.0, True),
-        (700 * UM, 0.0, 90.0, False),
-        (850 * UM, 200 * UM, 90.0, False),
-        (850 * UM, 0.0, 0.0, False),
-    ],
-)
+@pytest.mark.parametrize(("front", "y", "angle", "met"), [
+    (850 * UM, 0.0, 90.0, True),
+    (850 * UM, 0.0, -90.0, True),
+    (700 * UM, 0.0, 90.0, False),
+    (850 * UM, 200 * UM, 90.0, False),
+    (850 * UM, 0.0, 0.0, False),
+])  # fmt: skip
 def test_part_is_in_the_slot_where_its_front_is_deep_enough(front, y, angle, met):
     scene = assembly.last_push(130 * UM, 50 * UM, 0.0, assembly.ellipsoid())
     pose = (front - 0.5 * assembly.PART_LENGTH, y, np.radians(angle))

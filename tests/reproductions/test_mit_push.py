@@ -242,14 +242,11 @@ def test_command_prints_json_and_a_table(tmp_path):
     assert answer["rows"][0]["protocol"] == "few"
 
 
-@pytest.mark.parametrize(
-    ("changes", "complaint"),
-    [
-        ({"protocols": ("calibrate",)}, "must be one of calibrated, learned"),
-        ({"seeds": 0}, "1 or more"),
-        ({"folds": 1}, "2 or more"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "complaint"), [
+    ({"protocols": ("calibrate",)}, "must be one of calibrated, learned"),
+    ({"seeds": 0}, "1 or more"),
+    ({"folds": 1}, "2 or more"),
+])  # fmt: skip
 def test_wrong_requests_are_refused(changes, complaint):
     with pytest.raises(InvalidInput, match=complaint):
         BenchmarkRequest(**changes)

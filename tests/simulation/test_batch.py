@@ -70,27 +70,24 @@ def test_rollout_that_stops_early_keeps_its_last_pose():
     assert np.isfinite(run.pose).all()
 
 
-@pytest.mark.parametrize(
-    ("options", "where", "found", "expected"),
-    [
-        ({"parameters": {"mu_fixel": [1, 1], "mu_pusher": [1]}}, "variations", "2", "same length"),
-        ({"parameters": {"mu_fixel": [0.1, -0.2]}}, "mu_fixel", "-0.2", "at least 0"),
-        ({"parameters": {"mu_fixel": [0.1, np.nan]}}, "mu_fixel", "nan", "finite"),
-        ({"parameters": {"mu_fixle": [0.1]}}, "parameters", "mu_fixle", "mu_fixel"),
-        ({"parameters": [Parameters(mu_fixel=0.1), Parameters(mu_pusher=0.1)]}, "parameters[1]",
-         "mu_pusher", "mu_fixel"),
-        ({"start": np.zeros((4, 2))}, "start", "(4, 1, 2)", "(n, 1, 3)"),
-        ({"start": np.full((4, 3), np.nan)}, "start", "not all finite", "finite"),
-        ({"start": np.zeros((2, 3)), "parameters": {"mu_fixel": [1]}}, "variations", "2", "same"),
-        ({"waypoints": np.zeros((2, 3))}, "waypoints", "(2, 3)", "(n, 0, 4)"),
-        ({"waypoints": np.zeros((2, 2, 4))}, "waypoints", "does not increase", "increasing"),
-        ({"times": [2.0, 1.0]}, "times", "2", "increasing"),
-        ({"times": [0.0, 12.0]}, "times", "12", "11 s"),
-        ({"times": []}, "times", "[]", "increasing"),
-        ({"threads": 0}, "threads", "0", "at least 1"),
-        ({"duration": -1.0}, "duration", "-1.0", "positive"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("options", "where", "found", "expected"), [
+    ({"parameters": {"mu_fixel": [1, 1], "mu_pusher": [1]}}, "variations", "2", "same length"),
+    ({"parameters": {"mu_fixel": [0.1, -0.2]}}, "mu_fixel", "-0.2", "at least 0"),
+    ({"parameters": {"mu_fixel": [0.1, np.nan]}}, "mu_fixel", "nan", "finite"),
+    ({"parameters": {"mu_fixle": [0.1]}}, "parameters", "mu_fixle", "mu_fixel"),
+    ({"parameters": [Parameters(mu_fixel=0.1), Parameters(mu_pusher=0.1)]}, "parameters[1]",
+     "mu_pusher", "mu_fixel"),
+    ({"start": np.zeros((4, 2))}, "start", "(4, 1, 2)", "(n, 1, 3)"),
+    ({"start": np.full((4, 3), np.nan)}, "start", "not all finite", "finite"),
+    ({"start": np.zeros((2, 3)), "parameters": {"mu_fixel": [1]}}, "variations", "2", "same"),
+    ({"waypoints": np.zeros((2, 3))}, "waypoints", "(2, 3)", "(n, 0, 4)"),
+    ({"waypoints": np.zeros((2, 2, 4))}, "waypoints", "does not increase", "increasing"),
+    ({"times": [2.0, 1.0]}, "times", "2", "increasing"),
+    ({"times": [0.0, 12.0]}, "times", "12", "11 s"),
+    ({"times": []}, "times", "[]", "increasing"),
+    ({"threads": 0}, "threads", "0", "at least 1"),
+    ({"duration": -1.0}, "duration", "-1.0", "positive"),
+])  # fmt: skip
 def test_what_does_not_fit_is_refused(options, where, found, expected):
     with pytest.raises(InvalidInput) as refusal:
         simulate_batch(grasp(), **options, **QUICK)
@@ -150,19 +147,14 @@ def test_runs_meet_a_goal_where_single_simulations_do():
 RIGID = replace(grasp(force_limit=None), duration=12.0)  # ends in a jam
 
 
-@pytest.mark.parametrize(
-    ("scene", "method", "varied"),
-    [
-        (grasp("seated"), {},
-         {"parameters": {"mu_fixel": [0.1, 0.2], "tripod_radius": [2e-2, 3e-2]}}),
-        (grasp("seated"), {"motion": "quasistatic"}, {"start": [[0.09, 0, 0.1], [0.1, 0.01, 0.2]]}),
-        (grasp(), QUICK, {"waypoints": [[[0.0, 0, 0, 0], [11.0, x, 0, 0]] for x in (0.02, 0.04)]}),
-        (grasp(), QUICK, {"parameters": {"outline_y": [0.0, 1e-3]}, "duration": 3.0, "threads": 1}),
-        (heap(5), {}, {}),
-        (RIGID, {}, {"parameters": [{"mu_fixel": 0.5}, {"mu_fixel": 0.01}]}),
-    ],
-    ids=["parameters", "start", "waypoints", "outline", "heap", "jam"],
-)  # fmt: skip
+@pytest.mark.parametrize(("scene", "method", "varied"), [
+    (grasp("seated"), {}, {"parameters": {"mu_fixel": [0.1, 0.2], "tripod_radius": [2e-2, 3e-2]}}),
+    (grasp("seated"), {"motion": "quasistatic"}, {"start": [[0.09, 0, 0.1], [0.1, 0.01, 0.2]]}),
+    (grasp(), QUICK, {"waypoints": [[[0.0, 0, 0, 0], [11.0, x, 0, 0]] for x in (0.02, 0.04)]}),
+    (grasp(), QUICK, {"parameters": {"outline_y": [0.0, 1e-3]}, "duration": 3.0, "threads": 1}),
+    (heap(5), {}, {}),
+    (RIGID, {}, {"parameters": [{"mu_fixel": 0.5}, {"mu_fixel": 0.01}]}),
+], ids=["parameters", "start", "waypoints", "outline", "heap", "jam"])  # fmt: skip
 def test_ends_are_those_of_a_batch(scene, method, varied):
     simulator = Simulator(scene, **method)
     options = dict(varied)

@@ -273,15 +273,12 @@ def test_an_error_in_the_use_of_poses_is_raised(monkeypatch):
             Ensemble(_cases(), threads=threads).simulate_into(use, np.arange(4), _values(4))
 
 
-@pytest.mark.parametrize(
-    ("cases", "where"),
-    [
-        ([], "cases"),
-        ([RolloutCase(heap(4), TIMES)], "case.scene"),
-        ([RolloutCase(grasp(), np.zeros(1))], "case.times"),
-        ([RolloutCase(grasp(), np.zeros(0))], "case.times"),
-    ],
-)
+@pytest.mark.parametrize(("cases", "where"), [
+    ([], "cases"),
+    ([RolloutCase(heap(4), TIMES)], "case.scene"),
+    ([RolloutCase(grasp(), np.zeros(1))], "case.times"),
+    ([RolloutCase(grasp(), np.zeros(0))], "case.times"),
+])  # fmt: skip
 def test_what_is_no_case_is_refused(cases, where):
     with pytest.raises(InvalidInput, match=where):
         Ensemble(cases)

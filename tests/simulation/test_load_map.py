@@ -61,16 +61,13 @@ def loads_by_optimiser(share, points, height):
     return found.x
 
 
-@pytest.mark.parametrize(
-    "support",
-    [
-        UniformPressure(friction=0.3, n_points=9),
-        SupportPoints(
-            points=[(-0.04, -0.03), (0.04, -0.03), (0.04, 0.03), (-0.04, 0.03), (0, 0)],
-            friction=0.3,
-        ),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("support", [
+    UniformPressure(friction=0.3, n_points=9),
+    SupportPoints(
+        points=[(-0.04, -0.03), (0.04, -0.03), (0.04, 0.03), (-0.04, 0.03), (0, 0)],
+        friction=0.3,
+    ),
+])  # fmt: skip
 def test_loads_are_those_of_another_optimiser(support):
     scene = push(support, HILLS)
     body = scene.bodies[0]

@@ -131,21 +131,18 @@ def test_lemke_ends_after_a_stated_number_of_steps_with_advice():
     assert simulate(scene, stepper=StewartTrinkle(step=2e-4)).converged
 
 
-@pytest.mark.parametrize(
-    ("build", "options"),
-    [
-        (StewartTrinkle, {"step": 0.0}),
-        (Midpoint, {"step": -1.0}),
-        (Midpoint, {"step": float("inf")}),
-        (Adaptive, {"tolerance": 0.0}),
-        (Adaptive, {"tolerance": float("nan")}),
-        (Adaptive, {"largest_step": 0.0}),
-        (Adaptive, {"max_steps": 0}),
-        (Adaptive, {"max_steps": 1.5}),
-        (GaussSeidel, {"max_sweeps": 0}),
-        (Lemke, {"max_pivots": 0}),
-    ],
-)
+@pytest.mark.parametrize(("build", "options"), [
+    (StewartTrinkle, {"step": 0.0}),
+    (Midpoint, {"step": -1.0}),
+    (Midpoint, {"step": float("inf")}),
+    (Adaptive, {"tolerance": 0.0}),
+    (Adaptive, {"tolerance": float("nan")}),
+    (Adaptive, {"largest_step": 0.0}),
+    (Adaptive, {"max_steps": 0}),
+    (Adaptive, {"max_steps": 1.5}),
+    (GaussSeidel, {"max_sweeps": 0}),
+    (Lemke, {"max_pivots": 0}),
+])  # fmt: skip
 def test_options_that_cannot_be_are_refused(build, options):
     (name,) = options
     with pytest.raises(InvalidInput, match=rf"{build.__name__}\.{name} is .*, but must be"):
@@ -194,16 +191,12 @@ def _timeless(run):
     return replace(run, wall_time_s=0.0)
 
 
-@pytest.mark.parametrize(
-    ("scene", "parameters", "motion"),
-    [
-        (grasp("slip"), [None, {"mu_pusher": 0.2}, {"mu_support": 0.3, "tripod_radius": 0.03}],
-         None),
-        (micro_push(3), [{"mu_support": 0.3}, None, {"start_x": 1e-5}], "quasistatic"),
-        (heap(4, duration=0.3), [None, None], None),
-        (sliding_block(), [None, {"mass": 0.2}, {"mu_support": 0.1}], "first-order"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("scene", "parameters", "motion"), [
+    (grasp("slip"), [None, {"mu_pusher": 0.2}, {"mu_support": 0.3, "tripod_radius": 0.03}], None),
+    (micro_push(3), [{"mu_support": 0.3}, None, {"start_x": 1e-5}], "quasistatic"),
+    (heap(4, duration=0.3), [None, None], None),
+    (sliding_block(), [None, {"mass": 0.2}, {"mu_support": 0.1}], "first-order"),
+])  # fmt: skip
 def test_a_simulator_returns_the_bits_of_simulate(scene, parameters, motion):
     simulator = Simulator(scene, motion=motion)
     for values in (*parameters, *reversed(parameters)):
@@ -230,14 +223,11 @@ def test_a_simulator_changes_start_and_path_for_one_run():
     assert _timeless(simulator.run()) == _timeless(before)
 
 
-@pytest.mark.parametrize(
-    ("scene", "shift", "parameters"),
-    [
-        (grasp("slip"), (0.01, 0.005, 0.1), {"mu_fixel": 0.2, "start_theta": 0.02}),
-        (micro_push(3), (1e-5, 1e-5, 0.0), {"outline_x": 1e-6}),
-        (heap(4, duration=0.2), (1e-4, 0.0, 0.0), {}),
-    ],
-)
+@pytest.mark.parametrize(("scene", "shift", "parameters"), [
+    (grasp("slip"), (0.01, 0.005, 0.1), {"mu_fixel": 0.2, "start_theta": 0.02}),
+    (micro_push(3), (1e-5, 1e-5, 0.0), {"outline_x": 1e-6}),
+    (heap(4, duration=0.2), (1e-4, 0.0, 0.0), {}),
+])  # fmt: skip
 def test_another_start_gives_the_bits_of_another_scene(scene, shift, parameters):
     start = [body.pose + shift for body in scene.bodies]
     bodies = [replace(b, pose=pose) for b, pose in zip(scene.bodies, start, strict=True)]
@@ -256,20 +246,17 @@ def test_a_simulator_of_a_template_takes_its_path_from_the_run():
         simulator.run()
 
 
-@pytest.mark.parametrize(
-    ("changes", "match"),
-    [
-        ({"start": [0.0, 0.0]}, r"start.*shape \(2,\).*\(1, 3\)"),
-        ({"start": np.zeros((2, 3))}, r"start.*shape \(2, 3\)"),
-        ({"start": (np.nan, 0.0, 0.0)}, r"'part'.*pose"),
-        ({"start": (-0.01, 0.0, 0.0)}, "overlap"),
-        ({"waypoints": np.zeros((3, 3))}, "waypoints"),
-        ({"waypoints": [(1, 0, 0, 0), (0, 1, 0, 0)]}, "times"),
-        ({"parameters": {"mu_pushr": 0.1}}, "mu_pusher"),
-        ({"duration": -1.0}, "duration"),
-        ({"output_interval": 0.0}, "output_interval"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "match"), [
+    ({"start": [0.0, 0.0]}, r"start.*shape \(2,\).*\(1, 3\)"),
+    ({"start": np.zeros((2, 3))}, r"start.*shape \(2, 3\)"),
+    ({"start": (np.nan, 0.0, 0.0)}, r"'part'.*pose"),
+    ({"start": (-0.01, 0.0, 0.0)}, "overlap"),
+    ({"waypoints": np.zeros((3, 3))}, "waypoints"),
+    ({"waypoints": [(1, 0, 0, 0), (0, 1, 0, 0)]}, "times"),
+    ({"parameters": {"mu_pushr": 0.1}}, "mu_pusher"),
+    ({"duration": -1.0}, "duration"),
+    ({"output_interval": 0.0}, "output_interval"),
+])  # fmt: skip
 def test_changes_that_do_not_suit_the_scene_are_refused(changes, match):
     with pytest.raises(InvalidInput, match=match):
         Simulator(pushed_square()).run(**changes)

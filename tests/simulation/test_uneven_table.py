@@ -23,16 +23,13 @@ def test_a_flat_table_changes_nothing():
     assert factors(0.3, **dict.fromkeys(TABLE_NAMES, 0.0)) == pytest.approx(np.ones(4))
 
 
-@pytest.mark.parametrize(
-    ("angle", "values", "logarithms"),
-    [
-        (0.7, {"table_bend": 1.0}, [0.5, 0.5, 0.5, 0.5]),  # the same from all sides
-        (0.0, {"table_bend_xy": 0.8}, [0.4, -0.4, 0.4, -0.4]),
-        (0.5 * np.pi, {"table_bend_xy": 0.8}, [-0.4, 0.4, -0.4, 0.4]),
-        (0.25 * np.pi, {"table_bend_diagonal": 0.8}, [0.4, -0.4, 0.4, -0.4]),
-        (np.pi, {"table_slope_x": 0.2}, [-0.2, 0.0, 0.2, 0.0]),  # loads one side
-        (0.0, {"table_bend": 50.0}, [MAX_EXPONENT] * 4),
-    ],
-)
+@pytest.mark.parametrize(("angle", "values", "logarithms"), [
+    (0.7, {"table_bend": 1.0}, [0.5, 0.5, 0.5, 0.5]),  # the same from all sides
+    (0.0, {"table_bend_xy": 0.8}, [0.4, -0.4, 0.4, -0.4]),
+    (0.5 * np.pi, {"table_bend_xy": 0.8}, [-0.4, 0.4, -0.4, 0.4]),
+    (0.25 * np.pi, {"table_bend_diagonal": 0.8}, [0.4, -0.4, 0.4, -0.4]),
+    (np.pi, {"table_slope_x": 0.2}, [-0.2, 0.0, 0.2, 0.0]),  # loads one side
+    (0.0, {"table_bend": 50.0}, [MAX_EXPONENT] * 4),
+])  # fmt: skip
 def test_factors_of_a_table(angle, values, logarithms):
     assert factors(angle, **values) == pytest.approx(np.exp(logarithms))

@@ -83,62 +83,52 @@ def _moved_path(scene, registration):
     return replace(scene, pushers=(moved,))
 
 
-@pytest.mark.parametrize(
-    ("scene", "values", "same"),
-    [
-        (
-            _scene(SupportPoints(points=POINTS, friction=0.3)),
-            {"support_1_x": 0.035, "support_1_y": 0.004, "support_3_y": -0.03},
-            lambda s: _with_body(
-                s,
-                support=SupportPoints(
-                    points=[(0.035, 0.004), (-0.02, 0.03), (-0.02, -0.03)], friction=0.3
-                ),
+@pytest.mark.parametrize(("scene", "values", "same"), [
+    (
+        _scene(SupportPoints(points=POINTS, friction=0.3)),
+        {"support_1_x": 0.035, "support_1_y": 0.004, "support_3_y": -0.03},
+        lambda s: _with_body(
+            s,
+            support=SupportPoints(
+                points=[(0.035, 0.004), (-0.02, 0.03), (-0.02, -0.03)], friction=0.3
             ),
         ),
-        (
-            _scene(SupportPoints(points=NET, friction=0.3)),
-            {"load_1": 3.0, "load_4": 0.5},
-            lambda s: _with_body(
-                s, support=SupportPoints(points=NET, friction=0.3, loads=[3.0, 1.0, 1.0, 0.5])
-            ),
+    ),
+    (
+        _scene(SupportPoints(points=NET, friction=0.3)),
+        {"load_1": 3.0, "load_4": 0.5},
+        lambda s: _with_body(
+            s, support=SupportPoints(points=NET, friction=0.3, loads=[3.0, 1.0, 1.0, 0.5])
         ),
-        (_scene(SupportPoints(points=NET, friction=0.3)),
-         {"table_bend_xy": 0.9, "table_slope_y": -0.4, "start_theta": 0.02},
-         lambda s: _on_warped_table(s, 0.02, 0.9, -0.4)),
-        (
-            _scene(SupportPoints(points=NET, friction=0.3)),
-            {"friction_centre_x": 0.004, "friction_centre_y": -0.003},
-            lambda s: _with_body(
-                s, support=SupportPoints(points=NET + np.array([0.004, -0.003]), friction=0.3)
-            ),
+    ),
+    (_scene(SupportPoints(points=NET, friction=0.3)),
+     {"table_bend_xy": 0.9, "table_slope_y": -0.4, "start_theta": 0.02},
+     lambda s: _on_warped_table(s, 0.02, 0.9, -0.4)),
+    (
+        _scene(SupportPoints(points=NET, friction=0.3)),
+        {"friction_centre_x": 0.004, "friction_centre_y": -0.003},
+        lambda s: _with_body(
+            s, support=SupportPoints(points=NET + np.array([0.004, -0.003]), friction=0.3)
         ),
-        (_scene(Ellipsoid(force=0.8, torque=0.02)),
-         {"ellipsoid_force": 0.7, "ellipsoid_torque": 0.03},
-         lambda s: _with_body(s, support=Ellipsoid(force=0.7, torque=0.03))),
-        (_scene(Tripod(radius=0.04, friction=0.3)), {"tripod_radius": 0.05, "mu_support": 0.2},
-         lambda s: _with_body(s, support=Tripod(radius=0.05, friction=0.2))),
-        (_scene(Tripod(radius=0.04, friction=0.3)), {"pressure_spread": 0.0},
-         lambda s: _with_body(s, support=UniformPressure(friction=0.3, n_points=24))),
-        (_scene(Ellipsoid(force=0.8, torque=0.02)), {"pressure_spread": 0.0, "mu_support": 0.2},
-         lambda s: _with_body(s, support=UniformPressure(friction=0.2, n_points=24))),
-        (_pushed_by_hand(), {"mass": 0.4}, lambda s: _with_body(s, mass=0.4)),
-        (
-            _scene(),
-            {"anisotropy_xy": 0.06, "anisotropy_diagonal": 0.08},
-            lambda s: replace(
-                s, plane=Plane(anisotropy=(1.1, 0.9), axis=0.5 * np.arctan2(0.08, 0.06))
-            ),
-        ),
-        (_scene(), {"registration_x": -0.002, "registration_y": 0.003, "registration_theta": 0.01},
-         lambda s: _moved_path(s, (-0.002, 0.003, 0.01))),
-        (_scene(), {"start_x": 0.002, "start_y": -0.001, "start_theta": 0.02},
-         lambda s: _with_body(s, pose=s.bodies[0].pose + np.array([0.002, -0.001, 0.02]))),
-        (_scene(round_pusher=True), {"contact_offset": 0.001},
-         lambda s: replace(s, pushers=(replace(s.pushers[0], shape=Disk(0.0153)),))),
-    ],
-    ids=lambda x: "-".join(x) if isinstance(x, dict) else "",
-)  # fmt: skip
+    ),
+    (_scene(Ellipsoid(force=0.8, torque=0.02)), {"ellipsoid_force": 0.7, "ellipsoid_torque": 0.03},
+     lambda s: _with_body(s, support=Ellipsoid(force=0.7, torque=0.03))),
+    (_scene(Tripod(radius=0.04, friction=0.3)), {"tripod_radius": 0.05, "mu_support": 0.2},
+     lambda s: _with_body(s, support=Tripod(radius=0.05, friction=0.2))),
+    (_scene(Tripod(radius=0.04, friction=0.3)), {"pressure_spread": 0.0},
+     lambda s: _with_body(s, support=UniformPressure(friction=0.3, n_points=24))),
+    (_scene(Ellipsoid(force=0.8, torque=0.02)), {"pressure_spread": 0.0, "mu_support": 0.2},
+     lambda s: _with_body(s, support=UniformPressure(friction=0.2, n_points=24))),
+    (_pushed_by_hand(), {"mass": 0.4}, lambda s: _with_body(s, mass=0.4)),
+    (_scene(), {"anisotropy_xy": 0.06, "anisotropy_diagonal": 0.08},
+     lambda s: replace(s, plane=Plane(anisotropy=(1.1, 0.9), axis=0.5 * np.arctan2(0.08, 0.06)))),
+    (_scene(), {"registration_x": -0.002, "registration_y": 0.003, "registration_theta": 0.01},
+     lambda s: _moved_path(s, (-0.002, 0.003, 0.01))),
+    (_scene(), {"start_x": 0.002, "start_y": -0.001, "start_theta": 0.02},
+     lambda s: _with_body(s, pose=s.bodies[0].pose + np.array([0.002, -0.001, 0.02]))),
+    (_scene(round_pusher=True), {"contact_offset": 0.001},
+     lambda s: replace(s, pushers=(replace(s.pushers[0], shape=Disk(0.0153)),))),
+], ids=lambda x: "-".join(x) if isinstance(x, dict) else "")  # fmt: skip
 def test_a_parameter_is_the_scene_with_that_value(scene, values, same):
     nominal, varied, built = _end(scene), _end(scene, **values), _end(same(scene))
     assert varied == pytest.approx(built, abs=2e-5)
@@ -163,23 +153,20 @@ def test_an_outline_elsewhere_in_the_tracked_frame_is_a_shifted_polygon():
     assert _end(scene, **values) == pytest.approx(_end(moved), abs=2e-5)
 
 
-@pytest.mark.parametrize(
-    ("support", "values", "found"),
-    [
-        (Ellipsoid(force=1.0, torque=0.1), {"mu_support": 0.2}, "ellipsoidal"),
-        (Ellipsoid(force=1.0, torque=0.1), {"tripod_radius": 0.2}, "no body on a tripod"),
-        (None, {"support_1_x": 0.01}, "no body on three support points"),
-        (SupportPoints(points=POINTS, friction=0.3), {"load_1": 2.0}, "support points"),
-        (SupportPoints(points=NET, friction=0.3), {"load_5": 2.0}, "4 support points"),
-        (None, {"table_bend": 0.1}, "support points"),
-        (SupportPoints(points=POINTS, friction=0.3), {"table_slope_x": 0.1}, "support points"),
-        (Ellipsoid(force=1.0, torque=0.1), {"table_bend_xy": 0.1}, "support points"),
-        (None, {"ellipsoid_force": 1.0}, "no body on an ellipsoidal"),
-        (None, {"contact_offset": 1e-3}, "not round"),
-        (SupportPoints(points=POINTS, friction=0.3), {"support_1_x": -0.04}, "outside"),
-        (None, {"pressure_spread": 0.0, "tripod_radius": 0.03}, "tripod_radius in addition"),
-    ],
-)
+@pytest.mark.parametrize(("support", "values", "found"), [
+    (Ellipsoid(force=1.0, torque=0.1), {"mu_support": 0.2}, "ellipsoidal"),
+    (Ellipsoid(force=1.0, torque=0.1), {"tripod_radius": 0.2}, "no body on a tripod"),
+    (None, {"support_1_x": 0.01}, "no body on three support points"),
+    (SupportPoints(points=POINTS, friction=0.3), {"load_1": 2.0}, "support points"),
+    (SupportPoints(points=NET, friction=0.3), {"load_5": 2.0}, "4 support points"),
+    (None, {"table_bend": 0.1}, "support points"),
+    (SupportPoints(points=POINTS, friction=0.3), {"table_slope_x": 0.1}, "support points"),
+    (Ellipsoid(force=1.0, torque=0.1), {"table_bend_xy": 0.1}, "support points"),
+    (None, {"ellipsoid_force": 1.0}, "no body on an ellipsoidal"),
+    (None, {"contact_offset": 1e-3}, "not round"),
+    (SupportPoints(points=POINTS, friction=0.3), {"support_1_x": -0.04}, "outside"),
+    (None, {"pressure_spread": 0.0, "tripod_radius": 0.03}, "tripod_radius in addition"),
+])  # fmt: skip
 def test_a_parameter_without_a_meaning_is_refused(support, values, found):
     with pytest.raises(InvalidInput, match=found):
         _end(_scene(support), **values)

@@ -133,18 +133,15 @@ def test_the_remainder_is_found_where_draws_have_heavy_tails():
     assert found.rest_angle == pytest.approx(0.05, rel=0.06)
 
 
-@pytest.mark.parametrize(
-    "bad",
-    [
-        lambda: RunToRun(centre=-1.0),
-        lambda: RunToRun(friction=float("nan")),
-        lambda: RunToRun(freedom=1.0),
-        lambda: RunToRun.learned(synthetic(2, 0.1, (0.02, 0.04))),
-        lambda: RunToRun.learned(synthetic(3, 0.1, (0.02, 0.04)), fitted=9),
-        lambda: learn_run_to_run([], {}),
-        lambda: learn_run_to_run(["no experiment"], {}),
-    ],
-)
+@pytest.mark.parametrize("bad", [
+    lambda: RunToRun(centre=-1.0),
+    lambda: RunToRun(friction=float("nan")),
+    lambda: RunToRun(freedom=1.0),
+    lambda: RunToRun.learned(synthetic(2, 0.1, (0.02, 0.04))),
+    lambda: RunToRun.learned(synthetic(3, 0.1, (0.02, 0.04)), fitted=9),
+    lambda: learn_run_to_run([], {}),
+    lambda: learn_run_to_run(["no experiment"], {}),
+])  # fmt: skip
 def test_bad_input_is_refused(bad):
     with pytest.raises(InvalidInput):
         bad()

@@ -51,15 +51,12 @@ def test_the_kind_is_required_and_printed():
     )
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"x": -1.0, "kind": "normal"},
-        {"kind": "uniform"},  # all sizes are zero
-        {"x": math.nan, "kind": "normal"},
-        {"x": 1.0, "y": 0.0, "theta": 0.0, "kind": "round"},
-    ],
-)
+@pytest.mark.parametrize("wrong", [
+    {"x": -1.0, "kind": "normal"},
+    {"kind": "uniform"},  # all sizes are zero
+    {"x": math.nan, "kind": "normal"},
+    {"x": 1.0, "y": 0.0, "theta": 0.0, "kind": "round"},
+])  # fmt: skip
 def test_no_such_error(wrong):
     with pytest.raises(InvalidInput):
         StartError(**wrong)

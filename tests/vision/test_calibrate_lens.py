@@ -113,18 +113,13 @@ def test_too_few_pictures(count):
         calibrate_lens(views, [SkippedPicture("x.png", "no such board")])
 
 
-@pytest.mark.parametrize(
-    ("lens", "seen", "options", "message"),
-    [
-        (replace(LENS, distortion=(0.0,)), {"noise": 0.05, "tilt": 0.02}, {},
-         "of parallel"),
-        # Distortion bends boards as a tilt would; then the fit itself knows too little.
-        (LENS, {"noise": 0.05, "tilt": 0.02}, {}, "more tilted"),
-        (LENS, {"noise": 0.5, "tilt": 0.12}, {}, r"parallel|known to"),
-        (LENS, {"noise": 0.05}, {"coefficients": 3}, "coefficients"),
-    ],
-    ids=["parallel", "parallel and distorted", "hardly tilted", "coefficients"],
-)  # fmt: skip
+@pytest.mark.parametrize(("lens", "seen", "options", "message"), [
+    (replace(LENS, distortion=(0.0,)), {"noise": 0.05, "tilt": 0.02}, {}, "of parallel"),
+    # Distortion bends boards as a tilt would; then the fit itself knows too little.
+    (LENS, {"noise": 0.05, "tilt": 0.02}, {}, "more tilted"),
+    (LENS, {"noise": 0.5, "tilt": 0.12}, {}, r"parallel|known to"),
+    (LENS, {"noise": 0.05}, {"coefficients": 3}, "coefficients"),
+], ids=["parallel", "parallel and distorted", "hardly tilted", "coefficients"])  # fmt: skip
 def test_boards_that_say_too_little_are_refused(lens, seen, options, message):
     with pytest.raises(InvalidInput, match=message):
         calibrate_lens(seen_corners(lens, CHECKERS, 5, **seen), **options)

@@ -87,15 +87,12 @@ def test_no_number_is_no_answer(pixel, name):
         MODELS[name].direction(pixel)
 
 
-@pytest.mark.parametrize(
-    ("change", "word"),
-    [
-        ({"focal": (0.0, 900.0)}, "above 0"),
-        ({"distortion": (0.0,) * 8 + (1.0,)}, "at most 8"),
-        ({"distortion": (np.nan,)}, "finite"),
-        ({"image_size": (0, 10)}, "width and height"),
-    ],
-)
+@pytest.mark.parametrize(("change", "word"), [
+    ({"focal": (0.0, 900.0)}, "above 0"),
+    ({"distortion": (0.0,) * 8 + (1.0,)}, "at most 8"),
+    ({"distortion": (np.nan,)}, "finite"),
+    ({"image_size": (0, 10)}, "width and height"),
+])  # fmt: skip
 def test_lenses_that_cannot_be(change, word):
     usual = {"image_size": (64, 48), "focal": (50, 50), "centre": (32, 24)}
     with pytest.raises(InvalidInput, match=word):

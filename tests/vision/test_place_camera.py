@@ -102,17 +102,13 @@ def test_tags_on_the_plate(plate):
     np.testing.assert_allclose(camera.position, above().position, atol=2e-3)
 
 
-@pytest.mark.parametrize(
-    ("seen", "tags", "message"),
-    [
-        (lambda plate: plate, (*TAGS[:3], replace(TAGS[3], pose=(0.02, 0.14, 0.3))),
-         "mm from its nominal"),
-        (lambda plate: plate, (TAGS[0], replace(TAGS[1], id=77)), "at least 2"),
-        (lambda plate: plate[:, ::-1], TAGS, "mirrored"),
-        (lambda plate: plate.T, TAGS, "90 degrees"),
-    ],
-    ids=["a tag elsewhere", "too few tags", "mirrored", "another size"],
-)  # fmt: skip
+@pytest.mark.parametrize(("seen", "tags", "message"), [
+    (lambda plate: plate, (*TAGS[:3], replace(TAGS[3], pose=(0.02, 0.14, 0.3))),
+     "mm from its nominal"),
+    (lambda plate: plate, (TAGS[0], replace(TAGS[1], id=77)), "at least 2"),
+    (lambda plate: plate[:, ::-1], TAGS, "mirrored"),
+    (lambda plate: plate.T, TAGS, "90 degrees"),
+], ids=["a tag elsewhere", "too few tags", "mirrored", "another size"])  # fmt: skip
 def test_pictures_that_do_not_show_the_plate_are_refused(plate, seen, tags, message):
     with pytest.raises(InvalidInput, match=message):
         place_by_tags(KNOWN, np.ascontiguousarray(seen(plate)), tags)

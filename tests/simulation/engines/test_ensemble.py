@@ -116,13 +116,10 @@ def test_results_do_not_depend_on_the_number_of_processes(tmp_path):
 REFUSED = '    print(\'{"refused": "a pusher with corners"}\', flush=True); continue'
 
 
-@pytest.mark.parametrize(
-    ("line", "error", "message"),
-    [
-        ("    sys.exit(3)", SolveFailed, "lost 10 times in a row: the program ended with status 3"),
-        (REFUSED, InvalidInput, "engine toy: found a pusher with corners"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("line", "error", "message"), [
+    ("    sys.exit(3)", SolveFailed, "lost 10 times in a row: the program ended with status 3"),
+    (REFUSED, InvalidInput, "engine toy: found a pusher with corners"),
+])  # fmt: skip
 def test_an_engine_that_never_answers_and_one_that_refuses_end_the_work(
     line, error, message, tmp_path
 ):
@@ -157,17 +154,14 @@ def no_program(folder):
     return OtherEngine(str(path))
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda folder: OtherEngine(f"{program(folder).name}==2"),
-         "found version 1, but fixel needs version 2"),
-        (lambda folder: OtherEngine(str(folder / "none.py")), "no file"),
-        (no_program, "cannot be started"),
-        *((lambda folder, hello=hello: program(folder, hello=hello), "engine") for hello in (
-            "[1]", "{oops", '{"parameters": 3}', "[" * 90_000, f'{{"parameters": {DEEP}}}')),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("make", "message"), [
+    (lambda folder: OtherEngine(f"{program(folder).name}==2"),
+     "found version 1, but fixel needs version 2"),
+    (lambda folder: OtherEngine(str(folder / "none.py")), "no file"),
+    (no_program, "cannot be started"),
+    *((lambda folder, hello=hello: program(folder, hello=hello), "engine") for hello in (
+        "[1]", "{oops", '{"parameters": 3}', "[" * 90_000, f'{{"parameters": {DEEP}}}')),
+])  # fmt: skip
 def test_programs_that_are_no_engine_are_refused(make, message, tmp_path):
     with pytest.raises(InvalidInput, match=message):
         many(make(tmp_path))

@@ -90,16 +90,13 @@ ON_SPRING = replace(PUSH.bodies[0], spring=Spring(stiffness=10.0, anchor=np.zero
 BOUNCY = replace(PUSH.pushers[0], restitution=0.5)
 
 
-@pytest.mark.parametrize(
-    ("scene", "found"),
-    [
-        (PUSH, ""),
-        (replace(PUSH, plane=Plane(anisotropy=(1.1, 0.9))), "direction or place"),
-        (replace(PUSH, bodies=(ON_SPRING,)), "a spring"),
-        (replace(PUSH, bodies=(replace(PUSH.bodies[0], force=(0.1, 0.0, 0.0)),)), "a force"),
-        (replace(PUSH, pushers=(BOUNCY,)), "restitution"),
-    ],
-)
+@pytest.mark.parametrize(("scene", "found"), [
+    (PUSH, ""),
+    (replace(PUSH, plane=Plane(anisotropy=(1.1, 0.9))), "direction or place"),
+    (replace(PUSH, bodies=(ON_SPRING,)), "a spring"),
+    (replace(PUSH, bodies=(replace(PUSH.bodies[0], force=(0.1, 0.0, 0.0)),)), "a force"),
+    (replace(PUSH, pushers=(BOUNCY,)), "restitution"),
+])  # fmt: skip
 def test_what_a_task_cannot_hold_is_said(scene, found):
     assert found in unsupported(scene)
     assert bool(unsupported(scene)) == bool(found)

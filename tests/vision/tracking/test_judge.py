@@ -41,16 +41,12 @@ def test_what_is_hit_or_turns_back_is_no_outlier(rate):
     assert judged("object", time, sightings(pose)).good.all()
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {50: (1.2e-3, 0.0, 0.0), 80: (0.0, 0.0, 0.05)},
-        # The shortest way back from there is once around; what follows is not turned.
-        {50: (0.0, 0.0, 2.2), 51: (0.0, 0.0, 4.2)},
-        dict.fromkeys(range(60, 72), (3e-3, -2e-3, 0.1)),
-    ],
-    ids=["single", "angles", "a run"],
-)
+@pytest.mark.parametrize("wrong", [
+    {50: (1.2e-3, 0.0, 0.0), 80: (0.0, 0.0, 0.05)},
+    # The shortest way back from there is once around; what follows is not turned.
+    {50: (0.0, 0.0, 2.2), 51: (0.0, 0.0, 4.2)},
+    dict.fromkeys(range(60, 72), (3e-3, -2e-3, 0.1)),
+], ids=["single", "angles", "a run"])  # fmt: skip
 def test_wrong_poses_are_found(wrong):
     pose = path()
     for frame, by in wrong.items():

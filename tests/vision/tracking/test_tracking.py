@@ -45,13 +45,10 @@ class TestTags(TrackingContract):
         with pytest.raises(InvalidInput, match=message):
             track([Frame(0.0, seen(painter.frame(0.0).picture).copy())], painter.rig)
 
-    @pytest.mark.parametrize(
-        ("change", "message"),
-        [
-            ({"size": 0.034}, "mm in the picture"),
-            ({"family": "aruco-5x5-100"}, "apriltag-36h11 tags 1, 2"),
-        ],
-    )
+    @pytest.mark.parametrize(("change", "message"), [
+        ({"size": 0.034}, "mm in the picture"),
+        ({"family": "aruco-5x5-100"}, "apriltag-36h11 tags 1, 2"),
+    ])  # fmt: skip
     def test_tags_of_another_size_or_family_are_refused(self, painter, change, message):
         part = painter.rig.parts["object"]
         other = replace(part, marks=(replace(part.marks[0], **change),))
