@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fixel import Dynamic, InvalidInput, Noise, QuasiStatic, SimulatedTestbed
 from fixel.calibration.assess import (
     AssessmentRequest,
     Frames,
@@ -13,14 +14,10 @@ from fixel.calibration.assess import (
     noise_from_repeated,
     run_assessments,
 )
-from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer, EndPose
 from fixel.calibration.target import target_of
-from fixel.errors import InvalidInput
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.sampling.published import thesis_plan
-from fixel.simulation import Dynamic, QuasiStatic
-from fixel.testbed.simulated import SimulatedTestbed
 
 PLANNED = thesis_plan().experiments
 CAMERA = Noise(position_m=5e-5, angle_rad=2e-3, source="stated")

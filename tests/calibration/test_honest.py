@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fixel import Dynamic, Noise, SimulatedTestbed
 from fixel.calibration.assess import assess, fit_steps, run_assessment
 from fixel.calibration.honest import (
     INSTANTS,
@@ -15,14 +16,11 @@ from fixel.calibration.honest import (
     ShiftModel,
     mixed_study,
 )
-from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer
 from fixel.calibration.target import targets_of
 from fixel.calibration.usual_parameters import default_unknowns
 from fixel.model.space import ParameterSpace
 from fixel.sampling.published import thesis_plan
-from fixel.simulation import Dynamic
-from fixel.testbed.simulated import SimulatedTestbed
 
 DEMO = thesis_plan().experiments[:21]
 # Every 30th push of the square: seven layouts, one push each.

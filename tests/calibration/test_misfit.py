@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
+from fixel import Noise, Tripod
 from fixel.calibration.misfit import misfit_of, noise_from_differences
-from fixel.calibration.noise import Noise
 from fixel.calibration.target import Target
-from fixel.model import Tripod
 from fixel.simulation.rollouts import RolloutCase
 from fixel.testing.scenes import free_push
 

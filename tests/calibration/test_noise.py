@@ -8,17 +8,16 @@ from scipy import stats
 from tests.calibration.toys import TIMES, TRUTH, box, calibrated, decay
 from tests.fixtures import refused
 
+from fixel import InvalidInput, Noise
 from fixel.calibration.noise import (
     MIN_SCATTER,
     Dispersion,
-    Noise,
     correlation_time,
     dispersion_of,
     estimated_dispersion,
     noise_from_repetitions,
     noise_from_residuals,
 )
-from fixel.errors import InvalidInput
 
 SD = np.array([1e-3, 1e-3, 1e-2])
 

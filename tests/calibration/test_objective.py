@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from tests.fixtures import refused
 
+from fixel import Dynamic, InvalidInput, Parameters, SupportPoints, Trajectory, simulate
 from fixel.calibration.objective import (
     Comparer,
     EndPose,
@@ -16,11 +17,8 @@ from fixel.calibration.objective import (
     RootMeanSquare,
 )
 from fixel.calibration.target import target_of, targets_of
-from fixel.errors import InvalidInput
-from fixel.model import Parameters, SupportPoints, Trajectory
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.sampling.published import thesis_plan
-from fixel.simulation import Dynamic, simulate
 from fixel.testbed.simulated import SimulatedTestbed
 
 PLANNED = thesis_plan().experiments

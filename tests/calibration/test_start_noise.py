@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 import fixel
+from fixel import Noise, Parameters, Trajectory, Tripod
 from fixel.calibration.honest import ShiftModel
-from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer
 from fixel.calibration.start_noise import StartSensitivity, start_dispersion, start_study
 from fixel.calibration.target import targets_of
-from fixel.model import Parameters, Trajectory, Tripod
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.testing.pushes import TRUTH, example_pushes
 from fixel.workflows.calibration.request import read_targets, target_files

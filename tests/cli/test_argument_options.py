@@ -3,10 +3,8 @@
 import pytest
 
 import fixel
-from fixel.errors import InvalidInput
+from fixel import InvalidInput, calibrate, calibrate_each, map_domain
 from fixel.testing.pushes import example_pushes
-from fixel.workflows.calibration.run import calibrate, calibrate_each
-from fixel.workflows.domain.run import map_domain
 
 SPACE = {"mu_pusher": (0, 1), "tripod_radius": 0.038}
 

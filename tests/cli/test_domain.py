@@ -6,10 +6,9 @@ import pytest
 from tests.cli.shell import fixel, json_of, missing, output, refusal
 from tests.fixtures import project_of
 
-from fixel.database.project import Project
+from fixel import Project, SimulatedTestbed
 from fixel.domain import held_out
 from fixel.sampling.published import thesis_plan
-from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.analysis import load_analyses
 
 FIT = ("--fit", "mu_pusher", "--fit", "tripod_radius")

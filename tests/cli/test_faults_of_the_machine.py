@@ -12,13 +12,11 @@ import pytest
 from tests.cli.shell import fixel
 from tests.fixtures import project_of
 
+from fixel import FixelError, InvalidInput, Project, SimulatedTestbed, StoreRefused
 from fixel.cli.main import run
-from fixel.database.project import Project
-from fixel.errors import FixelError, InvalidInput, StoreRefused
 from fixel.formats.scene_file import scene_file_from_dict
 from fixel.io.document import parse_json
 from fixel.sampling import thesis_plan
-from fixel.testbed.simulated import SimulatedTestbed
 
 pytestmark = pytest.mark.system
 

@@ -8,12 +8,11 @@ import typer
 from tests.fixtures import project_of
 from typer.testing import CliRunner
 
+from fixel import InvalidInput, Project, SimulatedTestbed, StoreRefused
 from fixel.cli.capability import typer_command
 from fixel.cli.show import show
-from fixel.database.project import Project
-from fixel.errors import InvalidInput, NotStored, StoreRefused
+from fixel.errors import NotStored
 from fixel.model import Experiment, Flag, Parameters, PlannedExperiment, Provenance, Trajectory
-from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing.scenes import grasp
 from fixel.workflows.capabilities import CAPABILITIES
 

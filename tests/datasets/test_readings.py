@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 from tests.datasets import push_files, recordings
 
+from fixel import Disk, InvalidInput, Polygon
 from fixel.datasets import IMPORTERS, importer_for
 from fixel.datasets.mit_push import read_mit_pushes
 from fixel.datasets.mit_push_records import plate
 from fixel.datasets.rpi_2dgad import lab_simulation
-from fixel.errors import InvalidInput
-from fixel.model import Disk, Polygon
 from fixel.replay.runs import read_runs
 
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from tests.fixtures import refused
 
+from fixel import InvalidInput, Polygon
 from fixel.calibration.contacts import Configurations, PushedContacts, TouchedPlaces, contacts_of
 from fixel.domain.error_bound import ConformalBound
-from fixel.errors import InvalidInput
-from fixel.model import Polygon
 
 SIDES = 4
 EACH = 16  # pushes of a side

@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from fixel import InvalidInput, QuasiStatic, simulate
 from fixel.drawing.animation import animate_simulation, usual_speed
-from fixel.errors import InvalidInput
-from fixel.simulation import QuasiStatic, simulate
 from fixel.testing import scenes
 
 

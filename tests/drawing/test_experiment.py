@@ -10,14 +10,13 @@ from matplotlib.text import Text
 from PIL import Image
 from tests.drawing.collisions import axes_of, check_page
 
+from fixel import Experiment, InvalidInput, SimulatedTestbed, Trajectory
 from fixel.drawing import palette
 from fixel.drawing.chart import save_figure
 from fixel.drawing.experiment import comparison_figure, experiment_figure
 from fixel.drawing.thumbnail import thumbnail
-from fixel.errors import InvalidInput
-from fixel.model import Channel, Experiment, Provenance, Trajectory
+from fixel.model import Channel, Provenance
 from fixel.sampling import thesis_plan
-from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing.scenes import grasp
 
 TIME = np.linspace(0.0, 2.0, 61)

@@ -5,11 +5,10 @@ import pytest
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
+from fixel import Polygon, QuasiStatic, StewartTrinkle, simulate
 from fixel.drawing import palette
 from fixel.drawing.picture import draw_simulation, force_text
 from fixel.drawing.view import Rectangle, carried, contacts_at, ghosts, round_number, unit_for
-from fixel.model import Polygon
-from fixel.simulation import QuasiStatic, StewartTrinkle, simulate
 from fixel.testing import scenes
 
 RUNS = {

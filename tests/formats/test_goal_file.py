@@ -4,11 +4,10 @@ import math
 
 import pytest
 
-from fixel.errors import InvalidInput
+from fixel import FreePushes, InvalidInput, RigPushes
 from fixel.formats.goal_file import goal_file_from_dict, load_goal
 from fixel.io.document import parse_yaml
 from fixel.model import goals
-from fixel.planning.pushes import FreePushes, RigPushes
 from fixel.uncertainty.starts import ASME, RPI_CAMERA
 
 FULL = """

@@ -9,9 +9,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from fixel.errors import InvalidInput
+from fixel import Disk, Ellipsoid, InvalidInput, NoSupport, Polygon, UniformPressure
 from fixel.formats.plan_file import PlanRecord, load_plan, plan_from_text, plan_text
-from fixel.model import Disk, Ellipsoid, NoSupport, Polygon, UniformPressure
 from fixel.sampling import Grid, Nominal, OffsetList, OffsetSample, thesis_plan
 
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "sampling.md"

@@ -10,21 +10,12 @@ from time import process_time
 import pytest
 from tests.fixtures import refused
 
-from fixel.errors import InvalidInput
-from fixel.formats import (
-    SceneFile,
-    load_scene,
-    save_scene,
-    scene_dict,
-    scene_file_from_dict,
-    scene_json_schema,
-)
-from fixel.model import (
+from fixel import (
     Body,
     Disk,
     Ellipsoid,
     Fixel,
-    FrictionMap,
+    InvalidInput,
     LineDrive,
     NoSupport,
     PairFriction,
@@ -33,11 +24,13 @@ from fixel.model import (
     Polygon,
     Pusher,
     Scene,
-    Spring,
     SupportPoints,
     Tripod,
     UniformPressure,
+    load_scene,
 )
+from fixel.formats import SceneFile, save_scene, scene_dict, scene_file_from_dict, scene_json_schema
+from fixel.model import FrictionMap, Spring
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples" / "scenes").glob("*.yaml"))
 SQUARE = [[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]]

@@ -8,11 +8,10 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 
-from fixel.errors import InvalidInput
+from fixel import InvalidInput, StewartTrinkle, simulate
 from fixel.formats.trajectory_file import save_trajectory, trajectory_columns
 from fixel.io.atomic import written_whole
 from fixel.io.document import plain_numbers
-from fixel.simulation import StewartTrinkle, simulate
 from fixel.testing import scenes
 
 

@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 from tests.kernels.entries import solve_problem
 
+from fixel import Body, Dynamic, Lemke, Polygon, QuasiStatic, Scene, UniformPressure, simulate
 from fixel.kernels import entries
 from fixel.kernels.lemke import RAY, SOLVED
 from fixel.kernels.linear_form import NO_ROOM, NOT_LINEAR
-from fixel.model import Body, Polygon, Scene, UniformPressure
-from fixel.simulation.motion import Dynamic, QuasiStatic
-from fixel.simulation.simulate import simulate
-from fixel.simulation.solver import Lemke
 from fixel.simulation.stepper import Midpoint, StewartTrinkle
 from fixel.testing.scenes import grasp
 

@@ -7,19 +7,8 @@ import numpy as np
 import pytest
 from tests.fixtures import refused
 
-from fixel.model import (
-    Body,
-    Disk,
-    FrictionMap,
-    LineDrive,
-    PathDrive,
-    Plane,
-    Polygon,
-    Pusher,
-    Spring,
-    SupportPoints,
-    Tripod,
-)
+from fixel import Body, Disk, LineDrive, PathDrive, Plane, Polygon, Pusher, SupportPoints, Tripod
+from fixel.model import FrictionMap, Spring
 
 SQUARE = Polygon([[0, 0], [2, 0], [2, 2], [0, 2]])
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tests.fixtures import refused
 
+from fixel import Beyond, Contact, FreePushes, Inside, PoseRegion, RigError, RigPushes, StartError
 from fixel.model import (
     Body,
     Disk,
@@ -22,11 +23,7 @@ from fixel.model import (
     UniformPressure,
 )
 from fixel.model.fields import field_types, finite, fraction, non_negative, positive, table, vector
-from fixel.model.goals import Beyond, Contact, Inside, PoseRegion
-from fixel.planning.belief import RigError
-from fixel.planning.pushes import FreePushes, RigPushes
 from fixel.sampling import PlannedShape, RegularPolygon
-from fixel.uncertainty.starts import StartError
 from fixel.vision.marks import MarkedPart, Sticker, Tag
 
 SQUARE = Polygon([[0, 0], [2, 0], [2, 2], [0, 2]])

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 import shapely
 
-from fixel.errors import InvalidInput
-from fixel.model import Body, Disk, Polygon, SupportPoints, UniformPressure
+from fixel import Body, Disk, InvalidInput, Polygon, SupportPoints, UniformPressure
 from fixel.model.footprint import INNER, OUTER, cells, support_grid
 
 SQUARE = Polygon([[0.03, 0.03], [-0.03, 0.03], [-0.03, -0.03], [0.03, -0.03]])

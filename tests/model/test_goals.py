@@ -8,27 +8,26 @@ import shapely
 from scipy.stats import binomtest
 from tests.fixtures import refused
 
-from fixel.errors import InvalidInput
-from fixel.io import load, save
-from fixel.model import (
+from fixel import (
     AllOf,
     AnyOf,
     Beyond,
     Body,
-    BodyTrack,
     Contact,
     Disk,
     Exit,
     Fixel,
     ForceAbove,
     Inside,
+    InvalidInput,
     NoSupport,
     Polygon,
     PoseRegion,
-    Probability,
     Scene,
     Seated,
 )
+from fixel.io import load, save
+from fixel.model import BodyTrack, Probability
 from fixel.model.goal_checks import check_goal
 from fixel.model.goals import MIN_MARGIN
 from fixel.testing.scenes import row

@@ -6,8 +6,7 @@ from time import process_time
 import pytest
 from tests.fixtures import refused
 
-from fixel.errors import InvalidInput
-from fixel.model import Body, Disk, Fixel, LineDrive, PairFriction, Polygon, Pusher, Scene
+from fixel import Body, Disk, Fixel, InvalidInput, LineDrive, PairFriction, Polygon, Pusher, Scene
 
 SQUARE = Polygon([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 ELL = Polygon([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]])

@@ -8,17 +8,9 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from tests.fixtures import refused
 
+from fixel import Disk, Ellipsoid, NoSupport, Polygon, SupportPoints, Tripod, UniformPressure
 from fixel.errors import InvalidInput
-from fixel.model import (
-    Disk,
-    Ellipsoid,
-    NoSupport,
-    Polygon,
-    SupportPoints,
-    Tripod,
-    UniformPressure,
-    support_points,
-)
+from fixel.model import support_points
 
 SQUARE = Polygon([[-1, -1], [1, -1], [1, 1], [-1, 1]])
 ELL = Polygon([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]])

@@ -7,15 +7,13 @@ import pytest
 from tests.fixtures import refused
 from tests.parts.test_candidates import polygon_pusher
 
+from fixel import Body, Disk, InvalidInput, LineDrive, Polygon, Scene, UniformPressure, part_model
 from fixel.domain.push_bound import NO_DATA
-from fixel.errors import InvalidInput
-from fixel.model import Body, Disk, LineDrive, Polygon, Scene, UniformPressure
 from fixel.parts.fit import PartPushes
 from fixel.parts.model import distinct
 from fixel.parts.next_pushes import push_candidates
 from fixel.testing.pushes import example_parts
 from fixel.testing.scenes import box
-from fixel.workflows.parts import part_model
 
 
 def _scene(shape, **body):

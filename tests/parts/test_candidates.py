@@ -8,17 +8,8 @@ import pytest
 import shapely
 from tests.fixtures import refused
 
-from fixel.model import (
-    Body,
-    Disk,
-    Fixel,
-    PairFriction,
-    Polygon,
-    Pusher,
-    Scene,
-    UniformPressure,
-    placed,
-)
+from fixel import Body, Disk, Fixel, PairFriction, Polygon, Pusher, Scene, UniformPressure
+from fixel.model import placed
 from fixel.parts.next_pushes import push_candidates
 from fixel.testing.scenes import box
 

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
+from fixel import Body, Polygon, Scene, SupportPoints, UniformPressure, push_candidates
 from fixel.calibration.target import target_of
-from fixel.model import Body, Polygon, Scene, SupportPoints, UniformPressure
 from fixel.model.footprint import support_grid
 from fixel.parts import fit
-from fixel.parts.next_pushes import push_candidates
 from fixel.simulation import QuasiStatic, simulate
 from fixel.simulation.rollouts import RolloutCase
 from fixel.testing.pushes import example_parts

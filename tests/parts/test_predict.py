@@ -5,12 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fixel.errors import InvalidInput
-from fixel.model import Disk, Fixel, Seated, placed
-from fixel.parts.next_pushes import push_candidates
+from fixel import Disk, Fixel, InvalidInput, Seated, predict, push_candidates
+from fixel.model import placed
 from fixel.testing.pushes import example_parts
 from fixel.testing.scenes import grasp
-from fixel.workflows.prediction import predict
 
 
 def test_what_is_unseen_comes_first(model):

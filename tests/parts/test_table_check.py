@@ -9,11 +9,9 @@ import pytest
 from tests.equal_pushes import over_a_table
 from tests.fixtures import refused
 
-from fixel import table_check
+from fixel import InvalidInput, SimulatedTestbed, table_check
 from fixel.datasets import plan_import
-from fixel.errors import InvalidInput
 from fixel.sampling import table_plan
-from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing.pushes import example_parts
 
 NOISE = (0.6e-3, math.radians(0.9))

@@ -7,14 +7,12 @@ import pytest
 import shapely
 from tests import closed_form
 
-from fixel.errors import InvalidInput
+from fixel import Belief, FreePushes, InvalidInput, simulate_batch
 from fixel.model import Body, Disk, Ellipsoid, LineDrive, Polygon, PoseRegion, Pusher, Scene
-from fixel.planning.belief import Belief
 from fixel.planning.candidates import plans_of_mechanics
 from fixel.planning.geometric import fence_pushes, geometric_pushes, point_push
 from fixel.planning.plan import simulator_of
-from fixel.planning.pushes import FreePushes, outline_points
-from fixel.simulation import simulate_batch
+from fixel.planning.pushes import outline_points
 
 ARM = 0.03
 PART = Body(

@@ -9,8 +9,7 @@ from scipy.stats import norm
 from shapely.affinity import rotate, translate
 
 import fixel
-from fixel import Belief, FreePushes, InvalidInput, PoseRegion, RigError, RigPushes
-from fixel.model import Seated
+from fixel import Belief, FreePushes, InvalidInput, PoseRegion, RigError, RigPushes, Seated
 from fixel.testing.scenes import grasp, pushed_square
 from fixel.units import deg, mm
 

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from tests.fixtures import refused
 
-from fixel.errors import InvalidInput
-from fixel.model import Body, Disk, NoSupport, Polygon, UniformPressure
+from fixel import Body, Disk, InvalidInput, NoSupport, Polygon, UniformPressure, orienting_plan
 from fixel.planning.geometric import flush_distance, friction_arm, stable_push_angle
-from fixel.planning.orienting import PushFunction, orienting_plan
+from fixel.planning.orienting import PushFunction
 
 L_SHAPE = Polygon([(0, 0), (3, 0), (3, 1), (1, 1), (1, 3), (0, 3)])
 

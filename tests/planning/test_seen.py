@@ -9,9 +9,8 @@ from scipy import stats
 from tests.workflows.planning.plans import plan_of
 
 import fixel
-from fixel import Belief, FreePushes, PoseRegion, StartError
+from fixel import Belief, FreePushes, PoseRegion, QuasiStatic, StartError
 from fixel.planning.seen import belief_after
-from fixel.simulation.motion import QuasiStatic
 from fixel.testing.scenes import pushed_square
 from fixel.uncertainty.predictive import EndError
 from fixel.units import deg, mm

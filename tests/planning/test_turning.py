@@ -9,9 +9,8 @@ import pytest
 from tests.fixtures import refused
 
 import fixel
-from fixel import FreePushes, InvalidInput, PoseRegion
+from fixel import Body, Ellipsoid, FreePushes, InvalidInput, Polygon, PoseRegion, Scene
 from fixel.formats.goal_file import goal_file_from_dict
-from fixel.model import Body, Ellipsoid, Polygon, Scene
 from fixel.planning.corrections import CorrectionTable
 from fixel.planning.plan import simulator_of
 from fixel.planning.pushes import PlanPush

@@ -8,17 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fixel import Adaptive, Dynamic, GaussSeidel, Newton, QuasiStatic, StewartTrinkle, simulate
 from fixel.model import Body, Fixel, LineDrive, Pusher, Scene, SupportPoints, Tripod
-from fixel.simulation import (
-    Adaptive,
-    Dynamic,
-    GaussSeidel,
-    Midpoint,
-    Newton,
-    QuasiStatic,
-    StewartTrinkle,
-    simulate,
-)
+from fixel.simulation import Midpoint
 from fixel.testing.scenes import STALL_FORCE, box, grasp
 
 STEPPERS = [Adaptive(), StewartTrinkle(step=0.01), Midpoint(step=0.01)]

@@ -7,8 +7,7 @@ from math import cos, pi
 import numpy as np
 import pytest
 
-from fixel.model import Body, Scene, SupportPoints
-from fixel.simulation import StewartTrinkle, simulate_batch
+from fixel import Body, Scene, StewartTrinkle, SupportPoints, simulate_batch
 from fixel.testing.scenes import box
 
 H = 1e-6  # [s]

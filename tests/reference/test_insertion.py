@@ -8,17 +8,7 @@ from math import pi
 import numpy as np
 import pytest
 
-from fixel.model import (
-    Body,
-    Disk,
-    Ellipsoid,
-    Fixel,
-    LineDrive,
-    Polygon,
-    Pusher,
-    Scene,
-    UniformPressure,
-)
+from fixel import Body, Disk, Ellipsoid, Fixel, LineDrive, Polygon, Pusher, Scene, UniformPressure
 from fixel.simulation import simulate, simulate_batch
 
 CLEARANCE = 2e-6  # [m] of the peg of 20 mm

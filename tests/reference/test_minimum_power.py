@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from fixel.model import SupportPoints
-from fixel.simulation import QuasiStatic, StewartTrinkle, simulate_batch
+from fixel import QuasiStatic, StewartTrinkle, SupportPoints, simulate_batch
 from fixel.testing.scenes import box, free_push, touching_pose
 
 SPEED = 0.01  # [m/s]

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 import shapely
 
-from fixel.errors import InvalidInput
+from fixel import InvalidInput, orienting_plan, simulate_batch
 from fixel.model import Body, LineDrive, Polygon, Pusher, Scene, SupportPoints
-from fixel.planning.orienting import PushFunction, orienting_plan
-from fixel.simulation import simulate_batch
+from fixel.planning.orienting import PushFunction
 
 TRI1 = Polygon([(0.045, 0.045), (-0.0809, 0.045), (0.045, -0.08087)])
 TRI3 = Polygon([(0.045, 0.045), (-0.1315, 0.045), (0.045, -0.08061)])

@@ -7,8 +7,7 @@ from math import pi
 import numpy as np
 import pytest
 
-from fixel.model import SupportPoints
-from fixel.simulation import QuasiStatic, StewartTrinkle, simulate_batch
+from fixel import QuasiStatic, StewartTrinkle, SupportPoints, simulate_batch
 from fixel.testing.scenes import free_push, touching_pose
 
 SPEED = 0.01  # [m/s]

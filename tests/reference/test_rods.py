@@ -8,8 +8,7 @@ from math import pi, sqrt
 import numpy as np
 import pytest
 
-from fixel.model import Body, Scene, SupportPoints
-from fixel.simulation import QuasiStatic, StewartTrinkle, simulate
+from fixel import Body, QuasiStatic, Scene, StewartTrinkle, SupportPoints, simulate
 from fixel.testing.scenes import box, free_push, touching_pose
 
 HALF = 0.1  # [m] half-length a of the rod

@@ -13,10 +13,8 @@ import pytest
 from tests import calibrating as run
 from tests.workflows.growing import comparer_of, explored, planned
 
+from fixel import Parameters, QuasiStatic, SimulatedTestbed, simulate
 from fixel.calibration.target import target_of
-from fixel.model import Parameters
-from fixel.simulation import QuasiStatic, simulate
-from fixel.testbed.simulated import SimulatedTestbed
 
 INTERVAL = 2e-3  # [s] between samples of the plain simulations
 NAMES = ("mu_pusher", "tripod_radius")

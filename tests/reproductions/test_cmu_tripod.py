@@ -7,10 +7,9 @@ import pytest
 from reproductions import cmu_tripod
 from reproductions.tripod_pushes import GRAVITY, SAMPLES, STEP, TripodPush, fit_points, unit_forces
 
+from fixel import Body, Disk, LineDrive, Polygon, Pusher, Scene, StewartTrinkle, SupportPoints
 from fixel.calibration.least_squares import LeastSquares
 from fixel.calibration.target import Target
-from fixel.model import Body, Disk, LineDrive, Polygon, Pusher, Scene, SupportPoints
-from fixel.simulation import StewartTrinkle
 from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.rollouts import RolloutCase
 

@@ -10,9 +10,8 @@ import shapely
 from reproductions.run import reproduce
 from tests.cli.shell import fixel
 
-from fixel.database.project import Project
+from fixel import InvalidInput, Project
 from fixel.drawing.relations import Entity, columns_of
-from fixel.errors import InvalidInput
 from fixel.workflows.project import maintenance
 
 

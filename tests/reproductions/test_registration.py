@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from reproductions.registration import registration_from_gaps
 
+from fixel import Disk, InvalidInput, Polygon
 from fixel.calibration.contacts import gaps_and_normals
-from fixel.errors import InvalidInput
-from fixel.model import Disk, Polygon
 
 SQUARE = Polygon([[0.03, 0.03], [-0.03, 0.03], [-0.03, -0.03], [0.03, -0.03]])
 RADIUS = 4.75e-3

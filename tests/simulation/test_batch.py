@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fixel.errors import InvalidInput
-from fixel.model import Parameters, Seated
+from fixel import InvalidInput, Parameters, Seated
 from fixel.simulation import Simulator, StewartTrinkle, simulate, simulate_batch
 from fixel.simulation.motion import OtherEngine
 from fixel.testing.scenes import grasp, heap, micro_push, pushed_square, sliding_block

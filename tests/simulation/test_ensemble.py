@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fixel.errors import InvalidInput
+from fixel import InvalidInput, Parameters, QuasiStatic, SupportPoints, simulate
 from fixel.kernels import codes
-from fixel.model import Parameters, SupportPoints
-from fixel.simulation import QuasiStatic, simulate
 from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.rollouts import INFEASIBLE, RolloutCase
 from fixel.testing.scenes import grasp, heap, micro_push

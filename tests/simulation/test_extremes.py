@@ -6,8 +6,7 @@ import warnings
 import numpy as np
 import pytest
 
-from fixel import simulate
-from fixel.errors import InvalidInput
+from fixel import InvalidInput, simulate
 from fixel.formats.scene_file import scene_file_from_dict
 from fixel.model import Body, Disk, Fixel, LineDrive, PairFriction, Pusher, Scene, Tripod
 from fixel.simulation.pack import pair_tables

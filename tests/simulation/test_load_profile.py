@@ -4,17 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from fixel import Body, Disk, LineDrive, Polygon, Pusher, Scene, SupportPoints, UniformPressure
 from fixel.errors import InvalidInput
-from fixel.model import (
-    Body,
-    Disk,
-    LineDrive,
-    Polygon,
-    Pusher,
-    Scene,
-    SupportPoints,
-    UniformPressure,
-)
 from fixel.simulation import QuasiStatic, StewartTrinkle, simulate
 from fixel.simulation.load_profile import PROFILE_NAMES, LoadNet, balance
 from fixel.simulation.vary import infeasible

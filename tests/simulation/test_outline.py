@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 import shapely
 
-from fixel.model import Disk, LineDrive, Polygon, UniformPressure
+from fixel import Adaptive, Disk, LineDrive, Polygon, UniformPressure
 from fixel.simulation import Dynamic, QuasiStatic, Simulator, pack, simulate
 from fixel.simulation.geometry import contact_outline
-from fixel.simulation.stepper import Adaptive
 from fixel.simulation.vary import Variation
 from fixel.testing.scenes import pushed_square
 

@@ -5,19 +5,11 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 import pytest
 
-from fixel.errors import InvalidInput
+from fixel import Adaptive, Dynamic, FirstOrder, InvalidInput, QuasiStatic, StewartTrinkle, simulate
 from fixel.kernels import arrays as at
 from fixel.kernels import batch as families
 from fixel.model import Body, FrictionMap, NoSupport, PathDrive, Plane, Scene, SupportPoints
-from fixel.simulation import (
-    AbstractMotionModel,
-    Adaptive,
-    Dynamic,
-    FirstOrder,
-    QuasiStatic,
-    StewartTrinkle,
-    simulate,
-)
+from fixel.simulation import AbstractMotionModel
 from fixel.simulation.pack import DEFAULT_TOLERANCE, characteristic_units, pack, pusher_path, stack
 from fixel.simulation.vary import Variation
 from fixel.testing.scenes import box, grasp, heap, micro_push, sliding_block

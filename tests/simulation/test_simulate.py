@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from tests.fixtures import refused
 
-from fixel.errors import InvalidInput, SolveFailed
-from fixel.model import Parameters, PathDrive
+from fixel import InvalidInput, Parameters, PathDrive, SolveFailed
 from fixel.simulation import (
     Adaptive,
     Dynamic,

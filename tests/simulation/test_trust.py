@@ -11,8 +11,7 @@ from tests.cli.shell import fixel as command
 from tests.fixtures import project_of
 
 import fixel
-from fixel.database.project import Project
-from fixel.errors import InvalidInput
+from fixel import InvalidInput, Project
 from fixel.jobs.pool import job_script
 from fixel.jobs.site import Site, trust_site
 from fixel.simulation import trust

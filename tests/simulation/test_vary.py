@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fixel.errors import InvalidInput
+from fixel import InvalidInput, QuasiStatic, simulate
 from fixel.model import (
     Disk,
     Ellipsoid,
@@ -17,7 +17,6 @@ from fixel.model import (
     Tripod,
     UniformPressure,
 )
-from fixel.simulation import QuasiStatic, simulate
 from fixel.simulation.uneven_table import TABLE_NAMES
 from fixel.simulation.vary import composed, infeasible, inverted, pressure_shares
 from fixel.testing.scenes import grasp

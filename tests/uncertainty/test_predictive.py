@@ -8,8 +8,7 @@ from scipy import stats
 from tests.fixtures import project_of
 
 import fixel
-from fixel.model import Disk, Fixel
-from fixel.planning.belief import Belief
+from fixel import Belief, Disk, Fixel
 from fixel.testing.pushes import example_pushes
 from fixel.testing.scenes import pushed_square
 from fixel.uncertainty.predictive import EndError, check_predictions, predictive_of

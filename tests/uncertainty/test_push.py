@@ -2,8 +2,7 @@
 
 from types import SimpleNamespace
 
-from fixel.model.records import Estimate
-from fixel.simulation import QuasiStatic
+from fixel import Estimate, QuasiStatic
 from fixel.testing.pushes import example_pushes
 from fixel.uncertainty.push import push_of
 

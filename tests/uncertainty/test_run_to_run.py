@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fixel.errors import InvalidInput
-from fixel.model import PairFriction
+from fixel import InvalidInput, PairFriction, RunToRun, learn_run_to_run
 from fixel.testing.pushes import TRUTH, example_pushes
 from fixel.testing.scenes import grasp, pushed_square
 from fixel.uncertainty.run_to_run import (
@@ -15,9 +14,7 @@ from fixel.uncertainty.run_to_run import (
     REST_ANGLE,
     TURN,
     RunEffects,
-    RunToRun,
     arm_of,
-    learn_run_to_run,
     rest_at,
 )
 

@@ -7,8 +7,7 @@ import pytest
 from tests.fixtures import refused
 from tests.vision.rendered import AWAY, bare_scene, small_rig, still
 
-from fixel.errors import InvalidInput
-from fixel.model import Trajectory
+from fixel import InvalidInput, Trajectory
 from fixel.vision.render import CameraEffects, changed, film_scene, frame_times, looks_named
 from fixel.vision.render.film import Occlusion
 from fixel.vision.render.looks import PRESETS, light

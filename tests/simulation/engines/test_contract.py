@@ -8,12 +8,8 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from fixel.errors import InvalidInput
-from fixel.formats import load_scene
-from fixel.model import Scene, SupportPoints
-from fixel.simulation import simulate
+from fixel import Dynamic, InvalidInput, Scene, SupportPoints, load_scene, simulate
 from fixel.simulation.ensemble import Ensemble
-from fixel.simulation.motion import Dynamic
 from fixel.simulation.rollouts import RolloutCase, ensemble_of
 from fixel.testing.engine_contract import EngineContract
 from fixel.testing.scenes import grasp, sliding_block

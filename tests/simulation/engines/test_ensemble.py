@@ -12,9 +12,8 @@ import pytest
 from tests.fixtures import refused
 
 import fixel
-from fixel.errors import InvalidInput, MissingExtra, SolveFailed
+from fixel import InvalidInput, MissingExtra, SolveFailed, simulate
 from fixel.kernels import codes
-from fixel.simulation import simulate
 from fixel.simulation.engines import program_of
 from fixel.simulation.engines.ensemble import EngineEnsemble
 from fixel.simulation.motion import OtherEngine, motion_model

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fixel.formats import load_scene
-from fixel.model import Body, Disk, Ellipsoid, Fixel, PathDrive, Plane, Polygon, Pusher, Scene
+from fixel import Body, Disk, Ellipsoid, Fixel, PathDrive, Plane, Polygon, Pusher, Scene, load_scene
 from fixel.model.bodies import Spring
 from fixel.model.support import UniformPressure
 from fixel.simulation.engines.contract import fault, overlap
