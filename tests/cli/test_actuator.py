@@ -50,7 +50,6 @@ def test_two_axes_move_together(capsys, controller):
 
 def test_a_locked_controller_is_unlocked_when_asked(capsys, controller):
     arguments = ("actuator", "move", "--port", controller.port, "--by", -2, "--speed", 40)
-
     code, _, err = fixel(capsys, *arguments)
     assert (code, "locked" in err) == (1, True)
     assert "at 3.000 mm" in output(capsys, *arguments, "--unlock")
@@ -75,7 +74,6 @@ def test_the_simulated_drive(capsys):
 def test_questions_to_the_operator_stay_out_of_the_answer(capsys, monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO("\n12\n\n\n"))
     code, out, err = fixel(capsys, "actuator", "move", "--driver", "manual", "--to", 40, "--json")
-
     assert (code, json.loads(out)["position_m"]) == (0, 0.04)
     assert "Position of the drive in mm: " in err
 

@@ -25,6 +25,5 @@ SPACE = {"mu_pusher": (0, 1), "tripod_radius": 0.038}
 def test_python_names_its_own_arguments(call, named):
     with pytest.raises(InvalidInput) as problem:
         call(example_pushes(6, duration=0.2))
-
     assert str(problem.value).startswith(named)
     assert "--" not in str(problem.value)

@@ -18,7 +18,6 @@ def quick(monkeypatch):
 
 def test_a_healthy_machine_exits_0_on_one_screen(quick, capsys):
     code = call("doctor")
-
     out = capsys.readouterr().out
     assert code == 0
     assert "PASS  fine" in out
@@ -28,16 +27,13 @@ def test_a_healthy_machine_exits_0_on_one_screen(quick, capsys):
 
 def test_a_failure_exits_1(quick, capsys):
     quick["broken"] = lambda: (False, "wrong", None)
-
     code = call("doctor")
-
     assert code == 1
     assert "FAIL  broken" in capsys.readouterr().out
 
 
 def test_json(quick, capsys):
     call("doctor", "--json")
-
     answer = json.loads(capsys.readouterr().out)
     assert answer["passed"] is True
     assert answer["checks"][-1]["name"] == "fine"

@@ -26,7 +26,6 @@ def groups(command, path=()):
 def test_summaries_of_commands_are_whole_at_80_columns(words, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     result = CliRunner().invoke(main.app, [*words, "--help"])
-
     usage, *lines = result.output.strip().splitlines()
     assert usage.startswith("Usage:")
     assert len(lines) > 3
@@ -35,9 +34,8 @@ def test_summaries_of_commands_are_whole_at_80_columns(words, monkeypatch):
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_and_option_has_help(command: str) -> None:
+def test_every_command_and_option_has_help(command):
     found = GROUP.commands[command]
-
     assert found.help
     assert all(getattr(parameter, "help", None) for parameter in found.params)
     assert CliRunner().invoke(main.app, [command, "--help"]).exit_code == 0
@@ -46,7 +44,6 @@ def test_every_command_and_option_has_help(command: str) -> None:
 def test_version(capsys):
     with pytest.raises(SystemExit) as end:
         main.run(["--version"])
-
     assert end.value.code == 0
     assert capsys.readouterr().out == f"fixel {fixel.__version__}\n"
 
@@ -62,7 +59,7 @@ def test_failure_becomes_a_sentence_and_an_exit_code(error, code, sentence, caps
     app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
     @app.command()
-    def fail() -> None:
+    def fail():
         raise error
 
     with pytest.raises(SystemExit) as end:
@@ -78,5 +75,4 @@ def test_failure_becomes_a_sentence_and_an_exit_code(error, code, sentence, caps
 def test_the_list_of_commands_is_shown_without_heavy_packages():
     code = "import sys, fixel.cli.main; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-
     assert not {"numpy", "numba", "pydantic", "rich.table", "yaml"} & set(done.stdout.split())

@@ -135,7 +135,6 @@ def test_import_lists_what_is_left_out(lab, tmp_path, capsys):
 
 def test_import_of_nothing_sound_is_refused_and_stores_nothing(lab, tmp_path, capsys):
     folder = push_files.mit_push(tmp_path / "pushes", push_files.push(0, obj_x1="?"))
-
     assert "column obj_x1" in refusal(capsys, "import", folder, "--project", lab)
     assert json_of(capsys, "list", "--project", lab)["total"] == 0
 

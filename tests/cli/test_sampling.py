@@ -64,7 +64,6 @@ def test_the_scenes_of_a_plan_are_read_back(tmp_path, capsys):
 def test_problems_are_told(tmp_path, capsys):
     path = tmp_path / "plan.yaml"
     path.write_text(plan_text(thesis_plan()).replace("travel: 0.15", "travel: 0.03"))
-
     out = output(capsys, "sample", path)
     assert "420 problems, checked by geometry" in out
     assert "001-square-collinear-tight-nominal: the head stops" in out

@@ -69,7 +69,6 @@ def test_show_says_what_a_real_one_is(folder):
 
 def test_show_says_what_made_another(folder):
     out = good(folder, "show", "push")
-
     assert out.startswith("testbed/push: SIMULATED by fixel simulated testbed")
     assert "at 30 Hz" in out
     assert "tactile" in out
@@ -77,7 +76,6 @@ def test_show_says_what_made_another(folder):
 
 def test_show_as_json_is_one_object(folder):
     answer = json.loads(good(folder, "show", "1", "--json"))
-
     assert (answer["id"], answer["dataset"], answer["name"]) == (1, "lab", "a 1")
     assert answer["real"] is True
     assert answer["end"] == [0.03, 0.04, 0.5]
@@ -90,14 +88,12 @@ def test_the_next_command_works_until_there_is_a_picture(folder, tmp_path, monke
     for name in ("lab/a 1", "testbed/push"):
         following = good(folder, "show", name).splitlines()[-1].removeprefix("Next: ")
         assert runner.invoke(app, shlex.split(following)[1:]).exit_code == 0
-
     assert {path.name for path in tmp_path.iterdir()} == {"a 1.png", "push.png"}
 
 
 def test_show_can_draw(folder, tmp_path):
     picture = tmp_path / "push.png"
     out = good(folder, "show", "push", "--plot", picture)
-
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert f"wrote {picture}" in out
     assert out.splitlines()[-1].startswith("Next: fixel compare testbed/push --project ")
@@ -105,7 +101,6 @@ def test_show_can_draw(folder, tmp_path):
 
 def test_compare_gives_errors_and_contact_modes(folder):
     out = good(folder, "compare", "push", "--set", "mu_support=0.3")
-
     assert "SIMULATED by" in out
     assert ["mu_support", "0.3"] in [line.split() for line in out.splitlines()]
     for word in ("position, rms", "angle, at end", "E, 35 mm/rad", "contact mode, recorded"):
@@ -132,7 +127,6 @@ def test_compare_can_draw(folder, tmp_path):
     answer = json.loads(
         good(folder, "compare", "push", "--motion", "quasistatic", "--plot", picture, "--json")
     )
-
     assert picture.read_text().startswith("<?xml")
     assert answer["files"] == {"plot": str(picture)}
     assert answer["method"]["motion"] == "quasistatic"
@@ -147,7 +141,6 @@ def test_compare_can_draw(folder, tmp_path):
 ])  # fmt: skip
 def test_bad_input_is_refused(folder, arguments, sentence):
     result = call(folder, *arguments)
-
     assert isinstance(result.exception, InvalidInput)
     assert sentence in str(result.exception)
 

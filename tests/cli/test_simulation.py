@@ -25,7 +25,6 @@ def test_a_table_is_one_sentence_with_the_next_command(tmp_path, capsys, words):
     table = tmp_path / "my lab.csv"
     rows = "".join(f"{k},{k},0,0\n" for k in range(5000))
     table.write_text('"time_s","x_mm","y_mm","theta_deg"\n' + rows, encoding="utf-8")
-
     err = refusal(capsys, *words, table)
     assert "found a table, but fixel needs a" in err
     assert f"fixel import '{table}'" in err
@@ -35,7 +34,6 @@ def test_a_table_is_one_sentence_with_the_next_command(tmp_path, capsys, words):
 def test_a_long_text_is_not_printed_whole(tmp_path, capsys):
     notes = tmp_path / "notes.yaml"
     notes.write_text("All that happened in the lab. " * 2000, encoding="utf-8")
-
     err = refusal(capsys, "simulate", notes)
     assert "found 'All that happened" in err
     assert len(err) < 700
@@ -90,7 +88,6 @@ def test_a_jam_exits_3_with_what_was_computed(scene, tmp_path, capsys):
 ])  # fmt: skip
 def test_bad_input_exits_2_with_the_reason_and_no_traceback(scene, arguments, reason, capsys):
     code, out, err = fixel(capsys, "simulate", scene, "--json", *arguments)
-
     assert code == 2
     assert reason in json.loads(out)["error"]["sentence"]
     assert "Traceback" not in err
@@ -110,7 +107,6 @@ def test_people_get_a_table_and_a_next_command(scene, tmp_path, capsys):
 
 def test_people_are_told_what_to_do_about_a_jam(scene, capsys):
     code, out, _ = fixel(capsys, "simulate", scene, "--set", "pushers.0.drive.force_limit=null")
-
     assert code == 3
     assert "jammed, stopped at" in out
     assert "If it has no force_limit, set one" in out
@@ -120,14 +116,12 @@ def test_people_are_told_what_to_do_about_a_jam(scene, capsys):
 def test_a_fixed_step_and_a_tolerance(scene, capsys):
     fixed = json_of(capsys, "simulate", scene, "--step", "0.01")
     fine = json_of(capsys, "simulate", scene, "--tolerance", "0.001")
-
     assert fixed["steps"] == 1100
     assert fine["method"]["stepper.tolerance"] == pytest.approx(1e-6)
 
 
 def test_the_same_command_gives_the_same_answer(scene, capsys):
     first, second = (json_of(capsys, "simulate", scene) for _ in range(2))
-
     assert {**first, "wall_time_s": 0} == {**second, "wall_time_s": 0}
 
 

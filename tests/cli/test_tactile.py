@@ -30,7 +30,6 @@ def test_check_fails_where_answers_are_missing(capsys, mega):
     code, out, _ = fixel(
         capsys, "tactile", "check", "--port", mega.port, "--deadline", 0.1, "--json"
     )
-
     answer = json.loads(out)
     assert (code, answer["passed"]) == (1, False)
     assert answer["missing"] + answer["garbled"] > 0

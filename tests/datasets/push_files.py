@@ -44,9 +44,8 @@ def mit_push(folder, *pushes):
 
 
 def rpi_2dgad(folder, frames=31):
-    """Trial 7: a square pushed down at 9 mm/s, from 2 mm away; of trial 8 only the number."""
+    """Trial 7: a square pushed down at 9 mm/s, from 2 mm away."""
     folder.mkdir(exist_ok=True)
-    write_table(folder / "experiments.csv", [{"experiment_id": 7}, {"experiment_id": 8}])
     setup = {
         "system_parameters_calibrated_by_authors": {
             "tripod_radius_mm": 20.0, "mu_actuator": 0.3, "mu_support": 0.4, "mu_fixel": 0.2,
@@ -79,7 +78,7 @@ def rpi_2dgad(folder, frames=31):
     return folder
 
 
-def mit_timeseries(folder):
+def mit_timeseries(folder, **columns):
     """One second of pushing a square straight on at 20 mm/s, read twice per new value."""
     folder.mkdir(exist_ok=True)
     square = [[0.045, 0.045], [-0.045, 0.045], [-0.045, -0.045], [0.045, -0.045]]
@@ -90,7 +89,7 @@ def mit_timeseries(folder):
         tip = x - 0.045 - TIP
         rows.append(
             {"t": 1 + 0.0025 * k, "slider_x": x, "slider_y": 0.0, "slider_th": 0.0,
-             "pusher_x": tip, "pusher_y": 0.0}
+             "pusher_x": tip, "pusher_y": 0.0} | columns
         )  # fmt: skip
     write_table(folder / "cpush_Straight.csv.gz", rows)
     return folder

@@ -4,7 +4,7 @@ import json
 import math
 
 from tests.datasets import push_files
-from tests.datasets.push_files import TIP, write_table
+from tests.datasets.push_files import write_table
 
 
 def rpi_2dgad(folder):
@@ -32,18 +32,9 @@ def rpi_2dgad(folder):
 
 
 def mit_pusher_slider(folder, **changes):
-    """A second of pushing a square on at 20 mm/s, read twice per new value."""
-    push_files.mit_timeseries(folder)
-    rows = []
-    for k in range(400):
-        x = 0.02 * 0.005 * (k // 2)
-        rows.append(
-            {"t": 1 + 0.0025 * k, "slider_x": x, "slider_y": 0.0, "slider_th": 0.0,
-             "pusher_x": x - 0.045 - TIP, "pusher_y": 0.0, "pusher_cmd_x": x, "pusher_cmd_y": 0.0,
-             "u0": 0.1, "u1": -0.1, "gap_mm": 0.0} | changes
-        )  # fmt: skip
-    write_table(folder / "cpush_Straight.csv.gz", rows)
-    return folder
+    """A second of pushing with what the controller wanted, and gaps."""
+    more = {"pusher_cmd_x": 0.0, "pusher_cmd_y": 0.0, "u0": 0.1, "u1": -0.1, "gap_mm": 0.0}
+    return push_files.mit_timeseries(folder, **(more | changes))
 
 
 def record(**changes):

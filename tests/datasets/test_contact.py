@@ -23,9 +23,7 @@ TURNED = np.array([[0.5, 0.2, math.pi / 2]])
 def test_tips_leave_along_the_normal(shape, local, gap, way):
     """The object is turned a quarter: its x is the y of the world, its y the -x."""
     tip = np.array([[0.5 - local[1], 0.2 + local[0]]])
-
     found, offset = moved_to_contact(shape, 0.005, TURNED, tip)
-
     assert found == pytest.approx([gap])
     assert offset[0] == pytest.approx([-way[1], way[0]], abs=1e-6)
     after, _ = moved_to_contact(shape, 0.005, TURNED, tip + offset)
@@ -35,7 +33,6 @@ def test_tips_leave_along_the_normal(shape, local, gap, way):
 def test_a_correction_fades():
     path = np.column_stack((np.arange(5.0), np.zeros((5, 3))))
     offset = np.array([1.0, -2.0])
-
     assert corrected_path(path, offset)[:, 1] == pytest.approx([1.0, 0.75, 0.5, 0.25, 0.0])
     assert corrected_path(path, offset, 2.0)[:, 2] == pytest.approx([-2.0, -1.0, 0.0, 0.0, 0.0])
     assert corrected_path(path[:1], offset)[0, 1:3].tolist() == [1.0, -2.0]

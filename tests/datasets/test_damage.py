@@ -110,9 +110,7 @@ def test_trials_without_the_common_table_are_left_out(data_root, tmp_path):
     copy = _copied(data_root / "rpi_2dgad", tmp_path / "copy")
     packed = (copy / "object_trajectory.csv.gz").read_bytes()
     (copy / "object_trajectory.csv.gz").write_bytes(packed[: len(packed) // 2])
-
     found = read_experiments(copy, progress=False)
-
     assert [one.name for one in found] == ["141"]
     assert len(found.skipped) == 19
     assert all("object_trajectory.csv.gz" in text for text in found.skipped)
@@ -121,9 +119,7 @@ def test_trials_without_the_common_table_are_left_out(data_root, tmp_path):
 def test_a_damaged_simulation_leaves_the_experiments(data_root, tmp_path):
     copy = _copied(data_root / "rpi_2dgad", tmp_path / "copy")
     (copy / "author_simulation_trajectory.csv.gz").write_bytes(b"cut")
-
     found = read_experiments(copy, progress=False)
-
     assert len(found) == 20
     assert [*found.simulations] == ["rpi-2dgad/141"]
     assert [text.split(":")[0] for text in found.skipped] == ["author_simulation_trajectory.csv.gz"]
@@ -168,9 +164,7 @@ def test_an_unknown_support_leaves_out_its_pushes(tmp_path):
     setup = json.loads((folder / "setup.json").read_text())
     del setup["support_points_m"]["patch"]
     (folder / "setup.json").write_text(json.dumps(setup))
-
     found = read_experiments(folder, progress=False)
-
     assert [one.name for one in found] == ["push_0"]
     assert "the support patch" in found.skipped[0]
 
@@ -193,9 +187,7 @@ def test_a_push_of_an_unknown_or_damaged_shape_is_left_out(tmp_path):
 def test_records_are_left_out_one_by_one(tmp_path):
     folder = recordings.mit_records(tmp_path)
     (folder / "felt" / f"{recordings.RECORD}1.json").write_text("{")
-
     found = read_experiments(folder, progress=False)
-
     assert [one.name for one in found] == [recordings.RECORD]
     assert recordings.RECORD + "1" in found.skipped[0]
 
@@ -203,9 +195,7 @@ def test_records_are_left_out_one_by_one(tmp_path):
 def test_outlines_that_cannot_be_read_leave_records_without_a_scene(tmp_path):
     folder = recordings.mit_records(tmp_path)
     (folder / "shapes.json").write_text("{")
-
     found = read_experiments(folder, progress=False)
-
     assert found[0].scene is None
     assert found.skipped[0].startswith("shapes.json: the whole file")
 
@@ -236,7 +226,6 @@ def test_experiments_of_an_own_table_are_left_out_one_by_one(tmp_path):
 def test_a_table_with_damage_in_most_experiments_is_refused(tmp_path):
     file = tmp_path / "own.csv"
     _write(file, [*_pushes(dict.fromkeys(range(3), "x"))])
-
     with pytest.raises(InvalidInput, match="push p0"):
         read_experiments(file, split_by="push", progress=False)
 
@@ -246,7 +235,6 @@ def test_angles_in_a_doubtful_unit_are_refused_for_the_whole_table(tmp_path):
     for push in range(4):  # the last turns by 30 in a second, so all are in degrees
         lines += [f"p{push},{0.1 * k},{k},0,{3 * k * (push == 3)}" for k in range(11)]
     _write(file := tmp_path / "own.csv", lines)
-
     with pytest.raises(InvalidInput, match="angle_unit"):
         read_experiments(file, split_by="push", progress=False)
 

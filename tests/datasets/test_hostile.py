@@ -94,7 +94,6 @@ def test_archives_that_cannot_be_read_are_refused(tmp_path, monkeypatch, limits,
         monkeypatch.setattr(files, name, limit)
     path = tmp_path / "own.csv.gz"
     path.write_bytes(content)
-
     with pytest.raises(InvalidInput, match=message):
         IMPORTERS["csv"].read(path)
 
@@ -115,6 +114,5 @@ def test_parquet_that_unpacks_to_many_cells_is_refused_unread(tmp_path, monkeypa
 def test_json_nested_without_end_is_refused(tmp_path):
     path = tmp_path / f"{recordings.RECORD}.json"
     path.write_text('{"object_pose": ' + "[" * 100_000)
-
     with pytest.raises(InvalidInput):
         list(IMPORTERS["mit-push"].read(path).experiments())

@@ -63,7 +63,6 @@ def test_what_nobody_knows_is_refused_with_what_is_known(tmp_path):
 
 def test_folders_inside_are_named(tmp_path):
     recordings.rpi_2dgad(tmp_path / "trials")
-
     with pytest.raises(DatasetMissing, match="data found in: trials"):
         importer_for(tmp_path)
 
@@ -78,7 +77,6 @@ def test_a_named_importer_says_what_it_misses(tmp_path):
 
 def test_unknown_options_are_refused(tmp_path):
     folder = recordings.rpi_2dgad(tmp_path)
-
     with pytest.raises(
         InvalidInput, match="the option speed, but fixel needs one of its options: none"
     ):
@@ -88,7 +86,6 @@ def test_unknown_options_are_refused(tmp_path):
 def test_a_caller_keeps_its_own_floating_point_settings(tmp_path):
     plan = IMPORTERS["cmu-two-point"].read(recordings.cmu_two_point(tmp_path))
     before = np.geterr()
-
     for _ in plan.experiments():
         assert np.geterr() == before
 
@@ -152,7 +149,6 @@ def test_a_push_of_the_end_point_set(tmp_path):
 def test_a_tip_inside_the_object_is_moved_to_contact_in_the_scene_only(tmp_path):
     start = 0.2 - 0.03 - push_files.TIP + 0.001
     (push,) = imported(push_files.mit_push(tmp_path, push_files.push(0, tip_x0=start)))
-
     assert flags(push) == ["pusher-moved-to-contact"]
     assert "1 mm" in push.flags[0].detail
     assert push.pusher.pose[0, 0] == start
@@ -163,7 +159,6 @@ def test_a_tip_inside_the_object_is_moved_to_contact_in_the_scene_only(tmp_path)
 def test_a_tip_deep_inside_has_no_scene(tmp_path):
     folder = push_files.mit_push(tmp_path, push_files.push(0, tip_x0=0.17, gap0_mm=-4.75))
     (push,) = imported(folder)
-
     assert push.scene is None
     assert flags(push) == ["misregistered", "no-scene"]
 
@@ -179,13 +174,11 @@ def test_known_faults_are_flagged(changes, flag, tmp_path):
     shapes = json.loads((folder / "shapes.json").read_text())
     shapes["hex"] = shapes["rect1"] = shapes["block"]
     (folder / "shapes.json").write_text(json.dumps(shapes))
-
     assert flags(imported(folder)[0]) == [flag]
 
 
 def test_repeated_names_are_refused(tmp_path):
     folder = push_files.mit_push(tmp_path, push_files.push(0), push_files.push(0))
-
     with pytest.raises(InvalidInput, match="row 2, column push_id: found 'felt_block_0' again"):
         imported(folder)
 
@@ -210,7 +203,6 @@ def test_a_single_push_of_an_unknown_shape_has_no_scene(tmp_path):
     outlines = tmp_path / "outlines.json"
     outlines.write_text("{}")
     (push,) = imported(file, shapes=str(outlines))
-
     assert push.scene is None
     assert "no-shape" in flags(push)
 
@@ -221,7 +213,6 @@ def test_times_that_repeat_are_dropped_and_flagged(tmp_path):
     record["tip_pose"].insert(3, record["tip_pose"][2])
     (folder / "felt" / f"{recordings.RECORD}.json").write_text(json.dumps(record))
     (push,) = imported(folder)
-
     assert "repeated-times" in flags(push)
     assert len(push.pusher.time) == 50
 
@@ -230,7 +221,6 @@ def test_hdf5_without_its_library_says_what_to_do(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "h5py", None)
     file = tmp_path / f"{recordings.RECORD}.h5"
     file.write_bytes(b"\x89HDF\r\n")
-
     with pytest.raises(InvalidInput, match="pip install h5py"):
         imported(file)
 
@@ -242,7 +232,6 @@ def test_hdf5_as_published(tmp_path):
         for key, rows in recordings.record().items():
             stream[key] = np.array(rows)
     (push,) = imported(file)
-
     assert len(push.trajectory.time) == 50
 
 
@@ -263,7 +252,6 @@ def test_a_run(tmp_path):
 
 def test_dropouts_of_a_run_are_counted(tmp_path):
     (run,) = imported(recordings.mit_pusher_slider(tmp_path, gap_mm=-4.0))
-
     (flag,) = (flag for flag in run.flags if flag.name == "tracking-dropouts")
     assert "400 of 400" in flag.detail
 

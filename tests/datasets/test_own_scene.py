@@ -59,9 +59,7 @@ def test_a_filled_template_makes_a_scene_from_table_and_file(tmp_path):
 def test_placeholders_that_are_left_are_named_all_together(tmp_path):
     source = table(tmp_path)
     scene = filled(tmp_path, source, shapes=())
-
     refusal = refused(CSV.read, source, scene=str(scene))
-
     assert refusal.where == "bodies[0].shape"
     assert "FILL_IN" in str(refusal)
     assert "disk" in refusal.expected
@@ -78,7 +76,6 @@ def test_units_in_which_nothing_moves_so_are_refused(tmp_path, header, turn, sca
     right = table(tmp_path)
     scene = filled(tmp_path, right)
     wrong = table(tmp_path, header=header, turn=turn, scale=scale)
-
     with pytest.raises(InvalidInput, match=complaint):
         CSV.read(wrong, scene=str(scene))
 
@@ -92,10 +89,8 @@ def turning(tmp_path, title, step, n, dx=1.0):
 def test_a_turn_of_143_degrees_in_a_tenth_of_a_second_is_refused(tmp_path):
     """Without a pusher or a scene: 1.43 degrees in 0.1 s, times 100 under the wrong header."""
     source = turning(tmp_path, "theta_rad", 2.5, 20)
-
     with pytest.raises(InvalidInput, match=r"turns 143 degrees in 0\.1 s.*angle_unit=deg"):
         CSV.read(source)
-
     (experiment,) = CSV.read(source, angle_unit="deg").experiments()
     assert experiment.trajectory.pose[-1, 2] == pytest.approx(math.radians(2.5 * 19))
 
@@ -104,11 +99,9 @@ def test_a_turn_of_143_degrees_in_a_tenth_of_a_second_is_refused(tmp_path):
 def test_a_stated_unit_that_makes_a_part_spin_is_refused(tmp_path, title):
     """21.7 degrees in 20 s, read as radians: 1243 degrees, though at 1.1 rad/s only."""
     source = turning(tmp_path, title, -21.7 / 200, 201, dx=0.1)
-
     refusal = refused(CSV.read, source, angle_unit="rad")
     assert refusal.found == "an object that turns 1243 degrees"
     assert "likely in degrees: set angle_unit=deg" in refusal.hint
-
     (experiment,) = CSV.read(source, angle_unit="deg").experiments()
     assert experiment.trajectory.pose[-1, 2] == pytest.approx(math.radians(-21.7))
 
@@ -117,9 +110,7 @@ def test_a_part_that_turns_several_times_is_read_if_header_and_option_agree(tmp_
     source = turning(tmp_path, "theta_rad", 0.9, 30)
     with pytest.raises(InvalidInput, match="if it is in radians, end its title with _rad"):
         CSV.read(source)
-
     (experiment,) = CSV.read(source, angle_unit="rad").experiments()
-
     assert experiment.trajectory.pose[-1, 2] == pytest.approx(0.9 * 29)
     assert "doubtful-angles" in {flag.name for flag in experiment.flags}
 

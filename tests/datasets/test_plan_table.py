@@ -46,7 +46,6 @@ def test_a_table_in_its_order_with_empty_cells_as_in_the_template(read):
 
 def test_offsets_from_a_stored_experiment(read):
     (row,) = read("name,experiment,offset_y_mm,offset_angle_deg\nagain,lab/push-1,-8,18\n")
-
     old, new = PLANNED.scene.bodies[0].pose, row.scene.bodies[0].pose
     np.testing.assert_allclose(new - old, [0.0, -0.008, math.pi / 10], atol=1e-12)
     assert row.conditions["offset_y_m"] == pytest.approx(-0.008)
@@ -71,7 +70,6 @@ def test_a_template_by_name_and_conditions(read, tmp_path):
 def test_what_is_written_is_read(plan, tmp_path):
     rows = plan().experiments[::21] if plan is thesis_plan else plan().experiments
     write_rows(tmp_path / "rows", rows)
-
     assert read_rows(tmp_path / "rows" / "plan.csv", None, stored) == rows
     assert len([*(tmp_path / "rows").iterdir()]) == len(rows) + 1
     with pytest.raises(InvalidInput, match="a new or empty folder"):
@@ -99,7 +97,6 @@ def test_what_is_written_is_read(plan, tmp_path):
 ])  # fmt: skip
 def test_what_is_refused(text, where, words, read):
     problem = refused(read, text)
-
     assert problem.where.startswith(where)
     assert words in str(problem)
 

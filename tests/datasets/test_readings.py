@@ -39,7 +39,6 @@ def test_a_plate_that_no_push_starts_outside_of_is_refused(tmp_path):
 def test_circles_are_disks_and_other_ellipses_fine_polygons(tmp_path):
     pushes = [push_files.push(0, shape="coin"), push_files.push(1, shape="egg", tip_x0=0.14)]
     coin, egg = (e.scene for e in imported(push_files.mit_push(tmp_path, *pushes)))
-
     assert coin.bodies[0].shape == Disk(0.03)
     assert isinstance(egg.bodies[0].shape, Polygon)
     assert egg.bodies[0].shape.area == pytest.approx(math.pi * 0.03 * 0.04, rel=1e-3)
@@ -47,7 +46,6 @@ def test_circles_are_disks_and_other_ellipses_fine_polygons(tmp_path):
 
 def test_plates_without_a_known_mass_are_steel():
     square = Polygon(np.array(push_files.SQUARE))
-
     assert plate("block", square, np.zeros(3)).mass == pytest.approx(0.06**2 * 0.013 * 7950)
     assert plate("rect1", square, np.zeros(3)).mass == 0.837
 
@@ -100,7 +98,6 @@ def test_trials_without_their_files_are_left_out(tmp_path):
     folder = recordings.rpi_2dgad(tmp_path)
     (folder / "exp7_frames.csv").unlink()
     plan = importer_for(folder).read(folder)
-
     assert [experiment.name for experiment in plan] == ["8", "9"]
     assert "exp7_frames.csv" in plan.skipped[0]
 
@@ -115,7 +112,6 @@ def test_trials_without_their_files_are_left_out(tmp_path):
 ])  # fmt: skip
 def test_wrong_pushes_are_refused(changes, complaint, tmp_path):
     folder = push_files.mit_push(tmp_path, push_files.push(0, **changes))
-
     with pytest.raises(InvalidInput, match=complaint):
         imported(folder)
 
@@ -123,7 +119,6 @@ def test_wrong_pushes_are_refused(changes, complaint, tmp_path):
 def test_a_missing_column_is_named(tmp_path):
     row = push_files.push(0)
     del row["tip_y1"]
-
     with pytest.raises(InvalidInput, match="a column tip_y1"):
         imported(push_files.mit_push(tmp_path, row))
 
@@ -144,9 +139,7 @@ def test_trials_with_times_that_go_back_are_left_out(tmp_path):
     folder = recordings.rpi_2dgad(tmp_path)
     lines = (folder / "exp7_frames.csv").read_text().splitlines()
     (folder / "exp7_frames.csv").write_text("\n".join([lines[0], lines[2], lines[1]]))
-
     plan = importer_for(folder).read(folder)
-
     assert len(plan) == 2
     assert "increasing times" in plan.skipped[0]
 
@@ -154,6 +147,5 @@ def test_trials_with_times_that_go_back_are_left_out(tmp_path):
 def test_outlines_without_the_square_of_the_runs_are_refused(tmp_path):
     folder = push_files.mit_timeseries(tmp_path)
     (folder / "shapes.json").write_text('{"hex": [], "pusher_radius_m": 0.005}')
-
     with pytest.raises(InvalidInput, match="an outline of rect1"):
         IMPORTERS["mit-pusher-slider"].read(folder)

@@ -42,7 +42,6 @@ def test_twenty_trials(data_root):
 @pytest.mark.system
 def test_all_pushes_of_the_end_point_set(data_root):
     pushes = _imported(data_root / "mit_push_endpoints")
-
     assert len(pushes) == 4835
     found = _flags(pushes)
     assert found["misregistered"] == 58
@@ -98,7 +97,6 @@ def test_pushes_on_known_supports(data_root):
 
 def test_twenty_eight_runs_of_two_fingers(data_root):
     runs = _imported(data_root / "cmu_two_point_push")
-
     assert len(runs) == 28
     assert _flags(runs)["tracking-lost"] == 28
     # No pose of a lost object, which the file has at (0, 0, 0), is left.

@@ -49,7 +49,6 @@ def test_units_come_from_the_header(tmp_path):
 
 def test_headers_of_spreadsheets(tmp_path):
     experiment = experiment_of(tmp_path, "\ufeffTime [s],X (mm), Y/mm,Angle (deg)\n0,1,2,180\n")
-
     assert experiment.trajectory.pose[0] == pytest.approx([0.001, 0.002, math.pi])
 
 
@@ -71,13 +70,11 @@ def test_guesses_are_stated_and_flagged(tmp_path):
 
 def test_small_values_are_metres_and_radians(tmp_path):
     experiment = experiment_of(tmp_path, "t,x,y,theta\n0,0.1,0.2,3.0\n0.1,0.1,0.2,3.1\n")
-
     assert experiment.trajectory.pose[0].tolist() == [0.1, 0.2, 3.0]
 
 
 def test_units_nobody_knows_are_named(tmp_path):
     plan = plan_of(tmp_path, "time_s,x_ells,y_ells\n0,1,2\n1,2,2\n")
-
     assert any("x_ells has the unknown unit 'ells'" in line for line in plan.understood)
     assert any("There is no angle of the object" in line for line in plan.understood)
 
@@ -88,7 +85,6 @@ def test_nanoseconds_since_1970_are_times(tmp_path, title):
     rows = [f"{epoch + 50_000_000 * k},{k},0,{100 * k}" for k in range(3)]
     text = "\n".join([f"{title},x_inch,y_inch,theta_mrad", *rows])
     track = experiment_of(tmp_path, text).trajectory
-
     assert track.time == pytest.approx([0.0, 0.05, 0.1], abs=1e-6)
     assert track.x == pytest.approx([0.0, 0.0254, 0.0508])
     assert track.theta == pytest.approx([0.0, 0.1, 0.2])
@@ -110,7 +106,6 @@ def test_options_go_before_guesses(tmp_path):
 
 def test_blank_poses_are_left_out_and_flagged(tmp_path):
     experiment = experiment_of(tmp_path, "t_s,x_m,y_m,theta_rad\n0,0,0,0\n1,,0,0\n2,1,0,0\n")
-
     assert experiment.trajectory.time.tolist() == [0.0, 2.0]
     (flag,) = experiment.flags
     assert (flag.name, flag.detail) == (
@@ -121,16 +116,13 @@ def test_blank_poses_are_left_out_and_flagged(tmp_path):
 def test_times_since_1970_keep_their_digits(tmp_path):
     rows = "".join(f"{1_700_000_000_000_000 + 4000 * k},0,0,0\n" for k in range(3))
     experiment = experiment_of(tmp_path, "time_us,x_m,y_m,theta_rad\n" + rows)
-
     assert experiment.trajectory.time == pytest.approx([0.0, 0.004, 0.008], abs=1e-12)
 
 
 def test_a_compressed_table(tmp_path):
     path = tmp_path / "run.csv.gz"
     path.write_bytes(gzip.compress(b"t_s,x_m,y_m,theta_rad\n0,1,0,0\n"))
-
     (experiment,) = CSV.read(path).experiments()
-
     assert experiment.name == "run"
     assert experiment.provenance.source == "run.csv.gz"
 
@@ -199,7 +191,6 @@ def test_wrong_options_are_refused(tmp_path):
 def test_inches_next_to_millimetres_are_inches(tmp_path):
     text = "time_s,x_in,y_in,pusher_x_mm,pusher_y_mm\n0,2,1,0,0\n1,3,1,1,0\n"
     experiment = experiment_of(tmp_path, text)
-
     assert experiment.trajectory.x == pytest.approx([0.0508, 0.0762])
     assert experiment.trajectory.y == pytest.approx([0.0254, 0.0254])
     assert [flag.name for flag in experiment.flags] == ["guessed-units", "no-angle"]

@@ -34,9 +34,7 @@ def test_mp4_plays_in_real_time(run, tmp_path):
 
 def test_gif_holds_every_frame(run, tmp_path):
     path = tmp_path / "film.gif"
-
     animate_simulation(run, path, speed=4.0)
-
     with Image.open(path) as film:
         assert film.n_frames >= 10
         assert film.info["duration"] == 50
@@ -45,17 +43,14 @@ def test_gif_holds_every_frame(run, tmp_path):
 def test_a_failed_run_and_a_tiny_one_can_be_filmed(tmp_path):
     jammed = simulate(scenes.grasp("seated", force_limit=None))
     tiny = simulate(scenes.micro_push(), motion=QuasiStatic())
-
     animate_simulation(jammed, tmp_path / "jammed.mp4", speed=20.0)
     animate_simulation(tiny, tmp_path / "tiny.mp4", speed=20.0)
-
     assert all(path.stat().st_size > 1000 for path in tmp_path.iterdir())
 
 
 def test_other_endings_are_refused(run, tmp_path):
     with pytest.raises(InvalidInput, match=r"\.gif, \.mp4"):
         animate_simulation(run, tmp_path / "film.avi")
-
     assert not list(tmp_path.iterdir())
 
 

@@ -148,7 +148,6 @@ CHARTS = {
 @pytest.mark.parametrize("chart", CHARTS.values(), ids=CHARTS)
 def test_everything_can_be_drawn(chart, tmp_path):
     draw_chart(chart, tmp_path / "one.png", banner="SIMULATED by a test")
-
     assert (tmp_path / "one.png").read_bytes().startswith(b"\x89PNG")
     table = chart.table()
     assert len(set(table.head)) == len(table.head)
@@ -188,7 +187,6 @@ def test_the_same_numbers_give_the_same_file(ending, tmp_path, monkeypatch):
 def test_other_endings_are_refused(name, tmp_path):
     with pytest.raises(InvalidInput, match=r"\.pdf, \.png, \.svg"):
         draw_chart(search([1.0]), tmp_path / name)
-
     assert not list(tmp_path.iterdir())
 
 
@@ -218,7 +216,6 @@ def test_searches_tell_iterations_and_the_best_so_far():
 
 def test_starts_are_sorted_and_those_nearly_as_good_are_marked():
     table = starts([5.0, 1.0, np.inf, 1.01]).table()
-
     assert [row[1] for row in table.rows] == [2, 4, 1, 3]
     assert [row[3] for row in table.rows] == ["true", "true", "false", "false"]
     assert table.head[-2:] == ("mu_pusher [-]", "tripod_radius [m]")
@@ -227,7 +224,6 @@ def test_starts_are_sorted_and_those_nearly_as_good_are_marked():
 def test_the_worst_experiment_comes_first():
     chart = errors_of(30)
     last = [row[-1] for row in chart.table().rows]
-
     assert last == sorted(last, reverse=True)
     assert chart.table().head[0:2] == ("experiment", "before_mm2")
 
@@ -262,7 +258,6 @@ def _shown(axes):
 
 def test_profiles_keep_curve_and_slice_apart():
     table = profile().table()
-
     assert [row[2] for row in table.rows] == ["profile"] * 9 + ["slice"] * 9
     assert table.rows[4][3:] == pytest.approx((0.3, 0.0, 4.0, 0.2, 0.4, 0.2, 0.4))
 
@@ -272,7 +267,6 @@ def test_a_far_scan_does_not_squeeze_a_profile():
     rises = np.array([16.0, 4.0, 0.0, 4.0, 11.0, 1e6])
     chart = profile(values=values, deviances=rises, low=0.28, high=0.32)
     left, right = chart.figure().axes[0].get_xlim()
-
     assert 0.24 < left < 0.28
     assert 0.32 < right < 0.5
 
@@ -280,7 +274,6 @@ def test_a_far_scan_does_not_squeeze_a_profile():
 def test_overlays_show_what_simulations_are_off_by():
     axes = {axes.get_label(): axes for axes in overlay(TIME).figure().axes}
     difference = axes["dx"].lines[0].get_ydata()
-
     np.testing.assert_allclose(difference, -0.1 * 20.0 * TIME, atol=1e-9)
     assert {row[0] for row in overlay(TIME).table().rows} == {"measured", "before", "after"}
     assert "recorded" in {row[0] for row in overlay(TIME, real=False).table().rows}
@@ -291,7 +284,6 @@ def test_a_turn_across_half_a_circle_is_no_error():
     back = pose.copy()
     back[:, 2] -= 2.0 * np.pi
     chart = overlay(TIME, measured=Track(TIME, pose), after=Track(TIME, back))
-
     axes = {axes.get_label(): axes for axes in chart.figure().axes}
     assert np.abs(axes["dtheta"].lines[1].get_ydata()).max() < 1e-9
 

@@ -42,12 +42,6 @@ TWO_POSES = replace(REAL, trajectory=ENDS, pusher=None, channels=(), effective=N
 EVERY = {"real": REAL, "simulated": NOT_REAL, "path only": PATH_ONLY, "two poses": TWO_POSES}
 
 
-def test_experiments_and_comparisons_can_be_drawn(tmp_path):
-    save_figure(lambda: experiment_figure(REAL), tmp_path / "one.png")
-    save_figure(lambda: comparison_figure(REAL, AWAY, TACTILE), tmp_path / "both.png")
-    assert all(path.stat().st_size > 5000 for path in tmp_path.iterdir())
-
-
 def test_names_are_no_formulas(tmp_path):
     """Matplotlib would refuse the first name, and draw the second as a letter."""
     for name in ("$\\frac{$", "$\\mu$"):
@@ -82,7 +76,6 @@ def test_pages_are_complete_and_show_no_simulation_as_real(experiment):
 
 def test_poses_are_those_measured_in_millimetres_and_degrees():
     axes = axes_of(experiment_figure(REAL))
-
     for k, (label, factor) in enumerate(
         (("x [mm]", 1e3), ("y [mm]", 1e3), ("θ [deg]", 180.0 / np.pi))
     ):
@@ -120,7 +113,6 @@ def test_errors_are_those_of_the_simulation():
     axes = axes_of(comparison_figure(REAL, AWAY))
     position = axes["position\nerror [mm]"].lines[0].get_ydata()
     angle = axes["angle\nerror [deg]"].lines[0].get_ydata()
-
     np.testing.assert_allclose(position, 4.0 * TIME, atol=1e-9)
     np.testing.assert_allclose(angle, np.degrees(0.05 * TIME), atol=1e-9)
 
@@ -128,13 +120,11 @@ def test_errors_are_those_of_the_simulation():
 def test_a_simulation_that_stopped_has_no_errors_afterwards():
     short = Trajectory(time=TIME[:20], pose=AWAY.pose[:20])
     axes = axes_of(comparison_figure(REAL, short))
-
     assert len(axes["position\nerror [mm]"].lines[0].get_xdata()) == 20
 
 
 def test_a_simulation_of_another_time_is_refused():
     later = Trajectory(time=TIME + 10.0, pose=PATH.pose)
-
     with pytest.raises(InvalidInput, match="0 to 2 s"):
         comparison_figure(REAL, later)
 

@@ -29,9 +29,7 @@ def test_every_kind_of_scene_can_be_drawn(name, tmp_path):
 
 def test_a_failed_run_is_marked():
     axes = Figure().add_subplot()
-
     draw_simulation(RUNS["jammed"](), axes)
-
     assert axes.get_title(loc="left").startswith("jammed at")
     assert "stopped here" in [text.get_text() for text in axes.get_legend().get_texts()]
 
@@ -59,9 +57,7 @@ def test_the_end_is_drawn_where_the_body_ends():
 def test_only_touched_fixels_are_highlighted():
     axes = Figure().add_subplot()
     draw_simulation(RUNS["jammed"](), axes)
-
     labels = [text.get_text() for text in axes.get_legend().get_texts()]
-
     assert {"fixel", "fixel, touched"} <= set(labels)
     assert len({palette.BODY, palette.PUSHER, palette.FIXEL, palette.TOUCHED, palette.FORCE}) == 5
 
@@ -89,7 +85,6 @@ def test_forces_have_the_prefix_that_suits_them(newtons, text):
 
 def test_a_box_grows_to_an_aspect_and_keeps_its_centre():
     box = Rectangle((0.0, 4.0), (0.0, 1.0)).with_aspect(1.0)
-
     assert box == Rectangle((0.0, 4.0), (-1.5, 2.5))
 
 
@@ -97,9 +92,7 @@ def test_ghosts_stand_at_equal_travel():
     square = Polygon([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     # Slow first, then fast.
     poses = np.array([[0, 0, 0], [0.1, 0, 0], [0.2, 0, 0], [6, 0, 0]], float)
-
     found = ghosts(poses, square, most=5)
-
     np.testing.assert_allclose(found[:, 0], np.arange(1, 6))
 
 
@@ -108,8 +101,6 @@ def test_contacts_are_carried_to_the_face_of_their_body(stepper):
     run = simulate(scenes.grasp("slip"), stepper=stepper, duration=3.0)
     end = float(run.time[-1])
     head = run.pose["actuator"][-1][0] + 0.0145
-
     points, _, _ = carried(run, contacts_at(run, end), end)
-
     assert len(points)
     np.testing.assert_allclose(points[:, 0], head, atol=2e-4)

@@ -19,7 +19,6 @@ def test_plans_can_be_drawn(tmp_path):
 
 def test_every_shape_and_layout_has_its_panel():
     axes = plan_figure(PLAN).axes
-
     assert [a.get_title(loc="left") for a in axes] == 2 * [layout.title for layout in PLAN.layouts]
 
 
@@ -35,7 +34,6 @@ def test_everything_is_inside_its_panel():
 
 def test_panels_lie_on_the_page_and_apart():
     places = [axes.get_position() for axes in plan_figure(PLAN).axes]
-
     assert all(0.0 < p.x0 < p.x1 <= 1.0 and 0.0 < p.y0 < p.y1 <= 1.0 for p in places)
     for k, first in enumerate(places):
         for second in places[k + 1 :]:
@@ -46,10 +44,8 @@ def test_panels_lie_on_the_page_and_apart():
 def test_large_plans_are_thinned():
     layouts = tuple(FixelLayout(name=f"l{k}", pegs=((0.7, 0.5),)) for k in range(30))
     grid = Grid(x=tuple(np.linspace(0.0, 0.02, 50)), y=tuple(np.linspace(-0.02, 0.02, 50)))
-
     figure = plan_figure(replace(PLAN, layouts=layouts))
     ghosts = plan_figure(replace(ONE, schemes=(grid,))).axes[0].collections
-
     assert len(figure.axes) == MAX_PANELS
     assert "and 20 more layouts" in [text.get_text() for text in figure.texts]
     assert max(len(c.get_paths()) for c in ghosts) <= MAX_GHOSTS

@@ -47,9 +47,7 @@ def variety():
 def test_what_is_written_reads_back(plan, tmp_path):
     path = tmp_path / "plan.yaml"
     path.write_text(plan_text(plan), encoding="utf-8")
-
     again = load_plan(path)
-
     assert again == plan
     assert again.experiments == plan.experiments
 
@@ -61,7 +59,6 @@ def test_the_thesis_is_a_small_file():
 def test_json_is_read_too(tmp_path):
     path = tmp_path / "plan.json"
     path.write_text(json.dumps(content()), encoding="utf-8")
-
     assert load_plan(path) == thesis_plan()
 
 
@@ -103,7 +100,6 @@ def test_what_is_wrong_is_refused_with_its_path(path, value, sentence):
     for key in path[:-1]:
         level = level[key]
     level[path[-1]] = value
-
     with pytest.raises(InvalidInput, match=sentence):
         plan_from_text(yaml.safe_dump(raw))
 
@@ -117,7 +113,6 @@ def test_what_is_no_plan_is_refused(text):
 def test_a_missing_key_is_named():
     raw = content()
     del raw["nominal"]["gap"]
-
     with pytest.raises(InvalidInput, match=r"^nominal\.gap is missing"):
         plan_from_text(yaml.safe_dump(raw))
 
@@ -125,7 +120,6 @@ def test_a_missing_key_is_named():
 def test_a_support_that_a_file_cannot_hold_is_refused():
     square = thesis_plan().shapes[0]
     ellipsoid = Ellipsoid(force=1.0, torque=0.03)
-
     with pytest.raises(InvalidInput, match="the supports of plan files"):
         plan_text(replace(thesis_plan(), shapes=(replace(square, support=ellipsoid),)))
 

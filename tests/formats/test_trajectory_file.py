@@ -41,9 +41,7 @@ def test_numbers_survive_the_round_trip(run, ending, tmp_path):
 
 def test_parquet_carries_the_summary(run, tmp_path):
     save_trajectory(run, tmp_path / "run.parquet")
-
     about = json.loads(pyarrow.parquet.read_schema(tmp_path / "run.parquet").metadata[b"fixel"])
-
     assert about["status"] == run.status
     assert about["method"]["stepper"] == "stewart-trinkle"
 
@@ -68,7 +66,6 @@ def test_impulse_is_force_times_step_and_zero_without_touching(run):
     columns = trajectory_columns(run)
     force = columns["object|actuator.normal_force_N"]
     impulse = columns["object|actuator.normal_impulse_Ns"]
-
     np.testing.assert_allclose(impulse[1:-1], 0.02 * force[1:-1], rtol=1e-6)
     assert (force[~columns["object|actuator.touching"]] == 0.0).all()
 

@@ -111,7 +111,6 @@ def test_a_damaged_file_is_compiled_again_and_replaced(cache, damage, capsys):
 def test_code_of_another_user_is_not_run(cache):
     is_loaded()
     os.chown(stored(cache), 12345, 12345)
-
     assert not is_loaded()
 
 
@@ -165,7 +164,6 @@ def test_processes_that_compile_at_once_leave_sound_files(tmp_path):
     for out, error in [one.communicate() for one in all_at_once]:
         assert out in {f"{n}\n" for n in range(4)}  # a later one may find code of an earlier one
         assert error == ""
-
     assert process(tmp_path, "run()", cache).communicate() == ("0\n", "")
 
 

@@ -18,7 +18,6 @@ HOOK = Polygon([[0.0, 0.0], [0.1, 0.0], [0.1, 0.02], [0.02, 0.02], [0.02, 0.1], 
 
 def test_a_square_has_corners_middles_and_centre():
     net, part = support_grid(SQUARE)
-
     assert net.shape == (13, 2)
     assert part.tolist() == ["corner"] * 4 + ["edge"] * 4 + ["inside"] * 5
     assert np.abs(net[:4]).tolist() == pytest.approx(np.full((4, 2), 0.03 * OUTER))
@@ -30,7 +29,6 @@ def test_a_square_has_corners_middles_and_centre():
 @pytest.mark.parametrize("shape", [ELLIPSE, Disk(0.04)], ids=["ellipse", "disk"])
 def test_smooth_outlines_have_even_rings(shape):
     net, part = support_grid(shape)
-
     assert net.shape == (17, 2)
     assert part.tolist() == ["ring"] * 10 + ["inside"] * 7
     steps = np.hypot(*np.diff(net[:10], axis=0).T)
@@ -40,7 +38,6 @@ def test_smooth_outlines_have_even_rings(shape):
 @pytest.mark.parametrize("shape", [SQUARE, ELLIPSE, Disk(0.04), HOOK])
 def test_points_lie_inside_and_can_carry_a_body(shape):
     net, part = support_grid(shape)
-
     assert len(part) == len(net)
     inside = shapely.intersects_xy(shapely.Polygon(shape.outline), net[:, 0], net[:, 1])
     assert inside.all()
@@ -56,7 +53,6 @@ def test_rings_beyond_the_outline_are_refused(sizes):
 
 def test_cells_are_the_same_for_equal_shapes_and_cannot_be_written_to():
     points, share = cells(Polygon(ELLIPSE.vertices), 64)
-
     assert cells(ELLIPSE, 64)[0] is points
     with pytest.raises(ValueError, match="read-only"):
         points[0] = 0.0

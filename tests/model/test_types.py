@@ -28,6 +28,5 @@ def test_centres_and_paths_are_given_as_lists() -> None:
     part = fixel.Body("part", square, mass=0.5, support=support, centre_of_mass=(0.002, 0.0))
     path = fixel.PathDrive([(0.0, -0.06, 0.0, 0.0), (1.0, -0.05, 0.0, 0.0)])
     track = Trajectory(time=[0.0, 1.0], pose=[(0.0, 0.0, 0.0), (0.01, 0.0, 0.1)])
-
     assert part.centre_of_mass is not None
     assert float(path.waypoints[1, 0]) == float(track.time[1]) == 1.0

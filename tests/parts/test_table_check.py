@@ -48,7 +48,6 @@ def test_known_components_are_found(seed):
 @pytest.mark.parametrize("seed", range(3))
 def test_noise_alone_is_nothing_else(seed):
     check = table_check(over_a_table(seed, noise=NOISE))
-
     assert [own.name for own in check.effects if own.is_found] == ["noise"]
     assert contains(check["noise"], *NOISE)
     assert check.verdict == "good enough"
@@ -73,7 +72,6 @@ def test_shares_are_those_of_normal_errors():
 def test_a_tilt_has_its_size_and_direction():
     tilt = 1.5e-3 * np.array([math.cos(0.7), math.sin(0.7)])
     check = table_check(over_a_table(4, noise=NOISE, tilt=tilt))
-
     low, high = check["tilt"].position[1:]
     assert low < 1.5e-3 < high < 2e-3
     (note,) = (own for own in check.notes if "drift towards" in own)
@@ -109,7 +107,6 @@ def test_the_plan_of_a_table_shows_whether_the_simulated_table_is_uneven():
 def test_the_order_of_pushes_and_their_places_in_the_world_do_not_matter():
     pushes = over_a_table(6, noise=NOISE, place=(1e-3, 0.02))
     one, other = table_check(pushes), table_check(pushes[::-1])
-
     assert [own.position[0] for own in one.effects[:4]] == pytest.approx(
         [own.position[0] for own in other.effects[:4]], abs=1e-9
     )
@@ -132,7 +129,6 @@ def test_a_condition_with_many_values_names_no_sessions():
         replace(own, conditions={**own.conditions, "speed": k}) for k, own in enumerate(pushes)
     ]
     one, other = table_check(pushes), table_check(speeds)
-
     assert other.session == ""
     assert other["noise"] == one["noise"]
 

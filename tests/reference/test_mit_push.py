@@ -16,7 +16,6 @@ def pooled(answer):
 def test_two_hundred_pushes_are_as_near_as_the_published_simulator(data_root):
     """Spread over all 17 groups. Bounds: the whole set's figures and three standard errors."""
     answer = replay_dataset(data_root / "mit_push_endpoints", ReplayRequest(limit=200))
-
     assert len(answer.groups) == 18
     assert answer.not_solved <= 1
     assert sum(answer.left_out.values()) == 61

@@ -56,14 +56,11 @@ PICTURES = {
 @pytest.mark.parametrize("ending", [".png", ".svg"])
 def test_every_kind_is_drawn(name, ending, tmp_path):
     file = tmp_path / f"picture{ending}"
-
     save_figure(PICTURES[name], file)
-
     assert file.stat().st_size > 2_000
 
 
 def test_only_what_is_wider_than_predicted_is_marked():
     figure = REPEATS()
-
     labels = figure.axes[0].get_legend_handles_labels()[1]
     assert labels.count("measured, wider than predicted") == 1

@@ -122,9 +122,7 @@ def test_training_pushes_of_cmu_share_neither_surface_nor_support_with_held_out_
 
 def test_own_parameters_start_as_shipped():
     setting = engines.Setting("mujoco:step=0.004", ("timeconst", "impratio"))
-
     timeconst, impratio = engines.own_beliefs(setting)
-
     assert (timeconst.name, impratio.name) == ("mujoco.timeconst", "mujoco.impratio")
     assert np.exp([timeconst.mean, impratio.mean]) == pytest.approx([0.02, 1.0])
     assert np.exp([impratio.low, impratio.high]) == pytest.approx([1.0, 100.0])
@@ -133,9 +131,7 @@ def test_own_parameters_start_as_shipped():
 def test_the_interval_of_a_difference_is_that_of_groups():
     group = np.repeat([0, 1, 2, 3], 50)
     more = np.array([0.0, 0.0, 1.0, 1.0])[group]
-
     mean, low, high = engines._difference(more, group)
-
     assert mean == 0.5
     # Four groups of two values: the mean of four draws is 0 or 1 in one case of 16 each.
     assert (low, high) == (0.0, 1.0)

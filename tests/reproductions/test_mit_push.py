@@ -67,9 +67,7 @@ def pooled(answer, protocol, model):
 
 def test_splits_share_out_every_stratum():
     strata = [10.0] * 20 + [20.0] * 10
-
     split = random_split(strata, 0.6, 1)
-
     assert sorted([*split.train, *split.held_out]) == list(range(30))
     assert (split.train < 20).sum() == 12
     assert (split.train >= 20).sum() == 6
@@ -79,7 +77,6 @@ def test_splits_share_out_every_stratum():
 
 def test_folds_hold_everybody_out_once():
     found = folds([1] * 7 + [2] * 6, 5, 0)
-
     assert sorted(np.concatenate([own.held_out for own in found]).tolist()) == list(range(13))
     for own in found:
         assert not set(own.train.tolist()) & set(own.held_out.tolist())
@@ -88,9 +85,7 @@ def test_folds_hold_everybody_out_once():
 
 def test_few_are_some_of_those_for_training():
     split = random_split([1] * 50, 0.6, 0)
-
     few = few_of(split, 10, 0)
-
     assert set(few.train.tolist()) < set(split.train.tolist())
     assert len(few.train) == 10
     assert few.held_out is split.held_out

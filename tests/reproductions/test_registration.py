@@ -36,9 +36,7 @@ def _turned(points, angle):
 def test_gaps_of_a_square_are_plain():
     pose = np.array([[0.1, 0.2, 0.5 * np.pi], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     tip = np.array([[0.1, 0.2 + 0.03 + RADIUS + 0.002], [0.03 + RADIUS - 0.001, 0.0], [0.029, 0.0]])
-
     gap, normal = gaps_and_normals(SQUARE, RADIUS, pose, tip)
-
     assert gap == pytest.approx([0.002, -0.001, -0.001 - RADIUS], abs=1e-12)
     assert normal == pytest.approx(np.array([[0.0, 1.0], [1.0, 0.0], [1.0, 0.0]]), abs=1e-9)
 
@@ -47,9 +45,7 @@ def test_gaps_of_a_square_are_plain():
 def test_a_known_shift_is_found(shape):
     pose, tip = touching(shape, 60, 1)
     noise = np.random.default_rng(2).normal(0.0, 0.1e-3, tip.shape)
-
     found = registration_from_gaps(shape, RADIUS, pose, tip - SHIFT + noise)
-
     assert found.shift == pytest.approx(SHIFT, abs=0.05e-3)
     assert found.scatter_after < 0.15e-3 < found.scatter_before
 
@@ -59,9 +55,7 @@ def test_tips_that_slid_off_count_nothing():
     off = np.random.default_rng(4).uniform(0.5e-3, 20e-3, 30)
     _, normal = gaps_and_normals(SQUARE, RADIUS, pose, tip)
     tip[:30] += off[:, None] * normal[:30]
-
     found = registration_from_gaps(SQUARE, RADIUS, pose, tip - SHIFT)
-
     assert found.shift == pytest.approx(SHIFT, abs=0.15e-3)
     assert found.n_touching < 70
 
@@ -70,14 +64,11 @@ def test_what_is_left_open_stays_as_expected():
     pose, tip = touching(SQUARE, 20, 5, sides=1)
     pose[:, 2] = 0.0
     tip = pose[:, :2] + np.array([0.03 + RADIUS, 0.0])
-
     found = registration_from_gaps(SQUARE, RADIUS, pose, tip - SHIFT, prior=(0.0, 0.4e-3))
-
     assert found.shift == pytest.approx([SHIFT[0], 0.4e-3], abs=0.05e-3)
 
 
 def test_tips_far_away_are_refused():
     pose, tip = touching(SQUARE, 5, 6)
-
     with pytest.raises(InvalidInput, match="no tip close to the object"):
         registration_from_gaps(SQUARE, RADIUS, pose, tip + 0.5)

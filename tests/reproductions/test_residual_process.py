@@ -27,9 +27,7 @@ def predicted_at_one_place(features, residuals, new):
 def test_it_learns_and_knows_how_well():
     features, residuals = made_up(120, 1)
     new, truth = made_up(200, 2)
-
     mean, sd = predicted_at_one_place(features, residuals, new)
-
     assert np.abs(mean - truth).mean() < 0.15 * np.abs(truth).mean()
     inside = np.abs(mean - truth) <= NINETY * sd
     assert 0.8 < inside.mean() < 0.97
@@ -38,9 +36,7 @@ def test_it_learns_and_knows_how_well():
 def test_noise_teaches_nothing():
     rng = np.random.default_rng(3)
     features, residuals = rng.normal(size=(60, 4)), rng.normal(size=(60, 1))
-
     mean, sd = predicted_at_one_place(features, residuals, rng.normal(size=(40, 4)))
-
     assert np.abs(mean).mean() < 0.5
     assert sd.mean() == pytest.approx(1.0, abs=0.4)
 
@@ -48,9 +44,7 @@ def test_noise_teaches_nothing():
 def test_features_that_never_change_are_left_out():
     features, residuals = made_up(40, 4)
     still = np.column_stack((features, np.full(40, 7.0)))
-
     mean, _ = predicted_at_one_place(still, residuals, still)
-
     assert np.isfinite(mean).all()
 
 
@@ -128,7 +122,6 @@ def test_few_examples_do_not_reach_the_next_side():
 def test_too_few_or_broken_examples_are_refused(n):
     features, residuals = made_up(n, 5)
     residuals[0] = np.nan
-
     with pytest.raises(InvalidInput, match="fixel needs finite ones"):
         ResidualProcess(features, residuals, features)
 
@@ -136,6 +129,5 @@ def test_too_few_or_broken_examples_are_refused(n):
 def test_without_scikit_learn_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "sklearn", None)
     features, residuals = made_up(20, 6)
-
     with pytest.raises(InvalidInput, match=r'pip install "fixel\[learn\]"'):
         ResidualProcess(features, residuals, features)

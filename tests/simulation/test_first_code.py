@@ -93,7 +93,6 @@ def test_plain_python_answers_with_the_bits_of_compiled_code(tmp_path):
 @pytest.mark.parametrize("programs", [(_DIES, ""), (_WAITS.replace("600", "2"), _DIES)])
 def test_a_process_that_dies_loses_no_simulation(tmp_path, programs):
     (answer,), _ = in_a_new_process(tmp_path, *programs)
-
     assert answer[:2] == ["compiled here", False]
 
 
@@ -101,9 +100,7 @@ def test_a_process_that_dies_loses_no_simulation(tmp_path, programs):
 def test_a_cache_that_cannot_be_written_starts_no_process(tmp_path):
     file = tmp_path / "cache"
     file.write_text("a file")
-
     (answer,), _ = in_a_new_process(file)
-
     assert answer == ["compiled here", False, 0]
 
 
@@ -128,7 +125,6 @@ def test_a_process_that_gave_no_sign_for_long_counts_as_dead(cold):
     file.parent.mkdir(parents=True)
     file.write_text("0.25")
     os.utime(file, (time.time() - 60.0,) * 2)
-
     assert code_cache.share_compiled(first_code.ENTRY) is None
 
 

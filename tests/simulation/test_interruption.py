@@ -86,7 +86,6 @@ def test_other_threads_run_their_rollouts_themselves():
     other = threading.Thread(target=lambda: ends.append(simulate(pushed_square()).status))
     other.start()
     other.join()
-
     assert ends == ["converged"]
 
 

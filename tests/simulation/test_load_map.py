@@ -42,19 +42,17 @@ def end(scene):
     return np.array(fixel.simulate(scene, motion="quasistatic").final["part"])
 
 
-def loads_by_optimiser(share, points, height):
-    """Shares nearest to share * exp(height) in relative entropy, with the centre of `share`."""
-    wanted = share * np.exp(height)
-    wanted /= wanted.sum()
+def nearest_loads(wanted, points, centre):
+    """Shares nearest to those wanted in relative entropy, with their centre at a place."""
     found = minimize(
         lambda n: float(n @ np.log(n / wanted)),
-        share,
+        wanted,
         jac=lambda n: np.log(n / wanted) + 1.0,
         method="SLSQP",
-        bounds=[(1e-9, 1.0)] * len(share),
+        bounds=[(1e-9, 1.0)] * len(wanted),
         constraints=[
             {"type": "eq", "fun": lambda n: n.sum() - 1.0},
-            {"type": "eq", "fun": lambda n: 100.0 * ((n - share) @ points)},
+            {"type": "eq", "fun": lambda n: 100.0 * (n @ points - centre)},
         ],
         options={"ftol": 1e-14, "maxiter": 500},
     )
@@ -74,7 +72,8 @@ def test_loads_are_those_of_another_optimiser(support):
     points, loads, friction = support_points(support, body.shape, body.com, body.mass, 9.81)
     c, s = np.cos(POSE[2]), np.sin(POSE[2])
     world = (points + body.com) @ np.array([[c, s], [-s, c]]) + POSE[:2]
-    share = loads_by_optimiser(loads / loads.sum(), points, HILLS.at(world))
+    wanted = loads * np.exp(HILLS.at(world))
+    share = nearest_loads(wanted / wanted.sum(), points, loads @ points / loads.sum())
     same = SupportPoints(points=points + body.com, friction=friction, loads=loads.sum() * share)
     np.testing.assert_allclose(end(scene), end(push(same)), atol=2e-7)
     assert np.abs(end(scene) - end(push(support))).max() > 1e-4

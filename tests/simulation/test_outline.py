@@ -50,7 +50,6 @@ def push(shape, seed, support=None):
 def test_a_simplified_outline_is_within_the_tolerance(size, tolerance, noise):
     full = butterfly(508, size, size * noise * min(1.0, 1.0 / size))
     used = contact_outline(full)
-
     assert isinstance(used, Polygon)
     assert distance(full, used) <= 1.001 * tolerance
     if size <= 1.0:
@@ -61,9 +60,7 @@ def test_true_corners_and_flat_sides_remain():
     frame = shapely.segmentize(shapely.box(-0.05, -0.03, 0.05, 0.03), 2e-3)
     points = shapely.get_coordinates(frame)[:-1]
     traced = Polygon(points + np.random.default_rng(2).normal(0.0, 1e-6, points.shape))
-
     used = contact_outline(traced)
-
     assert isinstance(used, Polygon)
     assert len(used.vertices) == 4
     assert np.abs(np.abs(used.vertices) - (0.05, 0.03)).max() < 1e-5

@@ -107,7 +107,6 @@ def test_a_table_is_met_at_the_angle_of_the_start():
 def test_a_table_multiplies_loads_that_vary_and_keeps_the_weight():
     values = {"table_slope_x": [0.5, -0.2], "load_1": [3.0, 0.0], "mass": [0.15, 0.45]}
     loads = _loads(_on_net(), values, 2)
-
     assert loads.sum(axis=1) == pytest.approx(np.array(values["mass"]) * 9.81, rel=1e-12)
     # The loads not named stay as they were to each other, but for the slope: 2, 3, 4 parts of ten.
     assert loads[:, 3] / loads[:, 1] == pytest.approx([2.0, 2.0], rel=1e-12)

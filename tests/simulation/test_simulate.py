@@ -120,9 +120,7 @@ def test_methods_that_do_not_fit_are_refused():
 
 def test_lemke_ends_after_a_stated_number_of_steps_with_advice():
     scene = replace(pushed_square(duration=2.0), support_directions=8)
-
     run = simulate(scene, stepper=StewartTrinkle(step=2e-4), solver=Lemke())
-
     assert run.status == "max_steps"
     assert run.steps == 5000
     assert run.stopped_at == pytest.approx(1.0)

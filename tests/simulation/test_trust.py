@@ -1,13 +1,12 @@
 """Permission to run programs: by naming them on a call, or by the user's list."""
 
-import json
 import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from tests.cli.shell import fixel as command
+from tests.cli.shell import json_of, output, refusal
 from tests.fixtures import project_of
 
 import fixel
@@ -65,9 +64,9 @@ def started(name):
 
 def refused(name):
     """Return the sentence with which a program is refused."""
-    with pytest.raises(InvalidInput, match="fixel trust") as refusal:
+    with pytest.raises(InvalidInput, match="fixel trust") as problem:
         started(name)
-    return str(refusal.value)
+    return str(problem.value)
 
 
 def in_new_process(code, *arguments):
@@ -153,22 +152,18 @@ def test_a_name_with_control_characters_reaches_no_terminal(tmp_path):
 
 
 def test_the_command_adds_lists_and_removes(engine, capsys):
-    assert "No program is trusted" in command(capsys, "trust")[1]
-    assert engine in command(capsys, "trust", engine)[1]
+    assert "No program is trusted" in output(capsys, "trust")
+    assert engine in output(capsys, "trust", engine)
     assert started(engine)
-    (entry,) = json.loads(command(capsys, "trust", "--json")[1])["entries"]
+    (entry,) = json_of(capsys, "trust")["entries"]
     assert entry["command"] == [engine]
     assert list(entry["sha256"]) == [engine]
     Path(engine).write_text("changed")
-    assert engine in command(capsys, "trust", engine, "--remove")[1]
-    assert "No program is trusted" in command(capsys, "trust")[1]
-    code, _, err = command(capsys, "trust", engine, "--remove")
-    assert code == 2
-    assert "an entry of the list" in err
+    assert engine in output(capsys, "trust", engine, "--remove")
+    assert "No program is trusted" in output(capsys, "trust")
+    assert "an entry of the list" in refusal(capsys, "trust", engine, "--remove")
     for wrong in ("mujoco", f"{engine}.missing"):
-        code, _, err = command(capsys, "trust", wrong)
-        assert code == 2
-        assert "program" in err
+        assert "program" in refusal(capsys, "trust", wrong)
 
 
 def test_the_list_is_outside_the_project_and_private(engine, own_list):

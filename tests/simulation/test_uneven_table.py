@@ -18,12 +18,9 @@ def test_every_one_is_a_known_parameter():
     assert set(TABLE_NAMES) == {name for name in KNOWN_PARAMETERS if name.startswith("table_")}
 
 
-def test_a_flat_table_changes_nothing():
-    assert factors(0.3) == pytest.approx(np.ones(4))
-    assert factors(0.3, **dict.fromkeys(TABLE_NAMES, 0.0)) == pytest.approx(np.ones(4))
-
-
 @pytest.mark.parametrize(("angle", "values", "logarithms"), [
+    (0.3, {}, [0.0] * 4),
+    (0.3, dict.fromkeys(TABLE_NAMES, 0.0), [0.0] * 4),
     (0.7, {"table_bend": 1.0}, [0.5, 0.5, 0.5, 0.5]),  # the same from all sides
     (0.0, {"table_bend_xy": 0.8}, [0.4, -0.4, 0.4, -0.4]),
     (0.5 * np.pi, {"table_bend_xy": 0.8}, [-0.4, 0.4, -0.4, 0.4]),

@@ -95,7 +95,6 @@ def test_a_tag_has_the_cells_of_its_family():
     cv2 = pytest.importorskip("cv2")
     drawn = cv2.aruco.generateImageMarker(dictionary_of("apriltag-36h11"), 1, 8)
     white = cells("apriltag-36h11", 1)[1].reshape(8, 8)
-
     assert (white == (drawn >= 128)).all()
     assert not white[0].any()  # its border
     assert not white[:, -1].any()
@@ -152,6 +151,5 @@ def test_a_picture_is_the_same_in_a_small_window_and_in_a_large_one():
     poses = {"object": np.array([0.10, -0.02, 0.7]), "actuator": AWAY}
     alone = bench.light([poses])
     together = bench.light([{**poses, "hand": np.array([0.235, 0.06, np.pi])}])
-
     assert np.abs(together - alone)[:80, 330:].max() > 50.0
     assert together[140:, :240] == pytest.approx(alone[140:, :240], abs=1e-3)

@@ -42,7 +42,6 @@ def test_the_part_is_as_large_as_it_is(rig):
 def test_the_tab_sits_in_the_middle_of_a_short_side():
     body = micro_push(1).bodies[0]
     outline = shapely.Polygon(film.part_outline(body, TAB, 5.3e-6))
-
     assert outline.area == pytest.approx(PART_WIDTH * PART_LENGTH + TAB[0] * TAB[1], rel=1e-9)
     tab = outline.difference(shapely.Polygon(body.shape.outline))
     assert tab.centroid.x == pytest.approx(0.0, abs=1e-9)
@@ -67,7 +66,6 @@ def test_defocus_vignetting_and_dust_are_there_and_small(rig):
     scene = micro_push(1)
     away = {"part": np.array([0.1, 0.0, 0.0]), "probe": np.array([0.1, 0.0, 0.0])}
     light = film.BrightField(scene, rig, looks_named("microscope"), 1).light([away])
-
     assert light[2:8, 2:8].mean() == pytest.approx(0.85 * film.GROUND, rel=0.02)
     assert light[230:250, 310:330].mean() == pytest.approx(film.GROUND, rel=0.06)
     assert light.min() > 0.7 * film.GROUND

@@ -26,7 +26,6 @@ def test_a_triangle_covers_its_own_area_wherever_it_is(corners):
     inside = shapely.Polygon(corners).intersection(
         shapely.box(-0.5, -0.5, WIDTH - 0.5, HEIGHT - 0.5)
     )
-
     assert shares(corners).sum() == pytest.approx(inside.area, abs=2e-3)
 
 
@@ -34,7 +33,6 @@ def test_each_pixel_gets_the_share_that_shapely_finds():
     corners = [(2.2, 1.1), (20.7, 4.4), (15.3, 15.9), (9.9, 8.8), (3.1, 13.2)]
     polygon = shapely.Polygon(corners)
     found = shares(corners)
-
     for row in range(HEIGHT):
         for column in range(WIDTH):
             pixel = shapely.box(column - 0.5, row - 0.5, column + 0.5, row + 0.5)

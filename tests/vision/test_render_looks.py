@@ -32,7 +32,6 @@ def film(looks, times, seed=1):
 def test_the_same_seed_gives_the_same_bits_and_another_others():
     looks = replace(looks_named("thesis"), drift=0.0)
     first, again, other = (film(looks, [0.0, 0.1], seed) for seed in (1, 1, 2))
-
     assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
     assert not np.array_equal(first[0], first[1])  # noise is new in every frame
     assert not np.array_equal(first[0], other[0])
@@ -55,7 +54,6 @@ def test_a_sensor_without_noise_rounds_and_cuts_off():
     picture = sensor.exposed(
         np.array([[[-3.0, 1.4, 1.6], [254.6, 300.0, 100.0]]], np.float32), np.ones(3), 0
     )
-
     assert picture.tolist() == [[[0, 1, 2], [255, 255, 100]]]
 
 
@@ -88,7 +86,6 @@ def test_the_light_in_the_picture_is_that_light():
 
 def test_drift_wanders_slowly_about_one():
     factors = light(CameraEffects(drift=0.02), np.arange(0.0, 60.0, 1.0 / 30.0), 1)[:, 1]
-
     assert factors.std() == pytest.approx(0.02, rel=0.3)
     assert factors.mean() == pytest.approx(1.0, abs=0.01)
     assert np.abs(np.diff(factors)).max() < 0.004
@@ -111,7 +108,6 @@ def test_blur_widens_edges_by_what_it_says():
     widths = [
         edge_width(still(rig, CameraEffects(shadows=0.0, blur=b), pose)) for b in (0.0, 1.0, 2.0)
     ]
-
     assert np.sqrt(widths[1] ** 2 - widths[0] ** 2) == pytest.approx(1.0, abs=0.2)
     assert widths[2] > 1.6
 
@@ -136,7 +132,6 @@ def test_motion_smears_by_the_way_made_in_an_exposure():
 def test_corners_are_darker_by_the_vignetting():
     rig = small_rig()
     full, dark = (still(rig, CameraEffects(vignetting=v), AWAY) for v in (0.0, 0.3))
-
     assert dark[0, 0] / full[0, 0] == pytest.approx(0.7, abs=1e-3)
     assert dark[160, 210] / full[160, 210] == pytest.approx(1.0, abs=1e-3)
 
@@ -163,7 +158,6 @@ def test_the_hand_covers_the_share_it_should_for_as_long_as_it_should():
 
 def test_no_hand_where_none_is_asked_for():
     occlusion = Occlusion(bare_scene(), small_rig(), CameraEffects(), TIMES, 1)
-
     assert occlusion.interval == (0.0, 0.0)
     assert occlusion.pose(3.0, POSE) is None
 
@@ -189,7 +183,6 @@ def test_presets_have_names_and_strangers_are_refused():
 
 def test_numbers_of_looks_are_changed_by_name():
     looks = changed(looks_named("hard"), ["occlusion=1.5", "light_change=0.2"])
-
     assert (looks.occlusion, looks.light_change, looks.blur) == (1.5, 0.2, 1.1)
     for text in ("occlusion", "colour=3", "tab=1"):
         with pytest.raises(InvalidInput, match="must be NAME=VALUE, where NAME is one of"):
