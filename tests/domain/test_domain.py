@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from tests.domain.worlds import STEPS, line, scattered
+from tests.domain.worlds import STEPS, evidence_of, line, scattered
 from tests.fixtures import refused
 
 from fixel.domain.cells import axis_of, cells_of
 from fixel.domain.claim import COLOURS, DOUBTFUL, NO_DATA, NOT_TRUSTED, PREDICTED, TRUSTED, Claim
 from fixel.domain.domain import default_threshold, domain_map
-from fixel.domain.evidence import HeldOutErrors, default_folds, folds_of, threshold_score, value_of
+from fixel.domain.evidence import default_folds, folds_of, threshold_score, value_of
 from fixel.errors import InvalidInput
 
 VALLEY = 0.5 * np.exp(2.5 * np.abs(STEPS) / 0.04)  # 0.5 mm in the middle, 6 mm at the ends
@@ -76,13 +76,9 @@ def test_counting_decides_where_members_are_enough():
 
 def test_no_cell_is_trusted_without_experiments_of_its_own():
     evidence = line(np.full(11, 0.1)).rows([0, 1, 2, 4, 5, 6, 8, 9])
-    other = line(np.full(11, 0.1), group=("other",) * 11)
-    both = HeldOutErrors(
-        keys=evidence.keys + tuple(f"{key}b" for key in other.keys),
-        ids=evidence.ids + other.ids,
-        coordinates={"offset_y_m": evidence.column("offset_y_m") + other.column("offset_y_m")},
-        error_mm2=np.concatenate((evidence.error_mm2, other.error_mm2)),
-        group=("one",) * 8 + other.group,
+    steps = evidence.column("offset_y_m") + tuple(STEPS)
+    both = evidence_of(
+        np.full(19, 0.1), {"offset_y_m": steps}, group=("one",) * 8 + ("other",) * 11
     )
     domain = mapped(both)
     first, second = colours(domain, Claim(threshold=100.0))
@@ -177,16 +173,8 @@ def test_few_values_are_cells_and_many_become_ranges():
 
 
 def _plane(points):
-    n = len(points)
-    return HeldOutErrors(
-        keys=tuple(map(str, range(n))),
-        ids=tuple(range(n)),
-        coordinates={
-            "offset_x_m": tuple(p[0] for p in points),
-            "offset_y_m": tuple(p[1] for p in points),
-        },
-        error_mm2=np.ones(n),
-    )
+    x, y = np.transpose(points)
+    return evidence_of(np.ones(len(points)), {"offset_x_m": x, "offset_y_m": y})
 
 
 def test_offsets_one_at_a_time_are_arms_and_a_grid_is_a_grid():

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from tests.domain.worlds import evidence_of
 
 from fixel.domain.cells import axis_of, cells_of
 from fixel.domain.claim import Claim
 from fixel.domain.domain import domain_map
-from fixel.domain.evidence import HeldOutErrors
 from fixel.domain.next_experiment import predicted_cells
 
 
@@ -15,13 +15,8 @@ def _evidence(n, groups=("",), seed=0):
     random = np.random.default_rng(seed)
     place = np.tile(np.arange(5), n * len(groups))
     error = (1.0 + 0.5 * place) * np.exp(0.1 * random.normal(size=len(place)))
-    return HeldOutErrors(
-        keys=tuple(f"e{k}" for k in range(len(place))),
-        ids=tuple(range(len(place))),
-        coordinates={"offset_y_m": tuple((1e-3 * place).tolist())},
-        error_mm2=error**2,
-        group=tuple(np.repeat(groups, 5 * n).tolist()),
-    )
+    group = tuple(np.repeat(groups, 5 * n).tolist())
+    return evidence_of(error, {"offset_y_m": 1e-3 * place}, group=group)
 
 
 def _cells(evidence):
@@ -53,11 +48,9 @@ def test_too_few_experiments_promise_nothing(level, n, some):
 
 def test_experiments_without_evidence_say_nothing():
     evidence = _evidence(40)
-    error = np.array(evidence.error_mm2)
+    error = np.sqrt(evidence.error_mm2)
     error[evidence.column("offset_y_m").index(0.0)] = np.nan
-    kept = HeldOutErrors(
-        keys=evidence.keys, ids=evidence.ids, coordinates=evidence.coordinates, error_mm2=error
-    )
+    kept = evidence_of(error, evidence.coordinates)
     assert np.isfinite(predicted_cells(kept, _cells(kept), 0.9)).all()
 
 
@@ -72,12 +65,7 @@ def test_a_cell_nobody_tried_is_judged_by_cells_and_not_by_repetitions(repetitio
         tried = np.sort(random.permutation(41)[:25])
         at = np.repeat(tried, repetitions)
         error = own[at] * np.exp(0.05 * random.normal(size=len(at)))
-        evidence = HeldOutErrors(
-            keys=tuple(f"e{k}" for k in range(len(at))),
-            ids=tuple(range(len(at))),
-            coordinates={"offset_y_m": tuple((1e-3 * at).tolist())},
-            error_mm2=error**2,
-        )
+        evidence = evidence_of(error, {"offset_y_m": 1e-3 * at})
         cells = cells_of(evidence, ["offset_y_m"], steps={"offset_y_m": 1e-3})
         (bound,) = predicted_cells(evidence, cells, 0.9, seed)
         number = {round(1e3 * c): k for k, c in enumerate(cells.axes[0].centres)}
@@ -101,13 +89,8 @@ def test_a_side_that_was_pushed_on_another_part_only_has_no_data():
     rng = np.random.default_rng(0)
     angles = np.radians(np.arange(-165.0, 180.0, 30.0))
     at = np.concatenate((angles, angles[:9]))
-    evidence = HeldOutErrors(
-        keys=tuple(f"e{k}" for k in range(len(at))),
-        ids=tuple(range(len(at))),
-        coordinates={"contact_angle_rad": tuple(at.tolist())},
-        error_mm2=rng.uniform(0.5, 1.0, len(at)),
-        group=("a",) * 12 + ("b",) * 9,
-    )
+    errors, group = rng.uniform(0.7, 1.0, len(at)), ("a",) * 12 + ("b",) * 9
+    evidence = evidence_of(errors, {"contact_angle_rad": at}, group=group)
     cells = cells_of(evidence, ["contact_angle_rad"])
     bounds = predicted_cells(evidence, cells, 0.9)
     assert np.isfinite(bounds[0]).all()

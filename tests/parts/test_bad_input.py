@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests.fixtures import refused
-from tests.parts.test_candidates import polygon_pusher
+from tests.parts.test_candidates import polygon_pusher, two_bodies
 
 from fixel import Body, Disk, InvalidInput, LineDrive, Polygon, Scene, UniformPressure, part_model
 from fixel.domain.push_bound import NO_DATA
@@ -70,22 +70,13 @@ def test_an_unknown_surface_and_no_surface_are_named(model):
     assert any("surface" in text and "not given" in text for text in bare.unseen)
 
 
-def _two_bodies():
-    from fixel.model import PairFriction
-
-    (scene, *_) = _scene(box(0.1, 0.1))
-    other = Body("other", box(0.05, 0.05), mass=0.5, pose=(1.0, 0.0, 0.0))
-    pair = PairFriction(pair=("part", "other"), friction=0.3)
-    return replace(scene, bodies=(*scene.bodies, other), contact_friction=(pair,))
-
-
 def _two_pushers():
     scene = _scene(box(0.1, 0.1))[0]
     second = replace(scene.pushers[0], name="second", pose=(1.0, 1.0, 0.0))
     return replace(scene, pushers=(*scene.pushers, second))
 
 
-@pytest.mark.parametrize("make", [_two_bodies, _two_pushers, polygon_pusher])
+@pytest.mark.parametrize("make", [two_bodies, _two_pushers, polygon_pusher])
 def test_other_scenes_are_refused_by_predictions_and_proposals(model, make):
     for call in (lambda s: model.at(s), lambda s: model.next_pushes([s])):
         assert refused(call, make()).expected

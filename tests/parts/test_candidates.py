@@ -73,13 +73,11 @@ def polygon_pusher():
     return replace(scene, pushers=(square,))
 
 
-def _two_bodies():
+def two_bodies():
+    scene = push_candidates(_body(box(0.1, 0.1)))[0]
     other = Body("other", box(0.05, 0.05), mass=0.5, pose=(1.0, 0.0, 0.0))
-    return Scene(
-        bodies=(_body(box(0.1, 0.1)), other),
-        contact_friction=(PairFriction(pair=("part", "other"), friction=0.3),),
-        duration=1.0,
-    )
+    pair = PairFriction(pair=("part", "other"), friction=0.3)
+    return replace(scene, bodies=(*scene.bodies, other), contact_friction=(pair,))
 
 
 @pytest.mark.parametrize(("part", "options", "where"), [
@@ -88,7 +86,7 @@ def _two_bodies():
     (_body(box(0.1, 0.1)), {"speed": math.nan}, "speed"),
     (_body(box(0.1, 0.1)), {"contacts": 0}, "contacts"),
     (polygon_pusher(), {}, "part"),
-    (_two_bodies(), {}, "part"),
+    (two_bodies(), {}, "part"),
     ("a square", {}, "part"),
 ])  # fmt: skip
 def test_bad_input_is_rejected(part, options, where):

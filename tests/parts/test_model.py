@@ -1,25 +1,15 @@
 """Predictions for new parts, on simulated parts and on real plates."""
 
-import math
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import fixel
-from fixel.domain.error_bound import min_experiments
+from fixel.calibration.target import target_of
 from fixel.parts.fit import PartPushes
 from fixel.parts.left_out import leave_parts_out
 from fixel.testing.pushes import example_parts
-
-DATA = Path(os.environ.get("FIXEL_DATA", "no data")) / "mit_push_endpoints"
-
-
-@pytest.fixture(scope="module")
-def model():
-    return fixel.part_model(example_parts(4, 14), progress=False)
 
 
 @pytest.fixture(scope="module")
@@ -83,23 +73,10 @@ def test_the_left_out_part_has_no_influence_on_its_own_prediction(model):
     assert (before.errors[~own] != after.errors[~own]).any()
 
 
-def fixel_target(own):
-    from fixel.calibration.target import target_of
-
-    return target_of(own)
-
-
 def test_saved_and_loaded_it_predicts_the_same(model, new, tmp_path):
     again = fixel.load(model.save(tmp_path / "parts.fixel"))
     assert again == model
     assert again.at(new[0]) == model.at(new[0])
-
-
-@pytest.mark.parametrize(("level", "n"), [(0.9, 9), (0.95, 19), (0.8, 4), (0.5, 1)])
-def test_parts_that_prove_a_level(level, n):
-    """n parts prove n / (n + 1) at most."""
-    assert min_experiments(level) == n
-    assert n / (n + 1) >= level - 1e-12 > (n - 1) / n - 1e-9 or math.isclose(n / (n + 1), level)
 
 
 def test_the_store_continues_and_gives_the_same(tmp_path):
@@ -110,10 +87,9 @@ def test_the_store_continues_and_gives_the_same(tmp_path):
     assert fixel.part_model(parts, store=tmp_path, progress=False) == first
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason="needs the MIT push data")
-def test_real_plates_never_seen_are_predicted_better_than_with_even_pressure():
+def test_real_plates_never_seen_are_predicted_better_than_with_even_pressure(data_root):
     """Three plates on one surface; the benchmark has all (docs/reproductions/new-parts.md)."""
-    found = fixel.read_experiments(DATA)
+    found = fixel.read_experiments(data_root / "mit_push_endpoints")
     some = [
         own
         for own in found
@@ -127,7 +103,7 @@ def test_real_plates_never_seen_are_predicted_better_than_with_even_pressure():
     model = fixel.part_model(known, progress=False)
     held = by["tri3"][:60]
     ends = np.array([tuple(own.pose) for own in model.predict(held)])
-    pushes = PartPushes([fixel_target(own) for own in held])
+    pushes = PartPushes([target_of(own) for own in held])
     every = np.arange(len(held))
     even = pushes.simulate(every, {"mu_pusher": np.full(len(held), 0.25)}).pose
     assert pushes.errors(every, ends)[:, 0].mean() < pushes.errors(every, even)[:, 0].mean()

@@ -1,10 +1,10 @@
 """Plans through the public function, on small problems."""
 
 from dataclasses import replace
-from typing import ClassVar
 
 import numpy as np
 import pytest
+from tests.planning.test_seen import CoarseModel
 from tests.workflows.planning.plans import plan_of
 
 import fixel
@@ -289,28 +289,10 @@ def test_a_plan_that_depends_on_a_parameter_says_which_to_measure():
     assert "parameters" not in known.sentence
 
 
-class _ModelWithError:
-    """Calibrated model whose ends are off by 2 mm in each direction, after a motion of 30 mm."""
-
-    motion = fixel.QuasiStatic()
-    estimates: ClassVar = {}
-    error = EndError(2 * mm, 30 * mm)
-
-    @property
-    def predictive(self):
-        return self
-
-    def values_for(self, **conditions):
-        return {"mu_pusher": 0.3}
-
-    def samples(self, n, seed, conditions=None, **others):
-        return {"mu_pusher": np.linspace(0.29, 0.31, n)}
-
-
 def test_an_error_of_the_model_is_the_same_in_all_trials_of_a_world():
     """Any end within 3 mm is a success: Student's distribution in the plane, over worlds."""
     goal = PoseRegion((0.03, 0.0, 0.0), position=3 * mm, angle=90 * deg)
-    belief = Belief(parameters=_ModelWithError())
+    belief = Belief(parameters=CoarseModel(EndError(2 * mm, 30 * mm)))  # in each direction
     plan = plan_of(pushed_square(), goal, FreePushes(), [(0.875, 0.0, 0.03)], belief)
     found = plan.success_under(belief)
     assert found.low < 1.0 - 1.0 / (1.0 + 0.5 * 1.5**2) < found.high

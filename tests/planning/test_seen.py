@@ -65,9 +65,12 @@ def test_few_worlds_are_drawn_from_all_parameter_sets(worlds):
 
 
 class CoarseModel:
-    """Calibrated model whose predicted ends are off by 3 mm after a motion of 40 mm."""
+    """Calibrated model whose predicted ends err."""
 
     motion, estimates, known = QuasiStatic(), {}, None
+
+    def __init__(self, error):
+        self.error = error
 
     def values_for(self, **conditions):
         return {"mu_pusher": 0.3}
@@ -78,7 +81,7 @@ class CoarseModel:
     @property
     def predictive(self):
         own = lambda n, seed, conditions: self.samples(n, seed)  # noqa: E731
-        return SimpleNamespace(samples=own, error=EndError(3 * mm, 40 * mm))
+        return SimpleNamespace(samples=own, error=self.error)
 
 
 def test_a_look_does_not_make_the_model_exact():
@@ -86,7 +89,7 @@ def test_a_look_does_not_make_the_model_exact():
     goal, start = PoseRegion((0.05, 0.0, 0.0), position=5 * mm), StartError(x=mm, kind="normal")
     plan = plan_of(
         pushed_square(), goal, FreePushes(most=2), [(0.875, 0.0, 0.02), (0.875, 0.0, 0.03)],
-        Belief(parameters=CoarseModel(), start=start),
+        Belief(parameters=CoarseModel(EndError(3 * mm, 40 * mm)), start=start),
     )  # fmt: skip
     found = belief_after(plan, plan.start[1], 1, CAMERA).belief
     assert found.is_calibrated

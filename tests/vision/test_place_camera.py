@@ -6,20 +6,16 @@ import cv2
 import numpy as np
 import pytest
 from benchmarks.board_pictures import Studio, seen_corners
+from tests.vision.test_calibrate_lens import CHARUCO, CHECKERS, LENS
 
 from fixel.errors import InvalidInput
 from fixel.formats.rig_file import rig_of
 from fixel.vision.calibrate_lens import calibrate_lens
 from fixel.vision.camera import PLACE, Camera, MeasuredCamera
-from fixel.vision.lens import Lens
 from fixel.vision.marks import Tag, board_of
 from fixel.vision.place_camera import place_by_board, place_by_points, place_by_tags
 from fixel.vision.plane_errors import plane_errors, radius95, shifted
 
-LENS = Lens(image_size=(480, 360), focal=(440.0, 444.0), centre=(244.0, 177.0),
-            distortion=(-0.12, 0.05, 0.001, -0.0008))  # fmt: skip
-BOARD = board_of("charuco:7x5:30mm:20mm")
-CHECKERS = board_of("checkerboard:8x5:25mm")
 KNOWN = MeasuredCamera(lens=LENS)
 
 
@@ -29,14 +25,14 @@ def above(turned=0.3):
 
 @pytest.fixture(scope="module")
 def studio():
-    return Studio(LENS, BOARD)
+    return Studio(LENS, CHARUCO)
 
 
 @pytest.mark.parametrize("turned", [0.0, 0.3, 2.0])
 def test_board_on_the_plate(turned, studio):
     true = above(turned)
     picture = studio.picture(true.rotation, true.translation)
-    found = place_by_board(KNOWN, picture, BOARD)
+    found = place_by_board(KNOWN, picture, CHARUCO)
     camera = found.camera.placed()
     deviations = found.camera.deviations
     off = np.abs(camera.translation - true.translation)
@@ -48,8 +44,8 @@ def test_board_on_the_plate(turned, studio):
 def test_board_elsewhere_and_thick(studio):
     true = above()
     picture = studio.picture(true.rotation, true.translation)
-    plain = place_by_board(KNOWN, picture, BOARD).camera.placed()
-    moved = place_by_board(KNOWN, picture, BOARD, pose=(0.2, -0.1, 0.5), height=0.004)
+    plain = place_by_board(KNOWN, picture, CHARUCO).camera.placed()
+    moved = place_by_board(KNOWN, picture, CHARUCO, pose=(0.2, -0.1, 0.5), height=0.004)
     # The same pixel shows the same place of the board, 4 mm above the plate.
     pixel = [200.0, 150.0]
     x, y = plain.on_plane(pixel)
@@ -164,13 +160,15 @@ def test_errors_hold_95_percent_of_the_time():
     assert 0.25 < np.median(ratios) < 0.8
 
 
-def test_errors_are_those_of_drawn_cameras():
+@pytest.fixture(scope="module")
+def placed():
+    found, points = calibrate_lens(seen_corners(LENS, CHECKERS, 6, noise=0.05)), flat_points()
+    seen = above().project(points)
+    return place_by_points(found.camera, points, seen, [""] * len(points)).camera
+
+
+def test_errors_are_those_of_drawn_cameras(placed):
     """The linear propagation against cameras drawn from the covariance."""
-    found = calibrate_lens(seen_corners(LENS, CHECKERS, 6, noise=0.05))
-    points = flat_points()
-    placed = place_by_points(
-        found.camera, points, above().project(points), [""] * len(points)
-    ).camera
     errors = plane_errors(placed, 0.02, columns=3, rows=3)
     draws = np.random.default_rng(0).multivariate_normal(
         np.zeros(len(placed.names)), placed.covariance, 400
@@ -192,12 +190,7 @@ def test_nothing_known_is_said_so():
     assert not errors.whole.any()
 
 
-def test_rescaled_cameras_err_the_same_on_the_plane():
-    found = calibrate_lens(seen_corners(LENS, CHECKERS, 6, noise=0.05))
-    points = flat_points()
-    placed = place_by_points(
-        found.camera, points, above().project(points), [""] * len(points)
-    ).camera
+def test_rescaled_cameras_err_the_same_on_the_plane(placed):
     half = placed.for_pictures_of((240, 180), rescale=True)
     here, there = (plane_errors(c, 0.0, columns=3, rows=3) for c in (placed, half))
     np.testing.assert_allclose(here.camera[1, 1], there.camera[1, 1], rtol=0.05)
@@ -213,4 +206,4 @@ def test_a_board_of_another_dictionary_is_named():
     studio = Studio(LENS, board_of("charuco:7x5:30mm:20mm:5x5"))
     true = above()
     with pytest.raises(InvalidInput, match="a board with tags of 5x5"):
-        BOARD.find(studio.picture(true.rotation, true.translation))
+        CHARUCO.find(studio.picture(true.rotation, true.translation))
