@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import least_squares
 from tests.calibration.toys import DECAY_BOX, box, decay_residuals, each, linear, rough
 from tests.fixtures import refused
-from tests.reference.more_wild import rosenbrock
+from tests.reference.more_wild import powell_singular, rosenbrock
 
 from fixel.calibration.cost import Cost, NormalPrior
 from fixel.calibration.least_squares import STUCK, LeastSquares, fit
@@ -13,11 +13,6 @@ from fixel.errors import InvalidInput
 
 T = np.linspace(0.0, 4.0, 40)
 WAVY = 2.0 * np.exp(-1.3 * T) + 0.5 + 0.1 * np.sin(9.0 * T)
-
-
-def powell(p):
-    a, b, c, d = p
-    return np.array([a + 10 * b, 5**0.5 * (c - d), (b - 2 * c) ** 2, 10**0.5 * (a - d) ** 2])
 
 
 def exponential(p):
@@ -31,7 +26,7 @@ def outlying(p):
 PROBLEMS = {
     "rosenbrock": (rosenbrock, box([-2, -2], [2, 2], [-1.2, 1.0])),
     "rosenbrock at a bound": (rosenbrock, box([-2, 1.5], [2, 2], [-1.2, 1.7])),
-    "powell's singular": (powell, box([-4] * 4, [4] * 4, [3, -1, 0, 1])),
+    "powell's singular": (powell_singular, box([-4] * 4, [4] * 4, [3, -1, 0, 1])),
     "exponential": (exponential, box([0, 0, -1], [5, 5, 1], [1, 0.3, 0])),
     "exponential at a bound": (exponential, box([0, 0, -1], [5, 1, 1], [1, 0.3, 0])),
     "exponential with outliers": (outlying, box([0, 0, -1], [5, 5, 1], [1, 0.3, 0])),

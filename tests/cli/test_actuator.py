@@ -38,12 +38,10 @@ def test_a_day_with_a_controller(capsys, controller):
 def test_two_axes_move_together(capsys, controller):
     port = ("--port", controller.port, "--axes", "XY")
     fixel(capsys, "actuator", "home", *port)
-
     out = output(capsys, "actuator", "move", *port, "--to", "6,3", "--speed", 40)
     assert "at 6.000, 3.000 mm, Idle" in out
     assert f"Next: fixel actuator move --by 10,10 --port {controller.port} --axes XY" in out
     assert controller.places == pytest.approx((6.0, 3.0, 1.0), abs=0.01)
-
     moved = json_of(capsys, "actuator", "move", *port, "--by=-2,1", "--speed", 40)
     assert moved["place_m"] == pytest.approx([0.004, 0.004])
 

@@ -6,7 +6,6 @@ import shlex
 import subprocess
 import sys
 
-import numpy as np
 import pytest
 import typer
 from tests.cli.shell import fixel, json_of, output, refusal
@@ -33,22 +32,26 @@ def commands(group, before=()):
         yield " ".join(words), command
 
 
+def add(project, key, end, **more):
+    """Store an experiment that ends at a pose."""
+    dataset, name = key.split("/")
+    own = Experiment(
+        dataset=dataset, name=name, real=True, provenance=Provenance(version="0"),
+        trajectory=Trajectory(time=[0.0, 1.0], pose=[[0.0, 0.0, 0.0], end]), **more,
+    )  # fmt: skip
+    with project.store() as store:
+        store.add_experiment(own)
+
+
 @pytest.fixture
 def lab(tmp_path, monkeypatch):
     """A project whose folder needs quotes, with experiments whose names do."""
     monkeypatch.chdir(tmp_path)
-    folder = tmp_path / "my lab"
-    track = Trajectory(time=[0.0, 1.0], pose=[[0.0, 0.0, 0.0], [0.05, 0.0, 0.1]])
-    with Project.create(folder).store() as store:
-        for name, speed, surface in (("run 1; true", 0.02, "felt"), ("2", 0.05, "plywood")):
-            store.add_experiment(
-                Experiment(
-                    dataset="own", name=name, real=True, trajectory=track,
-                    provenance=Provenance(version="0"),
-                    conditions={"speed_m_s": speed, "surface": surface},
-                )
-            )  # fmt: skip
-    return folder
+    project = Project.create(tmp_path / "my lab")
+    for name, speed, surface in (("run 1; true", 0.02, "felt"), ("2", 0.05, "plywood")):
+        conditions = {"speed_m_s": speed, "surface": surface}
+        add(project, f"own/{name}", [0.05, 0.0, 0.1], conditions=conditions)
+    return project.folder
 
 
 def test_the_project_is_named_alike_everywhere():
@@ -102,13 +105,7 @@ def test_numbers_that_are_an_id_and_a_name_are_told_apart(capsys, lab):
     out = output(capsys, "show", "1", "--project", lab)
     assert out.startswith("own/run 1; true: real\n")
     output(capsys, "show", "2", "--project", lab)  # id and name of one
-    with Project(lab).store() as store:
-        store.add_experiment(
-            Experiment(
-                dataset="own", name="1", real=True, provenance=Provenance(version="0"),
-                trajectory=Trajectory(time=[0.0, 1.0], pose=np.zeros((2, 3))),
-            )
-        )  # fmt: skip
+    add(Project(lab), "own/1", [0.0, 0.0, 0.0])
     assert "id:1 or own/1" in refusal(capsys, "show", "1", "--project", lab)
     assert fixel(capsys, "show", "id:1", "--project", lab)[1].startswith("own/run 1; true")
     assert fixel(capsys, "show", "own/1", "--project", lab)[1].startswith("own/1")
@@ -171,14 +168,8 @@ def test_a_shell_completes_commands():
 
 def test_small_parts_are_read_in_micrometres(capsys, lab):
     scene = micro_push(3, "p1")
-    track = Trajectory(time=[0.0, 1.0], pose=[[0.0, 0.0, 0.0], [2.5e-5, 0.0, 0.0]])
-    with Project(lab).store() as store:
-        store.add_experiment(
-            Experiment(
-                dataset="micro", name="push", real=True, provenance=Provenance(version="0"),
-                trajectory=track, scene=scene, object_name=scene.bodies[0].name,
-            )
-        )  # fmt: skip
+    more = {"scene": scene, "object_name": scene.bodies[0].name}
+    add(Project(lab), "micro/push", [2.5e-5, 0.0, 0.0], **more)
     _, out, _ = fixel(capsys, "show", "micro/push", "--project", lab)
     assert "x [um]" in out
     assert "path length 25.00 um" in out

@@ -10,9 +10,7 @@ pytestmark = pytest.mark.system
 
 def test_demo_tells_what_happened_and_what_to_type_next(tmp_path, capsys):
     folder = tmp_path / "demo"
-
     code = call("demo", "--quick", "--out", str(folder))
-
     out = capsys.readouterr().out
     assert code == 0
     assert "face to face" in out
@@ -28,9 +26,7 @@ def test_the_suggested_commands_work(tmp_path, capsys, monkeypatch):
     lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
     commands = [line.split()[1:] for line in lines if line.startswith("fixel simulate")]
     commands = [c for c in commands if c[-1] != "options."]
-
     codes = [call(*command) for command in commands]
-
     assert codes == [3, 0]
     assert (tmp_path / "slippery.png").exists()
 

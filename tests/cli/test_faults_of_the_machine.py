@@ -40,6 +40,15 @@ def small_disk(tmp_path):
     subprocess.run(["umount", "-l", str(place)], check=True)
 
 
+@pytest.fixture
+def lab(small_disk, laboratory):
+    return shutil.copytree(laboratory, small_disk / "lab")
+
+
+def protect(place):
+    subprocess.run(["mount", "-o", "remount,ro", str(place)], check=True)
+
+
 def fill(place, left_kb):
     """Leave so much room."""
     status = os.statvfs(place)
@@ -91,24 +100,20 @@ def test_calibrate_on_a_full_disk(small_disk, laboratory, capsys):
     assert left_kb > 36
 
 
-def test_calibrate_where_jobs_cannot_be_written(small_disk, laboratory, capsys):
-    lab = small_disk / "lab"
-    shutil.copytree(laboratory, lab)
+def test_calibrate_where_jobs_cannot_be_written(small_disk, lab, capsys):
     (lab / "jobs").mkdir(exist_ok=True)
-    subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
+    protect(small_disk)
     code, _, err = fixel(capsys, "calibrate", "--all", "--project", lab)
     assert code in (1, 2)
     assert "read-only" in err
     assert "Traceback" not in err
 
 
-def test_a_project_on_a_disk_that_cannot_be_written(small_disk, laboratory, capsys):
+def test_a_project_on_a_disk_that_cannot_be_written(small_disk, lab, capsys):
     """Burnt on a disc or mounted read-only, without the file that readers share with writers."""
-    lab = small_disk / "lab"
-    shutil.copytree(laboratory, lab)
     for left in lab.glob("experiments.db-*"):
         left.unlink()
-    subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
+    protect(small_disk)
     code, out, err = fixel(capsys, "list", "--project", lab)
     assert (code, err) == (0, "")
     assert "2" in out
@@ -119,9 +124,7 @@ def test_a_project_on_a_disk_that_cannot_be_written(small_disk, laboratory, caps
             store.delete([1])
 
 
-def test_changes_that_only_a_writer_can_bring_in_are_not_left_out(small_disk, laboratory, capsys):
-    lab = small_disk / "lab"
-    shutil.copytree(laboratory, lab)
+def test_changes_that_only_a_writer_can_bring_in_are_not_left_out(small_disk, lab, capsys):
     with contextlib.closing(sqlite3.connect(lab / "experiments.db")) as raw:
         raw.execute("UPDATE experiment SET deleted_at_utc = '2026' WHERE id = 1")
         raw.commit()
@@ -130,7 +133,7 @@ def test_changes_that_only_a_writer_can_bring_in_are_not_left_out(small_disk, la
         for name in ("experiments.db", "experiments.db-wal", "fixel.yaml"):
             shutil.copy(lab / name, copy / name)
     assert (copy / "experiments.db-wal").stat().st_size > 0
-    subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
+    protect(small_disk)
     code, _, err = fixel(capsys, "list", "--project", copy)
     assert code == 1
     assert "newest changes" in err

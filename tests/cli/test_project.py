@@ -175,8 +175,6 @@ def test_simulations_of_the_publisher_go_from_project_to_project(lab, tmp_path, 
     json_of(capsys, "new", other)
     json_of(capsys, "export", lab, tmp_path / "all.zip")
     json_of(capsys, "import", tmp_path / "all.zip", "--project", other)
-
     both = [Project(place).experiments().simulations for place in (lab, other)]
-
     assert [*both[0]] == ["rpi-2dgad/7"]
     assert both[0]["rpi-2dgad/7"].trajectory == both[1]["rpi-2dgad/7"].trajectory

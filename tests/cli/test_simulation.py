@@ -95,7 +95,6 @@ def test_bad_input_exits_2_with_the_reason_and_no_traceback(scene, arguments, re
 
 def test_people_get_a_table_and_a_next_command(scene, tmp_path, capsys):
     picture = tmp_path / "a.png"
-
     out = output(capsys, "simulate", scene, "--plot", picture)
     assert "converged, 11 s in" in out
     assert "stalled" in out

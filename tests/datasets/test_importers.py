@@ -240,7 +240,6 @@ def test_hdf5_as_published(tmp_path):
 
 def test_a_run(tmp_path):
     (run,) = imported(recordings.mit_pusher_slider(tmp_path))
-
     assert run.key == "mit-pusher-slider/cpush_Straight"
     assert len(run.trajectory.time) == 200
     assert run.trajectory.time[0] == 0.0
@@ -261,7 +260,6 @@ def test_dropouts_of_a_run_are_counted(tmp_path):
 
 def test_pushes_on_known_supports(tmp_path):
     points, patch = imported(recordings.cmu_tripod(tmp_path))
-
     assert points.trajectory.time == pytest.approx([0.0, 0.59])
     assert points.pusher.pose[0] == pytest.approx([0.447, 0.0, 0.2])
     force = points.channel("force")

@@ -45,9 +45,7 @@ def filled(tmp_path, source, **replaced):
 def test_a_filled_template_makes_a_scene_from_table_and_file(tmp_path):
     source = table(tmp_path, angle=0.3)
     scene = filled(tmp_path, source)
-
     (experiment,) = CSV.read(source, scene=str(scene)).experiments()
-
     time, pose, tip = push(0.15, 0.02, angle=0.3)
     assert experiment.scene.bodies[0].pose == pytest.approx(pose[0], abs=1e-8)
     path = experiment.scene.pushers[0].drive.waypoints
@@ -121,9 +119,7 @@ def test_two_turns_in_degrees_or_wrapped_radians_need_no_second_statement(tmp_pa
     for title, angles in (("theta_deg", map(math.degrees, turned)), ("theta_rad", wrapped)):
         rows = "".join(f"{0.1 * k:g},{k},0,{angle:.9g}\n" for k, angle in enumerate(angles))
         source = table_file(tmp_path / "run.csv", f"time_s,x_mm,y_mm,{title}\n" + rows)
-
         (experiment,) = CSV.read(source).experiments()
-
         assert experiment.trajectory.pose[-1, 2] == pytest.approx(turned[-1])
         assert "doubtful-angles" not in {flag.name for flag in experiment.flags}
 

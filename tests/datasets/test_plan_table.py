@@ -33,7 +33,6 @@ def read(tmp_path):
 
 def test_a_table_in_its_order_with_empty_cells_as_in_the_template(read):
     second, first = read("name,x_mm,angle_deg,speed_mm_s\nb,160,,20\n\na,,45,\n")
-
     assert (second.name, first.name) == ("b", "a")
     old = PLANNED.scene.bodies[0].pose
     np.testing.assert_allclose(second.scene.bodies[0].pose, [0.16, old[1], old[2]])
@@ -58,7 +57,6 @@ def test_a_template_by_name_and_conditions(read, tmp_path):
     other.save(tmp_path / "other.yaml")
     text = "\ufeffname,scene,condition.surface,condition.layer\na,other.yaml,abs,2\nb,,,\n"
     named, usual = read(text)
-
     assert named.scene == other
     assert dict(named.conditions) == {"surface": "abs", "layer": 2.0}
     assert (usual.scene, dict(usual.conditions)) == (PLANNED.scene, {})

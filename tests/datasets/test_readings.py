@@ -21,7 +21,6 @@ def imported(folder):
 
 def test_pushes_are_read_in_si(tmp_path):
     data = read_mit_pushes(push_files.mit_push(tmp_path, push_files.push(0, gap0_mm=-0.5)))
-
     assert len(data) == 1
     assert data.speed.tolist() == [0.01]
     assert data.gap_start.tolist() == [-0.5e-3]
@@ -73,9 +72,7 @@ def test_a_standstill_keeps_its_end(tmp_path):
         for k in range(24)
     ]  # fmt: skip
     push_files.write_table(folder / "cpush_Straight.csv.gz", rows)
-
     (run,) = imported(folder)
-
     assert run.pusher.time == pytest.approx([0.0, 0.1, 0.105, 0.11, 0.115])
 
 
@@ -128,7 +125,6 @@ def test_a_broken_file_is_refused(tmp_path):
     (folder / "pushes.csv.gz").write_bytes(b"not compressed")
     with pytest.raises(InvalidInput, match=r"pushes\.csv\.gz"):
         imported(folder)
-
     folder = push_files.mit_push(tmp_path, push_files.push(0))
     (folder / "shapes.json").write_text("{")
     with pytest.raises(InvalidInput, match=r"shapes\.json"):

@@ -114,12 +114,10 @@ def test_what_is_new_in_both_or_of_a_new_part_has_no_data_even_with_left_out_sid
     promise = ConformalBound.fit(x, e, parts, model="neighbours").for_contacts(
         contacts, parts, beyond
     )
-    asked = TouchedPlaces.joined(
-        [
-            contacts_on(side, np.zeros(1), v)
-            for side, v in ((3, 0.01), (1, 0.02), (3, 0.02), (1, 0.01))
-        ]
-    )
+    asked = TouchedPlaces.joined([
+        contacts_on(side, np.zeros(1), v)
+        for side, v in ((3, 0.01), (1, 0.02), (3, 0.02), (1, 0.01))
+    ])  # fmt: skip
     labels = [0, 0, 0, 99]
     assert np.isfinite(promise.bounds(np.zeros((4, 2)), labels, asked)).tolist() == [
         True, True, False, False,

@@ -15,12 +15,8 @@ def _rows(step, index):
 def test_rows_of_the_printed_code():
     assert len(ROWS) == len(set(ROWS)) == 21
     assert [_rows(step, "printed") for step in range(1, 6)] == [
-        [2, 11, 12, 16],
-        [3, 10, 13, 17],
-        [4, 9, 14, 18],
-        [5, 8, 15, 19],
-        [6, 7, 16, 20],
-    ]
+        [2, 11, 12, 16], [3, 10, 13, 17], [4, 9, 14, 18], [5, 8, 15, 19], [6, 7, 16, 20],
+    ]  # fmt: skip
 
 
 def test_corrected_rows_take_theta_one_later():
@@ -41,12 +37,8 @@ def test_the_corrected_domain_has_every_row_once_the_printed_one_has_row_16_twic
 
 
 @pytest.mark.parametrize(("axis", "size", "ends"), [
-    ("x", 2, (0, 1)),
-    ("theta", 4, (0, 3)),
-    ("y", 3, (-1, 1)),
-    ("y", 5, (-2, 2)),
-    ("y", 2, (0, 1)),
-    ("y", 4, (-1, 2)),
+    ("x", 2, (0, 1)), ("theta", 4, (0, 3)), ("y", 3, (-1, 1)), ("y", 5, (-2, 2)),
+    ("y", 2, (0, 1)), ("y", 4, (-1, 2)),
 ])  # fmt: skip
 def test_intervals_hold_the_nominal_sample(axis, size, ends):
     assert interval(axis, size) == ends

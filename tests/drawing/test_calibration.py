@@ -176,7 +176,6 @@ def test_the_same_numbers_give_the_same_file(ending, tmp_path, monkeypatch):
     draw_chart(profile(), one)
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "100000")
     draw_chart(profile(), two)
-
     starts = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml"}
     assert one.read_bytes().startswith(starts[ending])
     assert ending == "svg" or one.read_bytes() == two.read_bytes()
@@ -203,7 +202,6 @@ def test_a_banner_stands_clear_of_the_picture():
 
 def test_searches_tell_iterations_and_the_best_so_far():
     table = search([3.0, np.inf, 2.0, 5.0], [0, 1]).table()
-
     assert table.head == ("search", "evaluation", "iteration", "error_mm2", "best_mm2")
     assert table.rows == [
         ("one", 1, 0, 3.0, 3.0),

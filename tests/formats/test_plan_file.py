@@ -130,7 +130,6 @@ def test_the_page_names_every_key_and_its_example_loads():
     records = [schema, *schema["$defs"].values()]
     keys = {key for record in records for key in record.get("properties", {})}
     named = set(re.findall(r"`([a-z_]+)`", page)) | set(re.findall(r"([a-z_]+):", page))
-
     assert keys <= named, f"undocumented: {sorted(keys - named)}"
     plan = plan_from_text(re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)[0])
     assert plan.check() == ()

@@ -148,12 +148,10 @@ def test_the_contract_is_read():
 
 
 def test_what_is_left_out_has_its_usual_value():
-    made = scene_file_from_dict(
-        {
-            "duration": 1,
-            "bodies": [{"name": "a", "shape": {"disk": 1}, "mass": 1, "pose": [0, 0, 0]}],
-        }
-    )
+    made = scene_file_from_dict({
+        "duration": 1,
+        "bodies": [{"name": "a", "shape": {"disk": 1}, "mass": 1, "pose": [0, 0, 0]}],
+    })  # fmt: skip
     assert made == SceneFile(
         scene=Scene(
             bodies=[Body(name="a", shape=Disk(1.0), mass=1.0, pose=(0, 0, 0))], duration=1.0

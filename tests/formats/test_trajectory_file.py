@@ -28,9 +28,7 @@ def read(path):
 @pytest.mark.parametrize("ending", ["csv", "parquet"])
 def test_numbers_survive_the_round_trip(run, ending, tmp_path):
     path = tmp_path / f"run.{ending}"
-
     save_trajectory(run, path)
-
     table = read(path)
     expected = trajectory_columns(run)
     assert table.column_names == list(expected)

@@ -94,12 +94,10 @@ def random_poses(random, spread):
     place = random.normal(size=(N_PAIR, 2)) * spread[:, None]
     angle = random.uniform(-np.pi, np.pi, N_PAIR)
     eighth = random.integers(0, 8, N_PAIR) * (np.pi / 4.0)
-    return np.column_stack(
-        [
-            np.where(on_grid[:, None], np.round(4.0 * place) / 4.0, place),
-            np.where(on_grid, eighth, angle),
-        ]
-    )
+    return np.column_stack([
+        np.where(on_grid[:, None], np.round(4.0 * place) / 4.0, place),
+        np.where(on_grid, eighth, angle),
+    ])  # fmt: skip
 
 
 def placed_geometries(shapes, which, poses):
@@ -130,9 +128,12 @@ def make_fuzz(seed):
     )  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def fuzz():
-    return make_fuzz(1)
+MORE = [pytest.param(seed, marks=pytest.mark.soak) for seed in range(10, 30)]
+
+
+@pytest.fixture(scope="module", params=[1, *MORE])
+def fuzz(request):
+    return make_fuzz(request.param)
 
 
 def test_distance_of_apart_pairs_is_exact(fuzz):
@@ -194,14 +195,3 @@ def test_gap_is_symmetric(fuzz):
     # Where two directions are equally good, either may be returned: a handful, of the aligned ones.
     turned = np.abs(back[:, 1:3] + fuzz.normal).max(axis=1) > 1e-6
     assert turned.mean() < 0.01
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("seed", range(10, 30))
-def test_distance_of_many_more_pairs(seed):
-    fuzz = make_fuzz(seed)
-    distance = shapely.distance(fuzz.first_geometry, fuzz.second_geometry)
-    apart = distance > 0.0
-    assert np.abs(fuzz.gap - distance)[apart].max() < PROMISE
-    overlap = shapely.area(shapely.intersection(fuzz.first_geometry, fuzz.second_geometry))
-    assert (fuzz.gap[overlap > 1e-12] < 0.0).all()

@@ -97,9 +97,7 @@ def test_a_damaged_file_is_compiled_again_and_replaced(cache, damage, capsys):
     assert not is_loaded()
     assert is_loaded()
     file = stored(cache)
-
     damage(file)
-
     assert not is_loaded()
     assert is_loaded()
     assert file.is_file()

@@ -163,16 +163,20 @@ def random_problem(random, sides, quasi_static, driven):
     return problem, work
 
 
-@pytest.mark.parametrize("sides", [4, 16])
+@pytest.mark.parametrize("n", [50, pytest.param(5000, marks=pytest.mark.soak)])
+@pytest.mark.parametrize("sides", [4, 8, 16])
 @pytest.mark.parametrize("quasi_static", [False, True])
 @pytest.mark.parametrize("driven", [False, True])
-def test_random_steps(sides, quasi_static, driven):
-    random = np.random.default_rng(sides)
-    for _ in range(50):
+def test_random_steps(sides, quasi_static, driven, n):
+    """Never solved and wrong; unsolved in fewer than one in a thousand (mass ratio 1e6)."""
+    random = np.random.default_rng(n + sides)
+    n_failed = 0
+    for _ in range(n):
         problem, work = random_problem(random, sides, quasi_static, driven)
         off, code, _ = solve_problem(problem, work, 0, PIVOTS)
-        assert code == SOLVED
-        assert off <= STEP_TOLERANCE
+        n_failed += code != SOLVED
+        assert code != SOLVED or off <= STEP_TOLERANCE
+    assert n_failed <= (n - 1) // 1000
 
 
 @pytest.mark.parametrize("sides", [4, 16])
@@ -203,22 +207,6 @@ def test_too_many_rows_are_left_to_newton():
     assert run.status == "converged"
     assert run.max_residual <= STEP_TOLERANCE
     assert run.fallbacks == run.steps == 2
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("sides", [4, 8, 16])
-@pytest.mark.parametrize("quasi_static", [False, True])
-@pytest.mark.parametrize("driven", [False, True])
-def test_many_random_steps(sides, quasi_static, driven):
-    """Never solved and wrong; unsolved in fewer than one in a thousand (mass ratio 1e6)."""
-    random = np.random.default_rng(1000 + sides)
-    n_failed = 0
-    for _ in range(5000):
-        problem, work = random_problem(random, sides, quasi_static, driven)
-        off, code, _ = solve_problem(problem, work, 0, PIVOTS)
-        n_failed += code != SOLVED
-        assert code != SOLVED or off <= STEP_TOLERANCE
-    assert n_failed < 5
 
 
 @pytest.mark.parametrize("motion", [Dynamic(), QuasiStatic()])

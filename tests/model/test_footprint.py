@@ -88,5 +88,4 @@ def test_bodies_of_many_corners_are_built_again_as_fast_as_others():
         shape = Polygon(np.column_stack((0.05 * np.cos(turn), 0.04 * np.sin(turn))))
         body = Body("part", shape, mass=1.0, support=UniformPressure(friction=0.3))
         took[n] = min(repeat(lambda body=body: replace(body, pose=(0.1, 0.0, 0.0)), number=5))
-
     assert took[500] < 10.0 * took[4]  # 3 times; 40 times without the cells in memory

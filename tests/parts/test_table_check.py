@@ -82,7 +82,6 @@ def test_sessions_that_differ_show_drift():
     """Two sessions that differ by d have the standard deviation d / sqrt(2)."""
     pushes = over_a_table(5, noise=NOISE, sessions=("monday", "tuesday"), drift=2e-3)
     check = table_check(pushes)
-
     assert check.session == "session"
     assert check["drift"].position[0] == pytest.approx(2e-3 / math.sqrt(2.0), rel=0.1)
     assert check["noise"].position[0] == pytest.approx(NOISE[0], rel=0.2)
@@ -95,7 +94,6 @@ def test_the_plan_of_a_table_shows_whether_the_simulated_table_is_uneven():
     planned = table_plan().experiments
     flat = table_check(SimulatedTestbed(plate_roughness=0.0).run(planned))
     uneven = table_check(SimulatedTestbed(plate_roughness=0.0, uneven_table=1.5).run(planned))
-
     assert [own.name for own in flat.effects if own.is_found] == ["noise"]
     assert flat.verdict == "good enough"
     assert uneven["place"].position[1] > 0.5e-3

@@ -9,12 +9,10 @@ import numpy as np
 from fixel.calibration.solutions import find_solutions, support_features
 from fixel.model.support import triangle_shares
 
-POINTS = 1e-6 * np.array(
-    [
-        [(411.3, -563.3), (-409.1, 605.9), (-273.2, -102.1)],
-        [(-412.4, 794.0), (-217.8, 774.5), (278.8, -538.8)],
-    ]
-)
+POINTS = 1e-6 * np.array([
+    [(411.3, -563.3), (-409.1, 605.9), (-273.2, -102.1)],
+    [(-412.4, 794.0), (-217.8, 774.5), (278.8, -538.8)],
+])  # fmt: skip
 FRICTION = np.array([[0.666, 0.757], [0.536, 0.013]])  # pusher, surface
 HALF = 1e-6 * np.array([421.0, 810.5])
 

@@ -67,10 +67,8 @@ def test_on_a_side_without_examples_only_physics_predicts():
     large by what these suggest."""
     side, residual, table = sides_of_a_plate(300, 7)
     known, new = side < 3, side == 3
-
     process = ResidualProcess(table[known, :3], residual[known], table[known])
     mean, sd = process.predict(table[new, :3], table[new])
-
     assert np.abs(mean).max() < 0.05e-3
     inside = np.abs(residual[new] - mean) <= NINETY * sd
     assert inside.mean() > 0.8  # errors as large as those among the examples are expected
@@ -79,11 +77,9 @@ def test_on_a_side_without_examples_only_physics_predicts():
 def test_among_dense_examples_the_process_keeps_its_gain():
     _, residual, table = sides_of_a_plate(400, 8)
     train, held = np.arange(400) % 2 == 0, np.arange(400) % 2 == 1
-
     mean, sd = ResidualProcess(table[train, :3], residual[train], table[train]).predict(
         table[held, :3], table[held]
     )
-
     left = np.abs(residual[held] - mean)
     assert left.mean() < 0.15 * np.abs(residual[held]).mean()
     assert 0.82 < (left <= NINETY * sd).mean() < 0.97
@@ -94,10 +90,8 @@ def test_equal_places_have_no_spacing_to_go_by():
     features, residuals = made_up(40, 9)
     residuals += 5e-3
     process = ResidualProcess(features, residuals, np.zeros((40, 2)))
-
     here, _ = process.predict(features[:1], np.zeros((1, 2)))
     elsewhere, sd = process.predict(features[:1], np.full((1, 2), 1e-3))
-
     assert np.abs(here).min() > 3e-3
     assert not elsewhere.any()
     assert sd.min() > 3e-3

@@ -104,27 +104,27 @@ def test_a_cache_that_cannot_be_written_starts_no_process(tmp_path):
     assert answer == ["compiled here", False, 0]
 
 
-@compiled
-def test_another_process_that_compiles_is_waited_for(cold, monkeypatch):
-    monkeypatch.setattr(first_code, "_settled", False)
+@pytest.fixture
+def compiling(cold):
     file = Path(code_cache.cache_folder()) / f"{first_code.ENTRY}.compiling"
     file.parent.mkdir(parents=True)
     file.write_text("0.25")
-    assert code_cache.share_compiled(first_code.ENTRY) == 0.25
-    threading.Timer(1.0, file.unlink).start()
+    return file
 
+
+@compiled
+def test_another_process_that_compiles_is_waited_for(compiling, monkeypatch):
+    monkeypatch.setattr(first_code, "_settled", False)
+    assert code_cache.share_compiled(first_code.ENTRY) == 0.25
+    threading.Timer(1.0, compiling.unlink).start()
     began = time.monotonic()
     first_code.wait_for_code()
-
     assert 0.5 < time.monotonic() - began < 30.0
     assert not first_code.is_missing()
 
 
-def test_a_process_that_gave_no_sign_for_long_counts_as_dead(cold):
-    file = Path(code_cache.cache_folder()) / f"{first_code.ENTRY}.compiling"
-    file.parent.mkdir(parents=True)
-    file.write_text("0.25")
-    os.utime(file, (time.time() - 60.0,) * 2)
+def test_a_process_that_gave_no_sign_for_long_counts_as_dead(compiling):
+    os.utime(compiling, (time.time() - 60.0,) * 2)
     assert code_cache.share_compiled(first_code.ENTRY) is None
 
 

@@ -58,7 +58,6 @@ def restored(fd, handler):
 def test_a_long_rollout_stops_with_its_motion_up_to_then():
     with ctrl_c(), pytest.raises(Interrupted) as stop:
         simulate(pushed_square(), output_interval=0.001, **LONG)
-
     result = stop.value.result
     assert result.status == "interrupted"
     assert 0.0 < result.stopped_at < 2.0
@@ -70,10 +69,8 @@ def test_a_long_rollout_stops_with_its_motion_up_to_then():
 @pytest.mark.parametrize("n_threads", [1, 2])
 def test_a_long_batch_stops_with_the_runs_that_ended(n_threads):
     friction = np.linspace(0.1, 0.4, 5_000)  # of 15 ms each
-
     with ctrl_c(), pytest.raises(KeyboardInterrupt) as stop:
         simulate_batch(pushed_square(), {"mu_pusher": friction}, threads=n_threads, **FINE)
-
     runs = stop.value.result
     assert len(runs) == len(friction)
     assert set(runs.status) == {"converged", "interrupted"}
@@ -132,5 +129,4 @@ def test_a_forked_process_watches_for_itself():
         own = simulate_batch(pushed_square(), friction, threads=2)
         same = np.array_equal(own.final, runs.final)
         os._exit(0 if same and simulate(pushed_square()).converged else 1)
-
     assert os.waitpid(child, 0)[1] == 0

@@ -31,13 +31,9 @@ OFF = [
     (91001538, Dynamic()),  # a step passed through a fixel in another
 ]
 WEDGED = [
-    (55510331, Dynamic()),
-    (55510447, Dynamic()),
-    (91000048, Dynamic()),
-    (91001565, Dynamic()),
-    (91000668, QuasiStatic()),
-    (91001484, QuasiStatic()),
-]
+    (55510331, Dynamic()), (55510447, Dynamic()), (91000048, Dynamic()), (91001565, Dynamic()),
+    (91000668, QuasiStatic()), (91001484, QuasiStatic()),
+]  # fmt: skip
 
 
 def _name(value):
@@ -118,17 +114,19 @@ def test_corner_that_grazes_a_peg_hits_it(depth, start):
     assert spin == pytest.approx(1.0 + blow * lever / inertia, abs=6e-3)
 
 
+def pushed_from(pose, drive, duration):
+    support = Tripod(radius=0.03, friction=0.3)
+    part = Body("part", box(0.1, 0.1), mass=0.2, pose=pose, support=support)
+    tip = Pusher("tip", Disk(0.005), pose=(0.0, 0.0, 0.0), drive=drive, friction=0.2)
+    return Scene(part, tip, duration=duration)
+
+
 @pytest.mark.parametrize("motion", [Dynamic(), QuasiStatic()], ids=_name)
 @pytest.mark.parametrize("limit", [None, 30.0])
 def test_rest_takes_no_steps(motion, limit):
     """A push of two seconds, and the same with 1e7 s of rest after it."""
     drive = LineDrive(direction=(1.0, 0.0), speed=0.02, travel=0.04, force_limit=limit)
-    part = Body(
-        name="part", shape=box(0.1, 0.1), mass=0.2, pose=row(0.06, 0.01, 0.0),
-        support=Tripod(radius=0.03, friction=0.3),
-    )  # fmt: skip
-    tip = Pusher(name="tip", shape=Disk(0.005), pose=row(0.0, 0.0, 0.0), drive=drive, friction=0.2)
-    short = Scene(bodies=(part,), pushers=(tip,), duration=3.0)
+    short = pushed_from((0.06, 0.01, 0.0), drive, 3.0)
     brief = simulate(short, motion=motion)
     long = simulate(replace(short, duration=1e7), motion=motion, output_interval=1e6)
     assert long.converged
@@ -142,14 +140,8 @@ def test_rest_between_two_pushes_is_no_end():
     """A pusher that waits for 100 s goes on afterwards."""
     times = np.array([0.0, 1.0, 101.0, 102.0])
     path = np.column_stack([times, [0.0, 0.02, 0.02, 0.04], np.zeros(4), np.zeros(4)])
-    part = Body(
-        name="part", shape=box(0.1, 0.1), mass=0.2, pose=row(0.055, 0.0, 0.0),
-        support=Tripod(radius=0.03, friction=0.3),
-    )  # fmt: skip
-    tip = Pusher(
-        name="tip", shape=Disk(0.005), pose=row(0.0, 0.0, 0.0), drive=PathDrive(path), friction=0.2
-    )
-    run = simulate(Scene(bodies=(part,), pushers=(tip,), duration=103.0), motion=QuasiStatic())
+    scene = pushed_from((0.055, 0.0, 0.0), PathDrive(path), 103.0)
+    run = simulate(scene, motion=QuasiStatic())
     assert run["part"].pose[-1][0] == pytest.approx(0.095, abs=1e-5)
 
 

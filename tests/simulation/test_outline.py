@@ -90,7 +90,6 @@ def test_mass_and_inertia_are_those_of_the_full_outline():
 def test_the_result_states_the_simplification():
     run = simulate(push(butterfly(508), 0), duration=0.1)
     used = contact_outline(butterfly(508))
-
     assert isinstance(used, Polygon)
     stated = (
         f"outline of part for contacts: {len(used.vertices)} of its 508 corners, within 0.01 mm"

@@ -95,10 +95,8 @@ def test_a_table_is_met_at_the_angle_of_the_start():
     up, down = np.exp(0.4), np.exp(-0.4)
     share = np.arange(1.0, 5.0) * [[up, down, up, down], [down, up, down, up]]
     start = np.array([[[0.0, 0.0, 0.0]], [[0.3, 0.0, 0.5 * np.pi]]])
-
     loads = _loads(_on_net(), {"table_bend_xy": [0.8, 0.8]}, 2, start)
     turned = _loads(_on_net(), {"table_bend_xy": [0.8, 0.8], "start_theta": [0.0, 0.5 * np.pi]}, 2)
-
     weight = 0.15 * 9.81
     assert loads == pytest.approx(weight * share / share.sum(axis=1, keepdims=True), rel=1e-12)
     assert turned == pytest.approx(loads, rel=1e-12)

@@ -20,9 +20,7 @@ def test_depth_is_that_of_the_model(first, second):
     poses = draw.uniform((-0.05, -0.05, -3.0), (0.05, 0.05, 3.0), (60, 3))
     still = np.array([0.004, -0.003, 0.4])
     a, b = SHAPES[first], SHAPES[second]
-
     found = overlaps(a, poses, b, still)
-
     told = np.array([overlap_depth(a, pose, b, still) for pose in poses])
     np.testing.assert_allclose(found.depth, told, atol=1e-12)
     np.testing.assert_allclose(np.hypot(*found.way.T), 1.0, atol=1e-12)

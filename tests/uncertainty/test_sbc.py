@@ -13,14 +13,12 @@ def conjugate(width, shift=0.0, n=300):
     rng = np.random.default_rng(4)
     truths = rng.standard_normal((n, 1))
     data = truths + rng.standard_normal((n, 1))
-    ranks = np.array(
-        [
-            rank_of(
-                truth, 0.5 * y + shift + width * np.sqrt(0.5) * rng.standard_normal((400, 1)), rng
-            )
-            for truth, y in zip(truths, data, strict=True)
-        ]
-    )
+    ranks = np.array([
+        rank_of(
+            truth, 0.5 * y + shift + width * np.sqrt(0.5) * rng.standard_normal((400, 1)), rng
+        )
+        for truth, y in zip(truths, data, strict=True)
+    ])  # fmt: skip
     return Ranks(("p",), truths, ranks)
 
 

@@ -126,7 +126,6 @@ def test_shadows_fall_on_the_plate_and_are_soft():
     lit = still(rig, PLAIN, pose)
     shaded = still(rig, CameraEffects(shadows=0.5), pose)
     ratio = (shaded / np.maximum(lit, 1.0))[..., 0]
-
     assert ratio.min() < 0.75
     assert ratio.min() > 0.45
     between = ((ratio > 0.8) & (ratio < 0.97)).sum()
@@ -140,7 +139,6 @@ def test_what_leaves_the_picture_does_not_come_back_on_the_other_side():
     far = eye.project_at([[5.0, 0.0], [-3.0, 2.0]], 0.09)
     inside = (far >= -0.5).all(axis=1) & (far <= np.array(SIZE) - 0.5).all(axis=1)
     near = [[0.15, 0.0], [0.2, 0.05]]
-
     assert not inside.any()
     assert eye.project_at(near, 0.03) == pytest.approx(rig.camera.project_at(near, 0.03), abs=1e-9)
 

@@ -44,7 +44,6 @@ def test_noise_has_the_deviation_it_should():
         flat = np.full((100, 200, 3), 240.0 * level, np.float32)
         picture = sensor.exposed(flat, np.ones(3), 0).astype(float)
         expected = np.sqrt(read**2 + shot**2 * 240.0 * level / 255.0 + 1.0 / 12.0)
-
         assert picture.std() == pytest.approx(expected, rel=0.02)
         assert picture.mean() == pytest.approx(240.0 * level, abs=0.05)
 
@@ -59,13 +58,11 @@ def test_a_sensor_without_noise_rounds_and_cuts_off():
 
 def test_a_third_of_the_light_goes_and_comes_back():
     factors = light(CameraEffects(light_change=0.3), TIMES, 1)
-
     assert factors[[0, -1]] == pytest.approx(1.0)
     assert factors.min() == pytest.approx(0.7)
     dim = (factors[:, 1] < 0.71).mean()
     assert 0.2 < dim < 0.35
     assert np.abs(np.diff(factors[:, 1])).max() < 0.05  # no jump
-
     warm = light(CameraEffects(light_change=0.3, colour_change=0.06), TIMES, 1)
     darkest = warm[np.argmin(factors[:, 1])]
     assert darkest[2] / darkest[0] == pytest.approx(1.06 / 0.94)
@@ -77,7 +74,6 @@ def test_the_light_in_the_picture_is_that_light():
     dark = int(np.argmin(factors))
     chosen = TIMES[[0, dark, -1]]
     bright = [p.mean() for p in film(looks, chosen)]
-
     assert bright[0] > 100.0
     # A film of three frames has another course of its light; its darkest frame is still so dark.
     least = light(looks, chosen, 1)[:, 1]
@@ -166,7 +162,6 @@ def test_frames_are_lost_and_late_as_often_as_they_should():
     looks = CameraEffects(dropped=0.1, jitter=0.05)
     times = frame_times(200.0, 30.0, looks, 1)
     count = np.rint(times * 30.0)
-
     assert len(times) / 6001 == pytest.approx(0.9, abs=0.015)
     assert np.all(np.diff(times) > 0.0)
     assert (times * 30.0 - count).std() == pytest.approx(0.05, rel=0.1)
