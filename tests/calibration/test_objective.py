@@ -171,8 +171,7 @@ def test_angles_are_compared_the_short_way(experiments):
 
 def test_what_cannot_be_compared_is_refused(experiments):
     experiment = experiments[0]
-    with pytest.raises(InvalidInput, match="no scene"):
-        target_of(replace(experiment, scene=None))
+    refused(target_of, replace(experiment, scene=None), match="no scene")
     one = Trajectory(time=[0.0], pose=experiment.trajectory.pose[:1])
     with pytest.raises(
         InvalidInput, match=r"no measured pose .* at least one pose after the first"

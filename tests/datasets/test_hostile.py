@@ -7,6 +7,7 @@ import shutil
 
 import pytest
 from tests.datasets import push_files, recordings
+from tests.fixtures import refused
 
 from fixel.datasets import IMPORTERS, files
 from fixel.errors import FixelError, InvalidInput
@@ -94,8 +95,7 @@ def test_archives_that_cannot_be_read_are_refused(tmp_path, monkeypatch, limits,
         monkeypatch.setattr(files, name, limit)
     path = tmp_path / "own.csv.gz"
     path.write_bytes(content)
-    with pytest.raises(InvalidInput, match=message):
-        IMPORTERS["csv"].read(path)
+    refused(IMPORTERS["csv"].read, path, match=message)
 
 
 def test_parquet_that_unpacks_to_many_cells_is_refused_unread(tmp_path, monkeypatch):
@@ -107,8 +107,7 @@ def test_parquet_that_unpacks_to_many_cells_is_refused_unread(tmp_path, monkeypa
     assert path.stat().st_size < 20_000
     monkeypatch.setattr(files, "MAX_CELLS", 2_999_999)
     monkeypatch.setattr(parquet.ParquetFile, "read", lambda *_: pytest.fail("it was read"))
-    with pytest.raises(InvalidInput, match="at most 2 million cells"):
-        IMPORTERS["csv"].read(path)
+    refused(IMPORTERS["csv"].read, path, match="at most 2 million cells")
 
 
 def test_json_nested_without_end_is_refused(tmp_path):

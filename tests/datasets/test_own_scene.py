@@ -10,7 +10,6 @@ from tests.fixtures import refused
 
 from fixel.datasets import IMPORTERS
 from fixel.datasets.own_scene import template_text
-from fixel.errors import InvalidInput
 
 CSV = IMPORTERS["csv"]
 HALF = SIDE / 2
@@ -74,8 +73,7 @@ def test_units_in_which_nothing_moves_so_are_refused(tmp_path, header, turn, sca
     right = table(tmp_path)
     scene = filled(tmp_path, right)
     wrong = table(tmp_path, header=header, turn=turn, scale=scale)
-    with pytest.raises(InvalidInput, match=complaint):
-        CSV.read(wrong, scene=str(scene))
+    refused(CSV.read, wrong, scene=str(scene), match=complaint)
 
 
 def turning(tmp_path, title, step, n, dx=1.0):
@@ -87,8 +85,7 @@ def turning(tmp_path, title, step, n, dx=1.0):
 def test_a_turn_of_143_degrees_in_a_tenth_of_a_second_is_refused(tmp_path):
     """Without a pusher or a scene: 1.43 degrees in 0.1 s, times 100 under the wrong header."""
     source = turning(tmp_path, "theta_rad", 2.5, 20)
-    with pytest.raises(InvalidInput, match=r"turns 143 degrees in 0\.1 s.*angle_unit=deg"):
-        CSV.read(source)
+    refused(CSV.read, source, match=r"turns 143 degrees in 0\.1 s.*angle_unit=deg")
     (experiment,) = CSV.read(source, angle_unit="deg").experiments()
     assert experiment.trajectory.pose[-1, 2] == pytest.approx(math.radians(2.5 * 19))
 
@@ -106,8 +103,7 @@ def test_a_stated_unit_that_makes_a_part_spin_is_refused(tmp_path, title):
 
 def test_a_part_that_turns_several_times_is_read_if_header_and_option_agree(tmp_path):
     source = turning(tmp_path, "theta_rad", 0.9, 30)
-    with pytest.raises(InvalidInput, match="if it is in radians, end its title with _rad"):
-        CSV.read(source)
+    refused(CSV.read, source, match="if it is in radians, end its title with _rad")
     (experiment,) = CSV.read(source, angle_unit="rad").experiments()
     assert experiment.trajectory.pose[-1, 2] == pytest.approx(0.9 * 29)
     assert "doubtful-angles" in {flag.name for flag in experiment.flags}
@@ -142,15 +138,12 @@ def test_a_pusher_that_cannot_be_there_is_refused(tmp_path):
     for shift, complaint in ((-0.02, "20 mm inside the object at the start"), (2.0, "stays 1")):
         moved = pose + np.array([shift, 0.0, 0.0])
         source = table_file(tmp_path / "run.csv", table_text(time, moved, tip))
-        with pytest.raises(InvalidInput, match=complaint):
-            CSV.read(source, scene=str(scene))
+        refused(CSV.read, source, scene=str(scene), match=complaint)
 
 
 def test_a_scene_belongs_to_a_table_and_holds_its_object(tmp_path):
     source = table(tmp_path)
     scene = filled(tmp_path, source)
-    with pytest.raises(InvalidInput, match="the object 'crate'"):
-        CSV.read(source, scene=str(scene), object_name="crate")
+    refused(CSV.read, source, scene=str(scene), object_name="crate", match="the object 'crate'")
     scene.write_text(scene.read_text().partition("pushers:")[0])
-    with pytest.raises(InvalidInput, match="0 pushers"):
-        CSV.read(source, scene=str(scene))
+    refused(CSV.read, source, scene=str(scene), match="0 pushers")

@@ -70,8 +70,7 @@ def test_what_is_written_is_read(plan, tmp_path):
     write_rows(tmp_path / "rows", rows)
     assert read_rows(tmp_path / "rows" / "plan.csv", None, stored) == rows
     assert len([*(tmp_path / "rows").iterdir()]) == len(rows) + 1
-    with pytest.raises(InvalidInput, match="a new or empty folder"):
-        write_rows(tmp_path / "rows", rows)
+    refused(write_rows, tmp_path / "rows", rows, match="a new or empty folder")
 
 
 @pytest.mark.parametrize(("text", "where", "words"), [

@@ -147,8 +147,7 @@ def test_a_compressed_table(tmp_path):
     ("", "an empty file"),
 ])  # fmt: skip
 def test_wrong_tables_are_refused(text, complaint, tmp_path):
-    with pytest.raises(InvalidInput, match=complaint):
-        plan_of(tmp_path, text)
+    refused(plan_of, tmp_path, text, match=complaint)
 
 
 @pytest.mark.parametrize("start", ["", "\ufeff"])
@@ -199,8 +198,7 @@ def test_inches_next_to_millimetres_are_inches(tmp_path):
 @pytest.mark.parametrize("title", ["x [px]", "x_px", "X (pix)"])
 def test_pixels_are_no_lengths(tmp_path, title):
     text = f"time_s,{title},y_mm,theta_deg\n0,200,1,0\n1,201,1,0\n"
-    with pytest.raises(InvalidInput, match="found pixels"):
-        plan_of(tmp_path, text)
+    refused(plan_of, tmp_path, text, match="found pixels")
     known = experiment_of(tmp_path, text, length_unit="mm")
     assert known.trajectory.x == pytest.approx([0.2, 0.201])
     other = experiment_of(tmp_path, text.replace("theta_deg", "x_mm"))

@@ -11,7 +11,6 @@ from fixel.domain.cells import axis_of, cells_of
 from fixel.domain.claim import COLOURS, DOUBTFUL, NO_DATA, NOT_TRUSTED, PREDICTED, TRUSTED, Claim
 from fixel.domain.domain import default_threshold, domain_map
 from fixel.domain.evidence import default_folds, folds_of, threshold_score, value_of
-from fixel.errors import InvalidInput
 
 VALLEY = 0.5 * np.exp(2.5 * np.abs(STEPS) / 0.04)  # 0.5 mm in the middle, 6 mm at the ends
 
@@ -215,8 +214,7 @@ def test_repetitions_are_held_out_together_and_groups_spread():
 
 
 def test_fewer_configurations_than_folds_are_refused():
-    with pytest.raises(InvalidInput, match="at least 5"):
-        folds_of(["a", "a", "b"], ["", "", ""], 5)
+    refused(folds_of, ["a", "a", "b"], ["", "", ""], 5, match="at least 5")
 
 
 def test_colours_are_all_told_apart():

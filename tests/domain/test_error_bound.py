@@ -101,8 +101,7 @@ def test_too_few_experiments_are_refused_with_the_number_needed():
 ])  # fmt: skip
 def test_numbers_that_cannot_be_are_refused(change, complaint):
     features, errors, _ = made_up(30, 0)
-    with pytest.raises(InvalidInput, match=complaint):
-        ConformalBound.fit(*change(features, errors))
+    refused(ConformalBound.fit, *change(features, errors), match=complaint)
 
 
 def test_levels_columns_and_labels_are_refused():

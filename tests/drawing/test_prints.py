@@ -91,5 +91,4 @@ def test_what_does_not_fit_is_refused(tmp_path):
     refused(prints.tag_sheets, [(Tag(id=5000, size=0.03, height=0.0), "")], match="586")
     sheets = prints.tag_sheets([(Tag(id=k, size=0.09, height=0.0), "") for k in range(9)])
     assert len(sheets) > 1
-    with pytest.raises(InvalidInput, match=r"\.pdf"):
-        prints.save_sheets(sheets, tmp_path / "a.png")
+    refused(prints.save_sheets, sheets, tmp_path / "a.png", match=r"\.pdf")

@@ -184,8 +184,7 @@ def test_what_does_not_fit_is_refused(tmp_path, spoil, sentence):
     folder = tmp_path / "r"
     write(folder)
     spoil(folder)
-    with pytest.raises(InvalidInput, match=sentence):
-        open_recording(folder)
+    refused(open_recording, folder, match=sentence)
 
 
 def test_writing_refuses_what_cannot_be(tmp_path):
@@ -219,8 +218,7 @@ def test_a_picture_the_camera_sent_spoilt_is_named(tmp_path):
     spoilt = next(frames)
     with pytest.raises(InvalidInput, match=r"video\.nut, frame 1: found damaged JPEG data"):
         _ = spoilt.picture
-    with pytest.raises(InvalidInput, match=r"video\.nut, frame 2: found no picture"):
-        next(frames)
+    refused(next, frames, match=r"video\.nut, frame 2: found no picture")
 
 
 def test_brightness_is_that_of_the_colours(tmp_path):

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from tests.fixtures import refused
 
-from fixel.errors import InvalidInput
 from fixel.formats import rig_file
 from fixel.formats.rig_file import (
     EXAMPLES,
@@ -96,13 +95,11 @@ def test_what_is_wrong_is_said(path, value, where, word):
 
 @pytest.mark.parametrize("raw", [None, [], "rig", 3, {}, {"fixel_rig": 1}])
 def test_no_rig_at_all(raw):
-    with pytest.raises(InvalidInput):
-        rig_from_dict(raw)
+    refused(rig_from_dict, raw)
 
 
 def test_unknown_names_list_the_examples():
-    with pytest.raises(InvalidInput, match="thesis-stickers"):
-        rig_of("thesis")
+    refused(rig_of, "thesis", match="thesis-stickers")
 
 
 def test_the_page_shows_a_rig_that_loads(tmp_path):

@@ -3,7 +3,6 @@
 import pytest
 from tests.fixtures import refused
 
-from fixel.errors import InvalidInput
 from fixel.formats.trials_file import append_trials, read_trials, write_trials
 from fixel.planning.trials import PlanTrial, Trials
 
@@ -68,8 +67,7 @@ def test_damaged_and_foreign_files_are_rejected_by_line(path, old, new, where):
 def test_other_files_are_rejected(tmp_path, content):
     path = tmp_path / "other.csv"
     path.write_bytes(content)
-    with pytest.raises(InvalidInput):
-        read_trials(path)
+    refused(read_trials, path)
 
 
 def test_missing_files_and_stated_probabilities_are_not_replaced(path, tmp_path):

@@ -191,8 +191,7 @@ def test_events_count_at_any_time():
         goal = AllOf(there, never=event)
         assert goal.met(SCENE, track).tolist() == [not happens], event
         assert there.met(SCENE, track).all()
-    with pytest.raises(InvalidInput, match="no forces"):
-        ForceAbove(1.0).margin(SCENE, BodyTrack(way[None]))
+    refused(ForceAbove(1.0).margin, SCENE, BodyTrack(way[None]), match="no forces")
 
 
 def test_a_failed_simulation_has_a_finite_margin_and_meets_nothing():
@@ -224,11 +223,9 @@ def test_a_hundred_thousand_poses_take_well_under_a_second():
 
 
 def test_goals_refuse_what_makes_no_sense():
-    with pytest.raises(InvalidInput, match="names of fixels"):
-        Seated()
+    refused(Seated, match="names of fixels")
     for bad in ({}, {"position": -1.0}, {"position": 1.0, "symmetry": 1.5}, {"angle": np.nan}):
-        with pytest.raises(InvalidInput, match="goal"):
-            PoseRegion((0, 0, 0), **bad)
+        refused(PoseRegion, (0, 0, 0), **bad, match="goal")
     refused(Beyond, [(0, 0), (0, 0)], match="two different points")
     refused(AllOf, Contact("left"), match="never")
     refused(AllOf, Seated("left"), never=[Seated("low")], match=r"goal\.never\[0\]")

@@ -5,7 +5,6 @@ import pickle
 import pytest
 from tests.fixtures import refused
 
-from fixel.errors import InvalidInput
 from fixel.model import KNOWN_PARAMETERS, Parameters
 from fixel.model.parameters import info_of
 
@@ -45,5 +44,4 @@ def test_an_unknown_name_is_refused_with_the_nearest_or_the_known_ones():
     ("load_0", 0.5),
 ])  # fmt: skip
 def test_a_value_that_cannot_be_is_refused(name, value):
-    with pytest.raises(InvalidInput, match=name):
-        Parameters({name: value})
+    refused(Parameters, {name: value}, match=name)

@@ -6,7 +6,7 @@ from time import process_time
 import pytest
 from tests.fixtures import refused
 
-from fixel import Body, Disk, Fixel, InvalidInput, LineDrive, PairFriction, Polygon, Pusher, Scene
+from fixel import Body, Disk, Fixel, LineDrive, PairFriction, Polygon, Pusher, Scene
 
 SQUARE = Polygon([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 ELL = Polygon([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]])
@@ -48,8 +48,7 @@ def test_the_names_come_in_order():
     (free("a", 0, 0, 0, shape=ELL), fixel("b", 1.4, 1.55, 0, shape=SQUARE), "100 mm"),
 ])  # fmt: skip
 def test_bodies_that_overlap_are_refused_with_their_names_and_the_depth(a, b, depth):
-    with pytest.raises(InvalidInput, match=f"'a' and 'b': found an overlap of {depth}"):
-        scene(a, fixels=[b])
+    refused(scene, a, fixels=[b], match=f"'a' and 'b': found an overlap of {depth}")
 
 
 @pytest.mark.parametrize(("shape", "fixels"), [
@@ -88,17 +87,14 @@ def test_bodies_that_touch_and_obstacles_that_overlap_are_fine(shape, fixels):
     (lambda: PairFriction(pair=("a", "b"), friction=-0.1), "at least 0"),
 ])  # fmt: skip
 def test_a_scene_that_cannot_be_is_refused(make, words):
-    with pytest.raises(InvalidInput, match=words):
-        make()
+    refused(make, match=words)
 
 
 def test_free_bodies_need_a_friction_for_their_contact():
     bodies = [free("a", 0, 0, 0), free("b", 2, 0, 0), free("c", 4, 0, 0)]
-    with pytest.raises(InvalidInput, match=r"free bodies 'a' and 'b'.*add \{pair: \[a, b\]"):
-        scene(*bodies)
+    refused(scene, *bodies, match=r"free bodies 'a' and 'b'.*add \{pair: \[a, b\]")
     one = PairFriction(pair=("b", "a"), friction=0.1)
-    with pytest.raises(InvalidInput, match="free bodies 'a' and 'c'"):
-        scene(*bodies, contact_friction=[one])
+    refused(scene, *bodies, contact_friction=[one], match="free bodies 'a' and 'c'")
     made = scene(*bodies, contact_friction=[*ANY_PAIR, one])
     assert made.friction("a", "b") == 0.1  # a name counts more than a pattern
     assert made.friction("c", "b") == 0.3

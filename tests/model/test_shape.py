@@ -81,8 +81,7 @@ def test_a_polygon_that_cannot_be_is_refused(vertices, where, words):
 def test_a_star_drawn_in_one_line_is_refused():
     """It turns to the left at every corner, like a convex polygon, but twice around."""
     angle = np.arange(5) * (4 * pi / 5)
-    with pytest.raises(InvalidInput, match="crosses"):
-        Polygon(np.column_stack((np.cos(angle), np.sin(angle))))
+    refused(Polygon, np.column_stack((np.cos(angle), np.sin(angle))), match="crosses")
 
 
 @given(st.lists(st.tuples(st.integers(0, 6), st.integers(0, 6)), min_size=3, max_size=7))
@@ -102,8 +101,7 @@ def test_those_outlines_are_accepted_that_shapely_accepts(points):
     "radius", [0.0, -1.0, 1e300, 1e-200, float("nan"), float("inf"), "1", True, None]
 )
 def test_a_disk_needs_a_positive_radius(radius):
-    with pytest.raises(InvalidInput, match="disk"):
-        Disk(radius)
+    refused(Disk, radius, match="disk")
 
 
 def test_a_disk_is_round():

@@ -48,8 +48,7 @@ def test_a_centre_of_mass_outside_the_triangle_is_refused_with_its_weights():
 
 def test_three_points_on_a_line_are_refused():
     support = SupportPoints(points=[[0, 0], [1, 0], [2, 0]], friction=0.3)
-    with pytest.raises(InvalidInput, match="on one line"):
-        support_points(support, SQUARE, (0, 0), 1.0, 9.81)
+    refused(support_points, support, SQUARE, (0, 0), 1.0, 9.81, match="on one line")
 
 
 def test_more_points_carry_equal_loads_or_those_given():

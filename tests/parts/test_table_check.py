@@ -134,8 +134,7 @@ def test_a_condition_with_many_values_names_no_sessions():
 def test_several_tables_are_refused():
     pushes = over_a_table(noise=NOISE)
     others = [replace(own, conditions={**own.conditions, "surface": "steel"}) for own in pushes]
-    with pytest.raises(InvalidInput, match=r"'board' and 'steel'.*where=surface=steel"):
-        table_check([*pushes, *others])
+    refused(table_check, [*pushes, *others], match=r"'board' and 'steel'.*where=surface=steel")
 
 
 def test_repeats_of_the_mit_dataset(data_root):

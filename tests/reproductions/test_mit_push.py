@@ -15,7 +15,7 @@ from tests.fixtures import refused
 from typer.testing import CliRunner
 
 from fixel.datasets.mit_push import read_mit_pushes
-from fixel.errors import DatasetMissing, InvalidInput
+from fixel.errors import DatasetMissing
 from fixel.io.array_bytes import ResultCache
 
 SHIFT = (0.9e-3, -0.6e-3)
@@ -243,15 +243,13 @@ def test_command_prints_json_and_a_table(tmp_path):
     ({"folds": 1}, "2 or more"),
 ])  # fmt: skip
 def test_wrong_requests_are_refused(changes, complaint):
-    with pytest.raises(InvalidInput, match=complaint):
-        BenchmarkRequest(**changes)
+    refused(BenchmarkRequest, **changes, match=complaint)
 
 
 def test_a_folder_without_the_data_is_refused(tmp_path):
     with pytest.raises(DatasetMissing):
         benchmark_real(tmp_path)
-    with pytest.raises(InvalidInput, match="must be one of mit"):
-        benchmark_real(tmp_path, part="moon")
+    refused(benchmark_real, tmp_path, part="moon", match="must be one of mit")
 
 
 # --- real pushes ----------------------------------------------------------------------------------

@@ -111,8 +111,7 @@ def test_too_many_samples_are_refused():
 
 
 def test_methods_that_do_not_fit_are_refused():
-    with pytest.raises(InvalidInput, match="support_directions"):
-        simulate(grasp(), solver=Lemke())
+    refused(simulate, grasp(), solver=Lemke(), match="support_directions")
     loose = replace(sliding_block(), gravity=0.0)
     refused(simulate, loose, motion=QuasiStatic(), match="support friction")
     refused(simulate, grasp(), {"tripod_radiu": 0.1}, match="tripod_radiu")
@@ -142,8 +141,7 @@ def test_lemke_ends_after_a_stated_number_of_steps_with_advice():
 ])  # fmt: skip
 def test_options_that_cannot_be_are_refused(build, options):
     (name,) = options
-    with pytest.raises(InvalidInput, match=rf"{build.__name__}\.{name} is .*, but must be"):
-        build(**options)
+    refused(build, **options, match=rf"{build.__name__}\.{name} is .*, but must be")
 
 
 def test_method_and_options_are_described():
@@ -239,8 +237,7 @@ def test_a_simulator_of_a_template_takes_its_path_from_the_run():
     path = [(0.0, *pusher.pose), (2.0, -0.015, 0.02, 0.0)]
     run = simulator.run(waypoints=path)
     assert run.converged
-    with pytest.raises(InvalidInput, match="template"):
-        simulator.run()
+    refused(simulator.run, match="template")
 
 
 @pytest.mark.parametrize(("changes", "match"), [
@@ -255,8 +252,7 @@ def test_a_simulator_of_a_template_takes_its_path_from_the_run():
     ({"output_interval": 0.0}, "output_interval"),
 ])  # fmt: skip
 def test_changes_that_do_not_suit_the_scene_are_refused(changes, match):
-    with pytest.raises(InvalidInput, match=match):
-        Simulator(pushed_square()).run(**changes)
+    refused(Simulator(pushed_square()).run, **changes, match=match)
 
 
 def test_a_path_needs_one_pusher_and_a_start_every_body():

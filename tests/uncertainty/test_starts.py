@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from tests.fixtures import refused
 
-from fixel.errors import InvalidInput
 from fixel.uncertainty.starts import ASME, StartError, even_points, preset
 
 
@@ -40,8 +39,7 @@ def test_the_papers_error():
 
 def test_the_kind_is_required_and_printed():
     """The same sizes have other deviations, by the square root of three; the text names which."""
-    with pytest.raises(InvalidInput, match=r"kind: found none.*half-widths.*standard deviations"):
-        StartError(x=1e-3, y=1e-3)
+    refused(StartError, x=1e-3, y=1e-3, match=r"kind: found none.*half-widths.*standard deviations")
     box, normal = (StartError(x=1e-3, y=1e-3, kind=kind) for kind in ("uniform", "normal"))
     assert (str(box), str(normal)) == ("start: +-1 mm uniform", "start: 1 mm standard deviation")
     spread = [own.samples(4096)[:, 0].std() for own in (box, normal)]
@@ -58,8 +56,7 @@ def test_the_kind_is_required_and_printed():
     {"x": 1.0, "y": 0.0, "theta": 0.0, "kind": "round"},
 ])  # fmt: skip
 def test_no_such_error(wrong):
-    with pytest.raises(InvalidInput):
-        StartError(**wrong)
+    refused(StartError, **wrong)
 
 
 def test_no_such_preset_or_number():

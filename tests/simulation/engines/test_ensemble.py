@@ -162,8 +162,7 @@ def no_program(folder):
         "[1]", "{oops", '{"parameters": 3}', "[" * 90_000, f'{{"parameters": {DEEP}}}')),
 ])  # fmt: skip
 def test_programs_that_are_no_engine_are_refused(make, message, tmp_path):
-    with pytest.raises(InvalidInput, match=message):
-        many(make(tmp_path))
+    refused(many, make(tmp_path), match=message)
 
 
 def test_a_version_that_was_not_tested_is_refused(monkeypatch):
@@ -270,8 +269,7 @@ def test_a_calibration_goes_on_after_crashes(tmp_path):
 
 def test_the_motion_of_a_name_is_the_engine():
     assert motion_model("pymunk:iterations=30") == OtherEngine("pymunk:iterations=30")
-    with pytest.raises(InvalidInput, match="motion"):
-        fixel.simulate_batch(SCENE, {"mu_pusher": [0.1]}, motion="pymunk")
+    refused(fixel.simulate_batch, SCENE, {"mu_pusher": [0.1]}, motion="pymunk", match="motion")
 
 
 @pytest.mark.parametrize("name", ["pymnk", "pymnk:step=0.01", "pymnk==7.3"])
@@ -279,5 +277,4 @@ def test_an_unknown_motion_names_the_engines_and_the_nearest(name):
     text = str(refused(motion_model, name))
     assert "dynamic, quasistatic, first-order, box2d, drake, mujoco, pymunk" in text
     assert "the path of a program; did you mean 'pymunk'?" in text
-    with pytest.raises(InvalidInput, match="did you mean 'quasistatic'"):
-        motion_model("quasi-static")
+    refused(motion_model, "quasi-static", match="did you mean 'quasistatic'")

@@ -61,8 +61,7 @@ class TestTags(TrackingContract):
         u, _ = painter.rig.camera.project_at(moving(0.0)["object"][:2], 0.0255).astype(int)
         picture[:, 10:110] = picture[:, u - 50 : u + 50]
         frames = [Frame(k / 30.0, as_seen(picture)) for k in range(12)]
-        with pytest.raises(InvalidInput, match="tag 1 is in the picture 2 times"):
-            track(frames, painter.rig)
+        refused(track, frames, painter.rig, match="tag 1 is in the picture 2 times")
 
     @pytest.mark.parametrize("side", range(4))
     def test_half_a_tag_is_enough(self, painter, side):
@@ -100,8 +99,7 @@ class TestStickers(TrackingContract):
         v, u = np.mgrid[0 : picture.shape[0], 0 : picture.shape[1]]
         picture[np.hypot(u - 60, v - 200) < 11.0] = PAINT["red"]
         frames = [Frame(k / 30.0, as_seen(picture)) for k in range(12)]
-        with pytest.raises(InvalidInput, match="2 regions of the colour"):
-            track(frames, painter.rig)
+        refused(track, frames, painter.rig, match="2 regions of the colour")
 
 
 class TestPlate:
@@ -149,8 +147,7 @@ class TestPlate:
             translation=camera.translation + np.array([0.003, -0.001, 0.002]),
         )
         frames = [painter.frame(k / 30.0) for k in range(3)]
-        with pytest.raises(InvalidInput, match="--register"):
-            track(frames, replace(rig, camera=moved))
+        refused(track, frames, replace(rig, camera=moved), match="--register")
         tracked = track(frames, replace(rig, camera=moved), register=True)
         assert "estimated again" in tracked.remarks[0]
         for name, part in tracked.parts.items():
@@ -185,8 +182,7 @@ class TestPlate:
 
     def test_half_a_turn_is_named(self, painter):
         turned = painter.frame(0.0).picture[::-1, ::-1].copy()
-        with pytest.raises(InvalidInput, match=r"180 degrees|was moved"):
-            track([Frame(0.0, turned)], painter.rig)
+        refused(track, [Frame(0.0, turned)], painter.rig, match=r"180 degrees|was moved")
 
 
 def test_the_microscope_scene():
@@ -221,11 +217,9 @@ def test_the_tab_of_a_fast_part_is_not_taken_for_its_side():
 def test_unknown_methods_are_refused():
     rig = tag_rig((96, 72))
     frame = Frame(0.0, np.zeros((72, 96, 3), np.uint8))
-    with pytest.raises(InvalidInput, match="auto, tags"):
-        track([frame], rig, method="guess")
+    refused(track, [frame], rig, method="guess", match="auto, tags")
     for method in ("stickers", "silhouette"):
-        with pytest.raises(InvalidInput, match=f"for {method}, "):
-            track([frame], rig, method=method)
+        refused(track, [frame], rig, method=method, match=f"for {method}, ")
     bare = replace(rig, parts={name: MarkedPart(height=0.02) for name in rig.parts})
     refused(track, [frame], bare, match=r"for tags, .* for stickers, .* for silhouette, ")
     refused(track, [], rig, match="no frames")
