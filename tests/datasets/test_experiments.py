@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 
 import fixel
 from fixel.datasets import Experiments, example
-from fixel.errors import InvalidInput
 from fixel.model import Flag
 
 
@@ -53,8 +53,7 @@ def test_a_filter_selects_like_a_loop(pushes):
     ("moved>far", "must be a number"),
 ])  # fmt: skip
 def test_filters_that_cannot_be_met_are_refused(pushes, text, complaint):
-    with pytest.raises(InvalidInput, match=complaint):
-        pushes.where(text)
+    refused(pushes.where, text, match=complaint)
 
 
 def test_samples_and_splits_repeat_and_partition(pushes):
@@ -69,17 +68,14 @@ def test_samples_and_splits_repeat_and_partition(pushes):
     assert len({push.conditions["surface"] for push in held_out}) == 1
     assert len(train) == len(held_out) == 20
     for wrong in (0, 40, 1.0, True):
-        with pytest.raises(InvalidInput, match="test is"):
-            pushes.split(wrong)
-    with pytest.raises(InvalidInput, match="n is 41"):
-        pushes.sample(41)
+        refused(pushes.split, wrong, match="test is")
+    refused(pushes.sample, 41, match="n is 41")
 
 
 def test_groups(pushes):
     groups = pushes.groupby("surface")
     assert {surface: len(own) for surface, own in groups.items()} == {"abs": 20, "plywood": 20}
-    with pytest.raises(InvalidInput, match="did you mean 'surface'"):
-        pushes.groupby("surfaces")
+    refused(pushes.groupby, "surfaces", match="did you mean 'surface'")
 
 
 def test_slices_and_single_experiments(pushes):
@@ -87,8 +83,7 @@ def test_slices_and_single_experiments(pushes):
     assert pushes[2:4].keys == ("example/02", "example/03")
     assert Experiments.of(pushes[0]).keys == ("example/00",)
     assert Experiments.of(pushes) is pushes
-    with pytest.raises(InvalidInput, match=r"experiments\[1\]"):
-        Experiments.of([pushes[0], "example/01"])
+    refused(Experiments.of, [pushes[0], "example/01"], match=r"experiments\[1\]")
 
 
 def test_nothing_is_modified(pushes):
@@ -146,8 +141,7 @@ def test_an_experiment_is_simulated_with_other_values(pushes):
     slow, like_the_scene = pushes[0].simulate({"mu_pusher": 0.0}), pushes[0].simulate()
     assert like_the_scene.converged
     assert not np.allclose(slow.pose["part"][-1], like_the_scene.pose["part"][-1], atol=1e-4)
-    with pytest.raises(InvalidInput, match="no scene"):
-        replace(pushes[0], scene=None).simulate()
+    refused(replace(pushes[0], scene=None).simulate, match="no scene")
 
 
 def test_plots_return_axes_and_change_no_settings(pushes):
@@ -161,6 +155,5 @@ def test_plots_return_axes_and_change_no_settings(pushes):
     assert len(pushes[0].plot()) == 4
     assert pushes[:2].plot().get_xlabel() == "x [mm]"
     assert dict(mpl.rcParams) == before
-    with pytest.raises(InvalidInput, match="kind is 'tracks'"):
-        pushes.plot("tracks")
+    refused(pushes.plot, "tracks", match="kind is 'tracks'")
     pyplot.close("all")

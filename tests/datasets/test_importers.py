@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 from tests.datasets import push_files, recordings
+from tests.fixtures import refused
 
 from fixel.datasets import IMPORTERS, importer_for
 from fixel.errors import DatasetMissing, InvalidInput
@@ -57,8 +58,7 @@ def test_what_nobody_knows_is_refused_with_what_is_known(tmp_path):
         importer_for(tmp_path)
     with pytest.raises(DatasetMissing, match="no such file"):
         importer_for(tmp_path / "nowhere")
-    with pytest.raises(InvalidInput, match="'mit', but must be one of rpi-2dgad"):
-        importer_for(tmp_path, "mit")
+    refused(importer_for, tmp_path, "mit", match="'mit', but must be one of rpi-2dgad")
 
 
 def test_folders_inside_are_named(tmp_path):
@@ -71,8 +71,7 @@ def test_a_named_importer_says_what_it_misses(tmp_path):
     for name in list(IMPORTERS)[:-1]:
         with pytest.raises(DatasetMissing):
             IMPORTERS[name].read(tmp_path)
-    with pytest.raises(InvalidInput, match="one table"):
-        IMPORTERS["csv"].read(tmp_path)
+    refused(IMPORTERS["csv"].read, tmp_path, match="one table")
 
 
 def test_unknown_options_are_refused(tmp_path):
@@ -179,8 +178,7 @@ def test_known_faults_are_flagged(changes, flag, tmp_path):
 
 def test_repeated_names_are_refused(tmp_path):
     folder = push_files.mit_push(tmp_path, push_files.push(0), push_files.push(0))
-    with pytest.raises(InvalidInput, match="row 2, column push_id: found 'felt_block_0' again"):
-        imported(folder)
+    refused(imported, folder, match="row 2, column push_id: found 'felt_block_0' again")
 
 
 def test_a_single_push(tmp_path):
@@ -221,8 +219,7 @@ def test_hdf5_without_its_library_says_what_to_do(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "h5py", None)
     file = tmp_path / f"{recordings.RECORD}.h5"
     file.write_bytes(b"\x89HDF\r\n")
-    with pytest.raises(InvalidInput, match="pip install h5py"):
-        imported(file)
+    refused(imported, file, match="pip install h5py")
 
 
 def test_hdf5_as_published(tmp_path):

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from tests.datasets import push_files, recordings
+from tests.fixtures import refused
 
 from fixel import Disk, InvalidInput, Polygon
 from fixel.datasets import IMPORTERS, importer_for
@@ -109,26 +110,22 @@ def test_trials_without_their_files_are_left_out(tmp_path):
 ])  # fmt: skip
 def test_wrong_pushes_are_refused(changes, complaint, tmp_path):
     folder = push_files.mit_push(tmp_path, push_files.push(0, **changes))
-    with pytest.raises(InvalidInput, match=complaint):
-        imported(folder)
+    refused(imported, folder, match=complaint)
 
 
 def test_a_missing_column_is_named(tmp_path):
     row = push_files.push(0)
     del row["tip_y1"]
-    with pytest.raises(InvalidInput, match="a column tip_y1"):
-        imported(push_files.mit_push(tmp_path, row))
+    refused(imported, push_files.mit_push(tmp_path, row), match="a column tip_y1")
 
 
 def test_a_broken_file_is_refused(tmp_path):
     folder = push_files.mit_push(tmp_path, push_files.push(0))
     (folder / "pushes.csv.gz").write_bytes(b"not compressed")
-    with pytest.raises(InvalidInput, match=r"pushes\.csv\.gz"):
-        imported(folder)
+    refused(imported, folder, match=r"pushes\.csv\.gz")
     folder = push_files.mit_push(tmp_path, push_files.push(0))
     (folder / "shapes.json").write_text("{")
-    with pytest.raises(InvalidInput, match=r"shapes\.json"):
-        imported(folder)
+    refused(imported, folder, match=r"shapes\.json")
 
 
 def test_trials_with_times_that_go_back_are_left_out(tmp_path):
@@ -143,5 +140,4 @@ def test_trials_with_times_that_go_back_are_left_out(tmp_path):
 def test_outlines_without_the_square_of_the_runs_are_refused(tmp_path):
     folder = push_files.mit_timeseries(tmp_path)
     (folder / "shapes.json").write_text('{"hex": [], "pusher_radius_m": 0.005}')
-    with pytest.raises(InvalidInput, match="an outline of rect1"):
-        IMPORTERS["mit-pusher-slider"].read(folder)
+    refused(IMPORTERS["mit-pusher-slider"].read, folder, match="an outline of rect1")

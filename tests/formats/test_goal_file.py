@@ -3,8 +3,9 @@
 import math
 
 import pytest
+from tests.fixtures import refused
 
-from fixel import FreePushes, InvalidInput, RigPushes
+from fixel import FreePushes, RigPushes
 from fixel.formats.goal_file import goal_file_from_dict, load_goal
 from fixel.io.document import parse_yaml
 from fixel.model import goals
@@ -96,8 +97,7 @@ def test_obstacles_and_cost_of_pushes(form):
     ("{obstacles_mm: [[[0, 0], [1, 0], [2, 0]]]}", r"choose.free.obstacles\[0\].*no area"),
 ])  # fmt: skip
 def test_obstacles_and_costs_that_are_none(text, where):
-    with pytest.raises(InvalidInput, match=where):
-        seated(f"choose: {{free: {text}}}")
+    refused(seated, f"choose: {{free: {text}}}", match=where)
 
 
 def test_free_pushes_and_intervals_of_parameters():
@@ -136,8 +136,7 @@ def test_free_pushes_and_intervals_of_parameters():
     ("{start: {preset: asme, kind: normal}}", "a preset and sizes"),
 ])  # fmt: skip
 def test_units_and_kinds_are_named(belief, message):
-    with pytest.raises(InvalidInput, match=message):
-        seated(f"belief: {belief}")
+    refused(seated, f"belief: {belief}", match=message)
 
 
 @pytest.mark.parametrize(("old", "new", "message"), [
@@ -163,5 +162,4 @@ def test_units_and_kinds_are_named(belief, message):
 def test_errors_name_the_key_or_the_line(old, new, message, tmp_path):
     assert old in FULL
     (tmp_path / "goal.yaml").write_text(FULL.replace(old, new, 1))
-    with pytest.raises(InvalidInput, match=message):
-        load_goal(tmp_path / "goal.yaml")
+    refused(load_goal, tmp_path / "goal.yaml", match=message)

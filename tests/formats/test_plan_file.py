@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from tests.fixtures import refused
 
 from fixel import Disk, Ellipsoid, InvalidInput, NoSupport, Polygon, UniformPressure
 from fixel.formats.plan_file import PlanRecord, load_plan, plan_from_text, plan_text
@@ -100,21 +101,18 @@ def test_what_is_wrong_is_refused_with_its_path(path, value, sentence):
     for key in path[:-1]:
         level = level[key]
     level[path[-1]] = value
-    with pytest.raises(InvalidInput, match=sentence):
-        plan_from_text(yaml.safe_dump(raw))
+    refused(plan_from_text, yaml.safe_dump(raw), match=sentence)
 
 
 @pytest.mark.parametrize("text", ["", "[]", "a", "{fixel_plan: 1}", "a: &x 1\nb: *x", "!!set {a}"])
 def test_what_is_no_plan_is_refused(text):
-    with pytest.raises(InvalidInput):
-        plan_from_text(text)
+    refused(plan_from_text, text)
 
 
 def test_a_missing_key_is_named():
     raw = content()
     del raw["nominal"]["gap"]
-    with pytest.raises(InvalidInput, match=r"^nominal\.gap is missing"):
-        plan_from_text(yaml.safe_dump(raw))
+    refused(plan_from_text, yaml.safe_dump(raw), match=r"^nominal\.gap is missing")
 
 
 def test_a_support_that_a_file_cannot_hold_is_refused():

@@ -7,8 +7,9 @@ import numpy as np
 import pyarrow.csv
 import pyarrow.parquet
 import pytest
+from tests.fixtures import refused
 
-from fixel import InvalidInput, StewartTrinkle, simulate
+from fixel import StewartTrinkle, simulate
 from fixel.formats.trajectory_file import save_trajectory, trajectory_columns
 from fixel.io.atomic import written_whole
 from fixel.io.document import plain_numbers
@@ -75,15 +76,13 @@ def test_impulse_is_force_times_step_and_zero_without_touching(run):
     ("nowhere/run.csv", r"no folder .*nowhere, but fixel needs an existing folder"),
 ])  # fmt: skip
 def test_other_endings_and_missing_folders_are_refused(run, name, sentence, tmp_path):
-    with pytest.raises(InvalidInput, match=sentence):
-        save_trajectory(run, tmp_path / name)
+    refused(save_trajectory, run, tmp_path / name, match=sentence)
 
 
 @pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="root may write anywhere")
 def test_a_read_only_folder_is_a_plain_sentence(run, tmp_path):
     tmp_path.chmod(0o500)
-    with pytest.raises(InvalidInput, match="no write permission"):
-        save_trajectory(run, tmp_path / "run.csv")
+    refused(save_trajectory, run, tmp_path / "run.csv", match="no write permission")
 
 
 @pytest.mark.parametrize("end", [KeyboardInterrupt, RuntimeError])
@@ -108,8 +107,7 @@ def test_a_full_disk_is_a_plain_sentence(tmp_path):
         with written_whole(tmp_path / "run.csv"):
             raise OSError(28, "No space left on device")
 
-    with pytest.raises(InvalidInput, match="no space left on device"):
-        write()
+    refused(write, match="no space left on device")
 
 
 def test_strict_json_has_no_infinities():

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 from tests.planning.test_seen import CoarseModel
 from tests.workflows.planning.plans import plan_of
 
@@ -72,8 +73,7 @@ def test_a_push_is_animated_as_planned(found, tmp_path):
     assert np.allclose(run.final["part"], found.end, atol=3e-6)
     assert "<script" in found.animate().page
     assert found.animate(tmp_path / "push.gif").stat().st_size > 1000
-    with pytest.raises(InvalidInput, match="one of its pushes"):
-        found.animate(push=2)
+    refused(found.animate, push=2, match="one of its pushes")
 
 
 def test_without_anything_unknown_success_is_certain():
@@ -211,8 +211,7 @@ def test_a_part_that_meets_its_goal_is_left_alone(tmp_path):
     assert fixel.load(plan.save(tmp_path / "alone.plan")) == plan
     assert len(plan.waypoints().rows) == 0
     assert plan.plot() is not None
-    with pytest.raises(InvalidInput, match="no pushes"):
-        run_on_testbed(tmp_path / "alone.plan", trials=2)
+    refused(run_on_testbed, tmp_path / "alone.plan", trials=2, match="no pushes")
 
 
 @pytest.mark.parametrize("rollouts", [float("nan"), "many", True, None, 999, 4_000.5])
@@ -228,8 +227,7 @@ def test_numbers_of_rollouts_that_are_none(rollouts):
     (lambda: FreePushes(cost="tiem"), r"choose\.cost is .*tiem.*did you mean .*time"),
 ])  # fmt: skip
 def test_negative_lengths_and_unknown_costs_are_refused(make, where):
-    with pytest.raises(InvalidInput, match=where):
-        make()
+    refused(make, match=where)
 
 
 def test_a_placement_on_the_rig_seats_the_part():

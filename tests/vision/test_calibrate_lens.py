@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 from benchmarks.board_pictures import Studio, seen_corners, spread
+from tests.fixtures import refused
 
-from fixel.errors import InvalidInput
 from fixel.vision.calibrate_lens import BoardView, SkippedPicture, calibrate_lens, find_boards
 from fixel.vision.lens import Lens
 from fixel.vision.marks import Board, Corners, board_of
@@ -98,8 +98,7 @@ def test_a_bad_picture_is_dropped_with_the_reason():
 @pytest.mark.parametrize("count", [0, 3])
 def test_too_few_pictures(count):
     views = seen_corners(LENS, CHECKERS, 8, noise=0.05)[:count]
-    with pytest.raises(InvalidInput, match="at least 4"):
-        calibrate_lens(views, [SkippedPicture("x.png", "no such board")])
+    refused(calibrate_lens, views, [SkippedPicture("x.png", "no such board")], match="at least 4")
 
 
 @pytest.mark.parametrize(("lens", "seen", "options", "message"), [
@@ -110,29 +109,25 @@ def test_too_few_pictures(count):
     (LENS, {"noise": 0.05}, {"coefficients": 3}, "coefficients"),
 ], ids=["parallel", "parallel and distorted", "hardly tilted", "coefficients"])  # fmt: skip
 def test_boards_that_say_too_little_are_refused(lens, seen, options, message):
-    with pytest.raises(InvalidInput, match=message):
-        calibrate_lens(seen_corners(lens, CHECKERS, 5, **seen), **options)
+    refused(calibrate_lens, seen_corners(lens, CHECKERS, 5, **seen), **options, match=message)
 
 
 @pytest.mark.parametrize(("size", "word"), [((360, 480), "90 degrees"), ((960, 720), "one size")])
 def test_mixed_sizes(size, word):
     views = list(seen_corners(LENS, CHECKERS, 8, noise=0.05))
     views[2] = BoardView("odd.png", size, views[2].corners)
-    with pytest.raises(InvalidInput, match=word):
-        calibrate_lens(views)
+    refused(calibrate_lens, views, match=word)
 
 
 def test_mirrored_pictures(pictures):
     mirrored = [(name, np.ascontiguousarray(picture[:, ::-1])) for name, picture in pictures]
-    with pytest.raises(InvalidInput, match="mirrored"):
-        find_boards(mirrored, CHARUCO)
+    refused(find_boards, mirrored, CHARUCO, match="mirrored")
 
 
 def test_another_board(pictures):
     views, dropped = find_boards(pictures[:4], CHECKERS)
     assert not views
-    with pytest.raises(InvalidInput, match="no such board"):
-        calibrate_lens(views, dropped)
+    refused(calibrate_lens, views, dropped, match="no such board")
 
 
 @pytest.mark.parametrize(
@@ -143,8 +138,7 @@ def test_another_board(pictures):
      "checkerboard:9x6:0mm"],
 )  # fmt: skip
 def test_boards_that_cannot_be(text):
-    with pytest.raises(InvalidInput):
-        board_of(text)
+    refused(board_of, text)
 
 
 def test_boards_are_read():
