@@ -192,16 +192,20 @@ def test_a_probe_without_a_simulation_has_no_slope():
     np.testing.assert_array_equal(common[..., 1:], whole[..., 1:])
 
 
+def _judged(experiments):
+    targets = targets_of(experiments)
+    space = ParameterSpace(unknowns=default_unknowns([target.case.scene for target in targets]))
+    comparer = Comparer(targets, space, motion=Dynamic())
+    return assess(comparer, range(len(targets)), space.nominal).estimates
+
+
 @pytest.mark.slow
 def test_three_pushes_under_a_large_misfit_identify_no_friction():
     """Few pushes, measured within 4 um, on a model that is far off, as in the film of the demo."""
     # Only names that commit e063943 has: there this fails by its words and its numbers.
     bench = SimulatedTestbed(seed=1, position_noise=3.5e-6, angle_noise=2e-4)
     experiments = list(bench.run([thesis_plan().experiments[k] for k in (0, 12, 18)]))
-    targets = targets_of(experiments)
-    space = ParameterSpace(unknowns=default_unknowns([target.case.scene for target in targets]))
-    comparer = Comparer(targets, space, motion=Dynamic())
-    for verdict in assess(comparer, range(3), comparer.space.nominal).estimates:
+    for verdict in _judged(experiments):
         assert verdict.verdict != "identified"
         if verdict.label in FRICTIONS:
             low = -np.inf if verdict.low is None else verdict.low
@@ -213,10 +217,7 @@ def test_three_pushes_under_a_large_misfit_identify_no_friction():
 def test_what_is_called_identified_holds_the_truth_of_the_demo():
     # Only names that commit e063943 has: there this fails by its numbers.
     experiments = list(SimulatedTestbed(seed=1).run(DEMO))
-    targets = targets_of(experiments)
-    space = ParameterSpace(unknowns=default_unknowns([target.case.scene for target in targets]))
-    comparer = Comparer(targets, space, motion=Dynamic())
-    for verdict in assess(comparer, range(21), comparer.space.nominal).estimates:
+    for verdict in _judged(experiments):
         low = -np.inf if verdict.low is None else verdict.low
         high = np.inf if verdict.high is None else verdict.high
         assert low <= verdict.value <= high

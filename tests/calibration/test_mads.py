@@ -12,6 +12,12 @@ from fixel.testing.optimiser_contract import bowl, box, run
 pytest.importorskip("PyNomad")
 
 
+def begun():
+    search = Mads().start(box())
+    run(search, bowl, 5)
+    return search
+
+
 def process(search):
     return search._nomad._process
 
@@ -43,8 +49,7 @@ def test_process_ends_with_the_search():
 
 
 def test_process_ends_when_the_search_is_dropped():
-    search = Mads().start(box())
-    run(search, bowl, 5)
+    search = begun()
     child = process(search)
     assert child.poll() is None
     del search
@@ -54,8 +59,7 @@ def test_process_ends_when_the_search_is_dropped():
 
 
 def test_process_that_died_ends_the_search():
-    search = Mads().start(box())
-    run(search, bowl, 5)
+    search = begun()
     search.ask()
     process(search).kill()
     process(search).wait()
@@ -65,8 +69,7 @@ def test_process_that_died_ends_the_search():
 
 
 def test_process_that_hangs_is_ended(monkeypatch):
-    search = Mads().start(box())
-    run(search, bowl, 5)
+    search = begun()
     asked = search.ask()
     process(search).send_signal(signal.SIGSTOP)
     monkeypatch.setattr(mads, "THINKS_WITHIN", 0.2)

@@ -10,7 +10,7 @@ from tests.datasets import push_files, recordings
 from tests.fixtures import refused
 
 from fixel.datasets import IMPORTERS, importer_for
-from fixel.errors import DatasetMissing, InvalidInput
+from fixel.errors import DatasetMissing
 from fixel.model import Disk, SupportPoints, UniformPressure
 
 
@@ -76,10 +76,8 @@ def test_a_named_importer_says_what_it_misses(tmp_path):
 
 def test_unknown_options_are_refused(tmp_path):
     folder = recordings.rpi_2dgad(tmp_path)
-    with pytest.raises(
-        InvalidInput, match="the option speed, but fixel needs one of its options: none"
-    ):
-        IMPORTERS["rpi-2dgad"].read(folder, speed=3)
+    said = "the option speed, but fixel needs one of its options: none"
+    refused(IMPORTERS["rpi-2dgad"].read, folder, speed=3, match=said)
 
 
 def test_a_caller_keeps_its_own_floating_point_settings(tmp_path):

@@ -7,7 +7,6 @@ import pytest
 from tests.fixtures import refused
 
 from fixel.datasets.plan_table import read_rows, write_rows
-from fixel.errors import InvalidInput
 from fixel.sampling import eight_push_plan, thesis_plan
 
 PLANNED = thesis_plan().experiments[0]
@@ -100,17 +99,13 @@ def test_what_is_refused(text, where, words, read):
 
 def test_a_value_for_a_fixel_that_the_scene_of_the_row_lacks(read, tmp_path):
     eight_push_plan().experiments[0].scene.save(tmp_path / "open.yaml")
-    with pytest.raises(
-        InvalidInput, match=r"row 2, b\.fixel-1_x_m: found an unknown name, but fixel needs one of"
-    ):
-        read("name,scene,fixel-1_x_mm\na,scene.yaml,240\nb,open.yaml,240\n")
+    table = "name,scene,fixel-1_x_mm\na,scene.yaml,240\nb,open.yaml,240\n"
+    said = r"row 2, b\.fixel-1_x_m: found an unknown name, but fixel needs one of"
+    refused(read, table, match=said)
 
 
 def test_no_template(tmp_path):
     path = tmp_path / "plan.csv"
     path.write_text("name,x_mm\na,160\n")
-    with pytest.raises(
-        InvalidInput,
-        match="row 1, column scene: found none, but fixel needs a scene file or an exp",
-    ):
-        read_rows(path, None, stored)
+    said = "row 1, column scene: found none, but fixel needs a scene file or an exp"
+    refused(read_rows, path, None, stored, match=said)
