@@ -15,7 +15,6 @@ from tests.jobs.helpers import await_true
 
 from fixel.cli.main import run
 from fixel.database.project import Project
-from fixel.datasets import plan_import
 from fixel.errors import InvalidInput
 from fixel.jobs import link
 from fixel.jobs.folder import RunSettings, write_run
@@ -25,7 +24,6 @@ from fixel.testing.toy_work import MAKER
 from fixel.workflows import jobs
 from fixel.workflows.capabilities import CAPABILITIES, prepare, prepare_in
 from fixel.workflows.compilation import _compiled
-from fixel.workflows.project.importing import write_template
 
 SEQUENCE = "\x1b]0;mine\x07"  # changes the title of a terminal
 
@@ -151,19 +149,6 @@ def test_a_job_writes_no_file_outside_its_project(tmp_path: Path) -> None:
     assert mine.read_text() == "mine"
     inside = capability.request({"out": project.folder / "own.fixel"})
     assert prepare(capability, inside, project).is_dir()
-
-
-def test_a_template_of_a_scene_is_written_next_to_its_table(tmp_path: Path) -> None:
-    r"""A name is no path, also on Windows, where `\\` separates folders."""
-    table = tmp_path / "in" / "table.csv"
-    table.parent.mkdir()
-    rows = [f"{name},{t},{t},0,0\n" for name in (r"..\..\own", "c:own") for t in (0, 1, 2)]
-    table.write_text("push,time_s,x_mm,y_mm,theta_deg\n" + "".join(rows))
-    plan = plan_import(table, split_by="push")
-    file = write_template(plan, tmp_path)
-    assert file is not None
-    assert file.parent == table.parent
-    assert not {*"/\\:"} & {*file.name}
 
 
 # --- settings of a project ------------------------------------------------------------------------

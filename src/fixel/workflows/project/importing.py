@@ -34,7 +34,7 @@ def write_template(plan: ImportPlan, folder: Path) -> Path | None:
     if experiment.scene is not None:
         return None
     stem = experiment.name if experiment.dataset in (TABLE, BAG) else experiment.dataset
-    name = re.sub(r"[/\\:]", "-", stem) + ".scene.yaml"
+    name = f"{stem.replace('/', '-')}.scene.yaml"
     text = template_text(experiment, plan.source.name)
     for place in (plan.source.parent, folder):
         file = place / name
