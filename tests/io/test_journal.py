@@ -3,6 +3,7 @@
 import os
 import random
 import signal
+import struct
 import subprocess
 import sys
 import time
@@ -33,6 +34,17 @@ def other_process(path, code):
         f"journal = Journal(Path({str(path)!r}))\n{code}"
     )
     return subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
+
+
+def test_a_journal_of_marks_alone_is_refused_soon(tmp_path, monkeypatch):
+    """The rest of the file would be read for each mark, as each may begin a large block."""
+    path, mark, read = tmp_path / "journal", b"\1" * 8, []
+    front = mark + struct.pack("<IQI", 4, 10_000, 0)
+    path.write_bytes(MAGIC + mark + front * 5_000)
+    monkeypatch.setattr("fixel.io.journal._pieces", lambda *place: read.append(place) or ())
+    with pytest.raises(InvalidInput, match="damage in all of it"):
+        list(read_journal(path))
+    assert len(read) < 1100
 
 
 def test_what_is_appended_is_read_back(path):

@@ -31,6 +31,7 @@ _CRC: Final = struct.Struct("<I")
 _HEADER: Final = len(MAGIC) + _MARK
 _FRONT: Final = _MARK + _LENGTHS.size + _CRC.size
 _PIECE: Final = 1 << 20  # [bytes] read at once
+MAX_MISSES: Final = 1000  # marks without a block; a stranger may write one at every byte
 
 
 class _Position(NamedTuple):
@@ -209,10 +210,13 @@ def _contents(stream: BinaryIO, path: Path) -> _Contents:
     mark = header[len(MAGIC) :]
     places: dict[str, _Position] = {}
     position = end = _HEADER
-    damaged = 0
+    damaged = misses = 0
     while position < size:
         found = _block(stream, mark, position, size)
         if found is None:
+            misses += 1
+            if misses > MAX_MISSES:
+                raise InvalidInput(str(path), found="damage in all of it", expected="a journal")
             position = _next_mark(stream, mark, position + 1, size)
             continue
         damaged += position > end

@@ -291,20 +291,14 @@ def _simple_outline(given: FloatArray) -> FloatArray:
     scaled = (vertices - vertices.mean(axis=0)) / size
     if not _turns_once(scaled):
         if shapely.MultiPoint(scaled).convex_hull.area <= COINCIDENT:
-            raise InvalidInput(
-                "polygon",
-                found="no area, since all vertices are on one line",
-                expected="a polygon with an area",
-            )
+            found = "no area, since all vertices are on one line"
+            raise InvalidInput("polygon", found=found, expected="a polygon with an area")
         _check_pairs(scaled, vertices)
     vertices = _without_straight_corners(vertices, size)
     doubled = _doubled_area(vertices)
     if abs(doubled) <= COINCIDENT * size**2:
-        raise InvalidInput(
-            "polygon",
-            found=f"an area of {abs(doubled) / 2:g} m^2",
-            expected="a polygon with an area",
-        )
+        found, expected = f"an area of {abs(doubled) / 2:g} m^2", "a polygon with an area"
+        raise InvalidInput("polygon", found=found, expected=expected)
     return frozen(vertices if doubled > 0.0 else vertices[::-1])
 
 
@@ -321,12 +315,8 @@ def _turns_once(scaled: FloatArray) -> bool:
 
 def _check_size(size: float, where: str) -> None:
     if not SMALLEST <= size <= LARGEST:
-        raise InvalidInput(
-            where,
-            found=f"a size of {size:g} m",
-            expected=f"a size from {SMALLEST:g} to {LARGEST:g} m",
-            hint="lengths are in metres",
-        )
+        found, expected = f"a size of {size:g} m", f"a size from {SMALLEST:g} to {LARGEST:g} m"
+        raise InvalidInput(where, found=found, expected=expected, hint="lengths are in metres")
 
 
 def _without_repeats(vertices: FloatArray) -> FloatArray:
@@ -368,12 +358,8 @@ def _check_pairs(scaled: FloatArray, vertices: FloatArray) -> None:
             f": the edge from vertex {first} to {(first + 1) % n}"
             f" meets the edge from vertex {second} to {(second + 1) % n}"
         )
-    raise InvalidInput(
-        "polygon",
-        found=found,
-        expected="a simple polygon",
-        hint="list the corners in order along the outline",
-    )
+    expected, hint = "a simple polygon", "list the corners in order along the outline"
+    raise InvalidInput("polygon", found=found, expected=expected, hint=hint)
 
 
 def _crossing_edges(vertices: FloatArray) -> tuple[int, int] | None:
