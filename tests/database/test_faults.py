@@ -16,6 +16,7 @@ import pytest
 import sqlalchemy as sa
 from sqlalchemy import event
 from tests.database import importing, server
+from tests.jobs.helpers import await_true
 from tests.processes import line_of
 
 from fixel.database import arrays, engine
@@ -170,10 +171,7 @@ def test_the_server_ends_with_the_tests_that_use_it(number):
         pid, folder = line_of(tests).split()
         os.kill(int(pid), 0)
         tests.send_signal(number)
-    until = time.monotonic() + 60.0
-    while Path(folder).exists() or is_running(int(pid)):
-        assert time.monotonic() < until
-        time.sleep(0.05)
+    await_true(lambda: not (Path(folder).exists() or is_running(int(pid))))
 
 
 def is_running(pid):

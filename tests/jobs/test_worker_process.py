@@ -10,6 +10,7 @@ import time
 from functools import partial
 
 import pytest
+from tests.jobs.helpers import await_true, kill
 
 from fixel.errors import JobRefused
 from fixel.jobs.worker_process import CallCancellation, WorkerProcess
@@ -110,11 +111,4 @@ def test_it_ends_with_the_program_that_started_it_also_in_the_middle_of_a_call(t
     )
     done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=60)
     process = int(done.stdout)
-    until = time.monotonic() + 40.0
-    while time.monotonic() < until:
-        try:
-            os.kill(process, 0)
-        except ProcessLookupError:
-            return
-        time.sleep(0.05)
-    pytest.fail("it still computes")
+    await_true(lambda: not kill(process, 0), "its end", 40.0)

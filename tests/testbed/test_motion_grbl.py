@@ -4,6 +4,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from tests.jobs.helpers import await_true
 
 from fixel.errors import DeviceFailed, InvalidInput
 from fixel.testbed import grbl_lines as grbl
@@ -212,10 +213,7 @@ def test_without_homing_zero_is_unknown_until_confirmed_and_after_each_loss(happ
         assert 1e3 * drive.place() == pytest.approx(there, abs=0.01)
 
         happens(controller)
-        until = time.monotonic() + 5.0
-        while drive.zero_known:
-            assert time.monotonic() < until
-            time.sleep(0.001)
+        await_true(lambda: not drive.zero_known)
         drive.set_zero()
         assert drive.zero_known
         before = np.array(controller.places)

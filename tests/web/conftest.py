@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from contextlib import contextmanager
 from importlib.resources import files
 from pathlib import Path
 
@@ -75,21 +76,28 @@ def chromium():
         browser.close()
 
 
-@pytest.fixture
-def browser_page(chromium, server):
-    """A page that has opened the link; every error in it fails the test."""
-    context = chromium.new_context(viewport={"width": 1280, "height": 800})
+@contextmanager
+def opened_page(chromium, **options):
+    """A page in a context of its own; every error that it does not expect fails the test."""
+    context = chromium.new_context(**{"viewport": {"width": 1280, "height": 800}} | options)
     page = context.new_page()
     page.set_default_timeout(60_000)  # the machine may be busy
     problems = []
     page.on("pageerror", lambda error: problems.append(str(error)))
     page.on("console", lambda line: problems.append(line.text) if line.type == "error" else None)
     page.expected_problems = []
-    page.goto(server.link)
     yield page
     context.close()
     surprises = [p for p in problems if not any(e in p for e in page.expected_problems)]
     assert surprises == []
+
+
+@pytest.fixture
+def browser_page(chromium, server):
+    """A page that has opened the link."""
+    with opened_page(chromium) as page:
+        page.goto(server.link)
+        yield page
 
 
 @pytest.fixture(scope="module")

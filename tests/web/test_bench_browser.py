@@ -6,6 +6,7 @@ import time
 
 import pytest
 from tests.fixtures import short_plan
+from tests.jobs.helpers import await_true
 
 from fixel.database.project import Project
 from fixel.formats.plan_file import plan_text
@@ -125,10 +126,7 @@ def test_a_page_that_is_closed_during_a_push_stops_the_drive(browser_page, serve
     page.click("button[data-do=push]")
     page.wait_for_selector("button[data-do=stop]")
     page.goto("about:blank")
-    end = time.monotonic() + PATIENCE
-    while phase(session) != "trouble":
-        assert time.monotonic() < end, phase(session)
-        time.sleep(0.02)
+    await_true(lambda: phase(session) == "trouble", "the loss to be noticed", PATIENCE)
     problem = json.loads(session.view.report)["problems"][0]
     found = re.fullmatch(r"the page is lost since ([0-9.]+) s", problem)
     # A busy machine notices it later; never before the page could have been heard again.

@@ -1,10 +1,10 @@
 """The pages as a browser shows them: with the Chromium of this machine, skipped without one."""
 
-import time
-
 import numpy as np
 import pytest
+from tests.jobs.helpers import await_true
 from tests.vision.plate import plate_picture, small_rig
+from tests.web.conftest import opened_page
 from tests.workflows.acquisition.test_overlay import SCENE, TOLERANCE, WANTED
 
 from fixel.formats.video_file import VideoWriter, open_video
@@ -17,7 +17,6 @@ from fixel.workflows.acquisition.overlay import Overlay, watch
 
 pytestmark = pytest.mark.system
 
-PATIENCE = 60_000  # [ms]
 RIG = small_rig()
 # Whether the table shows this error, to the hundredth of a mm it is written with.
 SHOWS = """wanted => {
@@ -28,14 +27,8 @@ SHOWS = """wanted => {
 
 @pytest.fixture
 def page(chromium):
-    page = chromium.new_page(viewport={"width": 1280, "height": 720})
-    page.set_default_timeout(PATIENCE)
-    page.said = []
-    page.on("pageerror", lambda error: page.said.append(str(error)))
-    page.on("console", lambda line: page.said.append(line.text) if line.type == "error" else None)
-    yield page
-    page.close()
-    assert page.said == []
+    with opened_page(chromium) as page:
+        yield page
 
 
 def film(path):
@@ -88,10 +81,7 @@ def test_stop_ends_the_recording(page):
         assert page.evaluate("document.activeElement.id") == "stop"
         page.keyboard.press("Enter")
         page.wait_for_function("() => document.querySelector('#stop').disabled")
-        until = time.monotonic() + 60.0
-        while not preview.stop_wanted:  # the button is quicker than the request
-            assert time.monotonic() < until
-            time.sleep(0.01)
+        await_true(lambda: preview.stop_wanted)  # the button is quicker than the request
         text = "document.querySelector('#stop').innerText"
         page.wait_for_function(f"() => {text} === 'Stopping\u2026'")
 

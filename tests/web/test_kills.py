@@ -17,6 +17,7 @@ import time
 from collections import Counter
 
 import pytest
+from tests.jobs.helpers import await_true
 from tests.processes import line_of
 
 from fixel.database.project import Project
@@ -109,10 +110,7 @@ def storm(folder, kills, seed, first=1):
             writers = [Writer(server, act, number) for act in acts]
             for writer in writers:
                 writer.start()
-            deadline = time.monotonic() + 60.0
-            while not all(writer.promised for writer in writers[:3]):
-                assert time.monotonic() < deadline
-                time.sleep(0.005)
+            await_true(lambda own=writers[:3]: all(writer.promised for writer in own))
             time.sleep(chance.uniform(0.0, 0.4))
             server.kill()
             for writer in writers:

@@ -9,13 +9,13 @@ import socket
 import stat
 import subprocess
 import sys
-import time
 import urllib.request
 from pathlib import Path
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
 import pytest
+from tests.jobs.helpers import await_true
 from tests.processes import line_of
 
 from fixel.database.store import Store
@@ -173,9 +173,7 @@ def test_no_other_user_reads_the_token_in_the_arguments_of_the_browser(project, 
         env={**os.environ, "BROWSER": f"{browser} %s", "DISPLAY": ":0"},
     )
     try:
-        until = time.monotonic() + 60.0
-        while not seen.exists() and process.poll() is None and time.monotonic() < until:
-            time.sleep(0.05)
+        await_true(lambda: seen.exists() or process.poll() is not None)
         address = seen.read_text()
         token = os.read(main, 100_000).decode().partition("?token=")[2].split()[0]
         assert token not in address

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.jobs.helpers import await_true
 from tests.laboratories import trusted_laboratory
 from tests.web.bench import Bench
 from tests.web.conftest import unpacked
@@ -127,14 +128,12 @@ def begun(bench, status=200, **changes):
     return bench.post("/run/calibrate", body, status)
 
 
-def awaited(bench, name, good, seconds=60.0):
-    deadline = time.monotonic() + seconds
-    while time.monotonic() < deadline:
-        seen = bench.get(f"/calibrations/jobs/{name}")
-        if good(seen):
-            return seen
-        time.sleep(0.1)
-    raise AssertionError(f"still {seen['state']}: {seen['reason']}")
+def awaited(bench, name, good):
+    def seen():
+        found = bench.get(f"/calibrations/jobs/{name}")
+        return found if good(found) else None
+
+    return await_true(seen, "the progress of a calibration")
 
 
 @pytest.mark.system
