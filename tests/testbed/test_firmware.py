@@ -35,20 +35,20 @@ def test_an_old_program_gets_the_old_byte_for_any_single_byte(mega, port):
         assert asked(port, question, 1) == bytes([bits])
 
 
-@pytest.mark.parametrize(
-    "bytes_sent",
-    [
-        pytest.param(b"\xf5\xf5\xf5", id="beginnings alone"),
-        pytest.param(b"\xf5Q", id="no such kind"),
-        pytest.param(b"\xf5R\x01ab", id="wrong checksum"),
-        pytest.param(b"\xf5T\x01" + bytes(8), id="thresholds with a wrong checksum"),
-        pytest.param(bytes(range(60)), id="as many as its buffer holds"),
-    ],
-)
-def test_whatever_is_no_request_gets_a_byte_for_a_byte(mega, port, bytes_sent):
+NO_REQUESTS = {
+    "beginnings alone": b"\xf5\xf5\xf5",
+    "no such kind": b"\xf5Q",
+    "wrong checksum": b"\xf5R\x01ab",
+    "thresholds with a wrong checksum": b"\xf5T\x01" + bytes(8),
+    "as many as its buffer holds": bytes(range(60)),
+}
+
+
+def test_whatever_is_no_request_gets_a_byte_for_a_byte(mega, port):
     mega.touch(3)
 
-    assert asked(port, bytes_sent, len(bytes_sent)) == b"\x03" * len(bytes_sent)
+    for name, sent in NO_REQUESTS.items():
+        assert asked(port, sent, len(sent)) == b"\x03" * len(sent), name
 
 
 def behind(ohm):
@@ -56,16 +56,14 @@ def behind(ohm):
     return 5.0 * 2000.0 / (2000.0 + ohm)
 
 
-@pytest.mark.parametrize(
-    ("volts", "touched"),
-    [(4.39, 0), (4.42, 2), (behind(0), 2), (behind(260), 2), (behind(285), 0), (behind(1e9), 0)],
-)
-def test_a_fixel_is_touched_above_900_of_1023(mega, port, volts, touched):
+def test_a_fixel_is_touched_above_900_of_1023(mega, port):
     """The limit lets a contact bridge the coils of the thesis."""
     mega.touch(0)
-    mega.volts(1, volts)
-
-    assert asked(port, b"?", 1) == bytes([touched])
+    off, on = (4.39, behind(285), behind(1e9)), (4.42, behind(0), behind(260))
+    for touched, every in ((0, off), (2, on)):
+        for volts in every:
+            mega.volts(1, volts)
+            assert asked(port, b"?", 1) == bytes([touched]), volts
 
 
 def test_a_request_behind_a_stray_beginning_is_understood(mega, port):
