@@ -1,5 +1,7 @@
 """Bands, bounds, what they are made of, their coverage, and fits of many unknowns."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from benchmarks.sbc import NOISE
@@ -124,3 +126,13 @@ def test_truth_is_found_among_the_samples(found):
     _, posterior = found
     low, _, high = posterior.quantiles((0.005, 0.5, 0.995))
     assert ((low <= TRUTH) & (high >= TRUTH)).all()
+
+
+@pytest.mark.parametrize("ended", [0, 1])
+def test_bounds_of_less_than_two_ends_are_refused(found, ended):
+    comparer, posterior = found
+    one = predict_repetition(comparer, 0, posterior, draws=10)
+    few = replace(one, ended=np.arange(len(one.ended)) < ended)
+    for bounds in (few.bands, few.region, lambda: few.levels_of(few.nominal[-1])):
+        with pytest.raises(InvalidInput, match=f"found {ended} simulation"):
+            bounds()

@@ -282,10 +282,7 @@ def _salib() -> tuple[Callable[..., Any], Callable[..., Any]]:
             from SALib.analyze import sobol as analysis
             from SALib.sample import sobol as sampling
     except ImportError:
-        raise InvalidInput(
-            "Sobol indices",
-            found="no SALib",
-            expected="the extra infer",
-            hint="pip install 'fixel[infer]', or do not compute indices",
-        ) from None
+        found, hint = "no SALib", "pip install 'fixel[infer]', or do not compute indices"
+        expected = "the extra infer"
+        raise InvalidInput("Sobol indices", found=found, expected=expected, hint=hint) from None
     return sampling.sample, analysis.analyze

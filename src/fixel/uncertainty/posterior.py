@@ -489,12 +489,8 @@ def _dynesty() -> Any:
     try:
         import dynesty
     except ImportError:
-        raise InvalidInput(
-            "posterior",
-            found="no dynesty",
-            expected="dynesty, which samples the posterior",
-            hint="pip install 'fixel[infer]'",
-        ) from None
+        expected, hint = "dynesty, which samples the posterior", "pip install 'fixel[infer]'"
+        raise InvalidInput("posterior", found="no dynesty", expected=expected, hint=hint) from None
     return dynesty
 
 
@@ -513,9 +509,6 @@ def _check_any_likelihood(values: FloatArray) -> None:
     from fixel.uncertainty.likelihood import FLOOR
 
     if not (np.asarray(values, np.float64) > FLOOR).any():
-        raise InvalidInput(
-            "posterior",
-            found="no point of the prior that could be simulated",
-            expected="at least one point",
-            hint="narrow the bounds to values with which the experiments can be simulated",
-        )
+        found = "no point of the prior that could be simulated"
+        hint = "narrow the bounds to values with which the experiments can be simulated"
+        raise InvalidInput("posterior", found=found, expected="at least one point", hint=hint)

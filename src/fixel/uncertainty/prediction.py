@@ -188,7 +188,7 @@ class Prediction(Result):
             Share of the draws inside, at each instant and in each coordinate.
         """
         shares = (0.5 - level / 2, 0.5 + level / 2)
-        return Band(level, *np.quantile(self.draws, shares, axis=0))
+        return Band(level, *np.quantile(_several(self.draws), shares, axis=0))
 
     def region(self, level: float = 0.9) -> EndBounds:
         """Return an ellipse of positions and an interval of angles that contain the end.
@@ -270,8 +270,6 @@ class Prediction(Result):
 
 
 LEVELS: Final = (0.5, 0.9)
-
-
 CURVE_LEVELS: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 
 
@@ -337,9 +335,17 @@ def levels_of(poses: FloatArray, pose: FloatArray) -> tuple[float, float]:
     return float(np.mean(others < own)), float(np.mean(turned < away))
 
 
+def _several(draws: FloatArray) -> FloatArray:
+    """Return draws (k, ...) if there are two at least: fewer have no spread."""
+    if len(draws) < 2:
+        found = f"{len(draws)} simulation{'s' * (not len(draws))} with an end pose"
+        raise InvalidInput("prediction", found=found, expected="two at least")
+    return draws
+
+
 def _shape(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return mean and covariance, which is never singular, so that distances are finite."""
-    spread = np.cov(positions.T)
+    spread = np.cov(_several(positions).T)
     least = 1e-12 * max(float(np.trace(spread)), 1e-18)
     return positions.mean(axis=0), spread + least * np.eye(2)
 

@@ -56,11 +56,8 @@ class StartError:
             raise InvalidInput("start_error.kind", found=found, expected=MEANINGS, hint=hint)
         check_fields(self, "start_error")
         if self.x == self.y == self.theta == 0.0:
-            raise InvalidInput(
-                "start_error",
-                found="zero in all directions",
-                expected="at least one of x, y and theta above zero",
-            )
+            expected = "at least one of x, y and theta above zero"
+            raise InvalidInput("start_error", found="zero in all directions", expected=expected)
 
     @property
     def size(self) -> FloatArray:
