@@ -176,3 +176,13 @@ def test_scatter_and_model_error_together_are_refused():
         predict(pushed_square(), run_to_run=RunToRun(), model_error=1e-3)
     with pytest.raises(InvalidInput, match="RunToRun"):
         predict(pushed_square(), run_to_run="learned")
+
+
+def test_the_error_of_the_model_is_as_far_on_as_the_motion_at_instants_before_its_end():
+    scene, tau = pushed_square(), 2e-3
+    instants = scene.duration * np.array([0.2, 0.4, 0.5])
+    found = predict(scene, {}, model_error=tau, times=instants, samples=4000, **QUIET)
+    path = fixel.simulate(scene)["part"]
+    way = np.hypot(*(path.at(instants) - path.pose[0])[:, :2].T)
+    share = way / np.hypot(*(path.pose[-1] - path.pose[0])[:2])  # straight on, without a turn
+    np.testing.assert_allclose(found.drift[..., 0].std(axis=0), tau * np.sqrt(share), rtol=0.05)

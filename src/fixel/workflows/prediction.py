@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from os import PathLike
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -114,16 +115,14 @@ def predict(
     instance(start, StartError | None, "start", "a StartError")
     instance(run_to_run, RunToRun | None, "run_to_run", "a RunToRun")
     if run_to_run is not None and model_error:
-        raise InvalidInput(
-            "model_error", found="also a scatter between runs", expected="one of the two"
-        )
-    as_measured = isinstance(scene, Experiment) and start is None and times is None
-    as_measured = as_measured and run_to_run is None
+        found = "also a scatter between runs"
+        raise InvalidInput("model_error", found=found, expected="one of the two")
+    as_measured = start is None and times is None and run_to_run is None
     if isinstance(model, Posterior) and isinstance(scene, Experiment) and as_measured:
         return _repetition(scene, model, motion, model_error, samples, seed, threads)
     uncertain = start is not None or bool(model_error) or run_to_run is not None
     push, values, best, tau = _parameters(scene, model, motion, uncertain, samples, seed)
-    runs = None
+    push, runs = push._replace(stepper=stepper or push.stepper), None
     if run_to_run is not None:
         runs = _runs(run_to_run, push.scene, start, values, samples, seed)
         values, tau = runs.values, None
@@ -136,7 +135,7 @@ def predict(
     elif model_error and tau is None:
         raise _no_model_error()
     with show_progress(progress, "simulating") as report:
-        found = simulate_starts(
+        ends = simulate_starts(
             push.scene,
             start,
             samples,
@@ -145,13 +144,13 @@ def predict(
             nominal=best,
             times=push.times if times is None else times,
             motion=push.motion,
-            stepper=stepper or push.stepper,
+            stepper=push.stepper,
             seed=seed,
             threads=threads,
             progress=report,
         )
-    drift = _drift(found, tau) if runs is None else _rest(found, runs)
-    return replace(found, unseen=_unseen(model, scene, push.scene), drift=drift)
+    drift = _drift(ends, tau, best, push) if runs is None else _rest(ends, runs)
+    return replace(ends, unseen=_unseen(model, scene, push.scene), drift=drift)
 
 
 def _runs(
@@ -199,9 +198,8 @@ def _parameters(
         own = model.under(push.conditions)
         rows = np.resize(np.random.default_rng(seed).permutation(len(own.points)), samples)
         values = own.values(own.points[rows], push.conditions)
-        nominal = {
-            name: float(x[0]) for name, x in own.values(own.best[None], push.conditions).items()
-        }
+        likeliest = own.values(own.best[None], push.conditions)
+        nominal = {name: float(x[0]) for name, x in likeliest.items()}
         tau = own.points[rows, -1] if own.labels[-1] == LABEL else None
         return (push, values, nominal, tau)
     if not uncertain:
@@ -258,11 +256,18 @@ def _no_model_error() -> InvalidInput:
     )
 
 
-def _drift(found: Prediction, tau: FloatArray | None) -> FloatArray | None:
-    """Draw errors of the model (n, n_time, 3) with standard deviations tau (n,) at the end [m]."""
+def _drift(
+    found: Prediction, tau: FloatArray | None, best: Mapping[str, float], push: Push
+) -> FloatArray | None:
+    """Draw errors of the model (n, n_time, 3) with standard deviations tau (n,) at the end of the
+    motion [m], of which the instants may be the beginning."""
     if tau is None:
         return None
-    error = ModelError()
-    share = shares_of_way(found.scene.bodies[0].pose, found.nominal, error.angle_scale)
-    rng = np.random.default_rng([found.seed, 1])
-    return draw_walks(share, tau, error.sides, rng)
+    scene, way, error = push.scene, found.nominal, ModelError()
+    if found.time[-1] < scene.duration * (1.0 - 1e-9):
+        values = {name: best.get(name, np.mean(x)) for name, x in found.parameters.items()}
+        how: Any = {"motion": push.motion, "stepper": push.stepper, "values": values}
+        times = np.append(found.time, scene.duration)
+        way = simulate_starts(scene, None, 1, times=times, **how).nominal
+    share = shares_of_way(scene.bodies[0].pose, way, error.angle_scale)[: len(found.time)]
+    return draw_walks(share, tau, error.sides, np.random.default_rng([found.seed, 1]))
