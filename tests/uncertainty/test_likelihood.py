@@ -182,3 +182,19 @@ def test_priors_are_uniform_or_cut_normal(comparer):
 def test_what_cannot_be_is_refused(comparer):
     refused(LogLikelihood, comparer, [], NOISE, match="experiments: found none")
     refused(ModelError, low=1e-2, high=1e-3, match="increasing bounds")
+
+
+def test_the_cameras_noise_is_that_of_frames_at_even_times():
+    # Every fourth frame was lost: across the gaps, smooth errors do not cancel.
+    off = np.array([0.4, 0.055])
+    whole = measured(3, truth=np.array([0.4, 0.035, 1e-4]))
+    targets = []
+    for target in whole.targets:
+        kept = np.arange(len(target.pose)) % 4 != 2
+        case = target.case._replace(times=target.case.times[kept])
+        slow = 4e-4 * np.arange(len(kept))[:, None] * [1.0, -1.0, 20.0]
+        targets.append(target._replace(case=case, pose=(target.pose + slow)[kept]))
+    comparer = Comparer(targets, whole.space, motion=whole.ensemble.motion)
+    found = camera_noise(comparer, [0, 1], off)
+    assert found.position_m == pytest.approx(NOISE.position_m, rel=0.4)
+    assert found.angle_rad == pytest.approx(NOISE.angle_rad, rel=0.4)

@@ -121,7 +121,7 @@ def noise_from_differences(targets: Sequence[Target]) -> Noise | None:
 
     1.4826 median |p(t+1) - 2 p(t) + p(t-1)| / sqrt(6), over all experiments, x and y together.
     """
-    found = [_second_differences(target) for target in targets]
+    found = [second_differences(target.case.times, target.pose) for target in targets]
     position = [column for one in found for series in one for column in series[:, :2].T]
     angle = [series[:, 2] for one in found for series in one]
     if sum(map(len, angle)) < MIN_COUNT or not (_white(position) and _white(angle)):
@@ -163,12 +163,11 @@ def misfit_of(
     )
 
 
-def _second_differences(target: Target) -> list[FloatArray]:
+def second_differences(times: FloatArray, poses: FloatArray) -> list[FloatArray]:
     """Return second differences (k, 3) of every sequence of frames at equal intervals."""
-    times, pose = target.case.times, target.pose.copy()
     if len(times) < 3:
         return []
-    pose[:, 2] = np.unwrap(pose[:, 2])
+    pose = np.column_stack((poses[:, :2], np.unwrap(poses[:, 2])))
     gaps = np.diff(times)
     usual = float(np.median(gaps))
     even = np.abs(gaps - usual) <= EVEN * usual

@@ -18,6 +18,7 @@ from typing import Final, final
 
 import numpy as np
 
+from fixel.calibration.misfit import second_differences
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer
 from fixel.errors import InvalidInput
@@ -187,12 +188,16 @@ def camera_noise(comparer: Comparer, members: Sequence[int], point: FloatArray) 
     almost zero. The median absolute value ignores frames in which a contact closed or opened. The
     residuals are those of a point (n_free,); a rough fit is sufficient.
     """
-    series = comparer.residuals_at(members, point)
-    rows = [np.diff(one, n=2, axis=0) for one in series if len(one) >= 3]
+    points = np.repeat(np.asarray(point, np.float64)[None], len(members), axis=0)
+    residuals, good, _ = comparer.differences(np.asarray(members), points)
+    rows: list[FloatArray] = []
+    for member, own, ok in zip(members, residuals, good, strict=True):
+        target = comparer.targets[member]
+        rows += second_differences(target.case.times, own[: len(target.pose)]) if ok else []
     if not rows:
         raise InvalidInput(
             "noise",
-            found="no experiment of three frames that could be simulated",
+            found="no experiment of three frames at even times that could be simulated",
             expected="an experiment from which the camera noise can be estimated",
             hint="state the noise: noise=...",
         )
