@@ -152,3 +152,12 @@ def test_plans_by_a_fence_keep_to_the_largest_angle():
     assert np.abs(plan[:, 1]).max() == pytest.approx(pi / 4, abs=0.01)
     assert fence_pushes(PART, 0.3, angle=0.7, **wide) == []
     assert fence_pushes(PART, 0.3, angle=0.8, most=1, length=(0.0, 0.2)) == []
+
+
+def test_half_a_turn_is_the_same_to_either_side():
+    square = Polygon.rectangle(0.1, 0.1)
+    part = Body("part", square, mass=1.0, support=Ellipsoid(force=1.0, torque=0.038))
+    left, right = (geometric_pushes(part, (0.02, 0.0, turn), n=64) for turn in (pi, -pi))
+    np.testing.assert_allclose(np.sort(left, axis=0), np.sort(right, axis=0), atol=1e-9)
+    # Of an outline that is its own mirror image, so are the pushes: half of them turn it each way.
+    np.testing.assert_allclose(np.sort(left[:8, 1]), -np.sort(left[:8, 1])[::-1], atol=1e-9)

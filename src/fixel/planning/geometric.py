@@ -104,7 +104,7 @@ def geometric_pushes(
     ways = np.linspace(low, high, LENGTHS)
     moved = point_push(point[own][:, None], heading[:, None], ways, arm)
     off = moved - wanted
-    far = np.hypot(off[..., 0], off[..., 1]) + arm * np.abs(off[..., 2])
+    far = np.hypot(off[..., 0], off[..., 1]) + arm * np.abs(wrapped(off[..., 2]))
     best = np.argmin(far, axis=1)
     rows = np.arange(len(best))
     # The contact turns with the part, so that the cone is widest used at one of the two ends.
