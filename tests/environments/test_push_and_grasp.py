@@ -151,3 +151,13 @@ def test_a_head_put_down_on_the_part_moves_nothing():
 def test_bad_arguments_are_refused(kind, wrong, where):
     with pytest.raises(InvalidInput, match=where):
         kind(1, **wrong)
+
+
+def test_a_body_that_covers_itself_after_a_rotation_is_at_its_goal_wherever_its_frame_is():
+    corner = Polygon([(0.0, 0.0), (0.12, 0.0), (0.12, 0.08), (0.0, 0.08)])
+    env = PushVectorEnv(1, scene=corner, symmetry=2, reward="dense")
+    one, same = np.array([[0.0, 0.0, 1.0, 0.0]]), np.array([[0.12, 0.08, -1.0, 0.0]])
+    assert env.compute_terminated(one, same, {}).all()
+    assert env.compute_reward(one, same, {}) == pytest.approx(0.0, abs=1e-12)
+    aside = np.array([[0.123, 0.084, -1.0, 0.0]])
+    assert env.compute_reward(one, aside, {}) == pytest.approx(-0.005)

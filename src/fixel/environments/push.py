@@ -13,7 +13,7 @@ from fixel.environments import vector as base
 from fixel.environments.motion import STIFFNESS, PushMotion
 from fixel.environments.pictures import scene_picture
 from fixel.errors import InvalidInput
-from fixel.model import Body, Disk, Ellipsoid, PathDrive, Polygon, Pusher, Scene
+from fixel.model import Body, Disk, Ellipsoid, PathDrive, Polygon, Pusher, Scene, rotated
 from fixel.model.fields import positive, vector
 from fixel.model.trajectory import wrapped
 from fixel.planning.rollout import part_overlap, tool_overlap
@@ -64,15 +64,15 @@ class PushVectorEnv(base.BatchEnv):
     goal : (3,) array_like, optional
         Pose of the body's shape at the goal [m, m, rad]; by default drawn for each episode.
     position, angle : float
-        Largest distance [m] and rotation [rad] from the goal.
+        Largest distance of the centroid [m] and rotation [rad] from the goal.
     symmetry : int
         Number of rotations that leave the body as it is, such as 2 for a rectangle. Rotations of
         a disk never count.
     half_side : float
         Half of the side of the square table about the origin [m].
     reward : str
-        ``"sparse"``: 0 at the goal, else -1. ``"dense"``: minus the distance of the pose [m], where
-        rotation counts by the radius of gyration.
+        ``"sparse"``: 0 at the goal, else -1. ``"dense"``: minus the distance of the centroid [m],
+        with rotation by the radius of gyration.
     world : str
         ``"nominal"``: friction and support of the scene. ``"posterior"``: drawn for each episode.
     parameters : Belief, or what `Belief` takes as its parameters, optional
@@ -204,9 +204,11 @@ class PushVectorEnv(base.BatchEnv):
         return self._success(_as_pose(achieved), _as_pose(desired))
 
     def _apart(self, one: FloatArray, other: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Distances [m] and rotations [rad] between poses (..., 3)."""
-        distance = np.hypot(*np.moveaxis(one - other, -1, 0)[:2])
-        if isinstance(self.scene.bodies[0].shape, Disk):  # its rotation makes no difference
+        """Distances of the centroid [m] and rotations [rad] between poses (..., 3)."""
+        shape = self.scene.bodies[0].shape
+        there, here = (rotated(shape.centroid, pose[..., 2]) for pose in (one, other))
+        distance = np.hypot(*np.moveaxis((one - other)[..., :2] + there - here, -1, 0))
+        if isinstance(shape, Disk):  # its rotation makes no difference
             return distance, np.zeros_like(distance)
         turn = wrapped(self.symmetry * (one - other)[..., 2]) / self.symmetry
         return distance, np.abs(turn)

@@ -376,11 +376,8 @@ class WorldDraws:
         reasons = infeasible(self.scene, draws) if draws else []
         ready = np.flatnonzero([not reason for reason in reasons])
         if not len(ready):
-            raise InvalidInput(
-                "parameters",
-                found=f"no draw that can be simulated: {reasons[0]}" if reasons else "none",
-                expected="parameters that suit the scene",
-            )
+            what = f"no draw that can be simulated: {reasons[0]}" if reasons else "none"
+            raise InvalidInput("parameters", found=what, expected="parameters that suit the scene")
         self._draws = {name: x[ready] for name, x in draws.items()}
         self._count = len(ready)
         # Parameters of the episodes [SI].
