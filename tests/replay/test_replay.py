@@ -223,3 +223,25 @@ def test_an_unknown_folder_says_what_was_looked_for(tmp_path: Path) -> None:
     ):
         with pytest.raises(DatasetMissing, match=message):
             replay_dataset(folder)
+
+
+def test_windows_in_which_the_object_was_not_read_again_are_left_out(tmp_path: Path) -> None:
+    folder = push_files.mit_timeseries(tmp_path)
+    rows = []
+    for k in range(800):  # pushed for half a second, at rest for one, pushed for half a second
+        x = 0.02 * 0.0025 * (min(k, 200) + max(k - 600, 0))
+        tip = x - 0.045 - push_files.TIP
+        rows.append(
+            {"t": 0.0025 * k, "slider_x": x, "slider_y": 0.0, "slider_th": 0.0,
+             "pusher_x": tip, "pusher_y": 0.0}
+        )  # fmt: skip
+    push_files.write_table(folder / "cpush_Straight.csv.gz", rows)
+
+    for everything in (False, True):
+        answer = replayed(folder, window=0.25, everything=everything)
+
+        (reason,) = answer.left_out
+        assert "no new reading" in reason
+        assert answer.left_out[reason] == 3
+        assert len(answer.pushes) == 5
+        assert answer.not_solved == 0

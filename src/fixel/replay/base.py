@@ -171,11 +171,9 @@ def matching(
         chosen = {cell for cell in set(cells) if any(_same(cell, value) for value in values)}
         fits &= np.array([cell in chosen for cell in cells], dtype=bool)
     if not fits.any():
-        raise InvalidInput(
-            "--select",
-            found=", ".join(f"{name}={'|'.join(values)}" for name, values in wanted.items()),
-            expected="values that occur together in at least one record",
-        )
+        found = ", ".join(f"{name}={'|'.join(values)}" for name, values in wanted.items())
+        expected = "values that occur together in at least one record"
+        raise InvalidInput("--select", found=found, expected=expected)
     return fits
 
 

@@ -55,6 +55,7 @@ MAX_COAST = 1e-3
 # farther from it than this for half of the time (nothing is pushed) [m].
 DEEPEST, FARTHEST = 2e-3, 2e-3
 NO_SCENE = "run that starts too deep in the object"
+NO_READING = "no new reading of the object"
 
 # Time between errors in the output; aggregates use every measured time [s].
 WRITTEN_EVERY = 0.1
@@ -107,7 +108,8 @@ class RunReplay(AbstractReplay):
         fits = matching(columns, request.select, len(runs))
         self.runs = [run for run, wanted in zip(runs, fits, strict=True) if wanted]
         windows = [w for run in self.runs if run.scene for w in cut(run, run.scene, request.window)]
-        reasons = [None if request.everything else doubt(window) for window in windows]
+        usable = doubt if not request.everything else lambda window: None
+        reasons = [usable(window) if len(window.time) else NO_READING for window in windows]
         self.left_out = Counter(reason for reason in reasons if reason)
         self.left_out += Counter(NO_SCENE for run in self.runs if not run.scene)
         windows = [w for w, reason in zip(windows, reasons, strict=True) if not reason]
@@ -289,7 +291,8 @@ def _notes(runs: list[Experiment], left_out: Counter[str]) -> list[str]:
         "A run ends with the last new reading of the object; the tracker stops before the pusher.",
         "Each window starts at the measured pose, at rest.",
         *(
-            f"Skipped: {n} windows, {reason} (--all includes them)."
+            f"Skipped: {n} windows, {reason}"
+            + ("." if reason in (NO_SCENE, NO_READING) else " (--all includes them).")
             for reason, n in left_out.items()
         ),
     ]
