@@ -332,3 +332,16 @@ def test_refuses_a_centre_of_pressure_nothing_can_carry():
     bench = replace(BENCH, centre_of_pressure=(0.05, 0.0))
     with pytest.raises(InvalidInput, match=r"'push-0'.*centre_of_pressure.*5\d.* mm"):
         list(bench.run(PLAN[:1]))
+
+
+@pytest.mark.parametrize("lead_in", [0.05, 0.51])
+def test_a_jam_is_as_late_as_the_recorded_start_of_the_drive(lead_in):
+    rigid = LineDrive(direction=np.array([1.0, 0.0]), speed=0.0135, travel=0.15)
+    item = planned()
+    head = replace(item.scene.pushers[0], drive=rigid)
+    item = replace(item, scene=replace(item.scene, pushers=(head,)))
+    (at_once,), (later,) = (
+        replace(SimulatedTestbed.ideal(), lead_in=own).run([item]) for own in (0.0, lead_in)
+    )
+    jams = [one.conditions["truth_stopped_at_s"] - one.effective[0] for one in (at_once, later)]
+    assert jams[1] == pytest.approx(jams[0], abs=1e-9)

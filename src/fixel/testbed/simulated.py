@@ -344,7 +344,8 @@ class SimulatedTestbed:
                 "centre_of_pressure_y_m": drawn.centre_y,
             }
         if simulation.stopped_at is not None:
-            truth["stopped_at_s"] = self.lead_in + simulation.stopped_at
+            rest = round(self.lead_in * self.frame_rate) / self.frame_rate  # as recorded
+            truth["stopped_at_s"] = rest + simulation.stopped_at
         if stall is not None:
             truth["stall_force_n"] = stall
         return {TRUTH + key: value for key, value in truth.items()}
