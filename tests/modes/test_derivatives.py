@@ -8,9 +8,9 @@ import pytest
 from benchmarks.seated import seated_grasp
 
 from fixel.errors import InvalidInput
-from fixel.model import Body, Disk, LineDrive, Pusher, Scene, Tripod
+from fixel.model import Body, Disk, LineDrive, Plane, Pusher, Scene, SupportPoints, Tripod
 from fixel.simulation import Adaptive, Midpoint, Simulator, simulate, simulate_batch
-from fixel.testing.scenes import box, free_push, grasp, row
+from fixel.testing.scenes import box, free_push, grasp, pushed_square, row
 
 SUPPORT = Tripod(radius=0.03, friction=0.3)
 NAMES = ("mu_pusher", "tripod_radius", "x", "y", "theta")
@@ -234,3 +234,26 @@ def test_a_part_that_touches_the_pusher_at_the_start(offset, angle):
     errors = _errors(_finger(offset, angle), names)
     assert len(errors) == 7
     assert max(errors.values()) < 0.01
+
+
+def test_derivatives_by_support_points_are_those_at_the_points_of_the_scene():
+    feet = [(-0.03, -0.02), (0.03, -0.02), (0.0, 0.04)]
+    support = SupportPoints(points=feet, friction=0.3)
+    part = Body("part", box(0.1, 0.1), mass=1.0, support=support)
+    drive = LineDrive(speed=0.02)
+    tip = Pusher("tip", Disk(0.005), pose=(-0.055, 0.02, 0.0), friction=0.3, drive=drive)
+    scene, tight = Scene(part, tip, duration=1.0), Adaptive(tolerance=1e-8)
+    names = {"support_1_x": -0.03, "support_3_y": 0.04}
+    found = simulate(scene, motion="quasistatic", derivatives=tuple(names)).derivatives
+    for name, value in names.items():
+        ends = [
+            np.array(simulate(scene, {name: x}, motion="quasistatic", stepper=tight).final["part"])
+            for x in (value - 1e-5, value + 1e-5)
+        ]
+        np.testing.assert_allclose(found[name], (ends[1] - ends[0]) / 2e-5, rtol=0.01)
+
+
+def test_a_directed_plane_has_no_single_value_of_its_two_parameters():
+    scene = replace(pushed_square(), plane=Plane(anisotropy=(1.2, 0.8), axis=0.3))
+    with pytest.raises(InvalidInput, match="no single value"):
+        simulate(scene, motion="quasistatic", derivatives=("anisotropy_xy",))

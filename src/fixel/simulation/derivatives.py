@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -119,8 +119,12 @@ def scene_value(scene: Scene, name: str) -> float:
         things = scene.pushers if info.contact == "pusher" else scene.fixels
         found = {scene.friction(body.name, thing.name) for thing in things}
         value = found.pop() if len(found) == 1 else None
+    elif name.startswith("support_"):
+        points: Any = getattr(body.support, "points", ())
+        value = points[int(name[8]) - 1, "xy".index(name[10])] if len(points) == 3 else None
     elif info.lowest < 0.0 or name == "contact_offset":
-        value = 0.0
+        even = tuple(scene.plane.anisotropy) == (1.0, 1.0)
+        value = 0.0 if even or not name.startswith("anisotropy_") else None
     elif name == "mass":
         value = body.mass
     elif name in ("mu_support", "tripod_radius"):

@@ -513,12 +513,8 @@ def sample_times(duration: float, interval: float) -> FloatArray:
     positive_time("output_interval", interval)
     n = math.floor(duration / interval * (1.0 + 1e-12))
     if n + 2 > MAX_SAMPLES:
-        raise InvalidInput(
-            "output_interval",
-            found=f"{n} samples",
-            expected=f"at most {MAX_SAMPLES}",
-            hint=f"use at least {duration / MAX_SAMPLES:.3g} s",
-        )
+        expected, hint = f"at most {MAX_SAMPLES}", f"use at least {duration / MAX_SAMPLES:.3g} s"
+        raise InvalidInput("output_interval", found=f"{n} samples", expected=expected, hint=hint)
     times = interval * np.arange(n + 1)
     if times[-1] < duration * (1.0 - 1e-9):
         times = np.append(times, duration)

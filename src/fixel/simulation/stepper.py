@@ -264,12 +264,8 @@ class Adaptive(_BuiltInStepper):
 def stepper_of(step: float | None, tolerance: float | None) -> AbstractStepper | None:
     """Return the stepper with a fixed step [s] or a tolerance [m]; None without either."""
     if step is not None and tolerance is not None:
-        raise InvalidInput(
-            "step and tolerance",
-            found="both",
-            expected="one of them",
-            hint="a fixed step has no tolerance; leave one out",
-        )
+        hint = "a fixed step has no tolerance; leave one out"
+        raise InvalidInput("step and tolerance", found="both", expected="one of them", hint=hint)
     if tolerance is not None:
         return Adaptive(tolerance=tolerance)
     return None if step is None else StewartTrinkle(step=step)
