@@ -166,3 +166,15 @@ def test_the_judge_measures_overlap():
     assert "inside an obstacle" in fault(task, still)
     along = still + np.array([[0.5 * way, 0.0, 0.0], [way, 0.0, 0.0]])
     assert fault(task, along) == ""
+
+
+def test_a_path_that_began_before_the_push_is_at_its_place_at_time_zero() -> None:
+    early = PATH[0] - [1.0, 0.02, -0.01, 0.3]
+    drive = PathDrive(np.vstack((early, PATH[1:])))
+    scene = replace(SCENE, pushers=(replace(SCENE.pushers[0], drive=drive),))
+    task, _ = task_of(scene, TIMES, {}, {})
+    assert task.pusher is not None
+    assert task.pusher.path[0, 0] == 0.0
+    way = np.cumsum([s.duration * s.velocity for s in segments(task)], axis=0)
+    for place, time in zip(way, (0.1, 0.33, 0.7, 1.0, 1.5), strict=True):
+        np.testing.assert_allclose(task.pusher.path[0, 1:] + place, drive.pose_at(time), atol=1e-12)
