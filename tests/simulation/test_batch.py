@@ -172,3 +172,9 @@ def test_ends_refuse_what_a_batch_refuses():
             simulator.ends(**varied)
         assert str(ends.value) == str(batch.value)
     refused(Simulator(pushed_square(), motion=OtherEngine("pymunk")).ends, match="motion")
+
+
+@pytest.mark.parametrize("scene", [grasp(), pushed_square()])
+def test_no_runs_have_no_contact_modes(scene):
+    runs = simulate_batch(scene, {"mu_pusher": [0.1, 0.2]}, **QUICK)
+    assert runs[runs.max_residual < 0.0].contact_mode.shape == (0,)

@@ -134,5 +134,4 @@ def test_bounds_of_less_than_two_ends_are_refused(found, ended):
     one = predict_repetition(comparer, 0, posterior, draws=10)
     few = replace(one, ended=np.arange(len(one.ended)) < ended)
     for bounds in (few.bands, few.region, lambda: few.levels_of(few.nominal[-1])):
-        with pytest.raises(InvalidInput, match=f"found {ended} simulation"):
-            bounds()
+        refused(bounds, match=f"found {ended} simulation")

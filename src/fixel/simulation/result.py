@@ -67,7 +67,7 @@ class PusherTrajectory(Trajectory):
     Parameters
     ----------
     travel : float
-        Length of the path covered [m].
+        Length of the path covered, straight from sample to sample [m].
     force : (n,) float64
         Force of the bodies on it, along its path [N].
     stalled : (n,) bool
@@ -556,7 +556,7 @@ class BatchResult(Result):
             np.any([self.touching(name, fixel.name) for name in free], axis=0)
             for fixel in self.scene.fixels
         ]
-        digits = np.array(touched, dtype=np.int64).reshape(-1, len(self)).T
+        digits = np.array(touched, dtype=np.int64).reshape(len(touched), len(self)).T
         return np.array(["".join(map(str, row)) for row in digits.tolist()], dtype=np.str_)
 
     def touching(self, a: str, b: str) -> BoolArray:
@@ -680,12 +680,8 @@ def _known(name: str, names: Sequence[str]) -> str:
     if name in names:
         return name
     close = difflib.get_close_matches(str(name), names, n=1)
-    raise InvalidInput(
-        "name",
-        found=repr(name),
-        expected=f"one of {', '.join(names)}",
-        hint=f"did you mean {close[0]!r}?" if close else None,
-    )
+    hint = f"did you mean {close[0]!r}?" if close else None
+    raise InvalidInput("name", found=repr(name), expected=f"one of {', '.join(names)}", hint=hint)
 
 
 def _length_unit(poses: FloatArray) -> tuple[str, float]:
