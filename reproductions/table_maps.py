@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 COUNTS: Final = (0, 3, 10)  # pushes of a new plate, chosen by worth
 MAX_TEST: Final = 100
 BOOTSTRAP: Final = 2000
+FOLDS: Final = 3  # in which equal pushes are held out
 # Two pushes with the same contact are at the same place and orientation if closer than this.
 NEAR: Final = (20e-3, np.radians(20.0))
 CLIP: Final = 12e-3  # of an error that counts in shares [m]
@@ -53,9 +54,10 @@ def run(options: RunOptions) -> Reproduction:
     """Predict pushes with and without a map of their table."""
     data = read_mit_pushes(options.folder)
     usable = set(data.names[data.usable].tolist())
-    plates = plates_of([own for own in data.experiments if own.name in usable], options.quick)
+    every = [own for own in data.experiments if own.name in usable]
+    plates = plates_of(every, options.quick)
     surfaces = sorted({surface for surface, _ in plates})
-    total = len(plates) + 4 * len(surfaces)
+    total = len(plates) + 5 * len(surfaces)
     found: list[PairedErrors] = []
     maps: dict[str, TableMap] = {}
     shares: list[Row] = []
@@ -74,11 +76,10 @@ def run(options: RunOptions) -> Reproduction:
             "session": _later_session, "random": _random,
         }  # fmt: skip
         for what, split in splits.items():
-            pairs, residuals = _known_plates(what, own, split)
-            found += pairs
-            if what == "random":
-                shares += _repeated(surface, own, residuals)
+            found += _known_plates(what, own, split)[0]
             options.progress(done := done + 1, total, f"{surface} {what}")
+        shares += _repeated(surface, own if options.quick else _with_repeats(own, every))
+        options.progress(done := done + 1, total, f"{surface} repeats")
     rows = _rows(found)
     return Reproduction(
         tables={"errors": rows, "plates": _plate_rows(found), "repeats": shares},
@@ -107,16 +108,18 @@ def _new_plate(
     bare = PartPushes([target_of(one) for one in own])
     mapped = PartPushes([target_of(table.on(one)) for one in own])
     # What plates have in common comes from the other plates, of both tables.
-    fits = [fit for fit in model.fits if fit.part != key[1]]
-    prior = learned_prior(fits, key[0], model.share)
+    flat, uneven = (
+        learned_prior([fit for fit in some.fits if fit.part != key[1]], key[0], model.share)
+        for some in (model, table.corrected(model))
+    )
     found = []
     for count in counts:
         errors: tuple[list[FloatArray], list[FloatArray]] = ([], [])
         for draw in range(DRAWS):
             pool, test = halves(len(own), 100 + draw)
             test = np.sort(test[:MAX_TEST])
-            for pushes, kept in zip((bare, mapped), errors, strict=True):
-                which = chosen_order(pushes, pool, prior, count) if count else pool[:0]
+            which = chosen_order(bare, pool, flat, count) if count else pool[:0]
+            for pushes, prior, kept in zip((bare, mapped), (flat, uneven), errors, strict=True):
                 best = (after(pushes, which, prior) if count else prior).best
                 values = dict(zip(NAMES, best.tolist(), strict=True))
                 if pushes is mapped and count:
@@ -194,29 +197,60 @@ def _index(own: Sequence[Experiment]) -> IntArray:
     return np.array([int(one.name.rsplit("_", 1)[1]) for one in own])
 
 
-def _repeated(
-    surface: str, plates: Mapping[Key, list[Experiment]], residuals: Mapping[Key, FloatArray]
-) -> list[Row]:
-    """Return the share of squared residuals that equal pushes have in common."""
+def _with_repeats(
+    plates: Mapping[Key, list[Experiment]], every: Sequence[Experiment]
+) -> dict[Key, list[Experiment]]:
+    """Return the plates with all pushes of those that were pushed in two sessions."""
+    whole: dict[Key, list[Experiment]] = {key: [] for key in plates}
+    for one in every:
+        key = str(one.conditions["surface"]), str(one.conditions["shape"])
+        if key in whole and one.scene is not None:
+            whole[key].append(one)
+    return {key: whole[key] if _later_session(whole[key]).any() else plates[key] for key in plates}
+
+
+def _fold(own: Sequence[Experiment], fold: int) -> BoolArray:
+    """Return which pushes are in one of `FOLDS` random parts, with all repeats of a push."""
+    index = _index(own)
+    return np.isin(index, np.random.default_rng(0).permutation(np.unique(index))[fold::FOLDS])
+
+
+def _repeated(surface: str, plates: Mapping[Key, list[Experiment]]) -> list[Row]:
+    """Return the share of squared residuals that equal pushes have in common.
+
+    All pushes are held out once, together with their repeats.
+    """
+    if not any(_later_session(own).any() for own in plates.values()):
+        return []
+    residuals = {key: np.full((len(own), 2, 3), np.nan) for key, own in plates.items()}
+    for fold in range(FOLDS):
+        for key, found in _known_plates("", plates, partial(_fold, fold=fold))[1].items():
+            residuals[key] = np.where(np.isfinite(found), found, residuals[key])
     pairs: dict[str, list[FloatArray]] = {"near": [], "elsewhere": []}
     for key, own in plates.items():
         index = _index(own)
         pose = np.array([one.trajectory.pose[0] for one in own])
         for number in np.unique(index):
-            rows = np.flatnonzero(index == number)
-            if len(rows) != 2 or not np.isfinite(residuals[key][rows]).all():
-                continue
-            away, turn = pose_error(pose[rows[:1]], pose[rows[1:]])
-            near = away[0] < NEAR[0] and abs(turn[0]) < NEAR[1]
-            pairs["near" if near else "elsewhere"].append(residuals[key][rows])
-    found: list[Row] = []
+            pair = np.flatnonzero(index == number)
+            if len(pair) == 2:
+                away, turn = pose_error(pose[pair[:1]], pose[pair[1:]])
+                near = away[0] < NEAR[0] and abs(turn[0]) < NEAR[1]
+                pairs["near" if near else "elsewhere"].append(residuals[key][pair])
+    rows: list[Row] = []
     for where, some in pairs.items():
         for k, kind in enumerate(("without map", "with map") if some else ()):
-            first, second = np.clip(np.array(some)[:, :, k], -CLIP, CLIP).transpose(1, 0, 2)
-            both = (first * second)[:, :2].sum(), (first**2 + second**2)[:, :2].sum()
+            share, low, high = _share(np.clip(np.array(some)[:, :, k, :2], -CLIP, CLIP))
             row: Row = {"surface": surface, "pairs": len(some), "where": where, "model": kind}
-            found.append(row | {"share": float(2.0 * both[0] / both[1])})
-    return found
+            rows.append(row | {"share": share, "share_low": low, "share_high": high})
+    return rows
+
+
+def _share(pairs: FloatArray) -> tuple[float, float, float]:
+    """Return the common share of squared errors (n, 2, 2) of pairs, and its 95 % interval."""
+    both = 2.0 * pairs.prod(axis=1).sum(axis=1), np.square(pairs).sum(axis=(1, 2))
+    drawn = np.random.default_rng(0).integers(0, len(pairs), (BOOTSTRAP, len(pairs)))
+    low, high = np.percentile(both[0][drawn].sum(1) / both[1][drawn].sum(1), (2.5, 97.5)).tolist()
+    return float(both[0].sum() / both[1].sum()), low, high
 
 
 # --- tables ---------------------------------------------------------------------------------------

@@ -1,18 +1,27 @@
 """Maps of uneven tables, against the tables that made the pushes and dense linear algebra."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from tests.fixtures import refused
 
 import fixel
+from fixel.calibration.target import target_of
 from fixel.errors import InvalidInput
 from fixel.parts import table_fit
+from fixel.parts.fit import NAMES, PartPushes, PartValues
 from fixel.parts.table_map import BoardShift, MapJudgement, by_part
 from fixel.testing.pushes import example_parts, example_pushes, uneven_board
 
 BUMPS = 0.8
+
+
+@dataclass(frozen=True)
+class SimpleModel:
+    """Fits as those of a part model."""
+
+    fits: tuple[PartValues, ...]
 
 
 @pytest.fixture(scope="module")
@@ -105,9 +114,44 @@ def test_scenes_and_experiments_stand_on_the_table(table, pushes):
     assert "none of the" in table.unseen(away)
 
 
+def test_without_anything_of_its_own_a_part_is_predicted_as_its_scene_on_the_table(table, pushes):
+    some = pushes[:4]
+    own = {name: one._replace(value=0.0 * one.value, balanced=0.0 * one.balanced,
+                              free=0.0 * one.free) for name, one in table.own.items()}  # fmt: skip
+    ends = replace(table, own=own).predict(some)
+    values = table.values["part-1"]
+    uneven = PartPushes([target_of(table.on(push)) for push in some])
+    flat = PartPushes([target_of(push) for push in some])
+    given = {name: np.full(len(some), x) for name, x in values.items()}
+    every = np.arange(len(some))
+    np.testing.assert_allclose(uneven.simulate(every, given).pose, ends, atol=1e-9)
+    assert np.abs(flat.simulate(every, given).pose - ends).max() > 1e-4
+
+
+def test_friction_and_shift_of_other_parts_are_corrected_towards_the_truth(pushes):
+    # Friction at the pusher is between 0.2 and 0.3 here.
+    wrong = {f"part-{k}": {"mu_pusher": 0.45, "pressure_xy": 0.5} for k in (1, 2, 3)}
+    table = fixel.table_map(pushes, wrong, progress=False)
+    assert table.weight > 0.0
+    shift = np.array([table.pusher[name] for name in wrong])
+    assert (shift[:, 0] < 0.0).all()
+    values = np.arange(float(len(NAMES)))
+    fits = tuple(PartValues(name, on, values) for on in ("board", "desk") for name in wrong)
+    model = SimpleModel(fits=fits)
+    changed = table.corrected(model).fits
+    at = [NAMES.index(name) for name in ("mu_pusher", "registration_x", "registration_y")]
+    for before, after in zip(fits, changed, strict=True):
+        expected = values.copy()
+        expected[at] += table.pusher[before.part] if before.surface == "board" else 0.0
+        np.testing.assert_array_equal(after.values, expected)
+        np.testing.assert_array_equal(before.values, values)
+    assert not replace(table, pusher={}).corrected(model).fits[0].values[0]
+
+
 def test_a_saved_map_is_the_same(table, tmp_path):
     again = fixel.load(table.save(tmp_path / "table.fixel"))
     assert repr(again) == repr(table)
+    np.testing.assert_equal(again.pusher, table.pusher)
     np.testing.assert_array_equal(again.load_map.log_load, table.load_map.log_load)
     np.testing.assert_array_equal(again.deviation, table.deviation)
 

@@ -139,27 +139,21 @@ class NextPushes(Result):
     @property
     def notes(self) -> tuple[str, ...]:
         """Sentences on the bounds and on candidates that were left out."""
-        notes = [
+        now = f"bounds of the intended pushes now: {self.now}"
+        return (
             "place of the pusher and direction in the part's frame; bounds (typical / cautious) are"
-            " expected after each push"
-        ]
-        if self.bounded[0]:
-            notes.append(f"bounds of the intended pushes now: {self.now}")
-        return (*notes, *self.gaps)
+            " expected after each push",
+            *[now] * bool(self.bounded[0]),
+            *self.gaps,
+        )
 
     @property
     def gaps(self) -> tuple[str, ...]:
         """Sentences on intended pushes without a bound and candidates that were left out."""
-        number, total = self.bounded
-        gaps = []
-        if number < total:
-            gaps.append(
-                f"{total - number} of {total} intended pushes have no bound: "
-                + "; ".join(self.reasons)
-            )
-        if self.idle:
-            gaps.append(f"left out: {self.idle} candidates that fail or do not move the part")
-        return tuple(gaps)
+        (number, total), reasons = self.bounded, "; ".join(self.reasons)
+        lacking = f"{total - number} of {total} intended pushes have no bound: {reasons}"
+        idle = f"left out: {self.idle} candidates that fail or do not move the part"
+        return (*[lacking] * (number < total), *[idle] * bool(self.idle))
 
     @property
     def now(self) -> str:
@@ -250,12 +244,10 @@ def _moving(offered: fit.PartPushes, prior: fit.SupportPrior) -> IntArray:
     way = np.hypot(away[:, 0], away[:, 1]) + ANGLE_SCALE * np.abs(away[:, 2])
     moving = np.flatnonzero(good[0] & (way > MOVED))
     if not len(moving):
-        failed = int(np.sum(~good[0]))
+        failed = f"of which {int(np.sum(~good[0]))} fail and the others do not move the part"
+        expected = "at least one push that moves the part"
         raise InvalidInput(
-            "candidates",
-            found=f"{len(offered)} pushes, of which {failed} fail and the others do not move"
-            " the part",
-            expected="at least one push that moves the part",
+            "candidates", found=f"{len(offered)} pushes, {failed}", expected=expected
         )
     return moving
 
@@ -345,12 +337,9 @@ def push_candidates(
             pusher = Pusher("tip", shape, pose=(*at, 0.0), drive=drive, friction=friction)
             found.append(replace(scene, pushers=(pusher,), duration=travel / speed))
     if not found:
-        raise InvalidInput(
-            "radius",
-            found=f"{1e3 * radius:.3g} mm",
-            expected="small enough for the tip to fit next to the part",
-            hint="use a smaller radius or more contacts",
-        )
+        expected = "small enough for the tip to fit next to the part"
+        hint = "use a smaller radius or more contacts"
+        raise InvalidInput("radius", found=f"{1e3 * radius:.3g} mm", expected=expected, hint=hint)
     return found
 
 

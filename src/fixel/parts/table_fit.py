@@ -198,8 +198,7 @@ class MapGrid(NamedTuple):
         cell = max(CELL, float(np.sqrt(np.prod(high - low) / MAX_NODES)))
         origin = cell * np.floor(low / cell)
         n_x, n_y = (np.ceil((high - origin) / cell).astype(int) + 1).tolist()
-        y, x = np.meshgrid(np.arange(n_y), np.arange(n_x), indexing="ij")
-        node = cell * np.column_stack((x.ravel(), y.ravel()))
+        node = cell * np.indices((n_y, n_x))[::-1].reshape(2, -1).T
         square = ((node[:, None] - node[None]) ** 2).sum(axis=-1)
         size, way = np.linalg.eigh(DEVIATION**2 * np.exp(-0.5 * square / LENGTH**2))
         kept = size > SMALLEST * size.max()
@@ -211,15 +210,12 @@ class MapGrid(NamedTuple):
         at = np.clip((places - self.origin) / self.cell, 0.0, [n_x - 1.001, n_y - 1.001])
         node = at.astype(int)
         part = at - node
-        row, column, weight = [], [], []
-        for i in (0, 1):
-            for j in (0, 1):
-                row.append(np.arange(len(places)))
-                column.append((node[:, 1] + j) * n_x + node[:, 0] + i)
-                x = part[:, 0] if i else 1.0 - part[:, 0]
-                weight.append(x * (part[:, 1] if j else 1.0 - part[:, 1]))
-        table = (np.concatenate(weight), (np.concatenate(row), np.concatenate(column)))
-        return scipy.sparse.csr_array(table, shape=(len(places), n_y * n_x))
+        corner = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])[:, None]
+        column = (node + corner) @ [1, n_x]
+        weight = np.where(corner, part, 1.0 - part).prod(axis=2)
+        row = np.tile(np.arange(len(places)), 4)
+        shape = len(places), n_y * n_x
+        return scipy.sparse.csr_array((weight.ravel(), (row, column.ravel())), shape=shape)
 
     def levelled(self, field: FloatArray, places: FloatArray) -> FloatArray:
         """Take the constant and the plane about places (k, 2) from fields (n_node, ...).
@@ -319,6 +315,11 @@ class TableFit(NamedTuple):
     told: tuple[tuple[FloatArray, FloatArray], ...]
     parts: tuple[MapRows, ...]  # pushes that were used
     force: tuple[FloatArray, ...]  # (n, 3) what is left of the ends over their covariance
+
+    def pusher(self, part: int) -> FloatArray:
+        """Return corrections (q,) of `CORRECTED` of a part."""
+        change = np.einsum("ni,niq->q", self.force[part], self.parts[part].by_value)
+        return np.asarray(change * [sd for sd, _ in CORRECTED.values()])
 
     def without(self, part: int) -> FloatArray:
         """Return the mean (m,) without the pushes of a part; weights of other pushes stay."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Final, NamedTuple, TypeVar, final
 
@@ -17,14 +17,15 @@ from fixel.errors import InvalidInput
 from fixel.model import Experiment, LoadMap, Scene, placed
 from fixel.model.support import support_points
 from fixel.parts import table_fit
-from fixel.parts.fit import PartPushes
-from fixel.parts.model import grouped
+from fixel.parts.fit import NAMES, PartPushes
+from fixel.parts.model import PartModel, grouped
 from fixel.progress import ProgressOption, show_progress
 from fixel.results import Result, Summary
 from fixel.table import Column, Table
 from fixel.typing import FloatArray, IntArray, ProgressCallback
 
 Standing = TypeVar("Standing", Scene, Experiment)
+Values = Mapping[str, Mapping[str, float]]  # calibrated values of parts
 
 MIN_PARTS: Final = 3  # with fewer, sides are left out instead of parts
 WEIGHTS: Final = (0.5, 1.0)  # of the map, if it helps left-out pushes at all
@@ -97,16 +98,11 @@ class BoardShift(NamedTuple):
 
     def __repr__(self) -> str:
         verdict = "the table has moved" if self.noticed else "no motion of the table is seen"
-        scales = (("mm", 1e3), ("mm", 1e3), ("deg", math.degrees(1.0)))
+        scales, names = (SCALES[0], *SCALES), (("x", "mm"), ("y", "mm"), ("turn", "deg"))
+        rows = (np.column_stack((self.shift, 2.0 * self.deviation)).T * scales).T.tolist()
         ends = [
-            f"{name} {k * value:+.1f} +- {2.0 * k * sd:.1f} {unit}"
-            for name, (unit, k), value, sd in zip(
-                ("x", "y", "turn"),
-                scales,
-                self.shift.tolist(),
-                self.deviation.tolist(),
-                strict=True,
-            )
+            f"{name} {x:+.1f} +- {sd:.1f} {unit}"
+            for (name, unit), (x, sd) in zip(names, rows, strict=True)
         ]
         return f"{verdict}: {', '.join(ends)} (95 %), from {self.pushes} pushes"
 
@@ -137,6 +133,8 @@ class TableMap(Result):
         Square root of the covariance of the nodes.
     own : mapping of str to OwnFit
         Loads of each part from pose to pose that the map does not explain.
+    pusher : mapping of str to (3,) float64
+        Corrections of the friction [-] and the shift [m] at the pusher, fitted with the map.
     weight : float
         Weight of the map, chosen on left-out pushes; 0 for a map that does not help.
     judgement : MapJudgement
@@ -165,6 +163,7 @@ class TableMap(Result):
     weight: float
     judgement: MapJudgement
     experiments: tuple[str, ...]
+    pusher: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def on(self, push: Standing) -> Standing:
         """Return a scene, or an experiment with its scene, on this table.
@@ -241,12 +240,8 @@ class TableMap(Result):
             A part is not one of the map, or `on` refuses an experiment.
         """
         pushes = list(experiments)
-        groups = self._groups(pushes)
-        parts = []
         with show_progress(progress, "differentiating pushes") as report:
-            for done, (name, group) in enumerate(groups.items()):
-                parts.append(table_fit.StandingPart(group, self.values[name]))
-                report(done + 1, len(groups), name)
+            parts = [*_standing(self._groups(pushes), self.values, report).values()]
         return BoardShift(*table_fit.shift_of(parts, self.load_map, self.spread), len(pushes))
 
     @cached_property
@@ -281,9 +276,25 @@ class TableMap(Result):
         ends = np.zeros((len(pushes), 3))
         for name, group in groups.items():
             part = table_fit.StandingPart(group, self.values[name], differentiate=False)
-            every, height = np.arange(len(group)), self.load_map.at(part.places)
-            ends[names == name] = part.ends(every, height, self.own[name])
+            height = self.load_map.at(part.places)
+            ends[names == name] = part.ends(np.arange(len(group)), height, self.own[name])
         return ends
+
+    def corrected(self, model: PartModel) -> PartModel:
+        """Return a part model with friction and shift of its parts as fitted with the map.
+
+        It predicts a new part on this table better, before and after the part's first pushes.
+
+        Parameters
+        ----------
+        model : PartModel
+            Model from pushes without the map, whose values the map was made with.
+        """
+        at = [NAMES.index(name) for name in table_fit.CORRECTED]
+        fits = [own._replace(values=own.values.copy()) for own in model.fits]
+        for own in fits:
+            own.values[at] += self.pusher.get(own.part, 0.0) if own.surface == self.name else 0.0
+        return replace(model, fits=tuple(fits))
 
     def with_part(self, experiments: Sequence[Experiment], values: Mapping[str, float]) -> TableMap:
         """Return the map with one more part, so that `predict` knows it; the table stays as it is.
@@ -305,8 +316,7 @@ class TableMap(Result):
             found = " and ".join(groups) or "none"
             raise InvalidInput("experiments", found=found, expected="pushes of one part")
         ((name, group),) = groups.items()
-        part = table_fit.StandingPart(group, values)
-        own = table_fit.own_of(part, self.load_map)
+        own = table_fit.own_of(table_fit.StandingPart(group, values), self.load_map)
         return replace(
             self, values={**self.values, name: dict(values)}, own={**self.own, name: own}
         )
@@ -314,27 +324,23 @@ class TableMap(Result):
     def _summary(self) -> Summary:
         verdict = f"weight {self.weight:g}" if self.weight else "not used, as it does not help"
         seen = self.deviation < UNSEEN * table_fit.DEVIATION
-        area = float(seen.sum() * np.prod(self.load_map.cell))
+        area = 1e4 * float(seen.sum() * np.prod(self.load_map.cell))
         return Summary(
             f"TableMap of {self.surface}={self.name}: {len(self.experiments)} pushes of"
             f" {len(self.values)} parts; {verdict}",
             [self.judgement.table()],
-            [
-                self.judgement.sentence(),
-                f"the pushes have seen {1e4 * area:.0f} cm^2 of the table",
-            ],
+            [self.judgement.sentence(), f"the pushes have seen {area:.0f} cm^2 of the table"],
             {"world coordinates of": ", ".join(self.frame)},
         )
 
     def _data(self) -> Table:
         """Nodes of the map, with their standard deviations."""
         grid = self.load_map
-        n_y, n_x = grid.log_load.shape
-        y, x = np.meshgrid(np.arange(n_y), np.arange(n_x), indexing="ij")
+        y, x = np.indices(grid.log_load.shape).reshape(2, -1)
         return Table.from_columns(
             {
-                "x_m": grid.origin[0] + grid.cell[0] * x.ravel(),
-                "y_m": grid.origin[1] + grid.cell[1] * y.ravel(),
+                "x_m": grid.origin[0] + grid.cell[0] * x,
+                "y_m": grid.origin[1] + grid.cell[1] * y,
                 "log_load": grid.log_load.ravel(),
                 "deviation": self.deviation.ravel(),
             }
@@ -349,20 +355,24 @@ def by_part(
     return {name: pushes for (_, name), pushes in groups.items()}
 
 
+def _standing(
+    groups: Mapping[str, PartPushes], values: Values, progress: ProgressCallback
+) -> dict[str, table_fit.StandingPart]:
+    parts = {}
+    for done, (name, group) in enumerate(groups.items()):
+        parts[name] = table_fit.StandingPart(group, values[name])
+        progress(done + 1, len(groups), name)
+    return parts
+
+
 def fitted_map(
-    groups: Mapping[str, PartPushes],
-    values: Mapping[str, Mapping[str, float]],
-    progress: ProgressCallback | None = None,
+    groups: Mapping[str, PartPushes], values: Values, progress: ProgressCallback
 ) -> dict[str, Any]:
     """Fit a map to the pushes of all parts, and judge it by leaving parts and sides out.
 
     Return the fields of a `TableMap` that follow.
     """
-    parts = {}
-    for done, (name, group) in enumerate(groups.items()):
-        parts[name] = table_fit.StandingPart(group, values[name])
-        if progress is not None:
-            progress(done + 1, len(groups), name)
+    parts = _standing(groups, values, progress)
     places = np.concatenate([own.places.reshape(-1, 2) for own in parts.values()])
     grid = table_fit.MapGrid.over(places)
     rows = {name: table_fit.MapRows.of(own, grid) for name, own in parts.items()}
@@ -375,6 +385,7 @@ def fitted_map(
         "load_map": grid.load_map(weight * grid.levelled(grid.root @ fit.mean, places)),
         "spread": grid.levelled(grid.root @ fit.factor, places),
         "own": {name: table_fit.own_fit(own, weight * fit.mean) for name, own in rows.items()},
+        "pusher": {name: weight * fit.pusher(k) for k, name in enumerate(parts)},
         "weight": weight,
         "judgement": judgement,
     }
