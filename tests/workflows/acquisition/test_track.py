@@ -14,7 +14,18 @@ from fixel.formats.recording import RecordingHeader, RecordingWriter
 from fixel.formats.rig_file import save_rig
 from fixel.formats.scene_file import SceneFile, save_scene
 from fixel.formats.video_file import VideoWriter
-from fixel.model import Body, Disk, Fixel, LineDrive, Polygon, Provenance, Pusher, Scene, Tripod
+from fixel.model import (
+    Body,
+    Disk,
+    Fixel,
+    LineDrive,
+    PairFriction,
+    Polygon,
+    Provenance,
+    Pusher,
+    Scene,
+    Tripod,
+)
 from fixel.model.shape import placed
 from fixel.testing.tracking_contract import moving, painted, tag_rig
 from fixel.vision.frame import Frame
@@ -138,9 +149,9 @@ def test_what_was_rendered_is_never_real(tmp_path):
     assert track_film(path).experiment.simulated_by == "SIMULATED by a test"
 
 
-def pushed(along, first=0, fixels=()):
+def pushed(along, first=0, fixels=(), planned=None, others=()):
     """An experiment of an actuator at places along x, and an object ahead of it, seen from some
-    frame on."""
+    frame on, and other bodies that stay where they are seen."""
     time = np.arange(len(along)) / 30.0
     head, touch = moving(0.0)["actuator"], 0.005
     sights = {
@@ -148,6 +159,7 @@ def pushed(along, first=0, fixels=()):
         "object": moving(0.0)["object"]
         + np.outer(np.maximum.accumulate(np.maximum(along - touch, 0.0)), [1.0, 0.0, 0.0]),
     }
+    sights |= {name: np.tile(pose, (len(along), 1)) for name, pose in others}
     parts = {}
     for name, poses in sights.items():
         own = [
@@ -160,7 +172,7 @@ def pushed(along, first=0, fixels=()):
     return experiment_of(
         FilmTracks(method="tags", rig=tag_rig(), time=time, parts=parts, fixels=fixels),
         tag_rig(),
-        scene(),
+        planned or scene(),
         None,
         dataset="bench",
         name="push",
@@ -177,6 +189,24 @@ def test_a_start_that_was_seen_makes_a_scene(first):
     experiment = pushed(PUSH, first)
     assert experiment.scene is not None
     assert experiment.scene.bodies[0].pose == pytest.approx(moving(0.0)["object"], abs=1e-4)
+
+
+def test_every_body_that_is_seen_starts_where_it_was_seen():
+    plan, (x, y, _) = scene(), moving(0.0)["object"]
+    second = replace(plan.bodies[0], name="second", pose=(x + 0.3, y, 0.0))
+    third = replace(second, name="third", pose=(x, y + 0.3, 0.0))
+    contacts = PairFriction(("*", "*"), friction=0.3)
+    plan = replace(plan, bodies=(*plan.bodies, second, third), contact_friction=contacts)
+    seen = (x + 0.21, y - 0.02, 0.4)
+    made = pushed(PUSH, planned=plan, others=[("second", seen)]).scene
+    assert made.bodies[0].pose == pytest.approx(moving(0.0)["object"], abs=1e-4)
+    assert made.bodies[1].pose == pytest.approx(seen, abs=1e-9)
+    assert np.array_equal(made.bodies[2].pose, third.pose)
+    # Side by side, the measured squares overlap by 0.1 mm, as noise makes them do.
+    seen = (*placed([[0.0399, 0.0]], moving(0.0)["object"])[0], moving(0.0)["object"][2])
+    made = pushed(PUSH, planned=plan, others=[("second", seen)])
+    assert 0.0 < np.hypot(*(made.scene.bodies[1].pose[:2] - seen[:2])) < 2e-4
+    assert [flag.name for flag in made.flags if "start" in flag.name] == ["start-moved"]
 
 
 def test_a_start_that_was_not_seen_makes_no_scene():

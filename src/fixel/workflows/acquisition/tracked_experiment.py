@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fixel.datasets.base import remark, scene_or_flag
 from fixel.errors import InvalidInput
 from fixel.model import (
+    Body,
     Channel,
     Experiment,
     Fixel,
@@ -25,7 +26,7 @@ from fixel.model import (
 from fixel.typing import FloatArray
 from fixel.uncertainty.start_ensemble import Neighbour, remove_overlap
 from fixel.vision.marks import Rig
-from fixel.vision.tracking.base import ActuatorMotion, FilmTracks, PartTrack, motion_of
+from fixel.vision.tracking.base import ActuatorMotion, FilmTracks, PartTrack, Thing, motion_of
 from fixel.vision.tracking.judge import stamp_scatter
 
 MAX_APART: Final = 1.5e-3  # [m] largest displacement of a start out of an overlap
@@ -157,15 +158,20 @@ def _scene(
         _driven(member, pusher) if found and pusher and member.name == found[0] else member
         for member in scene.pushers
     )
-    body = scene.bodies[0]
-    _check_start(body.name, trajectory, begins)
-    start = _start(trajectory, begins)
-    apart = _apart(body.shape, start, (*pushers, *fixels))
-    if (apart != start).any():
-        moved.append(float(np.hypot(*(apart - start)[:2])))
+    bodies: list[Body] = []
+    for body in scene.bodies:
+        pose = body.pose
+        if body.name in tracked.parts:
+            track = _shifted(tracked.parts[body.name].trajectory, float(tracked.time[0]))
+            _check_start(body.name, track, begins)
+            start = _start(track, begins)
+            pose = _apart(body.shape, start, (*pushers, *fixels, *bodies))
+            if (pose != start).any():
+                moved.append(float(np.hypot(*(pose - start)[:2])))
+        bodies.append(replace(body, pose=pose))
     return replace(
         scene,
-        bodies=(replace(body, pose=apart), *scene.bodies[1:]),
+        bodies=tuple(bodies),
         pushers=pushers,
         fixels=fixels,
         duration=float(trajectory.time[-1]),
@@ -215,7 +221,7 @@ def _start(trajectory: Trajectory, begins: float) -> FloatArray:
     return trajectory.pose[0] if n < 3 else np.asarray(np.mean(early[:n], axis=0))
 
 
-def _apart(shape: object, start: FloatArray, others: tuple[Pusher | Fixel, ...]) -> FloatArray:
+def _apart(shape: object, start: FloatArray, others: Iterable[Thing | Fixel]) -> FloatArray:
     neighbours = [Neighbour(other.name, other.shape, other.pose) for other in others]
     poses, reasons = remove_overlap(shape, start[None], neighbours, MAX_APART)  # type: ignore[arg-type]
     if reasons[0]:
