@@ -60,7 +60,7 @@ def _perform(request: "BaseModel", folder: Path, as_json: bool) -> None:
     done = not loop.campaign.left or (loop.live is not None and loop.live.finish)
     print_answer(
         as_json,
-        lambda: analysis.texts() | analysis.numbers,
+        lambda: analysis.numbers | analysis.texts(),
         lambda: paragraphs(analysis.lines(), [f"Next: {after if done else again}"]),
     )
 

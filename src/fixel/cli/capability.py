@@ -158,7 +158,7 @@ def _run(
     kept = [] if done.folder is None else [f"stored in {done.folder}"]
     print_answer(
         as_json,
-        lambda: analysis.texts() | getattr(present, "content", content_of)(done),
+        lambda: (own := getattr(present, "content", content_of)(done)) | analysis.texts() | own,
         lambda: paragraphs(
             analysis.lines(),
             [f"Took {time_text(analysis.seconds)}.", *wrote(done.files.values()), *kept],

@@ -165,8 +165,8 @@ def next_(
         as_json,
         lambda: {
             "met": False,
-            **analysis.texts(),
             **analysis.numbers,
+            **analysis.texts(),
             "files": [str(target)],
         },
         lambda: paragraphs(
