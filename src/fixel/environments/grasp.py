@@ -242,9 +242,7 @@ def _stroke(scene: Scene) -> LineDrive:
         or not MIN_TRAVEL < drive.travel < math.inf
         or drive.speed == 0.0
     ):
-        raise InvalidInput(
-            "scene",
-            found="a scene without one body, one such pusher or two fixels",
-            expected="a LineDrive with a force limit and a travel of more than 20 mm",
-        )
+        found = "a scene without one body, one such pusher or two fixels"
+        expected = "a LineDrive with a force limit and a travel of more than 20 mm"
+        raise InvalidInput("scene", found=found, expected=expected)
     return drive

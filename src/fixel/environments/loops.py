@@ -103,22 +103,26 @@ def _may_touch(
     if n == 0 or state.sunk[k] > 0.0:
         return True
     c, s = math.cos(state.body[k, 2]), math.sin(state.body[k, 2])
-    before_x = before_y = 0.0
+    way_x = way_y = x = y = 0.0
     for i in range(state.route.shape[1]):
         dx, dy = state.route[k, i, 0] - bx, state.route[k, i, 1] - by
-        x, y = c * dx + s * dy, c * dy - s * dx
-        # No place of the way from the last one is further from the nearer end than half of it.
-        limit = radius
+        before_x, before_y, x, y = x, y, c * dx + s * dy, c * dy - s * dx
         if i > 0:
-            limit += 0.5 * math.hypot(x - before_x, y - before_y)
-        before_x, before_y = x, y
+            way_x, way_y = x - before_x, y - before_y
+        # Edges are near an end of the way from the last place, within half of it; corners may be
+        # nearer to its middle.
+        limit = radius + 0.5 * math.hypot(way_x, way_y)
+        square = max(way_x * way_x + way_y * way_y, 1e-300)
         for j in range(n):
             ax, ay = outline[j, 0], outline[j, 1]
             ex, ey = outline[(j + 1) % n, 0] - ax, outline[(j + 1) % n, 1] - ay
             u = ((x - ax) * ex + (y - ay) * ey) / (ex * ex + ey * ey)
             u = min(max(u, 0.0), 1.0)
             gx, gy = x - ax - u * ex, y - ay - u * ey
-            if gx * gx + gy * gy <= limit * limit:
+            u = min(max(((x - ax) * way_x + (y - ay) * way_y) / square, 0.0), 1.0)
+            hx, hy = x - ax - u * way_x, y - ay - u * way_y
+            near = hx * hx + hy * hy <= radius * radius
+            if near or gx * gx + gy * gy <= limit * limit:
                 return True
     return False
 

@@ -281,11 +281,8 @@ class PushEnv(base.SingleEnv):
 def _check_scene(scene: Scene) -> None:
     fits = len(scene.bodies) == len(scene.pushers) == 1
     if not fits or not isinstance(scene.pushers[0].shape, Disk):
-        raise InvalidInput(
-            "scene",
-            found=f"{len(scene.bodies)} bodies and {len(scene.pushers)} pushers",
-            expected="one body and one round pusher",
-        )
+        found = f"{len(scene.bodies)} bodies and {len(scene.pushers)} pushers"
+        raise InvalidInput("scene", found=found, expected="one body and one round pusher")
 
 
 def _as_pose(goals: FloatArray) -> FloatArray:
