@@ -95,12 +95,8 @@ def table_map(
     used, part, surface = pushes_of_parts(experiments, part, surface)
     names = sorted({str(own.conditions.get(surface, "")) for own in used})
     if len(names) > 1:
-        raise InvalidInput(
-            "experiments",
-            found=f"{surface}={' and '.join(names)}",
-            expected="experiments on one table",
-            hint="make a map of each",
-        )
+        what, expected = f"{surface}={' and '.join(names)}", "experiments on one table"
+        raise InvalidInput("experiments", found=what, expected=expected, hint="make a map of each")
     groups = by_part(used, part, threads)
     cache = ResultCache(None if store is None else Path(store))
     values = {}

@@ -120,3 +120,25 @@ def test_a_part_that_is_not_seen_is_refused():
         patch.setattr(acceptance, "_frames", lambda devices, n: [frame] * n)
         with pytest.raises(InvalidInput, match="part"):
             measure_bench(devices, overlay, [], lambda *how: None)
+
+
+def test_a_part_at_half_a_turn_has_the_noise_of_its_angle(monkeypatch):
+    rng, seen = np.random.default_rng(2), []
+    angles = iter(math.pi + rng.permutation(np.linspace(-2e-3, 2e-3, 60)))
+    scene = thesis_plan().experiments[0].scene
+
+    def look(frame):
+        angle = math.remainder(next(angles), 2.0 * math.pi)
+        pose = np.array([0.1, 0.0, angle])
+        return SimpleNamespace(parts=[SimpleNamespace(name="object", measured=pose)])
+
+    overlay = SimpleNamespace(scene=scene, look=look, tolerance=overlay_with(1e-3, 0.1).tolerance)
+    devices = SimpleNamespace(way_to=lambda scene, part: seen.append(part) or [])
+    frames = [SimpleNamespace(time=0.1 * k) for k in range(60)]
+    monkeypatch.setattr(acceptance, "_frames", lambda devices, n: frames)
+    monkeypatch.setattr(acceptance, "_drive", lambda *given: ())
+    monkeypatch.setattr(acceptance, "_board", lambda *given: ())
+    figures = measure_bench(devices, overlay, [], lambda *how: None)
+    (angle,) = (own.value for own in figures if own.name == "camera noise, angle")
+    assert angle == pytest.approx(4e-3 / math.sqrt(12.0), rel=0.05)  # of an even distribution
+    assert math.cos(seen[0][2]) < -0.99999
