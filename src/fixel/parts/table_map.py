@@ -46,9 +46,10 @@ class MapJudgement(NamedTuple):
     after: FloatArray
 
     def gain(self, seed: int = 0) -> FloatArray:
-        """Return the mean change (2,) of both errors with a 95 % interval, as rows (3, 2).
+        """Return the mean change (2,) of both errors with its bootstrap interval, as rows (3, 2).
 
-        Parts, and pushes within them, are drawn again.
+        Parts, and pushes within them, are drawn again. The nominal level is 95 %; intervals of
+        three to seven parts held 83 to 88 %.
         """
         change, names = self.after - self.before, np.array(self.part)
         rng = np.random.default_rng(seed)

@@ -200,7 +200,7 @@ def report_of(found: StoredMap) -> AnalysisReport:
     from fixel.workflows.figures import Picture
 
     table, names = found.table, ("position_m", "angle_rad")
-    gains = {  # mean of the changes of errors, and its 95 % interval
+    gains = {  # mean of the changes of errors, and its interval
         table.judgement.left_out: dict(zip(names, table.judgement.gain().T.tolist(), strict=True))
     }
     numbers = {name: getattr(table, name) for name in ("surface", "name", "part", "weight")}
