@@ -62,7 +62,7 @@ def convergence_figure(
     below.set_ylabel("size of the simplex [scales]")
     below.set_xlabel("evaluations")
     log_scale(above, "y", 1e3 * np.concatenate([one.error for one in descents]))
-    below.set_yscale("log")
+    log_scale(below, "y", np.concatenate([one.size for one in descents]))
     for axes in (above, below):
         axes.grid(color=palette.FAINT, linewidth=0.4)
     above.legend(frameon=False)

@@ -301,7 +301,8 @@ class PartModel(Result):
     @property
     def proved_level(self) -> float:
         """Probability that the known parts can prove at most: n / (n + 1) for n parts."""
-        return (n := len(self.parts)) / (n + 1.0)
+        n = len(self.parts)
+        return n / (n + 1.0)
 
     @property
     def typical_error(self) -> float:

@@ -102,12 +102,11 @@ def measure_bench(
 
 
 def _tracked(overlay: Overlay, frames: Sequence[Frame], name: str) -> FloatArray:
-    """Return times and poses (n, 4) of a part in the frames in which it is seen, with continuous
-    angles: stickers show them within half a turn."""
+    """Return times and poses (n, 4) of a part where it is seen, with continuous angles."""
     looks = [(own.time, part) for own in frames for part in overlay.look(own).parts]
     rows = [(t, *own.measured) for t, own in looks if own.name == name and own.measured is not None]
     time, x, y, angle = np.reshape(rows, (-1, 4)).T
-    return np.column_stack((time, x, y, np.unwrap(angle)))
+    return np.column_stack((time, x, y, np.unwrap(angle)))  # stickers show half a turn each way
 
 
 def _frames(devices: BenchDevices, n: int) -> list[Frame]:
