@@ -20,8 +20,8 @@ def programs(monkeypatch, tmp_path):
     real = compilation.subprocess.run
 
     def run(command, **options):
-        assert command[1:3] == ["-m", "fixel.workflows.compilation"]
-        return real([sys.executable, "-c", found[command[3]]], **options)
+        assert command[1:4] == ["-P", "-m", "fixel.workflows.compilation"]
+        return real([sys.executable, "-c", found[command[4]]], **options)
 
     monkeypatch.setattr(compilation.subprocess, "run", run)
     return found

@@ -85,16 +85,3 @@ def test_scene_and_contact_mode_agree():
 def test_heights_and_times_are_checked():
     refused(experiment, height=-0.04, match="height")
     refused(experiment, effective=(1.0, 0.5), match="increasing order")
-
-
-@pytest.mark.parametrize("low", [-np.pi, 0.0, 40.0])
-@pytest.mark.parametrize("turns", [-2.3, 0.4, 7.7])
-def test_wrapped_angles_are_stored_as_continuous_ones(low, turns):
-    """Steps are under half a turn; how far the part has turned is known before wrapping."""
-    steps = np.random.default_rng(3).dirichlet(np.full(60, 20.0)) * 2.0 * np.pi * turns
-    angle = 2.9 + np.concatenate(([0.0], np.cumsum(steps)))
-    given = low + np.mod(angle - low, 2.0 * np.pi)
-    pose = np.column_stack((np.zeros((61, 2)), given))
-    own = experiment(trajectory=Trajectory(time=np.arange(61.0), pose=pose)).trajectory.theta
-    assert own[0] == given[0]
-    assert own - own[0] == pytest.approx(angle - angle[0], abs=1e-12)

@@ -214,7 +214,8 @@ def _draw_object(axes: Axes, experiment: Experiment) -> list[Artist]:
         handles = top_view.add_start_and_end(axes, name, shape, track.pose, palette.BODY, 0.30)
         # With only a few poses the motion between them is unknown.
         if len(track.time) > top_view.FEW_POSES:
-            outlines = [placed(shape.outline, pose) for pose in ghosts(track.pose, shape, 4)]
+            unwound = np.column_stack((track.pose[:, :2], np.unwrap(track.pose[:, 2])))
+            outlines = [placed(shape.outline, pose) for pose in ghosts(unwound, shape, 4)]
             top_view.add_outlines(
                 axes, outlines, **top_view.hollow(palette.BODY, 0.5, alpha=0.35, zorder=1.2)
             )

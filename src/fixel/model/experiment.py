@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from math import degrees, pi
+from math import degrees
 from types import MappingProxyType
 from typing import Any, Final, final
 
@@ -167,7 +167,7 @@ class Experiment(Comparable, Result):
     object_name : str
         Name of the body of `scene` whose motion was measured.
     trajectory : Trajectory
-        Measured poses of the object in the world. Of more than two, angles become continuous.
+        Measured poses of the object in the world.
     pusher : Trajectory, optional
         Measured poses of the pusher, on the same clock.
     scene : Scene, optional
@@ -226,10 +226,6 @@ class Experiment(Comparable, Result):
         name_of(self.dataset, "experiment.dataset")
         where = f"experiment {self.dataset}/{name_of(self.name, 'experiment.name')}"
         instance(self.trajectory, Trajectory, f"{where}.trajectory", "a Trajectory")
-        track = self.trajectory
-        if len(track.time) > 2 and (np.abs(np.diff(track.theta)) >= pi).any():
-            pose = np.column_stack((track.pose[:, :2], np.unwrap(track.theta)))
-            settle(self, trajectory=replace(track, pose=pose))
         if self.real == bool(self.simulated_by):
             raise InvalidInput(
                 f"{where}.simulated_by",
