@@ -18,7 +18,6 @@ from fixel.database.project import Project
 from fixel.database.query import ALL_EXPERIMENTS
 from fixel.database.store import Store
 from fixel.model.selection import ExperimentQuery, ExperimentRow
-from fixel.model.trajectory import turned
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration, Calibrations
@@ -253,9 +252,7 @@ def data_section(data: ReportData) -> Section:
     start = np.array([(s.start_x_m, s.start_y_m, s.start_theta_rad) for s in summaries])
     end = np.array([(s.end_x_m, s.end_y_m, s.end_theta_rad) for s in summaries])
     moved = 1e3 * np.hypot(*(end - start)[:, :2].T)
-    angle = np.degrees(
-        [abs(turned(s.start_theta_rad, s.end_theta_rad, s.n_frame)) for s in summaries]
-    )
+    angle = np.degrees([abs(s.turned_rad) for s in summaries])
     rows = (
         ("frames of an experiment", *_spread(frames)),
         ("duration [s]", *_spread(lasted)),
