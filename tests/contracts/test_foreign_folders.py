@@ -160,6 +160,7 @@ def test_a_job_writes_no_file_outside_its_project(tmp_path: Path) -> None:
         "sqlite:///file:{outside}?uri=true",
         "sqlite:///file:..%2foutside.db?uri=true",
         "sqlite:///experiments.db?uri=true",
+        "sqlite:///%2e%2e/outside.db",
         "sqlite://@/{outside}",
         "duckdb:///{outside}",
         "mysql://host/name",

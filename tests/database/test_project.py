@@ -1,6 +1,7 @@
 """Projects as Python opens them: filters, results, and the same numbers as the commands."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import pytest
@@ -151,3 +152,44 @@ def test_a_map_is_stored_with_its_evidence(tmp_path, monkeypatch):
     found = lab.map_domain("surface=abs", **options, progress=False)
     (kept,) = lab.analyses
     assert kept.arrays["error_mm2"].tolist() == found.evidence.error_mm2.tolist()
+
+
+def test_sequences_load_from_the_project_that_is_there_now(tmp_path, monkeypatch):
+    """Projects of one relative name in two folders, and one that replaces another."""
+    one, other = example()[:2]
+    chosen = []
+    for name, push in (("a", one), ("b", other)):
+        (tmp_path / name).mkdir()
+        monkeypatch.chdir(tmp_path / name)
+        fixel.Project.create("lab").add(push, progress=False)
+        chosen.append(fixel.Project("lab").experiments())
+        assert chosen[-1][0].key == push.key
+    monkeypatch.chdir(tmp_path)
+    assert [found[0].key for found in chosen] == [one.key, other.key]
+    shutil.rmtree(tmp_path / "b" / "lab")
+    fixel.Project.create("b/lab").add(one, progress=False)
+    assert fixel.Project("b/lab").experiments()[0].key == one.key
+
+
+@pytest.mark.parametrize("name", ["what?", "50%20x", "x?uri=true"])
+def test_the_database_is_in_the_folder_of_any_name(name, tmp_path):
+    fixel.Project.create(tmp_path / name).add(example()[0], progress=False)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name / "experiments.db").is_file()
+    assert fixel.Project(tmp_path / name).experiments()[0].key == "example/00"
+
+
+def test_a_name_that_two_experiments_have_is_refused_with_their_ids(lab):
+    """As after a deletion, another experiment of that name, and an undo."""
+    with lab.store() as store:
+        store.delete([1])
+        lab.add(replace(example()[0], conditions={"surface": "felt"}), progress=False)
+        store.delete([1], back=True)
+    with pytest.raises(NotStored, match="write one of id:1, id:4"):
+        lab.experiment("00")
+    assert lab.experiment("id:4").conditions == {"surface": "felt"}
+
+
+def test_a_number_beyond_those_of_ids_is_refused(lab):
+    with pytest.raises(StoreRefused, match="too large"):
+        lab.experiment("9" * 30)

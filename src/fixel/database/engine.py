@@ -151,8 +151,8 @@ def translated(engine: sa.Engine) -> Iterator[None]:
         yield
     except exc.DBAPIError as problem:
         raise StoreRefused(*_reason(place, str(problem.orig))) from problem
-    # From direct calls of the driver, also where a damaged page has a message that is no text.
-    except (sqlite3.Error, UnicodeDecodeError) as problem:
+    # From direct calls of the driver, a damaged page's message that is no text, too large an id.
+    except (sqlite3.Error, UnicodeDecodeError, OverflowError) as problem:
         raise StoreRefused(*_reason(place, str(problem))) from problem
 
 

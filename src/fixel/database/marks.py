@@ -30,8 +30,7 @@ class Note(NamedTuple):
 def flag(connection: sa.Connection, experiment_ids: Iterable[int], flag: Flag) -> list[int]:
     """Add a flag to experiments that do not have it; return their ids."""
     wanted = _known(connection, tables.experiment, experiment_ids, "experiment")
-    had = set(_carrying(connection, wanted, flag.name))
-    new = [experiment_id for experiment_id in wanted if experiment_id not in had]
+    new = sorted({*wanted}.difference(_carrying(connection, wanted, flag.name)))
     if new:
         connection.execute(sa.insert(tables.flag), [flag_row(one, flag) for one in new])
     return new
@@ -133,7 +132,6 @@ def _known(
     """Return the ids sorted and without duplicates; raise `NotStored` for the first missing one."""
     wanted = sorted(set(numbers))
     found = set(connection.scalars(sa.select(table.c.id).where(table.c.id.in_(wanted))))
-    for number in wanted:
-        if number not in found:
-            raise NotStored(f"{what} {number}", hint="fixel list shows all experiments")
+    if missing := [number for number in wanted if number not in found]:
+        raise NotStored(f"{what} {missing[0]}", hint="fixel list shows all experiments")
     return wanted

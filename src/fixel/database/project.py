@@ -25,6 +25,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple, final
 
+import sqlalchemy as sa
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -406,7 +407,9 @@ class Project:
         except StoreRefused as refused:
             return Summary(heading, notes=[str(refused)])
         table = Table(("dataset", "experiments"), [*datasets.items()])
-        return Summary(heading, [table] if datasets else [], [f"{n_fit} calibrations"])
+        return Summary(
+            heading, [table] if datasets else [], [f"{n_fit} calibration{'s' * (n_fit != 1)}"]
+        )
 
     # --- database -------------------------------------------------------------------------------
 
@@ -414,7 +417,8 @@ class Project:
     def url(self) -> str:
         """URL of the database: from the environment, the settings, or of the file in the folder."""
         named = os.environ.get(VARIABLE) or self.settings.database
-        return named or f"sqlite:///{self.folder / DATABASE}"
+        file = str(self.folder.absolute() / DATABASE)
+        return named or str(sa.URL.create("sqlite", database=file))
 
     @property
     def media(self) -> Path:
@@ -463,8 +467,8 @@ def _check_inside(path: Path, database: str | None) -> None:
     """
     if database is None or not database.lower().startswith("sqlite"):
         return
-    # A query, or anything before the file, may make it another one: `file:/x?uri=true`.
-    file = re.fullmatch(r"sqlite[\w+]*:///([^?\0]+)", database, re.IGNORECASE)
+    # A query, an escape, or anything before the file, may make it another: `file:/x?uri=true`.
+    file = re.fullmatch(r"sqlite[\w+]*:///([^?%\0]+)", database, re.IGNORECASE)
     if file is None or not Path(file[1]).resolve().is_relative_to(path.parent.resolve()):
         raise InvalidInput(
             f"{path}: database",
@@ -478,12 +482,16 @@ MAX_STORES: Final = 8  # open at a time, for sequences of experiments
 
 
 @lru_cache(MAX_STORES)
-def _store(url: str, media: Path) -> Store:
+def _store(url: str, media: Path, _: tuple[int, int] | None) -> Store:
     return Store(url, media)
 
 
 def _stored_experiment(url: str, media: Path, view: ExperimentView | None, k: int) -> Experiment:
-    found = _store(url, media).experiment(k)
+    file = None  # on a server; other files may follow under the same name
+    with suppress(OSError):
+        now = os.stat(sa.make_url(url).database or "")
+        file = now.st_dev, now.st_ino
+    found = _store(url, media, file).experiment(k)
     return found if view is None else view(found)
 
 
@@ -514,7 +522,7 @@ def stored_experiments(store: Store, query: ExperimentQuery) -> Experiments:
         for entry in entries
         if entry.row.id in published
     }
-    load = partial(_stored_experiment, store.url, store.media, store.view)
+    load = partial(_stored_experiment, store.url, store.media.absolute(), store.view)
     return Experiments(entries, load, (), tuple(skipped), simulations)
 
 
@@ -539,11 +547,8 @@ def add_experiments(
         stored = store.add_experiment(experiment)
         if (simulation := published.get(experiment.key)) is not None:
             _add_published(store, stored.id, simulation)
-        if stored.new:
-            new += 1
-            faulty += any(flag.fault for flag in experiment.flags)
-        else:
-            known += 1
+        new, known = new + stored.new, known + (not stored.new)
+        faulty += stored.new and any(flag.fault for flag in experiment.flags)
         if report is not None:
             report(new + known, max(total, new + known))
     return AddSummary(new, known, faulty, time.monotonic() - begun)
@@ -590,13 +595,11 @@ def _clear(folder: Path, *, keep: bool) -> None:
 
 
 def _settings_text(settings: ProjectSettings) -> str:
+    named = settings.database
     lines = [
-        "# Settings of a fixel project.",
-        yaml.safe_dump({"name": settings.name}, allow_unicode=True).rstrip(),
-        "# The database of a laboratory: postgresql+psycopg://USER@HOST/DATABASE",
+        "# Settings of a fixel project.\n",
+        yaml.safe_dump({"name": settings.name}, allow_unicode=True),
+        "# The database of a laboratory: postgresql+psycopg://USER@HOST/DATABASE\n",
+        "# database:\n" if named is None else yaml.safe_dump({"database": named}),
     ]
-    if settings.database is None:
-        lines.append("# database:")
-    else:
-        lines.append(yaml.safe_dump({"database": settings.database}).rstrip())
-    return "\n".join(lines) + "\n"
+    return "".join(lines)

@@ -254,7 +254,6 @@ def parameters_row(parameters: Mapping[str, float]) -> dict[str, Any]:
 
 def parameters_of(row: sa.Row[Any]) -> Parameters:
     """Inverse of `parameters_row`."""
-    values = {name: getattr(row, name) for name in WITH_COLUMN}
-    values["tripod_radius"] = row.tripod_radius_m
+    values = {n: getattr(row, n) for n in WITH_COLUMN} | {"tripod_radius": row.tripod_radius_m}
     given = {name: x for name, x in values.items() if x is not None}
     return Parameters(given | dict(row.others))

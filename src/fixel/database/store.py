@@ -155,9 +155,9 @@ class Store:
             return AddResult(self._insert(connection, experiment, row, measured), True)
 
     def _known(self, connection: sa.Connection, content: str) -> int | None:
-        table = tables.experiment
+        key = tables.experiment.c
         found: int | None = connection.scalar(
-            sa.select(table.c.id).where(table.c.content_sha256 == content)
+            sa.select(key.id).where(key.content_sha256 == content)
         )
         return found
 
@@ -239,14 +239,15 @@ class Store:
                 hint=f"write id:{key} or {next(iter(found.values()))}",
             )
         if len(found) > 1:
+            alike = len({*found.values()}) < len(found)
+            names = [f"id:{number}" if alike else name for number, name in found.items()]
             raise NotStored(
                 f"single experiment {key!r}: {len(found)} have that name",
-                hint="write one of " + ", ".join(list(found.values())[:5]),
+                hint="write one of " + ", ".join(names[:5]),
             )
         if not found:
             raise _absent(f"experiment {key!r}", self._resembling(key))
-        (number_found,) = found
-        return number_found
+        return next(iter(found))
 
     def _resembling(self, key: str) -> str | None:
         """Hint with the stored name closest to an unknown one; None if none is close."""
