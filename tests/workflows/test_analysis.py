@@ -50,6 +50,14 @@ def test_the_same_question_takes_the_place_of_its_answer(project):
     assert len(load_analyses(project)) == 2
 
 
+def test_the_newest_is_the_one_stored_last(project):
+    """Also of two within a second, in either order of their folders."""
+    for first, last in ((2.0, 3.0), (3.0, 2.0)):
+        for tau in (first, last):
+            store_analysis(project, _analysis(tau=tau))
+        assert load_analyses(project)[0].analysis.question == {"tau": last}
+
+
 def test_one_that_was_not_finished_is_not_there(project):
     one = store_analysis(project, _analysis())
     (one.folder / CONTENT).unlink()

@@ -218,7 +218,7 @@ def store_analysis(
         update={
             "pictures": tuple(AnalysisFigure(name=p.name, caption=p.caption) for p in pictures),
             "version": version("fixel"),
-            "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+            "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="microseconds"),
         }
     )
     write_whole(folder / CONTENT, json.dumps(done.model_dump(), indent=1, allow_nan=False))
