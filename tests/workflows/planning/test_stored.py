@@ -8,16 +8,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.fixtures import project_of
 
 import fixel
 from fixel.errors import InvalidInput
 from fixel.io import save
 from fixel.planning.trials import PlanTrial
+from fixel.testing.pushes import example_pushes
+from fixel.testing.scenes import pushed_square
 from fixel.uncertainty.predictive import EndError
 from fixel.workflows.planning.request import (
     FoundPlan,
     PlanRequest,
     add_trials,
+    inputs_of,
     load_plan,
     load_trials,
     plan_id,
@@ -138,3 +142,17 @@ def test_trials_of_another_plan_are_refused(tmp_path: Path):
     other = save_plan(FoundPlan(plan=rig_plan(), request=PlanRequest(goal={})), path)
     with pytest.raises(InvalidInput, match=f"fixel needs trials of the plan {other.id}"):
         load_trials(path, other)
+
+
+def test_the_scene_of_a_named_experiment_replaces_that_of_the_goal_file(tmp_path: Path):
+    (push,) = example_pushes(1, duration=0.2)
+    project = project_of(tmp_path / "lab", [push])
+    pushed_square().save(tmp_path / "scene.yaml")
+    goal = {"fixel": 1, "scene": "scene.yaml", "goal": {"pose": {"pose_mm_deg": [20, 0, 0],
+            "position_mm": 5}}, "belief": {"parameters": {"mu_pusher": [0.2, 0.4]}}}  # fmt: skip
+    assert inputs_of(project, goal, tmp_path).scene == pushed_square()
+    assert inputs_of(project, goal, tmp_path, experiment=push.key).scene == push.scene
+    with pytest.raises(InvalidInput, match="experiment: found a scene file too"):
+        inputs_of(project, goal, tmp_path, tmp_path / "scene.yaml", push.key)
+    with pytest.raises(InvalidInput, match="experiment: found no project"):
+        inputs_of(None, goal, tmp_path, experiment=push.key)

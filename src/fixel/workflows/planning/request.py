@@ -141,10 +141,15 @@ def inputs_of(
             scatter, note = _run_to_run(calibrated, experiments)
             belief = replace(belief, run_to_run=scatter)
             warnings += [note] if note else []
-    if experiment and project is not None:
+    given = scene or file.scene
+    if experiment:
+        if project is None:
+            raise InvalidInput("experiment", found="no project", expected="that of the experiment")
+        if scene is not None:
+            raise InvalidInput("experiment", found="a scene file too", expected="one of them")
         with project.store() as store:
-            experiments = [store.experiment(store.find(experiment)), *experiments]
-    own = _scene(scene or file.scene, experiments, project)
+            experiments, given = [store.experiment(store.find(experiment))], None
+    own = _scene(given, experiments, project)
     check_goal(file.goal, own)
     check_centres(belief, own)
     request = PlanRequest(
