@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 import sys
@@ -261,6 +262,13 @@ class Capability:
         """Return the files that the function writes, by the name of their option."""
         own = (name for name, option in self.options.items() if option.door.writes)
         return {name: value for name in own if (value := getattr(request, name))}
+
+    def reads(self, request: BaseModel) -> list[Path]:
+        """Return the existing files that the function reads, also the scene of a goal in JSON."""
+        own = {option: getattr(request, name) for name, option in self.options.items()}
+        named = [x for option, x in own.items() if option.kind is Path and not option.door.writes]
+        named += [json.loads(x).get("scene") for option, x in own.items() if option.door.content]
+        return [Path(one) for one in named if one and Path(one).is_file()]
 
     # --- errors ---------------------------------------------------------------------------------
 

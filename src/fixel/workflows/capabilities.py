@@ -39,20 +39,8 @@ if TYPE_CHECKING:
 CAPABILITIES: Final[Mapping[str, Capability]] = {
     one.name: one
     for one in (
-        CALIBRATE,
-        COMPARE,
-        DOMAIN,
-        ERROR_BOUND,
-        FILTER,
-        GROWTH,
-        NEXT,
-        PLAN,
-        SAMPLE,
-        SENSITIVITY,
-        SIMULATE,
-        TABLE_CHECK,
-        TABLE_MAP,
-        UNCERTAINTY,
+        *(CALIBRATE, COMPARE, DOMAIN, ERROR_BOUND, FILTER, GROWTH, NEXT),
+        *(PLAN, SAMPLE, SENSITIVITY, SIMULATE, TABLE_CHECK, TABLE_MAP, UNCERTAINTY),
     )
 }
 MAKER: Final = "capability:run_request"
@@ -98,7 +86,9 @@ def call(project: Project, name: str, /, *, progress: ProgressOption = None, **o
     capability = CAPABILITIES[name]
     request = capability.request(options)
     permit(*capability.programs(request))
-    return run(capability, request, project.folder, progress=progress).result
+    begun, place = time.monotonic(), _on_table(project, capability, request)
+    result = capability.function(place, **capability.arguments(request), progress=progress)
+    return report_result(capability, request, place, result, time.monotonic() - begun).result
 
 
 def _on_table(
@@ -258,8 +248,8 @@ def prepare(
 ) -> Path:
     """Prepare the job of a request in a project, if it is not there; return its folder.
 
-    The same request on the same records, or with the same `inputs` of a capability that has them,
-    has the same folder with this version of fixel, so that it continues. Run it with
+    The same request on the same records and files, or with the same `inputs` of a capability that
+    has them, has the same folder with this version of fixel, so that it continues. Run it with
     `jobs.run_here`, `jobs.run_detached` or `fixel jobs submit`. Raise `InvalidInput` if the
     capability does not work on a project, or what it settles is invalid.
     """
@@ -278,6 +268,7 @@ def prepare(
     else:
         with project.store() as store:
             of = [request.model_dump(mode="json"), store.record_ids()]
+        of += [hashlib.sha256(path.read_bytes()).hexdigest() for path in capability.reads(request)]
     of += [stamp(), table and table.sha256]
     digest = hashlib.sha256(json.dumps(of, sort_keys=True).encode()).hexdigest()
     name = getattr(request, "name", capability.name)
@@ -309,6 +300,6 @@ def begin(capability: Capability, request: BaseModel, project: Project) -> Path:
 
     folder = prepare(capability, request, project)
     if capability.inputs is None or jobs.status_of(folder).state != "done":
-        jobs.arrange(folder)
+        jobs.arrange(folder, workers=getattr(request, "workers", 0) or None)
         jobs.run_detached(folder)
     return folder

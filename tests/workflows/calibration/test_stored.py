@@ -5,6 +5,7 @@ from tests.fixtures import calibration_record, project_of
 
 import fixel
 from fixel.calibration.objective import Robust, RootMeanSquare
+from fixel.database.project import Project
 from fixel.errors import InvalidInput
 from fixel.model import Parameters
 from fixel.model.records import Estimate
@@ -12,6 +13,7 @@ from fixel.model.space import split_label
 from fixel.sampling.published import thesis_plan
 from fixel.simulation import QuasiStatic
 from fixel.testbed.simulated import SimulatedTestbed
+from fixel.testing.pushes import example_pushes
 from fixel.workflows.calibration.stored import load_values, newest_calibration, searched_space
 from fixel.workflows.compare.run import compare_stored
 
@@ -115,3 +117,15 @@ def test_a_stored_misfit_simulates_as_the_one_in_memory(tmp_path, verdicts):
         assert run.error_mm2 == pytest.approx(error, rel=1e-2)
         (row,) = fixel.compare([stored[k]], {"fit": fit}, progress=False).of("fit")
         assert run.error_mm2 == row.run.error_mm2
+
+
+def test_a_project_opened_by_its_url_stores_calibrations_and_maps(tmp_path):
+    """Its folder has no settings: the media are elsewhere, as with a server."""
+    lab = project_of(tmp_path / "lab", example_pushes(6, duration=0.2))
+    own = Project(lab.url, media=tmp_path / "elsewhere" / "media")
+    space, options = {"mu_pusher": (0, 1), "tripod_radius": 0.038}, {"progress": False}
+    fit = fixel.calibrate(own.experiments(), space, store=own, verdicts=False, **options)
+    assert fit.run.ids == (*lab.calibrations,) == (1,)
+    found = own.map_domain(fit=1, axes=["side"], threshold=2e-3, folds=2, **options)
+    assert [one.analysis.kind for one in own.analyses] == ["domain"]
+    assert len(found.evidence) == 6

@@ -1,6 +1,7 @@
 """Searches for plans as jobs: the same plan as in one call, in chunks, resumed and with workers."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -70,3 +71,17 @@ def test_a_stopped_job_continues_to_the_same_plan(job: Path, expected: fixel.Pus
         jobs.run_here(job, progress=stop)
     assert jobs.run_here(job).state == "done"
     assert planned(job) == expected
+
+
+@pytest.mark.parametrize("by_option", [False, True])
+def test_a_changed_scene_makes_another_job(by_option: bool, tmp_path: Path):
+    """Its simulations must not be answered from the journal of the scene before."""
+    project, file = fixel.Project.create(tmp_path / "lab"), tmp_path / "scene.yaml"
+    goal = json.dumps(GOAL | {"scene": str(file)})
+    request = PLAN.request({"goal": goal, **({"scene": file} if by_option else {})})
+    folders = []
+    for scene in (pushed_square(), pushed_square(), pushed_square(), pushed_square()):
+        mass = 0.1 * (1 + len(folders) // 2)
+        replace(scene, bodies=(replace(scene.bodies[0], mass=mass),)).save(file)
+        folders.append(prepare(PLAN, request, project))
+    assert folders[0] == folders[1] != folders[2] == folders[3]

@@ -76,10 +76,11 @@ def run_plan(plan: CalibrationPlan, asked: SimpleNamespace) -> Calibrations:
     if asked.store is None:
         with tempfile.TemporaryDirectory(prefix="fixel-") as temporary:
             return replace(_run_in_folder(plan, Path(temporary) / "job", asked), folder=None)
-    place = Path(getattr(asked.store, "folder", asked.store))
-    if not (place / SETTINGS).is_file():
-        return _run_in_folder(plan, place, asked)
-    project, keys = Project(place), [target.key for target in plan.targets]
+    is_path = not isinstance(asked.store, Project)
+    if is_path and not (Path(asked.store) / SETTINGS).is_file():
+        return _run_in_folder(plan, Path(asked.store), asked)
+    project = Project(asked.store) if is_path else asked.store
+    keys = [target.key for target in plan.targets]
     if not plan.asked:
         with project.store() as store:
             plan = replace(plan, asked=options_of(plan.request, map(store.find, keys)))
@@ -281,6 +282,10 @@ def plan_in_project(project: Project, request: BaseModel) -> CalibrationPlan:
     given = "dataset" if asked.dataset else "where" if asked.where else ""
     if asked.experiments and given:
         raise InvalidInput(given, found="names of experiments too", expected="one of them")
+    for file, own in (("dakota", ("space", "fit", "option")), ("space", ("fit",))):
+        for name in own:
+            if getattr(asked, file) is not None and getattr(asked, name):
+                raise InvalidInput(file, found=f"{name} too", expected="one of them")
     query = parse_filter(*asked.where, dataset=asked.dataset or None, include_faulty=asked.flagged)
     with project.store() as store:
         chosen = select_experiments(store, asked.experiments, query)

@@ -37,11 +37,7 @@ from fixel.simulation.motion import motion_model
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration, Calibrations, collect, finite
-from fixel.workflows.calibration.parameter_options import (
-    command_of,
-    options_of,
-    searched_unknowns,
-)
+from fixel.workflows.calibration.parameter_options import command_of, options_of, searched_unknowns
 from fixel.workflows.calibration.plan import load_task, outcome_bytes, outcome_of, plan_in, rounds
 from fixel.workflows.calibration.request import NAMED, CalibrationRequest, NamedOptions
 
