@@ -11,9 +11,18 @@ NUMBERS = {"n": 3, "simulated": 1, "few": 10, "left_out": 2}
 def test_every_item_of_a_block_is_a_sentence_on_one_line():
     some = sentences("data", "warnings", **NUMBERS)
     assert len(some) == 3
-    assert some[0].startswith("1 of the experiments are simulated. They test the method")
+    assert some[0].startswith("1 of the experiments is simulated. They test the method")
     assert some[1].startswith("Only 3 experiments: other")
     assert all("\n" not in one and "  " not in one and one.endswith(".") for one in some)
+
+
+def test_numbers_agree_with_their_nouns_and_verbs():
+    (many,) = sentences("data", "methods", n=3, simulated=1, version="1")
+    (one,) = sentences("data", "methods", n=1, simulated=0, version="1")
+    assert many.startswith("3 real and simulated experiments were simulated with")
+    assert one.startswith("1 recorded experiment was simulated with")
+    (left,) = sentences("data", "warnings", n=20, simulated=0, few=10, left_out=1)
+    assert left.startswith("1 experiment of the project with faults in the data was skipped; fixel")
 
 
 def test_what_does_not_apply_is_left_out():

@@ -712,12 +712,14 @@ class Calibrations(CalibrationPlan, Result, Sequence[Calibration]):
         more = len(rows) - MAX_ROWS
         notes = [f"... and {more} more; --json has them all"] if more > 0 else []
         parts = [one.analysis for one in self if not one.found.how.is_single]
-        n, ended = len(self.outcome.keys), " (interrupted)" if self.interrupted else ""
+        m, n = len(self), len(self.outcome.keys)
+        title = f"{m} calibration{'s' * (m != 1)} of {n} experiment{'s' * (n != 1)}"
+        ended = " (interrupted)" if self.interrupted else ""
         return Analysis(
             kind="calibrate",
-            title=f"{len(self)} calibrations of {n} experiments",
+            title=title,
             question={},
-            headline=(f"{len(self)} calibrations of {n} experiments{ended}", *self.sample_note),
+            headline=(title + ended, *self.sample_note),
             warnings=(*self.skipped, *(w for p in parts for w in p.warnings)),
             tables=(
                 Table(head, rows[:MAX_ROWS]),

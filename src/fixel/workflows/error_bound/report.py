@@ -70,7 +70,7 @@ def report_of(answer: BoundAnswer) -> AnalysisReport:
                 f" at the median {medians[0]} mm and {medians[1]} deg ({len(bound.keys)}"
                 " experiments, held out).",
             ),
-            warnings=(f"{n} experiments cannot be compared: {why}",) if n else (),
+            warnings=(f"{n} experiment{'s' * (n != 1)} cannot be compared: {why}",) if n else (),
             tables=tuple(summary.tables),
             notes=tuple(summary.notes),
             references=("vovk2005", "barber2021", "dunn2022", "lee2023"),
