@@ -204,3 +204,11 @@ def test_without_a_terminal_there_is_a_line_every_half_minute(capsys, show_on, m
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 3
     assert lines[0] == "18 chunks done, search, 0.5/s, about 9 s left"
+
+
+def test_no_command_is_proposed_for_a_folder_that_cannot_be_read(folder):
+    (folder / "job.json").write_text("{")
+    code, out = call("status", "--project", folder.parents[1])
+    assert code == 0
+    assert "unreadable" in out
+    assert "Next:" not in out

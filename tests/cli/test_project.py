@@ -1,6 +1,7 @@
 """`fixel new`, `import`, `list` and `testbed run`, as typed."""
 
 import math
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from tests.datasets import push_files, recordings
 
 from fixel.database.project import Project
 from fixel.database.query import ALL_EXPERIMENTS
+from fixel.jobs.folder import read_run
 
 
 @pytest.fixture
@@ -178,3 +180,40 @@ def test_simulations_of_the_publisher_go_from_project_to_project(lab, tmp_path, 
     both = [Project(place).experiments().simulations for place in (lab, other)]
     assert [*both[0]] == ["rpi-2dgad/7"]
     assert both[0]["rpi-2dgad/7"].trajectory == both[1]["rpi-2dgad/7"].trajectory
+
+
+def test_options_that_would_be_ignored_are_refused(lab, tmp_path, capsys):
+    output(capsys, "testbed", "run", "-p", lab, "--limit", "2")
+    space = tmp_path / "space.yaml"
+    space.write_text("mu_pusher: {low: 0, high: 1, start: 0.3}\n")
+    bundle = tmp_path / "all.zip"
+    output(capsys, "export", lab, bundle)
+    project = ("--project", lab)
+    for option, words in {
+        "--calibration": ("export", lab, tmp_path / "other.zip", "--calibration", 1),
+        "--dataset": ("export", lab, tmp_path / "to", "--to", "urdf", "--dataset", "x"),
+        "--scene": ("import", bundle, *project, "--scene", space),
+        "--option": ("import", bundle, *project, "--option", "a=b"),
+        "--space": ("calibrate", *project, "--space", space, "--fit", "mu_pusher"),
+        "--plot": ("domain", *project, "--prepare", "--plot", tmp_path / "charts"),
+    }.items():
+        assert f"fixel: {option}: found" in refusal(capsys, *words)
+
+
+def test_a_prepared_job_has_the_workers_of_its_command(lab, capsys):
+    output(capsys, "testbed", "run", "-p", lab, "--limit", "2")
+    words = ("calibrate", "--project", lab, "--fit", "mu_pusher", "--prepare")
+    job = Path(json_of(capsys, *words, "--workers", 3)["job"])
+    assert read_run(job).workers == 3
+    assert json_of(capsys, *words)["job"] == str(job)
+    assert read_run(job).workers == 3
+
+
+def test_the_next_command_shows_a_deleted_experiment(lab, capsys):
+    output(capsys, "testbed", "run", "-p", lab, "--limit", "1")
+    with Project(lab).store() as store:
+        store.delete([1])
+    text = output(capsys, "list", "--project", lab, "--deleted")
+    assert "1 experiment\n" in text
+    words = shlex.split(text.rpartition("Next: fixel ")[2])
+    assert "experiment 1 of" in output(capsys, *words[:-2])

@@ -223,6 +223,8 @@ def _total(status: "JobStatus") -> str:
 
 def _advice(job: "JobStatus") -> list[str]:
     folder = Path(job.folder)
+    if job.state == "unreadable":
+        return []
     if job.state == "lost":
         return [
             f"The process that ran {folder} has died. {job.kept} chunks are stored; resume "

@@ -9,14 +9,7 @@ from typer.core import TyperGroup
 
 from fixel.capability.capability import named
 from fixel.cli.capability import typer_command
-from fixel.cli.options import (
-    AsJson,
-    ProjectFolder,
-    Seed,
-    option,
-    require_folder,
-    with_options,
-)
+from fixel.cli.options import AsJson, ProjectFolder, Seed, option, require_folder, with_options
 from fixel.cli.screen import command_of, notify, paragraphs, print_answer, wrote
 from fixel.errors import InvalidInput
 from fixel.workflows.planning.run import ENDING, PLAN
@@ -163,12 +156,7 @@ def next_(
     analysis = analysis_of(found)
     print_answer(
         as_json,
-        lambda: {
-            "met": False,
-            **analysis.numbers,
-            **analysis.texts(),
-            "files": [str(target)],
-        },
+        lambda: {"met": False, **analysis.numbers, **analysis.texts(), "files": [str(target)]},
         lambda: paragraphs(
             analysis.lines(),
             wrote([target]),
@@ -316,11 +304,5 @@ def _print_checked(checked: "CheckedPlan", files: list[Path], as_json: bool) -> 
         "files": [str(file) for file in files],
     }
     print_answer(
-        as_json,
-        lambda: content,
-        lambda: paragraphs(
-            *words,
-            checked.sentences,
-            wrote(files),
-        ),
+        as_json, lambda: content, lambda: paragraphs(*words, checked.sentences, wrote(files))
     )

@@ -96,6 +96,8 @@ def import_(
     from fixel.workflows.project.importing import write_template
 
     if source.suffix.lower() == ".zip" and importer is None:
+        if unused := "scene" if scene else "option" if option else "":
+            raise InvalidInput(f"--{unused}", found="a bundle", expected="a table or a dataset")
         _import_bundle(source, folder, dry_run, as_json)
         return
     if not dry_run:
@@ -231,14 +233,14 @@ def list_(
             found.append("datasets: " + ", ".join(f"{k} {n}" for k, n in datasets.items()))
         if flags and not flag:
             found.append("flags:    " + ", ".join(f"{k} {n}" for k, n in flags.items()))
-        return [*found, f"Next: {_next(listing, folder)}"]
+        return [*found, f"Next: {_next(listing, folder, deleted)}"]
 
     print_answer(as_json, lambda: _content(listing), lines)
 
 
-def _next(listing: "ExperimentPage", folder: Path) -> str:
+def _next(listing: "ExperimentPage", folder: Path, deleted: bool) -> str:
     if listing.rows:
-        key = listing.rows[0].key
+        key = f"id:{listing.rows[0].id}" if deleted else listing.rows[0].key
         return command_of("show", key, *project_words(folder), "--plot", "run.png")
     return command_of("testbed", "run", "--limit", 30, project=folder)
 
@@ -251,7 +253,8 @@ def _listed(listing: "ExperimentPage") -> list[str]:
     rows = [_row(row) for row in listing.rows]
     lines = Table(columns, rows, left=3).lines() if rows else []
     more = listing.total - len(rows)
-    lines.append(f"{listing.total} experiments" + (f", {more} not shown" if more else ""))
+    total = f"{listing.total} experiment{'s' * (listing.total != 1)}"
+    lines.append(total + (f", {more} not shown" if more else ""))
     if listing.left_out:
         lines[-1] += (
             f"; {listing.left_out} with faults in their data are not listed (--all lists them)"
@@ -324,6 +327,7 @@ def export(
     if len(places) > 1:
         raise InvalidInput("TARGET", found=f"{len(paths)} paths", expected="[PROJECT] TARGET")
     place = places[0] if places else None
+    _check_export(to, parquet, lerobot, calibration=calibration, dataset=dataset, fps=fps)
     if to is not None:
         from fixel.workflows.model_export.run import export_model
 
@@ -334,15 +338,20 @@ def export(
         )  # fmt: skip
         print_answer(as_json, model.summary, lambda: _exported_model(model))
         return
+    kind = "parquet" if parquet else "lerobot" if lerobot else "bundle"
+    project = Project(project_at(place, folder))
+    answer = project.export(target, format=kind, dataset=dataset, fps=fps)
+    print_answer(as_json, answer.summary, lambda: _exported(answer))
+
+
+def _check_export(to: str | None, parquet: bool, lerobot: bool, **given: object) -> None:
+    """Raise for options that the chosen kind of export does not use."""
     if parquet and lerobot:
         raise InvalidInput("--parquet", found="--parquet and --lerobot", expected="one of them")
-    answer = Project(project_at(place, folder)).export(
-        target,
-        format="parquet" if parquet else "lerobot" if lerobot else "bundle",
-        dataset=dataset,
-        fps=fps,
-    )
-    print_answer(as_json, answer.summary, lambda: _exported(answer))
+    for name, value in (given | {"parquet": parquet, "lerobot": lerobot}).items():
+        if value and (name == "calibration") == (to is None):
+            found = "no --to" if to is None else "--to too"
+            raise InvalidInput(f"--{name}", found=found, expected="options of one kind of export")
 
 
 def _exported_model(answer: "ModelExport") -> list[str]:
@@ -382,7 +391,8 @@ def _exported(answer: "ExportAnswer") -> list[str]:
         "calibrations": "calibrations that use experiments which are not exported",
     }
     return [
-        f"{total} experiments" + (f", of them {', '.join(about)}" if about else ""),
+        f"{total} experiment{'s' * (total != 1)}"
+        + (f", of them {', '.join(about)}" if about else ""),
         *([f"with {', '.join(more)}"] if more else []),
         *(f"skipped: {n} {reasons[what]}" for what, n in answer.left_out.items()),
         f"wrote {answer.target}, {answer.bytes / 1e6:.3g} MB in {time_text(answer.seconds)}",

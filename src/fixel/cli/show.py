@@ -5,14 +5,7 @@ from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fixel.cli.options import (
-    AsJson,
-    ProjectFolder,
-    option,
-    require_picture,
-    required,
-    with_options,
-)
+from fixel.cli.options import AsJson, ProjectFolder, option, require_picture, required, with_options
 from fixel.cli.screen import (
     command_line,
     command_of,

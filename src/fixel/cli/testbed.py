@@ -5,15 +5,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from fixel.cli.options import (
-    AsJson,
-    ProjectFolder,
-    Seed,
-    argument,
-    option,
-    required,
-    with_options,
-)
+from fixel.cli.options import AsJson, ProjectFolder, Seed, argument, option, required, with_options
 from fixel.cli.project import print_imported
 from fixel.cli.screen import command_of, print_answer, shortened, wrote
 from fixel.progress import show_progress
