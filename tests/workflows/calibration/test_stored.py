@@ -129,3 +129,12 @@ def test_a_project_opened_by_its_url_stores_calibrations_and_maps(tmp_path):
     found = own.map_domain(fit=1, axes=["side"], threshold=2e-3, folds=2, **options)
     assert [one.analysis.kind for one in own.analyses] == ["domain"]
     assert len(found.evidence) == 6
+
+
+def test_a_simulation_of_another_scene_is_not_stored_as_one_of_the_experiment(tmp_path):
+    """It would be listed as the error before a calibration, with nominal values."""
+    lab, other = project_of(tmp_path / "lab", example_pushes(1, duration=0.2)), "bodies.0.mass"
+    with pytest.raises(InvalidInput, match=f"save: found another scene .{other}=3.0"):
+        compare_stored(lab, "1", parameters={other: 3.0}, save=True)
+    assert compare_stored(lab, "1", parameters={other: 3.0}).simulation_id is None
+    assert compare_stored(lab, "1", save=True).simulation_id == 1

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door
 from fixel.capability.usual import CalibrationId, Motion, Save
+from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
     from fixel.database.project import Project
@@ -87,6 +88,9 @@ def compare_stored(
             return StoredComparison(number, own, None, published)
         model = motion_model(motion) if motion else None
         keys, given = scene_file.split_settings(f"{k}={v!r}" for k, v in (parameters or {}).items())
+        if keys and save:
+            expected = "parameters alone, since a stored simulation is of the stored scene"
+            raise InvalidInput("save", found=f"another scene ({keys[0]})", expected=expected)
         if keys and own.scene is not None:
             content = scene_file.scene_dict(scene_file.SceneFile(scene=own.scene))
             own = replace(own, scene=scene_file.scene_file_from_dict(content, keys).scene)

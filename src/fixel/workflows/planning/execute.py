@@ -133,11 +133,7 @@ def _carried_out(
 
 
 def _with_looks(
-    plan: PushPlan,
-    testbed: SimulatedTestbed,
-    pose: FloatArray,
-    name: str,
-    rng: np.random.Generator,
+    plan: PushPlan, testbed: SimulatedTestbed, pose: FloatArray, name: str, rng: np.random.Generator
 ) -> tuple[FloatArray, str]:
     """Carry out a plan with looks once; return the end pose (3,) and the reason of a failure."""
     looks, failure = plan.looks, ""
