@@ -8,7 +8,17 @@ import pytest
 from benchmarks.seated import seated_grasp
 
 from fixel.errors import InvalidInput
-from fixel.model import Body, Disk, LineDrive, Plane, Pusher, Scene, SupportPoints, Tripod
+from fixel.model import (
+    Body,
+    Disk,
+    LineDrive,
+    PathDrive,
+    Plane,
+    Pusher,
+    Scene,
+    SupportPoints,
+    Tripod,
+)
 from fixel.simulation import Adaptive, Midpoint, Simulator, simulate, simulate_batch
 from fixel.testing.scenes import box, free_push, grasp, pushed_square, row
 
@@ -234,6 +244,32 @@ def test_a_part_that_touches_the_pusher_at_the_start(offset, angle):
     errors = _errors(_finger(offset, angle), names)
     assert len(errors) == 7
     assert max(errors.values()) < 0.01
+
+
+def _led(*way):
+    """The square of `_finger`, and a finger that goes to places (time, x, y) from its start."""
+    scene = _finger(0.01, 0.0)
+    path = [(time, -0.035 + x, 0.01 + y, 0.0) for time, x, y in ((0.0, 0.0, 0.0), *way)]
+    led = replace(scene.pushers[0], pose=path[0][1:], drive=PathDrive(path))
+    return replace(scene, pushers=(led,), duration=path[-1][0])
+
+
+@pytest.mark.parametrize("rest", [1.0, 5.0])
+def test_a_rest_before_a_push_changes_no_derivative(rest):
+    names = ("mu_pusher", "start_x", "start_y", "start_theta")
+    at_once = simulate(_led((2.0, 0.04, 0.02)), motion="quasistatic", derivatives=names)
+    waits = _led((rest, 0.0, 0.0), (rest + 2.0, 0.04, 0.02))
+    later = simulate(waits, motion="quasistatic", derivatives=names)
+    for name in names:
+        assert later.derivatives[name] == pytest.approx(at_once.derivatives[name], rel=2e-3)
+
+
+def test_a_pusher_that_slides_along_a_part_at_rest_leaves_no_derivative():
+    """A start that is turned one way closes the contact earlier; the other way opens it."""
+    scene = _led((1.0, 0.0, 0.008), (3.0, 0.04, 0.02))
+    push = simulate(scene, motion="quasistatic", accuracy=True, derivatives=["start_theta"])
+    assert push.accuracy.verdict == "certified"
+    assert not push.derivatives
 
 
 def test_derivatives_by_support_points_are_those_at_the_points_of_the_scene():

@@ -10,7 +10,17 @@ import pytest
 from tests.simulation.random_grasps import random_grasp
 
 from fixel.kernels import codes
-from fixel.model import Body, Disk, Fixel, LineDrive, PathDrive, Pusher, Scene, Tripod
+from fixel.model import (
+    Body,
+    Disk,
+    Fixel,
+    LineDrive,
+    PairFriction,
+    PathDrive,
+    Pusher,
+    Scene,
+    Tripod,
+)
 from fixel.simulation import Dynamic, Midpoint, QuasiStatic, StewartTrinkle, simulate
 from fixel.testing.scenes import box, grasp, row
 
@@ -152,3 +162,59 @@ def test_advice_for_a_jam_names_a_force_limit_only_where_there_is_none():
     limited = replace(simulate(grasp("seated")), status="jammed")
     assert "force_limit" not in limited.advice
     assert limited.advice == codes.JAMMED_AT_LIMIT
+
+
+@pytest.mark.parametrize("motion", [Dynamic(), QuasiStatic()], ids=_name)
+@pytest.mark.parametrize("place", [0.95, 0.6])
+def test_a_long_arm_that_turns_sweeps_a_small_part_along(motion, place):
+    """In a fifth of the characteristic time, its end moves by eight times the part's width."""
+    part = Body(
+        "part", box(0.005, 0.005), mass=0.05,
+        pose=(0.2 * place * np.cos(0.9), 0.2 * place * np.sin(0.9), 0.3),
+        support=Tripod(radius=0.00175, friction=0.3),
+    )  # fmt: skip
+    drive = PathDrive([(0.0, 0.0, 0.0, 0.0), (2.0, 0.0, 0.0, 1.5)])
+    arm = Pusher("arm", box(0.4, 0.004), pose=(0.0, 0.0, 0.0), drive=drive, friction=0.3)
+    scene = Scene(part, arm, duration=2.0)
+    own = simulate(scene, motion=motion)
+    fixed = simulate(scene, motion=motion, stepper=StewartTrinkle(step=2e-4))
+    assert own.converged
+    assert max(_apart(own.final["part"], fixed.final["part"])) < 0.1
+
+
+def disks_at(*places):
+    support = Tripod(radius=0.002, friction=0.3)
+    return [
+        Body(f"disk-{k}", Disk(0.003), mass=0.01, pose=(x, y, 0.0), support=support)
+        for k, (x, y) in enumerate(places)
+    ]
+
+
+@pytest.mark.parametrize("others", [1, 4])
+def test_a_long_bar_that_spins_hits_small_disks(others):
+    arm = 0.4 if others == 1 else 0.2
+    angles = 0.9 + np.arange(1 + others)
+    disks = disks_at(*(0.97 * arm * np.array([np.cos(angles), np.sin(angles)]).T))
+    bar = Body(
+        "bar", box(2.0 * arm, 0.004), mass=0.2, velocity=(0.0, 0.0, 10.0),
+        support=Tripod(radius=0.03, friction=0.05),
+    )  # fmt: skip
+    friction = PairFriction(pair=("*", "*"), friction=0.3)
+    scene = Scene((bar, *disks), duration=0.13, contact_friction=friction)
+    own = simulate(scene)
+    fixed = simulate(scene, stepper=StewartTrinkle(step=1e-5))
+    for name in ("bar", "disk-0"):
+        assert _apart(own.final[name], fixed.final[name])[0] < 0.1
+
+
+def test_a_pusher_that_jabs_after_a_long_rest_hits_each_of_many_disks():
+    """Its mean speed, in which steps are measured, is a fiftieth of that of the jab."""
+    places = [(0.0, 0.0), (0.03, 0.0), (0.0, 0.04), (0.03, 0.06), (0.0, 0.08)]
+    path = [(0.0, -0.02, 5e-4, 0.0), (10.0, -0.02, 5e-4, 0.0), (10.2, 0.04, 5e-4, 0.0)]
+    tip = Pusher("tip", Disk(0.002), pose=path[0][1:], drive=PathDrive(path), friction=0.2)
+    friction = PairFriction(pair=("*", "*"), friction=0.3)
+    scene = Scene(disks_at(*places), tip, duration=10.3, contact_friction=friction)
+    own = simulate(scene)
+    fixed = simulate(scene, stepper=StewartTrinkle(step=2e-4))
+    for name in ("disk-0", "disk-1"):
+        assert _apart(own.final[name], fixed.final[name])[0] < 0.2

@@ -146,19 +146,11 @@ def find_contacts(
         _place_vertices(model, i, work)
         _place_vertices(model, j, work)
         found = contact_pair(
-            work.world,
-            model.edge_real,
-            model.piece_start[i],
-            model.piece_start[i + 1],
-            model.piece_radius[i],
-            model.piece_start[j],
-            model.piece_start[j + 1],
-            model.piece_radius[j],
-            margin,
-            problem.contact_place,
-            problem.contact_key,
-            n,
-        )
+            work.world, model.edge_real,
+            model.piece_start[i], model.piece_start[i + 1], model.piece_radius[i],
+            model.piece_start[j], model.piece_start[j + 1], model.piece_radius[j],
+            margin, problem.contact_place, problem.contact_key, n,
+        )  # fmt: skip
         for c in range(n, n + found):
             problem.contact_key[c] += (i * n_piece + j) * FEATURES
             problem.contact_body[c, 0] = model.piece_body[i]

@@ -390,20 +390,10 @@ def _contact_polygons(
             round_1 = 0.0
             round_2 = math.inf
         _write(
-            place,
-            key,
-            at + n,
-            gap,
-            ox,
-            oy,
-            world[vertex, 0] - ox * back,
-            world[vertex, 1] - oy * back,
-            code,
-            round_1,
-            round_2,
-            along,
-            whole - along if along < math.inf else math.inf,
-        )
+            place, key, at + n, gap, ox, oy, world[vertex, 0] - ox * back,
+            world[vertex, 1] - oy * back, code, round_1, round_2,
+            along, whole - along if along < math.inf else math.inf,
+        )  # fmt: skip
         n += 1
     return n
 

@@ -74,18 +74,9 @@ def measure_gaps(
             gap = found[i, 0]
             found[i, 0] = -COINCIDENT
             _nearest_pieces(
-                world,
-                whole,
-                piece_start,
-                piece_radius,
-                shape_start,
-                a,
-                b,
-                half,
-                place,
-                key,
+                world, whole, piece_start, piece_radius, shape_start, a, b, half, place, key,
                 found[i],
-            )
+            )  # fmt: skip
             if found[i, 0] == -COINCIDENT:
                 found[i, 0] = gap
     return found
@@ -126,19 +117,11 @@ def _nearest_pieces(
     for p in range(shape_start[a], shape_start[a + 1]):
         for q in range(shape_start[b], shape_start[b + 1]):
             n = contact_pair(
-                world,
-                real,
-                piece_start[p],
-                piece_start[p + 1],
-                piece_radius[p],
-                half + piece_start[q],
-                half + piece_start[q + 1],
-                piece_radius[q],
-                found[0],
-                place,
-                key,
-                0,
-            )
+                world, real,
+                piece_start[p], piece_start[p + 1], piece_radius[p],
+                half + piece_start[q], half + piece_start[q + 1], piece_radius[q],
+                found[0], place, key, 0,
+            )  # fmt: skip
             if n > 0:
                 for k in range(5):
                     found[k] = place[0, k]

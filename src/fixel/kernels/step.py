@@ -44,6 +44,7 @@ RUBBED = 1.0  # marks of a body: friction may stop it
 PRESSED = 2.0  # and: by that of a contact
 BLOCKED = 3.0  # and: it jumped
 SWEEPS = 20  # at most, when overlaps are taken back
+FAR = 3.0  # characteristic lengths: a body that reaches farther from its centre is long
 STILL = 1e-9  # velocity of a drive below which it does not slip
 # Columns of `contact_place` in which `_separate` stores how far a contact yields to an impulse, and
 # its inverse.
@@ -234,7 +235,7 @@ def _prepare_drive(
 @spliced_kernel
 def _margin(model: Model, state: State, time: float, step: float, guess: FloatArray) -> float:
     """Gap below which a contact may close within the step: three times the fastest motion in
-    sight."""
+    sight, or what the ends of long bodies sweep."""
     fastest = 0.0
     for b in range(model.mass.size):
         for v in (state.velocity, guess):
@@ -244,7 +245,32 @@ def _margin(model: Model, state: State, time: float, step: float, guess: FloatAr
     for d in range(model.force_limit.size):
         own = time if model.drive_dof[d] < 0 else state.path_time[d]
         fastest = max(fastest, path_direction(model.path_start, model.path, d, own, step)[3])
-    return 3.0 * step * fastest + 1e-3
+    swept = fastest + sweep_speed(model, state, time, step)
+    return max(3.0 * step * fastest, step * swept) + 1e-3
+
+
+@large_kernel
+def sweep_speed(model: Model, state: State, time: float, step: float) -> float:
+    """Largest speed that turning gives to points of bodies that reach farther than FAR."""
+    fastest = 0.0
+    n_free = model.mass.size
+    for piece in range(model.piece_body.size):
+        b = model.piece_body[piece]
+        d = b - n_free
+        if d >= model.force_limit.size:
+            break
+        x, y, radius = model.piece_bound[piece]
+        reach = math.sqrt(x * x + y * y) + radius
+        if reach <= FAR:
+            continue
+        if d < 0:
+            turning = abs(state.velocity[3 * b + 2])
+        else:
+            own = time if model.drive_dof[d] < 0 else state.path_time[d]
+            _, _, turn, speed = path_direction(model.path_start, model.path, d, own, step)
+            turning = abs(turn) * speed
+        fastest = max(fastest, reach * turning)
+    return fastest
 
 
 @kernel

@@ -32,7 +32,7 @@ from fixel.kernels.gap import FEATURES
 from fixel.kernels.jit import kernel, large_kernel
 from fixel.kernels.path import path_direction, path_pose, straight_time
 from fixel.kernels.solve import STILL_VELOCITY
-from fixel.kernels.step import RECOVERY
+from fixel.kernels.step import RECOVERY, sweep_speed
 from fixel.typing import FloatArray
 
 GROWTH_LIMIT = 10.0  # the step grows at most so much from one step to the next
@@ -92,6 +92,11 @@ def limit_step(model: Model, state: State, control: FloatArray) -> None:
     control[at.LEFT] = control[at.DURATION] - control[at.TIME]
     if control[at.ADAPTIVE] == 1.0:
         control[at.LEFT] = time_to_corner(model, state, control)
+        ahead = min(control[at.STEP], control[at.LEFT])
+        swept = sweep_speed(model, state, control[at.TIME], ahead)
+        if swept > 0.0:
+            longest = max(MAX_MOTION / swept, control[at.SMALLEST])
+            control[at.STEP] = min(control[at.STEP], longest)
 
 
 @kernel
@@ -421,7 +426,12 @@ def event_time(
         start = step * (normal_bias - problem.contact_place[i, DRIVEN_NORMAL])
         end = step * (motion + normal_bias)
         gap = problem.contact_place[i, GAP]
-        if (start <= min_gap and not few) or (end > 0.0 and lead == 0.0):
+        speed = math.hypot(
+            motion + problem.contact_place[i, DRIVEN_NORMAL], slide + problem.bias[i, 1]
+        )
+        ahead = lead * step
+        looks_back = few or ahead * speed > MAX_MOTION
+        if (start <= min_gap and not looks_back) or (end > 0.0 and lead == 0.0):
             continue
         spin = abs(guess[a + 2])
         along, across = problem.normal[i, 2], problem.tangent[i, 2]
@@ -430,18 +440,14 @@ def event_time(
             spin += abs(guess[b + 2])
             along, across = problem.normal[i, 5], problem.tangent[i, 5]
             arm += math.sqrt(along * along + across * across)
-        ahead = lead * step
         # Of the third order, what bends away from the parabola.
         bent = 0.5 * (ahead * (ahead * ahead)) * spin * spin * (spin * arm + 2.0 * abs(slide))
         deep = problem.contact_place[i, OVERLAP] - start
-        if few and deep > EVENT * min_gap + bent and problem.impulse[i, 0] <= 0.0:
+        looks_back = looks_back and problem.impulse[i, 0] <= 0.0
+        if looks_back and EVENT * min_gap + bent < deep < ahead * speed:
             # From its far side, a path through a corner or past it looks like an overlap at the
             # step's start. There was none, if since then the bodies have moved farther.
-            speed = math.hypot(
-                motion + problem.contact_place[i, DRIVEN_NORMAL], slide + problem.bias[i, 1]
-            )
-            if deep < ahead * speed:
-                return -0.5 * step
+            return -0.5 * step
         if start <= min_gap + bent:
             continue
         curve = 0.0

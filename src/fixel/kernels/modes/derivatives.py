@@ -213,6 +213,7 @@ def _linearise(
     n_mode = flow.span.shape[0]
     k = 0
     step = 0
+    rests = True  # without a gap that closes
     for number in range(n_mode):
         row = tape.mode[number]
         span = flow.span[number]
@@ -224,12 +225,13 @@ def _linearise(
         moves = step < n_step and int(tape.step[step, walk.OF_MODE]) == number
         which = int(row[walk.EVENT])
         _load_mode(model, mode, row, moves)
-        if moves and number == 0:
+        if moves and rests:
             for i in range(3):
                 flow.event[n_mode, i] = tape.step[0, walk.FROM + i]
-            flow.event[n_mode, 3] = AGO  # the path begins at zero
-            # One contact closes at once; several do so in one order or in another.
-            one = mode.size[geometry.N_CLOSED] == 1
+            flow.event[n_mode, 3] = row[walk.BEGIN] + AGO
+            # One contact closes at once; several do so in one order or in another, and a contact
+            # along which the pusher slid first may have closed before.
+            one = number == 0 and mode.size[geometry.N_CLOSED] == 1
             one = one and mode.contact[0, geometry.FORM] != geometry.FLUSH
             if not (one and _linearise_event(model, mode, flow, n_mode, TOUCHING, work, problem)):
                 return False
@@ -273,6 +275,7 @@ def _linearise(
             and not _linearise_event(model, mode, flow, number, which, work, problem)
         ):
             return False
+        rests = which < 0 and (rests if _is_skipped(row, flow, number) else not moves)
     return True
 
 
