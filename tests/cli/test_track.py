@@ -19,15 +19,15 @@ def test_a_film_is_tracked_and_the_next_command_named(tmp_path, capsys):
     with VideoWriter(film, (320, 240), note="SIMULATED by a test") as writer:
         for k in range(4):
             writer.write(painter.frame(k / 30.0))
-    told = output(capsys, "track", film, "--dry-run")
-    assert "residual [px]" in told
-    assert "SIMULATED" in told
-    assert f"Next: fixel track {film}\n" in told
+    printed = output(capsys, "track", film, "--dry-run")
+    assert "residual [px]" in printed
+    assert "SIMULATED" in printed
+    assert f"Next: fixel track {film}\n" in printed
     rig = tmp_path / "rig.yaml"
-    _, told, _ = fixel(capsys, "track", film, "--dry-run", "--rig", rig, "--method", "tags")
-    assert f"Next: fixel track {film} --rig {rig} --method tags\n" in told
-    _, told, _ = fixel(capsys, "track", film, "--dry-run", "--json")
-    answer = json.loads(told)
+    _, printed, _ = fixel(capsys, "track", film, "--dry-run", "--rig", rig, "--method", "tags")
+    assert f"Next: fixel track {film} --rig {rig} --method tags\n" in printed
+    _, printed, _ = fixel(capsys, "track", film, "--dry-run", "--json")
+    answer = json.loads(printed)
     assert answer["parts"]["object"]["frames"] == 4
     assert answer["id"] is None
     assert "was calibrated" in refusal(capsys, "track", film, "--dry-run", "--rig", "thesis-tags")

@@ -180,7 +180,7 @@ def test_the_database_is_in_the_folder_of_any_name(name, tmp_path):
 
 
 def test_a_name_that_two_experiments_have_is_refused_with_their_ids(lab):
-    """As after a deletion, another experiment of that name, and an undo."""
+    """An undo can restore an experiment after another one has taken its name."""
     with lab.store() as store:
         store.delete([1])
         lab.add(replace(example()[0], conditions={"surface": "felt"}), progress=False)

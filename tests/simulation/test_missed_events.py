@@ -208,7 +208,7 @@ def test_a_long_bar_that_spins_hits_small_disks(others):
 
 
 def test_a_pusher_that_jabs_after_a_long_rest_hits_each_of_many_disks():
-    """Its mean speed, in which steps are measured, is a fiftieth of that of the jab."""
+    """The mean speed of the path, which scales steps, is a fiftieth of that of the jab."""
     places = [(0.0, 0.0), (0.03, 0.0), (0.0, 0.04), (0.03, 0.06), (0.0, 0.08)]
     path = [(0.0, -0.02, 5e-4, 0.0), (10.0, -0.02, 5e-4, 0.0), (10.2, 0.04, 5e-4, 0.0)]
     tip = Pusher("tip", Disk(0.002), pose=path[0][1:], drive=PathDrive(path), friction=0.2)

@@ -148,8 +148,8 @@ def test_problems_of_a_scene_name_their_key(bench):
     scene["bodies"][0]["mass"] = 0.15
     bench.post("/scenes/check", {"scene": scene}, 204)
     scene["fixels"][0]["pose"] = scene["bodies"][0]["pose"]
-    told = bench.post("/scenes/check", {"scene": scene}, 422)
-    assert told["where"] == "'object' and 'fixel-1'"
+    refusal = bench.post("/scenes/check", {"scene": scene}, 422)
+    assert refusal["where"] == "'object' and 'fixel-1'"
 
 
 @pytest.mark.parametrize(
@@ -178,7 +178,7 @@ def test_no_body_is_too_strange_for_an_answer(bench, body):
 
 def test_the_pages_name_what_they_show(bench):
     assert "testbed/" in bench.client.get("/compare?experiment=2").text
-    assert bench.client.get("/compare?experiment=nobody").status_code == 404
+    assert bench.client.get("/compare?experiment=unknown").status_code == 404
     assert 'data-example="grasp"' in bench.client.get("/simulate").text
     strange = bench.client.get("/simulate?example=<script>alert(1)</script>").text
     assert "<script>alert" not in strange

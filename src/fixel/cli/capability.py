@@ -163,9 +163,14 @@ def _run(
     analysis, present = done.analysis, capability.present
     words = present.next_words(done)
     kept = [] if done.folder is None else [f"stored in {done.folder}"]
+
+    def content() -> dict[str, Any]:
+        own = getattr(present, "content", content_of)(done)
+        return own | analysis.texts() | own  # texts follow, and do not replace what it states
+
     print_answer(
         as_json,
-        lambda: (own := getattr(present, "content", content_of)(done)) | analysis.texts() | own,
+        content,
         lambda: paragraphs(
             analysis.lines(),
             [f"Took {time_text(analysis.seconds)}.", *wrote(done.files.values()), *kept],

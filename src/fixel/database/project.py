@@ -547,8 +547,11 @@ def add_experiments(
         stored = store.add_experiment(experiment)
         if (simulation := published.get(experiment.key)) is not None:
             _add_published(store, stored.id, simulation)
-        new, known = new + stored.new, known + (not stored.new)
-        faulty += stored.new and any(flag.fault for flag in experiment.flags)
+        if stored.new:
+            new += 1
+            faulty += any(flag.fault for flag in experiment.flags)
+        else:
+            known += 1
         if report is not None:
             report(new + known, max(total, new + known))
     return AddSummary(new, known, faulty, time.monotonic() - begun)

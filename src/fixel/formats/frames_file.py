@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import secrets
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -19,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.io.atomic import refuse_unwritable
+from fixel.io.atomic import refuse_unwritable, unfinished_path
 from fixel.model import Experiment, Trajectory
 from fixel.typing import FloatArray
 
@@ -130,7 +129,7 @@ def pusher_at(experiment: Experiment, time: FloatArray) -> FloatArray:
 def folder_whole(folder: Path) -> Iterator[Path]:
     """Yield a temporary folder that replaces `folder`, which must be new or empty, on success."""
     refuse_folder(folder)
-    unfinished = folder.with_name(f".{folder.name}.{secrets.token_hex(6)}")
+    unfinished = unfinished_path(folder)
     try:
         unfinished.mkdir()
         yield unfinished

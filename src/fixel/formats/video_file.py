@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import secrets
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -13,7 +12,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from fixel.errors import InvalidInput, require
-from fixel.io.atomic import refuse_unwritable
+from fixel.io.atomic import refuse_unwritable, unfinished_path
 from fixel.typing import FloatArray
 from fixel.vision.frame import Frame, Gray, Picture
 
@@ -131,8 +130,7 @@ class VideoWriter:
         import av
 
         encoder, pixels, options = CODECS[codec]
-        token = secrets.token_hex(6)
-        self._temporary = self.path.with_name(f".{self.path.stem}.{token}{self.path.suffix}")
+        self._temporary = unfinished_path(self.path)
         self._pixels = pixels
         self._last = -1
         self._container = av.open(str(self._temporary), "w")

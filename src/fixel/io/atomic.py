@@ -40,6 +40,11 @@ def refuse_ending(path: str | Path, endings: Sequence[str], what: str) -> None:
         raise InvalidInput(str(path), found=found, expected=f"a {what} file: " + ", ".join(endings))
 
 
+def unfinished_path(path: Path) -> Path:
+    """Return a hidden path next to a file or folder, of a name that others cannot guess."""
+    return path.with_name(f".{path.stem}.{secrets.token_hex(6)}{path.suffix}")
+
+
 @contextmanager
 def written_whole(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
     """Yield a temporary path with the suffix of `path`, which replaces it when the block ends.
@@ -50,7 +55,7 @@ def written_whole(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
     """
     path = Path(path)
     refuse_unwritable(path)
-    temporary = path.with_name(f".{path.stem}.{secrets.token_hex(6)}{path.suffix}")
+    temporary = unfinished_path(path)
     try:
         yield temporary
         if durable:

@@ -139,21 +139,24 @@ class NextPushes(Result):
     @property
     def notes(self) -> tuple[str, ...]:
         """Sentences on the bounds and on candidates that were left out."""
-        now = f"bounds of the intended pushes now: {self.now}"
-        return (
+        notes = [
             "place of the pusher and direction in the part's frame; bounds (typical / cautious) are"
-            " expected after each push",
-            *[now] * bool(self.bounded[0]),
-            *self.gaps,
-        )
+            " expected after each push"
+        ]
+        if self.bounded[0]:
+            notes.append(f"bounds of the intended pushes now: {self.now}")
+        return (*notes, *self.gaps)
 
     @property
     def gaps(self) -> tuple[str, ...]:
         """Sentences on intended pushes without a bound and candidates that were left out."""
-        (number, total), reasons = self.bounded, "; ".join(self.reasons)
-        lacking = f"{total - number} of {total} intended pushes have no bound: {reasons}"
-        idle = f"left out: {self.idle} candidates that fail or do not move the part"
-        return (*[lacking] * (number < total), *[idle] * bool(self.idle))
+        (number, total), gaps = self.bounded, []
+        if number < total:
+            reasons = "; ".join(self.reasons)
+            gaps.append(f"{total - number} of {total} intended pushes have no bound: {reasons}")
+        if self.idle:
+            gaps.append(f"left out: {self.idle} candidates that fail or do not move the part")
+        return tuple(gaps)
 
     @property
     def now(self) -> str:

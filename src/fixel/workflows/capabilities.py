@@ -39,10 +39,10 @@ if TYPE_CHECKING:
 CAPABILITIES: Final[Mapping[str, Capability]] = {
     one.name: one
     for one in (
-        *(CALIBRATE, COMPARE, DOMAIN, ERROR_BOUND, FILTER, GROWTH, NEXT),
-        *(PLAN, SAMPLE, SENSITIVITY, SIMULATE, TABLE_CHECK, TABLE_MAP, UNCERTAINTY),
+        CALIBRATE, COMPARE, DOMAIN, ERROR_BOUND, FILTER, GROWTH, NEXT,
+        PLAN, SAMPLE, SENSITIVITY, SIMULATE, TABLE_CHECK, TABLE_MAP, UNCERTAINTY,
     )
-}
+}  # fmt: skip
 MAKER: Final = "capability:run_request"
 MAP: Final = "table.map"  # input of a job whose experiments are on a mapped table
 

@@ -120,7 +120,7 @@ def test_a_stored_misfit_simulates_as_the_one_in_memory(tmp_path, verdicts):
 
 
 def test_a_project_opened_by_its_url_stores_calibrations_and_maps(tmp_path):
-    """Its folder has no settings: the media are elsewhere, as with a server."""
+    """The project has no settings file: its media are elsewhere, as with a server."""
     lab = project_of(tmp_path / "lab", example_pushes(6, duration=0.2))
     own = Project(lab.url, media=tmp_path / "elsewhere" / "media")
     space, options = {"mu_pusher": (0, 1), "tripod_radius": 0.038}, {"progress": False}

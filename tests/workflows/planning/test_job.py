@@ -75,7 +75,7 @@ def test_a_stopped_job_continues_to_the_same_plan(job: Path, expected: fixel.Pus
 
 @pytest.mark.parametrize("by_option", [False, True])
 def test_a_changed_scene_makes_another_job(by_option: bool, tmp_path: Path):
-    """Its simulations must not be answered from the journal of the scene before."""
+    """The journal of the scene before does not answer for simulations of the changed scene."""
     project, file = fixel.Project.create(tmp_path / "lab"), tmp_path / "scene.yaml"
     goal = json.dumps(GOAL | {"scene": str(file)})
     request = PLAN.request({"goal": goal, **({"scene": file} if by_option else {})})
