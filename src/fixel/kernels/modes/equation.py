@@ -327,8 +327,7 @@ def _solve_sliding(model: Model, mode: ContactMode, n: int) -> bool:
     y = mode.unknown
     vector = mode.vector
     polar = mode.size[POLE] >= 0
-    worst = 1.0
-    rate = CAUTIOUS
+    worst = math.inf
     for _ in range(NEWTON_STEPS):
         last = worst
         assemble(model, mode, n)
@@ -345,7 +344,7 @@ def _solve_sliding(model: Model, mode: ContactMode, n: int) -> bool:
         if not abs(y[0]) < FASTEST:
             return False
         # It converges as the square: the next residual is known well enough not to be computed.
-        rate = max(1.0, min(rate, worst / (last * last)))
+        rate = CAUTIOUS if math.isinf(last) else max(1.0, worst / (last * last))
         if rate * worst * worst < 1e-2 * SOLVED:
             write_velocity(model, mode)
             worst = SOLVED
