@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import shlex
@@ -263,12 +264,16 @@ class Capability:
         own = (name for name, option in self.options.items() if option.door.writes)
         return {name: value for name in own if (value := getattr(request, name))}
 
-    def reads(self, request: BaseModel) -> list[Path]:
-        """Return the existing files that the function reads, also the scene of a goal in JSON."""
-        own = {option: getattr(request, name) for name, option in self.options.items()}
+    def reads(self, request: BaseModel) -> dict[str, str]:
+        """Return the checksums of the files that the function reads, by their paths.
+
+        The scene of a goal in JSON is one; a mapped table, of which a job has a copy, is not.
+        """
+        own = {o: getattr(request, name) for name, o in self.options.items() if o is not TABLE}
         named = [x for option, x in own.items() if option.kind is Path and not option.door.writes]
         named += [json.loads(x).get("scene") for option, x in own.items() if option.door.content]
-        return [Path(one) for one in named if one and Path(one).is_file()]
+        found = [Path(one) for one in named if one and Path(one).is_file()]
+        return {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in found}
 
     # --- errors ---------------------------------------------------------------------------------
 

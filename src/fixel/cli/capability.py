@@ -140,14 +140,9 @@ def _request(capability: Capability, given: Mapping[str, Any]) -> "BaseModel":
 
 def _prepare(capability: Capability, request: "BaseModel", folder: Path, as_json: bool) -> None:
     from fixel.database.project import Project
-    from fixel.jobs.site import load_site
-    from fixel.workflows import jobs
     from fixel.workflows.capabilities import prepare
 
     job = prepare(capability, request, Project(folder))
-    count, site = (getattr(request, name, None) for name in ("workers", "site"))
-    if count or site:
-        jobs.arrange(job, workers=count or None, site=site and load_site(site))
     submit = command_of("jobs", "submit", job)
     print_answer(as_json, lambda: {"job": str(job)}, lambda: [f"Prepared {job}", f"Next: {submit}"])
 

@@ -26,7 +26,8 @@ ALL_EXPERIMENTS: Final = ExperimentQuery(include_faulty=True, marks=("replaced",
 
 # --- columns ----------------------------------------------------------------------------------
 
-# Errors of the newest simulation with nominal values, and of the newest calibration.
+# Errors of the newest simulation with nominal values, and of the newest calibration. Simulations by
+# another motion model or engine are not among the first; those of earlier versions name none.
 _NOMINAL: Final = rows.parameters_row({})["content_sha256"]
 NEWEST_NOMINAL = (
     sa.select(simulation.c.experiment_id, sa.func.max(simulation.c.id).label("id"))
@@ -35,6 +36,7 @@ NEWEST_NOMINAL = (
         simulation.c.deleted_at_utc.is_(None),
         system_parameters.c.content_sha256 == _NOMINAL,
         simulation.c.source_file == "",  # not by the publisher of the data
+        sa.func.coalesce(simulation.c.method["motion"].as_string(), "dynamic") == "dynamic",
     )
     .group_by(simulation.c.experiment_id)
     .subquery("newest_nominal")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from fixel.capability.capability import Capability
 from fixel.capability.usual import TABLE
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, JobRefused
 from fixel.jobs.functions import callable_by_jobs, stamp
 from fixel.workflows.calibration.run import CALIBRATE
 from fixel.workflows.compare.run import COMPARE
@@ -188,13 +188,16 @@ class JobRequest(NamedTuple):
 
 
 def request_of(inputs: Path) -> JobRequest:
-    """Return the capability, request and project of a job, for its chunks and for pages."""
+    """Return the capability, request and project of a job, if the files to read are unchanged."""
     from fixel.database.project import SETTINGS, Project
     from fixel.jobs.folder import read_job
 
     options = read_job(inputs.parent).options
     capability = CAPABILITIES[options["capability"]]
     request = capability.from_json(json.dumps(options["request"]))
+    for path, _ in options.get("reads", {}).items() - capability.reads(request).items():
+        hint = "restore it, or prepare another job"
+        raise JobRefused(f"{path} has changed since the job was prepared", hint=hint)
     place = inputs.resolve().parents[2]
     if capability.inputs is not None and not (place / SETTINGS).is_file():
         return JobRequest(capability, request, None)
@@ -246,13 +249,14 @@ def prepare(
     project: Project,
     inputs: Mapping[str, bytes] | None = None,
 ) -> Path:
-    """Prepare the job of a request in a project, if it is not there; return its folder.
+    """Prepare the job of a request in a project, to be run as it states; return its folder.
 
     The same request on the same records and files, or with the same `inputs` of a capability that
     has them, has the same folder with this version of fixel, so that it continues. Run it with
     `jobs.run_here`, `jobs.run_detached` or `fixel jobs submit`. Raise `InvalidInput` if the
     capability does not work on a project, or what it settles is invalid.
     """
+    from fixel.jobs.site import load_site
     from fixel.workflows import jobs
 
     if not capability.on_project:
@@ -266,9 +270,11 @@ def prepare(
         inputs = capability.inputs(project, request) if inputs is None else inputs
         of = [[name, hashlib.sha256(data).hexdigest()] for name, data in sorted(inputs.items())]
     else:
+        # Its processes may work in another folder.
+        paths = {k: x.resolve() for k, x in request if isinstance(x, Path) and k != TABLE.name}
+        request = request.model_copy(update=paths)
         with project.store() as store:
-            of = [request.model_dump(mode="json"), store.record_ids()]
-        of += [hashlib.sha256(path.read_bytes()).hexdigest() for path in capability.reads(request)]
+            of = [request.model_dump(mode="json"), store.record_ids(), capability.reads(request)]
     of += [stamp(), table and table.sha256]
     digest = hashlib.sha256(json.dumps(of, sort_keys=True).encode()).hexdigest()
     name = getattr(request, "name", capability.name)
@@ -277,6 +283,8 @@ def prepare(
     if table is not None:
         files[MAP] = table.path
     prepare_in(folder, capability, request, files)
+    count, site = (getattr(request, option, None) for option in ("workers", "site"))
+    jobs.arrange(folder, workers=count or None, site=site and load_site(site))
     return folder
 
 
@@ -291,6 +299,7 @@ def prepare_in(
         for name in capability.programs(request):
             remember(name)  # for the processes of the job, if the user has named it
         options = {"capability": capability.name, "request": request.model_dump(mode="json")}
+        options["reads"] = {} if capability.inputs else capability.reads(request)
         jobs.prepare_job(folder, maker=MAKER, inputs=inputs, options=options)
 
 
@@ -300,6 +309,5 @@ def begin(capability: Capability, request: BaseModel, project: Project) -> Path:
 
     folder = prepare(capability, request, project)
     if capability.inputs is None or jobs.status_of(folder).state != "done":
-        jobs.arrange(folder, workers=getattr(request, "workers", 0) or None)
         jobs.run_detached(folder)
     return folder

@@ -9,6 +9,7 @@ from fixel.database.project import Project
 from fixel.errors import InvalidInput
 from fixel.model import Parameters
 from fixel.model.records import Estimate
+from fixel.model.selection import ExperimentQuery
 from fixel.model.space import split_label
 from fixel.sampling.published import thesis_plan
 from fixel.simulation import QuasiStatic
@@ -137,4 +138,18 @@ def test_a_simulation_of_another_scene_is_not_stored_as_one_of_the_experiment(tm
     with pytest.raises(InvalidInput, match=f"save: found another scene .{other}=3.0"):
         compare_stored(lab, "1", parameters={other: 3.0}, save=True)
     assert compare_stored(lab, "1", parameters={other: 3.0}).simulation_id is None
+    on_table = lab.seen_through(lambda experiment: experiment)
+    with pytest.raises(InvalidInput, match="on a mapped table"):
+        compare_stored(on_table, "1", save=True)
     assert compare_stored(lab, "1", save=True).simulation_id == 1
+
+
+def test_the_listed_nominal_error_is_that_of_the_default_motion_model(tmp_path):
+    lab = project_of(tmp_path / "lab", example_pushes(1, duration=0.2))
+    error, other = (
+        compare_stored(lab, "1", motion=name, save=True).run.error_mm2
+        for name in (None, "quasistatic")
+    )
+    with lab.store() as store:
+        (found,) = store.experiments(ExperimentQuery(), details=True).details
+    assert found.before_mm2 == error != other

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import fixel
+from fixel.errors import JobRefused
 from fixel.testing.scenes import pushed_square
 from fixel.workflows import jobs
 from fixel.workflows.analysis import load_analyses
@@ -31,7 +32,6 @@ def job(tmp_path: Path) -> Path:
     goal.write_text(json.dumps(GOAL))
     folder = prepare(PLAN, PLAN.request({"goal": str(goal), "rollouts": 2_000}), project)
     goal.write_text("changed after the job was prepared")
-    jobs.arrange(folder)
     return folder
 
 
@@ -71,6 +71,23 @@ def test_a_stopped_job_continues_to_the_same_plan(job: Path, expected: fixel.Pus
         jobs.run_here(job, progress=stop)
     assert jobs.run_here(job).state == "done"
     assert planned(job) == expected
+
+
+@pytest.mark.parametrize("by_option", [False, True])
+def test_a_job_does_not_compute_with_another_scene(by_option: bool, tmp_path: Path, monkeypatch):
+    """A scene edited after a job was prepared is refused; the prepared one continues."""
+    monkeypatch.chdir(tmp_path)
+    project, file = fixel.Project.create(tmp_path / "lab"), Path("scene.yaml")
+    pushed_square().save(file)
+    scene = {"scene": file} if by_option else {}
+    request = PLAN.request({"goal": json.dumps(GOAL), "rollouts": 2_000} | scene)
+    folder, content = prepare(PLAN, request, project), file.read_bytes()
+    monkeypatch.chdir(project.folder)
+    (tmp_path / file).write_bytes(content.replace(b"mass: 0.15", b"mass: 0.30"))
+    with pytest.raises(JobRefused, match="changed since the job was prepared"):
+        jobs.run_here(folder)
+    (tmp_path / file).write_bytes(content)
+    assert jobs.run_here(folder).state == "done"
 
 
 @pytest.mark.parametrize("by_option", [False, True])

@@ -88,9 +88,10 @@ def compare_stored(
             return StoredComparison(number, own, None, published)
         model = motion_model(motion) if motion else None
         keys, given = scene_file.split_settings(f"{k}={v!r}" for k, v in (parameters or {}).items())
-        if keys and save:
+        if save and (keys or project.view):
             expected = "parameters alone, since a stored simulation is of the stored scene"
-            raise InvalidInput("save", found=f"another scene ({keys[0]})", expected=expected)
+            found = f"another scene ({keys[0] if keys else 'on a mapped table'})"
+            raise InvalidInput("save", found=found, expected=expected)
         if keys and own.scene is not None:
             content = scene_file.scene_dict(scene_file.SceneFile(scene=own.scene))
             own = replace(own, scene=scene_file.scene_file_from_dict(content, keys).scene)

@@ -248,7 +248,15 @@ def summary(experiment: Experiment) -> dict[str, Any]:
         "flags": [marked for marked, fault in flags if fault],
         "remarks": [marked for marked, fault in flags if not fault],
         "provenance": asdict(experiment.provenance),
-        "channels": [_channel(channel) for channel in experiment.channels],
+        "channels": [
+            {
+                "name": channel.name,
+                "columns": list(channel.columns),
+                "units": [unit_of(column) for column in channel.columns],
+                "readings": len(channel.time),
+            }
+            for channel in experiment.channels
+        ],
         "video": experiment.video,
     }
 
@@ -281,12 +289,3 @@ def travelled(track: Trajectory, noise: float = NOISE) -> float:
         if stride >= noise:
             here, length = place, length + stride
     return length + float(np.hypot(*(track.pose[-1, :2] - here)))
-
-
-def _channel(channel: Channel) -> dict[str, Any]:
-    return {
-        "name": channel.name,
-        "columns": list(channel.columns),
-        "units": [unit_of(column) for column in channel.columns],
-        "readings": len(channel.time),
-    }

@@ -188,7 +188,9 @@ def _written(
             frames = write_frames(records, unfinished)
         else:
             rate = fps or median_rate(rows)
-            frames = write_lerobot(records, unfinished, fps=rate, name=name, rights=_rights())
+            importers = {k: x for k, x in IMPORTERS.items() if not isinstance(x, CsvTable)}
+            rights = {k: (x.licence, x.citation) for k, x in importers.items()}
+            frames = write_lerobot(records, unfinished, fps=rate, name=name, rights=rights)
     faulty = [any(flag.fault for flag in e.details.flags) for e in experiments.entries]
     simulated = sum(not row.is_real for row in rows)
     counts = {"experiments": len(rows), "frames": frames, "flagged": sum(faulty)}
@@ -206,15 +208,6 @@ def median_rate(summaries: list[ExperimentRow]) -> int:
     rates = [(s.n_frame - 1) / s.duration_s for s in summaries if s.duration_s > 0.0]
     middle = round(float(np.median(rates))) if rates else RATES[0]
     return min(max(middle, RATES[0]), RATES[1])
-
-
-def _rights() -> dict[str, tuple[str, str]]:
-    """Licence and citation of each known dataset, by the name its experiments have."""
-    return {
-        name: (importer.licence, importer.citation)
-        for name, importer in IMPORTERS.items()
-        if not isinstance(importer, CsvTable)  # its data is the user's own
-    }
 
 
 def _check_arguments(target: Path, format: str, fps: int | None) -> None:
