@@ -7,7 +7,16 @@ import numpy as np
 import pytest
 from tests.fixtures import refused
 
-from fixel import InvalidInput, Parameters, PathDrive, SolveFailed
+from fixel import (
+    Fixel,
+    InvalidInput,
+    LineDrive,
+    Parameters,
+    PathDrive,
+    Polygon,
+    Pusher,
+    SolveFailed,
+)
 from fixel.simulation import (
     Adaptive,
     Dynamic,
@@ -40,6 +49,21 @@ def test_output_interval_samples_from_zero_and_includes_the_end(stepper):
     # Samples lie on the chords of the steps.
     chords = fine["object"].at(run.time)
     assert np.abs(run.pose["object"] - chords).max() < 1e-9
+
+
+@pytest.mark.parametrize("stepper", [StewartTrinkle(step=2.0**-7), Midpoint(step=2.0**-7)])
+def test_an_early_end_at_a_sample_is_one_sample(stepper):
+    """A part that a head pushes flush against a wall, in steps as long as the interval."""
+    shape = Polygon.rectangle(0.02, 0.1)
+    drive = LineDrive(speed=0.02)
+    head = Pusher("finger", shape, pose=(-0.06, 0.0, 0.0), friction=0.3, drive=drive)
+    wall = Fixel("wall", shape, pose=(0.09, 0.0, 0.0), friction=0.3)
+    scene = replace(pushed_square(), pushers=(head,), fixels=(wall,))
+    run = simulate(scene, motion="quasistatic", stepper=stepper, output_interval=2.0**-7)
+    assert run.status == "jammed"
+    assert np.diff(run.time) == pytest.approx(2.0**-7)
+    assert run["part"].time[-1] == pytest.approx(run.stopped_at)
+    assert ("part", "finger") in run.touching
 
 
 @pytest.mark.parametrize(

@@ -158,9 +158,7 @@ def simulate_batch(  # type: ignore[misc]
                 found="several scenes with variations, accuracy or derivatives",
                 expected="one scene to vary",
             )
-        return _simulate_scenes(
-            scene, motion, stepper, solver, duration, times, threads, max_contacts
-        )
+        return _simulate_scenes(scene, motion, stepper, solver, method, duration, times, threads)
     check_method(scene, solver)
     if derivatives:
         import_module(SLOPES).check_differentiable(scene, motion)
@@ -290,10 +288,9 @@ def _hold_last(record: BatchRecord) -> None:
     """Repeat the last pose of rollouts that stopped early in the samples they did not reach."""
     n_sample = record.time.shape[1]
     for r in np.nonzero(record.count[:, SAMPLES] < n_sample)[0]:
-        written = record.count[r, SAMPLES]
-        last = written - 1
+        last = max(record.count[r, SAMPLES] - 1, 0)
         for array in (record.pose, record.drive):
-            array[r, written:] = array[r, last] if last >= 0 else 0.0
+            array[r, last:] = array[r, last]
 
 
 def _simulate_scenes(
@@ -301,13 +298,12 @@ def _simulate_scenes(
     motion: AbstractMotionModel,
     stepper: AbstractStepper,
     solver: AbstractSolver,
+    method: StepMethod,
     duration: float | None,
     times: ArrayLike | None,
     threads: int | None,
-    max_contacts: int,
 ) -> list[BatchResult]:
     """Simulate many scenes in one parallel call; each result is a batch of one."""
-    method = method_of(motion, stepper, solver, max_contacts)
     packed, instants = [], []
     for scene in scenes:
         check_method(scene, solver)

@@ -332,6 +332,5 @@ def _track(packed: PackedBatch, record: BatchRecord) -> FloatArray:
     written = record.count[:, SAMPLES]
     n_sample = pose.shape[1]
     for r in np.flatnonzero(written < n_sample):
-        # A rollout that stopped before its first sample has none to repeat, as its status shows.
         pose[r, written[r] :] = pose[r, max(written[r] - 1, 0)]
     return pose

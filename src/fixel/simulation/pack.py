@@ -511,10 +511,11 @@ class Template:
         settings = _repeated(self._settings, n)
         settings[:, at.DURATION] = np.asarray(duration) / units.time
         free, pair = rows.copies(families.FREE), rows.copies(families.PAIR)
+        heavier = 1.0 if ratio is None else ratio
         element = rows.copies(families.ELEMENT)
         model = model._replace(
-            mass=_times(_tiled(model.mass, free), ratio),
-            inertia=_times(_tiled(model.inertia, free), ratio),
+            mass=_tiled(model.mass, free) * heavier,
+            inertia=_tiled(model.inertia, free) * heavier,
             wrench=_tiled(model.wrench, free),
             spring=_tiled(model.spring, free),
             drag=drag if len(drag) == free * len(scene.bodies) else _tiled(drag, n),
@@ -550,8 +551,8 @@ class Template:
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return scaled points, limits and arms of the supports, and the drag of the bodies."""
         n, n_element, n_free = rows.n, len(elements.body), len(self.scene.bodies)
-        own = elements.load.ndim + elements.friction.ndim + elements.arm.ndim > 3
-        own = own or elements.point.ndim == 3
+        varied = (elements.load, elements.friction, elements.arm, elements.point[..., 0])
+        own = any(values.ndim > 1 for values in varied)
         first_order = self.motion_kind == codes.FIRST_ORDER
         rows.place(families.ELEMENT, n_element, own=own)
         rows.place(families.FREE, n_free, own=own and (first_order or heavier))
@@ -635,11 +636,6 @@ def _repeated(row: Rows, n: int) -> Rows:
     rows = np.empty((n, *row.shape), row.dtype)
     rows[:] = row
     return rows  # type: ignore[return-value]
-
-
-def _times(rows: FloatArray, ratio: FloatArray | None) -> FloatArray:
-    """Multiply rows (n,) of the one free body by their ratios."""
-    return rows if ratio is None else rows * ratio
 
 
 class _FamilyRows:

@@ -22,7 +22,8 @@ def empty_record(
     bare: bool = False,
 ) -> BatchRecord:
     """Allocate `n_sample` samples for every rollout, at `times` [s] where given; if `bare`, only
-    for poses of the free bodies."""
+    for poses of the free bodies. The first has the poses at time zero, for rollouts that write none
+    since their first step fails."""
     count = packed.batch.count
     n = len(count)
     n_driven = 0 if bare else int(count[:, kernel.DRIVEN].max(initial=0))
@@ -30,9 +31,12 @@ def empty_record(
     time = np.zeros((n, n_sample))
     if times is not None:
         time[:] = times / packed.units.time
+    pose = np.zeros((n, n_sample, n_moving, 3))
+    rows = packed.batch.begin[:, kernel.BODY, None] + np.arange(n_moving)
+    pose[:, 0] = packed.batch.pose.take(rows, axis=0, mode="clip")
     return BatchRecord(
         time=time,
-        pose=np.zeros((n, n_sample, n_moving, 3)),
+        pose=pose,
         twist=np.zeros((n, 0 if bare else n_sample, n_moving, 3)),
         drive=np.zeros((n, n_sample, n_driven, 2)),
         contact=np.zeros((n, n_row, 11)),

@@ -27,6 +27,7 @@ from fixel.kernels.arrays import (
     BatchRecord,
     StepMethod,
 )
+from fixel.kernels.samples import SAMPLE_SLACK
 from fixel.model import Parameters, PathDrive, Scene
 from fixel.model.fields import frozen, instance, settle
 from fixel.registry import offered
@@ -47,7 +48,7 @@ from fixel.simulation.solver import SOLVERS, AbstractSolver, GaussSeidel, Lemke,
 from fixel.simulation.stepper import STEPPERS, AbstractStepper, Adaptive
 from fixel.simulation.threads import rollout_in_threads
 from fixel.simulation.trust import permit
-from fixel.simulation.vary import AS_IT_IS, Variation, variation_of
+from fixel.simulation.vary import AS_IT_IS, Variation, check_one_pusher, variation_of
 from fixel.typing import FloatArray, IntArray
 
 MAX_STEPS = 1_000_000  # of a stepper without a limit
@@ -383,10 +384,7 @@ class Simulator:
             pairs = zip(bodies, poses.reshape(-1, 3), strict=True)
             bodies = tuple(replace(body, pose=pose) for body, pose in pairs)
         if waypoints is not None:
-            if len(pushers) != 1:
-                raise InvalidInput(
-                    "waypoints", found=f"{len(pushers)} pushers", expected="a scene with one pusher"
-                )
+            check_one_pusher(scene, "waypoints")
             limit = None if pushers[0].is_template else pushers[0].drive.force_limit
             path = PathDrive(waypoints, force_limit=limit)
             pushers = (replace(pushers[0], drive=path),)
@@ -582,6 +580,8 @@ def _unpacked(
     units = packed.units
     n_sample, n_contact, steps, fallbacks = record.count[0].tolist()
     time = record.time[0, :n_sample] * units.time
+    if n_sample > 1 and time[-1] - time[-2] <= SAMPLE_SLACK * duration:  # an early end at a sample
+        n_sample, time = n_sample - 1, time[:-1]
     poses = shape_poses(packed, record.pose[0, :n_sample])
     of_twists, of_contacts = _scales(units)
     twists = record.twist[0, :n_sample] * of_twists
