@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from tests.fixtures import refused
 
-from fixel import InvalidInput, Parameters, Seated
+from fixel import Fixel, InvalidInput, Parameters, Polygon, Seated
 from fixel.simulation import Simulator, StewartTrinkle, simulate, simulate_batch
 from fixel.simulation.motion import OtherEngine
-from fixel.testing.scenes import grasp, heap, micro_push, pushed_square, sliding_block
+from fixel.testing.scenes import grasp, heap, micro_push, moved, pushed_square, sliding_block
 
 QUICK = {"stepper": StewartTrinkle(step=0.1)}
 
@@ -70,9 +70,27 @@ def test_rollout_that_stops_early_keeps_its_last_pose():
     assert np.isfinite(run.pose).all()
 
 
+@pytest.mark.parametrize("motion", ["dynamic", "quasistatic"])
+def test_runs_that_jam_in_their_first_step_stay_at_the_start(motion):
+    """A part without room between a rigid finger and a wall."""
+    push = pushed_square()
+    wall = Fixel("wall", Polygon.rectangle(0.02, 0.2), pose=(0.06, 0.0, 0.0), friction=0.3)
+    scene = moved(replace(push, fixels=(wall,)), (0.3, 0.2), 0.4)
+    values = {"mu_pusher": [0.1, 0.3]}
+    runs = simulate_batch(scene, values, motion=motion, times=[1.0, 2.0])
+    assert (runs.status == "jammed").all()
+    assert not runs.touching("part", "wall").any()
+    ends, status = Simulator(scene, motion=motion).ends(values)
+    assert (status == "jammed").all()
+    for k, item in enumerate((scene.bodies[0], scene.pushers[0])):
+        assert np.abs(runs.pose[:, :, k] - item.pose).max() < 1e-15
+    assert np.array_equal(ends, runs.final[:, :1])
+
+
 @pytest.mark.parametrize(("options", "where", "found", "expected"), [
     ({"parameters": {"mu_fixel": [1, 1], "mu_pusher": [1]}}, "variations", "2", "same length"),
     ({"parameters": {"mu_fixel": [0.1, -0.2]}}, "mu_fixel", "-0.2", "at least 0"),
+    ({"parameters": {"anisotropy_xy": [0.0, 1.5]}}, "parameters.anisotropy_xy", "axis", "0.95"),
     ({"parameters": {"mu_fixel": [0.1, np.nan]}}, "mu_fixel", "nan", "finite"),
     ({"parameters": {"mu_fixle": [0.1]}}, "parameters", "mu_fixle", "mu_fixel"),
     ({"parameters": [Parameters(mu_fixel=0.1), Parameters(mu_pusher=0.1)]}, "parameters[1]",

@@ -22,6 +22,7 @@ from fixel.simulation.vary import composed, infeasible, inverted, pressure_share
 from fixel.testing.scenes import grasp
 
 POINTS = np.array([(0.03, 0.0), (-0.02, 0.03), (-0.02, -0.025)])
+GRAIN = np.array([(1.2, 0.15), (0.15, 1.0)])  # of mean 1.1
 NET = np.array([(0.04, 0.0), (0.0, 0.04), (-0.04, 0.0), (0.0, -0.04)])
 
 
@@ -42,6 +43,13 @@ def _pushed_by_hand():
     pusher = scene.pushers[0]
     weak = replace(pusher, drive=replace(pusher.drive, force_limit=0.6))
     return replace(scene, pushers=(weak,), duration=4.0)
+
+
+def _on_grain(scene, tensor):
+    """A plane whose friction by direction is this tensor, by its principal axes."""
+    factors, axes = np.linalg.eigh(tensor)
+    axis = float(np.arctan2(axes[1, 1], axes[0, 1]))
+    return replace(scene, plane=Plane(anisotropy=factors[::-1], axis=axis))
 
 
 def _end(scene, **values):
@@ -121,6 +129,8 @@ def _moved_path(scene, registration):
     (_pushed_by_hand(), {"mass": 0.4}, lambda s: _with_body(s, mass=0.4)),
     (_scene(), {"anisotropy_xy": 0.06, "anisotropy_diagonal": 0.08},
      lambda s: replace(s, plane=Plane(anisotropy=(1.1, 0.9), axis=0.5 * np.arctan2(0.08, 0.06)))),
+    (_on_grain(_scene(), GRAIN), {"anisotropy_xy": -0.1},
+     lambda s: _on_grain(s, GRAIN + np.diag((-1, 1)) * (0.5 * (GRAIN[0, 0] - GRAIN[1, 1]) + 0.11))),
     (_scene(), {"registration_x": -0.002, "registration_y": 0.003, "registration_theta": 0.01},
      lambda s: _moved_path(s, (-0.002, 0.003, 0.01))),
     (_scene(), {"start_x": 0.002, "start_y": -0.001, "start_theta": 0.02},

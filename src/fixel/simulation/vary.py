@@ -81,6 +81,13 @@ def vary(
         elements = on_load_map(scene, elements, variation.start)
         return VariedScene(variation.start, elements, None, friction, None, None, plane, None)
     _check_own(values)
+    plane = varied_plane(scene, values)
+    if plane.ndim == 2 and _is_slippery(plane).any():  # changed by parameters
+        raise InvalidInput(
+            "parameters.anisotropy_xy",
+            found="a plane without friction along one axis",
+            expected=f"differences from the mean below {1.0 - MIN_FACTOR:g}",
+        )
     start = varied_start(scene, variation.start, values)
     return VariedScene(
         start=start,
@@ -89,7 +96,7 @@ def vary(
         friction=varied_friction(scene, friction, values),
         growth=grown_by(scene, values),
         registration=registration_of(values),
-        plane=varied_plane(scene, values),
+        plane=plane,
         outline=_columns(values, "outline"),
     )
 
@@ -140,7 +147,13 @@ def varied_elements(
     if "tripod_radius" in values:
         elements = _at_radius(elements, values["tripod_radius"])
     if "mu_support" in values:
-        _check_no_ellipsoid(elements, "mu_support")
+        if np.any(elements.kind == codes.ELLIPSOID):
+            raise InvalidInput(
+                "parameters.mu_support",
+                found="a body on an ellipsoidal limit surface, which has no coefficient",
+                expected="bodies on support points",
+                hint="change the force and torque of the ellipsoid instead",
+            )
         mu = values["mu_support"][:, None] * np.ones(len(elements.body))
         elements = elements._replace(friction=mu)
     if "ellipsoid_force" in values or "ellipsoid_torque" in values:
@@ -295,8 +308,15 @@ def _on_table(
 
     The angle of the body is that at the start, since loads are constant during a rollout.
     """
-    _check_support_grid(scene, elements)
     body = scene.bodies[0]
+    known = isinstance(body.support, SupportPoints | UniformPressure) and len(elements.body) >= 4
+    if len(scene.bodies) != 1 or not known:
+        raise InvalidInput(
+            "parameters.table_bend",
+            found="no body on four or more support points",
+            expected="a body on four or more support points, or with uniform pressure",
+            hint="the loads of three points are the same on every table",
+        )
     n = next(len(values[name]) for name in TABLE_NAMES if name in values)
     angle = np.broadcast_to(body.pose[2] if start is None else start[:, 0, 2], n)
     away = elements.point + body.com - body.shape.centroid
@@ -350,18 +370,6 @@ def redistributed(load: FloatArray, height: FloatArray, place: FloatArray) -> Fl
     return np.asarray(total * bare / bare.sum(axis=1, keepdims=True))
 
 
-def _check_support_grid(scene: Scene, elements: Elements) -> None:
-    support = scene.bodies[0].support
-    known = isinstance(support, SupportPoints | UniformPressure) and len(elements.body) >= 4
-    if len(scene.bodies) != 1 or not known:
-        raise InvalidInput(
-            "parameters.table_bend",
-            found="no body on four or more support points",
-            expected="a body on four or more support points, or with uniform pressure",
-            hint="the loads of three points are the same on every table",
-        )
-
-
 def _at_radius(elements: Elements, radius: FloatArray) -> Elements:
     tripod = np.any(elements.unit != 0.0, axis=1)
     if not tripod.any():
@@ -383,26 +391,14 @@ def _of_ellipsoid(elements: Elements, values: Values) -> Elements:
         )
     n = next(len(v) for name, v in values.items() if name.startswith("ellipsoid_"))
     curved = elements.kind == codes.ELLIPSOID
-    old_force = _own(elements.load, n, 1)
-    old_torque = old_force * elements.arm
-    force = np.where(curved, values.get("ellipsoid_force", np.ones(n))[:, None], old_force)
-    if "ellipsoid_force" not in values:
-        force = old_force
-    torque = old_torque
+    force = _own(elements.load, n, 1)
+    torque = force * elements.arm
+    if "ellipsoid_force" in values:
+        force = np.where(curved, values["ellipsoid_force"][:, None], force)
     if "ellipsoid_torque" in values:
-        torque = np.where(curved, values["ellipsoid_torque"][:, None], old_torque)
+        torque = np.where(curved, values["ellipsoid_torque"][:, None], torque)
     arm = np.divide(torque, force, out=np.zeros_like(force), where=curved)
     return elements._replace(load=force, arm=arm)
-
-
-def _check_no_ellipsoid(elements: Elements, name: str) -> None:
-    if np.any(elements.kind == codes.ELLIPSOID):
-        raise InvalidInput(
-            f"parameters.{name}",
-            found="a body on an ellipsoidal limit surface, which has no coefficient",
-            expected="bodies on support points",
-            hint="change the force and torque of the ellipsoid instead",
-        )
 
 
 def _own(array: FloatArray, n: int, n_axis: int) -> FloatArray:
@@ -439,16 +435,22 @@ def varied_plane(scene: Scene, values: Values) -> FloatArray:
     """Factors of support friction along the plane's axes, angle of the first [rad]: (3,) or (n, 3).
 
     The two parameters are components of a symmetric traceless tensor, which is smooth where the
-    plane is isotropic.
+    plane is isotropic. The mean, and a component that is not given, are those of the scene.
     """
-    plane = scene.plane
+    first, second = scene.plane.anisotropy
+    axis, mean = scene.plane.axis, 0.5 * (first + second)
     if "anisotropy_xy" not in values and "anisotropy_diagonal" not in values:
-        return np.array([*plane.anisotropy, plane.axis], np.float64)
-    n = next(len(v) for name, v in values.items() if name.startswith("anisotropy_"))
-    a = values.get("anisotropy_xy", np.zeros(n))
-    b = values.get("anisotropy_diagonal", np.zeros(n))
+        return np.array([first, second, axis], np.float64)
+    own = 0.5 * (first - second) / mean
+    a = values.get("anisotropy_xy", own * math.cos(2.0 * axis))
+    b = values.get("anisotropy_diagonal", own * math.sin(2.0 * axis))
     size = np.hypot(a, b)
-    return np.column_stack((1.0 + size, 1.0 - size, 0.5 * np.arctan2(b, a)))
+    return np.column_stack((mean * (1.0 + size), mean * (1.0 - size), 0.5 * np.arctan2(b, a)))
+
+
+def _is_slippery(plane: FloatArray) -> NDArray[np.bool_]:
+    """Return whether planes (n, 3) have hardly any friction along one axis."""
+    return np.asarray(plane[:, 1] <= MIN_FACTOR * plane[:, :2].mean(axis=1))
 
 
 def varied_start(scene: Scene, start: FloatArray | None, values: Values) -> FloatArray | None:
@@ -461,8 +463,8 @@ def varied_start(scene: Scene, start: FloatArray | None, values: Values) -> Floa
             "parameters.start_x", found=f"{len(scene.bodies)} free bodies", expected="one"
         )
     n = len(shift if shift is not None else outline)  # type: ignore[arg-type]
-    poses = np.array(scene.bodies[0].pose[None, None] if start is None else start)
-    poses = np.array(np.broadcast_to(poses, (n, 1, 3)))
+    own = scene.bodies[0].pose if start is None else start
+    poses = np.array(np.broadcast_to(own, (n, 1, 3)))
     if shift is not None:
         poses += shift[:, None]
     if outline is not None:
@@ -564,7 +566,7 @@ def infeasible(scene: Scene, values: Values) -> list[str]:
         gone = np.asarray(values["contact_offset"] <= -_smallest(scene.pushers))
         _note(reasons, gone, "a pusher without extent")
     if "anisotropy_xy" in values or "anisotropy_diagonal" in values:
-        slippery = varied_plane(scene, values)[:, 1] <= MIN_FACTOR
+        slippery = _is_slippery(varied_plane(scene, values))
         _note(reasons, slippery, "a plane without friction along one axis")
     return reasons
 
@@ -609,12 +611,7 @@ def variation_of(
         lengths["start"] = len(poses)
     if waypoints is not None:
         path = np.asarray(waypoints, np.float64)
-        if len(scene.pushers) != 1:
-            raise InvalidInput(
-                "waypoints",
-                found=f"{len(scene.pushers)} pushers",
-                expected="a scene with one pusher",
-            )
+        check_one_pusher(scene, "waypoints")
         _check_shape("waypoints", path, (path.shape[1] if path.ndim == 3 else 0, 4))
         if np.any(np.diff(path[:, :, 0], axis=1) <= 0.0):
             raise InvalidInput(
@@ -627,6 +624,13 @@ def variation_of(
         found = ", ".join(f"{name}: {n}" for name, n in lengths.items())
         raise InvalidInput("variations", found=found, expected="the same length for all")
     return Variation(values, poses, path), next(iter(lengths.values()), 1)
+
+
+def check_one_pusher(scene: Scene, where: str) -> None:
+    """Raise for a scene with another number of pushers."""
+    n = len(scene.pushers)
+    if n != 1:
+        raise InvalidInput(where, found=f"{n} pushers", expected="a scene with one pusher")
 
 
 def _check_shape(where: str, array: FloatArray, tail: tuple[int, ...]) -> None:
