@@ -165,6 +165,13 @@ def test_programs_that_are_no_engine_are_refused(make, message, tmp_path):
     refused(many, make(tmp_path), match=message)
 
 
+@pytest.mark.parametrize("hello", ["[1]", '{"parameters": 3}'])
+def test_a_refused_program_is_started_again(hello, tmp_path):
+    for _ in range(2):
+        refused(simulate, SCENE, motion=program(tmp_path, hello=hello).name, match="toy.py: found")
+    assert simulate(SCENE, motion=program(tmp_path).name).converged
+
+
 def test_a_version_that_was_not_tested_is_refused(monkeypatch):
     monkeypatch.setattr("fixel.simulation.engines.version", lambda package: "7.30.0")
     with pytest.raises(InvalidInput, match=r"7\.30\.0.*7\.3, which was tested.*pymunk==7\.30\.0:"):

@@ -178,3 +178,24 @@ def test_a_path_that_began_before_the_push_is_at_its_place_at_time_zero() -> Non
     way = np.cumsum([s.duration * s.velocity for s in segments(task)], axis=0)
     for place, time in zip(way, (0.1, 0.33, 0.7, 1.0, 1.5), strict=True):
         np.testing.assert_allclose(task.pusher.path[0, 1:] + place, drive.pose_at(time), atol=1e-12)
+
+
+def test_a_path_that_begins_after_the_push_rests_until_then() -> None:
+    drive = PathDrive(PATH + np.array([0.4, 0.0, 0.0, 0.0]))
+    scene = replace(SCENE, pushers=(replace(SCENE.pushers[0], drive=drive),))
+    task, _ = task_of(scene, np.array([0.2, 1.5]), {}, {})
+    place, time = PATH[0, 1:], 0.0
+    for segment in segments(task):
+        place, time = place + segment.duration * segment.velocity, time + segment.duration
+        np.testing.assert_allclose(place, drive.pose_at(time), atol=1e-12)
+    assert sum(s.duration for s in segments(task) if not s.velocity.any()) == pytest.approx(0.5)
+
+
+def test_bodies_may_coast_and_pushers_return():
+    """Between two samples a finger pushes for 100 mm and comes back; a body slides on after it."""
+    task, _ = task_of(pushed_square(), np.array([4.0]), {}, {})
+    forth = np.array([(0.0, -0.055, 0.0, 0.0), (2.0, 0.045, 0.0, 0.0), (4.0, -0.055, 0.0, 0.0)])
+    for path, end in ((forth, 0.1), (np.array([forth[0], [0.1, 0.045, 0.0, 0.0]]), 3.9)):
+        pusher = task.pusher._replace(path=path)
+        assert fault(task._replace(pusher=pusher), [[end, 0.0, 0.0]]) == ""
+        assert "a jump" in fault(task._replace(pusher=pusher), [[end + 0.2, 0.0, 0.0]])

@@ -50,7 +50,8 @@ def program_of(text: str) -> Program:
     """Return the program of an engine, not started yet; raise where it cannot be."""
     own = EngineName.of(text)
     if own.is_program:
-        return Program(_program_command(own))
+        command = command_of(own)
+        return Program((sys.executable, *command) if command[0].endswith(".py") else command)
     if own.name in ENGINES:
         _check_installed(own)
     return Program((*SERVE, str(own)))
@@ -103,8 +104,3 @@ def _check_installed(own: EngineName) -> None:
             hint=f"run pip install '{needed.package}=={needed.tested}.*', or use the version as it "
             f"is by the name {own._replace(version=found)}",
         )
-
-
-def _program_command(own: EngineName) -> tuple[str, ...]:
-    command = command_of(own)
-    return (sys.executable, *command) if command[0].endswith(".py") else command

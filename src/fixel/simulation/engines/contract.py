@@ -26,7 +26,7 @@ from fixel.typing import FloatArray
 # A body that overlaps an obstacle by more than this, and by more than at the start, has been pushed
 # through it: engines with soft contacts report no failure of their own.
 MAX_OVERLAP = 1e-3  # [m] for a body of the bench, in `bench_units` for others
-# Largest distance between two samples beyond the travel of the pusher.
+# Largest distance between two samples beyond the way at the fastest motion that is prescribed.
 MAX_JUMP = 50e-3  # [m] likewise
 JUDGED_SAMPLES = 16  # of a simulation, for overlap
 
@@ -131,9 +131,9 @@ def fault(task: PlainTask, pose: object) -> str:
         return "poses that are not finite"
     track = np.concatenate((task.body.start[None], found))
     jumps = np.hypot(*np.diff(track[:, :2], axis=0).T)
-    coasting = np.hypot(*task.body.velocity[:2]) * np.diff(task.times, prepend=0.0)
+    way = _fastest(task) * np.diff(task.times, prepend=0.0)
     unit = bench_units(task.body).length
-    if (jumps > MAX_JUMP * unit + coasting + _travel(task)).any():
+    if (jumps > MAX_JUMP * unit + way).any():
         return f"a jump of {1e3 * jumps.max():.4g} mm between two samples"
     deepest = overlap(task, found)
     if deepest > MAX_OVERLAP * unit:
@@ -175,9 +175,12 @@ def _shape(piece: FloatArray, radius: float) -> Disk | Polygon:
     return Disk(radius) if radius > 0.0 else Polygon(piece)
 
 
-def _travel(task: PlainTask) -> FloatArray:
-    """Return the way of the pusher before each sample (n,) [m]."""
+def _fastest(task: PlainTask) -> float:
+    """Return the fastest motion of the body at the start, or of a point of the pusher [m/s]."""
+    own = float(np.hypot(*task.body.velocity[:2]))
     if task.pusher is None:
-        return np.zeros(len(task.times))
-    times = np.concatenate(([0.0], task.times))
-    return np.asarray(np.hypot(*np.diff(pusher_poses(task.pusher, times)[:, :2], axis=0).T))
+        return own
+    outline, steps = task.pusher.outline, np.diff(task.pusher.path, axis=0)
+    reach = max(float(np.hypot(*piece.T).max()) for piece in outline.pieces) + outline.radius
+    way = np.hypot(steps[:, 1], steps[:, 2]) + reach * np.abs(steps[:, 3])
+    return float((way / steps[:, 0]).max(initial=own))

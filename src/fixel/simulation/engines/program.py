@@ -13,6 +13,7 @@ import selectors
 import shutil
 import signal
 import subprocess
+import sys
 import tempfile
 import threading
 import time
@@ -108,6 +109,8 @@ class Program:
                     start_new_session=True,
                     env={**os.environ, "OMP_NUM_THREADS": "1"},
                 )
+            program = next(word for word in self.command if word != sys.executable)
+            self._info = _info(program, self._exchange({"hello": PROTOCOL}, START_LIMIT))
         except OSError as problem:
             self.close()
             raise InvalidInput(
@@ -115,7 +118,9 @@ class Program:
                 found=f"{self.command[0]}, which cannot be started: {problem.strerror}",
                 expected="a program that can be run",
             ) from None
-        self._info = _info(self.command[0], self._exchange({"hello": PROTOCOL}, START_LIMIT))
+        except BaseException:  # or the next question would go to a program that gave no name
+            self.close()
+            raise
 
     def _exchange(self, question: Mapping[str, Any], limit: float) -> dict[str, Any]:
         process = self._process

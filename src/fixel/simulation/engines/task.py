@@ -309,7 +309,7 @@ def _pusher(
     pusher: Pusher, duration: float, grown: float, registration: FloatArray | None, friction: float
 ) -> PlainPusher:
     path = pusher_path(pusher, duration)
-    if path[0, 0] < 0.0:  # engines place the pusher at the first waypoint
+    if path[0, 0] != 0.0:  # engines move the pusher from the first waypoint on
         path = np.vstack(([0.0, *pusher.pose], path[path[:, 0] > 0.0]))
     if registration is not None:
         path[:, 1:] = composed(registration, path[:, 1:])
