@@ -9,7 +9,6 @@ import sys
 
 import numpy as np
 import pytest
-from PIL import Image
 from tests.fixtures import project_of
 
 import fixel
@@ -24,7 +23,6 @@ from fixel.model.space import Unknown
 from fixel.sampling.published import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views.calibration_detail import load_detail
-from fixel.workflows import figures
 from fixel.workflows.calibration.parameter_options import command_of
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 from fixel.workflows.calibration.stored import RUN, add_to_project, stored_calibration
@@ -82,17 +80,6 @@ def fit(project):
         progress=False,
         threads=1,
     )
-
-
-@pytest.fixture
-def blank(monkeypatch):
-    """Save blank pictures, whose numbers are compared: other tests draw them."""
-
-    def save(chart, *paths, banner=""):
-        Image.new("RGB", (9, 9)).save(paths[0], dpi=(60, 60))
-        paths[1].touch()
-
-    monkeypatch.setattr(figures, "draw_chart", save)
 
 
 def texts(folder, number, capsys):
