@@ -6,9 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.cli.shell import fixel, json_of, missing, output, refusal
+from tests.cli.shell import fixel, invoked, json_of, missing, output, refusal
 
+from fixel.cli.main import app
 from fixel.testing.scenes import pushed_square
+from fixel.workflows.planning.report import numbers_of
+from fixel.workflows.planning.request import load_plan
 
 GOAL = """
 fixel: 1
@@ -101,16 +104,19 @@ def test_a_seen_pose_in_the_goal_needs_no_push(capsys, plan):
 
 
 @pytest.fixture(scope="module")
-def with_looks(folder):
-    """A plan that sees the part twice, with wide errors of its start."""
-    from fixel.workflows.planning.run import plan_goal
-
+def printed(folder):
+    """Text of the command that makes a plan which sees the part twice, with wide errors of its
+    start, and charts."""
     goal = folder / "looks.yaml"
     text = GOAL.replace("length_mm: [25, 40]", "length_mm: [2, 40]").replace("0.5", "2")
     goal.write_text(text.replace("free: {angle_deg: 0, ", "free: {"))
-    made = folder / "looks.plan"
-    plan_goal(None, str(goal), out=made, rollouts=2000, looks=2, progress=False)
-    return made
+    words = ["plan", goal, "--rollouts", 2000, "--looks", 2, "--plot", folder / "charts"]
+    return invoked(app, *words)[1]
+
+
+@pytest.fixture
+def with_looks(folder, printed):
+    return folder / "looks.plan"
 
 
 def test_a_plan_with_looks_chooses_the_next_push_at_once(capsys, with_looks):
@@ -135,18 +141,16 @@ def test_a_plan_with_looks_chooses_the_next_push_at_once(capsys, with_looks):
     assert text == "The goal is met: no push is needed.\n"
 
 
-def test_a_plan_with_looks_states_what_they_are_worth(capsys, with_looks, tmp_path):
-    goal, out = with_looks.with_suffix(".yaml"), with_looks.with_name("other.plan")
-    words = ["plan", goal, "--rollouts", 1000, "--looks", 1, "--out", out, "--plot", tmp_path]
-    text = output(capsys, *words)
-    assert "1 push and up to 1 look: success probability" in text
-    assert "Look 1 raises the success probability from" in text
-    assert {file.stem for file in tmp_path.iterdir()} == {"paths", "looks", "capture", "causes"}
-    looks = json_of(capsys, *words[:-2])["looks"]
-    assert (looks["most"], len(looks["success"]), looks["lost_views"]) == (1, 2, 0.0)
-    before, after = looks["success"]
-    assert f"from {before:.2f} to {after:.2f}." in text
-    assert looks["pushes"] <= 2.0
+def test_a_plan_with_looks_states_what_they_are_worth(printed, with_looks):
+    assert "1 push and up to 2 looks: success probability" in printed
+    charts = with_looks.with_name("charts").iterdir()
+    assert {file.stem for file in charts} == {"paths", "looks", "capture", "causes"}
+    looks = numbers_of(load_plan(with_looks).found)["looks"]
+    assert (looks["most"], len(looks["success"]), looks["lost_views"]) == (2, 3, 0.0)
+    before, after, last = looks["success"]
+    assert f"Look 1 raises the success probability from {before:.2f} to {after:.2f}" in printed
+    assert before < after <= last
+    assert looks["pushes"] <= 3.0
 
 
 def test_what_a_plan_with_looks_does_not_take_is_refused(capsys, with_looks):
