@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from tests.cli.shell import fixel, json_of, missing, output, refusal
+from tests.cli.shell import json_of, missing, output, refusal
 from tests.fixtures import project_of
 
 from fixel import Project, SimulatedTestbed
@@ -45,23 +45,16 @@ def test_a_map_its_pictures_and_the_next_command(capsys, project, tmp_path):
     assert all(picture.caption for picture in one.analysis.pictures)
 
 
-def test_json_has_the_tables_of_the_text(capsys, project):
+def test_json_has_the_tables_and_warnings_of_the_text(capsys, project):
     words = ("domain", "-p", project, *FIT, "--folds", 2, "--threshold-mm", 4)
-    lines, tables = output(capsys, *words).splitlines(), json_of(capsys, *words)["tables"]
-    assert {table["title"] for table in tables} <= {*lines}
-    rows = [[str(cell) for cell in row] for table in tables for row in table["rows"]]
+    text, out = output(capsys, *words), output(capsys, *words, "--json")
+    lines, answer = text.splitlines(), json.loads(out)
+    assert {table["title"] for table in answer["tables"]} <= {*lines}
+    rows = [[str(cell) for cell in row] for table in answer["tables"] for row in table["rows"]]
     assert rows
     for cells in rows:
         assert any(all(cell in line for cell in cells if cell[:1].isalpha()) for line in lines)
-    assert tables[0]["rows"][0][0] == "all"
-
-
-def test_json_has_the_warnings_of_the_text(capsys, project):
-    words = ("uncertainty", 1, "-p", project, "--fit", "mu_pusher=0:1", "--samples", 10)
-    words = (*words, "--no-model-error")
-    (_, text, _), (_, out, _) = fixel(capsys, *words), fixel(capsys, *words, "--json")
-    answer = json.loads(out)
-    lines = text.splitlines()
+    assert answer["tables"][0]["rows"][0][0] == "all"
     warned = [line for line in lines if line.startswith("Warning: ")]
     assert warned == [f"Warning: {own}" for own in answer["warnings"]]
     assert len(warned) > 0
