@@ -1,6 +1,8 @@
 """Tables as plain text, HTML, CSV and JSON."""
 
+import csv
 import doctest
+import io
 import json
 import math
 
@@ -45,6 +47,16 @@ def test_values_remain_in_csv_and_json() -> None:
     assert records[0] == {"name": "a<b>", "error": 0.523, "verdict": "not told apart"}
     assert json.loads(json.dumps(records, allow_nan=False))[2]["error"] is None
     assert TABLE.text()["rows"][1] == ["c", "-", ""]
+
+
+@pytest.mark.parametrize(
+    "text", ['=HYPERLINK("http://x")', "+1+cmd|' /C calc'!A0", "@SUM(A1)", "\t=1"]
+)
+def test_texts_are_no_formulas_of_spreadsheets_and_numbers_stay(text) -> None:
+    row = (text, -0.5, "-0.5", "+1e3", "-", "a=b")
+    read = list(csv.reader(io.StringIO(Table((text, *"bcdef"), [row]).csv())))
+    assert read[0][0] == read[1][0] == f"'{text}"
+    assert read[1][1:] == ["-0.5", "-0.5", "+1e3", "-", "a=b"]
 
 
 def test_columns_of_arrays_are_a_table() -> None:

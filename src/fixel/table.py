@@ -15,6 +15,8 @@ Value = str | float | int | None
 
 MISSING: Final = "-"
 _WORD: Final = re.compile(r"[^\W\d_]{2,}")
+_FORMULA: Final = re.compile(r"[-+=@\t\r]")
+_NUMBER: Final = re.compile(r"-|[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")  # or a missing value
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,11 +156,13 @@ class Table:
         return "\n".join([*lines, "</tbody>", "</table>"])
 
     def csv(self) -> str:
-        """Return the values as CSV with a head; a missing value is an empty field."""
+        """Return the values as CSV with a head; a missing value is an empty field.
+
+        Texts that a spreadsheet would run as a formula begin with an apostrophe.
+        """
         file = io.StringIO()
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(self.head)
-        writer.writerows(self.rows)
+        writer.writerows(map(csv_cell, row) for row in (self.head, *self.rows))
         return file.getvalue()
 
     def records(self) -> list[dict[str, Value]]:
@@ -170,6 +174,12 @@ class Table:
         """Return title, head and rows as texts for people, as JSON can hold them."""
         rows = [list(cells) for cells in self.cells]
         return {"title": self.title, "head": list(self.head), "rows": rows, "left": self.left}
+
+
+def csv_cell(value: Value) -> Value:
+    """Return a value for a CSV file, with an apostrophe before a text that begins as a formula."""
+    is_formula = isinstance(value, str) and _FORMULA.match(value) and not _NUMBER.fullmatch(value)
+    return f"'{value}" if is_formula else value
 
 
 def _plain(value: Any) -> Value:

@@ -1,6 +1,7 @@
 """Plans as tables: what is read, and what is refused before anything runs."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -66,6 +67,8 @@ def test_a_template_by_name_and_conditions(read, tmp_path):
 @pytest.mark.parametrize("plan", [eight_push_plan, thesis_plan])
 def test_what_is_written_is_read(plan, tmp_path):
     rows = plan().experiments[::21] if plan is thesis_plan else plan().experiments
+    noted = {"note": "=1+1", **rows[0].conditions}  # a spreadsheet would run it as a formula
+    rows = (replace(rows[0], conditions=noted), *rows[1:])
     write_rows(tmp_path / "rows", rows)
     assert read_rows(tmp_path / "rows" / "plan.csv", None, stored) == rows
     assert len([*(tmp_path / "rows").iterdir()]) == len(rows) + 1

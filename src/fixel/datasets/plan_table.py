@@ -19,7 +19,7 @@ from fixel.formats.scene_file import SceneFile, load_scene, save_scene
 from fixel.model import PlannedExperiment, Scene
 from fixel.sampling.rig import plain_name
 from fixel.sampling.rows import DRIVE, KEYS, row_scene
-from fixel.table import Table
+from fixel.table import Table, csv_cell
 from fixel.typing import FloatArray
 
 PLAN: Final = "plan.csv"
@@ -116,5 +116,6 @@ def _template(
 def _conditions(cells: dict[str, str]) -> dict[str, str | float]:
     """Return the stated conditions of a row, as numbers where they are."""
     own = {k.removeprefix(CONDITION): v for k, v in cells.items() if k.startswith(CONDITION) and v}
+    own = {k: v[1:] if v[0] == "'" and csv_cell(v[1:]) == v else v for k, v in own.items()}
     number = [name for name, cell in own.items() if name not in TEXTS and NUMBER.fullmatch(cell)]
     return own | {name: float(own[name]) for name in number}

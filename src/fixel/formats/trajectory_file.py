@@ -26,6 +26,7 @@ from fixel.errors import require
 from fixel.io.atomic import refuse_ending, written_whole
 from fixel.io.document import plain_numbers
 from fixel.simulation import Simulation
+from fixel.table import csv_cell
 
 TRAJECTORY_ENDINGS = (".csv", ".parquet")
 
@@ -51,7 +52,8 @@ def save_trajectory(simulation: Simulation, path: str | Path) -> None:
 
 def _write_csv(path: Path, columns: dict[str, NDArray[Any]], simulation: Simulation) -> None:
     with path.open("w", encoding="utf-8", newline="") as stream:
-        csv.writer(stream, quoting=csv.QUOTE_ALL, lineterminator="\n").writerow(columns)
+        head = csv.writer(stream, quoting=csv.QUOTE_ALL, lineterminator="\n")
+        head.writerow(map(csv_cell, columns))
         rows = zip(*(map(_cell, column.tolist()) for column in columns.values()), strict=True)
         stream.writelines(",".join(row) + "\n" for row in rows)
 
