@@ -8,17 +8,17 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from fixel.calibration.contacts import Configurations, contacts_of
+from fixel.calibration.contacts import Configurations, contacts_of, gaps_and_normals
 from fixel.datasets.mit_push_records import TIP
 from fixel.domain.features import (
-    PLACE,
     Features,
-    configuration_features,
+    corner_distance,
+    headings,
     scaled,
     simulated_features,
 )
 from fixel.errors import InvalidInput
-from fixel.model import wrapped
+from fixel.model import rotated, wrapped
 from fixel.typing import BoolArray, FloatArray, IntArray
 from reproductions.fitting import FittedPushes
 from reproductions.pushes import PushGroup
@@ -29,7 +29,29 @@ SAMPLES: Final = 10
 # Weight of the object's angle on the table in the distance of neighbours, relative to the place of
 # contact (in units of the spread of places) and the direction of the push.
 TABLE_TURN: Final = 0.5
+PLACE: Final = ("tip_x", "tip_y", "along_x", "along_y", "object_cos", "object_sin")
 NOTHING: Final[Mapping[str, float]] = MappingProxyType({})
+
+
+def configuration_features(asked: Configurations) -> Features:
+    """Return features from geometry alone: position and direction of the pusher in the frame of the
+    object, pose of the object on the table, angle to the normal, lever arm, nearest corner."""
+    angle = asked.start[:, 2]
+    heading = headings(asked)
+    tip = rotated(asked.tip_start - asked.start[:, :2], -angle)
+    along = rotated(heading, -angle)
+    _, normal = gaps_and_normals(asked.shape, asked.radius, asked.start, asked.tip_start)
+    cosine = np.clip(-(normal * heading).sum(axis=1), -1.0, 1.0)
+    sine = normal[:, 0] * heading[:, 1] - normal[:, 1] * heading[:, 0]
+    centre = np.asarray(asked.shape.centroid)
+    arm = (tip[:, 0] - centre[0]) * along[:, 1] - (tip[:, 1] - centre[1]) * along[:, 0]
+    names = (*PLACE, "table_x", "table_y", "incidence", "incidence_abs", "arm", "arm_abs", "corner")
+    incidence = np.arctan2(sine, cosine)
+    table = np.column_stack(
+        (tip, along, np.cos(angle), np.sin(angle), asked.start[:, :2], incidence,
+         np.abs(incidence), arm, np.abs(arm), corner_distance(asked.shape, tip, asked.radius))
+    )  # fmt: skip
+    return Features(names, table)
 
 
 class Split(NamedTuple):

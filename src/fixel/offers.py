@@ -76,11 +76,13 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "backup": "fixel.workflows.project.maintenance:backup",
         "calibrate": "fixel.workflows.calibration.run:calibrate",
         "check": "fixel.workflows.project.maintenance:check",
+        "check_place": "fixel.database.stored_content:check_place",
         "export": "fixel.workflows.project.export:export",
         "jobs": "fixel.workflows.jobs:jobs_in",
         "map_domain": "fixel.workflows.lab:map_domain",
         "posterior": "fixel.workflows.lab:posterior",
         "report": "fixel.workflows.report.write:report",
+        "trust_place": "fixel.database.stored_content:trust_place",
         "upgrade": "fixel.workflows.project.maintenance:upgrade",
     },
     # What methods of scenes, experiments and results call.

@@ -15,8 +15,8 @@ Value = str | float | int | None
 
 MISSING: Final = "-"
 _WORD: Final = re.compile(r"[^\W\d_]{2,}")
-_FORMULA: Final = re.compile(r"[-+=@\t\r]")
-_NUMBER: Final = re.compile(r"-|[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")  # or a missing value
+_NUMBER: Final = r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?"
+_FORMULA: Final = re.compile(rf"(?!(-|{_NUMBER})$)[-+=@\t\r]")  # how spreadsheets know one
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,10 +156,7 @@ class Table:
         return "\n".join([*lines, "</tbody>", "</table>"])
 
     def csv(self) -> str:
-        """Return the values as CSV with a head; a missing value is an empty field.
-
-        Texts that a spreadsheet would run as a formula begin with an apostrophe.
-        """
+        """Return the values as CSV with a head; a missing value is an empty field."""
         file = io.StringIO()
         writer = csv.writer(file, lineterminator="\n")
         writer.writerows(map(csv_cell, row) for row in (self.head, *self.rows))
@@ -178,8 +175,7 @@ class Table:
 
 def csv_cell(value: Value) -> Value:
     """Return a value for a CSV file, with an apostrophe before a text that begins as a formula."""
-    is_formula = isinstance(value, str) and _FORMULA.match(value) and not _NUMBER.fullmatch(value)
-    return f"'{value}" if is_formula else value
+    return f"'{value}" if isinstance(value, str) and _FORMULA.match(value) else value
 
 
 def _plain(value: Any) -> Value:

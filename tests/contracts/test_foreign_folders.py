@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import socket
 import sys
 from collections.abc import Callable
 from math import sqrt
@@ -12,8 +14,9 @@ from typing import Any
 import pytest
 from tests.fixtures import project_of
 from tests.jobs.helpers import await_true
+from typer.testing import CliRunner
 
-from fixel.cli.main import run
+from fixel.cli.main import app, run
 from fixel.database.project import Project
 from fixel.errors import InvalidInput
 from fixel.jobs import link
@@ -178,6 +181,56 @@ def test_settings_name_no_file_outside_by_another_spelling(
         with pytest.raises(Exception, match=r"database: found|is not a database URL"):
             Project(place).upgrade()
     assert not outside.exists()
+
+
+@pytest.mark.parametrize("name", ["media", "analyses", "jobs", "cache", "bench/one", "jobs/one"])
+def test_a_project_with_links_to_elsewhere_is_opened_only_if_it_is_trusted(
+    name: str, tmp_path: Path
+) -> None:
+    lab = Project.create(tmp_path / "lab").folder
+    here, there, other = lab / "own", tmp_path / "precious", tmp_path / "other"
+    path = lab / name
+    for folder in (here, there, other, path.parent):
+        folder.mkdir(exist_ok=True)
+    with contextlib.suppress(FileNotFoundError):
+        path.rmdir()
+    path.symlink_to(here)
+    Project(lab)
+    for target in (there, other):
+        path.unlink()
+        path.symlink_to(target)
+        with pytest.raises(InvalidInput, match=f"leads to {target}, by the link {name}"):
+            Project(lab)
+        assert CliRunner().invoke(app, ["trust", str(lab)]).exit_code == 0
+        Project(lab)
+    assert CliRunner().invoke(app, ["trust", str(lab), "--remove"]).exit_code == 0
+    with pytest.raises(InvalidInput, match=r"run: fixel trust"):
+        Project(lab)
+
+
+def test_a_server_of_foreign_settings_is_not_contacted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A server may request the password of the user, which drivers find in their files."""
+    lab = Project.create(tmp_path / "lab").folder
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(0.2)
+        url = f"postgresql+psycopg://me:secret@127.0.0.1:{server.getsockname()[1]}/name"
+        (lab / "fixel.yaml").write_text(f"name: lab\ndatabase: {url}\n")
+        answer = CliRunner().invoke(app, ["list", "--project", str(lab)])
+        assert isinstance(answer.exception, InvalidInput)
+        assert "leads to the database postgresql+psycopg://127.0.0.1:" in str(answer.exception)
+        with pytest.raises(TimeoutError):
+            server.accept()
+    answer = CliRunner().invoke(app, ["trust", str(lab)])
+    assert "secret" not in answer.output
+    assert Project(lab).url == url
+    (lab / "fixel.yaml").write_text(f"name: lab\ndatabase: {url}/other\n")
+    monkeypatch.setenv("FIXEL_DATABASE", "sqlite:///mine.db")  # the server is not used
+    Project(lab)
+    monkeypatch.delenv("FIXEL_DATABASE")
+    with pytest.raises(InvalidInput, match="name/other"):
+        Project(lab)
 
 
 # --- terminals ------------------------------------------------------------------------------------

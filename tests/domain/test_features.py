@@ -1,6 +1,7 @@
 """What configurations say before they are tried, where the answer is known by hand."""
 
 import numpy as np
+from reproductions.residuals import configuration_features
 
 from fixel.calibration.contacts import Configurations
 from fixel.domain import features
@@ -20,7 +21,7 @@ def two_pushes():
 
 
 def test_the_same_push_on_a_turned_plate_has_the_same_place():
-    found = features.configuration_features(two_pushes())
+    found = configuration_features(two_pushes())
     names = ("tip_x", "tip_y", "along_x", "along_y", "incidence", "arm", "corner")
     both = found.columns(names)
     np.testing.assert_allclose(both[0], both[1], atol=1e-12)

@@ -11,7 +11,7 @@ import yaml
 from tests.fixtures import refused
 
 from fixel import Disk, Ellipsoid, InvalidInput, NoSupport, Polygon, UniformPressure
-from fixel.formats.plan_file import PlanRecord, load_plan, plan_from_text, plan_text
+from fixel.formats.plan_file import PlanRecord, load_plan, plan_text
 from fixel.sampling import Grid, Nominal, OffsetList, OffsetSample, thesis_plan
 
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "sampling.md"
@@ -63,6 +63,18 @@ def test_json_is_read_too(tmp_path):
     assert load_plan(path) == thesis_plan()
 
 
+@pytest.fixture
+def file(tmp_path):
+    """Function that writes a text to a file, and returns its path."""
+
+    def write(text):
+        path = tmp_path / "plan.yaml"
+        path.write_text(text)
+        return path
+
+    return write
+
+
 WRONG = [
     (("head", "speed"), -1.0, r"^head\.speed is -1\.0, .*than 0 \(speed of the head \[m/s\]\)"),
     (("head", "speed"), "fast", r"^head\.speed is 'fast', but must be a number"),
@@ -95,24 +107,24 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("path", "value", "sentence"), WRONG)
-def test_what_is_wrong_is_refused_with_its_path(path, value, sentence):
+def test_what_is_wrong_is_refused_with_its_path(path, value, sentence, file):
     raw = content()
     level = raw
     for key in path[:-1]:
         level = level[key]
     level[path[-1]] = value
-    refused(plan_from_text, yaml.safe_dump(raw), match=sentence)
+    refused(load_plan, file(yaml.safe_dump(raw)), match=sentence)
 
 
 @pytest.mark.parametrize("text", ["", "[]", "a", "{fixel_plan: 1}", "a: &x 1\nb: *x", "!!set {a}"])
-def test_what_is_no_plan_is_refused(text):
-    refused(plan_from_text, text)
+def test_what_is_no_plan_is_refused(text, file):
+    refused(load_plan, file(text))
 
 
-def test_a_missing_key_is_named():
+def test_a_missing_key_is_named(file):
     raw = content()
     del raw["nominal"]["gap"]
-    refused(plan_from_text, yaml.safe_dump(raw), match=r"^nominal\.gap is missing")
+    refused(load_plan, file(yaml.safe_dump(raw)), match=r"^nominal\.gap is missing")
 
 
 def test_a_support_that_a_file_cannot_hold_is_refused():
@@ -122,13 +134,13 @@ def test_a_support_that_a_file_cannot_hold_is_refused():
         plan_text(replace(thesis_plan(), shapes=(replace(square, support=ellipsoid),)))
 
 
-def test_the_page_names_every_key_and_its_example_loads():
+def test_the_page_names_every_key_and_its_example_loads(file):
     page = PAGE.read_text(encoding="utf-8")
     schema = PlanRecord.model_json_schema()
     records = [schema, *schema["$defs"].values()]
     keys = {key for record in records for key in record.get("properties", {})}
     named = set(re.findall(r"`([a-z_]+)`", page)) | set(re.findall(r"([a-z_]+):", page))
     assert keys <= named, f"undocumented: {sorted(keys - named)}"
-    plan = plan_from_text(re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)[0])
+    plan = load_plan(file(re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)[0]))
     assert plan.check() == ()
     assert len(plan.experiments) == 74

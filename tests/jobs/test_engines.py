@@ -215,7 +215,7 @@ def test_a_dead_scheduler_is_replaced_and_workers_stay(folder):
                 found[name] = answer
             if len(found) >= 3 and not killed:
                 before = processes(folder, "worker")
-                killed = kill(engine.scheduler_pid)
+                killed = kill(engine._cluster.process.pid)
         assert processes(folder, "worker") == before
     assert len(found) == 40
     assert any("the scheduler has ended with code -9" in sentence for sentence in said)
@@ -243,7 +243,7 @@ def test_a_scheduler_that_hangs_is_replaced(folder, monkeypatch):
         stream = engine.results(toy_work.FUNCTION, folder / "inputs", chunks(4, sleep_s=0.2))
         first: list[object] = []  # a busy machine answers with several at once
         await_true(lambda: first.extend(next(stream)) or first, "an answer")
-        kill(engine.scheduler_pid, signal.SIGSTOP)
+        kill(engine._cluster.process.pid, signal.SIGSTOP)
         assert len([*first, *(pair for batch in stream for pair in batch)]) == 4
     assert any("the scheduler does not answer" in sentence for sentence in said)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fixel.errors import InvalidInput
-from fixel.formats.plan_file import plan_from_text, plan_text
+from fixel.formats.plan_file import load_plan, plan_text
 from fixel.sampling import table_plan, thesis_plan
 
 
@@ -46,11 +46,12 @@ def test_every_spot_has_two_runs_that_do_not_follow_one_another():
     assert abs(np.corrcoef(x, np.arange(len(x)))[0, 1]) < 0.3
 
 
-def test_places_have_conditions_and_survive_a_file():
+def test_places_have_conditions_and_survive_a_file(tmp_path):
     plan = table_plan()
     first = plan.experiments[0].conditions
 
-    assert plan_from_text(plan_text(plan)) == plan
+    (tmp_path / "plan.yaml").write_text(plan_text(plan))
+    assert load_plan(tmp_path / "plan.yaml") == plan
     assert [first[f"place_{name}"] for name in ("x_m", "y_m", "theta_rad")] == [*plan.places[0]]
     assert "places" not in plan_text(thesis_plan())
     assert not any(name.startswith("place_") for name in thesis_plan().experiments[0].conditions)

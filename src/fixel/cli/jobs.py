@@ -261,17 +261,21 @@ def trust(
     *,
     program: str | None = argument(
         None,
-        "Path of a program, with its arguments as after --engine; the list is printed without it.",
+        "Path of a program, with its arguments as after --engine, or folder of a project; the list "
+        "is printed without it.",
         show_default=False,
     ),
     remove: bool = option(False, "Remove the program from the list.", "--remove"),
     as_json: AsJson = False,
 ) -> None:
-    """Allow files to run a program until it changes.
+    """Allow files to run a program, or a project to lead elsewhere.
 
-    A calibration by a program of your own then works in later commands. Trust only what you have
-    read or made: the program can do everything that you can.
+    A calibration by a program of your own then works in later commands, until the program changes.
+    Trust only what you have read or made: the program can do everything that you can. A project may
+    name a server for its database, and have links to other folders.
     """
+    from fixel.database.project import SETTINGS
+    from fixel.database.stored_content import trust_place
     from fixel.simulation.trust import distrust, trust_program, trusted_entries
 
     if remove:
@@ -286,7 +290,8 @@ def trust(
         entries = trusted_entries()
         title = "Trusted:" if entries else "No program is trusted. Add one: fixel trust PROGRAM"
     else:
-        title, entries = "Added:", [trust_program(program)]
+        add = trust_place if Path(program, SETTINGS).is_file() else trust_program
+        title, entries = "Added:", [add(program)]
     print_answer(
         as_json,
         lambda: {"entries": [entry.content for entry in entries]},

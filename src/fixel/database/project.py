@@ -12,7 +12,6 @@ import copy
 import hashlib
 import json
 import os
-import re
 import shlex
 import sqlite3
 import sys
@@ -148,7 +147,7 @@ class Project:
                 found=f"an error ({first['msg'].lower()})",
                 expected="the keys name, database (for a server) and bench (for its devices)",
             ) from None
-        _check_inside(path, self.settings.database)
+        offered("project", "check_place")(folder, self.settings.database)
 
     def seen_through(self, view: ExperimentView | None) -> Project:
         """Return the project with experiments that a function changes when they are loaded."""
@@ -189,6 +188,8 @@ class Project:
                 store.upgrade()
             # Last, since this file makes the folder a project.
             write_whole(folder / SETTINGS, _settings_text(project.settings))
+            if database is not None:
+                offered("project", "trust_place")(folder)
         except BaseException as problem:
             _clear(folder, keep=was_there)
             if isinstance(problem, OSError) and (failure := machine_failure(problem)) is not None:
@@ -458,24 +459,6 @@ def _server(url: str, media: Path | None) -> tuple[Path, ProjectSettings]:
     folder = Path(file).parent if media is None else Path(media).parent
     name = url.rpartition("/")[2].partition("?")[0] or "project"
     return folder, ProjectSettings(name=name[:MAX_NAME], database=url)
-
-
-def _check_inside(path: Path, database: str | None) -> None:
-    """Raise `InvalidInput` for settings that name a file outside the folder of the project.
-
-    The folder may come from elsewhere, and opening a file of SQLite creates it.
-    """
-    if database is None or not database.lower().startswith("sqlite"):
-        return
-    # A query, an escape, or anything before the file, may make it another: `file:/x?uri=true`.
-    file = re.fullmatch(r"sqlite[\w+]*:///([^?%\0]+)", database, re.IGNORECASE)
-    if file is None or not Path(file[1]).resolve().is_relative_to(path.parent.resolve()):
-        raise InvalidInput(
-            f"{path}: database",
-            found=database,
-            expected="the URL of a server, or a file in the folder of the project",
-            hint=f"to use this file, set {VARIABLE} to its URL",
-        )
 
 
 MAX_STORES: Final = 8  # open at a time, for sequences of experiments

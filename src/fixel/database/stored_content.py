@@ -1,8 +1,11 @@
-"""Check a database's schema, the checksums of its records, and values derived from others."""
+"""Check where a project leads; its schema, checksums of records, and values derived from others."""
 
 from __future__ import annotations
 
 import math
+import os
+import re
+import shlex
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -10,12 +13,16 @@ from typing import Any, Final, NamedTuple
 import sqlalchemy as sa
 
 from fixel.database import arrays, rows, tables
-from fixel.errors import FixelError, StoreRefused
+from fixel.database.project import ANALYSES, DATABASE_FILES, MEDIA, SETTINGS, VARIABLE
+from fixel.errors import FixelError, InvalidInput, StoreRefused
 from fixel.formats.frames_file import path_columns
 from fixel.io.damaged_files import INVALID_CONTENT, one_line
+from fixel.io.document import read_document
+from fixel.simulation.trust import TrustedEntry, is_trusted, trust
 
 RESTORE: Final = "replace experiments.db with a backup, which fixel db backup wrote"
 ADVICE: Final = "copy the experiments into a new project with: fixel export"
+FOLDERS: Final = (MEDIA, ANALYSES, "backups", "bench", "cache", "jobs", "rigs")  # of a project
 CHANGED: Final = "has changed: its checksum differs"
 
 
@@ -25,6 +32,60 @@ class Trouble(NamedTuple):
     where: str
     sentence: str
     hint: str
+
+
+# --- the folder -----------------------------------------------------------------------------------
+
+
+def check_place(folder: Path, database: str | None) -> None:
+    """Raise `InvalidInput` if a project leads out of its folder, unless the user trusts it."""
+    if database is not None and database.lower().startswith("sqlite"):
+        _check_inside(folder, database)
+    outside = _outside(folder, database)
+    if outside["leads_to"] and not is_trusted(outside):
+        command = shlex.join(["fixel", "trust", str(folder)])
+        raise InvalidInput(
+            str(folder),
+            found=f"a project that leads to {outside['leads_to'][0]}",
+            expected="a project in one folder, or one that you trust",
+            hint=f"if you know what is there, run: {command}",
+        )
+
+
+def trust_place(folder: str | Path) -> TrustedEntry:
+    """Add a project to the user's list, with the server and the links to which it leads."""
+    return trust(_outside(Path(folder), read_document(Path(folder, SETTINGS)).get("database")))
+
+
+def _check_inside(folder: Path, database: str) -> None:
+    """Raise `InvalidInput` for a file of SQLite elsewhere, which opening it would create."""
+    # A query, an escape, or anything before the file, may make it another: `file:/x?uri=true`.
+    file = re.fullmatch(r"sqlite[\w+]*:///([^?%\0]+)", database, re.IGNORECASE)
+    if file is None or not Path(file[1]).resolve().is_relative_to(folder.resolve()):
+        raise InvalidInput(
+            f"{folder / SETTINGS}: database",
+            found=database,
+            expected="the URL of a server, or a file in the folder of the project",
+            hint=f"to use this file, set {VARIABLE} to its URL",
+        )
+
+
+def _outside(folder: Path, database: str | None) -> dict[str, Any]:
+    """Return a project with the server that its settings name, and the links that leave its folder.
+
+    Files of media are not searched: their checksums are known.
+    """
+    home, found = Path(os.path.realpath(folder)), list[str]()
+    if database and database.lower().startswith("postgres") and VARIABLE not in os.environ:
+        found.append(f"the database {re.sub('//.*@', '//', database)}")
+    for name in (SETTINGS, *DATABASE_FILES, *FOLDERS):
+        own = folder / name
+        inner = () if own.is_symlink() else own.glob("*" if name == MEDIA else "**/*")
+        for link in (path for path in (own, *inner) if path.is_symlink()):
+            target = os.path.realpath(link)
+            if not Path(target).is_relative_to(home):
+                found.append(f"{target}, by the link {link.relative_to(folder)}")
+    return {"project": str(home), "leads_to": found}
 
 
 # --- the schema -----------------------------------------------------------------------------------

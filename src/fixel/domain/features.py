@@ -49,30 +49,6 @@ class Features(NamedTuple):
         return self.table[:, [self.names.index(name) for name in names]]
 
 
-PLACE: Final = ("tip_x", "tip_y", "along_x", "along_y", "object_cos", "object_sin")
-
-
-def configuration_features(asked: Configurations) -> Features:
-    """Return features from geometry alone: position and direction of the pusher in the frame of the
-    object, pose of the object on the table, angle to the normal, lever arm, nearest corner."""
-    angle = asked.start[:, 2]
-    heading = _headings(asked)
-    tip = rotated(asked.tip_start - asked.start[:, :2], -angle)
-    along = rotated(heading, -angle)
-    _, normal = gaps_and_normals(asked.shape, asked.radius, asked.start, asked.tip_start)
-    cosine = np.clip(-(normal * heading).sum(axis=1), -1.0, 1.0)
-    sine = normal[:, 0] * heading[:, 1] - normal[:, 1] * heading[:, 0]
-    centre = np.asarray(asked.shape.centroid)
-    arm = (tip[:, 0] - centre[0]) * along[:, 1] - (tip[:, 1] - centre[1]) * along[:, 0]
-    names = (*PLACE, "table_x", "table_y", "incidence", "incidence_abs", "arm", "arm_abs", "corner")
-    incidence = np.arctan2(sine, cosine)
-    table = np.column_stack(
-        (tip, along, np.cos(angle), np.sin(angle), asked.start[:, :2], incidence,
-         np.abs(incidence), arm, np.abs(arm), corner_distance(asked.shape, tip, asked.radius))
-    )  # fmt: skip
-    return Features(names, table)
-
-
 def simulated_features(asked: Configurations, roll: Roll, mu: float) -> Features:
     """Return features from eleven rollouts per configuration: motion, contact, sensitivity.
 
@@ -101,7 +77,7 @@ def _answers(
     """Return half the distance of the ends of opposite disturbances (n, 5), the distance of their
     middle from the undisturbed end (n, 5), and the share of lost rollouts (n,)."""
     n = len(end)
-    heading = _headings(asked)
+    heading = headings(asked)
     across = np.column_stack((-heading[:, 1], heading[:, 0])) * SIDEWAYS
     kinds: list[dict[str, tuple[FloatArray, FloatArray]]] = [
         {"start_x": (across[:, 0], -across[:, 0]), "start_y": (across[:, 1], -across[:, 1])},
@@ -187,7 +163,7 @@ def _corners(shape: Shape) -> FloatArray:
     return np.asarray(outline[np.abs(turn) > CORNER_TURN])
 
 
-def _headings(asked: Configurations) -> FloatArray:
+def headings(asked: Configurations) -> FloatArray:
     way = asked.tip_end - asked.tip_start
     length = np.hypot(*way.T)[:, None]
     return np.asarray(np.divide(way, length, out=np.zeros_like(way), where=length > 0.0))

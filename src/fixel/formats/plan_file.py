@@ -14,7 +14,7 @@ from pydantic import Field
 from fixel.errors import InvalidInput
 from fixel.formats import scene_file as _shapes_and_supports  # noqa: F401
 from fixel.formats.records import arguments, choice_of, content, keys_of, made, record_of, validated
-from fixel.io.document import parse_yaml, read_document, yaml_text
+from fixel.io.document import read_document, yaml_text
 from fixel.model import Disk, Ellipsoid, NoSupport, Polygon, SupportPoints, Tripod, UniformPressure
 from fixel.sampling import (
     FixelLayout,
@@ -82,26 +82,17 @@ PlanRecord: Any = record_of(
 
 def load_plan(path: str | Path) -> Plan:
     """Load a plan file: YAML, or JSON if the name ends in `.json`."""
-    return _plan(read_document(Path(path), "plan file"))
-
-
-def plan_from_text(text: str) -> Plan:
-    """Parse a plan from YAML text."""
-    return _plan(parse_yaml(text, "plan"))
-
-
-def plan_text(plan: Plan) -> str:
-    """Return a plan as YAML text, from which `plan_from_text` builds an equal plan."""
-    return yaml_text(_content(plan))
-
-
-def _plan(raw: Any) -> Plan:
-    record = validated(PlanRecord, raw, "plan")
+    record = validated(PlanRecord, read_document(Path(path), "plan file"), "plan")
     rig: dict[str, Any] = {}
     for section in SECTIONS:
         rig |= arguments(getattr(record, section), section)
     plan: Plan = made(record, rig=SamplingRig(**rig))
     return plan
+
+
+def plan_text(plan: Plan) -> str:
+    """Return a plan as the text of a YAML file, from which `load_plan` loads an equal plan."""
+    return yaml_text(_content(plan))
 
 
 def _content(plan: Plan) -> dict[str, Any]:

@@ -81,11 +81,6 @@ class DaskEngine(AbstractEngine):
         """Reason why workers wait; empty if they do not."""
         return self._pool.note
 
-    @property
-    def scheduler_pid(self) -> int | None:
-        """Process id of the scheduler, for tests that kill it."""
-        return None if self._cluster is None else self._cluster.process.pid
-
     def results(self, function: str, inputs: Path, chunks: Sequence[Chunk]) -> Iterator[Batch]:
         state = _RoundState(function, inputs, chunks)
         while state.open:

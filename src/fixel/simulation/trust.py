@@ -29,7 +29,7 @@ _permitted: dict[str, list[str]] = {}  # commands that calls of this process nam
 class TrustedEntry(NamedTuple):
     """Entry of the user's list."""
 
-    text: str  # program as after `--engine`, or the lines of a site
+    text: str  # program as after `--engine`, the lines of a site, or a project
     # What is trusted: a command with the checksums of its files, or the lines of a site.
     content: dict[str, Any]
     file: Path  # file of the entry
@@ -155,12 +155,12 @@ def distrust(text: str) -> list[TrustedEntry]:
     Parameters
     ----------
     text : str
-        Program, as for `trust_program`, or the text of an entry.
+        Program, as for `trust_program`, folder of a project, or the text of an entry.
     """
-    texts = {text}
+    texts = {text, os.path.realpath(text)}
     if EngineName.of(text).is_program:
         texts.add(_text_of({"command": list(_words(_program(text)))}))
-    removed = [entry for entry in trusted_entries() if entry.text in texts]
+    removed = [own for own in trusted_entries() if {own.text, own.content.get("project")} & texts]
     for entry in removed:
         entry.file.unlink(missing_ok=True)
     return removed
@@ -192,9 +192,12 @@ def _words(name: EngineName) -> tuple[str, ...]:
 
 
 def _text_of(content: Mapping[str, Any]) -> str:
-    """Return a program as after `--engine`, or the lines of a site, for a terminal."""
+    """Return a program as after `--engine`, lines of a site or a project, for a terminal."""
     if "site" in content:
         return _plain("site: " + "; ".join(map(str, content["site"])))
+    if "project" in content:
+        leads_to = " and ".join(map(str, content["leads_to"])) or "nothing"
+        return _plain(f"project: {content['project']} leads to {leads_to}")
     first, *others = map(str, content["command"])
     return _plain(first + (":" + ",".join(others) if others else ""))
 

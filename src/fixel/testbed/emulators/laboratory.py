@@ -23,7 +23,7 @@ from fixel.model.fields import fraction, non_negative, positive
 from fixel.model.probability import stream
 from fixel.simulation import simulate
 from fixel.testbed.frame_source import CameraPicture, FrameSource, Stream
-from fixel.testbed.imperfections import nominal_friction, touching
+from fixel.testbed.imperfections import touching
 from fixel.testbed.motion import SimulatedActuator
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testbed.tactile import TactileReading
@@ -156,16 +156,6 @@ class EmulatedLaboratory:
     def source(self) -> LaboratoryCamera:
         """New source of the pictures from now on."""
         return LaboratoryCamera(self)
-
-    @property
-    def true_parameters(self) -> dict[str, float]:
-        """Hidden true values in the present row, which only tests may read [-]."""
-        scene = self._scene
-        return {
-            "mu_pusher": scene.pushers[0].friction,
-            "mu_fixel": max((fixel.friction for fixel in scene.fixels), default=0.0),
-            "mu_support": nominal_friction(scene.bodies[0], scene.gravity) or 0.0,
-        }
 
     # --- the person at the bench ------------------------------------------------------------------
 
