@@ -35,7 +35,7 @@ from fixel.parts.next_pushes import push_candidates
 from fixel.planning.plan import PushPlan, simulator_of
 from fixel.planning.pushes import FreePushes, scene_of_push
 from fixel.planning.search import PlanSearch
-from fixel.planning.success import SuccessProbability, rates_without_noise
+from fixel.planning.success import SuccessProbability, rate_quantile
 from fixel.sampling.published import thesis_plan
 from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.rollouts import RolloutCase
@@ -215,7 +215,8 @@ def expected_difference(success: SuccessProbability, runs: int) -> float:
     """Mean of |stated mean - share held| over the samples of the parameters, for n executions."""
     from scipy.stats import binom
 
-    rates = rates_without_noise(success.rates * success.n_runs, success.n_runs)
+    ranks = np.arange(1, len(success.rates) + 1) / (len(success.rates) + 1)
+    rates = rate_quantile(success.rates * success.n_runs, success.n_runs, ranks)
     share = np.arange(runs + 1) / runs
     chance = binom.pmf(np.arange(runs + 1), runs, np.clip(rates, 0.0, 1.0)[:, None])
     return float((chance @ np.abs(success.mean - share)).mean())

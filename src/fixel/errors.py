@@ -379,6 +379,12 @@ def did_you_mean(name: object, known: Iterable[str]) -> str | None:
     return None if meant is None else f"did you mean {meant!r}?"
 
 
+def counted(number: object, what: str) -> str:
+    """Return a number of things as text: `1 push`, `2 pushes`."""
+    ending = "es" if what.endswith(("sh", "ch")) else "s"
+    return f"{number} {what}{'' if str(number) == '1' else ending}"
+
+
 def unknown_name(where: str, name: object, known: Iterable[str], *, more: str = "") -> InvalidInput:
     """Return the error for an unknown name: it lists the known names and hints at the closest.
 

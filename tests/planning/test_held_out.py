@@ -37,6 +37,20 @@ def test_the_curve_counts_pushes_and_not_choices():
     assert (low, high) == (pytest.approx(0.025), 1.0)  # one success proves little
 
 
+@pytest.mark.parametrize(("pushes", "held"), [(1, 10), (2, 15), (2, 5), (3, 17)])
+def test_the_interval_of_misses_is_the_mirrored_one_of_hits(pushes, held):
+    """Also where the share of 20 choices is not one of so few pushes."""
+    met, push = np.arange(20) < held, np.arange(20) % pushes
+    hit, missed = (
+        HeldSuccess(stated=np.full(20, 0.97), held=own, push=push, position=1.0, angle=1.0)
+        for own in (met, ~met)
+    )
+    *_, share, low, high = hit.curve.rows[0]
+    *_, other, least, most = missed.curve.rows[0]
+    assert (share, low, high) == pytest.approx((1.0 - other, 1.0 - most, 1.0 - least))
+    assert low < share < high
+
+
 def test_choosing_does_not_raise_what_is_stated(monkeypatch):
     """Forty pushes that end equally well, each off by as much in all runs of a world."""
     size, fresh = np.array([2 * mm, 2 * mm, 1 * deg]), np.random.default_rng(5)

@@ -76,6 +76,21 @@ def test_a_push_is_animated_as_planned(found, tmp_path):
     refused(found.animate, push=2, match="one of its pushes")
 
 
+def test_failures_name_the_event_that_happened():
+    """A square pushed nearly through its centre needs the friction times its weight."""
+    scene, most = pushed_square(), 0.45  # [N]
+    event = fixel.ForceAbove(most)
+    goal = fixel.AllOf(PoseRegion((0.03, 0, 0), position=3 * mm, angle=3 * deg), never=event)
+    belief = Belief(parameters={"mu_support": (0.2, 0.4)})
+    plan = fixel.plan(scene, goal, FreePushes(), belief, rollouts=4_000, progress=False)
+    force = plan.runs.scenarios.values["mu_support"] * scene.bodies[0].mass * 9.81
+    above = np.array(plan.runs.outcome) == "a force above 0.45 N"
+    assert plan.failures == {"a force above 0.45 N": pytest.approx(1.0 - plan.success.mean)}
+    assert plan.explain().kinds == {"a force above 0.45 N": above.sum()}
+    assert force[~above].max() < 1.01 * most
+    assert force[above].min() == pytest.approx(most, rel=0.01)
+
+
 def test_without_anything_unknown_success_is_certain():
     plan = fixel.plan(pushed_square(), GOAL, rollouts=4_000, progress=False)
     assert plan.success.mean == 1.0

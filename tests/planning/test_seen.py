@@ -10,8 +10,8 @@ from tests.workflows.planning.plans import plan_of
 
 import fixel
 from fixel import Belief, FreePushes, PoseRegion, QuasiStatic, StartError
-from fixel.planning.seen import belief_after
-from fixel.testing.scenes import pushed_square
+from fixel.planning.seen import belief_after, is_met
+from fixel.testing.scenes import grasp, pushed_square
 from fixel.uncertainty.predictive import EndError
 from fixel.units import deg, mm
 
@@ -62,6 +62,22 @@ def test_few_worlds_are_drawn_from_all_parameter_sets(worlds):
         assert drawn[0] == 0.1  # the nominal one
         assert drawn.mean() == pytest.approx(0.3, abs=0.03)
         assert drawn.std() == pytest.approx(friction.std(), rel=0.05)
+
+
+def test_a_part_at_rest_needs_no_force_and_touches_fixels_where_the_plan_has_them():
+    """Fixels that are all moved by the same move the end of a grasp by that."""
+    goal = fixel.AllOf(fixel.Seated("fixel-1"), never=[fixel.ForceAbove(1.0)])
+    choose = fixel.RigPushes(stroke=(0.02, 0.15), fixels={
+        f"fixel-{k}": ((-10 * mm, 10 * mm),) * 2 for k in (1, 2, 3)
+    })  # fmt: skip
+    own, moved = (
+        plan_of(grasp("seated"), goal, choose, [(0, 0, 0, 0.12, *3 * (x, 0.0))], Belief())
+        for x in (0.0, 5 * mm)
+    )
+    assert moved.end - own.end == pytest.approx((5 * mm, 0, 0), abs=1e-6)
+    assert is_met(own, own.end)
+    assert is_met(moved, moved.end)
+    assert not is_met(moved, own.end)
 
 
 class CoarseModel:

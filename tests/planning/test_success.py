@@ -116,6 +116,18 @@ def test_independent_scenarios_decide_the_mean():
     assert found.least == 0.0
 
 
+@pytest.mark.parametrize("rate", [0.3, 0.94, 0.9995])
+def test_the_mean_is_in_the_range_of_draws_that_are_all_alike(rate):
+    """Two samples of one rate differ by chance; the range of equal draws is that rate alone."""
+    rng, truth = np.random.default_rng(7), np.full(256, rate)
+    for _ in range(100):
+        met = rng.random(2400) < rate
+        found = SuccessProbability.of(_margins(rng, truth, 16), independent=met - 0.5)
+        assert found.worst <= found.mean <= found.best
+        assert abs(rate - found.worst) < 0.1
+        assert found.mean == 1.0 or "1.000 " not in found.sentence + " "
+
+
 def test_a_larger_tolerance_never_lowers_anything():
     rng = np.random.default_rng(4)
     error = rng.gamma(2.0, 1.0, (64, 64)) * rng.uniform(0.5, 1.5, (64, 1))

@@ -17,9 +17,10 @@ import numpy as np
 
 from fixel.calibration.target import Target, target_of
 from fixel.errors import InvalidInput
-from fixel.model import Experiment, Probability, wrapped
+from fixel.model import Experiment, wrapped
 from fixel.model.fields import positive
 from fixel.planning.belief import Belief
+from fixel.planning.success import interval
 from fixel.progress import ProgressOption, show_progress
 from fixel.results import Result, Summary
 from fixel.simulation.vary import composed, inverted
@@ -67,10 +68,9 @@ class HeldSuccess(Result):
             pushes = len(np.unique(self.push[own]))
             share = float(self.held[own].mean())
             # Choices of the same push share its end, so that only pushes count as independent.
-            span = Probability.of(round(share * pushes), pushes)
             rows.append(
                 (f"{low:g} to {high:g}", int(own.sum()), pushes,
-                 float(self.stated[own].mean()), share, span.low, span.high)
+                 float(self.stated[own].mean()), share, *interval(share, pushes))
             )  # fmt: skip
         return Table(columns, rows)
 

@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, counted
 from fixel.model import Body, Disk, Shape
 from fixel.model.fields import Comparable, frozen, instance, non_negative
 from fixel.model.trajectory import wrapped
@@ -166,8 +166,7 @@ class OrientingPlan(Result):
         note = f"The part ends {degrees(self.angle):.1f} deg from the direction of the last push."
         if self.symmetry > 1:
             note += f" It repeats every {360 / self.symmetry:g} deg."
-        plural = "push" if self.pushes == 1 else "pushes"
-        heading = f"Orienting plan of {self.pushes} {plural} by a wide fence"
+        heading = f"Orienting plan of {counted(self.pushes, 'push')} by a wide fence"
         return Summary(heading, [Table(columns, rows)], [note])
 
 

@@ -12,12 +12,12 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, counted
 from fixel.model import Scene
 from fixel.model.bodies import POSE
 from fixel.model.fields import instance, vector
 from fixel.model.goal_checks import check_goal
-from fixel.model.goals import Goal
+from fixel.model.goals import BodyTrack, Goal, events_in
 from fixel.model.probability import Probability
 from fixel.planning.belief import UNKNOWN_UNITS, Belief, Scenarios, check_centres
 from fixel.planning.causes import MIN_SCENARIOS, Explanation
@@ -164,8 +164,8 @@ class PushPlan(Result):
         n, looks = len(self.pushes), 0 if self.looks is None else self.looks.most
         if n == looks == 0:
             return "no push, for the part already meets the goal"
-        pushes = f"{n or 'no'} push{'es' * (n > 1)}"
-        return f"{pushes} and up to {looks} look{'s' * (looks > 1)}" if looks else pushes
+        pushes = counted(n, "push") if n else "no push"
+        return f"{pushes} and up to {counted(looks, 'look')}" if looks else pushes
 
     @property
     def scenes(self) -> tuple[Scene, ...]:
@@ -581,42 +581,42 @@ def plan_rounds(search: PlanSearch, *, untrusted: bool = False) -> Rounds[PushPl
     simulator, belief = search.simulator, search.belief
     checked = belief.has_known_pushes and not untrusted
     found = yield from search.rounds(partial(_unseen, simulator, belief) if checked else None)
-    plan, margins, looks = found.plans[0], found.margins[0][:, 0], None
-    success = SuccessProbability.of(found.margins[-1], independent=margins)
+    plan, margin, looks = found.plans[0], found.margins[0][:, 0], None
+    success = SuccessProbability.of(found.margins[-1], independent=margin)
     if search.views.looks:
         trusted = partial(_trusted, simulator, belief, plan) if checked else None
         plan, policy = policy_of(search, found.plans, trusted)
         looks, scenarios = looks_of(policy, search.fresh_stages, 1000 * search.seed)
         success, margin = looks.worth[-1], looks.walk.margin[-1]
-        why = _why(margin, looks.walk.failure)
-        runs = PlanRuns(scenarios, margin, looks.walk.pose, why)
     planned = simulator.planned(plan[None])
+    if looks:
+        failure, track = looks.walk.failure, BodyTrack.of_ends(looks.walk.pose)
+    else:
+        scenarios = search.scenarios(search.fresh_stages[0])
+        runs = simulator.run(planned, np.zeros(scenarios.n, np.int64), scenarios)
+        failure, track = runs.failure, runs.track
+    why = _why(simulator, margin, failure, track)
     return PushPlan(
         scene=simulator.scene, goal=simulator.goal, choose=simulator.choice, belief=belief,
         pushes=simulator.choice.pushes(simulator.scene, plan),
         start=planned.start[0], path=planned.path[0], end=planned.nominal.pose[0, -1],
         fixels=None if planned.fixels is None else planned.fixels[0],
         success=success, nominal_success=SuccessProbability.of(found.nominal_margins),
-        runs=runs if looks else _runs(search, plan, planned, margins),
+        runs=PlanRuns(scenarios, margin, track.pose[:, -1], why),
         alternatives=found.compared, compared=search.scenarios(search.final_stage),
         unseen=_unseen(simulator, belief, plan), motion=simulator.motion,
         stepper=simulator.stepper, looks=looks, rollouts=search.done, seed=search.seed,
     )  # fmt: skip
 
 
-def _runs(
-    search: PlanSearch, plan: FloatArray, planned: PlannedMotions, margin: FloatArray
-) -> PlanRuns:
-    scenarios = search.scenarios(search.fresh_stages[0])
-    runs = search.simulator.run(planned, np.zeros(scenarios.n, np.int64), scenarios)
-    return PlanRuns(scenarios, margin, runs.pose[:, -1], _why(margin, runs.failure))
-
-
-def _why(margin: FloatArray, failure: IntArray) -> tuple[str, ...]:
+def _why(
+    simulator: PlanSimulator, margin: FloatArray, failure: IntArray, track: BodyTrack
+) -> tuple[str, ...]:
     """Return why runs failed (n,); empty for a success."""
+    events = events_in(simulator.goal, simulator.simulated, track)
     return tuple(
-        "" if ok >= 0.0 else (FAILURES[code] if code else MISSED)
-        for ok, code in zip(margin, failure, strict=True)
+        "" if ok >= 0.0 else FAILURES[code] if code else event or MISSED
+        for ok, code, event in zip(margin, failure, events, strict=True)
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from fixel.kernels import codes
 from fixel.model import Scene
-from fixel.model.goals import BodyTrack, Goal, touching
+from fixel.model.goals import BodyTrack, Goal, Moved, touching
 from fixel.model.overlap import overlaps
 from fixel.model.trajectory import wrapped
 from fixel.planning.belief import Scenarios, rows_of
@@ -47,6 +47,11 @@ class Runs(NamedTuple):
     stalled: BoolArray  # (n,) whether the drive is stalled at the end of the last push
     force: FloatArray  # (n,) largest force of the drive [N]
     fixels: FloatArray | None  # (n, n_fixel, 3) displacements of fixels from the scene's
+
+    @property
+    def track(self) -> BodyTrack:
+        """Motions of the part, on which goals are judged."""
+        return BodyTrack(self.pose, self.stalled, self.force, self.fixels)
 
 
 class PlannedMotions(NamedTuple):
@@ -103,8 +108,7 @@ class PlanSimulator:
 
     def unlimited_margins(self, runs: Runs) -> FloatArray:
         """Return the margins (n,) of the goal without limits, for runs that were carried out."""
-        track = BodyTrack(runs.pose, runs.stalled, runs.force, runs.fixels)
-        return np.asarray(self.goal.margin(self.simulated, track))
+        return np.asarray(self.goal.margin(self.simulated, runs.track))
 
     def planned(self, numbers: FloatArray, start: FloatArray | None = None) -> PlannedMotions:
         """Return the motions of plans (m, k, d), each push from the nominal end of the one before.
@@ -316,9 +320,7 @@ def part_overlap(scene: Scene, poses: FloatArray, fixels: FloatArray | None) -> 
     return fixel_overlap(scene, scene.bodies[0].shape, poses[:, None], fixels)
 
 
-def _summed(
-    planned: FloatArray | None, which: IntArray, errors: FloatArray | None
-) -> FloatArray | None:
+def _summed(planned: Moved, which: IntArray, errors: Moved) -> Moved:
     if planned is None:
         return errors
     return planned[which] if errors is None else planned[which] + errors

@@ -117,8 +117,10 @@ def plan_again(
 
 
 def is_met(plan: PushPlan, seen: FloatArray) -> bool:
-    """Return whether a seen pose already meets the goal, judged by the pose alone."""
+    """Return whether a part at rest at a seen pose already meets the goal, without a force."""
+    fixels = None if plan.fixels is None else plan.fixels[None]
     try:
-        return bool(plan.goal.met(plan.scene, BodyTrack.of_ends(seen))[0])
-    except InvalidInput:  # the goal needs forces or stalls
+        track = BodyTrack(np.asarray(seen)[None, None], None, np.zeros(1), fixels)
+        return bool(plan.goal.met(plan.scene, track)[0])
+    except InvalidInput:  # the goal needs stalls
         return False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
@@ -58,32 +58,21 @@ def interval(share: float, n: float, confidence: float = 0.95) -> tuple[float, f
     return low, 1.0 - lower_bound((1.0 - share) * n, n, one_sided)
 
 
-def rates_without_noise(successes: ArrayLike, n_runs: int) -> FloatArray:
-    """Estimate success rates of parameter draws, without the spread that few runs add.
+def rate_quantile(
+    successes: ArrayLike, n_runs: int, share: ArrayLike = WORST, centre: float | None = None
+) -> FloatArray:
+    """Estimate a quantile (...,) of the success rate over parameter draws.
 
-    The observed rates scatter by the differences of the draws and by the chance of few runs.
-    They are moved towards their mean, so that their variance becomes the estimated variance of
-    the true rates: observed variance less the mean binomial variance. Of each draw there are
-    `n_runs` runs, at least 2; `successes` (..., n_worlds) were successful.
+    Of each draw there are `n_runs` runs, at least 2; `successes` (..., n_worlds) were successful.
+    The observed rates scatter by the differences of the draws and by the chance of few runs. They
+    are moved towards `centre`, by default their mean, so that their variance becomes the estimated
+    variance of the true rates: observed variance less the mean binomial variance. The quantile is
+    their order statistic `share * (n_worlds + 1)`. On average, this share of further draws has a
+    lower rate, whatever the distribution of the rates is.
 
     Source
     ------
     Louis (1984), J. Am. Stat. Assoc. 79, 393-398: estimates whose spread is the true one.
-    """
-    rates = np.asarray(successes, dtype=np.float64) / n_runs
-    mean = rates.mean(axis=-1, keepdims=True)
-    n_worlds = rates.shape[-1]
-    spread = np.sum((rates - mean) ** 2, axis=-1, keepdims=True) / max(1, n_worlds - 1)
-    noise = np.mean(rates * (1.0 - rates), axis=-1, keepdims=True) / (n_runs - 1)
-    scale = np.sqrt(np.maximum(0.0, spread - noise) / np.where(spread > 0.0, spread, 1.0))
-    return np.asarray(mean + scale * (rates - mean))
-
-
-def rate_quantile(successes: ArrayLike, n_runs: int, share: float = WORST) -> FloatArray:
-    """Estimate a quantile (...,) of the success rate over parameter draws.
-
-    It is the order statistic `share * (n_worlds + 1)` of `rates_without_noise`. On average, this
-    share of further draws has a lower rate, whatever the distribution of the rates is.
 
     Examples
     --------
@@ -91,8 +80,15 @@ def rate_quantile(successes: ArrayLike, n_runs: int, share: float = WORST) -> Fl
     >>> round(float(rate_quantile(successes, 64)), 2)
     0.25
     """
-    rates = rates_without_noise(successes, n_runs)
-    return np.asarray(np.quantile(rates, share, axis=-1, method="weibull"))
+    rates = np.asarray(successes, dtype=np.float64) / n_runs
+    mean = rates.mean(axis=-1, keepdims=True)
+    n_worlds = rates.shape[-1]
+    spread = np.sum((rates - mean) ** 2, axis=-1, keepdims=True) / max(1, n_worlds - 1)
+    noise = np.mean(rates * (1.0 - rates), axis=-1, keepdims=True) / (n_runs - 1)
+    scale = np.sqrt(np.maximum(0.0, spread - noise) / np.where(spread > 0.0, spread, 1.0))
+    middle = mean if centre is None else centre
+    moved, at = middle + scale * (rates - middle), np.asarray(share, dtype=np.float64)
+    return np.asarray(np.quantile(moved, at, axis=-1, method="weibull"))
 
 
 @final
@@ -168,24 +164,24 @@ class SuccessProbability(Result):
             raise InvalidInput("confidence", found=confidence, expected="a number between 0 and 1")
         flat = np.asarray(margins, dtype=np.float64)
         own = finite_margins(flat[:, None] if flat.ndim == 1 else flat, 2)
+        n_runs = own.shape[1]
+        rows, successes = own, np.sum(own >= 0.0, axis=1)
         if independent is not None:
-            mean = cls.of(finite_margins(independent, 1, "independent"), confidence)
-            names = ("rates", "n_runs", "worst", "best")
-            worlds = cls.of(own, confidence)
-            return replace(mean, **{name: getattr(worlds, name) for name in names})
-        n_worlds, n_runs = own.shape
-        successes = np.sum(own >= 0.0, axis=1)
-        share = float(successes.sum()) / own.size
-        n = effective_number(successes, np.full(n_worlds, n_runs), confidence)
+            rows = finite_margins(independent, 1, "independent")[:, None]
+        met = np.sum(rows >= 0.0, axis=1)
+        share = float(met.sum()) / rows.size
+        n = effective_number(met, np.full(len(rows), rows.shape[1]), confidence)
         low, high = interval(share, n, confidence)
+        # Draws that differ by chance alone have the stated probability itself as their rate.
+        centre = None if independent is None else share
         worst, best = (
-            float(rate_quantile(successes, n_runs, at)) if n_runs > 1 and n_worlds > 1 else None
+            float(rate_quantile(successes, n_runs, at, centre)) if min(own.shape) > 1 else None
             for at in (WORST, 1.0 - WORST)
         )
         return cls(
             mean=share, low=low, high=high, worst=worst, best=best, confidence=confidence,
-            rates=successes / n_runs, n_runs=n_runs, n=own.size,
-            margin=float(np.quantile(own, WORST, method="inverted_cdf")),
+            rates=successes / n_runs, n_runs=n_runs, n=rows.size,
+            margin=float(np.quantile(rows, WORST, method="inverted_cdf")),
         )  # fmt: skip
 
     @property
@@ -233,7 +229,7 @@ class SuccessProbability(Result):
         text = f"success probability {mean} ({low} to {high})"
         if self.worst is None or self.best is None:
             return text
-        ends = dict.fromkeys(f"{x:.{3 if x >= 0.99 else 2}f}" for x in (self.worst, self.best))
+        ends = dict.fromkeys(map(probability_text, (self.worst, self.best)))
         return f"{text}; in 90 % of the possible worlds it is {' to '.join(ends)}"
 
     def _notes(self) -> list[str]:

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple, final
 import numpy as np
 from scipy.special import betainc, betaincinv, betaln
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, counted
 from fixel.model.fields import name_of, settle
 from fixel.model.probability import Probability
 from fixel.planning.success import WORST, probability_text
@@ -195,7 +195,7 @@ class Trials(Result):
         own = self.updated
         text = f"{own.low:.2f} to {own.high:.2f}, with a prior of {sum(self._prior):.0f} trials"
         rows.append(("updated", own.value, text))
-        heading = f"{self.n} trials: {self.successes} met the goal; {stated} {verdict}"
+        heading = f"{counted(self.n, 'trial')}: {self.successes} met the goal; {stated} {verdict}"
         kinds = [f"{kind}: {number}" for kind, number in self.failures.items() if kind != "unknown"]
         notes = [f"Failures: {', '.join(kinds)}."] if kinds else []
         table = Table(("value", Column("probability", "", ".3f"), "meaning"), rows, left=3)

@@ -105,6 +105,14 @@ def test_an_obstacle_on_the_way_fails_a_trial_although_its_end_meets_the_goal(tm
     assert found.failures == {"an obstacle is touched": 3}
 
 
+def test_a_trial_names_the_event_that_happened(tmp_path: Path):
+    event = fixel.ForceAbove(0.01)  # [N] of a square of 150 g
+    goal = fixel.AllOf(fixel.PoseRegion((0.03, 0, 0), position=5 * mm), never=event)
+    plan = plan_of(pushed_square(), goal, fixel.FreePushes(), [(0.875, 0.0, 0.03)])
+    found = run_on_testbed(stored(plan, tmp_path / "a.plan"), trials=2, seed=4)
+    assert found.failures == {"a force above 0.01 N": 2}
+
+
 def test_trials_with_looks_use_all_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Pushes of one trial are repeated here in one go: the run has the same friction in all.
 

@@ -17,7 +17,7 @@ from fixel.database.project import Project
 from fixel.errors import FixelError, InvalidInput
 from fixel.formats.recording import SCENE_FILE
 from fixel.model import Experiment, Scene
-from fixel.model.goals import BodyTrack
+from fixel.model.goals import BodyTrack, events_in
 from fixel.model.trajectory import wrapped
 from fixel.planning.belief import Belief
 from fixel.planning.held_out import HeldSuccess, held_success
@@ -105,6 +105,8 @@ def run_on_testbed(path: str | Path, *, trials: int = 1, seed: int = 1) -> Trial
         ends, failure = np.array([end for end, _ in each]), tuple(why for _, why in each)
         track = BodyTrack.of_ends(ends)
     met = plan.goal.met(plan.scene, track) & np.equal(failure, "")
+    events = events_in(plan.goal, plan.scene, track)
+    failure = tuple(own or event for own, event in zip(failure, events, strict=True))
     by = f"simulated testbed, seed {seed}"
     runs = zip(starts, ends, met, failure, strict=True)
     return add_trials(path, file, *(_trial(*run, by) for run in runs))
@@ -341,11 +343,8 @@ class CheckedPlan(NamedTuple):
                 f"It is at least the wanted {self.found.wanted:g} as long as less than"
                 f" {share:.1f} % of the samples are misplaced."
             )
-        if self.trials.n:
-            lines.append(str(self.trials).splitlines()[0] + ".")
-        else:
-            lines.append("No trials yet.")
-        return lines
+        done = str(self.trials).splitlines()[0] if self.trials.n else "No trials yet"
+        return [*lines, f"{done}."]
 
 
 def check_plan(project: Project | None, path: Path) -> CheckedPlan:
