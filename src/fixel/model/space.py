@@ -333,6 +333,11 @@ class ParameterSpace(Comparable):
             )
         )
 
+    def under(self, conditions: Sequence[Mapping[str, str | float]]) -> ParameterSpace:
+        """Return the space of the unknowns that apply under any of some conditions."""
+        own = (u for u in self.unknowns if any(u.covers(one) for one in conditions))
+        return ParameterSpace(unknowns=tuple(own))
+
     def started_at(self, point: ArrayLike) -> ParameterSpace:
         """Return the space with the start at a point (n_free,), clipped to the bounds."""
         inside = np.clip(np.asarray(point, np.float64), self.low, self.high).tolist()

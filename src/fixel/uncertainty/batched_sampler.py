@@ -53,7 +53,7 @@ class BatchedSampler:
         if isinstance(function, LogLikelihood):
             return _wrapped(self._evaluated(np.array(waiting, np.float64)))
         if function is own.UnitCubeSampler.sample:
-            return self._uniform(waiting, _in_cube)
+            return self._uniform(waiting, lambda one, rng: rng.uniform(size=one.kwargs["ndim"]))
         if function is own.UniformBoundSampler.sample:
             return self._uniform(waiting, _in_bound)
         if function is own.RWalkSampler.sample:
@@ -163,10 +163,6 @@ def _rng(argument: Any) -> np.random.Generator:
 
     rng: np.random.Generator = get_random_generator(argument.rseed)
     return rng
-
-
-def _in_cube(argument: Any, rng: np.random.Generator) -> FloatArray:
-    return np.asarray(rng.uniform(size=argument.kwargs["ndim"]))
 
 
 def _in_bound(argument: Any, rng: np.random.Generator) -> FloatArray:

@@ -13,6 +13,8 @@ from tests.filtering.recordings import push
 from tests.fixtures import calibration_record, project_of
 from typer.testing import CliRunner
 
+import fixel
+from fixel.calibration.noise import Noise
 from fixel.cli.main import app
 from fixel.database.project import Project
 from fixel.errors import InvalidInput, NotStored
@@ -91,6 +93,25 @@ def test_the_cameras_noise_is_found_out(folder):
     assert found.posterior.noise.position_m == pytest.approx(5e-5, rel=0.4)
     assert found.posterior.noise.angle_rad == pytest.approx(2e-3, rel=0.4)
     assert np.isfinite(found.posterior.points).all()
+
+
+@pytest.mark.usefixtures("few_live")
+def test_python_and_command_have_one_answer_for_a_calibration(tmp_path):
+    """The stated noise of the calibration counts; the second parameter is of other experiments."""
+    noise = Noise(position_m=2e-4, angle_rad=3e-3)
+    pushes = [replace(push(seed=k, duration=0.5), name=f"push-{k}") for k in (1, 2)]
+    pushes[1] = replace(pushes[1], conditions={"surface": "abs"})
+    space = {"mu_pusher": (0, 1), "tripod_radius[surface=abs]": (0.02, 0.06)}
+    options = {"noise": noise, "motion": "quasistatic", "verdicts": False, "progress": False}
+    project = project_of(tmp_path / "lab", pushes)
+    fit = fixel.calibrate(project.experiments(), space, store=project, **options)
+    own = fixel.posterior(pushes[0], fit, samples=20, progress=False)
+    (number,) = fit.run.ids
+    request = {"experiments": ("push-1",), "calibration": number, "samples": 20}
+    command = run(UNCERTAINTY, UNCERTAINTY.request(request), project.folder, progress=False)
+    assert own.labels == command.result.posterior.labels == ("mu_pusher", "model_error")
+    np.testing.assert_array_equal(own.points, command.result.posterior.points)
+    assert own.noise == command.result.posterior.noise == noise
 
 
 def _asked(folder, **changes):

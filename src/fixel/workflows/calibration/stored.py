@@ -289,7 +289,8 @@ def stored_in_run(project: Project, number: int, record: CalibrationRecord) -> C
         own = [k for k, other in summaries if other.method.get(RUN) == record.method.get(RUN)]
         records = {k: store.calibration(k) for k in own if k != number}
         same = {k: other for k, other in records.items() if other.request == record.request}
-        return _from_records(store, same | {number: record}).stored_as(number)
+        run = _from_records(store, same | {number: record})
+        return run[run.ids.index(number)] if number in run.ids else None
 
 
 def stored_calibration(project: Project, number: int) -> Calibration:

@@ -43,9 +43,10 @@ def posterior(
     parameters : mapping, sequence of str, Calibration or None
         Parameters to infer, in SI units, as for `fixel.calibrate`. Priors are uniform within the
         bounds, or normal where a `Parameter` has a prior. A calibration gives its parameters with
-        their bounds, and its motion model. By default the usual parameters of the scenes.
+        their bounds, its motion model and its stated noise. By default the usual parameters.
     noise : Noise, optional
-        Standard deviations of measured poses; estimated by default.
+        Standard deviations of measured poses; by default those stated for the calibration, else
+        estimated.
     model_error : bool or ModelError
         Whether to include the error of the model itself, with a standard deviation that is
         inferred as the last unknown, `"model_error"` [m]. Without it, intervals are too narrow
@@ -100,13 +101,13 @@ def posterior(
     own = [experiments] if isinstance(experiments, Experiment) else list(experiments)
     targets = targets_of(own)
     if isinstance(parameters, Calibration):
-        space = parameters.space
+        begun = parameters.space.started_at(parameters.found.point)
+        space, stated = begun.under([own.conditions for own in targets]), parameters.noise
         motion = parameters.motion if motion is None else motion
-        noise = parameters.noise if noise is None else noise
     else:
-        space = search_space(parameters, targets)
+        space, stated = search_space(parameters, targets), None
     comparer = Comparer(targets, space, motion=motion_model(motion), threads=threads)
-    return sample(comparer, len(targets), noise, model_error, samples, seed, progress)[0]
+    return sample(comparer, len(targets), stated, noise, model_error, samples, seed, progress)[0]
 
 
 def uncertainty(
@@ -128,7 +129,7 @@ def uncertainty(
     experiments : tuple of str
         Ids or names of experiments; by default those of the calibration.
     calibration : int, optional
-        Stored calibration whose parameters, motion model and experiments are used.
+        Stored calibration whose parameters, motion model, stated noise and experiments are used.
     fit : tuple of str
         Parameter to infer, in SI units or with the suffix _mm, _deg or _mrad; may be repeated.
     held_out : tuple of str
@@ -144,10 +145,13 @@ def uncertainty(
     NotStored
         There is no such experiment or calibration.
     """
+    from fixel.workflows.calibration.stored import request_in
     from fixel.workflows.uncertainty.sampling import sample, selected, with_predictions
 
     own = selected(project, experiments, calibration, fit, held_out, options.pop("motion", None))
-    found, point = sample(own.comparer, own.n_used, progress=progress, **options)
+    one = own.calibration and own.calibration.record
+    stated = request_in(one).noise if one and one.request else None
+    found, point = sample(own.comparer, own.n_used, stated, progress=progress, **options)
     return with_predictions(own, found, options["samples"], point)
 
 

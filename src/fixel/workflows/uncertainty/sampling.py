@@ -21,7 +21,7 @@ from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.model import Experiment
 from fixel.model.selection import ExperimentQuery
-from fixel.model.space import ParameterSpace, Unknown
+from fixel.model.space import ParameterSpace
 from fixel.progress import ProgressOption, show_progress
 from fixel.simulation.motion import motion_model
 from fixel.typing import FloatArray
@@ -107,25 +107,27 @@ def selected(
         experiments = [store.experiment(number) for number in (*ids, *held)]
         compared = one or _newest(store, ids[0])
     targets = [target_of(experiment) for experiment in experiments]
-    unknowns = _unknowns(project, settings, one, targets[: len(ids)])
+    space = _space(project, settings, one, targets[: len(ids)])
     if motion is None and one is not None:
         motion = one.motion.name
-    comparer = Comparer(
-        targets, ParameterSpace(unknowns=tuple(unknowns)), motion=motion_model(motion)
-    )
+    comparer = Comparer(targets, space, motion=motion_model(motion))
     return SampledExperiments([*ids, *held], experiments, len(ids), comparer, one, compared)
 
 
 def sample(
     comparer: Comparer,
     n_used: int,
+    stated: Noise | None,
     noise: Noise | None,
     model_error: bool | ModelError,
     samples: int,
     seed: int,
     progress: ProgressOption,
 ) -> tuple[Posterior, FloatArray]:
-    """Return the posterior of the first experiments of a comparer, and the point of a rough fit."""
+    """Return the posterior of the first experiments of a comparer, and the point of a rough fit.
+
+    The noise is by default the one `stated` for a calibration, else estimated.
+    """
     members = list(range(n_used))
     error = model_error if isinstance(model_error, ModelError) else ModelError()
     own = None if model_error is False else error
@@ -133,7 +135,7 @@ def sample(
         residuals = Frames(comparer, np.asarray(members, np.int64)).residuals(FIRST_NOISE)
         rough = ROUGH_FIT.start(box_of(comparer.space), seed)
         point = np.asarray(fit(rough, residuals).point)
-        known = noise or _noise(comparer, members, point, own is not None)
+        known = noise or stated or _noise(comparer, members, point, own is not None)
         likelihood = LogLikelihood(comparer, members, known, own)
         done = 0
 
@@ -210,20 +212,18 @@ def _ids(store: Store, keys: Sequence[str], one: CalibratedValues | None) -> lis
     )
 
 
-def _unknowns(
+def _space(
     project: Project,
     settings: Sequence[str],
     one: CalibratedValues | None,
     targets: Sequence[Target],
-) -> list[Unknown]:
+) -> ParameterSpace:
     """Return the requested parameters, a calibration's with its bounds, or the usual ones."""
     scenes = [target.case.scene for target in targets]
-    if settings:
-        return searched_unknowns(settings, scenes)
-    if one is None:
-        return default_unknowns(scenes)
-    space = searched_space(project, one, scenes)
-    return [u for u in space.unknowns if any(u.covers(t.conditions) for t in targets)]
+    if settings or one is None:
+        own = searched_unknowns(settings, scenes) if settings else default_unknowns(scenes)
+        return ParameterSpace(unknowns=tuple(own))
+    return searched_space(project, one, scenes).under([t.conditions for t in targets])
 
 
 def _noise(comparer: Comparer, members: list[int], point: FloatArray, of_camera: bool) -> Noise:
