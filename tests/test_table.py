@@ -5,11 +5,14 @@ import doctest
 import io
 import json
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import fixel.table
+from fixel.errors import counted
 from fixel.table import Column, Table
 
 TABLE = Table(
@@ -31,6 +34,20 @@ def test_plain_text_is_aligned_and_may_be_cut() -> None:
         "d              -         bounded",
     ]
     assert len(TABLE.lines(max_rows=1)) == 2
+
+
+@pytest.mark.parametrize(("number", "what", "text"), [
+    (0, "frame", "0 frames"), (1, "frame", "1 frame"), (np.int64(1), "push", "1 push"),
+    (11, "push", "11 pushes"), ("1,001", "simulation", "1,001 simulations"),
+])  # fmt: skip
+def test_single_things_are_singular(number, what, text) -> None:
+    assert counted(number, what) == text
+
+
+def test_no_sentence_has_a_plural_of_its_own() -> None:
+    files = Path(fixel.table.__file__).parent.rglob("*.py")
+    own = re.compile(r"""\w\{?["']e?s["'] (\*|if) """)
+    assert [file.name for file in files if own.search(file.read_text(encoding="utf-8"))] == []
 
 
 def test_html_is_escaped_and_marks_columns_of_words() -> None:

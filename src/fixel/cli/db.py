@@ -15,6 +15,7 @@ from fixel.cli.options import (
     with_options,
 )
 from fixel.cli.screen import command_of, paragraphs, print_answer, shortened
+from fixel.errors import counted
 from fixel.table import Table
 
 if TYPE_CHECKING:
@@ -132,7 +133,7 @@ def _troubles(found: "CheckResult") -> list[str]:
     if not n:
         return ["No errors: everything could be read."]
     shown = [f"  {t.where}: {t.sentence}" for t in found.troubles[:MAX_TROUBLES]]
-    return [f"{n} error{'s' * (n != 1)}", *shortened(shown, n, "  ")]
+    return [counted(n, "error"), *shortened(shown, n, "  ")]
 
 
 def _next(found: "CheckResult", project: Path) -> str:

@@ -27,7 +27,7 @@ from fixel.cli.screen import (
     shortened,
     wrote,
 )
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, counted
 from fixel.progress import show_progress, time_text
 from fixel.table import Column, Table
 
@@ -109,8 +109,8 @@ def import_(
         "experiments": plan.n_experiments,
         "understood": list(plan.understood),
     }
-    n = plan.n_experiments
-    lines = [f"{source}: {n} experiment{'s' * (n != 1)}, read as {plan.importer}"]
+    experiments = counted(plan.n_experiments, "experiment")
+    lines = [f"{source}: {experiments}, read as {plan.importer}"]
     lines += [f"  {sentence}" for sentence in plan.understood]
     if dry_run:
         content["experiments"] = sum(1 for _ in plan)
@@ -168,7 +168,7 @@ def print_imported(
     time = time_text(done.wall_time_s)
     time += f", {done.known} were already stored" if done.known else ""
     lines = [
-        f"stored {done.new} experiment{'s' * (done.new != 1)} in {time}",
+        f"stored {counted(done.new, 'experiment')} in {time}",
         *_skipped(content.get("skipped", ())),
     ]
     if "template" in content:
@@ -253,8 +253,7 @@ def _listed(listing: "ExperimentPage") -> list[str]:
     rows = [_row(row) for row in listing.rows]
     lines = Table(columns, rows, left=3).lines() if rows else []
     more = listing.total - len(rows)
-    total = f"{listing.total} experiment{'s' * (listing.total != 1)}"
-    lines.append(total + (f", {more} not shown" if more else ""))
+    lines.append(counted(listing.total, "experiment") + (f", {more} not shown" if more else ""))
     if listing.left_out:
         lines[-1] += (
             f"; {listing.left_out} with faults in their data are not listed (--all lists them)"
@@ -391,8 +390,7 @@ def _exported(answer: "ExportAnswer") -> list[str]:
         "calibrations": "calibrations that use experiments which are not exported",
     }
     return [
-        f"{total} experiment{'s' * (total != 1)}"
-        + (f", of them {', '.join(about)}" if about else ""),
+        counted(total, "experiment") + (f", of them {', '.join(about)}" if about else ""),
         *([f"with {', '.join(more)}"] if more else []),
         *(f"skipped: {n} {reasons[what]}" for what, n in answer.left_out.items()),
         f"wrote {answer.target}, {answer.bytes / 1e6:.3g} MB in {time_text(answer.seconds)}",

@@ -15,6 +15,7 @@ from fixel.cli.screen import (
     shortened,
     wrote,
 )
+from fixel.errors import counted
 from fixel.table import Column, Table
 from fixel.workflows.sentences import origin_of
 
@@ -199,7 +200,7 @@ def _lines(done: "Report") -> list[str]:
     return [
         *content.findings,
         "",
-        f"{n} warning{'s' * (n != 1)}, at the top of the report:" if n else "no warnings",
+        f"{counted(n, 'warning')}, at the top of the report:" if n else "no warnings",
         *(f"  - {sentence}" for sentence in content.warnings),
         "",
         f"wrote {done.page} ({done.size / 1e6:.1f} MB), {len(done.figures)} figures as PDF in"

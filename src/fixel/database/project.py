@@ -30,7 +30,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fixel.database.store import ExperimentView, Store
 from fixel.datasets.experiments import ExperimentEntry, Experiments
-from fixel.errors import InvalidInput, StoreRefused, machine_failure
+from fixel.errors import InvalidInput, StoreRefused, counted, machine_failure
 from fixel.io.atomic import write_whole
 from fixel.io.document import read_document
 from fixel.model import Experiment
@@ -408,9 +408,7 @@ class Project:
         except StoreRefused as refused:
             return Summary(heading, notes=[str(refused)])
         table = Table(("dataset", "experiments"), [*datasets.items()])
-        return Summary(
-            heading, [table] if datasets else [], [f"{n_fit} calibration{'s' * (n_fit != 1)}"]
-        )
+        return Summary(heading, [table] if datasets else [], [counted(n_fit, "calibration")])
 
     # --- database -------------------------------------------------------------------------------
 

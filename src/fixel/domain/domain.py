@@ -30,7 +30,7 @@ from fixel.domain.claim import (
 from fixel.domain.evidence import HeldOutErrors, Measure, value_of
 from fixel.domain.next_experiment import Proposal, proposals, untried
 from fixel.domain.surface import CellObservations, Surface, fit_surface
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, counted
 from fixel.model import Experiment, Probability, Scene
 from fixel.model.fields import frozen
 from fixel.results import Result, Summary
@@ -394,7 +394,7 @@ class DomainMap(Result):
         n = int(self.counts[g, c])
         if n == 0:
             return self._without_data(claim, g, c)
-        said = f"{n} experiment{'s' if n > 1 else ''}, {claim.text(seen)}"
+        said = f"{counted(n, 'experiment')}, {claim.text(seen)}"
         below = seen <= claim.threshold
         if below and sure >= least:
             return CellVerdict(TRUSTED, sure, f"{said}; probability {100.0 * sure:.0f} %")

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from fixel.calibration.contacts import PART, SIDE, SPEED, Novelty, PushedContacts, TouchedPlaces
 from fixel.calibration.known_pushes import MIN_EXPERIMENTS
 from fixel.domain.features import Scale, ScaleModel, default_model, fitted_model, powered, unpowered
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, counted
 from fixel.typing import BoolArray, FloatArray, IntArray
 
 LEVEL: Final = 0.9
@@ -565,8 +565,7 @@ def _few(label: Hashable, n: int) -> str:
     """Return why a group counts as unseen; empty if it has enough experiments."""
     if not n:
         return f"no experiment with {label}"
-    several = "s" if n > 1 else ""
-    return "" if n >= MIN_EXPERIMENTS else f"only {n} experiment{several} with {label}"
+    return "" if n >= MIN_EXPERIMENTS else f"only {counted(n, 'experiment')} with {label}"
 
 
 def _check_units(rule: str, level: float, n_unit: int) -> None:

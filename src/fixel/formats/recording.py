@@ -24,7 +24,7 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, counted
 from fixel.formats.recording_files import (
     CODECS,
     END,
@@ -218,7 +218,7 @@ def _problems(
     if end is not None:
         yield from end.problems
         if end.lost:
-            yield f"{_frames(end.lost)} lost while recording"
+            yield f"{counted(end.lost, 'frame')} lost while recording"
 
 
 def _broken_off(rows: RecordingRows, n: int, seen: int, end: RecordingEnd | None) -> Iterator[str]:
@@ -231,13 +231,9 @@ def _broken_off(rows: RecordingRows, n: int, seen: int, end: RecordingEnd | None
     if rows.torn:
         yield f"the last row of {ROWS} is torn; left out"
     if n_rows > n:
-        yield f"{_frames(n_rows - n)} at the end without a whole picture; left out"
+        yield f"{counted(n_rows - n, 'frame')} at the end without a whole picture; left out"
     if seen > n_rows:
-        yield f"{_frames(seen - n_rows)} at the end without a row; left out"
-
-
-def _frames(n: int) -> str:
-    return f"{n} frame" + ("" if n == 1 else "s")
+        yield f"{counted(seen - n_rows, 'frame')} at the end without a row; left out"
 
 
 MAX_READING: Final = 255

@@ -12,7 +12,7 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, counted
 from fixel.model.fields import Comparable, frozen, instance, name_of, optional_positive, settle
 from fixel.model.scene import Scene
 from fixel.model.trajectory import Trajectory
@@ -321,7 +321,7 @@ class Experiment(Comparable, Result):
         notes += [f"contact mode at the end: {self.contact_mode}"] if self.contact_mode else []
         notes += [] if self.scene else ["no scene: it can be drawn, but not simulated"]
         notes += [f"{flag.name}: {flag.detail}" for flag in self.flags]
-        heading = f"Experiment {self.key}, {kind}: {n} frame{'s' * (n != 1)}, {self.duration:.2f} s"
+        heading = f"Experiment {self.key}, {kind}: {counted(n, 'frame')}, {self.duration:.2f} s"
         return Summary(heading, [table], notes)
 
     def _repr_html_(self) -> str:

@@ -16,7 +16,7 @@ from fixel.calibration.known_pushes import KnownPushes, push_target, texts_of, w
 from fixel.calibration.target import Target, target_of
 from fixel.domain.error_bound import CAUTIOUS, NO_DATA, TYPICAL, ConformalBound, min_experiments
 from fixel.domain.push_bound import UNSEEN, PushBound
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, counted
 from fixel.model import Experiment, Pose, Scene
 from fixel.parts import fit
 from fixel.parts.left_out import (
@@ -427,7 +427,9 @@ class PartModel(Result):
             ends = np.full((len(targets), 4), np.inf)
             few = f"{n} parts were pushed often enough; a bound needs {MIN_PARTS} at least"
             far = (few,) * len(targets)
-        judged = f"bounds from {n} parts that were left out, each after {_count(k)} of its own"
+        judged = (
+            f"bounds from {n} parts that were left out, each after {counted(k, 'push')} of its own"
+        )
         surfaces = {own.surface for own in self.fits}
         found = []
         for target, end, why, ended in zip(targets, ends.tolist(), far, good, strict=True):
@@ -453,7 +455,7 @@ class PartModel(Result):
         if self.pushes:
             own = f" {part!r}" if part else ""
             others = texts_of([one for one in unseen if one.what not in (self.part, PART)])
-            return (f"part{own}: only {_count(len(self.pushes))} of it", *others)
+            return (f"part{own}: only {counted(len(self.pushes), 'push')} of it", *others)
         texts = texts_of(unseen)
         return texts or (f"part {part!r}: predicted like a new one, from the other parts",)
 
@@ -497,14 +499,14 @@ class PartModel(Result):
             f" {100.0 * self.level:g} % needs {min_experiments(self.level)} parts"
         )
         return Summary(
-            f"PartModel: {n} parts, {len(self.experiments)} pushes;"
-            f" {_count(len(self.pushes))} of the new part",
+            f"PartModel: {counted(n, 'part')}, {counted(len(self.experiments), 'push')};"
+            f" {counted(len(self.pushes) or 'no', 'push')} of the new part",
             [
                 Table(
                     ("left out", "predicted", Column("position [mm]", format=".2f"),
                      Column("angle [deg]", format=".2f")),
                     rows,
-                    title=f"mean error after {_count(k)} of the part that was left out",
+                    title=f"mean error after {counted(k, 'push')} of the part that was left out",
                 )
             ],
             notes,
@@ -555,7 +557,3 @@ def _median(errors: FloatArray) -> float:
     """Return the median of the finite errors; 0 without any."""
     some = errors[np.isfinite(errors)]
     return float(np.median(some)) if len(some) else 0.0
-
-
-def _count(n: int) -> str:
-    return f"{n or 'no'} push{'' if n == 1 else 'es'}"

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from fixel.calibration.known_pushes import PARTS, SURFACES
 from fixel.calibration.target import Target
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, counted
 from fixel.model import rotated, wrapped
 from fixel.parts.model import SAME_DIRECTION, SAME_PLACE
 from fixel.results import Result, Summary
@@ -251,9 +251,9 @@ def check_table(
     different = len(np.unique(pairs.groups(np.ones(len(pairs.pushes), bool))))
     towards = math.degrees(math.atan2(*moments.tilt[0, ::-1].tolist()))
     notes = (
-        f"{100.0 * level:g} % intervals from {len(np.unique(pairs.pushes))} pushes of {different}"
-        f" kind{'s' * (different > 1)}; a share is with the effects up to its row, for a plan that"
-        " knows the mean of its push",
+        f"{100.0 * level:g} % intervals from {counted(len(np.unique(pairs.pushes)), 'push')}"
+        f" of {counted(different, 'kind')}; a share is with the effects up to its row, for a plan"
+        " that knows the mean of its push",
         *(f"{own.name} unknown: no equal pushes for it" for own in rooms if not own.pairs),
         *([f"parts drift towards {towards:.0f} deg from world x"] if tilt.is_found else []),
         f"sessions: {session if drift.pairs else 'no spot was pushed in two of them'}",

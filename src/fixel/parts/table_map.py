@@ -13,7 +13,7 @@ import numpy as np
 from fixel.calibration.contacts import contacts_of
 from fixel.calibration.objective import ANGLE_SCALE
 from fixel.calibration.target import target_of
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, counted
 from fixel.model import Experiment, LoadMap, Scene, placed
 from fixel.model.support import support_points
 from fixel.parts import table_fit
@@ -327,8 +327,8 @@ class TableMap(Result):
         seen = self.deviation < UNSEEN * table_fit.DEVIATION
         area = 1e4 * float(seen.sum() * np.prod(self.load_map.cell))
         return Summary(
-            f"TableMap of {self.surface}={self.name}: {len(self.experiments)} pushes of"
-            f" {len(self.values)} parts; {verdict}",
+            f"TableMap of {self.surface}={self.name}: {counted(len(self.experiments), 'push')} of"
+            f" {counted(len(self.values), 'part')}; {verdict}",
             [self.judgement.table()],
             [self.judgement.sentence(), f"the pushes have seen {area:.0f} cm^2 of the table"],
             {"world coordinates of": ", ".join(self.frame)},

@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple, final, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, counted
 from fixel.kernels import codes
 from fixel.model import (
     Body,
@@ -638,7 +638,7 @@ class BatchResult(Result):
             rows = [(head, *np.percentile(values, (5, 50, 95))) for head, values in shown]
             tables = [Table(("at the end", *heads), rows)]
         return Summary(
-            f"BatchResult: {n} run{'s' * (n != 1)}{varied};"
+            f"BatchResult: {counted(n, 'run')}{varied};"
             f" {', '.join(f'{count} {name}' for name, count in counts)}",
             tables,
             notes,

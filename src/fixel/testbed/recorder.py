@@ -14,7 +14,7 @@ from typing import Final, NamedTuple, Protocol, final, runtime_checkable
 
 import numpy as np
 
-from fixel.errors import FixelError, InvalidInput, os_reason
+from fixel.errors import FixelError, InvalidInput, counted, os_reason
 from fixel.formats.recording import RecordingHeader, RecordingWriter
 from fixel.testbed.frame_source import STALLED, CameraPicture, FrameQueue, FrameSource, Stream
 from fixel.testbed.tactile import TactileReading
@@ -98,11 +98,8 @@ class FrameRate:
         """Return a sentence about the gaps; empty without gaps."""
         if not self.gaps:
             return ""
-        plural = "" if self.gaps == 1 else "s"
-        return (
-            f"{self.gaps} gap{plural} between frames; the longest is {self.longest * 1e3:.0f} ms, "
-            f"after t = {self.longest_at:.3f} s"
-        )
+        longest = f"{self.longest * 1e3:.0f} ms, after t = {self.longest_at:.3f} s"
+        return f"{counted(self.gaps, 'gap')} between frames; the longest is {longest}"
 
 
 class RecordingSummary(NamedTuple):

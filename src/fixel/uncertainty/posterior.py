@@ -20,7 +20,7 @@ import numpy as np
 from fixel.calibration.known_pushes import KnownPushes
 from fixel.calibration.noise import Noise
 from fixel.calibration.solutions import find_solutions
-from fixel.errors import InvalidInput, MissingExtra
+from fixel.errors import InvalidInput, MissingExtra, counted
 from fixel.model.space import ParameterSpace
 from fixel.results import Result, Summary
 from fixel.table import Column, Table
@@ -245,7 +245,7 @@ class Posterior(Result):
 
     def _summary(self) -> Summary:
         n = len(self.experiments)
-        of = f" of {n} experiment{'s' if n > 1 else ''}" if n else ""
+        of = f" of {counted(n, 'experiment')}" if n else ""
         modes = ", ".join(f"{100.0 * mode.weight:.0f} %" for mode in self.modes)
         notes = [f"{len(self.modes)} separate modes: {modes}"] if len(self.modes) > 1 else []
         notes.append(f"log evidence {self.log_evidence:.2f} +- {self.log_evidence_error:.2f}")

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 
 from fixel.calibration.optimiser import between
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, counted
 from fixel.model import BodyTrack, Goal, Probability, Scene
 from fixel.model.fields import settle
 from fixel.model.goals import touching
@@ -221,13 +221,12 @@ class Prediction(Result):
             for k, (name, unit, factor) in enumerate(units)
         ]
         starts = "" if self.error is None else f", {self.error}"
-        notes = (
-            [] if not self.failed else [f"{self.failed} runs without an end pose are not included"]
-        )
+        lost = f"not included: {counted(self.failed, 'run')} without an end pose"
+        notes = [lost] if self.failed else []
         if self.drift is not None:
             notes.append("end poses include model error; contacts do not")
         return Summary(
-            f"Prediction: {n} runs{starts} ({self.motion})",
+            f"Prediction: {counted(n, 'run')}{starts} ({self.motion})",
             [Table(head, rows), *self._mode_table()],
             notes,
             {"seed": str(self.seed), "parameters": ", ".join(self.parameters) or "of the scene"},
@@ -338,7 +337,7 @@ def levels_of(poses: FloatArray, pose: FloatArray) -> tuple[float, float]:
 def _several(draws: FloatArray) -> FloatArray:
     """Return draws (k, ...) if there are two at least: fewer have no spread."""
     if len(draws) < 2:
-        found = f"{len(draws)} simulation{'s' * (not len(draws))} with an end pose"
+        found = f"{counted(len(draws), 'simulation')} with an end pose"
         raise InvalidInput("prediction", found=found, expected="two at least")
     return draws
 

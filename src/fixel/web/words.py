@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from markupsafe import Markup
 
+from fixel.errors import counted
 from fixel.progress import time_text
 from fixel.table import Table
 from fixel.typing import FloatArray
@@ -58,7 +59,7 @@ def count(number: int) -> str:
 
 def several(number: int, what: str) -> str:
     """Return a number of things: `1 experiment`, `2 experiments`."""
-    return f"{count(number)} {what}{'' if number == 1 else 's'}"
+    return counted(count(number), what)
 
 
 def condition(name: str, value: str | float) -> tuple[str, str, str]:

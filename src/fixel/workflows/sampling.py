@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, counted
 
 if TYPE_CHECKING:
     from fixel.database.project import Project
@@ -221,7 +221,7 @@ def _problems(answer: SampleAnswer) -> list[str]:
         return [f"No problems, checked {how}."]
     shown = [f"  {own.name}: {own.sentence}" for own in answer.problems[:MAX_PROBLEMS]]
     more = [f"  ... and {n - len(shown)} more; --json has them all"] if n > len(shown) else []
-    return [f"{n} problem{'s' * (n != 1)}, checked {how}", *shown, *more]
+    return [f"{counted(n, 'problem')}, checked {how}", *shown, *more]
 
 
 SAMPLE: Final = Capability(name="sample", function=sample, plot="file")

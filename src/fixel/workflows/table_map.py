@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, final
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door
 from fixel.capability.usual import TABLE, Dataset, Flagged, Threads, Where
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, counted
 
 if TYPE_CHECKING:
     from fixel.database.project import Project
@@ -207,7 +207,8 @@ def report_of(found: StoredMap) -> AnalysisReport:
     numbers |= {"frame": [*table.frame], "parts": [*table.values], "change_of_errors": gains}
     said, *notes = table._summary().notes
     verdict = f"helps, with weight {table.weight:g}" if table.weight else "does not help"
-    pushes = f"{len(found.rows)} pushes of {len(table.values)} parts on {_named(table)}"
+    parts = f"{counted(len(table.values), 'part')} on {_named(table)}"
+    pushes = f"{counted(len(found.rows), 'push')} of {parts}"
     analysis = analysis_of(
         TABLE_MAP.name,
         table,

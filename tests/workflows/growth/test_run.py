@@ -141,7 +141,7 @@ def test_of_repetitions_the_first_counts(lab, experiments):
         store.add_experiment(again)
         found = explored(store)
     assert found.samples.ids == ids
-    assert any("1 repetitions skipped" in sentence for sentence in found.warnings)
+    assert any("1 repetition skipped" in sentence for sentence in found.warnings)
 
 
 def test_stored_errors_that_are_not_met_again_are_told(tmp_path, experiments, points, errors):

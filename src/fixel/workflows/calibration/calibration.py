@@ -34,7 +34,7 @@ from fixel.calibration.objective import (
 from fixel.calibration.result import PLAIN, CalibrationResult, FitKind, ParameterSet
 from fixel.calibration.study import MADE, OUT_OF_BUDGET
 from fixel.calibration.target import Target, target_of
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, counted
 from fixel.io.damaged_files import readable
 from fixel.jobs import folder as files
 from fixel.model import Experiment, Parameters, Scene
@@ -640,10 +640,6 @@ class Calibrations(CalibrationPlan, Result, Sequence[Calibration]):
         kinds = (FitKind.DIRECT, FitKind.STORED)
         return next((fit for fit in self if fit.found.how in kinds), None)
 
-    def stored_as(self, number: int) -> Calibration | None:
-        """Return the calibration with an id in a project; None if it is not one of these."""
-        return self[self.ids.index(number)] if number in self.ids else None
-
     @property
     def skipped(self) -> tuple[str, ...]:
         """Sentences on the experiments that were left out, one for each reason."""
@@ -712,8 +708,8 @@ class Calibrations(CalibrationPlan, Result, Sequence[Calibration]):
         more = len(rows) - MAX_ROWS
         notes = [f"... and {more} more; --json has them all"] if more > 0 else []
         parts = [one.analysis for one in self if not one.found.how.is_single]
-        m, n = len(self), len(self.outcome.keys)
-        title = f"{m} calibration{'s' * (m != 1)} of {n} experiment{'s' * (n != 1)}"
+        experiments = counted(len(self.outcome.keys), "experiment")
+        title = f"{counted(len(self), 'calibration')} of {experiments}"
         ended = " (interrupted)" if self.interrupted else ""
         return Analysis(
             kind="calibrate",

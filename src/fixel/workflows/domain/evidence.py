@@ -27,7 +27,7 @@ from fixel.domain.held_out import (
     held_out,
     noise_floor,
 )
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, counted
 from fixel.io.array_bytes import ResultCache
 from fixel.io.atomic import write_whole
 from fixel.io.damaged_files import readable
@@ -142,7 +142,7 @@ def _unseen(records: Store, calibration: int | None, targets: Sequence[Target]) 
     known = known_pushes(records, load_values(records, calibration))
     counts = Counter(text for target in targets for text in known.texts(target))
     return [
-        f"calibration {calibration}: {text} ({n} experiment{'s' if n > 1 else ''})"
+        f"calibration {calibration}: {text} ({counted(n, 'experiment')})"
         for text, n in counts.items()
     ]
 

@@ -16,7 +16,7 @@ from fixel.domain.evidence import default_folds
 from fixel.domain.held_out import Apart, CalibrationModel, end_errors, held_out, stepper_for
 from fixel.domain.push_bound import ErrorBound, LeftOutErrors, features_of
 from fixel.drawing.domain import bound_chart
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, counted
 from fixel.progress import Reporter
 from fixel.typing import FloatArray, IntArray
 from fixel.workflows.analysis import Analysis, AnalysisReport, StoredAnswer
@@ -70,7 +70,7 @@ def report_of(answer: BoundAnswer) -> AnalysisReport:
                 f" at the median {medians[0]} mm and {medians[1]} deg ({len(bound.keys)}"
                 " experiments, held out).",
             ),
-            warnings=(f"{n} experiment{'s' * (n != 1)} cannot be compared: {why}",) if n else (),
+            warnings=(f"{counted(n, 'experiment')} cannot be compared: {why}",) if n else (),
             tables=tuple(summary.tables),
             notes=tuple(summary.notes),
             references=("vovk2005", "barber2021", "dunn2022", "lee2023"),

@@ -28,7 +28,7 @@ from fixel.domain.growth import (
     Step,
     weights,
 )
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, counted
 from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Member
 from fixel.model.space import ParameterSpace, Unknown
@@ -278,7 +278,7 @@ def _empty(growth: Growth) -> list[str]:
         return []
     name, step = lacking[0]
     return [
-        f"{len(lacking)} steps have no largest error, such as {name}, step {step.step}: "
+        f"No largest error for {counted(len(lacking), 'step')}, such as {name}, step {step.step}: "
         f"{step.reason}."
     ]
 

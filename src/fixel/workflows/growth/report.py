@@ -13,6 +13,7 @@ from fixel.domain.along_axis import AxisEdges, AxisStudy
 from fixel.domain.growth import AVERAGED, STORED
 from fixel.drawing.chart import display_unit, unit_text
 from fixel.drawing.growth import axis_chart, error_matrix, growth_matrix, growth_steps
+from fixel.errors import counted
 from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.workflows.analysis import Analysis, AnalysisReport, StoredAnswer
@@ -27,7 +28,7 @@ def report_of(found: Exploration) -> AnalysisReport:
     """Return headline, warnings, tables, charts and numbers of an exploration."""
     banner, n = found.samples.banner, len(found.added)
     simulated = [f"{banner}: these experiments were simulated, not recorded."] if banner else []
-    new = f", {n} parameter sets stored as calibrations" if n else ""
+    new = f", {counted(n, 'parameter set')} stored as calibrations" if n else ""
     matrix = error_matrix(found.growth)
     return AnalysisReport(
         Analysis(
@@ -37,7 +38,7 @@ def report_of(found: Exploration) -> AnalysisReport:
             headline=_headline(found, matrix),
             warnings=(*simulated, *found.warnings),
             tables=(matrix_table(found), _edges_table(found)),
-            notes=(f"{found.rollouts} simulations{new}",),
+            notes=(f"{counted(found.rollouts, 'simulation')}{new}",),
             methods=_methods(found),
             references=(THESIS,),
             numbers=numbers(found),

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple, final
 from fixel.calibration.target import Target, target_of
 from fixel.database.store import Store
 from fixel.domain.growth import AXES, NOMINAL, AxisPlace, ExperimentGroup
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, counted
 from fixel.model.selection import Bound, ExperimentQuery, ExperimentRow
 from fixel.workflows.figures import banner_of
 
@@ -74,10 +74,10 @@ def read_samples(
     _refuse_datasets(seated)
     warnings = []
     if listing.left_out:
-        warnings.append(f"{listing.left_out} experiments skipped because their data have faults.")
-    repeated = sum(len(found) - 1 for found in seated.values())
-    if repeated:
-        warnings.append(f"{repeated} repetitions skipped; the first at each offset counts.")
+        warnings.append(f"faults in the data: {counted(listing.left_out, 'experiment')} skipped.")
+    again = sum(len(found) - 1 for found in seated.values())
+    if again:
+        warnings.append(f"{counted(again, 'repetition')} skipped; the first at an offset counts.")
     first = {seat: min(found, key=_repetition) for seat, found in seated.items()}
     return _read(store, first, warnings)
 
@@ -144,8 +144,8 @@ def _read(store: Store, first: dict[_Seat, ExperimentRow], warnings: list[str]) 
         targets.append(target)
         makers.append("" if experiment.real else experiment.simulated_by or "an unknown program")
     if unusable:
-        warnings.append(f"skipped {len(unusable)} experiments that cannot be compared with a "
-                        f"simulation: {_some(unusable)}.")  # fmt: skip
+        skipped = f"skipped {counted(len(unusable), 'experiment')} that cannot be compared with a"
+        warnings.append(f"{skipped} simulation: {_some(unusable)}.")
     return GrowthSamples(
         ids=ids,
         targets=targets,

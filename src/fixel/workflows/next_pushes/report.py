@@ -17,7 +17,7 @@ from fixel.calibration.target import target_of
 from fixel.database.project import Project
 from fixel.domain.error_bound import min_experiments
 from fixel.drawing.parts import next_pushes_chart
-from fixel.errors import InvalidInput, unknown_name
+from fixel.errors import InvalidInput, counted, unknown_name
 from fixel.formats.plan_file import load_plan, plan_text
 from fixel.formats.scene_file import load_scene
 from fixel.io.atomic import write_whole
@@ -45,12 +45,13 @@ def report_of(found: PushProposal) -> AnalysisReport:
     chart = next_pushes_chart(pushes, f"Next pushes of {where}")
     caption = "Outline of the part with the proposed pushes, the best first."
     parts = {own.part.name and str(one.conditions[own.part.name]) for one in own.known}
+    known, of = counted(len(own.known), "push"), counted(len(parts), "part")
     analysis = Analysis(
         kind="next",
         title=f"Next pushes of {where}",
         question={},
         headline=(
-            f"Next pushes of {where}, after {pushes.pushes} pushes"
+            f"Next pushes of {where}, after {counted(pushes.pushes, 'push')}"
             f" ({pushes.candidates} candidates).",
             _headline(pushes),
             f"The bounds come from {len(model.parts)} parts that were left out. They prove at most"
@@ -60,10 +61,10 @@ def report_of(found: PushProposal) -> AnalysisReport:
         warnings=(
             *pushes.unseen,
             *pushes.gaps,
-            *(f"{n} experiment{'s' * (n != 1)} {why}: not used" for why, n in own.skipped.items()),
+            *(f"{counted(n, 'experiment')} {why}: not used" for why, n in own.skipped.items()),
         ),
         tables=(pushes.table(),),
-        notes=(pushes.notes[0], f"learned from {len(own.known)} pushes of {len(parts)} parts"),
+        notes=(pushes.notes[0], f"learned from {known} of {of}"),
         numbers=_numbers(found),
     )
     banner = banner_over(model.experiments)
@@ -82,7 +83,7 @@ def _headline(pushes: NextPushes) -> str:
         return "None of the intended pushes has a bound."
     ratio = float(pushes.shrinking[-1])
     return (
-        f"Bounds now: {pushes.now}; expected after these {len(pushes.order)} pushes:"
+        f"Bounds now: {pushes.now}; expected after {counted(len(pushes.order), 'push')}:"
         f" {100.0 * ratio:.0f} % of that."
     )
 

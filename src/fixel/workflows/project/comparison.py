@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 
 from fixel.datasets.experiments import Experiments
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, counted
 from fixel.kernels import codes
 from fixel.model import Experiment, Parameters
 from fixel.model.records import SimulationRecord
@@ -121,8 +121,8 @@ class Comparison(Result):
 
     def _summary(self) -> Summary:
         keys = dict.fromkeys(row.run.experiment.key for row in self.rows)
-        n = len(self.models)
-        heading = f"Comparison of {len(keys)} experiments with {n} model{'s' * (n != 1)}"
+        models = counted(len(self.models), "model")
+        heading = f"Comparison of {counted(len(keys), 'experiment')} with {models}"
         unseen = self._unseen()
         if len(keys) == 1:
             title = f"Comparison of experiment {next(iter(keys))}"

@@ -18,7 +18,7 @@ from fixel.database.engine import open_engine, reading
 from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.database.stored_content import RESTORE, Trouble, content_troubles, schema_troubles
-from fixel.errors import InvalidInput, StoreRefused, os_reason
+from fixel.errors import InvalidInput, StoreRefused, counted, os_reason
 from fixel.io.atomic import written_whole
 
 OWNERS: Final = {
@@ -227,7 +227,7 @@ def _broken_references(connection: sa.Connection) -> Iterator[Trouble]:
             )
             n = connection.scalar(lost)
             if n:
-                sentence = f"{n} row{'s' * (n != 1)} of {table.name} without their {column.name}"
+                sentence = f"{counted(n, 'row')} of {table.name} without their {column.name}"
                 yield Trouble(table.name, sentence, RESTORE)
 
 

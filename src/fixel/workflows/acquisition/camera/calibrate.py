@@ -10,7 +10,7 @@ import numpy as np
 
 from fixel.drawing.chart import draw_chart, require_file
 from fixel.drawing.prints import PRINT_ENDINGS, PrintSheet, board_sheet, save_sheets, tag_sheets
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, counted
 from fixel.formats.camera_import import import_camera
 from fixel.formats.camera_opencv import save_opencv, save_ros
 from fixel.formats.recording import RIG_FILE
@@ -381,10 +381,9 @@ class PrintAnswer(NamedTuple):
             return [
                 ["Print at 100 %, check the length of the ruler, glue the sheet to a flat plate."]
             ]
-        sheets = f"{self.sheets} sheet{'s' if self.sheets > 1 else ''}"
         return [
             [
-                f"{self.tags} tags on {sheets}. "
+                f"{counted(self.tags, 'tag')} on {counted(self.sheets, 'sheet')}. "
                 "Print at 100 %, check the ruler, leave the white border around each tag."
             ]
         ]
