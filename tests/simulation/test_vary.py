@@ -17,8 +17,15 @@ from fixel.model import (
     Tripod,
     UniformPressure,
 )
+from fixel.simulation.pack import supports_of
 from fixel.simulation.uneven_table import TABLE_NAMES
-from fixel.simulation.vary import composed, infeasible, inverted, pressure_shares
+from fixel.simulation.vary import (
+    composed,
+    infeasible,
+    inverted,
+    pressure_shares,
+    varied_elements,
+)
 from fixel.testing.scenes import grasp
 
 POINTS = np.array([(0.03, 0.0), (-0.02, 0.03), (-0.02, -0.025)])
@@ -217,6 +224,19 @@ def test_pressure_that_would_have_to_pull_has_no_simulation():
     values = {"pressure_spread": np.array([0.0, 1.0])}
     assert infeasible(scene, values) == ["", ""]
     assert "too far from the centroid" in infeasible(far, values)[0]
+
+
+@pytest.mark.parametrize("name", ["pressure_spread", "pressure_rim", "table_bend"])
+def test_no_bit_of_a_load_depends_on_other_rollouts(name):
+    scene = _scene(UniformPressure(friction=0.3))
+    centre = scene.bodies[0].shape.centroid + np.array([0.003, -0.002])
+    scene = _with_body(scene, centre_of_mass=centre)
+    values = np.linspace(-0.9, 0.7, 40)
+    elements = supports_of(scene)
+    together = varied_elements(scene, elements, {name: values}).load
+    for k in range(len(values)):
+        alone = varied_elements(scene, elements, {name: values[k : k + 1]}).load
+        assert np.array_equal(alone[0], together[k])
 
 
 def test_infeasible_sets_have_their_reasons():

@@ -293,11 +293,17 @@ def tilted_shares(share: FloatArray, points: FloatArray) -> FloatArray:
     """Tilt shares (..., n) of the weight under p0 to p0 (1 + a . r), such that their centre is the
     origin; they may come out negative. Points (n, 2) are relative to the centre of mass [m].
     """
-    centroid = share @ points
+    centroid = times_each(share, points)
     r = points - centroid[..., None, :]
     moment = np.swapaxes(share[..., None] * r, -1, -2) @ r
     tilt = np.linalg.solve(moment, -centroid[..., None])
     return np.asarray(share * (1.0 + (r @ tilt)[..., 0]))
+
+
+def times_each(rows: FloatArray, matrix: FloatArray) -> FloatArray:
+    """Multiply rows (..., k) by a matrix (k, m), each by itself: in a product of all, the last bits
+    of a row depend on the number of rows."""
+    return np.asarray((rows[..., None, :] @ matrix)[..., 0, :])
 
 
 def _one_per_point(value: ArrayLike, n: int, where: str, what: str) -> FloatArray:

@@ -17,6 +17,7 @@ import shapely
 from fixel.errors import InvalidInput
 from fixel.model import Shape
 from fixel.model.footprint import support_grid
+from fixel.model.support import times_each
 from fixel.simulation.uneven_table import TABLE_NAMES, table_exponent
 from fixel.typing import FloatArray
 
@@ -95,9 +96,8 @@ class LoadNet(NamedTuple):
         if any(name in values for name in TABLE_NAMES):
             exponent = exponent + table_exponent(self.points - centroid, angle, values)
         exponent = np.clip(exponent, -MAX_EXPONENT, MAX_EXPONENT)
-        size = float(np.ptp(self.points, axis=0).max())
-        tilt = balance(exponent, (self.points - centre_of_mass) / size)
-        exponent = exponent + tilt @ ((self.points - centre_of_mass) / size).T
+        away = (self.points - centre_of_mass) / float(np.ptp(self.points, axis=0).max())
+        exponent = exponent + times_each(balance(exponent, away), away.T)
         return _shares(exponent + tilt_x * x + tilt_y * y)
 
 
@@ -135,18 +135,20 @@ def balance(
     tilt = np.zeros((len(exponent), 2))
     height = _log_sum(exponent)
     for _ in range(STEPS):
-        share = _shares(exponent + tilt @ points.T)
-        centre = share @ points
+        share = _shares(exponent + times_each(tilt, points.T))
+        centre = times_each(share, points)
         away = centre if centre_at is None else centre - centre_at
-        if np.abs(away).max(initial=0.0) < TOLERANCE:
+        done = np.abs(away).max(axis=1) < TOLERANCE
+        if done.all():
             break
         moment = np.einsum("np,pi,pj->nij", share, points, points)
         moment -= centre[:, :, None] * centre[:, None, :]
         moment += 1e-12 * np.eye(2)
         step = -np.linalg.solve(moment, away[:, :, None])[:, :, 0]
+        step[done] = 0.0  # no row depends on others
         size = np.ones(len(tilt))
         for _ in range(30):
-            trial = _log_sum(exponent + (tilt + size[:, None] * step) @ points.T)
+            trial = _log_sum(exponent + times_each(tilt + size[:, None] * step, points.T))
             if centre_at is not None:
                 trial -= ((tilt + size[:, None] * step) * centre_at).sum(axis=1)
             worse = trial > height + 1e-4 * size * (away * step).sum(axis=1) + 1e-14

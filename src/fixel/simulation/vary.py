@@ -16,10 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from fixel.errors import InvalidInput
 from fixel.kernels import codes
-from fixel.model import Disk, Parameters, Pusher, Scene, SupportPoints, UniformPressure
+from fixel.model import Body, Disk, Parameters, Pusher, Scene, SupportPoints, UniformPressure
 from fixel.model.footprint import cells
 from fixel.model.parameters import check_supports, info_of
-from fixel.model.support import LOAD_ROUNDING, tilted_shares, triangle_shares
+from fixel.model.support import LOAD_ROUNDING, tilted_shares, times_each, triangle_shares
 from fixel.simulation.load_profile import PROFILE_NAMES, LoadNet, balance, can_balance
 from fixel.simulation.uneven_table import MAX_EXPONENT, TABLE_NAMES, factors_on_table
 from fixel.typing import FloatArray, IntArray
@@ -114,6 +114,14 @@ def _check_own(values: Values) -> None:
             )
 
 
+def _only_body(scene: Scene, name: str) -> Body:
+    """Return the one free body that a parameter needs."""
+    n = len(scene.bodies)
+    if n != 1:
+        raise InvalidInput(f"parameters.{name}", found=f"{n} free bodies", expected="one")
+    return scene.bodies[0]
+
+
 # --- supports -----------------------------------------------------------------------------------
 
 
@@ -178,11 +186,7 @@ def pressure_shares(scene: Scene, spread: FloatArray) -> tuple[FloatArray, Float
     Pressure is even times exp(spread/2 (r^2/g^2 - 1)), with the distance r from the centroid and
     its root mean square g, tilted to balance the weight.
     """
-    if len(scene.bodies) != 1:
-        raise InvalidInput(
-            "parameters.pressure_spread", found=f"{len(scene.bodies)} bodies", expected="one"
-        )
-    body = scene.bodies[0]
+    body = _only_body(scene, "pressure_spread")
     points, share = cells(body.shape, PRESSURE_POINTS)
     square = ((points - body.shape.centroid) ** 2).sum(axis=1)
     exponent = 0.5 * spread[:, None] * (square / (share @ square) - 1.0)
@@ -209,11 +213,7 @@ def _on_net(scene: Scene, elements: Elements, values: Values, start: FloatArray 
 
     An uneven table changes the loads before the balance.
     """
-    if len(scene.bodies) != 1:
-        raise InvalidInput(
-            "parameters.pressure_rim", found=f"{len(scene.bodies)} bodies", expected="one"
-        )
-    body = scene.bodies[0]
+    body = _only_body(scene, "pressure_rim")
     net = LoadNet.of(body.shape)
     n = next(len(values[name]) for name in PROFILE_NAMES if name in values)
     angle = np.broadcast_to(body.pose[2] if start is None else start[:, 0, 2], n)
@@ -348,7 +348,8 @@ def on_load_map(scene: Scene, elements: Elements, start: FloatArray | None) -> E
         if len(own) > 3:
             place = elements.point[own] + body.com
             height = uneven.at(world_places(place, poses[:, k]))
-            load[:, own] = redistributed(load[:, own], height, place)
+            # Not `load[:, own]`, where sums over points depend on the number of rows.
+            load[:, own] = redistributed(load.take(own, axis=1), height, place)
     shared = start is None and elements.load.ndim == 1
     return elements._replace(load=load[0] if shared else load)
 
@@ -365,7 +366,7 @@ def redistributed(load: FloatArray, height: FloatArray, place: FloatArray) -> Fl
     away = (place - place.mean(axis=0)) / float(np.ptp(place, axis=0).max())
     # Points without load keep next to none, and those of a body without weight none.
     exponent = np.log(np.maximum(share, NO_LOAD)) + height
-    exponent += balance(exponent, away, share @ away) @ away.T
+    exponent += times_each(balance(exponent, away, times_each(share, away)), away.T)
     bare = np.exp(exponent - exponent.max(axis=1, keepdims=True))
     return np.asarray(total * bare / bare.sum(axis=1, keepdims=True))
 
@@ -410,9 +411,7 @@ def heavier_by(scene: Scene, values: Values) -> FloatArray | None:
     """Ratio (n,) of the mass of the one free body to the scene's; None if it does not vary."""
     if "mass" not in values:
         return None
-    if len(scene.bodies) != 1:
-        raise InvalidInput("parameters.mass", found=f"{len(scene.bodies)} bodies", expected="one")
-    return values["mass"] / scene.bodies[0].mass
+    return values["mass"] / _only_body(scene, "mass").mass
 
 
 # --- contacts, plane, poses ---------------------------------------------------------------------
@@ -458,12 +457,9 @@ def varied_start(scene: Scene, start: FloatArray | None, values: Values) -> Floa
     shift, outline = _columns(values, "start"), _columns(values, "outline")
     if shift is None and outline is None:
         return start
-    if len(scene.bodies) != 1:
-        raise InvalidInput(
-            "parameters.start_x", found=f"{len(scene.bodies)} free bodies", expected="one"
-        )
+    body = _only_body(scene, "start_x")
     n = len(shift if shift is not None else outline)  # type: ignore[arg-type]
-    own = scene.bodies[0].pose if start is None else start
+    own = body.pose if start is None else start
     poses = np.array(np.broadcast_to(own, (n, 1, 3)))
     if shift is not None:
         poses += shift[:, None]
