@@ -4,6 +4,7 @@
 import { make, svg } from "./dom.js";
 import { column, valueAt } from "./motion.js";
 import { roundNumber } from "./stage.js";
+import { fixed } from "./units.js";
 import { stylesOf } from "./view.js";
 
 /** @typedef {import("./motion.js").Motion} Motion */
@@ -62,8 +63,7 @@ export class Charts extends EventTarget {
     this.pointer.style.transform = `translateX(${this.#x(time).toFixed(1)}px)`;
     for (const { series: { time: instants, values }, digits, node } of this.values) {
       const known = values.length > 2 || Array.from(instants).includes(time);
-      const value = known && values.length ? valueAt(instants, values, time) : NaN;
-      node.textContent = Number.isFinite(value) ? value.toFixed(digits).replace("-", "\u2212") : "\u2013";
+      node.textContent = fixed(known && values.length ? valueAt(instants, values, time) : NaN, digits);
     }
   }
 
@@ -113,11 +113,12 @@ export class Charts extends EventTarget {
     /** @param {number} value */
     const y = (value) => bottom - 4 - ((value - low) / (high - low)) * (bottom - 10);
     const step = roundNumber((high - low) / 2.2);
+    const digits = Math.max(0, -Math.floor(Math.log10(step)));
     const drawn = [];
     for (let value = Math.ceil(low / step) * step; value <= high + 1e-9 * step; value += step) {
       const place = Math.round(y(value)) + 0.5;
       drawn.push(svg("path", { class: "grid", d: `M${LEFT} ${place}H${this.width - RIGHT}` }),
-        svg("text", { x: LEFT - 6, y: place + 4, "text-anchor": "end" }, `${+value.toPrecision(4)}`.replace("-", "\u2212")));
+        svg("text", { x: LEFT - 6, y: place + 4, "text-anchor": "end" }, fixed(value, digits)));
     }
     const inner = svg("svg", { x: LEFT, width: Math.max(0, this.width - LEFT - RIGHT), height: bottom });
     for (const { time, values, colour, dash } of panel.series) {
@@ -175,20 +176,18 @@ export class Charts extends EventTarget {
   }
 }
 
-/** @param {Series[]} series */
+/** Least and largest value of some series. @param {Series[]} series */
+function ends(series) {
+  const values = series.flatMap((one) => Array.from(one.values)).filter(Number.isFinite);
+  return [values.reduce((a, b) => Math.min(a, b), Infinity), values.reduce((a, b) => Math.max(a, b), -Infinity)];
+}
+
+/** Ends of the axis of some series; what differs by rounding only is flat. @param {Series[]} series */
 function limits(series) {
-  let low = Infinity;
-  let high = -Infinity;
-  for (const { values } of series) {
-    for (let k = 0; k < values.length; k += 1) {
-      if (Number.isFinite(values[k])) {
-        low = Math.min(low, values[k]);
-        high = Math.max(high, values[k]);
-      }
-    }
-  }
+  const [low, high] = ends(series);
   if (!(low <= high)) return [0, 1];
-  const margin = 0.08 * (high - low) || Math.max(1e-3, 0.01 * Math.abs(high));
+  const size = Math.max(Math.abs(low), Math.abs(high));
+  const margin = high - low > 1e-9 * Math.max(1, size) ? 0.08 * (high - low) : Math.max(1e-3, 0.01 * size);
   return [low - margin, high + margin];
 }
 
@@ -196,11 +195,11 @@ function limits(series) {
 function described(panel) {
   const series = "strips" in panel ? panel.strips : panel.series;
   const unit = "unit" in panel ? ` in ${panel.unit}` : "";
-  const ends = series.map((one) => {
-    const [low, high] = limits([one]);
-    return "strips" in panel ? one.label : `${one.label} from ${low.toPrecision(3)} to ${high.toPrecision(3)}`;
+  const words = series.map((one) => {
+    const [low, high] = ends([one]).map((value) => fixed(value, "digits" in panel ? panel.digits ?? 1 : 1));
+    return "strips" in panel ? one.label : `${one.label} from ${low} to ${high}`;
   });
-  return `${panel.title}${unit} against time in seconds: ${ends.join("; ")}`;
+  return `${panel.title}${unit} against time in seconds: ${words.join("; ")}`;
 }
 
 /**
@@ -258,4 +257,3 @@ export function inStep(player, charts) {
     player.seek(/** @type {CustomEvent<number>} */ (event).detail);
   });
 }
-

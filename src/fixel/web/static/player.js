@@ -248,5 +248,4 @@ export class Player extends EventTarget {
       return make("li", {}, make("label", {}, box, swatch(this.view.styles.get(motion.id)), motion.label));
     }));
   }
-
 }

@@ -16,19 +16,17 @@ export function roundNumber(value) {
   return (steps[0] ?? 1) * power;
 }
 
-/** A length with the unit that suits it. @param {number} metres */
-export function lengthText(metres) {
-  if (metres >= 1) return `${+metres.toPrecision(6)} m`;
-  if (metres >= 1e-3) return `${+(metres * 1e3).toPrecision(6)} mm`;
-  return `${+(metres * 1e6).toPrecision(6)} \u00b5m`;
+/** A value with the prefix of its unit that suits it. @param {number} value @param {string} unit @param {number} digits */
+function prefixed(value, unit, digits) {
+  const [factor, prefix] = value >= 1 || value === 0 ? [1, ""] : value >= 1e-3 ? [1e3, "m"] : [1e6, "\u00b5"];
+  return `${+(value * factor).toPrecision(digits)} ${prefix}${unit}`;
 }
 
-/** A force with the unit that suits it. @param {number} newtons */
-export function forceText(newtons) {
-  if (newtons >= 1 || newtons === 0) return `${+newtons.toPrecision(3)} N`;
-  if (newtons >= 1e-3) return `${+(newtons * 1e3).toPrecision(3)} mN`;
-  return `${+(newtons * 1e6).toPrecision(3)} \u00b5N`;
-}
+/** @param {number} metres */
+export const lengthText = (metres) => prefixed(metres, "m", 6);
+
+/** @param {number} newtons */
+export const forceText = (newtons) => prefixed(newtons, "N", 3);
 
 /**
  * A colour of the page's palette.
@@ -267,9 +265,7 @@ export class Stage {
       else this.pan(event.clientX - before[0], event.clientY - before[1]);
       pointers.set(event.pointerId, [event.clientX, event.clientY]);
     });
-    for (const name of /** @type {const} */ (["pointerup", "pointercancel"])) {
-      canvas.addEventListener(name, (event) => pointers.delete(event.pointerId));
-    }
+    canvas.addEventListener("lostpointercapture", (event) => pointers.delete(event.pointerId));
   }
 
   /** @param {PointerEvent} event @param {[number, number]} before */

@@ -72,17 +72,13 @@ export class TopView {
   setMotions(motions) {
     this.motions = motions;
     this.styles = stylesOf(this.stage.canvas, motions);
-    this.scaleForces();
-    this.stage.request();
-  }
-
-  scaleForces() {
     const sizes = this.motions.flatMap((motion) => motion.forces).sort((a, b) => a - b);
     const [, y0, , y1] = this.stage.box;
     const usual = TYPICAL_ARROW * (y1 - y0);
     const typical = sizes[sizes.length >> 1] ?? 0;
     this.longest = LONGEST_ARROW * usual;
     this.perNewton = typical > 0 ? usual / typical : 0;
+    this.stage.request();
   }
 
   /** @param {CanvasRenderingContext2D} context @param {Stage} stage */
