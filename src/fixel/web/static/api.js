@@ -1,7 +1,7 @@
 // @ts-check
 // Asking fixel: JSON in and out, refusals as sentences, undo.
 
-import { at, make } from "./dom.js";
+import { at, make, settled } from "./dom.js";
 
 /** Path below which all pages are, as `/SECRET`: the cookie is sent with no other path. */
 export const ROOT = new URL("..", import.meta.url).pathname.replace(/\/$/, "");
@@ -39,29 +39,36 @@ export function send(path, body, method = "POST", signal) {
   return ask(path, { method, headers, signal, body: body === undefined ? undefined : JSON.stringify(body) });
 }
 
-/** @param {string} path @param {RequestInit} options */
-async function ask(path, options) {
-  let answer;
+/** Fetches; refuses where no server answers. @param {string} address @param {RequestInit} options */
+export async function reach(address, options) {
   try {
-    answer = await fetch(BASE + path, options);
+    return await fetch(address, options);
   } catch (problem) {
     if (problem instanceof DOMException && problem.name === "AbortError") throw problem;
     throw new Refusal({ status: 0, sentence: "Cannot reach the fixel server. Is it still running?" });
   }
+}
+
+/** @param {string} path @param {RequestInit} options */
+async function ask(path, options) {
+  const answer = await reach(BASE + path, options);
   if (answer.ok) return answer.status === 204 ? null : answer.json();
-  const said = await answer.json().catch(() => ({}));
-  throw new Refusal({ status: answer.status, ...said, sentence: said.sentence ?? `the server answered with status ${answer.status}` });
+  // The link of an earlier server is refused with a text.
+  const json = answer.headers.get("content-type") === "application/json";
+  throw new Refusal({ status: answer.status, ...(json ? await answer.json() : { sentence: await answer.text() }) });
 }
 
 /** Of the messages that are there, the newest last. @type {(() => void)[]} */
 let undos = [];
 
 /**
- * Says something for a while, with a way back where there is one.
+ * Says something for a while, with a way back where there is one; a trouble that lasts is said once.
  * @param {string} sentence
  * @param {{undo?: () => Promise<unknown>, bad?: boolean}} [options]
  */
 export function toast(sentence, { undo, bad = false } = {}) {
+  const said = [...at("toasts").querySelectorAll(".bad")].find((one) => one.firstChild?.textContent === sentence);
+  if (bad && said) return void said.dispatchEvent(new Event("again"));
   const close = () => {
     box.remove();
     undos = undos.filter((one) => one !== back);
@@ -70,13 +77,14 @@ export function toast(sentence, { undo, bad = false } = {}) {
     close();
     if (undo) undo().catch(complain);
   };
-  const box = make("div", { class: bad ? "toast bad" : "toast", role: bad ? "alert" : null },
+  const stay = settled(close, bad ? 2 * SHOWN_FOR : SHOWN_FOR);
+  const box = make("div", { class: bad ? "toast bad" : "toast", role: bad ? "alert" : null, onagain: stay },
     make("span", {}, sentence),
     undo ? make("button", { type: "button", class: "undo", onclick: back }, "Undo") : null,
     make("button", { type: "button", "aria-label": "Close", onclick: close }, "\u2715"));
   at("toasts").append(box);
   if (undo) undos.push(back);
-  setTimeout(close, bad ? 2 * SHOWN_FOR : SHOWN_FOR);
+  stay();
 }
 
 /** Takes back what the newest toast offers to; for Ctrl-Z. @returns {boolean} */

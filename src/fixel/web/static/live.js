@@ -1,7 +1,7 @@
 // @ts-check
 // Pages with a live picture: the server renders the status anew with each report; a page says when it falls silent.
 
-import { complain, word } from "./api.js";
+import { complain, reach, word } from "./api.js";
 import { at } from "./dom.js";
 import { exchange } from "./page.js";
 
@@ -63,7 +63,7 @@ setInterval(() => {
 
 /** Tell the server something. @param {string} what @param {object} said */
 async function tell(what, said = {}) {
-  const answer = await fetch(`${path}/${what}`, {
+  const answer = await reach(`${path}/${what}`, {
     method: "POST", headers: { "X-Fixel-Word": word(), "Content-Type": "application/json" }, body: JSON.stringify(said),
   });
   if (!answer.ok) throw new Error(await answer.text());

@@ -14,29 +14,32 @@
 // <a data-key="j">           is opened by that key; a button is pressed by it
 // <a data-goto>              is opened at once
 
-import { ROOT, complain, copy, send, toast } from "./api.js";
+import { ROOT, complain, copy, reach, send, toast } from "./api.js";
 import { settled, typing } from "./dom.js";
 
 let newest = 0;
+let wanted = location.href; // address that is shown, or being fetched
 let timer = 0;
 
 /** Fetch this page, or one that it leads to, and show its parts. @param {string} [address] */
-export async function renew(address = location.href) {
+export async function renew(address = wanted) {
+  wanted = address;
   newest += 1;
   const mine = newest;
   clearTimeout(timer); // a renewal by the clock would overtake one for another address
-  const answer = await fetch(address, { redirect: "error", headers: { "X-Fixel-Parts": "only" } })
+  const answer = await reach(address, { redirect: "error", headers: { "X-Fixel-Parts": "only" } })
     .finally(() => mine === newest && wait());
   const text = await answer.text();
   if (mine !== newest) return; // something else is wanted meanwhile
-  if (!text.includes(" data-part")) throw new Error(`The server answered with status ${answer.status}.`);
-  if (address !== location.href) history.replaceState(null, "", address);
   exchange(text);
+  if (address !== location.href) history.replaceState(null, "", address);
 }
 
 /** Show the parts of a page. @param {string} text of all of it */
 export function exchange(text) {
   const fresh = new DOMParser().parseFromString(text, "text/html");
+  // Without parts it is a page about an error, or the text for a browser that has an earlier server's cookie.
+  if (!fresh.querySelector("[data-part]")) throw new Error((fresh.querySelector(".lead") ?? fresh.body).textContent ?? "");
   const focused = document.activeElement?.id;
   for (const part of document.querySelectorAll("[data-part]")) {
     const other = fresh.getElementById(part.id);
@@ -65,7 +68,7 @@ function wait() {
   const every = Number(part.getAttribute("data-every"));
   timer = window.setTimeout(() => {
     if (document.hidden) wait();
-    else renew().catch(wait);
+    else renew().catch(complain);
   }, every);
 }
 
@@ -157,7 +160,10 @@ document.addEventListener("input", ({ target }) => {
   const field = document.getElementById(target.dataset.sets ?? "");
   if (field instanceof HTMLInputElement) field.value = String(+Number(target.value).toPrecision(5));
   if (target.type === "range") inTurn(target.form);
-  else typed(target.form);
+  else {
+    newest += 1; // an answer to what was there before would take back what is typed
+    typed(target.form);
+  }
 });
 document.addEventListener("change", ({ target }) => {
   if (target instanceof HTMLSelectElement && target.matches("[data-goes]")) location.assign(target.value);
@@ -180,4 +186,6 @@ document.addEventListener("keydown", (event) => {
   event.preventDefault();
   pressed.click();
 });
+const here = document.querySelector(".bar [aria-current]"); // on a phone, the navigation is wider than the page
+if (here instanceof HTMLElement && here.parentElement) here.parentElement.scrollLeft = here.offsetLeft - 60;
 wait();
