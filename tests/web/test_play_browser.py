@@ -322,3 +322,78 @@ def test_a_file_is_opened_and_one_that_is_none_is_refused(simulate, tmp_path):
     simulate.set_input_files("#file", bad)
     simulate.wait_for_selector(".toast.bad")
     assert editor(simulate, "scene.fixels[0].name") == "<b>peg</b>"
+
+
+def field(where):
+    return f".field[data-where='{where}'] input"
+
+
+def test_what_is_no_number_changes_nothing(simulate):
+    simulate.expected_problems.append("422")
+    simulate.click("#things label:nth-child(2)")
+    travel = editor(simulate, "scene.pushers[0].drive.travel")
+    simulate.focus(field("pushers[0].drive.travel"))
+    simulate.keyboard.press("Control+a")
+    simulate.keyboard.type("1e")  # as a comma is for browsers that expect a point
+    assert editor(simulate, "scene.pushers[0].drive.travel") == pytest.approx(0.001)
+    assert travel == 0.15
+    width = simulate.locator(".field[data-where='pushers[0].shape.polygon'] input").first
+    width.fill("-5")
+    width.blur()
+    assert width.input_value() == "29"
+    assert editor(simulate, "scene.pushers[0].shape.polygon")[1][0] == 0.0145
+
+
+def test_undo_in_a_field_shows_the_value_and_leaves_the_keyboard_there(simulate):
+    where = field("bodies[0].pose[0]")
+    before = simulate.input_value(where)
+    simulate.fill(where, "85")
+    simulate.wait_for_timeout(800)  # or it would be one change with what follows
+    simulate.keyboard.press("Control+z")
+    assert simulate.input_value(where) == before
+    assert simulate.evaluate("document.activeElement.id") == "field-bodies-0-pose-0--x"
+
+
+def test_keys_of_the_browser_are_left_to_it(simulate):
+    pose = editor(simulate, "scene.bodies[0].pose")
+    simulate.focus("#editor")
+    simulate.keyboard.press("Alt+ArrowUp")
+    assert editor(simulate, "scene.bodies[0].pose") == pose
+
+
+def test_a_double_click_fits_what_has_been_moved(simulate):
+    simulate.expected_problems.append("422")
+    simulate.click("#things label:nth-child(3)")
+    simulate.fill(field("fixels[0].pose[0]"), "900")
+    frame = simulate.locator("#editor").bounding_box()
+    assert spot(simulate, "fixels", 0)[0] > frame["x"] + frame["width"]
+    simulate.mouse.dblclick(frame["x"] + 15, frame["y"] + 15)
+    assert spot(simulate, "fixels", 0)[0] < frame["x"] + frame["width"]
+
+
+def test_the_end_that_is_drawn_is_that_of_the_scene(simulate):
+    simulate.uncheck("#live")
+    simulate.wait_for_selector("#verdict:text-is('valid')")
+    simulate.focus("#editor")
+    simulate.keyboard.press("ArrowLeft")
+    simulate.wait_for_function("() => document.getElementById('simulate').editor.preview === null")
+
+
+def test_watch_shows_the_newest_scene(simulate):
+    """An answer that comes after the next change is of the scene before."""
+    waiting = []
+    simulate.route("**/api/v1/simulate", lambda route: waiting.append(route))
+    simulate.focus("#editor")
+    for key in ("ArrowUp", "Shift+ArrowUp"):
+        simulate.keyboard.press(key)
+        simulate.wait_for_timeout(100)
+    before = simulations(simulate)
+    waiting.pop(0).continue_()
+    simulated_again(simulate, before)
+    simulate.click("#tab-watch")
+    while not waiting:
+        simulate.wait_for_timeout(20)
+    simulate.unroute("**/api/v1/simulate")  # lets the second one go on
+    simulate.wait_for_selector("#watch[data-state=playing]")
+    start = player(simulate, "motions[0].poseAt('object', 0)", "#watch")
+    assert start == pytest.approx(editor(simulate, "scene.bodies[0].pose"), abs=1e-9)

@@ -15,7 +15,7 @@ document.addEventListener("keydown", (event) => {
   const way = /** @type {Record<string, [number, number]>} */ ({ ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] })[event.key];
   const here = /** @type {HTMLElement} */ (event.target);
   const cell = here.closest("td");
-  if (!way || !cell) return;
+  if (!way || !cell || event.altKey) return;
   event.preventDefault();
   const row = /** @type {HTMLTableRowElement} */ (cell.parentElement);
   const to = way[1] ? /** @type {HTMLTableSectionElement} */ (row.parentElement).rows[row.sectionRowIndex + way[1]] : row;

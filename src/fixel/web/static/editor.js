@@ -34,9 +34,8 @@ export class Editor extends EventTarget {
     this.stage = new Stage(canvas, (context) => this.#draw(context));
     this.stage.press = (event, world) => this.#press(event, world);
     canvas.addEventListener("pointermove", (event) => this.#move(event));
-    for (const name of /** @type {const} */ (["pointerup", "pointercancel"])) {
-      canvas.addEventListener(name, () => this.#release());
-    }
+    canvas.addEventListener("lostpointercapture", () => this.#release());
+    canvas.addEventListener("dblclick", () => this.stage.fit(this.box()));
     canvas.addEventListener("keydown", (event) => this.#key(event));
   }
 
@@ -199,7 +198,7 @@ export class Editor extends EventTarget {
 
   /** @param {KeyboardEvent} event */
   #key(event) {
-    if (event.ctrlKey || event.metaKey) return;
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
     const mm = (event.shiftKey ? 10 : 1) * this.stride;
     const degree = ((event.shiftKey ? 10 : 1) * Math.PI) / 180;
     /** @type {Record<string, () => void>} */

@@ -236,9 +236,9 @@ function typed(field, id, changed) {
     entry.value = value === undefined ? "" : String(value);
   };
   refresh();
-  entry.addEventListener("refresh", refresh);
+  for (const name of ["refresh", "blur"]) entry.addEventListener(name, refresh);
   entry.addEventListener("input", () => {
-    if (numeric && entry.value === "" && !field.empty) return;
+    if (entry.validity.badInput || (numeric && entry.value === "" && !field.empty)) return;
     field.set(entry.value === "" ? undefined : numeric ? Number(entry.value) : entry.value);
     changed(field, false);
   });
@@ -246,7 +246,7 @@ function typed(field, id, changed) {
 }
 
 /**
- * Show a refusal at the field it is about; whether there is one.
+ * Show a refusal at the field it is about, if there is one.
  * @param {ParentNode} host
  * @param {{where?: string | null, found?: string | null, expected?: string | null, sentence: string} | null} problem
  */
@@ -264,12 +264,11 @@ export function refuse(host, problem) {
     const fits = where && (about === where || about.startsWith(`${where}.`) || about.startsWith(`${where}[`) || where.startsWith(about + "["));
     if (about && fits && where.length > most) [best, most] = [node, where.length];
   }
-  if (!best || !problem) return false;
+  if (!best || !problem) return;
   const refusal = /** @type {HTMLElement} */ (best.querySelector(".refusal"));
   refusal.textContent = problem.sentence;
   refusal.hidden = false;
   const entry = best.querySelector("input, select");
   entry?.setAttribute("aria-invalid", "true");
   entry?.setAttribute("aria-describedby", refusal.id);
-  return true;
 }

@@ -105,7 +105,7 @@ part.addEventListener("keydown", (event) => {
     ArrowLeft: ["x_mm", -step], ArrowRight: ["x_mm", step], ArrowUp: ["y_mm", step], ArrowDown: ["y_mm", -step],
     q: ["angle_deg", 1], e: ["angle_deg", -1],
   })[event.key];
-  if (!move) return;
+  if (!move || event.ctrlKey || event.metaKey || event.altKey) return;
   event.preventDefault();
   write(move[0], number(move[0]) + move[1]);
   draw(true);

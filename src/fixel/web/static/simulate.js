@@ -15,7 +15,7 @@ import { deg, mm } from "./units.js";
 /** @typedef {{story: import("./motion.js").MotionDocument, summary: Record<string, any>}} Simulated */
 
 const SLOW = 1500; // [ms] of a simulation that is not made again at every touch
-const CANCELLED = 499;
+const [REFUSED, CANCELLED] = [422, 499]; // status of a scene that is wrong, and of a request that was given up
 const DRAFT = "fixel-scene";
 
 const root = at("simulate");
@@ -62,7 +62,10 @@ async function refresh() {
       const took = performance.now() - since;
       clear(null);
       if (answer) done(answer, took);
-      else verdict("good", "valid", "Press Run to simulate.");
+      else {
+        editor.preview = null; // of another scene
+        verdict("good", "valid", "Press Run to simulate.");
+      }
     } catch (problem) {
       failed(problem);
     }
@@ -74,7 +77,7 @@ async function refresh() {
 
 /** @param {Simulated} answer @param {number} took [ms] */
 function done(answer, took) {
-  newest = answer;
+  newest = wanted ? null : answer;
   root.dataset.roundTrip = took.toFixed(1);
   root.dataset.simulated = String(Number(root.dataset.simulated ?? 0) + 1);
   slow = took > SLOW ? slow + 1 : 0;
@@ -112,7 +115,7 @@ function failed(problem) {
   newest = null;
   clear(problem instanceof Refusal ? problem.problem : null);
   const sentence = problem instanceof Error ? problem.message : String(problem);
-  verdict("fault", "invalid", sentence);
+  verdict("fault", problem instanceof Refusal && problem.problem.status === REFUSED ? "invalid" : "failed", sentence);
   if (ran) complain(problem);
 }
 
@@ -201,22 +204,21 @@ function list() {
 }
 
 function fields() {
+  const id = document.activeElement?.id;
   const thing = editor.chosen;
   at("fields").replaceChildren(...(thing && editor.choice
     ? rows(thingFields(thing, editor.choice), edited)
     : [make("p", { class: "hint" }, "Select a body here or in the top view.")]));
   at("scene-fields").replaceChildren(...rows(sceneFields(editor.scene), edited));
   buttons();
+  if (id && document.activeElement?.id !== id) document.getElementById(id)?.focus({ preventScroll: true });
 }
 
 /** @param {import("./inspector.js").Field} field @param {boolean} rebuild */
 function edited(field, rebuild) {
   editor.changed(`${field.where} ${field.label}`);
   if (field.label === "name") list();
-  if (!rebuild) return;
-  const id = document.activeElement?.id;
-  fields();
-  if (id) document.getElementById(id)?.focus();
+  if (rebuild) fields();
 }
 
 /** Writes the values of now into the fields that are there. */
