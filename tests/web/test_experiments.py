@@ -13,6 +13,7 @@ from tests.web.conftest import unpacked
 from fixel.datasets import plan_import
 from fixel.formats.video_file import VideoWriter, open_video
 from fixel.vision.frame import Frame
+from fixel.web.pages import listing
 from fixel.web.views import video as videos
 
 ADDRESS = "/experiments"
@@ -39,6 +40,13 @@ def test_a_page_of_the_table(bench):
     assert len(row["start"]) == 3
     assert len(bench.get(f"{ADDRESS}?offset=28")["experiments"]) == 2
     assert bench.get(f"{ADDRESS}?offset=1000")["experiments"] == []
+
+
+def test_a_page_whose_experiments_have_been_deleted_is_the_last_one(bench, monkeypatch):
+    monkeypatch.setattr(listing, "ROWS", 20)
+    last, after = (bench.client.get(f"{ADDRESS}?offset={k}").text for k in (20, 60))
+    assert after.count("<tr data-id") == last.count("<tr data-id") == 10
+    assert "21 to 30" in " ".join(after.split())
 
 
 @pytest.mark.parametrize(

@@ -294,3 +294,57 @@ def test_names_are_never_markup(browser_page, server):
             assert browser_page.evaluate("window.hacked") is None
     finally:
         store.delete([made])
+
+
+def test_progress_survives_a_change_of_the_filter(table, server):
+    waiting = []
+    table.route("**/experiments/simulate", lambda route: waiting.append(route))
+    table.click("#simulate")
+    table.wait_for_selector("#simulate:text-is('Stop')")
+    table.fill("#filter", "shape=pentagon")
+    wait_for_total(table, 15)
+    assert table.inner_text("#simulate") == "Stop"
+    assert table.inner_text("#simulating").startswith("simulated 0 of")
+    table.click("#simulate")
+    waiting[0].fulfill(json={"stored": [], "refused": {}})
+    table.wait_for_selector("#simulate:has-text('with nominal values')")
+    assert table.inner_text("#simulating") == ""
+
+
+def test_what_is_selected_elsewhere_is_counted(table):
+    table.locator(f"{ROW} td.select").nth(0).click()
+    table.wait_for_selector("#chosen:text-is('1 selected')")
+    table.fill("#filter", "shape=pentagon")
+    table.wait_for_selector("#elsewhere:text-is('1 not in these rows')")
+    assert table.inner_text("#chosen") == "1 selected"
+
+
+def test_no_box_is_ticked_after_going_back(table, server):
+    table.locator(f"{ROW} td.select").nth(0).click()
+    table.wait_for_selector("#acts:not([hidden])")
+    table.goto(server.home + "api")
+    table.go_back()
+    table.wait_for_selector(ROW)
+    table.wait_for_timeout(300)
+    assert table.locator(f"{ROW} input:checked").count() == 0
+
+
+def test_a_change_does_not_take_back_what_is_typed_meanwhile(table):
+    """The parts that are fetched after a change belong to the filter of now."""
+    held = []
+    table.route("**/experiments?filter=*", lambda route: held.append(route))
+    table.route("**/experiments/flag", lambda route: held.append(route))
+    table.keyboard.press("f")
+    table.fill("#flag-name", "meanwhile")
+    table.click("#flag-form button.primary")
+    while not held:
+        table.wait_for_timeout(20)
+    table.fill("#filter", "shape=pentagon")
+    while len(held) < 2:
+        table.wait_for_timeout(20)
+    held[0].continue_()
+    table.wait_for_timeout(500)
+    for route in held[1:]:
+        route.continue_()
+    wait_for_total(table, 15)
+    table.click(".toast .undo")

@@ -22,6 +22,7 @@ from fixel.database.project import Project
 from fixel.errors import StoreRefused
 from fixel.jobs.folder import read_job
 from fixel.web.views.calibration_progress import ProgressReader
+from fixel.web.views.domain_views import document
 from fixel.workflows import jobs
 from fixel.workflows.calibration.stored import collected
 
@@ -327,6 +328,12 @@ def test_a_map_for_every_threshold(bench, name):
     for below in ("threshold=0", "threshold=nan", "level=1"):
         assert bench.get(f"/domain/{name}?{below}", 422)
         assert 'role="alert"' in bench.client.get(f"/domain?{below}").text
+
+
+def test_one_experiment_that_is_left_out_is_one(bench, name, project):
+    view = bench.context.domain(name, bench.get(f"/analyses/{name}")["created"])
+    remarks = document(view._replace(n_aside=1), view.domain.claimed, project).remarks
+    assert "Skipped 1 experiment: offset along a coordinate without an axis." in remarks
 
 
 def test_more_is_within_a_larger_threshold(bench, name):

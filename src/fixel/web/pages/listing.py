@@ -63,19 +63,15 @@ def experiments_page(context: ProjectContext, request: Request) -> dict[str, Any
     given = {name: request.query_params.get(name, "") for name in KEPT}
     link = _linker(given)
     filter, offset = given["filter"][:1000], int("0" + re.sub(r"\D", "", given["offset"])[:9])
-    found, problem, without_simulation = TablePage(
-        experiments=[], total=0, faulty=0, meant=None
-    ), "", []  # fmt: skip
+    found = TablePage(experiments=[], total=0, faulty=0, meant=None)
+    problem, without_simulation, sort = "", [], given["sort"] or "id"
     try:
-        found = table(
-            context, filter, given["sort"] or "id", bool(given["descending"]), ROWS, offset
-        )
-        refused = context.comparison.refused
-        without_simulation = [
-            one
-            for one in context.store.unsimulated_ids(filters.view_of(filter))
-            if one not in refused
-        ]
+        found = table(context, filter, sort, bool(given["descending"]), ROWS, offset)
+        if offset >= found.total > 0:  # experiments of the last page have been deleted
+            offset = (found.total - 1) // ROWS * ROWS
+            found = table(context, filter, sort, bool(given["descending"]), ROWS, offset)
+        missing = context.store.unsimulated_ids(filters.view_of(filter))
+        without_simulation = [one for one in missing if one not in context.comparison.refused]
     except InvalidInput as error:
         problem = str(error)
     return {

@@ -14,7 +14,7 @@ const AT_ONCE = 20; // experiments that a request simulates; about a second
 const selected = new Set();
 let active = 0;
 let anchor = 0;
-let simulates = false;
+let simulates = ""; // progress of simulations with nominal values; empty while there are none
 
 const rows = () => /** @type {HTMLTableRowElement[]} */ ([...document.querySelectorAll("#rows tr")]);
 /** @param {HTMLElement | undefined} row */
@@ -37,9 +37,14 @@ function paint() {
     all.indeterminate = selected.size > 0 && !all.checked;
   }
   at("acts").hidden = selected.size === 0;
+  const hidden = selected.size - every.filter((row) => selected.has(idOf(row))).length;
   at("chosen").textContent = `${selected.size} selected`;
+  at("elsewhere").textContent = hidden ? `${hidden} not in these rows` : "";
   at("act-calibrate").hidden = deleted();
   at("act-delete").textContent = deleted() ? "Restore" : "Delete";
+  at("simulating").textContent = simulates;
+  const button = document.getElementById("simulate");
+  if (button && simulates) button.textContent = "Stop";
 }
 
 /** The selected ones, or the one that the keys are on. */
@@ -78,15 +83,14 @@ function open(aside = false) {
 
 /** Simulates those that have no simulation with nominal values, some at a time, until it is stopped. */
 async function simulate() {
-  const button = at("simulate");
-  const ids = (button.dataset.ids ?? "").split(",").map(Number);
+  const ids = (at("simulate").dataset.ids ?? "").split(",").map(Number);
   /** @type {string[]} */
   const reasons = [];
   let done = 0;
-  simulates = true;
-  button.textContent = "Stop";
+  simulates = "simulating";
   for (let k = 0; k < ids.length && simulates; k += AT_ONCE) {
-    at("simulating").textContent = `simulated ${k} of ${ids.length}`;
+    simulates = `simulated ${k} of ${ids.length}`;
+    paint();
     const { stored, refused } = await send("/experiments/simulate", { ids: ids.slice(k, k + AT_ONCE) });
     done += stored.length;
     reasons.push(.../** @type {string[]} */ (Object.values(refused)));
@@ -128,10 +132,10 @@ at("scroll").addEventListener("click", (event) => {
 });
 document.addEventListener("click", ({ target }) => {
   if (!(target instanceof Element) || target.id !== "simulate") return;
-  if (simulates) simulates = false;
+  if (simulates) simulates = "";
   else {
     simulate().catch(complain).finally(() => {
-      simulates = false;
+      simulates = "";
       renew().catch(complain);
     });
   }

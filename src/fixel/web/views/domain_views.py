@@ -19,6 +19,7 @@ from fixel.domain.domain import DomainMap
 from fixel.domain.evidence import value_of
 from fixel.errors import InvalidInput, JobRefused
 from fixel.web.values import Answer, Finite
+from fixel.web.words import several
 from fixel.workflows.analysis import StoredAnalysis, find_analysis
 from fixel.workflows.domain.evidence import DomainEvidence, load_evidence
 from fixel.workflows.domain.fits import ProjectRequest
@@ -181,10 +182,10 @@ def document(view: MapView, claim: Claim, folder: Path) -> MapDocument:
         low = max(low, floor) if domain.measure == "absolute" else low
     if n := view.n_aside:
         remarks.append(
-            f"{n} experiments are skipped: their offset is along a coordinate without an axis."
+            f"Skipped {several(n, 'experiment')}: offset along a coordinate without an axis."
         )
     if n := len(domain.groups) - len(groups):
-        remarks.append(f"{n} more maps cannot be shown here.")
+        remarks.append(f"{several(n, 'more map')} cannot be shown here.")
     verdicts = domain.verdicts(claim)
     inside = [cells.component([v.colour == TRUSTED for v in own]) for own in verdicts]
     lying = _points(domain, claim)
