@@ -6,13 +6,13 @@ from typing import NamedTuple
 import numba
 import numpy as np
 import pytest
-from numba import njit
 from tests.kernels.entries import measure_contacts
 
 from fixel.kernels import entries
 from fixel.kernels.arrays import Model, Problem, Workspace
 from fixel.kernels.contacts import find_contacts, find_near_pairs, moved, place_bodies, warm_start
 from fixel.kernels.gap import FEATURES
+from fixel.kernels.jit import entry
 
 N_BODY = 40
 N_FREE = 25
@@ -20,17 +20,17 @@ N_MOVING = 32  # the rest is fixed
 SEEDS = range(1 if numba.config.DISABLE_JIT else 5)
 
 # Python cannot call a kernel, only what is compiled around it.
-place_bodies_ = njit(lambda model, pose, n, work: place_bodies(model, pose, n, work))
-moved_ = njit(lambda model, pose, anchor, n: moved(model, pose, anchor, n))
-near_pairs_ = njit(
+place_bodies_ = entry(lambda model, pose, n, work: place_bodies(model, pose, n, work))
+moved_ = entry(lambda model, pose, anchor, n: moved(model, pose, anchor, n))
+near_pairs_ = entry(
     lambda model, pose, n_free, n_moving, reach, work: find_near_pairs(
         model, pose, n_free, n_moving, reach, work
     )
 )
-contacts_ = njit(
+contacts_ = entry(
     lambda model, n, margin, problem, work: find_contacts(model, n, margin, problem, work)
 )
-warm_start_ = njit(
+warm_start_ = entry(
     lambda problem, n, key, impulse, n_old, ratio: warm_start(
         problem, n, key, impulse, n_old, ratio
     )

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numba import njit
 from tests.fixtures import refused
 from tests.kernels.entries import measure_contacts
 from tests.kernels.test_contacts import regular
 
 from fixel.kernels.gap import COINCIDENT, FIRST_VERTEX, VERTEX_VERTEX, separating_edge
+from fixel.kernels.jit import entry
 from fixel.model.shape import Disk, Polygon
 from fixel.simulation.geometry import contact_pieces, gap
 
@@ -166,7 +166,7 @@ def test_sliver_beside_a_square():
 
 
 # Python cannot call a kernel, only what is compiled around it.
-separating_edge_ = njit(
+separating_edge_ = entry(
     lambda world, m, n, start, floor, margin: separating_edge(
         world, 0, m, m, n, start, floor, margin
     )

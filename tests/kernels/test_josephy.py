@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from numba import njit
 
 from fixel.kernels import entries
+from fixel.kernels.jit import entry
 from fixel.kernels.josephy import MAX_CONTACTS, josephy
 from fixel.kernels.newton import newton
 
@@ -15,7 +15,7 @@ TOLERANCE = 1e-9  # the judge's
 STIFF_DRIVE = 90.0  # largest impulse of the drive, a hundred times what sliding takes
 
 
-@njit
+@entry
 def turns_of(problem, work, n, iterations):
     """Take turns of pivoting, then iterations of Newton; two functions would compile longer."""
     more = True

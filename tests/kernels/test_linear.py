@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from numba import njit
 
+from fixel.kernels.jit import entry
 from fixel.kernels.linear import solve_dense, solve_envelope
 
 CLOSE = 1e-10  # relative; matrices of order 30 with a condition of about 1e3
 
-dense = njit(lambda matrix, right, n: solve_dense(matrix, right, n))
-envelope = njit(
+dense = entry(lambda matrix, right, n: solve_dense(matrix, right, n))
+envelope = entry(
     lambda matrix, reach, right, inner, n: solve_envelope(matrix, reach, right, inner, n)
 )
 

@@ -5,11 +5,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from numba import njit
 from scipy.optimize import linprog
 
 from fixel.kernels import codes, entries
 from fixel.kernels.gauss_seidel import gauss_seidel, nearest_in_polygon
+from fixel.kernels.jit import entry
 from fixel.kernels.proximal import (
     begin_line,
     linearise_any,
@@ -23,17 +23,17 @@ from fixel.testing.contracts import step_problem
 FLOOR = math.pi / 2
 WALLS = ((FLOOR, 0.0, 0.3), (0.0, 0.1, 0.5))
 
-swept = njit(lambda problem, work, sweeps: gauss_seidel(problem, work, 1e-14, sweeps))
-proximal = njit(
+swept = entry(lambda problem, work, sweeps: gauss_seidel(problem, work, 1e-14, sweeps))
+proximal = entry(
     lambda problem, work, rounds: proximal_newton(
         problem, work, 10.0, 1e6, rounds, 1e-12, -1, 1.0, 0.0
     )
 )
 
-stiffened = njit(lambda problem, work: stiffening_newton(problem, work, 1e-12, 60, math.inf))
+stiffened = entry(lambda problem, work: stiffening_newton(problem, work, 1e-12, 60, math.inf))
 
 
-@njit
+@entry
 def residual_along(problem, work, sigma, tresca, place):
     """Return the residual along the search direction, by the springs' slips and by linearising."""
     start, growth = begin_line(problem, work, sigma)
@@ -48,7 +48,7 @@ def residual_along(problem, work, sigma, tresca, place):
     return quick, total
 
 
-polygon = njit(lambda x, y, limit, sides: nearest_in_polygon(x, y, limit, sides))
+polygon = entry(lambda x, y, limit, sides: nearest_in_polygon(x, y, limit, sides))
 
 
 @pytest.mark.system

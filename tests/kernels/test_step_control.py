@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from numba import njit
 
 from fixel.kernels import entries
+from fixel.kernels.jit import entry
 from fixel.kernels.step_control import CROWD, largest_change
 
-change = njit(lambda problem, guess: largest_change(problem, guess))
+change = entry(lambda problem, guess: largest_change(problem, guess))
 
 
 @pytest.mark.parametrize("n", [1, CROWD, CROWD + 1, 9 * CROWD])
