@@ -18,6 +18,8 @@ from fixel.testing.pushes import example_parts
 from fixel.workflows import jobs
 from fixel.workflows.calibration.stored import stored_calibration
 from fixel.workflows.capabilities import CAPABILITIES, prepare, run
+from fixel.workflows.planning.report import FILE
+from fixel.workflows.planning.request import load_plan
 from fixel.workflows.table_map import TableView
 
 HILLS = LoadMap(
@@ -153,20 +155,19 @@ def test_a_job_has_the_map_and_does_not_read_the_file_again(lab, file):
 
 
 def test_a_plan_is_made_on_the_table(lab, pushes, file, tmp_path):
-    """The scene of an experiment, and that of a goal file, here and in a job."""
+    """The scene of a goal file here, and that of an experiment in a job."""
     scene = pushes[0].scene.save(tmp_path / "scene.yaml")
     x, y, _ = (1e3 * value for value in pushes[0].scene.bodies[0].pose)
     wanted = {"pose": {"pose_mm_deg": [x + 20, y, 0], "position_mm": 8}}
     goal = json.dumps({"fixel": 1, "goal": wanted, "belief": {"parameters": {"mu_pusher": 0.25}}})
     given = {"goal": goal, "rollouts": 1000}
-    stored, from_file = (
-        answer(lab, "plan", **given, **more, table=file).result.found.plan
-        for more in ({"experiment": "part-1-01"}, {"scene": scene})
+    here, flat = (
+        answer(lab, "plan", **given, **more, scene=scene).result.found.plan
+        for more in ({"table": file}, {})
     )
-    flat = answer(lab, "plan", **given, scene=scene).result.found.plan
-    assert stored.scene.plane.load_map == from_file.scene.plane.load_map == HILLS
+    assert here.scene.plane.load_map == HILLS
     assert flat.scene.plane.load_map is None
-    assert not np.array_equal(from_file.runs.margin, flat.runs.margin)
+    assert not np.array_equal(here.runs.margin, flat.runs.margin)
     capability = CAPABILITIES["plan"]
     request = capability.request({**given, "experiment": "part-1-01", "table": file})
     folder = prepare(capability, request, lab)
@@ -174,7 +175,10 @@ def test_a_plan_is_made_on_the_table(lab, pushes, file, tmp_path):
     assert jobs.run_here(folder).state == "done"
     name = (folder / "result").read_text()
     (kept,) = (one for one in lab.analyses if one.folder.name == name)
-    assert kept.analysis.numbers["success"]["stated"] == stored.success.stated
+    stored = load_plan(kept.folder / FILE).found.plan
+    assert stored.scene.plane.load_map == HILLS
+    assert kept.analysis.numbers["success"]["stated"] == here.success.stated
+    assert np.array_equal(stored.runs.margin, here.runs.margin)
     elsewhere = capability.request({**given, "scene": scene, "table": file})
     with pytest.raises(StoreRefused, match="is not a fixel project"):
         run(capability, elsewhere, tmp_path, progress=False)
