@@ -1,6 +1,4 @@
 import itertools
-import subprocess
-import sys
 
 import pytest
 import typer
@@ -70,9 +68,3 @@ def test_failure_becomes_a_sentence_and_an_exit_code(error, code, sentence, caps
     assert sentence in printed.err
     assert "Traceback" not in printed.err
     assert printed.out == ""
-
-
-def test_the_list_of_commands_is_shown_without_heavy_packages():
-    code = "import sys, fixel.cli.main; print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert not {"numpy", "numba", "pydantic", "rich.table", "yaml"} & set(done.stdout.split())

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from tests.fixtures import refused
 
-import fixel
 from fixel.datasets import Experiments, example
 from fixel.model import Flag
 
@@ -90,13 +89,6 @@ def test_nothing_is_modified(pushes):
     before = pickle.dumps(pushes)
     pushes.where("turned>20").sample(2).with_scene(lambda conditions: pushes[0].scene)
     assert pickle.dumps(pushes) == before
-
-
-def test_saved_experiments_are_equal(pushes, tmp_path):
-    path = pushes[:3].save(tmp_path / "pushes.fixel")
-    assert fixel.load(path) == pushes[:3]
-    assert fixel.load(path)[0] == pushes[0]
-    assert pickle.loads(pickle.dumps(pushes[:3])) == pushes[:3]
 
 
 def test_thousands_print_within_the_limits(pushes):

@@ -5,6 +5,7 @@ import pytest
 from benchmarks.seated import seated_grasp
 from benchmarks.varied import varied_grasp
 
+from fixel import load
 from fixel.errors import InvalidInput
 from fixel.model import Tripod
 from fixel.simulation import Accuracy, Adaptive, Midpoint, QuasiStatic, simulate, simulate_batch
@@ -104,3 +105,10 @@ def test_early_ends_are_uncertain():
 def test_other_engines_have_no_accuracy():
     with pytest.raises(InvalidInput, match="accuracy: found the engine"):
         simulate(pushed_square(), motion="mujoco", accuracy=True)
+
+
+def test_a_confirmed_simulation_is_saved_with_its_confirmation(tmp_path):
+    push = simulate(pushed_square(), motion="quasistatic", accuracy=True, derivatives=["x"])
+    again = load(push.save(tmp_path / "push.fixel"))
+    assert again == push
+    assert str(again.accuracy) == str(push.accuracy)

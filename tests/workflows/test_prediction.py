@@ -59,7 +59,6 @@ def test_a_prediction_tells_its_ends():
     assert inside.mean() == pytest.approx(0.8, abs=0.07)
     text = repr(found)
     assert text.startswith("Prediction: 40 runs, start: +-4 mm (x), +-20 mm (y), +-8 deg uniform (")
-    assert len(text.splitlines()) <= 25
 
 
 def test_model_error_widens_the_ends_and_leaves_the_contacts():
@@ -132,8 +131,6 @@ def test_the_posterior_holds_the_truth_and_predicts_another_push(tmp_path, monke
     assert max(told.levels_of(pushes[1].trajectory.pose[-1])) < 0.999
     kept = project_of(tmp_path / "lab", pushes).add(found)
     assert kept.analysis.numbers["parameters"]["mu_pusher"]["best"] == found.best[0]
-    found.save(tmp_path / "posterior")
-    assert fixel.load(tmp_path / "posterior") == found
     with pytest.raises(InvalidInput, match="did you mean 'mu_pusher'"):
         fixel.posterior(pushes[0], {"mu_pushr": (0, 1)}, **QUIET)
 

@@ -40,7 +40,6 @@ def test_true_values_fit_better(found):
 def test_it_prints_models_and_the_worst(found):
     lines = repr(found).splitlines()
     assert lines[0] == "Comparison of 5 experiments with 2 models"
-    assert len(lines) <= 25
     assert any(line.split()[:2] == ["true", "5"] for line in lines)
     table = found.to_arrow()
     assert table.num_rows == 10
@@ -99,10 +98,6 @@ def test_progress_is_reported(pushes):
     seen = []
     compare(pushes[:2], progress=seen.append)
     assert [(progress.done, progress.total) for progress in seen] == [(0, 2), (1, 2), (2, 2)]
-
-
-def test_it_is_saved(found, tmp_path):
-    assert fixel.load(found.save(tmp_path / "errors.fixel")).to_dict() == found.to_dict()
 
 
 def test_simulations_of_the_laboratory_are_compared_next_to_ours(data_root):
