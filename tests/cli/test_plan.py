@@ -119,6 +119,7 @@ def with_looks(folder, printed):
     return folder / "looks.plan"
 
 
+@pytest.mark.system
 def test_a_plan_with_looks_chooses_the_next_push_at_once(capsys, with_looks):
     import fixel as package
 
@@ -141,6 +142,7 @@ def test_a_plan_with_looks_chooses_the_next_push_at_once(capsys, with_looks):
     assert text == "The goal is met: no push is needed.\n"
 
 
+@pytest.mark.system
 def test_a_plan_with_looks_states_what_they_are_worth(printed, with_looks):
     assert "1 push and up to 2 looks: success probability" in printed
     charts = with_looks.with_name("charts").iterdir()
@@ -153,6 +155,7 @@ def test_a_plan_with_looks_states_what_they_are_worth(printed, with_looks):
     assert looks["pushes"] <= 3.0
 
 
+@pytest.mark.system
 def test_what_a_plan_with_looks_does_not_take_is_refused(capsys, with_looks):
     pose = ("--seen", "21,4,10")
     for words, message in (

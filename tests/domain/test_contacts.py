@@ -76,6 +76,7 @@ def coverage(bias, repeats=12):
     return dict(zip(names, np.mean(rows, axis=0), strict=True))
 
 
+@pytest.mark.system
 def test_bounds_hold_on_a_new_side_where_every_side_is_biased():
     found = coverage(bias=2.0)
     assert found["blind"] < 0.75
@@ -83,12 +84,14 @@ def test_bounds_hold_on_a_new_side_where_every_side_is_biased():
     assert found["known"] == pytest.approx(0.905, abs=0.025)
 
 
+@pytest.mark.system
 def test_without_a_bias_bounds_on_a_new_side_are_hardly_wider():
     found = coverage(bias=0.0)
     assert 0.88 <= found["new"] <= 0.97
     assert found["new_mean"] < 1.25 * found["blind_mean"]
 
 
+@pytest.mark.system
 def test_a_new_side_or_speed_has_no_data_and_says_why():
     lab = Laboratory(1, 2.0, 0)
     x, e, contacts, _, _ = lab.pushes([(0, side) for side in range(3)], seen=True)

@@ -51,6 +51,7 @@ def test_the_interval_of_misses_is_the_mirrored_one_of_hits(pushes, held):
     assert low < share < high
 
 
+@pytest.mark.system
 def test_choosing_does_not_raise_what_is_stated(monkeypatch):
     """Forty pushes that end equally well, each off by as much in all runs of a world."""
     size, fresh = np.array([2 * mm, 2 * mm, 1 * deg]), np.random.default_rng(5)

@@ -62,6 +62,7 @@ def test_the_part_may_not_touch_it_on_its_way():
         fixel.plan(pushed_square(), near, choose, rollouts=2_000, progress=False)
 
 
+@pytest.mark.system
 def test_a_sequence_of_pushes_avoids_obstacles():
     """The obstacle lies where the square starts in the table of displacements: away from it."""
     region, corners = box(60, -60, 80, -30)

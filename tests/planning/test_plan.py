@@ -190,6 +190,7 @@ def test_a_refused_goal_says_how_likely_the_nearest_end_is(travel, likely):
     assert stated == pytest.approx(likely, abs=0.1)
 
 
+@pytest.mark.system
 def test_a_goal_that_only_part_of_the_belief_reaches_has_a_plan():
     """Pushes of 10 mm along the normals of the sides reach the goal only if the start is off."""
     choose = FreePushes(angle=1e-6, length=(10 * mm, 10.001 * mm))

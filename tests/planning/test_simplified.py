@@ -41,6 +41,7 @@ def test_an_outline_of_few_corners_is_the_simulated_one(shape):
     assert simplified(scene, GOAL) is scene
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("noise", [0.0, 0.05 * mm])
 def test_a_traced_outline_loses_most_corners_and_little_else(noise):
     scene = traced(500, noise)
@@ -50,6 +51,7 @@ def test_a_traced_outline_loses_most_corners_and_little_else(noise):
     assert fewer.bodies[0].shape.area == pytest.approx(scene.bodies[0].shape.area, rel=0.01)
 
 
+@pytest.mark.system
 def test_a_fine_goal_has_a_fine_outline():
     """Within a quarter of the tolerance, however many corners that leaves."""
     scene = traced(500)

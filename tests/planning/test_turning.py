@@ -86,6 +86,7 @@ def test_the_tool_moves_along_an_arc_in_its_own_direction():
     assert path[-1, 0] == pytest.approx((2 * 0.25 * np.hypot(HALF, HALF) + LENGTH) / 0.02)
 
 
+@pytest.mark.system
 def test_one_turning_push_reaches_what_no_straight_one_does():
     goal = PoseRegion((48 * mm, 19.5 * mm, 15 * deg), position=3 * mm, angle=3 * deg)
     straight = FreePushes(tool=TOOL, friction=FRICTION, length=(5 * mm, 60 * mm), angle=1e-6)

@@ -262,6 +262,7 @@ def test_time_stamps_scatter_and_frames_are_lost():
     assert (np.rint(steps * 30.0) - 1.0).sum() == lost.sum()
 
 
+@pytest.mark.system
 def test_a_hand_hides_the_part_in_the_first_push_of_a_row_only():
     lab = laboratory(replace(NO_FAULTS, hidden=(ROW.name,), hand=0.2))
     pictures = pushed(lab)
@@ -282,6 +283,7 @@ def test_a_hand_hides_the_part_in_the_first_push_of_a_row_only():
     assert not any(moment.hidden for moment in list(lab.moments)[again:])
 
 
+@pytest.mark.system
 def test_a_tracked_push_lacks_what_a_hand_hid_and_what_an_overload_stopped(tmp_path):
     lab = laboratory(Faults(hidden=(ROW.name,), hand=0.3, overload=(ROW.name,)), rig=RIG)
     lab.nudge()
@@ -402,6 +404,7 @@ def test_no_pictures_before_a_row_is_prepared():
     assert lab.tactile.read().bits is None
 
 
+@pytest.mark.system
 def test_a_push_of_two_axes_under_the_microscope():
     """The sixth push of the ASME paper, along -y: the part ends where it should."""
     planned = eight_push_plan().experiments[15]

@@ -39,6 +39,7 @@ def two():
     return NestedSampling(samples=800).sample(two_minima, Cube(2), seed=1)
 
 
+@pytest.mark.system
 def test_separated_minima_survive_with_their_weights(two):
     assert [mode.weight for mode in two.modes] == pytest.approx([2 / 3, 1 / 3], abs=0.08)
     np.testing.assert_allclose(two.modes[0].best, (0.2, 0.3), atol=0.5 * SD)
@@ -54,6 +55,7 @@ def test_the_evidence_is_that_of_the_integral(two):
     assert len(two.points) == min(1000, int(two.effective))
 
 
+@pytest.mark.system
 def test_few_samples_wanted_do_not_break_one_mode_into_many():
     found = NestedSampling(samples=50).sample(lambda p: peak(p, (0.5,) * 4), Cube(4), seed=1)
     assert len(found.modes) == 1

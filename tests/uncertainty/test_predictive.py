@@ -77,6 +77,7 @@ def test_a_belief_takes_the_error_of_the_calibration_unless_scatter_is_given(fit
     assert scattered.scenarios(scene, worlds=8, runs=4).end_error is None
 
 
+@pytest.mark.system
 def test_ends_are_checked_against_predictions_of_the_other_pushes(fit, recorded):
     """The others are calibrated again; regions are the nearest 90 % of predicted ends."""
     inside = 0

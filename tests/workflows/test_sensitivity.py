@@ -129,6 +129,7 @@ def test_everything_in_a_project_is_ranked_and_kept(folder):
     assert analysis.methods
 
 
+@pytest.mark.system
 def test_one_experiment_as_json_with_indices(folder):
     pytest.importorskip("SALib")
     words = ("testbed/push", "-p", folder, "--samples", "60", "--base", "4", "--json")

@@ -81,6 +81,7 @@ def test_a_film_becomes_an_experiment(film, tmp_path):
     json.dumps(answer.summary(), allow_nan=False)
 
 
+@pytest.mark.system
 def test_outlines_of_a_registered_camera_lie_on_the_parts(tmp_path):
     """Drawn where the film has them, not where they would be if the camera had not been moved."""
     rig = tag_rig(plate=True)

@@ -210,6 +210,7 @@ def test_iterations_and_starts_of_a_search_are_stored(lab):
     assert single.ends() == []
 
 
+@pytest.mark.system
 @pytest.mark.usefixtures("blank")
 def test_each_search_by_least_squares_has_its_own_end(lab, tmp_path):
     options = {"mode": "joint", "optimiser": NamedOptions(name="least-squares")}

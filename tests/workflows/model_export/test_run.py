@@ -250,6 +250,7 @@ def test_the_card_of_a_calibration_has_intervals_and_errors(tmp_path: Path) -> N
         fixel.export_model(fit, tmp_path / "used", to="pymunk", held_out=pushes[1:3])
 
 
+@pytest.mark.system
 def test_a_stored_calibration_is_exported_as_its_value(tmp_path: Path) -> None:
     project = fixel.Project.create(tmp_path / "lab")
     project.add(example_pushes(2), progress=False)

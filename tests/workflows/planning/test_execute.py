@@ -113,6 +113,7 @@ def test_a_trial_names_the_event_that_happened(tmp_path: Path):
     assert found.failures == {"a force above 0.01 N": 2}
 
 
+@pytest.mark.system
 def test_trials_with_looks_use_all_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Pushes of one trial are repeated here in one go: the run has the same friction in all.
 
