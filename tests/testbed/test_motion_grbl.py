@@ -1,4 +1,5 @@
 import math
+import threading
 import time
 from contextlib import contextmanager
 
@@ -197,6 +198,39 @@ def test_homing_without_switches_is_refused(drive):
         drive.home()
 
 
+def report_nothing_at_home(controller: EmulatedGrbl) -> None:
+    """As GRBL, which answers no status request while it homes."""
+    report = controller._report
+    controller._report = lambda: None if controller.state == "Home" else report()
+
+
+@pytest.mark.parametrize("happens", ["a stop", "a timeout"])
+def test_homing_ends_at_once(happens, monkeypatch):
+    with driven(homing=True, start=100.0) as (controller, drive):
+        report_nothing_at_home(controller)
+        if happens == "a timeout":
+            monkeypatch.setattr("fixel.testbed.motion_grbl.HOMING_TIME", 0.3)
+        else:
+            stop = threading.Timer(0.3, drive.stop)
+            stop.start()
+        with pytest.raises(DeviceFailed, match="homing failed"):
+            drive.home()
+        controller.wait_for("alarm 6")
+        assert controller.place > 80.0
+
+
+def test_a_move_that_another_thread_stops_keeps_its_zero():
+    with driven({"reach": (0.0, 1.0)}, acceleration=200.0, travel=1000.0) as (_, drive):
+        drive.set_zero()
+        for _ in range(6):
+            stop = threading.Timer(0.25, drive.stop)
+            stop.start()
+            with pytest.raises(DeviceFailed, match="stop was requested"):
+                drive.move(to=0.9, speed=0.04)
+            stop.join()
+            assert drive.zero_known
+
+
 @pytest.mark.parametrize("happens", [EmulatedGrbl.power_cycle, EmulatedGrbl.hit_switch])
 def test_without_homing_zero_is_unknown_until_confirmed_and_after_each_loss(happens):
     with driven({"axes": "XY"}, axes=2, start=20.0) as (controller, drive):
@@ -244,6 +278,19 @@ def test_whatever_ends_a_move_early_is_told(controller, drive, happens, why, mon
         drive.wait()
     drive.stop()
     assert not drive.moving
+
+
+def test_after_a_hold_nothing_is_left_that_a_button_would_continue(controller, drive):
+    drive.move(by=0.05, speed=0.03, wait=False)
+    moves(controller)
+    controller.press_hold()
+    with pytest.raises(DeviceFailed, match="in the state Hold"):
+        drive.wait()
+    there = controller.place
+    controller._do(lambda: controller._take(b"~"))
+    time.sleep(0.1)
+
+    assert controller.place == there
 
 
 def test_after_a_lost_answer_the_drive_can_be_moved_on(controller, drive, monkeypatch):
@@ -306,6 +353,16 @@ def test_whoever_finds_a_drive_moving_stops_it_first(controller):
     with GrblActuator(controller.port, guard=False) as drive:
         assert drive.state == "Idle"
         assert controller.speed == 0.0
+
+
+@pytest.mark.parametrize("half", [b"G21G90G94G53G1X60.000F300", b"G0X60", b"$H"])
+def test_half_a_line_of_another_program_is_not_executed(half):
+    with EmulatedGrbl(homing=half == b"$H") as controller:
+        controller._do(lambda: [controller._take(bytes([byte])) for byte in half])
+        with GrblActuator(controller.port, guard=False) as drive:
+            assert drive.reach == (0.0, 0.15)
+        assert controller.trace == []
+        assert controller.place == 40.0
 
 
 # --- other firmware -------------------------------------------------------------------------------

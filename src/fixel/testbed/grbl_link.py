@@ -75,14 +75,19 @@ class GrblLink:
         with self.changed:
             self._answers, self._verdict, self.trouble = [], "", ""
             self._send(line)
-            until = time.monotonic() + patience
-            while not self._verdict and not self.trouble and time.monotonic() < until:
-                self.changed.wait(until - time.monotonic())
-            answers, self._answers = self._answers, None
+            try:
+                self.changed.wait_for(lambda: self._verdict or self.trouble, patience)
+            finally:
+                answers, self._answers = self._answers, None
             if self._verdict == "ok":
                 return answers
             why = self._verdict or self.trouble or f"no answer to {line} in {patience:.3g} s"
             raise DeviceFailed(why)
+
+    @property
+    def occupied(self) -> bool:
+        """Whether a command such as homing is not answered yet."""
+        return self._answers is not None
 
     def fresh_status(self, patience: float = SILENCE) -> GrblStatus:
         """Wait for a report that was requested after the call, or raise `DeviceFailed`."""
@@ -189,7 +194,8 @@ class GrblLink:
             self.resets += 1
             self.losses += not self._resetting
             self._unanswered.clear()
-            self.trouble = self.trouble or "the controller was reset"
+            # `reset` clears the trouble, perhaps before a command that waits has read it.
+            self._verdict = self.trouble = self.trouble or "the controller was reset"
         elif self._answers is not None:
             self._answers.append(line)
         self.changed.notify_all()
@@ -252,8 +258,9 @@ def greet(link: Serial, port: str) -> None:
         heard += answer
         lines = answer.decode("ascii", "replace").splitlines()
         if any(grbl.status_of(line.strip()) for line in lines):
-            # Half a line of a previous program would corrupt our first one.
-            link.write(b"\n")
+            # Half a line of a previous program must neither be executed nor corrupt our first one:
+            # a letter without a number makes every line invalid.
+            link.write(b"Q\n")
             arrived_within(link, PATIENCE, b"\n")
             return
         if answer and b"Grbl" not in heard and b"<" not in answer:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
+import threading
 import time
 from typing import ClassVar, Final, Self, final
 
@@ -98,6 +99,7 @@ class GrblActuator(motion.AbstractActuator):
         self._queue = DEAD_MAN  # [s] of this move
         self._failure = ""
         self._stops = self._stops_before = 0  # number of requests, and that before a move
+        self._stopping = threading.Lock()
         self._at_rest_since: float | None = None
         self._zero_losses = -1  # value of `GrblLink.losses` at `set_zero`
 
@@ -226,19 +228,18 @@ class GrblActuator(motion.AbstractActuator):
             return self._target is not None
 
     def home(self) -> None:
-        if self.moving:
-            raise DeviceFailed("the actuator is moving", hint="wait until it stands, or stop it")
+        self._refuse_second_move()
         if self.connected and not self._homes:
             raise DeviceFailed("homing is off in this controller ($22=0)", hint=NO_HOMING)
         try:
             self._open.command("$H", HOMING_TIME)
-        except DeviceFailed as failed:
+        except BaseException as failed:
+            # Only a reset ends homing, which goes on if it was interrupted or takes too long.
+            self._open.at_once(grbl.RESET)
+            if not isinstance(failed, DeviceFailed):
+                raise
             hint = "check the drive, then home it again"
             raise DeviceFailed(f"homing failed: {failed.reason}", hint) from None
-        except BaseException:
-            # Only a reset ends homing.
-            self._open.at_once(grbl.RESET)
-            raise
 
     def unlock(self) -> None:
         """End an alarm without homing. Look at the position of the drive before."""
@@ -352,6 +353,7 @@ class GrblActuator(motion.AbstractActuator):
                 link.changed.wait(0.1)
             failure, self._failure = self._failure, ""
         if failure:
+            self.stop()  # what is queued
             hint = "if the drive still moves, switch off its power; else: fixel actuator where"
             raise DeviceFailed(f"the drive was stopped: {failure}", hint=hint)
 
@@ -384,17 +386,22 @@ class GrblActuator(motion.AbstractActuator):
             return
         with link.changed:
             self._stops += 1
-            was_moving = self._target is not None
-            if was_moving:
+            # Many controllers report nothing while they home, and do not hold.
+            homing, moving = link.occupied, self._target is not None
+            # The last report may precede the trouble.
+            at_rest = ("Alarm",) if link.trouble else ("Alarm", "Idle")
+            if moving:
                 self._give_up(link.trouble or "stop was requested")
         if link.lost:
             return
-        status = link.status
-        if not was_moving and status is not None and status.state in ("Idle", "Alarm"):
+        if not (homing or moving) and link.status and link.status.state in at_rest:
             return
-        link.at_once(grbl.HOLD)
-        self._wait_for_rest(link)
-        link.reset()  # empties its queue
+        # A move that another thread stops is stopped by its own thread, too.
+        with self._stopping:
+            if not homing:
+                link.at_once(grbl.HOLD)
+                self._wait_for_rest(link)
+            link.reset()  # empties its queue
 
     def _wait_for_rest(self, link: GrblLink) -> None:
         """Wait until the drive has slowed down: an earlier reset would lose its position."""
