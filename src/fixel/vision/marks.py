@@ -290,14 +290,9 @@ class Board:
 
     def _refuse(self, gray: Gray, count: int) -> None:
         if self.marker:
-            mirrored = self._find_tagged(np.ascontiguousarray(gray[:, ::-1]))
-            if mirrored is not None and len(mirrored.pixels) >= max(MIN_CORNERS, count + 1):
-                raise InvalidInput(
-                    "picture",
-                    found="a mirrored board",
-                    expected="the picture as the camera sees it",
-                    hint="switch off mirroring in the camera's settings",
-                )
+            other = self._find_tagged(np.ascontiguousarray(gray[:, ::-1]))
+            if other is not None and len(other.pixels) >= max(MIN_CORNERS, count + 1):
+                raise mirrored("a mirrored board")
         inner = (self.columns - 1) * (self.rows - 1)
         others = self._other_dictionaries(gray) if self.marker else ""
         if others:
@@ -388,6 +383,13 @@ class Board:
         tags = predefined(f"DICT_{self.dictionary.upper()}_{DICTIONARIES[self.dictionary]}")
         squares, side, marker = (self.columns, self.rows), float(self.square), self.marker or 0.0
         return opencv().aruco.CharucoBoard(squares, side, float(marker), tags)
+
+
+def mirrored(found: str) -> InvalidInput:
+    """Return the error for what is mirrored in a picture."""
+    expected = "the picture as the camera sees it"
+    hint = "switch off mirroring in the settings of the camera or the recorder"
+    return InvalidInput("picture", found=found, expected=expected, hint=hint)
 
 
 def predefined(name: str) -> Any:

@@ -14,7 +14,7 @@ from fixel.typing import BoolArray, FloatArray
 from fixel.vision.bundle import BundleFit, PointObservations, fit
 from fixel.vision.camera import PLACE, Camera, MeasuredCamera
 from fixel.vision.frame import Frame, Gray
-from fixel.vision.marks import Rig, Tag
+from fixel.vision.marks import Rig, Tag, mirrored
 from fixel.vision.plane_errors import place_covariance, radius95
 from fixel.vision.tracking.outline import MIN_SCATTER, fit_pose, window_of
 from fixel.vision.tracking.tag_reader import read_tags, tag_corners, tag_points
@@ -29,24 +29,6 @@ DARK, WHITE = 45.0, 234.0  # of brightness; video has 16 for black and 235 for w
 PLATE_EVERY: Final = 15  # frames between two checks of the plate
 UNWATCHED: Final = "No tag on the plate is visible, so motion of the camera cannot be detected"
 VAGUE: Final = 0.5e-3  # [m] largest error of a registered camera at that height
-
-
-def check_size(rig: Rig, frame: Frame) -> None:
-    """Raise for pictures of another size than that of the rig's camera."""
-    wanted, found = tuple(rig.camera.lens.image_size), frame.size
-    if found == wanted:
-        return
-    turned = found == wanted[::-1]
-    raise InvalidInput(
-        "video",
-        found=f"{found[0]} x {found[1]} pixels"
-        + (", with the picture turned by 90 degrees" if turned else ""),
-        expected=f"{wanted[0]} x {wanted[1]}, for which rig {rig.name!r} was calibrated",
-        hint="rotate the film back"
-        if turned
-        else "film at that resolution, or calibrate the camera at this one; a calibration cannot "
-        "be scaled, since cameras crop",
-    )
 
 
 def bad_light(frame: Frame) -> str:
@@ -72,12 +54,7 @@ def check_orientation(rig: Rig, picture: Gray) -> None:
     if wanted & set(read_tags(picture, families)):
         return
     if wanted & set(read_tags(picture[:, ::-1], families)):
-        raise InvalidInput(
-            "video",
-            found="a mirrored picture, whose tags can be read only after mirroring",
-            expected="the picture as the camera sees it",
-            hint="turn off mirroring in the camera's or recorder's settings",
-        )
+        raise mirrored("a mirrored picture, whose tags can be read only after mirroring")
 
 
 @final

@@ -12,7 +12,7 @@ from fixel.errors import InvalidInput
 from fixel.model.shape import placed
 from fixel.typing import FloatArray
 from fixel.vision.frame import Gray, Picture, opencv
-from fixel.vision.marks import KNOWN_FAMILIES, Tag, dictionary_of, gray_of
+from fixel.vision.marks import KNOWN_FAMILIES, Tag, dictionary_of, gray_of, mirrored
 from fixel.vision.tracking.loops import find_edges
 
 MAX_NAMED: Final = 6  # tags per family
@@ -98,19 +98,10 @@ def find_tags(picture: Picture, tags: Sequence[Tag]) -> dict[int, FloatArray]:
         if corners is not None:
             found[index] = corners
     if not found:
-        _refuse_mirrored(gray, tags, families)
+        seen = read_tags(gray[:, ::-1], families)
+        if any((tag.family, tag.id) in seen for tag in tags):
+            raise mirrored("mirrored tags")
     return found
-
-
-def _refuse_mirrored(gray: Gray, tags: Sequence[Tag], families: set[str]) -> None:
-    seen = read_tags(gray[:, ::-1], families)
-    if any((tag.family, tag.id) in seen for tag in tags):
-        raise InvalidInput(
-            "picture",
-            found="mirrored tags",
-            expected="the picture as the camera sees it",
-            hint="switch off mirroring in the camera's settings",
-        )
 
 
 def _sharpened(gray: Gray, corners: FloatArray) -> FloatArray | None:
