@@ -31,6 +31,7 @@ PATIENCE: Final = 2.0  # [s]
 def _perform(request: "BaseModel", folder: Path, as_json: bool) -> None:
     """Serve the page and read keys until the campaign has ended."""
     from fixel.database.project import Project
+    from fixel.testbed.motion import ManualActuator
     from fixel.web.context import ProjectContext
     from fixel.web.project import project_server
     from fixel.workflows.bench.run import report_of
@@ -39,9 +40,11 @@ def _perform(request: "BaseModel", folder: Path, as_json: bool) -> None:
     session = context.bench
     try:
         loop = session.start(BENCH.function(context.project, **BENCH.arguments(request)))
-        with project_server(context) as server, _pressed_keys() as pressed:
+        # The operator of a manual drive answers in the terminal.
+        keys = sys.stdin.isatty() and loop.devices.drive.name != ManualActuator.name
+        with project_server(context) as server, _pressed_keys(keys) as pressed:
             notify(f"Open {server.address}bench?token={server.gate.token}")
-            if sys.stdin.isatty():
+            if keys:
                 notify(SAID)
             show = _reporter(session)
             while session.running:
@@ -112,9 +115,9 @@ def _reporter(session: "BenchSession") -> Callable[[], None]:
 
 
 @contextmanager
-def _pressed_keys() -> Iterator[Callable[[float], Iterator[str]]]:
+def _pressed_keys(read: bool) -> Iterator[Callable[[float], Iterator[str]]]:
     """Yield a function that waits for a time [s] and returns the keys pressed meanwhile."""
-    if not sys.stdin.isatty() or sys.platform == "win32":
+    if not read or sys.platform == "win32":
         yield _nothing
         return
     import termios

@@ -20,6 +20,7 @@ from fixel.formats.plan_file import plan_text
 from fixel.formats.recording import open_recording
 from fixel.sampling import eight_push_plan, thesis_plan
 from fixel.testbed.motion import SimulatedActuator
+from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.bench import loop as loop_module
 from fixel.workflows.bench.loop import Background, BenchLoop
 from fixel.workflows.bench.run import open_bench, report_of
@@ -139,6 +140,71 @@ def test_a_stop_ends_the_push_at_once_and_the_row_is_performed_again(bench):
 
 
 @pytest.mark.system
+@pytest.mark.parametrize("after", ["stop", "end"])
+def test_a_push_that_was_asked_for_before_does_not_begin_after(after, bench):
+    with operated(bench) as (loop, hand):
+        hand.place()
+        loop.ask("push")
+        loop.ask(after)
+        if after == "end":
+            hand.thread.join(60.0)
+        n = len(hand.statuses)
+        until(lambda: after == "end" or len(hand.statuses) > n + 5)
+        assert not loop.campaign.attempts
+        assert "moving" not in {status["phase"] for status in hand.statuses}
+
+
+@pytest.mark.system
+def test_an_interruption_stops_the_head_on_its_way(bench):
+    """As Ctrl-C does, where the loop runs in the main thread."""
+    with opened(bench, auto=True) as loop:
+        drive, start = loop.devices.drive, loop.devices.stroke(loop.campaign.rows[0].scene).start
+
+        def interrupted(draw, status):
+            if status["phase"] == "moving" and drive.moving:
+                raise KeyboardInterrupt
+
+        loop.show = interrupted
+        with pytest.raises(KeyboardInterrupt):
+            loop.run()
+        assert not drive.moving
+        assert np.linalg.norm(drive.place() - start) > 5e-3
+
+
+@pytest.mark.system
+def test_a_repeated_key_confirms_no_zero_that_was_not_asked_for(bench, monkeypatch):
+    confirmed = []
+    with operated(bench) as (loop, hand):
+        hand.place()
+        drive = type(loop.devices.drive)
+        loop.devices.camera.source.close()
+        until(lambda: "camera" in "".join(hand.now()["problems"]))
+        monkeypatch.setattr(drive, "zero_known", property(lambda self: bool(confirmed)))
+        monkeypatch.setattr(drive, "set_zero", lambda self: confirmed.append(1))
+        loop.ask("again")
+        loop.ask("again")
+        until(lambda: "by hand" in "".join(hand.now()["problems"]))
+        n = len(hand.statuses)
+        until(lambda: len(hand.statuses) > n + 3)
+        assert not confirmed
+
+
+@pytest.mark.system
+def test_a_stop_during_recovery_prevents_homing(bench, monkeypatch):
+    with operated(bench) as (loop, hand):
+        hand.place()
+        devices, homed = loop.devices, []
+        monkeypatch.setattr(type(devices.drive), "home", lambda self: homed.append(1))
+        monkeypatch.setattr(type(devices.drive), "state", "Alarm", raising=False)
+        until(lambda: hand.now()["phase"] == "trouble")
+        monkeypatch.setattr(devices.drive, "set_zero", lambda: loop.ask("stop"))
+        loop.ask("again")
+        until(lambda: "stopped by the person" in "".join(hand.now()["problems"]))
+        assert "moving" in {status["phase"] for status in hand.statuses}  # any key stops
+        assert not homed
+
+
+@pytest.mark.system
 def test_a_drive_of_unknown_position_does_not_move_before_a_person_confirms_its_zero(
     bench, monkeypatch
 ):
@@ -208,6 +274,44 @@ def test_an_attempt_with_a_fault_waits_for_a_decision(bench, monkeypatch):
         until(lambda: hand.now()["attempts"][0]["state"] == "repeated")
         assert loop.campaign.recording(next(iter(loop.campaign.attempts.values()))).is_dir()
         assert loop.campaign.left[0].name == first["row"]
+
+
+class Estimator:
+    """Estimator that computes nothing."""
+
+    waiting = 0
+
+    def __init__(self):
+        self.calls = []
+
+    def call(self, done, experiments, *_):
+        self.calls.append((done, [own.name for own in experiments]))
+
+    def close(self):
+        pass
+
+
+@pytest.mark.system
+def test_an_accepted_attempt_that_is_repeated_leaves_the_estimates(bench):
+    with opened(bench) as loop:
+        rows, loop._estimator = loop.campaign.rows, Estimator()
+        for row in rows:
+            (experiment,) = SimulatedTestbed(seed=1).run([row])
+            with loop._project.store() as store:
+                number, _ = store.add_experiment(experiment)
+            loop.campaign.note(loop.campaign.begin(row.name), "accepted", experiment=number)
+        loop._estimate()
+        first, second = [own.name for own in loop.campaign.accepted]
+        loop._granted("repeat", first)
+        assert [names for _, names in loop._estimator.calls] == [
+            [row.name for row in rows], [rows[1].name],
+        ]  # fmt: skip
+        loop.live = "estimates of the second"
+        loop._estimator.calls[0][0](None)  # the answer with both comes late
+        loop._events.get()()
+        assert loop.live == "estimates of the second"
+        loop._granted("repeat", second)
+        assert loop.live is None
 
 
 @pytest.mark.system

@@ -375,12 +375,8 @@ def _as_written(name: str, scene_file: SceneFile, seed: int) -> FilmScene:
 def _performed(planned: PlannedExperiment, bench: SimulatedTestbed) -> FilmScene:
     """Simulate a planned experiment on the simulated testbed."""
     simulation = simulate(bench.true_scene(planned), output_interval=SAMPLE)
-    return FilmScene(
-        name=planned.name,
-        planned=SceneFile(scene=planned.scene),
-        simulation=simulation,
-        testbed=bench,
-    )
+    believed = SceneFile(scene=planned.scene)
+    return FilmScene(name=planned.name, planned=believed, simulation=simulation, testbed=bench)
 
 
 def _again(experiment: Experiment) -> FilmScene:
@@ -410,16 +406,9 @@ def _again(experiment: Experiment) -> FilmScene:
 
 
 def _check_simulated(experiment: Experiment) -> None:
-    if (
-        experiment.real
-        or experiment.scene is None
-        or f"{TRUTH}final_x_m" not in experiment.conditions
-    ):
-        raise InvalidInput(
-            f"experiment {experiment.key}",
-            found="a real experiment"
-            if experiment.real
-            else "an experiment whose true motion is unknown",
-            expected="an experiment of the simulated testbed",
-            hint="perform some: fixel testbed run",
-        )
+    known = experiment.scene is not None and f"{TRUTH}final_x_m" in experiment.conditions
+    if experiment.real or not known:
+        found = "a real experiment" if experiment.real else "one whose true motion is unknown"
+        expected, hint = "one of the simulated testbed", "perform some: fixel testbed run"
+        where = f"experiment {experiment.key}"
+        raise InvalidInput(where, found=found, expected=expected, hint=hint)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -22,7 +23,7 @@ from fixel.model import Body, Disk, Fixel, Polygon, Pusher, Scene, placed
 from fixel.model.fields import positive
 from fixel.model.trajectory import wrapped
 from fixel.sampling.rows import moved_onto
-from fixel.testbed.frame_source import STALLED, CameraPicture, FrameQueue, FrameSource
+from fixel.testbed.frame_source import STALLED, FrameQueue, FrameSource
 from fixel.typing import FloatArray
 from fixel.vision.frame import Frame, Picture
 from fixel.vision.marks import Rig
@@ -156,8 +157,8 @@ def frames_of(
             while live and (newer := queue.get(0.0)) is not None:
                 arrived = newer
             if arrived is not None:
-                if (frame := _decoded(arrived)) is not None:
-                    yield frame
+                with suppress(InvalidInput):  # a damaged one: the next arrives soon
+                    yield Frame(arrived.time, arrived.picture())
                 missing = 0.0
             elif queue.over:
                 reason = queue.reason
@@ -167,14 +168,6 @@ def frames_of(
             notify(reason)
     finally:
         queue.close()
-
-
-def _decoded(arrived: CameraPicture) -> Frame | None:
-    """Return the frame, or None for a damaged one: the next arrives soon."""
-    try:
-        return Frame(arrived.time, arrived.picture())
-    except InvalidInput:
-        return None
 
 
 def watch(overlay: Overlay, frames: Iterable[Frame], show: Show) -> Iterator[Look]:

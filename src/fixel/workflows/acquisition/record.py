@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, final
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, unknown_name
 from fixel.formats.recording import (
     CODECS,
     RIG_FILE,
@@ -51,12 +51,9 @@ class RecordPlan:
     fast: bool = False  # whether a file is played as fast as it can be read
 
     def __post_init__(self) -> None:
-        for option, value, known in (
-            ("--codec", self.codec, CHOICES),
-            ("--until", self.until, ENDS),
-        ):
+        for option, value, known in ("--codec", self.codec, CHOICES), ("--until", self.until, ENDS):
             if value not in known:
-                raise InvalidInput(option, found=repr(value), expected="one of " + ", ".join(known))
+                raise unknown_name(option, value, known)
         if self.until == "limit" and self.limit is None:
             raise InvalidInput("--limit", found=None, expected="a duration such as 15s")
         if self.limit is not None and not (math.isfinite(self.limit) and self.limit > 0.0):

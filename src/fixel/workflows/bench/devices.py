@@ -138,21 +138,25 @@ class BenchDevices:
             before()
             self.drive.go(place, speed=self._fast)
 
-    def recover_drive(self, at_zero: bool) -> None:
-        """Connect and home a drive whose connection or position is lost.
+    def recover_drive(self, at_zero: bool, before: Callable[[], None]) -> bool:
+        """Connect a drive whose connection is lost; home it if it is locked. Return whether it was.
 
-        One that does not home must be `at_zero`, as `NO_ZERO` requests of a person. `DeviceFailed`
-        is raised where the drive does not answer, or its position remains unknown.
+        One that does not home must be `at_zero`, as `NO_ZERO` requests of a person; `before` is
+        called before homing. `DeviceFailed` is raised where the drive does not answer, or its
+        position remains unknown.
         """
         if not self.drive.connected:
             self.drive.connect()
         if not (self.drive.zero_known or at_zero):
             raise DeviceFailed(NO_ZERO)
         self.drive.set_zero()
-        if self.drive_state == "Alarm":
+        state = self.drive_state
+        if state == "Alarm":
+            before()
             self.drive.home()
-        elif self.drive_state != "Idle":
+        elif state != "Idle":
             self.drive.stop()
+        return state == "Alarm"
 
     @property
     def drive_state(self) -> str:

@@ -135,7 +135,7 @@ class BenchLoop:
         self._trouble, self._remark = "", ""
         self._in_place, self._nudged = 0, -NUDGE
         self._wants_push = ""  # who asked for it: `key` or `page`
-        self._pushing, self._stop_reason = threading.Event(), ""
+        self._pushing, self._stop_reason, self._stops = threading.Event(), "", 0
         self._withdraws: FloatArray | None = None  # where the head goes after its push
         self._outdated = False  # whether the estimates lack an experiment that no call has
         self._tracked_ones: dict[str, TrackedAttempt] = {}  # by the name of the attempt
@@ -155,12 +155,20 @@ class BenchLoop:
         `end`, or for the attempt of a name `accept` or `repeat`.
         """
         if do == "stop":
-            self._wants_push = ""  # not even begun
             self.stop("stopped by the person at the bench")
-        self._events.put(lambda: self._granted(do, row, by))
+        asked = self._stops, self._trouble
+
+        def grant() -> None:
+            # The head does not move after a stop, or for trouble that the person had not seen.
+            if do not in ("push", "again") or asked == (self._stops, self._trouble):
+                self._granted(do, row, by)
+
+        self._events.put(grant)
 
     def stop(self, reason: str) -> None:
-        """Stop the drive at once, if it pushes."""
+        """Stop the drive at once, if it moves; what was asked for before does not move it."""
+        self._stops += 1
+        self._wants_push = ""
         if self._pushing.is_set():
             self._stop_reason = self._stop_reason or reason
             self.devices.drive.stop()
@@ -184,10 +192,12 @@ class BenchLoop:
                     continue
                 frames = frames or self._frames()
                 self._turn(frames)
-                push = self._row if self._wants_push else None
-                if push is not None:
-                    self._stop_reason = ""
-                    self._pushing.set()
+                self._stop_reason = ""
+                self._pushing.set()
+                # A stop before has removed the wish; one from now on stops the drive.
+                push = self._row if self._wants_push and not self.finish else None
+                if push is None:
+                    self._pushing.clear()
                 if push is not None or self._trouble:
                     frames.close()  # a push reads its own, and those of a lost camera have ended
                     frames = None
@@ -267,9 +277,8 @@ class BenchLoop:
         return next((row for row in left if row.name == chosen), left[0])
 
     def _begin_row(self, row: PlannedExperiment | None) -> None:
-        self._row, self._look, self._checks = row, None, ()
+        self._row, self._overlay, self._look, self._checks = row, None, None, ()
         self._in_place, self._wants_push = 0, ""
-        self._overlay = None
         if row is None:
             return
         if self.devices.laboratory is not None:
@@ -307,8 +316,10 @@ class BenchLoop:
             self._accept(attempt)
         elif do == "repeat" and attempt is not None and attempt.state in ("tracked", "accepted"):
             self.campaign.note(attempt, "repeated")
+            if attempt.state == "accepted":
+                self._estimate()
         elif do == "again" and self._trouble:
-            self._recover()
+            self._recover(by)
         elif do == "end":
             self.finish = self.finish or "ended by the person at the bench"
 
@@ -329,7 +340,8 @@ class BenchLoop:
         words = "too dark: add light" if grey < DARK else "good"
         words = "too bright: reduce light or exposure" if grey > LIGHT else words
         yield BenchCheck("light", DARK <= grey <= LIGHT, words)
-        yield self._drive_check(look)
+        clear = self._way(self._row, look) is not None
+        yield BenchCheck("drive", clear, "ready" if clear else "the part is in the way of the head")
         yield self._disk_check()
 
     def _disk_check(self) -> BenchCheck:
@@ -341,14 +353,10 @@ class BenchLoop:
             return BenchCheck("disk", False, f"{words}, but {full.expected} needed: {full.hint}")
         return BenchCheck("disk", True, words)
 
-    def _drive_check(self, look: Look) -> BenchCheck:
-        assert self._row is not None
-        scene = self._row.scene
-        part = next(own for own in look.parts if own.name == scene.bodies[0].name)
-        clear = self.devices.way_to(scene, part.measured) is not None
-        return BenchCheck(
-            "drive", clear, "ready" if clear else "the part is in the way of the head"
-        )
+    def _way(self, row: PlannedExperiment, look: Look) -> list[FloatArray] | None:
+        """Return the way of the head to the start of a push, past the part where it is seen."""
+        part = next(own for own in look.parts if own.name == row.scene.bodies[0].name)
+        return self.devices.way_to(row.scene, part.measured)
 
     def _drive_trouble(self) -> str:
         """Return why the drive cannot push, with what `_recover` does about it; empty if it can."""
@@ -386,9 +394,8 @@ class BenchLoop:
         """Push once, recorded; then track it while the next part is placed."""
         assert self._look is not None
         assert self._overlay is not None
-        part = next(own for own in self._look.parts if own.name == row.scene.bodies[0].name)
         scene, by = self._overlay.scene, self._wants_push
-        way = self.devices.way_to(row.scene, part.measured)
+        way = self._way(row, self._look)
         assert way is not None
         attempt = self.campaign.begin(row.name)
         try:
@@ -417,12 +424,9 @@ class BenchLoop:
             save_rig(self.devices.rig, place / RIG_FILE)
             save_scene(SceneFile(scene=row.scene), place / SCENE_FILE)
 
-        begun = threading.Event()
-
         def watch(arrived: Any, status: RecordingStatus) -> None:
             nonlocal newest
             newest = arrived.taken
-            begun.set()
             self._report("pushing", arrived.picture, status)
 
         def over() -> str:  # once the pictures that wait to be written are written
@@ -450,7 +454,7 @@ class BenchLoop:
         with ThreadPoolExecutor(1, "fixel-recorder") as pool:
             recording = pool.submit(recorder.run)
             try:
-                while not begun.is_set() and not recording.done():
+                while newest == -math.inf and not recording.done():
                     time.sleep(0.005)
                 if not recording.done():
                     self.devices.sleep(LEAD)
@@ -465,15 +469,28 @@ class BenchLoop:
         drive, push = self.devices.drive, self.devices.stroke(row.scene)
         drive.aim(push.start, push.direction)
         self._refuse_stopped()
-        drive.move(to=push.travel, speed=push.speed, wait=False)
-        while drive.moving:
+
+        def watch() -> None:
             if why := lost():
                 self.stop(why)
             self._watch_page(by)
-            if self._stop_reason:  # also where the stop came just before the move
-                drive.stop()
             time.sleep(0.005)
-        drive.wait()
+
+        self._watched(partial(drive.move, to=push.travel, speed=push.speed), watch)
+
+    def _watched(self, move: Callable[[], None], watch: Callable[[], None]) -> None:
+        """Move in another thread, and call `watch` until it is done; an error stops the drive."""
+        with ThreadPoolExecutor(1, "fixel-drive") as pool:
+            moving = pool.submit(move)
+            try:
+                while not moving.done():
+                    watch()
+                    if self._stop_reason:  # also where the stop came just before the move
+                        self.devices.drive.stop()
+            except BaseException:
+                self.stop("the program was interrupted")
+                raise
+            moving.result()
 
     def _refuse_stopped(self) -> None:
         """Raise if a stop was asked for, or the position was lost, before the head moves."""
@@ -494,19 +511,19 @@ class BenchLoop:
             before()
 
         frames = self._frames()
-        with closing(frames), ThreadPoolExecutor(1, "fixel-drive") as pool:
-            moving = pool.submit(self.devices.go, places, ready)
-            while not moving.done():
-                frame = next(frames, None)
-                if frame is None:
-                    self.stop(f"the camera was lost: {self.devices.camera.lost}")
-                    break
-                seen(frame)
-                self._report("moving", frame.picture)
-                self._watch_page(by)
-                if self._stop_reason:
-                    self.devices.drive.stop()
-            moving.result()
+
+        def watch() -> None:
+            frame = next(frames, None)
+            if frame is None:
+                self.stop(f"the camera was lost: {self.devices.camera.lost}")
+                time.sleep(0.005)
+                return
+            seen(frame)
+            self._report("moving", frame.picture)
+            self._watch_page(by)
+
+        with closing(frames):
+            self._watched(partial(self.devices.go, places, ready), watch)
 
     def _watch_page(self, by: str) -> None:
         """Stop the drive if the page that asked for the push is lost."""
@@ -553,6 +570,7 @@ class BenchLoop:
         """Calibrate all accepted experiments in another process."""
         ids = [own.experiment for own in self.campaign.accepted if own.experiment is not None]
         self._outdated = self._estimator.waiting > 1  # `_learned` asks again
+        self.live = self.live if ids else None
         if not ids or self._outdated:
             return
         with self._project.store() as store:
@@ -560,15 +578,18 @@ class BenchLoop:
         scenes = [own.scene for own in experiments if own.scene is not None]
         fit = searched_unknowns(self.options.fit, scenes)
         self._estimator.call(
-            lambda found: self._events.put(partial(self._learned, found)),
+            lambda found: self._events.put(partial(self._learned, ids, found)),
             experiments, ParameterSpace(unknowns=tuple(fit)) if fit else None, self.options.motion,
             self.options.until, self.campaign.left, self.options.choose,
             None if self.live is None else self.live.estimates,
         )  # fmt: skip
 
-    def _learned(self, found: LiveAnswer | Exception) -> None:
+    def _learned(self, ids: list[int], found: LiveAnswer | Exception) -> None:
+        """Take the estimates from experiments, unless one of these is to be repeated meanwhile."""
         if self._outdated:
             self._estimate()
+        if not {*ids} <= {own.experiment for own in self.campaign.accepted}:
+            return
         if isinstance(found, Exception):
             self._remark = f"no estimates yet: {found}"
             return
@@ -577,17 +598,18 @@ class BenchLoop:
 
     # --- trouble --------------------------------------------------------------------------------
 
-    def _recover(self) -> None:
-        """Open a lost camera again, home a drive whose position is lost, and withdraw the head."""
+    def _recover(self, by: str) -> None:
+        """Open a lost camera again, home a drive whose position is lost, or withdraw the head."""
         self._stop_reason = ""
         self._pushing.set()
+        self._report("moving")  # every key stops it
         try:
             if self.devices.camera.lost:
                 self.devices.camera.restart()
             at_zero = self._trouble == NO_ZERO
-            self.devices.recover_drive(at_zero)
-            if self._withdraws is not None and not at_zero:
-                self._moved([self._withdraws], "key")
+            homed = self.devices.recover_drive(at_zero, self._refuse_stopped)
+            if self._withdraws is not None and not (at_zero or homed):
+                self._moved([self._withdraws], by)
             self._withdraws = None
         except FixelError as problem:
             self._trouble = str(problem)

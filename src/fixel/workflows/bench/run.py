@@ -123,17 +123,14 @@ def open_bench(
     call = locals()
     from fixel.sampling import about_part as pushes_about_part
     from fixel.sampling import thesis_plan
-    from fixel.workflows.bench.devices import emulated_devices, open_devices, settings_of
+    from fixel.workflows.bench.devices import SETTINGS, emulated_devices, open_devices, settings_of
     from fixel.workflows.bench.live import check_wishes
     from fixel.workflows.sampling import planned_rows
 
     read = planned_rows(plan, project, scene=scene) if plan else thesis_plan().experiments
     rows = pushes_about_part(read) if about_part else read
     check_wishes(rows, fit, motion, until)
-    given = {
-        "rig": rig, "camera": camera, "tactile": tactile, "driver": driver, "port": port,
-        "axes": axes, "drive_pose": drive_pose,
-    }  # fmt: skip
+    given = {key: call[key] for key in SETTINGS if key in call}
     settings = settings_of(project.settings.bench, given)
     devices = emulated_devices(rows, seed, rig or "") if emulated else open_devices(settings)
     options = BENCH.asked({**call, "name": name or ("thesis" if plan is None else plan.stem)})

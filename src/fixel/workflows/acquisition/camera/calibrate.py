@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import count
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -57,13 +58,11 @@ def calibrate(
     wanted = board_of(board)
     require_file(output, CAMERA_ENDINGS, "camera")
     files = files_of(paths)
-    done = 0
+    done = count(1)
 
     def one(name: str) -> None:
-        nonlocal done
-        done += 1
         if progress:
-            progress(min(done, len(files)), len(files), name)
+            progress(min(next(done), len(files)), len(files), name)
 
     views, dropped = find_boards(pictures_of(files), wanted, one)
     found = calibrate_lens(views, dropped, coefficients=coefficients, fisheye=fisheye)
