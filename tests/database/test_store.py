@@ -2,6 +2,8 @@
 
 import dataclasses
 import math
+import os
+import time
 
 import pytest
 import sqlalchemy as sa
@@ -171,6 +173,19 @@ def test_videos_are_kept_by_content(store, tmp_path):
     assert store.video(without) is None
     with pytest.raises(InvalidInput, match="a file to read"):
         store.add_video(tmp_path / "none.mkv")
+
+
+def test_what_killed_programs_left_unfinished_is_removed_after_a_day(store, tmp_path):
+    film = tmp_path / "run.mkv"
+    film.write_bytes(b"frames")
+    folder = store.media / "ab"
+    folder.mkdir(parents=True)
+    whole, old, new = (folder / name for name in ("ab" * 32, ".left.1", ".left.2"))
+    for file, days in (whole, 9.0), (old, 1.1), (new, 0.9):
+        file.write_bytes(b"part")
+        os.utime(file, (time.time() - 86400.0 * days,) * 2)
+    store.add_video(film)
+    assert sorted(folder.iterdir()) == [new, whole]
 
 
 def test_simulations_calibrations_and_filters(store):

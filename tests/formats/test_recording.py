@@ -2,7 +2,8 @@
 
 import errno
 import json
-from pathlib import Path
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -229,12 +230,23 @@ def test_brightness_is_that_of_the_colours(tmp_path):
 
 
 def test_a_disk_without_room_for_the_beginning_is_refused(tmp_path, monkeypatch):
-    def full(self, data):
+    def full(**_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(Path, "write_bytes", full)
+    monkeypatch.setattr("fixel.formats.recording.TemporaryFile", full)
     with pytest.raises(InvalidInput, match="no space left on device"):
         RecordingWriter(tmp_path / "r", RecordingHeader(size=SIZE))
+
+
+def test_nothing_hidden_stays_after_a_kill(tmp_path):
+    begin = """if True:
+        import os, sys
+        from fixel.formats.recording import RecordingHeader, RecordingWriter
+        RecordingWriter(sys.argv[1], RecordingHeader(size=(64, 48)))
+        os.kill(os.getpid(), 9)
+    """
+    subprocess.run([sys.executable, "-c", begin, str(tmp_path / "r")], check=False)
+    assert {path.name for path in (tmp_path / "r").iterdir()} <= {HEADER, ROWS, VIDEO}
 
 
 def test_an_error_while_writing_leaves_no_mark_of_a_good_end(tmp_path):

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import functools
+import time
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Concatenate, Final, NamedTuple, ParamSpec, Protocol, TypeVar, final
@@ -19,6 +20,7 @@ from fixel.errors import InvalidInput, NotStored, StoreRefused, closest
 from fixel.io.damaged_files import INVALID_CONTENT, one_line
 from fixel.model import Experiment, Flag, Scene, records
 
+ABANDONED: Final = 86400.0  # [s] since its last change, an unfinished file has no program
 MAX_NAMES: Final = 20_000  # number of experiments that a mistyped name is compared with
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -178,24 +180,17 @@ class Store:
                 table.c.deleted_at_utc.is_(None),
             )
         )
-        experiment_id = insert_one(
-            connection,
-            table,
-            row
-            | {
-                "object_geometry_id": _same(connection, tables.geometry, object_row),
-                "pusher_geometry_id": _same(connection, tables.geometry, pusher_row),
-                "replaces_id": replaced,
-            },
-        )
-        connection.execute(
-            sa.insert(tables.series), [s | {"owner_id": experiment_id} for s in measured]
-        )
-        if experiment.flags:
-            connection.execute(
-                sa.insert(tables.flag),
-                [marks.flag_row(experiment_id, flag) for flag in experiment.flags],
-            )
+        linked = {
+            "object_geometry_id": _same(connection, tables.geometry, object_row),
+            "pusher_geometry_id": _same(connection, tables.geometry, pusher_row),
+            "replaces_id": replaced,
+        }
+        experiment_id = insert_one(connection, table, row | linked)
+        series = [own | {"owner_id": experiment_id} for own in measured]
+        connection.execute(sa.insert(tables.series), series)
+        flags = [marks.flag_row(experiment_id, flag) for flag in experiment.flags]
+        if flags:
+            connection.execute(sa.insert(tables.flag), flags)
         return experiment_id
 
     def experiment(self, experiment_id: int) -> Experiment:
@@ -300,6 +295,10 @@ class Store:
 
     def add_video(self, file: Path) -> str:
         """Copy a video to the media folder; return its checksum, for `Experiment.video`."""
+        for path in self.media.glob("??/.*"):  # left by programs that were killed
+            with suppress(OSError):
+                if time.time() - path.stat().st_mtime > ABANDONED:
+                    path.unlink()
         try:
             return arrays.keep(file.read_bytes(), self.media)
         except OSError as problem:

@@ -19,6 +19,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Final, final
 
 import numpy as np
@@ -237,7 +238,7 @@ def _broken_off(rows: RecordingRows, n: int, seen: int, end: RecordingEnd | None
 
 
 MAX_READING: Final = 255
-RESERVE: Final = ".reserve"  # reserves space for the end mark, in case the disk becomes full
+RESERVE: Final = ".reserve"  # name of the reserved space in recordings of earlier versions
 RESERVED: Final = 65536  # [bytes]
 
 
@@ -261,7 +262,10 @@ class RecordingWriter:
         _make(self.folder)
         write_header(self.folder, header)
         try:
-            (self.folder / RESERVE).write_bytes(bytes(RESERVED))
+            # Space for the end mark, in case the disk becomes full. It has no name, so that it is
+            # free again also after this process was killed.
+            self._reserve = TemporaryFile(dir=self.folder, buffering=0)  # noqa: SIM115
+            self._reserve.write(bytes(RESERVED))
             self._rows = open(self.folder / ROWS, "xb", buffering=0)  # noqa: SIM115
             self._rows_end = self._rows.write(HEAD.encode("ascii"))
             self._video = VideoSink(self.folder / VIDEO, header.size, exact=header.codec == "exact")
@@ -379,7 +383,7 @@ class RecordingWriter:
             if self.frames:
                 os.truncate(self.folder / ROWS, self._rows_end)
                 os.truncate(self.folder / VIDEO, self.bytes)
-        (self.folder / RESERVE).unlink(missing_ok=True)
+        self._reserve.close()
 
 
 def _make(folder: Path) -> None:
