@@ -144,3 +144,12 @@ def test_scatter_of_time_stamps():
     rng = np.random.default_rng(0)
     stamps = np.sort(TIME + rng.normal(0.0, 0.006, len(TIME)))
     assert np.median(judge.stamp_scatter(stamps)) == pytest.approx(0.006, rel=0.3)
+    assert np.median(judge.clock_scatter(stamps)) == pytest.approx(0.006, rel=0.3)
+
+
+@pytest.mark.parametrize("lost", [0.1, 0.3])
+def test_lost_frames_of_an_even_clock_do_not_make_it_uneven(lost):
+    kept = np.random.default_rng(1).random(3000) > lost
+    time = np.round(np.arange(3000)[kept] / 30.0, 3)
+    assert np.median(judge.stamp_scatter(time)) > 3e-3  # by the number of each frame
+    assert not judge.clock_scatter(time).any()

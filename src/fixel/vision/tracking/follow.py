@@ -24,7 +24,7 @@ from fixel.vision.tracking.base import (
     PartTrack,
     Thing,
 )
-from fixel.vision.tracking.judge import judged, stamp_scatter
+from fixel.vision.tracking.judge import clock_scatter, judged
 from fixel.vision.tracking.outline import OutlineEdges, PoseFit, circle_edges, fit_pose, window_of
 from fixel.vision.tracking.silhouette import Silhouette
 from fixel.vision.tracking.stickers import Stickers
@@ -124,7 +124,7 @@ def _with_camera(rig: Rig, part: PartTrack, things: Mapping[str, Thing]) -> Part
 
 def _uneven(time: FloatArray) -> list[str]:
     """Return a remark if time stamps scatter much about an even frame rate."""
-    scatter = float(np.median(stamp_scatter(time)))
+    scatter = float(np.median(clock_scatter(time)))
     if scatter < UNEVEN:
         return []
     return [

@@ -114,21 +114,32 @@ def _clocks(time: FloatArray) -> tuple[_MotionTimes, ...]:
     return stamps, _MotionTimes(period * np.arange(len(time)), scatter)
 
 
-def stamp_scatter(time: FloatArray) -> FloatArray:
+def clock_scatter(time: FloatArray) -> FloatArray:
+    """`stamp_scatter` (n,) [s], or that of an even clock with lost frames where it is less."""
+    step = np.diff(time)
+    period = float(step[step <= 1.5 * np.median(step)].mean()) if len(step) else 1.0
+    passed = np.maximum(np.rint(step / period), 1.0)
+    number = np.concatenate(([0.0], np.cumsum(passed)))
+    return np.minimum(stamp_scatter(time), stamp_scatter(time, number))
+
+
+def stamp_scatter(time: FloatArray, number: FloatArray | None = None) -> FloatArray:
     """Root mean square distance (n,) of time stamps (n,) from a locally even frame rate [s].
 
-    The even rate is a line through the stamps of `NEARBY` frames to either side. A scatter of less
-    than `EVEN` of the frame period, such as that of rounded stamps, counts as 0.
+    The even rate is a line through the stamps of `NEARBY` frames to either side, against their
+    number (n,), by default that among the frames. A scatter of less than `EVEN` of the frame
+    period, such as that of rounded stamps, counts as 0.
     """
     n = len(time)
     if n < 4:
         return np.zeros(n)
+    number = np.arange(n, dtype=np.float64) if number is None else number
     index = np.arange(n)[:, None] + np.arange(-NEARBY, NEARBY + 1)
     inside = (index >= 0) & (index < n)
     index = np.clip(index, 0, n - 1)
     count = inside.sum(1)
     t = np.where(inside, time[index], 0.0)
-    k = np.where(inside, index, 0).astype(np.float64)
+    k = np.where(inside, number[index], 0.0)
     t = np.where(inside, t - (t.sum(1) / count)[:, None], 0.0)
     k = np.where(inside, k - (k.sum(1) / count)[:, None], 0.0)
     period = (k * t).sum(1) / (k * k).sum(1)

@@ -27,7 +27,7 @@ from fixel.typing import FloatArray
 from fixel.uncertainty.start_ensemble import Neighbour, remove_overlap
 from fixel.vision.marks import Rig
 from fixel.vision.tracking.base import ActuatorMotion, FilmTracks, PartTrack, Thing, motion_of
-from fixel.vision.tracking.judge import stamp_scatter
+from fixel.vision.tracking.judge import clock_scatter
 
 MAX_APART: Final = 1.5e-3  # [m] largest displacement of a start out of an overlap
 MAX_GAPS: Final = 0.5  # fraction of the frames, beyond which an object counts as lost
@@ -55,7 +55,7 @@ def actuator_motion(tracked: FilmTracks, scene: Scene) -> tuple[str, ActuatorMot
             noise = float(np.median(np.hypot(track.sd[track.good, 0], track.sd[track.good, 1])))
             # The uncertainty of a time stamp displaces a place along its path.
             fastest = np.hypot(*(place[-1] - place[0])) / (time[-1] - time[0])
-            late = float(fastest) * float(np.median(stamp_scatter(track.time)))
+            late = float(fastest) * float(np.median(clock_scatter(track.time)))
             return pusher.name, motion_of(time, place, max(noise, late, 1e-9))
     return None
 
