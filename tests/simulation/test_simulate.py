@@ -203,6 +203,19 @@ def test_a_measured_path_may_rest(force_limit, stepper):
     assert run.pushers[pusher.name].travel == pytest.approx(0.0135, abs=1e-9)
 
 
+def test_the_travel_of_a_path_out_and_back_needs_no_sample_between():
+    scene = pushed_square()
+    way = [
+        (0.0, 1.0, 1.0, 0.0),
+        (0.5, 1.03, 1.04, 0.0),
+        (1.0, 1.0, 1.0, 0.0),
+    ]  # far from the square
+    pusher = replace(scene.pushers[0], pose=None, drive=PathDrive(waypoints=way))
+    run = simulate(replace(scene, pushers=[pusher]), output_interval=1.0, duration=1.0)
+    assert len(run.time) == 2
+    assert run.pushers[pusher.name].travel == pytest.approx(0.1, abs=1e-12)
+
+
 # ---- simulator -----------------------------------------------------------------------------------
 
 

@@ -67,7 +67,7 @@ class PusherTrajectory(Trajectory):
     Parameters
     ----------
     travel : float
-        Length of the path covered, straight from sample to sample [m].
+        Length of the path covered [m]; if the drive may stall, straight from sample to sample.
     force : (n,) float64
         Force of the bodies on it, along its path [N].
     stalled : (n,) bool

@@ -592,7 +592,12 @@ def _unpacked(
     own_time = frozen(time) if scene.pushers else time
     for k, pusher in enumerate(scene.pushers):
         path = poses[:, len(scene.bodies) + k]
-        step = path[1:] - path[:-1]
+        way = path[:, :2]
+        if isinstance(pusher.drive, PathDrive) and pusher.drive.force_limit is None:
+            at, *own = pusher.drive.waypoints[:, :3].T
+            every = np.union1d(time, at[(at > time[0]) & (at < time[-1])])
+            way = np.column_stack([np.interp(every, at, column) for column in own])
+        step = np.diff(way, axis=0)
         drive = record.drive[0, :n_sample, k]
         pushers[pusher.name] = trace = object.__new__(PusherTrajectory)
         settle(  # without its checks, which take as long as all else here
