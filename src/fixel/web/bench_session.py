@@ -26,6 +26,7 @@ class BenchSession:
         self._ready = threading.Event()
         self._thread: threading.Thread | None = None
         self._failure: BaseException | None = None
+        self._closed = False
 
     @property
     def trouble(self) -> str:
@@ -60,6 +61,7 @@ class BenchSession:
     def _forget(self) -> None:
         """Forget the campaign before."""
         self.loop = self._failure = None
+        self._closed = False
         self._ready.clear()
 
     def _run(self, opened: AbstractContextManager[BenchLoop]) -> None:
@@ -68,7 +70,8 @@ class BenchSession:
                 self.loop = loop
                 loop.show, loop.page_left = self.view.show, self._left
                 self._ready.set()
-                loop.run()
+                if not self._closed:
+                    loop.run()
         except BaseException as failure:
             self._failure = failure
             self.view.repeat()
@@ -98,7 +101,9 @@ class BenchSession:
 
     def close(self) -> None:
         """Stop the drive and end the campaign, which can be continued."""
-        if self.loop is not None and self._thread is not None:
-            self.loop.stop("the program was ended")
-            self.loop.ask("end")
+        self._closed = True  # also where the devices are still being opened
+        if self._thread is not None:
+            if self.loop is not None:
+                self.loop.stop("the program was ended")
+                self.loop.ask("end")
             self._thread.join()
