@@ -1,9 +1,19 @@
 """Reasons to repeat an attempt, at a laboratory whose faults are known."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
+from tests.fixtures import short_plan
 from tests.workflows.bench.test_loop import bench  # noqa: F401
 
+from fixel.formats.recording import RecordingHeader, RecordingWriter
+from fixel.model import Trajectory
+from fixel.testbed.simulated import SimulatedTestbed
+from fixel.vision.frame import Frame
+from fixel.workflows.acquisition.overlay import Tolerance
 from fixel.workflows.bench import devices
+from fixel.workflows.bench.judge import _reasons
 from fixel.workflows.bench.run import open_bench
 
 
@@ -28,3 +38,22 @@ def test_a_fault_is_noticed_and_the_row_repeated(fault, reason, bench, monkeypat
     assert any(reason in found for found in first[0])
     assert first[1] == ()
     assert [own.state for own in again] == ["accepted"]
+
+
+def test_a_part_that_is_hidden_until_the_end_is_noticed(tmp_path):
+    row = short_plan().experiments[0]
+    (experiment,) = SimulatedTestbed(seed=1).run([row])
+    track, loose = experiment.trajectory, Tolerance(distance=1.0, angle=1.0)
+    with RecordingWriter(tmp_path / "film", RecordingHeader(size=(64, 48))) as film:
+        for time in track.time:
+            film.write(Frame(time, np.zeros((48, 64, 3), np.uint8)))
+
+    def unseen(seen):
+        part = Trajectory(time=track.time[seen], pose=track.pose[seen])
+        own = replace(experiment, trajectory=part)
+        return any("not seen" in why for why in _reasons(own, row.scene, tmp_path / "film", loose))
+
+    middle = 0.5 * track.time[-1]
+    assert not unseen(track.time >= 0.0)
+    assert unseen(track.time < middle)
+    assert unseen(track.time > middle)

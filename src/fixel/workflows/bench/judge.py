@@ -48,14 +48,16 @@ def track_attempt(
 def _reasons(
     experiment: Experiment, planned: Scene, folder: Path, tolerance: Tolerance
 ) -> Iterator[str]:
-    end = open_recording(folder).end
+    recording = open_recording(folder)
+    end = recording.end
     if end is None:
         yield "the recording was interrupted"
     elif end.lost:
         yield f"{end.lost} frames were lost"
     yield from (f"{flag.name}: {flag.detail}" for flag in experiment.flags if flag.fault)
     track, drive = experiment.trajectory, planned.pushers[0].drive
-    if (unseen := float(np.diff(track.time).max(initial=0.0))) > UNSEEN:
+    seen = (0.0, *track.time, recording.time[-1] - recording.time[0])
+    if (unseen := float(np.diff(seen).max())) > UNSEEN:
         yield f"the part was not seen for {unseen:.1f} s"
     last = track.pose[track.time >= track.time[-1] - REST, :2]
     moved = float(np.hypot(*np.ptp(last, axis=0)))
