@@ -131,11 +131,8 @@ def _looks(name: str, rig: Rig) -> CameraEffects:
         return looks_named("microscope" if small else "thesis")
     looks = looks_named(name)
     if (looks.lighting == "through") != small:
-        raise InvalidInput(
-            "looks",
-            found=f"{name!r} with the rig {rig.name}",
-            expected="looks microscope or microscope-clean for a microscope, others for a bench",
-        )
+        expected = "looks microscope or microscope-clean for a microscope, others for a bench"
+        raise InvalidInput("looks", found=f"{name!r} with the rig {rig.name}", expected=expected)
     return looks
 
 
