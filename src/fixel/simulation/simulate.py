@@ -286,7 +286,7 @@ class Simulator:
                 asked = "accuracy" if accuracy else "derivatives"
                 name = f"the engine {self.motion.name}"
                 raise InvalidInput(asked, found=name, expected="a motion model of fixel")
-            engines = import_module("fixel.simulation.engines.single")
+            engines = import_module("fixel.simulation.engines.ensemble")
             found = engines.fields_of_engine(scene, self.motion, parameters, duration, times)
         else:
             known = self.scene if waypoints is None else scene

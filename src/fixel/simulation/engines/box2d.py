@@ -12,8 +12,7 @@ import numpy as np
 
 from fixel.model.engine_parameters import BOX2D, ParameterInfo
 from fixel.simulation.engines.contract import AbstractPhysicsEngine
-from fixel.simulation.engines.plane import planar_refusal, steps_of
-from fixel.simulation.engines.task import PlainOutline, PlainTask
+from fixel.simulation.engines.task import PlainOutline, PlainTask, planar_refusal, steps_of
 from fixel.typing import FloatArray
 
 with warnings.catch_warnings():

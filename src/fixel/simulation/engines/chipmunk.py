@@ -11,8 +11,7 @@ import pymunk
 
 from fixel.model.engine_parameters import CHIPMUNK, ParameterInfo
 from fixel.simulation.engines.contract import AbstractPhysicsEngine
-from fixel.simulation.engines.plane import planar_refusal, steps_of
-from fixel.simulation.engines.task import PlainOutline, PlainTask
+from fixel.simulation.engines.task import PlainOutline, PlainTask, planar_refusal, steps_of
 from fixel.typing import FloatArray
 
 UNIT = 1000.0  # of length to the metre: slop and bias of the engine are made for such sizes

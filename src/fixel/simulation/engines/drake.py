@@ -18,10 +18,9 @@ from pydrake.systems.framework import DiagramBuilder
 
 from fixel.model.engine_parameters import DRAKE, ParameterInfo
 from fixel.simulation.engines.contract import AbstractPhysicsEngine, EngineFailed
-from fixel.simulation.engines.plane import MAX_FRICTION, planar_refusal
-from fixel.simulation.engines.sdf import sdf
+from fixel.simulation.engines.sdf import MAX_FRICTION, sdf
 from fixel.simulation.engines.solids import footed
-from fixel.simulation.engines.task import PlainTask, pusher_poses
+from fixel.simulation.engines.task import PlainTask, planar_refusal, pusher_poses
 from fixel.typing import FloatArray
 
 SAME = 1e-9  # [m/s], [rad/s]

@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 
 from fixel.errors import FixelError, InvalidInput, SolveFailed, unknown_name
 from fixel.kernels import codes
-from fixel.simulation.engines import EngineName, program_of, silent
+from fixel.model import Parameters, Scene
+from fixel.simulation.engines import EngineName, program_of, shared_program, silent
 from fixel.simulation.engines.contract import EngineInfo, fault
 from fixel.simulation.engines.program import Program, ProgramFailed, text_of
-from fixel.simulation.engines.task import plain, task_of, unsupported
+from fixel.simulation.engines.task import plain, pusher_poses, task_of, unsupported
 from fixel.simulation.motion import OtherEngine
+from fixel.simulation.result import CONTACT_FIELDS
 from fixel.simulation.rollouts import INFEASIBLE, EnsembleOutcome, RolloutCase
 from fixel.simulation.threads import awaited, cores
 from fixel.simulation.vary import infeasible
@@ -32,6 +34,7 @@ SLOWER = 20.0  # longest time of a rollout over the median of its case
 REMEMBERED = 32  # rollouts of a case whose times count
 GIVE_UP = 10  # lost programs in a row, without an answer between them, that end the work
 PER_PASS = 256  # rollouts whose poses are held at once
+SAMPLES = 100  # where no output interval is given: an engine's own steps are not known
 
 
 class _Rollout(NamedTuple):
@@ -250,6 +253,59 @@ class EngineEnsemble:
         n = self.n_sample
         rows = [p[np.minimum(np.arange(n), len(p) - 1)] for p in poses]
         return np.array(rows)
+
+
+def fields_of_engine(
+    scene: Scene,
+    engine: OtherEngine,
+    parameters: Parameters | None,
+    duration: float,
+    times: FloatArray | None,
+) -> dict[str, Any]:
+    """Return the fields of a `Simulation` by another engine; forces and contacts are not known."""
+    times = np.linspace(0.0, duration, SAMPLES + 1) if times is None else times
+    case = RolloutCase(scene, times[1:])
+    values = {name: np.array([value]) for name, value in (parameters or {}).items()}
+    ensemble = EngineEnsemble([case], engine, programs=[shared_program(engine.name)])
+    stated = EngineName.of(engine.name)._replace(version=ensemble.info.version)
+    seconds = time.perf_counter()
+    outcome = ensemble.simulate(np.zeros(1, np.int64), values)
+    seconds = time.perf_counter() - seconds
+    shared = {name: value for name, value in (parameters or {}).items() if "." not in name}
+    task, frames = task_of(scene, times, shared, {})
+    start = frames.scene_poses(task.body.start)[None]
+    converged = bool(outcome.converged[0])
+    if not converged:
+        times = times[:1]
+    track = np.concatenate((start, outcome.pose[0]))[: len(times)]
+    pose = {scene.bodies[0].name: track}
+    for pusher in scene.pushers:
+        assert task.pusher is not None
+        pose[pusher.name] = pusher_poses(task.pusher, times)
+    return {
+        "status": codes.STATUS_NAMES[codes.CONVERGED if converged else codes.ENGINE_FAILED],
+        "stopped_at": None if converged else 0.0,
+        "duration": duration if converged else 0.0,
+        "time": times,
+        "pose": pose,
+        "twist": {
+            name: np.gradient(own, times, axis=0) if len(times) > 1 else np.zeros_like(own)
+            for name, own in pose.items()
+        },
+        "contacts": np.zeros(0, CONTACT_FIELDS),
+        "pushers": {},
+        "steps": 0,
+        "fallbacks": 0,
+        "max_residual": 0.0,
+        "wall_time_s": seconds,
+        "method": {
+            "motion": str(stated),
+            "engine": f"{stated.name} {stated.version}".strip(),
+            "stepper": "its own",
+            "solver": "its own",
+            **({} if converged else {"reason": outcome.reasons[0]}),
+        },
+    }
 
 
 def _refused(engine: str, found: str) -> FixelError:

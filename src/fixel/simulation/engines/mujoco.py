@@ -12,8 +12,7 @@ import numpy as np
 from fixel.model.engine_parameters import MUJOCO, ParameterInfo
 from fixel.simulation.engines.contract import AbstractPhysicsEngine, EngineFailed
 from fixel.simulation.engines.mjcf import mjcf
-from fixel.simulation.engines.plane import drive_refusal, steps_of
-from fixel.simulation.engines.task import PlainTask
+from fixel.simulation.engines.task import PlainTask, drive_refusal, steps_of
 from fixel.typing import FloatArray
 
 SETTLING = 0.2  # [s] before time zero in which feet sink to their rest

@@ -7,13 +7,13 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from fixel.simulation.engines.plane import harmonic_partner
 from fixel.simulation.engines.solids import FOOT, HEAVY, footed, prism_obj, solids
 from fixel.simulation.engines.task import PlainOutline, PlainTask
 from fixel.typing import FloatArray
 
 CORNER = 1e-5  # [m] radius of the balls at corners, where two faces touch at points
 HEIGHT = 0.1  # [m] of bodies
+MAX_FRICTION = 2.0  # no partner of Drake has a larger harmonic mean with 1
 TOUCH = 1e-12  # [m] overlap of feet and floor at the start: without it feet fall for one step
 
 _MODEL: Final = """<?xml version="1.0"?>
@@ -214,3 +214,8 @@ def _inner(corners: FloatArray) -> FloatArray:
     bisector /= np.hypot(*bisector.T)[:, None]
     sine = np.abs(bisector[:, 0] * ahead[:, 1] - bisector[:, 1] * ahead[:, 0])
     return corners + CORNER * bisector / sine[:, None]
+
+
+def harmonic_partner(friction: float) -> float:
+    """Return the coefficient that combines with 1 to `friction`: Drake takes the harmonic mean."""
+    return friction / (2.0 - friction)

@@ -24,7 +24,7 @@ BENCH_MASS = (0.1, 1.0)  # [kg]
 
 
 class PlainOutline(NamedTuple):
-    """PlainOutline of a body as convex pieces, or as a disc."""
+    """Outline of a body as convex pieces, or as a disc."""
 
     pieces: tuple[FloatArray, ...]  # (k, 2) corners each, counter-clockwise; the centre of a disc
     radius: float  # of a disc [m]; 0 for polygons
@@ -225,7 +225,7 @@ def task_of(
 
 
 class BodyFrames(NamedTuple):
-    """BodyFrames of a body: that of a task is at its centre of mass, the scene's is not."""
+    """Frames of a body: that of a task is at its centre of mass, the scene's is not."""
 
     body: Body
     outline: FloatArray | None  # (3,) pose of the outline in the frame of the scene's poses
@@ -256,6 +256,27 @@ def segments(task: PlainTask) -> Iterator[Segment]:
             velocity = np.diff(pusher_poses(task.pusher, np.array([before, end])), axis=0)[0]
         yield Segment(end - before, velocity / (end - before), sample)
         before = end
+
+
+def steps_of(task: PlainTask, step: float) -> Iterator[tuple[Segment, int, float]]:
+    """Yield segments with the number and the length [s] of their steps, at most `step` each."""
+    for segment in segments(task):
+        n = math.ceil(segment.duration / step * (1.0 - 1e-9))
+        yield segment, n, segment.duration / n
+
+
+def planar_refusal(task: PlainTask) -> str:
+    """Return what of a task an engine with point joints cannot represent."""
+    if (task.body.arms > 0.0).any():
+        return "an ellipsoidal limit surface; it takes support points"
+    return drive_refusal(task)
+
+
+def drive_refusal(task: PlainTask) -> str:
+    """Return a drive that an adapter cannot represent; empty for others."""
+    if task.pusher is not None and task.pusher.force_limit is not None:
+        return "a drive with a force limit; it takes drives that nothing slows down"
+    return ""
 
 
 def pusher_poses(pusher: PlainPusher, times: FloatArray) -> FloatArray:

@@ -18,7 +18,7 @@ from fixel.model.records import Estimate
 from fixel.model.space import values_under
 from fixel.planning.plan import PushPlan
 from fixel.simulation import AbstractMotionModel, AbstractStepper, Dynamic, Simulation
-from fixel.simulation.engines.plane import MAX_FRICTION, harmonic_partner
+from fixel.simulation.engines.sdf import MAX_FRICTION, harmonic_partner
 from fixel.simulation.engines.solids import FOOT, FootedBody, PieceSolid, footed, prism_obj, solids
 from fixel.simulation.engines.task import PlainTask, bench_units
 from fixel.simulation.motion import OtherEngine, motion_model
