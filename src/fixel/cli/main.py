@@ -25,7 +25,6 @@ from typer.core import TyperGroup
 from fixel.capability.capability import Capability
 from fixel.cli import (
     bench,
-    calibration,
     camera,
     db,
     demo,
@@ -79,7 +78,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, Capability | Callable[..., None] | typ
     },
     "Calibrate and assess": {
         "calibrate": CAPABILITIES["calibrate"],
-        "calibrations": calibration.calibrations,
+        "calibrations": show.calibrations,
         "domain": CAPABILITIES["domain"],
         "error-bound": CAPABILITIES["error-bound"],
         "sensitivity": CAPABILITIES["sensitivity"],

@@ -1,11 +1,19 @@
-"""`fixel show KEY` and `fixel report`: one stored experiment; one page about a calibration."""
+"""`fixel show`, `calibrations` and `report`: an experiment; calibrations; a page about one."""
 
 import sys
 from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fixel.cli.options import AsJson, ProjectFolder, option, require_picture, required, with_options
+from fixel.cli.options import (
+    AsJson,
+    ProjectFolder,
+    argument,
+    option,
+    require_picture,
+    required,
+    with_options,
+)
 from fixel.cli.screen import (
     command_line,
     command_of,
@@ -15,7 +23,7 @@ from fixel.cli.screen import (
     shortened,
     wrote,
 )
-from fixel.errors import counted
+from fixel.errors import NotStored, counted
 from fixel.table import Column, Table
 from fixel.workflows.sentences import origin_of
 
@@ -207,3 +215,44 @@ def _lines(done: "Report") -> list[str]:
         f" {done.page.parent / 'figures'}, {done.bibliography}",
         f"Next: {next_command(done)}",
     ]
+
+
+@with_options
+def calibrations(
+    *,
+    number: int | None = argument(
+        None, "Id of a calibration to show; all are listed without it.", metavar="ID"
+    ),
+    folder: ProjectFolder = Path(),
+    as_json: AsJson = False,
+) -> None:
+    """List stored calibrations, or show the estimates of one."""
+    from fixel.database.project import Project
+    from fixel.workflows.calibration.stored import list_calibrations, stored_calibration
+
+    project = Project(folder)
+    if number is None:
+        listed = list_calibrations(project)
+        if not listed.rows:
+            raise NotStored("calibration", hint="make one with: fixel calibrate")
+        last = listed.rows[0][0]
+        print_answer(
+            as_json,
+            lambda: {"calibrations": listed.records()},
+            lambda: [*listed.lines(), f"Next: {command_of('calibrations', last, project=folder)}"],
+        )
+        return
+    fit = stored_calibration(project, number)
+    print_answer(
+        as_json,
+        lambda: {
+            "calibration": number,
+            "estimates": [own.stored() for own in fit.estimates.values()],
+            "parameters": dict(fit),
+            "rms_error_mm": 1e3 * fit.rms_error,
+            "experiments": list(fit.keys_of_experiments),
+            **fit.analysis.texts(),
+            **{own: getattr(fit, own) for own in ("status", "evaluations", "command", "call")},
+        },
+        lambda: [repr(fit), *([f"Repeat it: {fit.command}"] if fit.command else [])],
+    )

@@ -10,10 +10,9 @@ from fixel.sampling.offsets import (
     OffsetScheme,
 )
 from fixel.sampling.plan import Plan, PlanProblem, rehearse
-from fixel.sampling.published import eight_push_plan, thesis_plan
+from fixel.sampling.published import eight_push_plan, table_plan, thesis_plan
 from fixel.sampling.rig import FixelLayout, PlannedShape, RegularPolygon, SamplingRig
 from fixel.sampling.rows import about_part
-from fixel.sampling.table import table_plan
 
 __all__ = [
     "FixelLayout",
