@@ -336,7 +336,8 @@ class Project:
         -------
         DomainMap
         """
-        return offered("project", "map_domain")(self, filter, fit, **options)
+        where = (filter,) if filter else ()
+        return self._with_fit("domain", fit, where=where, **options).domain
 
     def posterior(self, filter: str = "", fit: Any = None, **options: Any) -> Any:
         """Sample a posterior, as `fixel uncertainty` does, and store it with its predictions.
@@ -354,7 +355,15 @@ class Project:
         -------
         Posterior
         """
-        return offered("project", "posterior")(self, filter, fit, **options)
+        keys = self.experiments(filter).keys if filter else ()
+        return self._with_fit("uncertainty", fit, experiments=keys, **options).posterior
+
+    def _with_fit(self, capability: str, fit: Any, **options: Any) -> Any:
+        """Run a capability with a calibration, which is stored if it is not yet."""
+        if hasattr(fit, "run"):
+            stored = fit if fit.run.ids else self.add(fit)
+            fit = int(stored.run.ids[stored.number])
+        return offered("project", "call")(self, capability, calibration=fit, **options)
 
     # --- files ----------------------------------------------------------------------------------
 

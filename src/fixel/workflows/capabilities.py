@@ -6,6 +6,7 @@ import hashlib
 import json
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
     from fixel.database.project import Project
+    from fixel.domain.domain import DomainMap
     from fixel.jobs.work import Work
     from fixel.progress import ProgressOption
     from fixel.workflows.analysis import Analysis, StoredAnswer
@@ -173,6 +175,20 @@ def report_result(
         drawn=plot is not None,
         failed=bool(getattr(present, "failed", lambda _: False)(result)),
     )
+
+
+def store_map(project: Project, domain: DomainMap) -> StoredAnswer:
+    """Store a map of experiments that a project has; raise `NotStored` if it lacks one of them."""
+    from fixel.workflows.domain.evidence import store_evidence
+    from fixel.workflows.domain.mapping import DomainAnswer, claimed
+
+    asked = claimed(DOMAIN.request(domain.question), domain.claimed)
+    gathered = store_evidence(project, domain.source, asked)
+    number = dict(zip(gathered.errors.keys, gathered.errors.ids, strict=True))
+    evidence = domain.evidence
+    own = replace(domain, evidence=replace(evidence, ids=tuple(number[k] for k in evidence.keys)))
+    answer = DomainAnswer(asked, gathered, own, len(number) - len(evidence))
+    return report_result(DOMAIN, asked, project, answer, 0.0)
 
 
 # --- jobs -----------------------------------------------------------------------------------------
