@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import approx_fprime
 
-from fixel.calibration.mixed import Linear, NoiseBounds, _criterion, _rotated, fit_mixed
+from fixel.calibration.mixed import Linear, _criterion, _rotated, fit_mixed
 
 
 def _data(n=8, m=6, p=2, q=2, seed=0, shifts=None, tau=(0.3, 0.2), short=2):
@@ -78,7 +78,7 @@ def test_its_gradient_is_the_slope():
 
 def test_variances_and_step_that_were_drawn_are_found():
     data = _data(n=150, m=12, shifts=np.array([0.5, 0.05]), seed=3)
-    fit = fit_mixed(data, np.zeros(5), NoiseBounds(np.full(5, -3.4), np.full(5, 3.4)))
+    fit = fit_mixed(data, np.zeros(5), 3.4)
     np.testing.assert_allclose(
         np.exp(fit.log_sd), [0.5, 0.05, 0.3, 0.2, 1.0], rtol=0.2
     )  # relative error of a standard deviation from 150 draws: 6 %
@@ -95,7 +95,6 @@ def test_experiments_stored_twice_say_no_more_than_once():
         once.precision,
         once.mean,
     )
-    bounds = NoiseBounds(np.full(5, -3.4), np.full(5, 3.4))
-    a, b = (fit_mixed(data, np.zeros(5), bounds) for data in (once, twice))
+    a, b = (fit_mixed(data, np.zeros(5), 3.4) for data in (once, twice))
     np.testing.assert_allclose(b.step, a.step, rtol=1e-4)
     np.testing.assert_allclose(b.covariance, a.covariance, rtol=1e-3)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -86,51 +86,43 @@ class CmaEs(AbstractOptimiser):
         if self.restarts:
             more = feasible_points(box, self.restarts, seed, feasible)
             starts = np.concatenate((starts, more))
-        return _CmaWalk(box, self, starts, np.random.default_rng(seed))
+        rng = np.random.default_rng(seed)
+        return GeneratorSearch(box, lambda search: self._clouds(search, starts, rng))
 
-
-@final
-class _CmaWalk(GeneratorSearch):
-    def __init__(
-        self, box: SearchBox, options: CmaEs, starts: FloatArray, rng: np.random.Generator
-    ) -> None:
-        super().__init__(box)
-        self.options = options
-        self._starts = starts
-        self._rng = rng
-
-    def _walk(self) -> Moves:
+    def _clouds(self, search: Search, starts: FloatArray, rng: np.random.Generator) -> Moves:
         reason = ""
-        population = self.options.population or 4 + int(3 * math.log(self.box.n))
-        for k, start in enumerate(self._starts):
-            reason = yield from self._cloud(start, population * 2**k)
-            if self.evaluations >= self.options.max_evaluations:
+        population = self.population or 4 + int(3 * math.log(search.box.n))
+        for k, start in enumerate(starts):
+            cloud = self._strategy(search.box, start, population * 2**k, rng)
+            reason = yield from self._cloud(search, start, cloud)
+            if search.evaluations >= self.max_evaluations:
                 break
         return reason
 
-    def _cloud(self, start: FloatArray, population: int) -> Moves:
+    def _cloud(self, search: Search, start: FloatArray, cloud: Any) -> Moves:
         """Run CMA-ES once, in coordinates relative to its start, in scales."""
-        cloud = self._strategy(start, population)
+        box = search.box
         worst = -math.inf
         first = True
-        while not (reason := self._ended(cloud)):
+        while not (reason := self._ended(search, cloud)):
             with _quiet():
                 places = cloud.ask()
             # The start itself comes first: its coordinates here are zero.
-            table = np.array([np.zeros_like(places[0])] * first + places)[:, : self.box.n]
-            points = start + table * self.box.scale
-            errors = yield np.clip(points, self.box.low, self.box.high)
+            table = np.array([np.zeros_like(places[0])] * first + places)[:, : box.n]
+            points = start + table * box.scale
+            errors = yield np.clip(points, box.low, box.high)
             errors = errors[1:] if first else errors
             first = False
             worst = float(np.max(errors, initial=worst, where=np.isfinite(errors)))
-            home = (self.best.point - start) / self.box.scale
-            away = np.linalg.norm(np.array(places)[:, : self.box.n] - home, axis=1)
+            home = (search.best.point - start) / box.scale
+            away = np.linalg.norm(np.array(places)[:, : box.n] - home, axis=1)
             with _quiet():
                 cloud.tell(places, _ranked(errors, worst, away).tolist())
         return reason
 
-    def _strategy(self, start: FloatArray, population: int) -> Any:
-        box = self.box
+    def _strategy(
+        self, box: SearchBox, start: FloatArray, population: int, rng: np.random.Generator
+    ) -> Any:
         # The package needs at least two unknowns: add one without effect to a single one.
         spare = max(0, 2 - box.n)
         low = [*((box.low - start) / box.scale).tolist(), *[-10.0] * spare]
@@ -138,20 +130,20 @@ class _CmaWalk(GeneratorSearch):
         options = {
             "bounds": [low, high],
             "popsize": population,
-            "tolx": self.options.tolerance,
+            "tolx": self.tolerance,
             "seed": math.nan,  # do not change NumPy's global random numbers
-            "randn": _normal(self._rng),
+            "randn": lambda *shape: rng.standard_normal(shape),
             "verbose": -10,  # and read no file of signals
             "verb_log": 0,
             "verb_disp": 0,
         }
         with _quiet():
             strategy = import_module("cma").CMAEvolutionStrategy
-            return strategy([0.0] * len(low), self.options.sigma, options)
+            return strategy([0.0] * len(low), self.sigma, options)
 
-    def _ended(self, cloud: Any) -> str:
-        if self.evaluations >= self.options.max_evaluations:
-            return f"{self.options.max_evaluations} evaluations were made"
+    def _ended(self, search: Search, cloud: Any) -> str:
+        if search.evaluations >= self.max_evaluations:
+            return f"{self.max_evaluations} evaluations were made"
         with _quiet():
             stopped = list(cloud.stop())
         return _MORE_WORDS.get(stopped[0], f"CMA-ES stopped: {stopped[0]}") if stopped else ""
@@ -161,10 +153,6 @@ def _ranked(errors: FloatArray, worst: float, away: FloatArray) -> FloatArray:
     """Return errors with failures ranked behind the worst; the package does not accept inf."""
     behind = 0.0 if worst == -math.inf else worst
     return np.where(np.isfinite(errors), errors, behind + max(abs(behind), 1.0) * (1.0 + away))
-
-
-def _normal(rng: np.random.Generator) -> Callable[..., FloatArray]:
-    return lambda *shape: rng.standard_normal(shape)
 
 
 @contextmanager

@@ -25,7 +25,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from fixel.calibration.mixed import Linear, NoiseBounds, fit_mixed, jackknife, numbered
+from fixel.calibration.mixed import Linear, fit_mixed, jackknife, numbered
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import ANGLE_SCALE, Comparer
 from fixel.calibration.target import Target, same_configuration
@@ -140,7 +140,6 @@ def mixed_study(
     weight = 1.0 / np.bincount(cluster)[cluster]
     precision, anchor = _prior(space, point, NEAR)
     theta, own, log_sd = np.array(point, np.float64), np.zeros((n, q)), np.zeros(q + 3)
-    bounds = NoiseBounds(np.full(q + 3, -SPAN), np.full(q + 3, SPAN))
     for _ in range(ROUNDS):
         probes = [
             Probes(shifted, m, names, theta, one * unit)
@@ -152,7 +151,7 @@ def mixed_study(
             precision=precision * np.outer(space.scale, space.scale),
             mean=(anchor - theta) / space.scale,
         )
-        fit = fit_mixed(data, log_sd, bounds)
+        fit = fit_mixed(data, log_sd, SPAN)
         log_sd = fit.log_sd
         reach = MAX_SD * np.exp(log_sd[:q])
         own = np.clip(fit.shifts, -reach, reach)

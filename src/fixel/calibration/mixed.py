@@ -39,35 +39,33 @@ class Linear(NamedTuple):
     mean: FloatArray  # (p,) the same, of its mean
 
 
-class NoiseBounds(NamedTuple):
-    """Logarithms of standard deviations: of own shifts, walk in position and angle, white noise."""
-
-    low: FloatArray  # (q + 3,)
-    high: FloatArray
-
-
 class MixedFit(NamedTuple):
     """Result of one fit."""
 
     step: FloatArray  # (p,) d
     shifts: FloatArray  # (n, q) conditional means of b_e
-    log_sd: FloatArray  # (q + 3,) estimated standard deviations, in the order of `NoiseBounds`
+    # (q + 3,) Logarithms of the estimated standard deviations: of own shifts, walk in position and
+    # angle, white noise.
+    log_sd: FloatArray
     information: FloatArray  # (n, p, p) J' V^-1 J of each experiment, times its weight
     gradient: FloatArray  # (n, p) J' V^-1 (y - J d) of each, times its weight
     covariance: FloatArray  # (p, p) inverse of the summed information and the prior's precision
 
 
-def fit_mixed(data: Linear, start: FloatArray, bounds: NoiseBounds) -> MixedFit:
-    """Fit variances, common step and own shifts, from first logarithms (q + 3,) of deviations."""
+def fit_mixed(data: Linear, start: FloatArray, span: float) -> MixedFit:
+    """Fit variances, common step and own shifts, from first logarithms (q + 3,) of deviations.
+
+    The logarithms are searched from `-span` to `span`.
+    """
     from scipy.optimize import minimize
 
     rotated = _rotated(data)
     found = minimize(
         lambda at: _criterion(rotated, at)[:2],
-        np.clip(start, bounds.low, bounds.high),
+        np.clip(start, -span, span),
         jac=True,
         method="L-BFGS-B",
-        bounds=np.column_stack(bounds),
+        bounds=[(-span, span)] * len(start),
         options={"maxiter": ITERATIONS},
     )
     return _criterion(rotated, found.x)[2]

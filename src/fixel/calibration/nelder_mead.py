@@ -16,6 +16,7 @@ from fixel.calibration.optimiser import (
     Feasible,
     GeneratorSearch,
     Moves,
+    Search,
     SearchBox,
     Size,
     feasible_points,
@@ -93,13 +94,13 @@ class NelderMeadSearch(GeneratorSearch):
     """Running Nelder-Mead search."""
 
     def __init__(self, box: SearchBox, options: NelderMead, vertices: FloatArray) -> None:
-        super().__init__(box)
+        super().__init__(box, self._descents)
         self.options = options
         self.vertices = vertices  # vertices of the simplex, the best first
         # Mean distance of the vertices from their centre, in scales.
         self.size = simplex_size(box, vertices)
 
-    def _walk(self) -> Moves:
+    def _descents(self, _search: Search) -> Moves:
         reason = yield from self._descent()
         for _ in range(self.options.restarts):
             point, error = self.best

@@ -165,20 +165,21 @@ Moves = Generator[FloatArray, FloatArray, str]
 
 
 class GeneratorSearch(Search):
-    """Search whose algorithm is a generator."""
+    """Search whose algorithm is a generator.
 
-    def __init__(self, box: SearchBox) -> None:
+    `walk` is called with the search, whose `evaluations` and `best` include the last errors that
+    the generator received.
+    """
+
+    def __init__(self, box: SearchBox, walk: Callable[[Search], Moves]) -> None:
         super().__init__(box)
+        self._walk = walk
         self._moves: Moves | None = None
         self._points = np.zeros((0, box.n))
 
-    @abc.abstractmethod
-    def _walk(self) -> Moves:
-        """Yield points to evaluate; `evaluations` and `best` include the last errors received."""
-
     def _next(self) -> FloatArray:
         if self._moves is None:
-            self._moves = self._walk()
+            self._moves = self._walk(self)
             self._points = next(self._moves)
         return self._points
 

@@ -98,13 +98,13 @@ class PatternSearchSearch(GeneratorSearch):
     """Running pattern search."""
 
     def __init__(self, box: SearchBox, options: PatternSearch) -> None:
-        super().__init__(box)
+        super().__init__(box, self._steps)
         self.options = options
         self.delta = options.initial_delta  # present step, in scales
         self.iterations = 0  # number of iterations begun
         self._successes = 0
 
-    def _walk(self) -> Moves:
+    def _steps(self, _: Search) -> Moves:
         point = self.box.start
         error = (yield point[None].copy())[0]
         while not (reason := self._ended()):
@@ -201,24 +201,17 @@ class FixedStepSearch(AbstractOptimiser):
                 found=f"{len(self.steps)} steps",
                 expected=f"{box.n}, one per parameter",
             )
-        return _FixedStepWalk(box, self)
+        return GeneratorSearch(box, self._rounds)
 
-
-@final
-class _FixedStepWalk(GeneratorSearch):
-    def __init__(self, box: SearchBox, options: FixedStepSearch) -> None:
-        super().__init__(box)
-        self.options = options
-
-    def _walk(self) -> Moves:
-        options, box = self.options, self.box
-        step = np.diag(options.step * box.scale if options.steps is None else options.steps)
+    def _rounds(self, search: Search) -> Moves:
+        box = search.box
+        step = np.diag(self.step * box.scale if self.steps is None else self.steps)
         # Up and down along the first unknown, then the second: the order of the thesis.
         pattern = np.stack((step, -step), axis=1).reshape(-1, box.n)
         yield box.start[None].copy()
-        for _ in range(options.rounds):
-            point, error = self.best
+        for _ in range(self.rounds):
+            point, error = search.best
             yield np.clip(point + pattern, box.low, box.high)
-            if not self.best.error < error:
+            if not search.best.error < error:
                 return "no step along any parameter decreased the error"
-        return f"{options.rounds} rounds were made"
+        return f"{self.rounds} rounds were made"

@@ -25,7 +25,7 @@ from fixel.calibration.honest import (
     linear_data,
     probe_rollouts,
 )
-from fixel.calibration.mixed import Linear, NoiseBounds, fit_mixed, mixed_at, numbered
+from fixel.calibration.mixed import Linear, fit_mixed, mixed_at, numbered
 from fixel.calibration.objective import Comparer
 from fixel.calibration.optimiser import Best
 from fixel.calibration.profile import Profile, Profiles
@@ -208,8 +208,7 @@ def _assessed(
         same = numbered([condition_of(shifted.targets[m]) for m in own.tolist()])
         data = data._replace(weight=1.0 / np.bincount(same)[same])
         usual = np.zeros(len(names) + 3)
-        bounds = NoiseBounds(usual - SPAN, usual + SPAN)
-        scatter = scatter._replace(log_sd=fit_mixed(data, usual, bounds).log_sd)
+        scatter = scatter._replace(log_sd=fit_mixed(data, usual, SPAN).log_sd)
     frames = np.array(assess.Frames(comparer, own).frames, np.float64)
     curved = np.einsum("n,npq->pq", frames / INSTANTS, _squares(data))
     profiles, half = _parabolas(space, best, curved, level)
