@@ -15,7 +15,7 @@ from fixel.capability.usual import TABLE
 from fixel.errors import InvalidInput, JobRefused
 from fixel.jobs.functions import callable_by_jobs, stamp
 from fixel.workflows.calibration.run import CALIBRATE
-from fixel.workflows.compare.run import COMPARE
+from fixel.workflows.compare import COMPARE
 from fixel.workflows.domain.run import DOMAIN
 from fixel.workflows.error_bound.run import ERROR_BOUND
 from fixel.workflows.filtering.run import FILTER

@@ -16,7 +16,7 @@ from fixel.simulation import QuasiStatic
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing.pushes import example_pushes
 from fixel.workflows.calibration.stored import load_values, newest_calibration, searched_space
-from fixel.workflows.compare.run import compare_stored
+from fixel.workflows.compare import compare_stored
 
 
 @pytest.fixture

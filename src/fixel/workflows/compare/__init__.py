@@ -1,1 +1,0 @@
-"""Comparison of a stored experiment with its simulation: run and report."""
