@@ -7,7 +7,8 @@ that an undo changes those only.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any, final
 
 import sqlalchemy as sa
 
@@ -19,12 +20,14 @@ from fixel.model import Flag
 MAX_TEXT = 10_000  # characters of a note
 
 
-class Note(NamedTuple):
+@final
+@dataclass(frozen=True, slots=True)
+class Note:
     """Note that a user attached to an experiment."""
 
     id: int
     text: str
-    created: str  # as ISO 8601 in UTC
+    created_utc: str  # as ISO 8601
 
 
 def flag(connection: sa.Connection, experiment_ids: Iterable[int], flag: Flag) -> list[int]:

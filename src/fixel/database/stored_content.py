@@ -7,8 +7,9 @@ import os
 import re
 import shlex
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, final
 
 import sqlalchemy as sa
 
@@ -26,7 +27,9 @@ FOLDERS: Final = (MEDIA, ANALYSES, "backups", "bench", "cache", "jobs", "rigs") 
 CHANGED: Final = "has changed: its checksum differs"
 
 
-class Trouble(NamedTuple):
+@final
+@dataclass(frozen=True, slots=True)
+class Trouble:
     """Fault found in a database."""
 
     where: str

@@ -8,6 +8,7 @@ from fastapi import APIRouter, Query
 from fastapi.responses import FileResponse, Response
 from pydantic import ConfigDict, Field
 
+from fixel.database.marks import Note
 from fixel.database.project import known_names
 from fixel.errors import NotStored
 from fixel.io.document import plain_numbers
@@ -138,14 +139,6 @@ class ExperimentOutlines(Answer):
     outlines: VideoOutlines | None = Field(description="outlines; null if the rig is unknown")
 
 
-class NoteText(Answer):
-    """Note on an experiment."""
-
-    id: int
-    text: str
-    created_utc: str = Field(validation_alias="created")
-
-
 class ExperimentDetail(Answer):
     """All that is known of an experiment but for what is long."""
 
@@ -153,7 +146,7 @@ class ExperimentDetail(Answer):
 
     id: int
     key: str
-    notes: list[NoteText]
+    notes: list[Note]
     deleted: bool
     content: str
     has_video: bool
