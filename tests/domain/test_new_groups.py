@@ -54,7 +54,7 @@ def test_a_cautious_bound_holds_in_nearly_every_group(wrong):
     assert groups >= 7 / 8 - 0.07
 
 
-@pytest.mark.parametrize("n", [3, 6, 12])
+@pytest.mark.parametrize("n", [3, *(pytest.param(n, marks=pytest.mark.system) for n in (6, 12))])
 def test_bounds_widen_for_the_number_of_groups_that_taught_them(n):
     """Over many sets of groups, each with a new group; the quantile of all pushes is too narrow."""
     rng = np.random.default_rng(n)

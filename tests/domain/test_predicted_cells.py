@@ -54,7 +54,7 @@ def test_experiments_without_evidence_say_nothing():
     assert np.isfinite(predicted_cells(kept, _cells(kept), 0.9)).all()
 
 
-@pytest.mark.parametrize("repetitions", [1, 3])
+@pytest.mark.parametrize("repetitions", [1, pytest.param(3, marks=pytest.mark.system)])
 def test_a_cell_nobody_tried_is_judged_by_cells_and_not_by_repetitions(repetitions):
     """Each cell has an error of its own, which repetitions meet again and neighbours do not."""
     held = []
