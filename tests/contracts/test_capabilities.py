@@ -115,7 +115,7 @@ SHORT = {
     "growth": {"limit": "2.2mm", "sizes": ("y=3", "x=2"), "motion": "quasistatic"},
     "next": {"part": "part-4", "contacts": 2, "number": 2},
     "plan": {
-        "goal": json.dumps({"fixel": 1, "goal": GOAL}), "experiment": "push-1", "rollouts": 1000
+        "goal": json.dumps({"fixel": 1, "goal": GOAL}), "experiment": "part-1-01", "rollouts": 1000
     },
     "sensitivity": {"experiments": ("push-1",), "samples": 50},
     "uncertainty": {
