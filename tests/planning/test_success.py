@@ -148,3 +148,4 @@ def test_the_sentence_never_rounds_a_failure_away():
     for failures, text in ((0, "1.0000 (0.9985 to 1.0000)"), (1, "0.9996 (0.9977 to 1.0000)")):
         found = SuccessProbability.of(np.where(np.arange(2400) < failures, -1.0, 1.0))
         assert found.sentence == f"success probability {text}"
+        assert f" {text[:6]} " in repr(found).splitlines()[2]

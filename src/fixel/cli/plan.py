@@ -259,7 +259,7 @@ def run(
             as_json,
             lambda: {"engine": engine, "trials": trials, "held": held.value,
                      "low": held.low, "high": held.high, "stated": stated},
-            lambda: [f"Held in {engine}: {held}; stated success probability {stated:.3f}"],
+            lambda: [f"Held in {engine}: {held}; stated success probability {stated:.4f}"],
         )  # fmt: skip
     again = command_of("plan", "check", plan, project=folder)
     if present_belief(project, found)[1] != found.calibration:

@@ -57,7 +57,7 @@ def paths_chart(plan: PushPlan, n: int = MOTIONS) -> Chart:
         track = np.concatenate((track, plan.runs.end[rows, None]), axis=1)
     outcome = [plan.runs.outcome[k] for k in rows]
     return Chart(
-        title=f"Plan with a success probability of {plan.success.stated:.3f}",
+        title=f"Plan with a success probability of {plan.success.stated:.4f}",
         size=(0.62 * chart.WIDE, 3.4),
         fill=lambda figure: _draw_paths(figure, plan, track, outcome),
         data=Table.from_columns(

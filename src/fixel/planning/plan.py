@@ -201,7 +201,7 @@ class PushPlan(Result):
         names = ("stated", "low", "high", "worst", "best")
         plans = {"this plan": self.success, "best without errors": self.nominal_success}
         return Table(
-            ("success", *(Column(name, format=".3f") for name in names)),
+            ("success", *(Column(name, format=".4f") for name in names)),
             [(name, *(getattr(own, one) for one in names)) for name, own in plans.items()],
             title=title,
         )

@@ -250,7 +250,7 @@ class SuccessProbability(Result):
             ("best draws", self.best, f"rate that 5 % of {draws} parameter draws exceed"),
         ]
         rows = [row for row in rows if row[1] is not None]
-        table = Table(("value", Column("probability", "", ".3f"), "meaning"), rows, left=3)
+        table = Table(("value", Column("probability", "", ".4f"), "meaning"), rows, left=3)
         margin = f"In 95 % of the scenarios the margin exceeds {self.margin:.2f} tolerances."
         return Summary(self.sentence.capitalize(), [table], [*self._notes(), margin])
 

@@ -207,13 +207,12 @@ def report_of(found: StoredMap) -> AnalysisReport:
     numbers |= {"frame": [*table.frame], "parts": [*table.values], "change_of_errors": gains}
     said, *notes = table._summary().notes
     verdict = f"helps, with weight {table.weight:g}" if table.weight else "does not help"
-    parts = f"{counted(len(table.values), 'part')} on {_named(table)}"
-    pushes = f"{counted(len(found.rows), 'push')} of {parts}"
+    pushes = f"{counted(len(found.rows), 'push')} of {counted(len(table.values), 'part')}"
     analysis = analysis_of(
         TABLE_MAP.name,
         table,
         title=f"Map of {_named(table)}",
-        headline=(f"The map from {pushes} {verdict}.", said),
+        headline=(f"The map from {pushes} on {_named(table)} {verdict}.", said),
         notes=tuple(notes),
         numbers=numbers,
         experiments=tuple(row.id for row in found.rows),

@@ -16,6 +16,7 @@ from fixel.errors import DeviceFailed, InvalidInput
 from fixel.formats.recording import open_recording
 from fixel.model.fields import pose_of
 from fixel.planning.plan import PlanCorrection
+from fixel.planning.success import SuccessProbability
 from fixel.testbed.emulators.grbl import EmulatedGrbl
 from fixel.testbed.motion import SimulatedActuator
 from fixel.testbed.motion_grbl import GrblActuator
@@ -36,6 +37,7 @@ from fixel.workflows.planning.request import (
     load_plan,
     load_trials,
     save_plan,
+    warnings_of,
 )
 
 from .plans import grasp, plan_of, rig_plan, square_plan
@@ -282,6 +284,10 @@ def test_a_check_counts_trials_and_repeats_the_statement(tmp_path: Path):
     assert not checked.changed
     assert abs(checked.now.mean - checked.found.plan.success.mean) < 0.15
     assert "3 trials" in " ".join(checked.sentences)
+    close = SuccessProbability.of(np.where(np.arange(2400) < 2279, 1.0, -1.0))
+    below = "0.9496 is below the wanted 0.95"
+    assert f"{below}: plan again." in checked._replace(now=close).sentences
+    assert any(below in one for one in warnings_of(replace(square_plan(), success=close), 0.95))
 
 
 def test_displaced_fixels_are_where_the_plan_wants_them():

@@ -336,7 +336,9 @@ class CheckedPlan(NamedTuple):
             lines.append(f"The calibration has changed: now {self.calibration}.")
         lines.append(f"Under the present calibration: {self.now.sentence}.")
         if self.now.stated < self.found.wanted:
-            lines.append(f"This is below the wanted {self.found.wanted:g}: plan again.")
+            lines.append(
+                f"{self.now.stated:.4f} is below the wanted {self.found.wanted:g}: plan again."
+            )
         else:
             share = 100.0 * self.now.spare(self.found.wanted)
             lines.append(

@@ -186,7 +186,7 @@ def warnings_of(found: PushPlan, wanted: float) -> list[str]:
     if found.belief.misfit:
         warnings.append(f"Calibration: {found.belief.misfit}")
     if own.stated < wanted:
-        warnings.append(f"The success probability {own.stated:.3f} is below the wanted {wanted:g}")
+        warnings.append(f"The success probability {own.stated:.4f} is below the wanted {wanted:g}")
     if found.advice:
         warnings.append(found.advice)
     if not found.belief.is_calibrated:
