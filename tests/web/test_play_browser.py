@@ -397,3 +397,15 @@ def test_watch_shows_the_newest_scene(simulate):
     simulate.wait_for_selector("#watch[data-state=playing]")
     start = player(simulate, "motions[0].poseAt('object', 0)", "#watch")
     assert start == pytest.approx(editor(simulate, "scene.bodies[0].pose"), abs=1e-9)
+
+
+def test_fixels_of_a_goal_are_selected_by_keys(browser_page, server):
+    browser_page.goto(server.home + "plan")
+    browser_page.focus("#stage")
+    names = [one.name for one in server.context.store.experiment(1).scene.fixels]
+    for key in "31":
+        browser_page.keyboard.press(key)
+    assert browser_page.inner_text("#seated") == f"Goal: the part touches {names[0]}, {names[2]}."
+    for key in "13":
+        browser_page.keyboard.press(key)
+    assert browser_page.is_hidden("#seated")

@@ -6,7 +6,6 @@ import { at, input, settled } from "./dom.js";
 import { renew } from "./page.js";
 
 const RAD = Math.PI / 180;
-const WITHIN = ["x_mm", "y_mm", "angle_deg", "position_mm"];
 /** @type {{turn: boolean, x: number, y: number} | null} */
 let held = null;
 
@@ -38,6 +37,12 @@ function draw(fit = false) {
   const box = stage().getBBox();
   const room = 0.12 * Math.max(box.width, box.height);
   stage().setAttribute("viewBox", `${box.x - room} ${box.y - room} ${box.width + 2 * room} ${box.height + 2 * room}`);
+}
+
+/** Adds a fixel to those that the part should touch, or takes it away. @param {Element | undefined} fixel */
+function want(fixel) {
+  fixel?.classList.toggle("wanted");
+  draw();
 }
 
 /** Puts the goal beside the start. */
@@ -76,10 +81,7 @@ function content() {
 const part = at("staged");
 part.addEventListener("pointerdown", (event) => {
   const target = /** @type {Element} */ (event.target);
-  if (target.matches(".fixel")) {
-    target.classList.toggle("wanted");
-    draw();
-  }
+  if (target.matches(".fixel")) want(target);
   if (!target.matches(".handle, .goal")) return;
   const [x, y] = place(event);
   held = { turn: target.matches(".handle"), x: number("x_mm") - x, y: number("y_mm") - y };
@@ -105,7 +107,9 @@ part.addEventListener("keydown", (event) => {
     ArrowLeft: ["x_mm", -step], ArrowRight: ["x_mm", step], ArrowUp: ["y_mm", step], ArrowDown: ["y_mm", -step],
     q: ["angle_deg", 1], e: ["angle_deg", -1],
   })[event.key];
-  if (!move || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.ctrlKey || event.metaKey || event.altKey) return;
+  if (/^[1-9]$/.test(event.key)) want(stage().querySelectorAll(".fixel")[Number(event.key) - 1]);
+  if (!move) return;
   event.preventDefault();
   write(move[0], number(move[0]) + move[1]);
   draw(true);
@@ -116,6 +120,6 @@ at("goal-form").addEventListener("submit", () => {
 input("experiment").addEventListener("change", () => {
   renew(`${location.pathname}?${new URLSearchParams({ experiment: input("experiment").value })}`).catch(complain);
 });
-for (const id of WITHIN) input(id).addEventListener("input", settled(() => draw(true), 150));
+for (const id of ["x_mm", "y_mm", "angle_deg", "position_mm"]) input(id).addEventListener("input", settled(() => draw(true), 150));
 document.addEventListener("renewed", begin);
 begin();
