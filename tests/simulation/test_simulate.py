@@ -66,6 +66,15 @@ def test_an_early_end_at_a_sample_is_one_sample(stepper):
     assert ("part", "finger") in run.touching
 
 
+def test_the_last_step_before_an_early_end_may_be_short():
+    """Five steps of microseconds, of a duration next to which they are nothing."""
+    stepper = Adaptive(tolerance=1e-12, max_steps=5)
+    run = simulate(pushed_square(), stepper=stepper, duration=1e9)
+    assert run.status == "max_steps"
+    assert len(run.time) == 6
+    assert run.time[-1] == run.stopped_at
+
+
 @pytest.mark.parametrize(
     ("duration", "interval", "n", "last"),
     [(1.0, 0.25, 5, 1.0), (1.0, 0.3, 5, 1.0), (0.3, 0.1, 4, 0.3), (1.0, 2.0, 2, 1.0), (1, 1, 2, 1)],

@@ -294,7 +294,7 @@ class Simulator:
             seconds = clock.perf_counter()
             record = self._record(packed, duration, times)
             seconds = clock.perf_counter() - seconds
-            found = _unpacked(scene, packed, record, duration) | {
+            found = _unpacked(scene, packed, record, duration, times) | {
                 "wall_time_s": seconds,
                 "method": dict(self._described),
             }
@@ -574,14 +574,18 @@ def fixel_version() -> str:
 
 
 def _unpacked(
-    scene: Scene, packed: PackedBatch, record: BatchRecord, duration: float
+    scene: Scene,
+    packed: PackedBatch,
+    record: BatchRecord,
+    duration: float,
+    times: FloatArray | None,
 ) -> dict[str, Any]:
     """Return the motion of a record as fields of a `Simulation`."""
     units = packed.units
     n_sample, n_contact, steps, fallbacks = record.count[0].tolist()
     time = record.time[0, :n_sample] * units.time
-    if n_sample > 1 and time[-1] - time[-2] <= SAMPLE_SLACK * duration:  # an early end at a sample
-        n_sample, time = n_sample - 1, time[:-1]
+    if times is not None and (np.diff(time[-2:]) <= SAMPLE_SLACK * duration).any():
+        n_sample, time = n_sample - 1, time[:-1]  # one of an early end at another
     poses = shape_poses(packed, record.pose[0, :n_sample])
     of_twists, of_contacts = _scales(units)
     twists = record.twist[0, :n_sample] * of_twists
