@@ -114,6 +114,10 @@ def _fixtures(axes: Axes, plan: PushPlan, unit: Any) -> None:
         colour = palette.TOUCHED if fixel.name in wanted else palette.FIXEL
         outline = closed_line(placed(fixel.shape.outline, fixel.pose + shift), unit)
         axes.fill(*outline, color=colour, linewidth=0.0)
+    for k, other in enumerate(plan.scene.bodies[1:]):
+        outline = closed_line(placed(other.shape.outline, other.pose), unit)
+        axes.fill(*outline, facecolor="none", edgecolor=palette.BODY, linewidth=0.8,
+                  label="_" * (k > 0) + "other part, at the start")  # fmt: skip
     for k, region in enumerate(plan.choose.obstacles):
         axes.fill(*closed_line(region.outline, unit), facecolor="none", edgecolor=palette.FIXEL,
                   hatch="////", linewidth=0.7, label="_" * (k > 0) + "obstacle")  # fmt: skip

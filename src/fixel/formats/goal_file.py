@@ -70,6 +70,7 @@ records.record_of(
     turn=Range,
     cost=Cost,
     obstacles=list[records.Corners],
+    keep=list[str],
 )
 _AXES: Final = {"x": "x_mm", "y": "y_mm", "theta": "theta_deg"}
 records.record_of(
@@ -84,6 +85,7 @@ records.record_of(
     stroke=Range,
     cost=Cost,
     obstacles=list[records.Corners],
+    keep=list[str],
 )
 ChooseRecord: Any = records.choice_of("ChooseRecord", free=FreePushes, rig=RigPushes)
 StartRecord: Any = records.record_of(

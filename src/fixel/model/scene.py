@@ -284,14 +284,18 @@ def _members(values: T | Iterable[T], kind: type[T], where: str) -> tuple[T, ...
     return members
 
 
-def check_push(scene: Scene, where: str = "scene", *, pushers: tuple[int, ...] = (1,)) -> None:
-    """Raise `InvalidInput` for a scene that is no push of one free body by an allowed number of
-    pushers."""
-    if len(scene.bodies) != 1 or len(scene.pushers) not in pushers:
+def check_push(
+    scene: Scene, where: str = "scene", *, pushers: tuple[int, ...] = (1,), several: bool = False
+) -> None:
+    """Raise `InvalidInput` for a scene that is no push of one free body, or of `several`, by an
+    allowed number of pushers."""
+    fits = len(scene.bodies) == 1 or (several and scene.bodies)
+    if not fits or len(scene.pushers) not in pushers:
         raise InvalidInput(
             where,
             found=f"{len(scene.bodies)} free bodies and {len(scene.pushers)} pushers",
-            expected=f"one free body and {'at most ' * (0 in pushers)}one pusher",
+            expected=f"{'at least ' * several}one free body and "
+            f"{'at most ' * (0 in pushers)}one pusher",
         )
 
 

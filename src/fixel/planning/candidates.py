@@ -16,7 +16,7 @@ from fixel.model.goals import Beyond, BodyTrack, Goal, Inside, PoseRegion, Seate
 from fixel.planning.belief import Belief
 from fixel.planning.geometric import fence_pushes, geometric_pushes
 from fixel.planning.pushes import FreePushes, PushChoice
-from fixel.planning.rollout import CARRIED_OUT, PlanSimulator, part_overlap
+from fixel.planning.rollout import CARRIED_OUT, PlanSimulator, others_overlap, part_overlap
 from fixel.simulation.vary import composed, inverted
 from fixel.typing import FloatArray
 from fixel.uncertainty.starts import even_points
@@ -166,8 +166,10 @@ def last_pushes(simulator: PlanSimulator, table: PushTable, seed: int) -> LastPu
     poses, pushes = np.vstack(before), np.vstack(numbers)
     planned = simulator.planned(pushes[:, None], poses)
     margin = np.where(planned.collides, -np.inf, simulator.margins(planned.nominal))
-    # Poses inside a fixel are impossible starts.
-    margin[part_overlap(simulator.simulated, poses, None) > 0.0] = -np.inf
+    # Poses inside a fixel or another part are impossible starts.
+    scene, others = simulator.simulated, simulator.others(len(poses))
+    on_other = others_overlap(scene, scene.bodies[0].shape, poses, others) > 0.0
+    margin[on_other | (part_overlap(scene, poses, None) > 0.0)] = -np.inf
     rows = np.flatnonzero(margin >= 0.0)
     rows = rows[np.argsort(-margin[rows], kind="stable")][: 4 * kept]
     if not len(rows):

@@ -13,6 +13,7 @@ import numpy as np
 from fixel.errors import InvalidInput
 from fixel.model.fields import instance
 from fixel.model.goals import Beyond, Inside, PoseRegion
+from fixel.model.scene import check_push
 from fixel.model.trajectory import wrapped
 from fixel.planning.belief import Belief, Scenarios
 from fixel.planning.candidates import Numbers
@@ -324,6 +325,8 @@ def check_looks(search: PlanSearch) -> None:
         raise InvalidInput(
             "looks", found="pushes of a rig", expected="FreePushes, which can push from any pose"
         )
+    if looks:
+        check_push(simulator.scene)  # a look sees one part
     pose_alone = (PoseRegion, Inside, Beyond)
     for own in simulator.goal.clauses if looks else ():
         if not isinstance(own, pose_alone):

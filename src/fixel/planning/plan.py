@@ -17,7 +17,7 @@ from fixel.model import Scene
 from fixel.model.bodies import POSE
 from fixel.model.fields import instance, vector
 from fixel.model.goal_checks import check_goal
-from fixel.model.goals import BodyTrack, Goal, events_in
+from fixel.model.goals import BodyTrack, Goal, body_of, events_in
 from fixel.model.probability import Probability
 from fixel.planning.belief import UNKNOWN_UNITS, Belief, Scenarios, check_centres
 from fixel.planning.causes import MIN_SCENARIOS, Explanation
@@ -100,6 +100,8 @@ class PushPlan(Result):
         Planned end pose [m, m, rad].
     fixels : (n_fixel, 3) float64 or None
         Planned displacements of the fixels [m, m, rad].
+    others : (k, n_other, 3) float64 or None
+        Planned poses of the other parts before each push [m, m, rad]; None without other parts.
     success : SuccessProbability
         Stated success probability, from scenarios that the search has not seen.
     nominal_success : SuccessProbability
@@ -149,9 +151,15 @@ class PushPlan(Result):
     unseen: tuple[str, ...]
     motion: AbstractMotionModel
     stepper: AbstractStepper | None
+    others: FloatArray | None = None
     looks: Looks | None = None
     rollouts: int
     seed: int
+
+    @property
+    def other_poses(self) -> FloatArray:
+        """Planned poses (k, n_other, 3) of the other parts before each push [m, m, rad]."""
+        return np.zeros((len(self.pushes), 0, 3)) if self.others is None else self.others
 
     @property
     def first_pose(self) -> FloatArray:
@@ -178,8 +186,8 @@ class PushPlan(Result):
             ]
             scene = replace(scene, fixels=tuple(moved))
         return tuple(
-            scene_of_push(scene, start, path)
-            for start, path in zip(self.start, self.path, strict=True)
+            scene_of_push(scene, start, path, others)
+            for start, path, others in zip(self.start, self.path, self.other_poses, strict=True)
         )
 
     def waypoints(self) -> Table:
@@ -484,7 +492,10 @@ class PushPlan(Result):
         nominal = Runs(
             self.end[None, None], np.zeros(1, np.int64), np.zeros(1, bool), np.zeros(1), fixels
         )
-        return PlannedMotions(self.start[None], self.path[None], fixels, nominal, np.zeros(1, bool))
+        return PlannedMotions(
+            self.start[None], self.path[None], fixels, self.other_poses[None], nominal,
+            np.zeros(1, bool),
+        )  # fmt: skip
 
     @property
     def failures(self) -> Mapping[str, float]:
@@ -497,6 +508,10 @@ class PushPlan(Result):
             *(self.looks.sentences if self.looks else ()),
             *filter(None, [self.belief.error_text]),
             self.belief.start_text,
+            *(
+                f"{own.name} {'must stay' if own.name in self.choose.keep else 'may be pushed'}"
+                for own in self.scene.bodies[1:]
+            ),
             *(f"fails: {100.0 * share:.1f} % {why}" for why, share in self.failures.items()),
         ]
         if advice := self.advice:
@@ -565,6 +580,7 @@ def search_of(
         expected = f"a whole number of {MIN_ROLLOUTS} or more"
         raise InvalidInput("rollouts", found=rollouts, expected=expected)
     check_goal(goal, scene)
+    scene = _part_first(scene, goal)
     check_centres(belief, scene)
     prepared = choose.prepared(scene)
     search = PlanSearch(
@@ -574,6 +590,16 @@ def search_of(
     )  # fmt: skip
     check_looks(search)
     return search
+
+
+def _part_first(scene: Scene, goal: Goal) -> Scene:
+    """Return the scene with the part that the goal is about before the other parts."""
+    parts = {body_of(scene, own.body).name for own in goal.clauses}
+    if len(parts) > 1:
+        found = f"conditions on {' and '.join(sorted(parts))}"
+        raise InvalidInput("goal.body", found=found, expected="conditions on one part")
+    first, *others = sorted(scene.bodies, key=lambda own: own.name not in parts)
+    return replace(scene, bodies=(first, *others))
 
 
 def plan_rounds(search: PlanSearch, *, untrusted: bool = False) -> Rounds[PushPlan]:
@@ -601,6 +627,7 @@ def plan_rounds(search: PlanSearch, *, untrusted: bool = False) -> Rounds[PushPl
         pushes=simulator.choice.pushes(simulator.scene, plan),
         start=planned.start[0], path=planned.path[0], end=planned.nominal.pose[0, -1],
         fixels=None if planned.fixels is None else planned.fixels[0],
+        others=planned.others[0] if planned.others.size else None,
         success=success, nominal_success=SuccessProbability.of(found.nominal_margins),
         runs=PlanRuns(scenarios, margin, track.pose[:, -1], why),
         alternatives=found.compared, compared=search.scenarios(search.final_stage),
@@ -634,9 +661,10 @@ def _trusted(
 
 def _unseen(simulator: PlanSimulator, belief: Belief, plan: FloatArray) -> tuple[str, ...]:
     planned = simulator.planned(plan[None])
+    part = replace(simulator.scene, bodies=simulator.scene.bodies[:1], contact_friction=())
     texts = [
         text
         for start, path in zip(planned.start[0], planned.path[0], strict=True)
-        for text in belief.unseen(scene_of_push(simulator.scene, start, path))
+        for text in belief.unseen(scene_of_push(part, start, path))
     ]
     return tuple(dict.fromkeys(texts))

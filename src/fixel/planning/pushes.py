@@ -125,6 +125,9 @@ class FreePushes:
     obstacles : sequence of Polygon or (n, 2) array_like
         Regions in the world that neither part nor tool may touch [m]. They stop nothing in
         simulations: a run that touches one counts as a failure.
+    keep : str or sequence of str
+        Names of other parts that must stay where they are. A run that moves one counts as a
+        failure; parts that are not named may be pushed.
 
     Examples
     --------
@@ -145,6 +148,7 @@ class FreePushes:
     force_limit: Annotated[float | None, Value(positive, "N")] = None
     cost: Cost = "pushes"
     obstacles: tuple[Polygon, ...] = ()
+    keep: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if isinstance(self.most, bool) or not 1 <= self.most <= MAX_PUSHES:
@@ -157,7 +161,7 @@ class FreePushes:
             settle(self, turn=_range(self.turn, "choose.turn"))
         check_fields(self, "choose")
         _check_cost(self.cost)
-        settle(self, obstacles=_regions(self.obstacles))
+        settle(self, obstacles=_regions(self.obstacles), keep=_names(self.keep))
         if self.angle >= 0.5 * math.pi:
             raise InvalidInput(
                 "choose.angle",
@@ -171,13 +175,14 @@ class FreePushes:
 
     def bounds(self, scene: Scene) -> tuple[FloatArray, FloatArray]:
         """Bounds of these numbers."""
-        low, high = self.length or (0.1 * _radius(scene), 2.0 * _radius(scene))
+        radius = float(scene.bodies[0].shape.radius)
+        low, high = self.length or (0.1 * radius, 2.0 * radius)
         least, most = ((), ()) if self.turn is None else ((own,) for own in self.turn)
         return np.array([0.0, -self.angle, low, *least]), np.array([1.0, self.angle, high, *most])
 
     def prepared(self, scene: Scene) -> Scene:
         """Scene with the tool, which waits far from the part."""
-        body = _only_body(scene)
+        body = _part(scene, self.keep)
         own = scene.pushers[0] if scene.pushers else None
         friction = self.friction
         if friction is None:
@@ -196,8 +201,8 @@ class FreePushes:
 
     def motions(self, scene: Scene, numbers: FloatArray, before: FloatArray) -> PushMotions:
         """Motions of pushes (n, d) of parts at planned poses `before` (n, 3)."""
-        body, tool = _only_body(scene), self._tool(scene)
-        gap = self.clearance or CLEARANCE * _radius(scene)
+        body, tool = scene.bodies[0], self._tool(scene)
+        gap = self.clearance or CLEARANCE * float(body.shape.radius)
         back = gap if self.retract is None else self.retract
         point, inward = outline_points(body.shape, numbers[:, 0])
         heading = np.arctan2(inward[:, 1], inward[:, 0]) + numbers[:, 1]
@@ -256,6 +261,8 @@ class RigPushes:
         Cost as for `FreePushes`.
     obstacles : sequence of Polygon or (n, 2) array_like
         Regions that neither part nor pusher may touch [m], as for `FreePushes`.
+    keep : str or sequence of str
+        Names of other parts that must stay where they are, as for `FreePushes`.
 
     Examples
     --------
@@ -272,6 +279,7 @@ class RigPushes:
     retract: Annotated[float, Value(non_negative, "m")] = 0.0
     cost: Cost = "pushes"
     obstacles: tuple[Polygon, ...] = ()
+    keep: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("x", "y", "theta"):
@@ -285,7 +293,7 @@ class RigPushes:
             settle(self, fixels=moved)
         check_fields(self, "choose")
         _check_cost(self.cost)
-        settle(self, obstacles=_regions(self.obstacles))
+        settle(self, obstacles=_regions(self.obstacles), keep=_names(self.keep))
 
     @property
     def most(self) -> int:
@@ -310,7 +318,7 @@ class RigPushes:
 
     def prepared(self, scene: Scene) -> Scene:
         """Return the scene, whose pusher is the tool."""
-        _only_body(scene)
+        _part(scene, self.keep)
         known = [fixel.name for fixel in scene.fixels]
         for name in self.fixels or {}:
             if name not in known:
@@ -435,13 +443,19 @@ def _on_arcs(ways: FloatArray, turn: FloatArray) -> tuple[FloatArray, FloatArray
     return np.column_stack((ways[:, 0], on, ways[:, 2])), poses
 
 
-def scene_of_push(scene: Scene, start: FloatArray, path: FloatArray) -> Scene:
-    """Return the scene of one push: the part at `start` (3,), the tool on `path` (n, 4)."""
-    body, pusher = scene.bodies[0], scene.pushers[0]
+def scene_of_push(
+    scene: Scene, start: FloatArray, path: FloatArray, others: FloatArray | None = None
+) -> Scene:
+    """Return the scene of one push: the part at `start` (3,), the tool on `path` (n, 4), and other
+    parts at `others` (n_other, 3), by default their poses in the scene."""
+    pusher = scene.pushers[0]
+    poses = [start, *([own.pose for own in scene.bodies[1:]] if others is None else others)]
     drive = PathDrive(path, force_limit=pusher.drive.force_limit)
     return replace(
         scene,
-        bodies=(replace(body, pose=start),),
+        bodies=tuple(
+            replace(own, pose=pose) for own, pose in zip(scene.bodies, poses, strict=True)
+        ),
         pushers=(replace(pusher, pose=path[0, 1:], drive=drive),),
         duration=float(path[-1, 0]),
     )
@@ -475,8 +489,13 @@ def touches(shape: Shape, poses: FloatArray, obstacles: Sequence[Polygon]) -> Bo
     return np.asarray(found.any(axis=1))
 
 
-def _only_body(scene: Scene) -> Body:
-    check_push(scene, pushers=(0, 1))
+def _part(scene: Scene, keep: Sequence[str]) -> Body:
+    """Return the part that is planned for, after checks of the scene and the other parts."""
+    check_push(scene, pushers=(0, 1), several=True)
+    known = [own.name for own in scene.bodies[1:]]
+    for name in keep:
+        if name not in known:
+            raise unknown_name("choose.keep", name, known)
     return scene.bodies[0]
 
 
@@ -492,10 +511,6 @@ def _line(scene: Scene) -> LineDrive:
     return drive
 
 
-def _radius(scene: Scene) -> float:
-    return float(_only_body(scene).shape.radius)
-
-
 def _regions(given: Any) -> tuple[Polygon, ...]:
     if not isinstance(given, Sequence) or isinstance(given, str):
         raise InvalidInput("choose.obstacles", found=repr(given), expected="a list of polygons")
@@ -506,6 +521,10 @@ def _regions(given: Any) -> tuple[Polygon, ...]:
         except InvalidInput as problem:
             raise problem.within(f"choose.obstacles[{k}]") from None
     return tuple(found)
+
+
+def _names(given: Any) -> tuple[str, ...]:
+    return (given,) if isinstance(given, str) else tuple(given)
 
 
 def _check_cost(cost: str) -> None:

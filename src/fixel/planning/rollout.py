@@ -10,8 +10,8 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from fixel.kernels import codes
-from fixel.model import Scene
-from fixel.model.goals import BodyTrack, Goal, Moved, touching
+from fixel.model import Scene, Shape
+from fixel.model.goals import BodyTrack, Goal, Moved, tolerance_of, touching
 from fixel.model.overlap import overlaps
 from fixel.model.trajectory import wrapped
 from fixel.planning.belief import Scenarios, rows_of
@@ -26,17 +26,21 @@ from fixel.uncertainty.predictive import motion_of
 from fixel.uncertainty.run_to_run import arm_of, rest_at
 
 # What became of a run; all but the first count as failures of the plan.
-CARRIED_OUT, NOT_SIMULATED, TOOL_ON_PART, START_OVERLAPS, OBSTACLE = range(5)
+CARRIED_OUT, NOT_SIMULATED, TOOL_ON_PART, START_OVERLAPS, OBSTACLE, ON_OTHER, MOVED = range(7)
 FAILURES: Final = (
     "carried out",
     "could not be simulated",
     "the tool is put down on the part",
     "the part starts inside a fixel",
     "an obstacle is touched",
+    "the part or the tool starts on another part",
+    "a part that must stay is moved",
 )
 WORST_MARGIN: Final = -1e3  # of a run that failed, and limit of all margins
+START: Final = ("start_x", "start_y", "start_theta")
 REGISTRATION: Final = ("registration_x", "registration_y", "registration_theta")
 TOUCHED: Final = 1e-9  # smallest overlap of tool and part that counts, relative to the part
+STAYS: Final = 1e-3  # a part stays if no point of it moves farther than this, relative to it
 
 
 class Runs(NamedTuple):
@@ -60,6 +64,7 @@ class PlannedMotions(NamedTuple):
     start: FloatArray  # (m, k, 3) planned pose of the part before each push [m, m, rad]
     path: FloatArray  # (m, k, n_waypoint, 4) tool: time [s] and pose [m, m, rad]
     fixels: FloatArray | None  # (m, n_fixel, 3) planned displacements of fixels
+    others: FloatArray  # (m, k, n_other, 3) planned poses of the other parts before each push
     nominal: Runs  # of each plan without any error
     collides: BoolArray  # (m,) whether the tool would touch a fixel
 
@@ -118,8 +123,9 @@ class PlanSimulator:
         m, k, _ = numbers.shape
         pose = np.tile(self.scene.bodies[0].pose, (m, 1)) if start is None else np.array(start)
         if k == 0:
-            return _at_rest(pose)
-        begun, paths, poses = [], [], []
+            return _at_rest(pose, len(self.scene.bodies) - 1)
+        others = self.others(m)
+        begun, paths, poses, before = [], [], [], []
         fixels: FloatArray | None = None
         failure, force = np.zeros(m, np.int64), np.zeros(m)
         stalled, hit = np.zeros(m, bool), np.zeros(m, bool)
@@ -127,12 +133,13 @@ class PlanSimulator:
             motions = self.choice.motions(self.scene, numbers[:, push], pose)
             fixels = motions.fixels
             begun.append(motions.start)
+            before.append(others)
             paths.append(motions.path)
             if self.scene.fixels:
                 tool, way = self.scene.pushers[0].shape, swept(motions.path)
                 hit |= fixel_overlap(self.scene, tool, way, fixels) > 0.0
-            track, failed, stalled, peak = self._push(
-                motions.start, motions.path, fixels, None, motions.start
+            track, failed, stalled, peak, others = self._push(
+                motions.start, motions.path, fixels, None, motions.start, others
             )
             failure = np.where(failure == CARRIED_OUT, failed, failure)
             force = np.maximum(force, peak)
@@ -140,8 +147,9 @@ class PlanSimulator:
             pose = track[:, -1]
         nominal = Runs(np.concatenate(poses, axis=1), failure, stalled, force, fixels)
         return PlannedMotions(
-            np.stack(begun, axis=1), np.stack(paths, axis=1), fixels, nominal, hit
-        )
+            np.stack(begun, axis=1), np.stack(paths, axis=1), fixels, np.stack(before, axis=1),
+            nominal, hit,
+        )  # fmt: skip
 
     def run(
         self, plans: PlannedMotions, which: IntArray, scenarios: Scenarios, first: int = 0
@@ -153,37 +161,41 @@ class PlanSimulator:
         part = self.simulated.bodies[0].shape
         n, k = len(which), plans.start.shape[1] - first
         if k == 0:
-            return _at_rest(plans.nominal.pose[which, -1] + scenarios.start).nominal
+            return _at_rest(plans.nominal.pose[which, -1] + scenarios.start, 0).nominal
         fixels = _summed(plans.fixels, which, scenarios.fixels)
         actual = plans.start[which, first] + scenarios.start
         failure = np.zeros(n, np.int64)
         inside = part_overlap(self.simulated, actual, fixels) > TOUCHED * part.radius
-        failure[inside & (scenarios.start != 0.0).any(axis=1)] = START_OVERLAPS
+        placed_off = (scenarios.start != 0.0).any(axis=1)
+        failure[inside & placed_off] = START_OVERLAPS
+        others = plans.others[which, first]
+        on_other = others_overlap(self.simulated, part, actual, others) > TOUCHED * part.radius
+        failure[on_other & placed_off] = ON_OTHER
         poses = np.zeros((n, k * self.samples, 3))
         force, stalled = np.zeros(n), np.zeros(n, bool)
         for push in range(k):
             start, path = plans.start[:, first + push], plans.path[:, first + push]
-            pose, failed, stalled, peak = self._push(
-                start[which], path[which], fixels, scenarios, actual
+            pose, failed, stalled, peak, after = self._push(
+                start[which], path[which], fixels, scenarios, actual, others
             )
             # The pushes share one draw; so divided, it has the variance of k independent ones.
             error = self._error(pose[:, -1], actual, scenarios) / np.sqrt(k)
-            held = self._held(pose[:, -1], fixels, error)
+            held = self._held(pose[:, -1], fixels, after, error)
             pose[:, -1] += np.where(held[:, None], 0.0, error)
             if scenarios.end_error is not None and held.any():
-                # Where a fixel holds the part, it comes there off by the error that it would have.
+                # Where something holds the part, it comes there off by its error.
                 own, along = np.flatnonzero(held), path[which[held], 1] - path[which[held], 0]
                 aside = actual[own] + _across(error[own], along)
                 again = self._push(
                     start[which[own]], path[which[own]], None if fixels is None else fixels[own],
-                    scenarios.rows(own), aside,
+                    scenarios.rows(own), aside, others[own],
                 )  # fmt: skip
-                pose[own], failed[own], stalled[own], peak[own] = again
+                pose[own], failed[own], stalled[own], peak[own], after[own] = again
             failed[touches(part, pose[:, -1:], self.choice.obstacles)] = OBSTACLE
             failure = np.where(failure == CARRIED_OUT, failed, failure)
             force = np.maximum(force, peak)
             poses[:, push * self.samples : (push + 1) * self.samples] = pose
-            actual = pose[:, -1]
+            actual, others = pose[:, -1], after
         return Runs(poses, failure, stalled, force, fixels)
 
     def _push(
@@ -193,44 +205,68 @@ class PlanSimulator:
         fixels: FloatArray | None,
         scenarios: Scenarios | None,
         actual: FloatArray,
-    ) -> tuple[FloatArray, IntArray, BoolArray, FloatArray]:
-        """Simulate one push of parts at `actual` (n, 3), planned for parts at `planned`."""
-        n = len(path)
+        others: FloatArray,
+    ) -> tuple[FloatArray, IntArray, BoolArray, FloatArray, FloatArray]:
+        """Simulate one push of parts at `actual`, planned at `planned`, among parts at `others`."""
+        n, scene = len(path), self.simulated
         self.rollouts += n
-        ensemble = self._ensemble(planned, path)
         if scenarios is None:
             values = {name: np.full(n, x) for name, x in self.nominal.items()}
         else:
             values = {**scenarios.values, **self._tool_errors(path, scenarios)}
         first = path[:, 0, 1:]
         tool = composed(registration(values, n), first)
-        offset = actual - planned
-        offset[:, 2] = wrapped(offset[:, 2])
-        values |= dict(zip(("start_x", "start_y", "start_theta"), offset.T.copy(), strict=True))
-        begun = varied_start(ensemble.cases[0].scene, planned[:, None], values)
-        assert begun is not None
-        put_down = tool_overlap(self.simulated, begun[:, 0], tool)
+        if others.shape[1]:
+            # Parameters that shift the part belong to scenes of one part.
+            values = {name: x for name, x in values.items() if name not in START}
+            begun = np.concatenate((actual[:, None], others), axis=1)
+            ensemble = self._ensemble(begun, path)
+        else:
+            offset = actual - planned
+            offset[:, 2] = wrapped(offset[:, 2])
+            values |= dict(zip(START, offset.T.copy(), strict=True))
+            shifted = varied_start(scene, planned[:, None], values)
+            assert shifted is not None
+            begun, ensemble = shifted, self._ensemble(planned[:, None], path)
+        put_down = tool_overlap(scene, begun[:, 0], tool)
         outcome = ensemble.simulate(np.arange(n), values, fixels)
         failure = np.zeros(n, np.int64)
-        failure[put_down > TOUCHED * self.scene.bodies[0].shape.radius] = TOOL_ON_PART
+        smallest = TOUCHED * scene.bodies[0].shape.radius
+        failure[put_down > smallest] = TOOL_ON_PART
+        failure[others_overlap(scene, scene.pushers[0].shape, tool, others) > smallest] = ON_OTHER
+        failure[self._moved(others, outcome.others)] = MOVED
         failure[self.obstructed(begun[:, :1], outcome.pose, registration(values, n), path)] = (
             OBSTACLE
         )
         ended = np.isin(outcome.status, (codes.CONVERGED, codes.JAMMED))
         failure[~ended & (failure == CARRIED_OUT)] = NOT_SIMULATED
-        return outcome.pose, failure, outcome.stalled, outcome.force
+        return outcome.pose, failure, outcome.stalled, outcome.force, outcome.others
 
-    def _ensemble(self, planned: FloatArray, path: FloatArray) -> Rollouts:
-        """Return the ensemble of pushes; another engine has a scene for each."""
+    def others(self, n: int) -> FloatArray:
+        """Return the poses (n, n_other, 3) of the other parts in the scene."""
+        poses = [own.pose for own in self.scene.bodies[1:]]
+        return np.tile(np.reshape(poses, (-1, 3)), (n, 1, 1))
+
+    def _moved(self, before: FloatArray, after: FloatArray) -> BoolArray:
+        """Return where a part that must stay is moved, from poses (n, n_other, 3) to others."""
+        radius = np.array([own.shape.radius for own in self.scene.bodies[1:]])
+        stays = [own.name in self.choice.keep for own in self.scene.bodies[1:]]
+        off = after - before
+        farthest = np.hypot(off[..., 0], off[..., 1]) + radius * np.abs(off[..., 2])
+        return np.asarray((farthest > STAYS * radius)[:, stays].any(axis=1))
+
+    def _ensemble(self, begun: FloatArray, path: FloatArray) -> Rollouts:
+        """Return the ensemble of pushes of parts at (n, n_free, 3); another engine has a scene for
+        each."""
         if not isinstance(self.motion, OtherEngine):
             return Ensemble.of_pushes(
-                self.simulated, planned, path, self.samples,
+                self.simulated, begun, path, self.samples,
                 motion=self.motion, stepper=self.stepper, threads=self.threads,
             )  # fmt: skip
         share = np.arange(1, self.samples + 1) / self.samples
         cases = [
-            RolloutCase(scene_of_push(self.simulated, start, way), way[-1, 0] * share)
-            for start, way in zip(planned, path, strict=True)
+            RolloutCase(scene_of_push(self.simulated, start, way, rest), way[-1, 0] * share)
+            for (start, *rest), way in zip(begun, path, strict=True)
         ]
         return ensemble_of(cases, self.motion, threads=self.threads)
 
@@ -273,17 +309,21 @@ class PlanSimulator:
             error = error + size[:, None] * scenarios.misfit
         return error
 
-    def _held(self, end: FloatArray, fixels: FloatArray | None, error: FloatArray) -> BoolArray:
-        """Return which ends (n, 3) touch a fixel, where there is an error at all."""
+    def _held(
+        self, end: FloatArray, fixels: FloatArray | None, others: FloatArray, error: FloatArray
+    ) -> BoolArray:
+        """Return which ends (n, 3) touch a fixel or another part, where there is an error at
+        all."""
         if not error.any():
             return np.zeros(len(end), bool)
-        scene = self.simulated
-        return np.asarray(touching(scene, scene.bodies[0], end, fixels).any(axis=1))
+        scene, body = self.simulated, self.simulated.bodies[0]
+        near = others_overlap(scene, body.shape, end, others) > -tolerance_of(None, body)
+        return np.asarray(touching(scene, body, end, fixels).any(axis=1) | near)
 
 
 def _alone(scene: Scene) -> Scene:
     body = replace(scene.bodies[0], pose=np.zeros(3))
-    return replace(scene, bodies=(body,), fixels=())
+    return replace(scene, bodies=(body,), fixels=(), contact_friction=())
 
 
 def _across(error: FloatArray, way: FloatArray) -> FloatArray:
@@ -294,11 +334,14 @@ def _across(error: FloatArray, way: FloatArray) -> FloatArray:
     return found
 
 
-def _at_rest(pose: FloatArray) -> PlannedMotions:
+def _at_rest(pose: FloatArray, n_other: int) -> PlannedMotions:
     """Return plans without a push of parts at poses (m, 3)."""
     m = len(pose)
+    others = np.zeros((m, 0, n_other, 3))
     runs = Runs(pose[:, None], np.zeros(m, np.int64), np.zeros(m, bool), np.zeros(m), None)
-    return PlannedMotions(pose[:, None][:, :0], np.zeros((m, 0, 2, 4)), None, runs, runs.stalled)
+    return PlannedMotions(
+        pose[:, None][:, :0], np.zeros((m, 0, 2, 4)), None, others, runs, runs.stalled
+    )
 
 
 def registration(values: Mapping[str, FloatArray], n: int) -> FloatArray:
@@ -308,11 +351,23 @@ def registration(values: Mapping[str, FloatArray], n: int) -> FloatArray:
 
 def tool_overlap(scene: Scene, parts: FloatArray, tools: FloatArray) -> FloatArray:
     """Return the overlap (n,) of the part at poses (n, 3) with the tool at poses (n, 3) [m]."""
-    c, s = np.cos(tools[:, 2]), np.sin(tools[:, 2])
-    x, y = (parts - tools)[:, :2].T
-    relative = np.column_stack((c * x + s * y, c * y - s * x, parts[:, 2] - tools[:, 2]))
-    part, tool = scene.bodies[0].shape, scene.pushers[0].shape
-    return overlaps(part, relative, tool, np.zeros(3)).depth
+    return _overlap(scene.bodies[0].shape, parts, scene.pushers[0].shape, tools)
+
+
+def others_overlap(scene: Scene, shape: Shape, poses: FloatArray, others: FloatArray) -> FloatArray:
+    """Return the deepest overlap (n,) of a shape at poses (n, 3) with the other parts of a scene at
+    poses (n, n_other, 3) [m]."""
+    deepest = np.full(len(poses), -np.inf)
+    for k, other in enumerate(scene.bodies[1:]):
+        deepest = np.maximum(deepest, _overlap(shape, poses, other.shape, others[:, k]))
+    return deepest
+
+
+def _overlap(shape: Shape, poses: FloatArray, other: Shape, others: FloatArray) -> FloatArray:
+    c, s = np.cos(others[:, 2]), np.sin(others[:, 2])
+    x, y = (poses - others)[:, :2].T
+    relative = np.column_stack((c * x + s * y, c * y - s * x, poses[:, 2] - others[:, 2]))
+    return overlaps(shape, relative, other, np.zeros(3)).depth
 
 
 def part_overlap(scene: Scene, poses: FloatArray, fixels: FloatArray | None) -> FloatArray:

@@ -10,6 +10,7 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.model.goals import BodyTrack
+from fixel.model.scene import check_push
 from fixel.model.trajectory import wrapped
 from fixel.planning.belief import Belief
 from fixel.planning.plan import PushPlan, plan_rounds, search_of
@@ -100,6 +101,7 @@ def plan_again(
     why the parameters are as before; empty where they were narrowed. `InvalidInput` is raised where
     no push is left.
     """
+    check_push(plan.scene)  # where other parts are was not seen
     left = len(plan.pushes) - done
     if left < 1:
         expected = f"less than {len(plan.pushes)}, the plan's pushes"

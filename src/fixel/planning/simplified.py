@@ -41,7 +41,7 @@ def simplified(scene: Scene, goal: Goal) -> Scene:
         fewer = outline.simplify(share * body.shape.radius)
         found = Polygon(shapely.get_coordinates(fewer)[:-1])
     try:
-        return replace(scene, bodies=(replace(body, shape=found),))
+        return replace(scene, bodies=(replace(body, shape=found), *scene.bodies[1:]))
     except InvalidInput:  # such as a centre of friction that is only just on the part
         return scene
 

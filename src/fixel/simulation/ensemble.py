@@ -44,6 +44,8 @@ _Use = Callable[[IntArray, PackedBatch, BatchRecord], None]
 class Ensemble:
     """Set of scenes that are simulated many times, each with one free body and at most one pusher.
 
+    Cases may have `several` free bodies, the same number each; outcomes are those of the first.
+
     Results depend bit for bit on a case, its parameters and the method only: not on other cases,
     their order or the number of threads, by default that of the cores. The method is by default
     `QuasiStatic()`, `Adaptive()` and `Newton()`.
@@ -56,6 +58,7 @@ class Ensemble:
         stepper: AbstractStepper | None = None,
         solver: AbstractSolver | None = None,
         threads: int | None = None,
+        several: bool = False,
     ) -> None:
         self.motion = motion or QuasiStatic()
         self.stepper = stepper or Adaptive()
@@ -64,7 +67,7 @@ class Ensemble:
         if not cases:
             raise InvalidInput("cases", found="none", expected="at least one")
         for case in cases:
-            _check_case(case)
+            _check_case(case, several)
         self.cases = tuple(cases)
         self._threads = threads
         self._method = method_of(self.motion, self.stepper, self.solver, 4096)
@@ -73,7 +76,7 @@ class Ensemble:
         groups = [number.setdefault(_key(case.scene), len(number)) for case in cases]
         self._group, firsts = np.array(groups), np.unique(groups, return_index=True)[1]
         self._templates = [self._template(cases[k].scene) for k in firsts]
-        self._start = np.array([case.scene.bodies[0].pose for case in cases])
+        self._start = np.array([[body.pose for body in case.scene.bodies] for case in cases])
         self._duration = np.array([case.times[-1] for case in cases])
         self._place, self._paths = self._stacked_paths()
         longest = max(len(case.times) for case in cases)
@@ -96,15 +99,17 @@ class Ensemble:
     ) -> Ensemble:
         """Return an ensemble of pushes of one scene with one pusher, without a scene for each.
 
-        They have start poses (n, 3) of the body [m, m, rad], paths (n, n_waypoint, 4) of the pusher
-        [s, m, m, rad], at whose ends they end, and `n_sample` samples at equal intervals.
+        They have start poses (n, 3) or (n, n_free, 3) of the free bodies [m, m, rad], paths
+        (n, n_waypoint, 4) of the pusher [s, m, m, rad], at whose ends they end, and `n_sample`
+        samples at equal intervals.
         """
         share = np.arange(1, n_sample + 1) / n_sample
         times = path[:, -1, :1] * share
         case = RolloutCase(scene, times[0])
-        own = cls([case], motion, stepper, solver, threads)
+        own = cls([case], motion, stepper, solver, threads, several=True)
         own._group = np.zeros(len(start), np.int64)
-        own._start, own._duration, own._times = start, times[:, -1], times
+        own._start = start.reshape(len(start), -1, 3)
+        own._duration, own._times = times[:, -1], times
         own._place, own._paths = np.arange(len(start)), [path]
         return own
 
@@ -125,18 +130,20 @@ class Ensemble:
         if fixels is not None:
             fixels = self._checked_fixels(fixels, len(which))
         n = len(which)
-        pose = np.repeat(self._start[which][:, None], self.n_sample, axis=1)
+        ends = self._start[which]
+        pose = np.repeat(ends[:, :1], self.n_sample, axis=1)
         force, stalled = np.zeros(n), np.zeros(n, bool)
 
         def store(own: IntArray, packed: PackedBatch, record: BatchRecord) -> None:
-            pose[own] = _track(packed, record)
+            track = _tracks(packed, record)
+            pose[own], ends[own] = track[:, :, 0], track[:, -1]
             drive = record.drive.max(axis=2, initial=0.0)  # zeros after an early stop
             force[own] = drive[:, :, 0].max(axis=1) * packed.units.force
             last = np.maximum(record.count[:, SAMPLES] - 1, 0)
             stalled[own] = drive[np.arange(len(own)), last, 1] > 0.0
 
         status, reached, reasons = self._run(which, values, store, fixels)
-        return EnsembleOutcome(status, pose, reached, force, stalled, reasons)
+        return EnsembleOutcome(status, pose, reached, force, stalled, reasons, ends[:, 1:])
 
     def simulate_into(
         self,
@@ -154,7 +161,7 @@ class Ensemble:
         """
 
         def pass_on(own: IntArray, packed: PackedBatch, record: BatchRecord) -> None:
-            use(own, _track(packed, record))
+            use(own, _tracks(packed, record)[:, :, 0])
 
         status, _, reasons = self._run(which, values, pass_on, bare=True)
         return np.equal(status, codes.CONVERGED), reasons
@@ -256,7 +263,7 @@ class Ensemble:
             paths, n_fixel = self._paths[g], len(self._templates[g].scene.fixels)
             variation = Variation(
                 {m: v[own] for m, v in values.items()},
-                self._start[cases][:, None],
+                self._start[cases],
                 paths,
                 None if paths is None else self._place[cases],
                 None if fixels is None else fixels[own, :n_fixel],
@@ -288,19 +295,19 @@ class Ensemble:
         return place, paths
 
 
-def _check_case(case: RolloutCase) -> None:
+def _check_case(case: RolloutCase, several: bool) -> None:
     scene, times = case.scene, np.asarray(case.times)
-    check_push(scene, "case.scene", pushers=(0, 1))
+    check_push(scene, "case.scene", pushers=(0, 1), several=several)
     if len(times) == 0 or times[0] <= 0.0 or (np.diff(times) <= 0.0).any():
         raise InvalidInput("case.times", found=times, expected="increasing times above 0 s")
 
 
 def _key(scene: Scene) -> tuple[Any, ...]:
-    """Key of scenes of one template: all but the start of the body and the pusher's path."""
-    body = replace(scene.bodies[0], pose=np.zeros(3))
+    """Key of scenes of one template: all but the starts of the bodies and the pusher's path."""
+    bodies = tuple(replace(body, pose=np.zeros(3)) for body in scene.bodies)
     pushers = [(*_fields(p, "pose", "drive"), p.drive.force_limit) for p in scene.pushers]
     rest = _fields(scene, "bodies", "pushers", "duration")
-    return body, tuple(pushers), rest, _round_speed(scene)
+    return bodies, tuple(pushers), rest, _round_speed(scene)
 
 
 def _fields(record: Scene | Pusher, *others: str) -> tuple[Any, ...]:
@@ -326,9 +333,9 @@ def _padded(track: FloatArray, n: int) -> FloatArray:
     return np.concatenate((track, rest))
 
 
-def _track(packed: PackedBatch, record: BatchRecord) -> FloatArray:
-    """Poses (n, n_sample, 3) of the first body; the last one repeated after an early stop."""
-    pose = shape_poses(packed, record.pose)[:, :, 0]
+def _tracks(packed: PackedBatch, record: BatchRecord) -> FloatArray:
+    """Poses (n, n_sample, n_free, 3) of free bodies; the last repeated after an early stop."""
+    pose = shape_poses(packed, record.pose)[:, :, : len(packed.com)]
     written = record.count[:, SAMPLES]
     n_sample = pose.shape[1]
     for r in np.flatnonzero(written < n_sample):

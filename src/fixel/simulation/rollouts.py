@@ -35,6 +35,7 @@ class EnsembleOutcome(NamedTuple):
     force: FloatArray  # (n,) largest force of the drive in the steps that hold the samples [N]
     stalled: NDArray[np.bool_]  # (n,) whether a force-limited drive is stalled at the last sample
     reasons: list[str]  # why there is no simulation, or it ended early; empty for others
+    others: FloatArray  # (n, n_free - 1, 3) last poses of further free bodies [m, m, rad]
 
     @property
     def converged(self) -> NDArray[np.bool_]:

@@ -97,7 +97,10 @@ class EngineEnsemble:
         status, reasons = self._run(store, which, values, fixels)
         ends = np.array([self.cases[k].times[-1] for k in which])
         reached = np.where(status == codes.CONVERGED, ends, 0.0)
-        return EnsembleOutcome(status, pose, reached, np.zeros(n), np.zeros(n, bool), reasons)
+        others = np.zeros((n, 0, 3))
+        return EnsembleOutcome(
+            status, pose, reached, np.zeros(n), np.zeros(n, bool), reasons, others
+        )
 
     def simulate_into(
         self,

@@ -18,6 +18,7 @@ from fixel.errors import FixelError, InvalidInput
 from fixel.formats.recording import SCENE_FILE
 from fixel.model import Experiment, Scene
 from fixel.model.goals import BodyTrack, events_in
+from fixel.model.scene import check_push
 from fixel.model.trajectory import wrapped
 from fixel.planning.belief import Belief
 from fixel.planning.held_out import HeldSuccess, held_success
@@ -272,6 +273,7 @@ def check_start(plan: PushPlan, seen: FloatArray) -> None:
 
 
 def _check_pushes(plan: PushPlan) -> None:
+    check_push(plan.scene)  # the bench places and tracks one part
     if not plan.pushes and plan.looks is None:
         hint = "the part already meets the goal, and is best left alone"
         raise InvalidInput("plan", found="no pushes", expected="a push to carry out", hint=hint)
