@@ -189,9 +189,10 @@ def _conclusions(curves: Sequence[CoverageCurve], held: Sequence[HeldOutPushes])
         shares = ", ".join(
             f"{100 * curve.held[k]:.1f} % at {100 * CURVE_LEVELS[k]:.0f} %" for k in at
         )
+        gap = np.abs(curve.held - curve.levels).max()
         sentences.append(
             f"Bounds on the final {name} of {curve.outcomes} held-out pushes hold {shares}; the"
-            f" largest gap over levels from 10 to 95 % is {100 * curve.largest_gap:.1f} points."
+            f" largest gap over levels from 10 to 95 % is {100 * gap:.1f} points."
         )
     parts = {row["part"]: row for row in _part_rows(held)}
     sentences.append(

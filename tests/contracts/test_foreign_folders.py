@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import socket
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from math import sqrt
 from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.fixtures import project_of
+from tests.fixtures import calibration_record, project_of
 from tests.jobs.helpers import await_true
 from typer.testing import CliRunner
 
@@ -24,6 +26,7 @@ from fixel.jobs.folder import RunSettings, write_run
 from fixel.jobs.worker_process import WorkerProcess
 from fixel.testing.pushes import example_pushes
 from fixel.testing.toy_work import MAKER
+from fixel.web.views.calibration_detail import load_detail
 from fixel.workflows import jobs
 from fixel.workflows.capabilities import CAPABILITIES, prepare, prepare_in
 from fixel.workflows.compilation import _compiled
@@ -231,6 +234,43 @@ def test_a_server_of_foreign_settings_is_not_contacted(
     monkeypatch.delenv("FIXEL_DATABASE")
     with pytest.raises(InvalidInput, match="name/other"):
         Project(lab)
+
+
+# --- commands -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("stored", "shown"),
+    [
+        ("fixel domain --project 'a b' --fit 2", "fixel domain --project 'a b' --fit 2"),
+        (
+            "fixel compare 1 --engine mujoco:step=0.001",
+            "fixel compare 1 --engine mujoco:step=0.001",
+        ),
+        ("fixel domain; rm x", "fixel 'domain;' rm x"),
+        ("fixel list $(rm x)", "fixel list '$(rm' 'x)'"),
+        ("fixel calibrate --site a --site b --name c", "fixel calibrate --name c"),
+        ("rm x", ""),
+        ("fixel trust ./mine", ""),
+        ("fixel compare 1 --engine /bin/sh:-c,ls", ""),
+        ("fixel compare 1 --motion=/bin/sh", ""),
+        ("fixel 'list", ""),
+    ],
+)
+def test_a_stored_command_that_a_user_may_paste_runs_nothing_else(
+    stored: str, shown: str, tmp_path: Path
+) -> None:
+    lab = project_of(tmp_path / "lab", example_pushes(1, duration=0.3))
+    analysis = lab.folder / "analyses" / "foreign" / "analysis.json"
+    analysis.parent.mkdir(parents=True)
+    content = {"kind": "domain", "title": "Domain", "question": {}, "headline": ["one"]}
+    analysis.write_text(json.dumps(content | {"command": stored}))
+    with lab.store() as store:
+        record = calibration_record({1: 1.0}, {"mu_pusher": 0.2})
+        origin = replace(record.provenance, command=stored)
+        number = store.add_calibration(replace(record, provenance=origin))
+        assert load_detail(lab, store, number).command == shown
+    assert lab.analyses[0].analysis.command == shown
 
 
 # --- terminals ------------------------------------------------------------------------------------

@@ -124,6 +124,23 @@ def test_the_objective_read_from_the_journal_is_the_one_that_is_stored(bench, pr
     assert seen.start == pytest.approx(np.mean([push["before"] for push in one["residuals"]]))
 
 
+def test_jobs_that_are_not_done_are_read_without_all_calibrations(folder, tmp_path, monkeypatch):
+    """With 500 calibrations, each of 200 jobs took another 0.1 s."""
+    lab = Project(shutil.copytree(folder, tmp_path / "lab"))
+    (lab.folder / "experiments.db-wal").unlink(missing_ok=True)
+    for k in range(3):
+        copied = shutil.copytree(
+            next((lab.folder / "jobs").iterdir()), lab.folder / "jobs" / f"n{k}"
+        )
+        (copied / "state.json").write_text('{"state": "stopped"}')
+    with lab.store() as store:
+        watch, asked = ProgressReader(lab, store), []
+        summaries = store.calibration_summaries
+        monkeypatch.setattr(store, "calibration_summaries", lambda: asked.append(1) or summaries())
+        found, unreadable = watch.unfinished()
+    assert (len(found), unreadable, len(asked)) == (3, [], 1)
+
+
 def begun(bench, status=200, **changes):
     body = {"experiments": ["6", "7"], "fit": FIT, "mode": "joint", "verdicts": False} | changes
     return bench.post("/run/calibrate", body, status)

@@ -1,5 +1,8 @@
 """Analyses are kept whole, with their pictures, and found again."""
 
+import os
+from datetime import UTC, datetime, timedelta
+
 import numpy as np
 import pytest
 
@@ -56,6 +59,20 @@ def test_the_newest_is_the_one_stored_last(project):
         for tau in (first, last):
             store_analysis(project, _analysis(tau=tau))
         assert load_analyses(project)[0].analysis.question == {"tau": last}
+
+
+def test_the_newest_is_the_one_stored_last_also_after_the_clock_has_gone_back(project):
+    """The first one was stored while the clock was a day ahead."""
+    first = store_analysis(project, _analysis(tau=2.0))
+    ahead = datetime.now(UTC) + timedelta(days=1)
+    path = first.folder / CONTENT
+    path.write_text(
+        first.analysis.model_copy(update={"created": ahead.isoformat()}).model_dump_json()
+    )
+    os.utime(path, (ahead.timestamp(), ahead.timestamp()))
+    for tau in (3.0, 1.0):
+        store_analysis(project, _analysis(tau=tau))
+        assert load_analyses(project)[0].analysis.question == {"tau": tau}
 
 
 def test_one_that_was_not_finished_is_not_there(project):

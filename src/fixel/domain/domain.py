@@ -170,7 +170,9 @@ class DomainMap(Result):
         target = with_dataset(push_target(scene, conditions))
         own = coordinates_of(target)
         names = (*(axis.name for axis in self.cells.axes), *self.facets)
-        refuse_missing(own, conditions, {name: self._example(name) for name in names})
+        columns = {name: self.evidence.column(name) for name in names}
+        known = {k: next(own for own in column if own is not None) for k, column in columns.items()}
+        refuse_missing(own, conditions, known)
         claim = self.claimed
         group = label_of(own, self.facets)
         place = tuple(axis.nearest(own[axis.name]) for axis in self.cells.axes)
@@ -196,10 +198,6 @@ class DomainMap(Result):
         if n:
             chance = Probability.of(int((scores <= claim.score).sum()), n, claim.confidence)
         return Applicability(verdict.colour, chance, n, verdict.reason, self.cells.text(c), texts)
-
-    def _example(self, name: str) -> str | float:
-        """Return a value that the map has along an axis, or of a facet."""
-        return next(value for value in self.evidence.column(name) if value is not None)
 
     def _summary(self) -> Summary:
         claim, counts = self.claimed, self.colours(self.claimed)

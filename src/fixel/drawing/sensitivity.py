@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from fixel.drawing import chart, palette
-from fixel.drawing.chart import Chart, DisplayUnit, Mark
+from fixel.drawing.chart import Chart, Mark
 from fixel.drawing.top_view import closed_line, plain_view
 from fixel.drawing.view import UNITS, unit_for
 from fixel.errors import InvalidInput
@@ -71,7 +71,8 @@ def _draw_ends(figure: Figure, ends: OutcomePoses) -> None:
         ("starts", ends.drawn, "start error"),
         ("ends", ends.end - ends.nominal, "end, from the nominal"),
     ):
-        unit = _unit_of_errors(float(np.abs(cloud[:, :2]).max()))
+        size = float(np.abs(cloud[:, :2]).max())
+        unit = UNITS[0] if size < 1e-4 else UNITS[1] if size < 0.5 else UNITS[2]
         axes = axes_of[name]
         for k in range(len(ends.share)):
             own = cloud[::every][ends.outcome[::every] == k] * unit.factor
@@ -131,11 +132,6 @@ def _angles(axes: Axes, ends: OutcomePoses) -> None:
     axes.set(xlabel=f"end angle, from {math.degrees(ends.nominal[2]):z.1f} [deg]", ylabel="starts")
     chart.clean(axes)
     _few_numbers(axes)
-
-
-def _unit_of_errors(size: float) -> DisplayUnit:
-    """Select the unit of errors up to a size [m]: below 0.1 mm micrometres."""
-    return UNITS[0] if size < 1e-4 else UNITS[1] if size < 0.5 else UNITS[2]
 
 
 def _few_numbers(axes: Axes) -> None:

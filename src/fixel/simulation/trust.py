@@ -12,9 +12,11 @@ import contextlib
 import hashlib
 import json
 import os
+import re
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -23,6 +25,7 @@ from fixel.simulation.engine_names import EngineName
 
 SERVE: Final = (sys.executable, "-m", "fixel.simulation.engines.serve")  # engines of packages
 MAX_ENTRY: Final = 1_000_000  # [bytes] of a file of the list
+_HIDDEN: Final = re.compile(r" (trust |--(engine|motion|site)=)")  # in commands of files
 _permitted: dict[str, list[str]] = {}  # commands that calls of this process named, by checksum
 
 
@@ -108,6 +111,19 @@ def check_named(*motions: str) -> None:
     for motion in motions:
         if (name := EngineName.of(motion)).is_program:
             check_command(command_of(name))
+
+
+def repeatable(command: object) -> str:
+    """Return a command of fixel from a file, quoted; empty if it trusts or names a program."""
+    try:
+        words = shlex.split(str(command))
+        check_named(*(x for flag, x in pairwise(words) if flag in ("--engine", "--motion")))
+    except (ValueError, InvalidInput):
+        return ""
+    while "--site" in words:
+        del words[(k := words.index("--site")) : k + 2]
+    own = shlex.join(words)
+    return own if words[:1] == ["fixel"] and not _HIDDEN.search(own) else ""
 
 
 def trust_program(text: str) -> TrustedEntry:

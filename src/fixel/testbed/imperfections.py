@@ -28,7 +28,6 @@ from fixel.model import (
 from fixel.model.fields import frozen
 from fixel.model.footprint import cells
 from fixel.model.probability import stream
-from fixel.model.shape import Shape
 from fixel.model.support import support_points
 from fixel.simulation import Simulation
 from fixel.typing import BoolArray, FloatArray
@@ -111,7 +110,8 @@ def uneven_support(
     if friction is None:
         return NoSupport()
     points, share = cells(body.shape, n_cells)
-    rng = stream(seed, "underside", _fingerprint(body.shape))
+    outline = body.shape.outline.tobytes().hex()  # the same for equal shapes, in any process
+    rng = stream(seed, "underside", type(body.shape).__name__ + outline)
     share = share * np.exp(unevenness * rng.standard_normal(len(share)))
     share = _centred(share / share.sum(), points, body.com + np.asarray(centre))
     return SupportPoints(
@@ -156,11 +156,6 @@ def _centred(share: FloatArray, points: FloatArray, centre: FloatArray) -> Float
             hint="reduce centre_of_pressure or unevenness",
         )
     return tilted
-
-
-def _fingerprint(shape: Shape) -> str:
-    """Return a string that is the same for equal shapes, in any process."""
-    return type(shape).__name__ + shape.outline.tobytes().hex()
 
 
 def frames_of(simulation: Simulation, frame_rate: float) -> BoolArray:

@@ -363,11 +363,6 @@ class CoverageCurve(NamedTuple):
     high: FloatArray  # (n,) 97.5 %
     outcomes: int
 
-    @property
-    def largest_gap(self) -> float:
-        """Largest difference between a level and the share of outcomes inside its bounds."""
-        return float(np.abs(self.held - self.levels).max())
-
 
 def coverage_curve(found: FloatArray, levels: tuple[float, ...] = CURVE_LEVELS) -> CoverageCurve:
     """Return the coverage curve of outcomes.

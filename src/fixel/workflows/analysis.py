@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import datetime
 import json
+import os
 import shutil
+import time
 from collections.abc import Iterable, Mapping
 from importlib.metadata import version
 from pathlib import Path
@@ -25,6 +27,7 @@ from fixel.io.atomic import write_whole
 from fixel.io.damaged_files import each_readable, readable
 from fixel.io.document import plain_numbers
 from fixel.results import Result
+from fixel.simulation.trust import repeatable
 from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.workflows.figures import ENDINGS, Picture, make_folder, write_picture
@@ -89,7 +92,7 @@ class Analysis(_StoredFigure):
     # Ids of the calibrations and experiments used.
     calibrations: tuple[int, ...] = ()
     experiments: tuple[int, ...] = ()
-    command: str = ""  # command that repeats the analysis
+    command: Annotated[str, BeforeValidator(repeatable)] = ""  # command that repeats the analysis
     # Version of fixel; time of creation, as ISO 8601 in UTC.
     version: str = ""
     created: str = ""
@@ -204,7 +207,7 @@ def store_analysis(
 ) -> StoredAnalysis:
     """Write an analysis into its project; its main file comes last, so it is complete or absent.
 
-    Its `pictures`, `version` and `created` are filled in here.
+    Its `pictures`, `version` and `created`, which is later than others in any case, are set here.
     """
     folder = project.folder / ANALYSES / analysis_name(analysis.kind, analysis.question)
     make_folder(folder)
@@ -214,14 +217,17 @@ def store_analysis(
         write_picture(folder, picture)
     if arrays:
         write_whole(folder / ARRAYS, bytes_of(**{k: np.asarray(v) for k, v in arrays.items()}))
+    times = [path.stat().st_mtime + 1e-6 for path in folder.parent.glob(f"*/{CONTENT}")]
+    created = datetime.datetime.fromtimestamp(max([time.time(), *times]), datetime.UTC)
     done = analysis.model_copy(
         update={
             "pictures": tuple(AnalysisFigure(name=p.name, caption=p.caption) for p in pictures),
             "version": version("fixel"),
-            "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="microseconds"),
+            "created": created.isoformat(timespec="microseconds"),
         }
     )
     write_whole(folder / CONTENT, json.dumps(done.model_dump(), indent=1, allow_nan=False))
+    os.utime(folder / CONTENT, (created.timestamp(),) * 2)
     return StoredAnalysis(folder, done)
 
 

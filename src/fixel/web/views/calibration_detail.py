@@ -19,6 +19,7 @@ from fixel.database.store import Store
 from fixel.errors import FixelError, NotStored
 from fixel.model.records import CalibrationRecord, Estimate, estimate_table
 from fixel.simulation.engine_names import is_engine
+from fixel.simulation.trust import repeatable
 from fixel.web.values import Answer, Array, Finite
 from fixel.workflows.analysis import Analysis
 from fixel.workflows.calibration.calibration import Calibration
@@ -148,7 +149,7 @@ def load_detail(project: Project, store: Store, calibration_id: int) -> StoredCa
         ended=str(method.get("ended", "")),
         method={k: v for k, v in method.items() if isinstance(v, str) or math.isfinite(v)},
         complete=fit is not None,
-        command=origin.command,
+        command=repeatable(origin.command),
         python=PYTHON.format(folder=str(project.folder.resolve()), number=calibration_id),
         **known,
     )

@@ -21,10 +21,11 @@ from fixel.jobs import folder as files
 from fixel.web.values import Answer, Finite
 from fixel.web.views.calibration_detail import Residual
 from fixel.workflows import jobs
+from fixel.workflows.calibration.calibration import collect
 from fixel.workflows.calibration.execution import LiveSearch
 from fixel.workflows.calibration.parameter_options import command_of
 from fixel.workflows.calibration.plan import plan_in
-from fixel.workflows.calibration.stored import collected
+from fixel.workflows.calibration.stored import add_to_project
 
 KIND: Final = "calibrate"  # capability of its jobs
 SEARCHES: Final = ("all together", "squares")  # stages of searches by errors and by residuals
@@ -113,12 +114,13 @@ class ProgressReader:
     def look(self, folder: Path) -> LiveProgress:
         """Return the progress of one."""
         status, (live, ids) = jobs.status_of(folder), self._opened(folder)
-        stored = self._stored().get(folder.name, [])
+        stored = self._stored().get(folder.name, []) if status.state == "done" else []
         with self._lock:
             if status.kept > live.n_read:
                 live.read(folder / files.JOURNAL)
             if status.state == "done" and not stored:  # it was computed elsewhere
-                stored = list(collected(self._project, folder).ids)
+                run = collect(plan_in(folder), folder)
+                stored = list(add_to_project(self._project, run).ids)
         plan, request, search = live.plan, live.plan.request, live.search
         errors = np.append(search.task.combined(search.nominal[None]), search.trace().errors)
         start, *objective = request.error_of_one(errors, len(ids)).tolist()

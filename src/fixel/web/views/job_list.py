@@ -78,13 +78,10 @@ def log_tail(job: JobStatus, lines: int) -> JobLog:
     found = text.splitlines()
     if size > MAX_LOG:
         found = found[1:]  # it begins within a line
+    # Without the codes by which terminals colour text.
+    shown = ["".join(c if c >= " " or c == "\t" else "\ufffd" for c in s) for s in found[-lines:]]
     whole = size <= MAX_LOG and len(found) <= lines
-    return JobLog(lines=[_without_codes(line) for line in found[-lines:]], whole=whole)
-
-
-def _without_codes(line: str) -> str:
-    """Remove the codes by which terminals colour text."""
-    return "".join(c if c >= " " or c == "\t" else "\ufffd" for c in line)
+    return JobLog(lines=shown, whole=whole)
 
 
 def resume(job: JobStatus) -> None:

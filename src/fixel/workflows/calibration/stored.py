@@ -34,9 +34,10 @@ from fixel.model.space import ParameterSpace, Unknown, meets, split_label
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.engine_names import EngineName
 from fixel.simulation.motion import motion_model
+from fixel.simulation.trust import repeatable
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
-from fixel.workflows.calibration.calibration import Calibration, Calibrations, collect, finite
+from fixel.workflows.calibration.calibration import Calibration, Calibrations, finite
 from fixel.workflows.calibration.parameter_options import command_of, options_of, searched_unknowns
 from fixel.workflows.calibration.plan import load_task, outcome_bytes, outcome_of, plan_in, rounds
 from fixel.workflows.calibration.request import NAMED, CalibrationRequest, NamedOptions
@@ -259,11 +260,6 @@ def add_to_project(
     return stored[found.number] if isinstance(found, Calibration) else stored
 
 
-def collected(project: Project, folder: Path) -> Calibrations:
-    """Return the calibrations of a finished job in a project; store them if necessary."""
-    return add_to_project(project, collect(plan_in(folder), folder))
-
-
 def stored_rounds(
     project: Project | None, *, inputs: Path, **_: Any
 ) -> Generator[Round, Answers, bytes]:
@@ -340,7 +336,7 @@ def _from_records(store: Store, records: Mapping[int, CalibrationRecord]) -> Cal
             ),
             targets=targets,
             source=str(result.get("source", "")),
-            command=ordered[0].provenance.command,
+            command=repeatable(ordered[0].provenance.command),
             asked={EARLIER.get(k, k): own for k, own in result.get("asked", {}).items()},
             left_out=dict(result.get("left_out", {})),
             ids=ids,

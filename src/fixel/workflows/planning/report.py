@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Final
 from fixel.drawing.planning import capture_chart, causes_chart, looks_chart, paths_chart
 from fixel.io.atomic import written_whole
 from fixel.io.document import yaml_text
-from fixel.planning.looks import Looks
 from fixel.planning.plan import PushPlan
 from fixel.workflows.analysis import Analysis, AnalysisReport
 from fixel.workflows.figures import Picture
@@ -146,7 +145,16 @@ def numbers_of(found: FoundPlan) -> dict[str, Any]:
         "failures": dict(plan.failures),
         "start_error": plan.belief.start_text,
         "model_error": plan.belief.error_text,
-        "looks": None if plan.looks is None else _numbers_of_looks(plan.looks),
+        "looks": None
+        if (looks := plan.looks) is None
+        else {
+            "most": looks.most,
+            "success": [own.mean for own in looks.worth],
+            "pushes": looks.pushes,
+            "no_push_after_first": looks.stops,
+            "camera_m_rad": looks.camera.deviation.tolist(),
+            "lost_views": looks.lost_views,
+        },
         "why": list(plan.explain().sentences),
         "unseen": list(plan.unseen),
         "start_m_rad": plan.start.tolist(),
@@ -156,17 +164,6 @@ def numbers_of(found: FoundPlan) -> dict[str, Any]:
         "outline_m": body.shape.outline.tolist(),
         "calibration": found.calibration,
         "rollouts": plan.rollouts,
-    }
-
-
-def _numbers_of_looks(looks: Looks) -> dict[str, Any]:
-    return {
-        "most": looks.most,
-        "success": [own.mean for own in looks.worth],
-        "pushes": looks.pushes,
-        "no_push_after_first": looks.stops,
-        "camera_m_rad": looks.camera.deviation.tolist(),
-        "lost_views": looks.lost_views,
     }
 
 

@@ -22,6 +22,7 @@ from fixel.io.atomic import write_whole, written_whole
 from fixel.model.fields import instance
 from fixel.registry import offers
 from fixel.results import Result
+from fixel.simulation.trust import repeatable
 from fixel.typing import Notify
 from fixel.workflows.analysis import StoredAnalysis, load_analyses
 from fixel.workflows.calibration.calibration import Calibration
@@ -289,7 +290,7 @@ def _facts(
         ("project", project.settings.name),
         ("calibration", f"{one.id}: {one.record.name}"),
         ("created", made.created[:19].replace("T", " ")),
-        ("command", made.command),
+        ("command", repeatable(made.command)),
         ("seed", seed),
         ("experiments", str(len(data.summaries))),
         ("checksum of the data", checksum[:16]),
@@ -323,7 +324,7 @@ def _references(one: CalibratedValues, analyses: Sequence[StoredAnalysis]) -> li
 
 def _commands(one: CalibratedValues, analyses: Sequence[StoredAnalysis]) -> list[str]:
     own = [one.record.provenance.command, *(answer.analysis.command for answer in analyses)]
-    return [command for command in dict.fromkeys(own) if command]
+    return [command for command in dict.fromkeys(map(repeatable, own)) if command]
 
 
 def next_command(report: Report) -> str:
