@@ -129,7 +129,7 @@ def pytest_collection_finish() -> None:
 # Tests that look at pictures, and one that draws those of each capability.
 _SEEN = (
     "/drawing/", "/reproductions/", "/replay/", "/report/", "/demo/", "/acquisition/", "figures",
-    "test_a_stored_result_prints_the_same_text",
+    "_browser", "test_a_stored_result_prints_the_same_text",
 )  # fmt: skip
 
 
