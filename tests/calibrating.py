@@ -15,11 +15,16 @@ from fixel.workflows.calibration.execution import (
 from fixel.workflows.calibration.parameter_options import options_of, searched_unknowns
 from fixel.workflows.calibration.plan import CalibrationPlan, plan_in
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
-from fixel.workflows.calibration.stored import add_to_project, collected
+from fixel.workflows.calibration.stored import add_to_project
 from fixel.workflows.capabilities import CAPABILITIES
 from fixel.workflows.capabilities import prepare as prepare_job
 
-__all__ = ["ExperimentSelection", "collected", "draw_sample", "select_experiments"]
+__all__ = ["ExperimentSelection", "draw_sample", "select_experiments"]
+
+
+def collected(project, folder):
+    """Return the calibrations of a finished job in a project, as the page stores them."""
+    return add_to_project(project, calibration.collect(plan_in(folder), folder))
 
 
 def prepare(project, chosen, request):

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.calibrating import collected
 from tests.jobs.helpers import await_true
 from tests.laboratories import trusted_laboratory
 from tests.web.bench import Bench
@@ -24,7 +25,6 @@ from fixel.jobs.folder import read_job
 from fixel.web.views.calibration_progress import ProgressReader
 from fixel.web.views.domain_views import document
 from fixel.workflows import jobs
-from fixel.workflows.calibration.stored import collected
 
 ANSWERS_WITHIN = 0.2  # [s] of processor time: a map at another threshold
 FIT = ["mu_pusher=0:1:0.2"]

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.calibrating import collected
 
 import fixel
 from fixel.cli.main import run as run_command
 from fixel.sampling.published import thesis_plan
 from fixel.units import deg, mm
-from fixel.workflows.calibration.stored import collected, stored_calibration
+from fixel.workflows.calibration.stored import stored_calibration
 
 SEATED = thesis_plan().experiments[0].scene
 SPACE = {"mu_pusher": (0, 1)}
