@@ -503,15 +503,20 @@ class PushPlan(Result):
         kinds = Counter(sorted(filter(None, self.runs.outcome))).most_common()
         return {why: count / len(self.runs.outcome) for why, count in kinds}
 
+    @property
+    def other_parts(self) -> str:
+        """Sentence on the other parts of the scene; empty without any."""
+        kept = self.choose.keep
+        return ", ".join(
+            f"{own.name} {'must stay' if own.name in kept else 'may be pushed'}"
+            for own in self.scene.bodies[1:]
+        )
+
     def _summary(self) -> Summary:
         notes = [
             *(self.looks.sentences if self.looks else ()),
-            *filter(None, [self.belief.error_text]),
+            *filter(None, [self.belief.error_text, self.other_parts]),
             self.belief.start_text,
-            *(
-                f"{own.name} {'must stay' if own.name in self.choose.keep else 'may be pushed'}"
-                for own in self.scene.bodies[1:]
-            ),
             *(f"fails: {100.0 * share:.1f} % {why}" for why, share in self.failures.items()),
         ]
         if advice := self.advice:

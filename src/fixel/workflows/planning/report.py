@@ -86,10 +86,11 @@ def add_files(answer: PlanAnswer, folder: Path) -> None:
 
 
 def next_words(done: StoredAnswer) -> list[object]:
-    """Return the words of the command that carries out the plan, if it has pushes."""
+    """Return the words of the command that carries out the plan, if it has pushes of one part."""
     file = done.result.file or (done.folder and done.folder / FILE)
     plan = done.result.found.plan
-    return ["plan", "run", file] if file and (plan.pushes or plan.looks) else []
+    able = (plan.pushes or plan.looks) and len(plan.scene.bodies) == 1
+    return ["plan", "run", file] if file and able else []
 
 
 def _headline(found: FoundPlan) -> list[str]:
@@ -98,8 +99,8 @@ def _headline(found: FoundPlan) -> list[str]:
     lines = [f"A plan for {plan.goal} needs {plan.count}: {plan.success.sentence}."]
     lines += plan.looks.sentences if plan.looks else []
     lines.append(f"The plan that is best without any error: {plan.nominal_success.sentence}.")
-    if plan.belief.error_text:
-        lines.append(f"{plan.belief.error_text.capitalize()}.")
+    for text in filter(None, (plan.other_parts, plan.belief.error_text)):
+        lines.append(f"{text[0].upper()}{text[1:]}.")
     lines.append(f"{plan.belief.start_text.capitalize()}.")
     if plan.failures:
         kinds = (f"{100.0 * share:.1f} % {why}" for why, share in plan.failures.items())
