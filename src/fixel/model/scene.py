@@ -289,12 +289,12 @@ def check_push(
 ) -> None:
     """Raise `InvalidInput` for a scene that is no push of one free body, or of `several`, by an
     allowed number of pushers."""
-    fits = len(scene.bodies) == 1 or (several and scene.bodies)
-    if not fits or len(scene.pushers) not in pushers:
+    n = len(scene.bodies)
+    if n == 0 or (n > 1 and not several) or len(scene.pushers) not in pushers:
         raise InvalidInput(
             where,
-            found=f"{len(scene.bodies)} free bodies and {len(scene.pushers)} pushers",
-            expected=f"{'at least ' * several}one free body and "
+            found=f"{n} free bodies and {len(scene.pushers)} pushers",
+            expected=f"one free body{' or more' * several} and "
             f"{'at most ' * (0 in pushers)}one pusher",
         )
 

@@ -44,11 +44,9 @@ _Use = Callable[[IntArray, PackedBatch, BatchRecord], None]
 class Ensemble:
     """Set of scenes that are simulated many times, each with one free body and at most one pusher.
 
-    Cases may have `several` free bodies, the same number each; outcomes are those of the first.
-
     Results depend bit for bit on a case, its parameters and the method only: not on other cases,
     their order or the number of threads, by default that of the cores. The method is by default
-    `QuasiStatic()`, `Adaptive()` and `Newton()`.
+    `QuasiStatic()`, `Adaptive()` and `Newton()`. Outcomes of `several` bodies are the first's.
     """
 
     def __init__(
