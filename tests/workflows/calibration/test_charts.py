@@ -64,6 +64,7 @@ def _names(paths):
     return list(dict.fromkeys(stems))
 
 
+@pytest.mark.usefixtures("blank")
 def test_of_each_experiment_by_itself(lab, tmp_path):
     done = _done(lab, mode="each")
     folder = tmp_path / "new" / "pictures"
@@ -90,6 +91,7 @@ def test_of_each_experiment_by_itself(lab, tmp_path):
     assert radius[done.outcome.keys[0]] == run.alone(done)[0].point[1]
 
 
+@pytest.mark.usefixtures("blank")
 def test_of_one_set_for_all(lab, tmp_path):
     done = _done(lab, n=1, mode="joint", starts=3)
     names = _names(done.draw(tmp_path))
@@ -209,6 +211,7 @@ def test_iterations_and_starts_of_a_search_are_stored(lab):
 
 
 @pytest.mark.system
+@pytest.mark.usefixtures("blank")
 def test_each_search_by_least_squares_has_its_own_end(lab, tmp_path):
     options = {"mode": "joint", "optimiser": NamedOptions(name="least-squares")}
     several, single = (_calibrated(lab, 4, options | {"starts": n}) for n in (3, 1))

@@ -143,6 +143,7 @@ def test_a_stored_calibration_equals_the_computed_one(project, fit):
 
 
 @pytest.mark.system
+@pytest.mark.usefixtures("blank")
 def test_what_was_printed_is_printed_again(project, fit, tmp_path, capsys):
     number = fit.run.ids[0]
     # A copy, since the folder of the job is deleted on the way.
@@ -177,6 +178,7 @@ def test_what_was_printed_is_printed_again(project, fit, tmp_path, capsys):
     assert texts(other.folder, number, capsys) == before
 
 
+@pytest.mark.usefixtures("blank")
 def test_a_campaign_is_whole_without_its_job(project, tmp_path, capsys):
     space = {"mu_pusher": (0, 1), "tripod_radius": 0.03}
     quick = {"name": "pattern-search", "threshold_delta": 0.1}
