@@ -227,7 +227,7 @@ def test_notes_come_along_once_and_stay_deleted(store, tmp_path):
         for _ in range(2):
             import_bundle(file, other)
             assert [note.text for note in other.notes(1)] == ["slipped early"]
-        assert other.notes(1)[0].created_utc == store.notes(number)[0].created_utc
+        assert other.notes(1)[0].created == store.notes(number)[0].created
         other.delete_notes([1])
         import_bundle(file, other)
         assert other.notes(1) == []

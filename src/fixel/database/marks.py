@@ -7,8 +7,7 @@ that an undo changes those only.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, NamedTuple
 
 import sqlalchemy as sa
 
@@ -20,14 +19,12 @@ from fixel.model import Flag
 MAX_TEXT = 10_000  # characters of a note
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class Note:
+class Note(NamedTuple):
     """Note that a user attached to an experiment."""
 
     id: int
     text: str
-    created_utc: str  # as ISO 8601
+    created: str  # as ISO 8601 in UTC
 
 
 def flag(connection: sa.Connection, experiment_ids: Iterable[int], flag: Flag) -> list[int]:

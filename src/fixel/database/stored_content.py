@@ -7,9 +7,8 @@ import os
 import re
 import shlex
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple
 
 import sqlalchemy as sa
 
@@ -27,9 +26,7 @@ FOLDERS: Final = (MEDIA, ANALYSES, "backups", "bench", "cache", "jobs", "rigs") 
 CHANGED: Final = "has changed: its checksum differs"
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class Trouble:
+class Trouble(NamedTuple):
     """Fault found in a database."""
 
     where: str

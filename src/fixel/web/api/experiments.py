@@ -8,7 +8,6 @@ from fastapi import APIRouter, Query
 from fastapi.responses import FileResponse, Response
 from pydantic import ConfigDict, Field
 
-from fixel.database.marks import Note
 from fixel.database.project import known_names
 from fixel.errors import NotStored
 from fixel.io.document import plain_numbers
@@ -139,6 +138,14 @@ class ExperimentOutlines(Answer):
     outlines: VideoOutlines | None = Field(description="outlines; null if the rig is unknown")
 
 
+class NoteText(Answer):
+    """Note on an experiment."""
+
+    id: int
+    text: str
+    created_utc: str = Field(validation_alias="created")
+
+
 class ExperimentDetail(Answer):
     """All that is known of an experiment but for what is long."""
 
@@ -146,7 +153,7 @@ class ExperimentDetail(Answer):
 
     id: int
     key: str
-    notes: list[Note]
+    notes: list[NoteText]
     deleted: bool
     content: str
     has_video: bool
