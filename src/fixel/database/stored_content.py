@@ -7,6 +7,7 @@ import os
 import re
 import shlex
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -79,13 +80,22 @@ def _outside(folder: Path, database: str | None) -> dict[str, Any]:
     if database and database.lower().startswith("postgres") and VARIABLE not in os.environ:
         found.append(f"the database {re.sub('//.*@', '//', database)}")
     for name in (SETTINGS, *DATABASE_FILES, *FOLDERS):
-        own = folder / name
-        inner = () if own.is_symlink() else own.glob("*" if name == MEDIA else "**/*")
-        for link in (path for path in (own, *inner) if path.is_symlink()):
+        for link in _links(str(folder / name), deep=name != MEDIA):
             target = os.path.realpath(link)
             if not Path(target).is_relative_to(home):
-                found.append(f"{target}, by the link {link.relative_to(folder)}")
+                found.append(f"{target}, by the link {Path(link).relative_to(folder)}")
     return {"project": str(home), "leads_to": found}
+
+
+def _links(path: str, deep: bool) -> Iterator[str]:
+    """Yield a path that is a link, or the links in a folder; those below it only if `deep`."""
+    if os.path.islink(path):
+        yield path
+    elif os.path.isdir(path):
+        with suppress(PermissionError), os.scandir(path) as entries:
+            for entry in entries:
+                if entry.is_symlink() or (deep and entry.is_dir()):
+                    yield from _links(entry.path, deep)
 
 
 # --- the schema -----------------------------------------------------------------------------------
