@@ -110,9 +110,11 @@ def test_one_name_needs_no_list():
 
 def test_a_plan_names_its_other_parts():
     plan = fixel.plan(scene(), goal(0.04), FreePushes(), rollouts=1000, progress=False)
-    assert plan.other_parts == "block may be pushed"
+    assert plan.other_parts == "other parts: block may be pushed"
     assert plan.other_parts in repr(plan)
     assert plan.scenes[0].bodies[1].name == "block"
     legend = plan.plot().figure.legends[0]
     assert "other part, at the start" in [own.get_text() for own in legend.get_texts()]
-    assert replace(plan, choose=FreePushes(keep="block")).other_parts == "block must stay"
+    assert (
+        replace(plan, choose=FreePushes(keep="block")).other_parts == "other parts: block must stay"
+    )

@@ -492,10 +492,8 @@ class PushPlan(Result):
         nominal = Runs(
             self.end[None, None], np.zeros(1, np.int64), np.zeros(1, bool), np.zeros(1), fixels
         )
-        return PlannedMotions(
-            self.start[None], self.path[None], fixels, self.other_poses[None], nominal,
-            np.zeros(1, bool),
-        )  # fmt: skip
+        others, hit = self.other_poses[None], np.zeros(1, bool)
+        return PlannedMotions(self.start[None], self.path[None], fixels, others, nominal, hit)
 
     @property
     def failures(self) -> Mapping[str, float]:
@@ -506,11 +504,9 @@ class PushPlan(Result):
     @property
     def other_parts(self) -> str:
         """Sentence on the other parts of the scene; empty without any."""
-        kept = self.choose.keep
-        return ", ".join(
-            f"{own.name} {'must stay' if own.name in kept else 'may be pushed'}"
-            for own in self.scene.bodies[1:]
-        )
+        kept, others = self.choose.keep, self.scene.bodies[1:]
+        texts = [f"{x.name} {'must stay' if x.name in kept else 'may be pushed'}" for x in others]
+        return f"other parts: {', '.join(texts)}" if texts else ""
 
     def _summary(self) -> Summary:
         notes = [

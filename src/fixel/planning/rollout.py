@@ -146,10 +146,8 @@ class PlanSimulator:
             poses.append(track)
             pose = track[:, -1]
         nominal = Runs(np.concatenate(poses, axis=1), failure, stalled, force, fixels)
-        return PlannedMotions(
-            np.stack(begun, axis=1), np.stack(paths, axis=1), fixels, np.stack(before, axis=1),
-            nominal, hit,
-        )  # fmt: skip
+        starts, ways, befores = (np.stack(own, axis=1) for own in (begun, paths, before))
+        return PlannedMotions(starts, ways, fixels, befores, nominal, hit)
 
     def run(
         self, plans: PlannedMotions, which: IntArray, scenarios: Scenarios, first: int = 0
@@ -339,9 +337,8 @@ def _at_rest(pose: FloatArray, n_other: int) -> PlannedMotions:
     m = len(pose)
     others = np.zeros((m, 0, n_other, 3))
     runs = Runs(pose[:, None], np.zeros(m, np.int64), np.zeros(m, bool), np.zeros(m), None)
-    return PlannedMotions(
-        pose[:, None][:, :0], np.zeros((m, 0, 2, 4)), None, others, runs, runs.stalled
-    )
+    start, path = pose[:, None][:, :0], np.zeros((m, 0, 2, 4))
+    return PlannedMotions(start, path, None, others, runs, runs.stalled)
 
 
 def registration(values: Mapping[str, FloatArray], n: int) -> FloatArray:

@@ -99,9 +99,9 @@ def _headline(found: FoundPlan) -> list[str]:
     lines = [f"A plan for {plan.goal} needs {plan.count}: {plan.success.sentence}."]
     lines += plan.looks.sentences if plan.looks else []
     lines.append(f"The plan that is best without any error: {plan.nominal_success.sentence}.")
-    for text in filter(None, (plan.other_parts, plan.belief.error_text)):
+    own = plan.belief
+    for text in filter(None, (plan.other_parts, own.error_text, own.start_text)):
         lines.append(f"{text[0].upper()}{text[1:]}.")
-    lines.append(f"{plan.belief.start_text.capitalize()}.")
     if plan.failures:
         kinds = (f"{100.0 * share:.1f} % {why}" for why, share in plan.failures.items())
         lines.append(f"Failures: {', '.join(kinds)}.")
