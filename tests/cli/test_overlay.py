@@ -170,7 +170,8 @@ def test_ctrl_c_ends_the_page(bench, capsys, monkeypatch):
     (["scene.yaml", "--rig", "rig.yaml", "--tolerance-mm", "0"], "greater than 0"),
     (["scene.yaml", "--rig", "rig.yaml", "--camera", "none.mp4"], "none.mp4"),
     (["scene.yaml", "--rig", "rig.yaml", "--once", "--output", "a.txt"], ".png"),
-    (["scene.yaml", "--rig", "thesis-tags", "--camera", "off.mp4", "--once"], "the lens at this size"),
+    (["scene.yaml", "--rig", "thesis-tags", "--camera", "off.mp4", "--once"],
+     "calibrate the lens at this size"),
 ])  # fmt: skip
 def test_refusals(bench, capsys, monkeypatch, arguments, words):
     monkeypatch.chdir(bench)

@@ -30,4 +30,6 @@ def test_a_film_is_tracked_and_the_next_command_named(tmp_path, capsys):
     answer = json.loads(printed)
     assert answer["parts"]["object"]["frames"] == 4
     assert answer["id"] is None
-    assert "the lens is calibrated" in refusal(capsys, "track", film, "--dry-run", "--rig", "thesis-tags")
+    assert "the lens is calibrated" in refusal(
+        capsys, "track", film, "--dry-run", "--rig", "thesis-tags"
+    )

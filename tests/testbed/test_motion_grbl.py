@@ -199,7 +199,7 @@ def test_homing_without_switches_is_refused(drive):
 
 
 def report_nothing_at_home(controller: EmulatedGrbl) -> None:
-    """As GRBL, which answers no status request while it homes."""
+    """Controllers like GRBL answer no status request while they home."""
     report = controller._report
     controller._report = lambda: None if controller.state == "Home" else report()
 

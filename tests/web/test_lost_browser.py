@@ -65,7 +65,7 @@ def test_a_scene_is_not_wrong_because_the_server_has_ended(chromium, project):
 
 
 def test_a_page_that_is_renewed_by_the_clock_says_so_once(chromium, project):
-    """Or it would show a running job for ever."""
+    """Without its server, a page that is renewed would always show a running job."""
     context, server = served(project)
     with opened_page(chromium) as page:
         page.expected_problems = ["ERR_CONNECTION_REFUSED"]

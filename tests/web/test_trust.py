@@ -125,7 +125,7 @@ def test_the_objective_read_from_the_journal_is_the_one_that_is_stored(bench, pr
 
 
 def test_jobs_that_are_not_done_are_read_without_all_calibrations(folder, tmp_path, monkeypatch):
-    """With 500 calibrations, each of 200 jobs took another 0.1 s."""
+    """Reading 500 stored calibrations took 0.1 s, and was repeated for each of 200 jobs."""
     lab = Project(shutil.copytree(folder, tmp_path / "lab"))
     (lab.folder / "experiments.db-wal").unlink(missing_ok=True)
     for k in range(3):

@@ -192,7 +192,7 @@ def test_a_path_that_begins_after_the_push_rests_until_then() -> None:
 
 
 def test_bodies_may_coast_and_pushers_return():
-    """Between two samples a finger pushes for 100 mm and comes back; a body slides on after it."""
+    """A finger that returns between two samples has pushed for 100 mm; the body slides on."""
     task, _ = task_of(pushed_square(), np.array([4.0]), {}, {})
     forth = np.array([(0.0, -0.055, 0.0, 0.0), (2.0, 0.045, 0.0, 0.0), (4.0, -0.055, 0.0, 0.0)])
     for path, end in ((forth, 0.1), (np.array([forth[0], [0.1, 0.045, 0.0, 0.0]]), 3.9)):

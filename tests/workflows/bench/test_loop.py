@@ -156,7 +156,7 @@ def test_a_push_that_was_asked_for_before_does_not_begin_after(after, bench):
 
 @pytest.mark.system
 def test_an_interruption_stops_the_head_on_its_way(bench):
-    """As Ctrl-C does, where the loop runs in the main thread."""
+    """Ctrl-C interrupts the loop where it runs in the main thread."""
     with opened(bench, auto=True) as loop:
         drive, start = loop.devices.drive, loop.devices.stroke(loop.campaign.rows[0].scene).start
 
