@@ -96,7 +96,7 @@ def test_roughness_moves_the_fit_by_less_than_the_noise_does(size):
     # One path depends on the last bits of this machine; many phases of the roughness do not.
     found = [
         fit(LeastSquares(roughness=size).start(where), rough(smooth, size, offset=offset))
-        for offset in np.linspace(0.0, 2.0 * np.pi, 10, endpoint=False)
+        for offset in np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
     ]
     moved = np.array([(np.abs(one.point - clean.point) / spread).max() for one in found])
     worse = np.array([one.deviance - clean.deviance for one in found])
