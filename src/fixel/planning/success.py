@@ -103,7 +103,7 @@ class SuccessProbability(Result):
     >>> margins[:8, :32] = -0.2  # 8 of 64 parameter draws succeed in half of their runs
     >>> found = SuccessProbability.of(margins)
     >>> print(found.sentence)
-    success probability 0.94 (0.88 to 0.97); in 90 % of the possible worlds it is 0.50 to 0.999
+    success probability 0.94 (0.88 to 0.97); in 90 % of the possible worlds it is 0.50 to 0.9994
     """
 
     mean: float  # share of successful scenarios: the probability that the next trial succeeds
