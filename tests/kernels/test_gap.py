@@ -332,6 +332,18 @@ def test_gap_of_shapes_of_any_size(size, origin):
     assert between == pytest.approx(found.distance * found.normal, abs=1e-13 * (size + origin))
 
 
+@pytest.mark.parametrize("noise", [1e-11, 1e-9, 1e-6])
+def test_sides_of_many_corners_are_straight_within_their_noise(noise):
+    rng = np.random.default_rng(5)
+    along = np.sort(rng.uniform(size=(4, 12, 1)), axis=1)
+    sides = SQUARE[:, None] + along * (np.roll(SQUARE, -1, axis=0) - SQUARE)[:, None]
+    outline = np.concatenate((SQUARE[:, None], sides), axis=1).reshape(-1, 2)
+    traced = Polygon(outline + rng.uniform(-0.5, 0.5, outline.shape) * noise)
+    for x in np.linspace(0.0, 1.0, 41):
+        found = gap(traced, STILL, Disk(0.1), (x, 1.3, 0.0))
+        assert found.distance == pytest.approx(0.2, abs=2 * noise)
+
+
 def test_gap_of_a_shape_with_itself_in_the_notch():
     found = gap(Disk(0.1), (1.5, 1.5, 0.0), L_SHAPE, STILL)
     assert found.distance == pytest.approx(0.4, abs=EXACT)

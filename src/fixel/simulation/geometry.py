@@ -201,19 +201,18 @@ def contact_pieces(shape: Shape) -> tuple[Piece, ...]:
 
 
 def _without_straight_corners(corners: FloatArray, on_outline: NDArray[np.bool_]) -> Piece:
+    """Remove straight and reflex corners, repeatedly: a corner may be one between the rest."""
     around = np.concatenate((corners[-1:], corners, corners[:1]))
     edges = around[1:] - around[:-1]
     before, after = edges[:-1], edges[1:]
     turn = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
     length = np.hypot(*edges.T)
     kept = np.flatnonzero(turn > STRAIGHT * length[:-1] * length[1:])
-    if len(kept) == len(corners):
-        return corners, on_outline
-    if len(kept) < 3:  # a sliver without real corners
+    if len(kept) == len(corners) or len(kept) < 3:  # the latter: a sliver without real corners
         return corners, on_outline
     # A new edge consists of all the old ones up to the next remaining corner.
-    starts = np.roll(on_outline, -kept[0])
-    return corners[kept], np.logical_or.reduceat(starts, kept - kept[0])
+    starts = np.logical_or.reduceat(np.roll(on_outline, -kept[0]), kept - kept[0])
+    return _without_straight_corners(corners[kept], starts)
 
 
 def _offsets(lengths: list[int]) -> IntArray:
