@@ -10,9 +10,9 @@ import fixel
 from fixel import Belief, FreePushes, InvalidInput, PoseRegion, Seated, StartError
 from fixel.drawing.planning import looks_chart
 from fixel.planning.corrections import CorrectionTable, likelihoods
-from fixel.planning.looks import Policy
+from fixel.planning.looks import Policy, looks_of
 from fixel.planning.plan import search_of
-from fixel.planning.search import Views
+from fixel.planning.search import DRAWS, SearchStage, Views
 from fixel.testing.scenes import grasp, pushed_square
 from fixel.units import deg, mm
 
@@ -80,6 +80,18 @@ def test_each_look_is_worth_something_and_the_sentences_say_it(plan):
     assert len(means) == 3
     assert means[0] < means[1] <= means[2] + 0.01
     assert f"from {means[0]:.2f} to {means[1]:.2f}" in str(plan)
+
+
+@pytest.mark.system
+def test_a_tight_goal_is_stated_by_fewer_scenarios_and_each_is_counted(plan):
+    """Most of its corrections are refined, which takes far longer than a lookup in the table."""
+    tight = replace(GOAL, position=0.5 * mm, angle=0.5 * deg)
+    for goal, draws in ((GOAL, 2_400), (tight, 833)):
+        own = replace(plan.policy, simulator=replace(plan.policy.simulator, goal=goal))
+        assert own.stages(UNKNOWN)[0].worlds == draws
+    shown = []
+    looks_of(plan.policy, [SearchStage(DRAWS, 300, 1)], 1, report=shown.append)
+    assert [(one.done, one.total) for one in shown] == [(k, 600) for k in (150, 300, 450, 600)]
 
 
 def test_entries_of_the_table_are_pushes_of_their_length():

@@ -44,7 +44,6 @@ GENERATIONS: Final = 6
 STEPS: Final = (0.03, 0.003)  # largest and smallest of its children, in shares of the ranges
 FAR: Final = 1e-3  # weight of the distance from the goal beside the probability of meeting it
 SHORTER: Final = 0.2  # least length of a correction over that of a push, where none is given
-CHUNK: Final = 256  # seen poses that are compared at a time, which bounds the memory
 # Share of the spread of predicted poses by which the error of a seen pose is made wider, until
 # enough predictions count.
 WIDER: Final = (0.0, 0.05, 0.1, 0.2, 0.4, 0.8)
@@ -181,10 +180,6 @@ class CorrectionTable:
         The pushes that lead nearest to the poses `towards` (t, 3) in the goal are compared. Where
         none of them is good enough, they are refined.
         """
-        if len(case[0]) > CHUNK:
-            cases = zip(*(np.array_split(x, -(-len(x) // CHUNK)) for x in case), strict=True)
-            found = [self.chosen(simulator, own, towards, refined) for own in cases]
-            return Correction(*(np.concatenate(own) for own in zip(*found, strict=True)))
         seen, weight, start = case
         rest = self._scores(simulator, start[:, None], weight[:, None])
         ranks = np.arange(1, min(NEAREST, len(self.numbers)) + 1)

@@ -17,11 +17,26 @@ from fixel.model.scene import check_push
 from fixel.model.trajectory import wrapped
 from fixel.planning.belief import Belief, Scenarios
 from fixel.planning.candidates import Numbers
-from fixel.planning.corrections import WORLDS, Correction, CorrectionTable, likelihoods, towards
+from fixel.planning.corrections import (
+    ENOUGH,
+    WORLDS,
+    Correction,
+    CorrectionTable,
+    likelihoods,
+    towards,
+)
 from fixel.planning.pushes import FreePushes
 from fixel.planning.rollout import CARRIED_OUT, WORST_MARGIN, PlannedMotions, PlanSimulator
-from fixel.planning.search import PlanSearch, SearchStage, Views, stage_scenarios
+from fixel.planning.search import (
+    ROLLOUTS,
+    PlanSearch,
+    SearchStage,
+    Views,
+    fresh_stages,
+    stage_scenarios,
+)
 from fixel.planning.success import SuccessProbability
+from fixel.progress import Progress
 from fixel.simulation.vary import composed
 from fixel.typing import BoolArray, FloatArray, IntArray
 from fixel.uncertainty.starts import StartError
@@ -35,6 +50,8 @@ COUNTING_WORLDS: Final = 6.0
 UNKNOWN: Final = 1e3  # deviation of ends that are not predicted [m], [rad]
 COMPARED: Final = 4  # policies that meet the second number of scenarios
 COMPARED_RUNS: Final = (48, 400)
+CHUNK: Final = 256  # seen poses that are corrected at a time, which bounds the memory
+OFTEN, SLOWER = 0.2, 12  # share of refined corrections from which stages have 1/12 of the rollouts
 
 
 # Weights (n, w) of worlds before a push, its ends (n, w, 3) in them, and their deviations.
@@ -116,6 +133,15 @@ class Policy:
     table: CorrectionTable
     views: Views
     refined: bool = True  # whether the pushes of the table are refined
+    report: Callable[[int], None] | None = None  # called with the number of parts just corrected
+
+    def stages(self, belief: Belief, rollouts: int = ROLLOUTS) -> tuple[SearchStage, ...]:
+        """Return stages that state its worth, with fewer scenarios if many pushes are refined."""
+        scene = self.simulator.scene
+        some = belief.scenarios(scene, worlds=COMPARED_RUNS[0], runs=1, seed=self.table.seed)
+        rough = replace(self, refined=False, report=None).walk(some, self.table.seed)
+        slow = (rough.probability < ENOUGH).mean() > OFTEN
+        return fresh_stages(belief, scene, rollouts // SLOWER if slow else rollouts)
 
     def walk(self, scenarios: Scenarios, seed: int) -> Walk:
         """Carry out the policy once in each scenario, each with its own errors of the camera."""
@@ -190,8 +216,13 @@ class Policy:
         return found, (weight, *self._expected(seen, start, found))
 
     def _chosen(self, seen: FloatArray, weight: FloatArray, start: FloatArray) -> Correction:
-        case = (seen, weight, start)
-        return self.table.chosen(self.simulator, case, self._aims, self.refined)
+        found = []
+        for rows in np.array_split(np.arange(len(seen)), -(-len(seen) // CHUNK)):
+            case = (seen[rows], weight[rows], start[rows])
+            found.append(self.table.chosen(self.simulator, case, self._aims, self.refined))
+            if self.report is not None:
+                self.report(len(rows))
+        return Correction(*(np.concatenate(own) for own in zip(*found, strict=True)))
 
     @cached_property
     def _aims(self) -> FloatArray:
@@ -293,11 +324,24 @@ def _rank(walk: Walk) -> tuple[int, float, int]:
 
 
 def looks_of(
-    policy: Policy, stages: Sequence[SearchStage], seed: int, belief: Belief | None = None
+    policy: Policy,
+    stages: Sequence[SearchStage],
+    seed: int,
+    belief: Belief | None = None,
+    report: Callable[[Progress], None] | None = None,
 ) -> tuple[Looks, Scenarios]:
     """State what a policy is worth in unseen scenarios of a belief; by default in its own."""
     truth, scene = belief or policy.belief, policy.simulator.scene
     drawn = [stage_scenarios(truth, scene, own, seed + own.stream) for own in stages]
+    done, total = 0, policy.views.looks * sum(own.n for own in drawn)
+
+    def show(parts: int) -> None:
+        nonlocal done
+        done += parts
+        if report is not None:
+            report(Progress("looks", done, total))
+
+    policy = replace(policy, report=show)
     walks = [policy.walk(own, seed + LATER) for own in drawn]
     last = stages[-1]
     worth = [

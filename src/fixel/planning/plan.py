@@ -306,10 +306,11 @@ class PushPlan(Result):
     def success_under(self, belief: Belief) -> SuccessProbability:
         """Compute the success probability from fresh scenarios of a belief, such as a later one."""
         simulator, planned = self.under(belief).simulator(), self.planned()
-        stages, margins = fresh_stages(belief, self.scene), []
         if self.looks is not None:
-            return looks_of(self.policy, stages, self.seed + FRESH, belief)[0].worth[-1]
-        for own in stages:
+            policy = self.policy
+            return looks_of(policy, policy.stages(belief), self.seed + FRESH, belief)[0].worth[-1]
+        margins = []
+        for own in fresh_stages(belief, self.scene):
             seed = self.seed + FRESH + own.stream
             scenarios = stage_scenarios(belief, self.scene, own, seed)
             runs = simulator.run(planned, np.zeros(scenarios.n, np.int64), scenarios)
@@ -613,7 +614,8 @@ def plan_rounds(search: PlanSearch, *, untrusted: bool = False) -> Rounds[PushPl
     if search.views.looks:
         trusted = partial(_trusted, simulator, belief, plan) if checked else None
         plan, policy = policy_of(search, found.plans, trusted)
-        looks, scenarios = looks_of(policy, search.fresh_stages, 1000 * search.seed)
+        stages = policy.stages(belief, search.rollouts)
+        looks, scenarios = looks_of(policy, stages, 1000 * search.seed, report=search.report)
         success, margin = looks.worth[-1], looks.walk.margin[-1]
     planned = simulator.planned(plan[None])
     if looks:
