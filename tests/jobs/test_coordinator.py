@@ -1,6 +1,7 @@
 """A job from its folder: undisturbed, killed, stopped, refused."""
 
 import json
+import shutil
 import signal
 
 import pytest
@@ -217,8 +218,25 @@ def test_a_folder_is_prepared_whole_or_not_at_all(tmp_path):
         prepare_job(tmp_path / "other", maker=MAKER)
     prepare_job(tmp_path / "job", maker=MAKER, inputs={"copy": tmp_path / "other" / "file"})
     assert sorted(p.name for p in (tmp_path / "job").iterdir()) == [
-        "inputs", "job.json", "state.json",
+        "inputs", "job.json", "journal.lock", "state.json",
     ]  # fmt: skip
+
+
+def test_a_folder_that_another_process_prepares_is_left_alone(tmp_path, monkeypatch):
+    folder, copy = tmp_path / "job", shutil.copyfile
+
+    def meanwhile(source, target):
+        with pytest.raises(JobRefused, match="in use by process"):
+            prepare_job(folder, maker=MAKER)
+        copy(source, target)
+
+    (tmp_path / "file").write_bytes(b"1")
+    monkeypatch.setattr("fixel.jobs.folder.shutil.copyfile", meanwhile)
+    job = prepare_job(folder, maker=MAKER, inputs={"one": tmp_path / "file"})
+    assert files.inputs_digest(folder / "inputs") == job.inputs_sha256
+    assert files.read_job(folder) == job
+    with pytest.raises(InvalidInput, match="fixel needs a new folder"):
+        prepare_job(folder, maker=MAKER)
 
 
 @pytest.mark.parametrize(

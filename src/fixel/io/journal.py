@@ -57,7 +57,7 @@ class Journal:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._lock = FileLock(_lock_of(path), f"the journal {path}")
+        self._lock = FileLock(lock_of(path), f"the journal {path}")
         try:
             self._stream = _opened(path)
         except BaseException:
@@ -147,10 +147,11 @@ def read_journal(path: Path) -> Iterator[tuple[str, bytes]]:
 
 def writer_of(path: Path) -> Owner | None:
     """Return the process that writes a journal, or None."""
-    return holder(_lock_of(path))
+    return holder(lock_of(path))
 
 
-def _lock_of(path: Path) -> Path:
+def lock_of(path: Path) -> Path:
+    """Return the file whose lock the writer of a journal has."""
     return path.with_name(f"{path.name}.lock")
 
 

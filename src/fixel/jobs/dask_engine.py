@@ -118,30 +118,22 @@ class DaskEngine(AbstractEngine):
     def _judged(self, state: _RoundState, name: str, outcome: Outcome) -> Answer | None:
         """Return the answer of a chunk, or None if it is to be tried again."""
         if isinstance(outcome, WorkerKilled):
-            return self._survived(state, name, outcome)
-        if isinstance(outcome, OtherVersion):
+            self.deaths += 1
+            state.deaths[name] += 1
+            n = state.deaths[name]
+            self._say(f"{outcome.worker} died while computing {name} (time {n} for this chunk)")
+            if n >= self._max_deaths:
+                return Failure(f"its worker died {n} times while computing it")
+        elif isinstance(outcome, OtherVersion):
             self._refusals += 1
             self._say(f"refused an answer of fixel {outcome.found}, since this is fixel {stamp()}")
             if self._refusals >= MAX_REFUSALS or not self._answered:
                 raise _other_version(f"a worker has fixel {outcome.found}, not {stamp()}")
         elif outcome is not None:
             return outcome
-        self._again(state, name)
-        return None
-
-    def _survived(self, state: _RoundState, name: str, killed: WorkerKilled) -> Answer | None:
-        state.deaths[name] += 1
-        self.deaths += 1
-        deaths = state.deaths[name]
-        self._say(f"{killed.worker} died while computing {name} (time {deaths} for this chunk)")
-        if deaths >= self._max_deaths:
-            return Failure(f"its worker died {deaths} times while computing it")
-        self._again(state, name)
-        return None
-
-    def _again(self, state: _RoundState, name: str) -> None:
         state.again(name)
         self.again += 1
+        return None
 
     def _tick(self, cluster: Cluster) -> None:
         """Check and replace workers, at most once per `TICK_S`."""

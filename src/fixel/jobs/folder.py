@@ -31,8 +31,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from fixel.errors import InvalidInput
 from fixel.io.atomic import write_whole
 from fixel.io.document import read_document
-from fixel.io.journal import writer_of
-from fixel.io.lock import Owner
+from fixel.io.journal import lock_of, writer_of
+from fixel.io.lock import FileLock, Owner
 from fixel.jobs.functions import named_function, stamp
 from fixel.jobs.site import Site
 from fixel.jobs.work import JobProgress
@@ -50,7 +50,7 @@ LOG: Final = "log.txt"
 CANCEL: Final = "cancel"
 STATE: Final = "state.json"
 Record = TypeVar("Record", bound=BaseModel)
-UNFINISHED: Final = ".inputs."  # prefix of the name of a folder of inputs until it is complete
+UNFINISHED: Final = ".inputs."  # prefix of unfinished folders of inputs, in earlier versions
 
 
 class _JobRecord(BaseModel):
@@ -104,31 +104,29 @@ def prepare(
     options are JSON content.
     """
     named_function(maker)
-    _clear_half_made(folder)
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InvalidInput(str(folder), found="an existing folder or file", expected="a new folder")
+    _left_in(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    unfinished = folder / f"{UNFINISHED}{secrets.token_hex(4)}"
-    unfinished.mkdir()
-    try:
-        for name, content in (inputs or {}).items():
-            _add_input(unfinished, name, content)
-        write_status(folder, JobState())
-        unfinished.rename(folder / "inputs")
-    except BaseException:
-        shutil.rmtree(unfinished, ignore_errors=True)
-        raise
-    job = Job(
-        name=folder.resolve().name,
-        label=f"fixel-{secrets.token_hex(6)}",
-        maker=maker,
-        options=json.loads(json.dumps(dict(options or {}))),
-        inputs_sha256=inputs_digest(folder / "inputs"),
-        stamp=stamp(),
-        made_utc=utc(),
-    )
-    # Last: a folder with this file counts as a job.
-    _write(folder / "job.json", job)
+    with FileLock(lock_of(folder / JOURNAL), f"the job {folder}"):
+        _clear(folder)
+        write_status(folder, JobState())  # first: it marks the remains of an interrupted call
+        (folder / "inputs").mkdir()
+        try:
+            for name, content in (inputs or {}).items():
+                _add_input(folder / "inputs", name, content)
+        except BaseException:
+            _clear(folder)
+            raise
+        job = Job(
+            name=folder.resolve().name,
+            label=f"fixel-{secrets.token_hex(6)}",
+            maker=maker,
+            options=json.loads(json.dumps(dict(options or {}))),
+            inputs_sha256=inputs_digest(folder / "inputs"),
+            stamp=stamp(),
+            made_utc=utc(),
+        )
+        # Last: a folder with this file counts as a job.
+        _write(folder / "job.json", job)
     return job
 
 
@@ -193,16 +191,23 @@ def utc() -> str:
     return now.isoformat(timespec="seconds").replace("+00:00", "Z")
 
 
-def _clear_half_made(folder: Path) -> None:
-    """Remove the remains of an interrupted `prepare`; leave other folders alone."""
-    left = list(folder.iterdir()) if folder.is_dir() else []
+def _left_in(folder: Path) -> list[Path]:
+    """Return the remains of an interrupted `prepare`; raise for a folder with other files."""
+    found = list(folder.iterdir()) if folder.is_dir() else []
+    left = [path for path in found if not path.name.startswith(f"{JOURNAL}.lock")]
     ours = [path for path in left if path.name == STATE or path.name.startswith(UNFINISHED)]
-    if ours and all(path in ours or path.name == "inputs" for path in left):
-        for path in left:
-            if path.is_dir():
-                shutil.rmtree(path)
-            else:
-                path.unlink()
+    strange = any(path not in ours and path.name != "inputs" for path in left)
+    if strange or (left and not ours) or (folder.exists() and not folder.is_dir()):
+        raise InvalidInput(str(folder), found="an existing folder or file", expected="a new folder")
+    return left
+
+
+def _clear(folder: Path) -> None:
+    for path in _left_in(folder):
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
 
 
 def _add_input(folder: Path, name: str, content: bytes | Path) -> None:

@@ -316,7 +316,11 @@ def prepare_in(
             remember(name)  # for the processes of the job, if the user has named it
         options = {"capability": capability.name, "request": request.model_dump(mode="json")}
         options["reads"] = {} if capability.inputs else capability.reads(request)
-        jobs.prepare_job(folder, maker=MAKER, inputs=inputs, options=options)
+        try:
+            jobs.prepare_job(folder, maker=MAKER, inputs=inputs, options=options)
+        except (InvalidInput, JobRefused):
+            if not (folder / "job.json").is_file():  # else another process has prepared it
+                raise
 
 
 def begin(capability: Capability, request: BaseModel, project: Project) -> Path:

@@ -149,14 +149,8 @@ def run_detached(folder: Path) -> JobStatus:
             break
         time.sleep(0.05)
     # The process outlives this one; if it ends first, it must be waited for.
-    threading.Thread(target=_wait_for, args=(process.pid,), daemon=True).start()
-    process.returncode = process.returncode or 0
+    threading.Thread(target=process.wait, daemon=True).start()
     return status_of(folder)
-
-
-def _wait_for(pid: int) -> None:
-    with suppress(ChildProcessError):
-        os.waitpid(pid, 0)
 
 
 def run_on_slurm(folder: Path) -> str:
