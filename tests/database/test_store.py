@@ -2,12 +2,14 @@
 
 import dataclasses
 import math
+import multiprocessing
 import os
 import time
 
 import pytest
 import sqlalchemy as sa
-from tests.database.records import HERE, experiment, path
+from tests.database.records import HERE, experiment, path, simulation
+from tests.fixtures import calibration_record
 
 from fixel.database import tables
 from fixel.database.store import Store
@@ -249,6 +251,38 @@ def test_simulations_calibrations_and_filters(store):
         estimates=[[0.1], [0.2], [0.3]],
     )
     assert same_but_for_time(run, store.filter_run(store.add_filter_run(run)))
+
+
+def add_results(place):
+    """Add simulations, filter runs and calibrations; return their ids."""
+    with Store(*place) as store:
+        settings = records.FilterParameters(name="f", is_particle_filter=True, provenance=HERE)
+        run = records.FilterRecord(
+            experiment_id=1, filter_parameters_id=store.add_filter_parameters(settings),
+            provenance=HERE, trajectory=path(), uses_tactile=True,
+        )  # fmt: skip
+        made = [calibration_record({1: k}, {"mu_pusher": 0.1 * k}) for k in range(1, 6)]
+        return [
+            [store.add_simulation(simulation(1, float(k))) for k in range(20)],
+            [
+                store.add_filter_run(dataclasses.replace(run, contact_mode=str(k % 3)))
+                for k in range(6)
+            ],
+            store.add_calibrations(made, lambda own: own.members),
+        ]
+
+
+def test_two_processes_store_results_once(store, url):
+    stored(store, experiment())
+    alone = multiprocessing.get_context("spawn")
+    place = url, store.media
+    with alone.Pool(2, alone.Barrier(2).wait) as both:
+        first, second = both.map(add_results, [place, place], chunksize=1)
+    assert first == second == add_results(place)
+    simulations, runs, calibrations = first
+    assert simulations == store.simulations(1) == list(range(1, 21))
+    assert (runs, calibrations) == ([1, 2, 3] * 2, [1, 2, 3, 4, 5])
+    assert (store._ids(tables.filter_parameters), store.calibrations()) == ([1], calibrations)
 
 
 def test_a_failure_half_way_leaves_nothing(store, monkeypatch):

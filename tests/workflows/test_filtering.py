@@ -2,6 +2,9 @@
 
 import json
 import shlex
+import signal
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -11,10 +14,13 @@ from tests.fixtures import calibration_record, project_of
 from typer.testing import CliRunner
 
 from fixel.cli.main import app
+from fixel.database import tables
 from fixel.errors import InvalidInput, NotStored, StoreRefused
 from fixel.model import Flag
 from fixel.model.records import Estimate
-from fixel.workflows.filtering.run import filter, filter_stored
+from fixel.workflows import jobs
+from fixel.workflows.capabilities import prepare
+from fixel.workflows.filtering.run import FILTER, filter, filter_stored
 
 FEW = {"particles": 40, "priors": {"mu_pusher": (0.2, 0.6)}, "occlusion": (1.0, 2.0)}
 
@@ -181,3 +187,30 @@ def test_bad_input_is_refused(project, arguments, sentence):
 def test_what_is_not_there_is_said(project, tmp_path):
     assert isinstance(call(project.folder, "nothing").exception, NotStored)
     assert isinstance(call(tmp_path, "push").exception, StoreRefused)
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from fixel.jobs import coordinator
+coordinator.write_whole = lambda *_, **__: os.kill(os.getpid(), signal.SIGKILL)
+coordinator.coordinate(Path(sys.argv[1]))
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="of systems with SIGKILL")
+def test_a_job_killed_after_it_stored_its_run_stores_it_once(project):
+    request = FILTER.request({"experiment": "push", "particles": 20, "seed": 5})
+    folder, before = prepare(FILTER, request, project), runs(project)
+    killed = subprocess.run([sys.executable, "-c", KILLED, folder], check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert jobs.status_of(folder).state == "lost"
+    (new,) = set(runs(project)) - set(before)
+    assert jobs.run_here(folder).state == "done"
+    assert runs(project) == [*before, new]
+
+
+def runs(project):
+    """Ids of the filter runs of a project."""
+    with project.store() as store:
+        return store._ids(tables.filter_run)

@@ -48,23 +48,26 @@ def read_all(
     connection: sa.Connection, owner: str, owner_id: int, media: Path
 ) -> list[tuple[str, tuple[str, ...], FloatArray]]:
     """Name, columns and (n, k) values of all series of a record, in order."""
-    rows = connection.execute(
-        sa.select(series)
-        .where(series.c.owner == owner, series.c.owner_id == owner_id)
-        .order_by(series.c.place)
-    )
     return [
         (
-            row.name,
-            tuple(row.columns),
+            row["name"],
+            tuple(row["columns"]),
             array_of(
-                fetch(row.media_sha256, media) if row.data is None else row.data,
-                row.n_row,
-                len(row.columns),
+                fetch(row["media_sha256"], media) if row["data"] is None else row["data"],
+                row["n_row"],
+                len(row["columns"]),
             ),
         )
-        for row in rows
+        for row in stored_rows(connection, owner, owner_id)
     ]
+
+
+def stored_rows(connection: sa.Connection, owner: str, owner_id: int) -> list[dict[str, Any]]:
+    """Return the rows of a record's series as `rows_of` does; no media file is read."""
+    shown = [column for column in series.c if column.name not in ("id", "owner_id")]
+    own = (series.c.owner == owner, series.c.owner_id == owner_id)
+    wanted = sa.select(*shown).where(*own).order_by(series.c.place)
+    return [row._asdict() for row in connection.execute(wanted)]
 
 
 def keep(data: bytes, media: Path) -> str:

@@ -32,7 +32,6 @@ from fixel.errors import NotStored
 from fixel.io.atomic import write_whole, written_whole
 from fixel.io.damaged_files import INVALID_CONTENT
 from fixel.model import Experiment, Flag
-from fixel.model.records import SimulationRecord
 from fixel.model.selection import ExperimentQuery
 from fixel.typing import ProgressCallback
 
@@ -304,19 +303,13 @@ class _Copy:
         return copied
 
     def _simulations(self) -> None:
-        known: dict[int, set[SimulationRecord]] = {}
         for number in self._source._ids(tables.simulation):
             record = self._source.simulation(number)
-            if record.experiment_id not in self._ids:
-                continue
-            experiment_id = self._ids[record.experiment_id]
-            record = dataclasses.replace(record, experiment_id=experiment_id)
-            if experiment_id not in known:
-                stored = self._target.simulations(experiment_id)
-                known[experiment_id] = {self._target.simulation(k) for k in stored}
-            if record not in known[experiment_id]:
-                self._target.add_simulation(record)
-                self.new["simulations"] += 1
+            if record.experiment_id in self._ids:
+                experiment_id = self._ids[record.experiment_id]
+                known = self._target.simulations(experiment_id)
+                record = dataclasses.replace(record, experiment_id=experiment_id)
+                self.new["simulations"] += self._target.add_simulation(record) not in known
 
     def _calibrations(self, whole: bool) -> None:
         stored = self._target._ids(tables.calibration, deleted=True)
@@ -344,17 +337,14 @@ class _Copy:
         settings = self._filter_parameters(
             None if whole else {r.filter_parameters_id for r in runs}
         )
-        stored = self._target._ids(tables.filter_run, deleted=True)
-        known = {self._target.filter_run(k) for k in stored}
+        known = self._target._ids(tables.filter_run)
         for run in runs:
             record = dataclasses.replace(
                 run,
                 experiment_id=self._ids[run.experiment_id],
                 filter_parameters_id=settings[run.filter_parameters_id],
             )
-            if record not in known:
-                self._target.add_filter_run(record)
-                self.new["filter_runs"] += 1
+            self.new["filter_runs"] += self._target.add_filter_run(record) not in known
 
     def _analyses(self) -> None:
         """Copy analyses whose experiments and calibrations are copied, with their ids there."""
@@ -394,17 +384,13 @@ class _Copy:
 
     def _filter_parameters(self, used: set[int] | None) -> dict[int, int]:
         """Copy settings of filters; return their ids in the target by those in the source."""
-        stored = self._target._ids(tables.filter_parameters, deleted=True)
-        known = {self._target.filter_parameters(k): k for k in reversed(stored)}
+        known = self._target._ids(tables.filter_parameters)
         copied = {}
         for number in self._source._ids(tables.filter_parameters):
-            if used is not None and number not in used:
-                continue
-            record = self._source.filter_parameters(number)
-            if record not in known:
-                known[record] = self._target.add_filter_parameters(record)
-                self.new["filter_parameters"] += 1
-            copied[number] = known[record]
+            if used is None or number in used:
+                record = self._source.filter_parameters(number)
+                copied[number] = self._target.add_filter_parameters(record)
+        self.new["filter_parameters"] += len({*copied.values()}.difference(known))
         return copied
 
 

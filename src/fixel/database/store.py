@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Concatenate, Final, NamedTuple, ParamSpec, Protocol, TypeVar, final
@@ -21,33 +21,22 @@ from fixel.io.damaged_files import INVALID_CONTENT, one_line
 from fixel.model import Experiment, Flag, Scene, records
 
 ABANDONED: Final = 86400.0  # [s] since its last change, an unfinished file has no program
+_LIVE_CALIBRATION: Final = tables.calibration.c.deleted_at_utc.is_(None)
 MAX_NAMES: Final = 20_000  # number of experiments that a mistyped name is compared with
 T = TypeVar("T")
 P = ParamSpec("P")
 
 
-def _damage_named(
-    what: str,
-) -> Callable[[Callable[Concatenate[Store, P], T]], Callable[Concatenate[Store, P], T]]:
-    """Decorate a reader so that a malformed record raises `StoreRefused`, with its id if known."""
-
-    def of(read: Callable[Concatenate[Store, P], T]) -> Callable[Concatenate[Store, P], T]:
-        @functools.wraps(read)
-        def read_or_refuse(store: Store, /, *given: P.args, **options: P.kwargs) -> T:
-            try:
-                return read(store, *given, **options)
-            except NotStored:
-                raise
-            except INVALID_CONTENT as problem:
-                number = f" {given[0]}" if given and isinstance(given[0], int) else ""
-                raise StoreRefused(
-                    f"{what}{number} is damaged: {one_line(problem)}",
-                    hint="list all errors: fixel db check",
-                ) from problem
-
-        return read_or_refuse
-
-    return of
+@contextmanager
+def _damage_named(what: str) -> Iterator[None]:
+    """Raise `StoreRefused` if a record is malformed."""
+    try:
+        yield
+    except NotStored:
+        raise
+    except INVALID_CONTENT as problem:
+        said = f"{what} is damaged: {one_line(problem)}"
+        raise StoreRefused(said, hint="list all errors: fixel db check") from problem
 
 
 def _method(
@@ -93,7 +82,8 @@ class Store:
       another for up to 20 s, then fails.
     - Frozen: stored records never change; triggers of the database reject changes. A correction is
       a new record, which listings show instead of the old one; a deletion can be undone.
-    - Idempotent: adding an experiment that is already stored adds nothing.
+    - Idempotent: adding an experiment, simulation or filter run that is stored adds nothing, also
+      if two processes add it at a time, or one repeats the work of another that was killed.
 
     Parameters
     ----------
@@ -185,9 +175,7 @@ class Store:
             "pusher_geometry_id": _same(connection, tables.geometry, pusher_row),
             "replaces_id": replaced,
         }
-        experiment_id = insert_one(connection, table, row | linked)
-        series = [own | {"owner_id": experiment_id} for own in measured]
-        connection.execute(sa.insert(tables.series), series)
+        experiment_id = _insert(connection, table, row | linked, measured)
         flags = [marks.flag_row(experiment_id, flag) for flag in experiment.flags]
         if flags:
             connection.execute(sa.insert(tables.flag), flags)
@@ -195,21 +183,17 @@ class Store:
 
     def experiment(self, experiment_id: int) -> Experiment:
         """Load an experiment by its id."""
-        found = self._experiment(experiment_id)
-        return found if self.view is None else self.view(found)
-
-    @_damage_named("experiment")
-    def _experiment(self, experiment_id: int) -> Experiment:
         flag = tables.flag
-        with reading(self._engine) as connection:
-            row = _row(connection, tables.experiment, experiment_id, "experiment")
+        with _damage_named(f"experiment {experiment_id}"), reading(self._engine) as connection:
+            row = _row(connection, tables.experiment, experiment_id)
             flags = connection.execute(
                 sa.select(flag.c.name, flag.c.detail, flag.c.is_fault).where(
                     flag.c.experiment_id == experiment_id, flag.c.deleted_at_utc.is_(None)
                 )
             )
             measured = arrays.read_all(connection, "experiment", experiment_id, self.media)
-            return rows.experiment_of(row, tuple(Flag(*f) for f in flags), measured)
+            found = rows.experiment_of(row, tuple(Flag(*f) for f in flags), measured)
+        return found if self.view is None else self.view(found)
 
     def find(self, key: str) -> int:
         """Return the id of an experiment given as `id:7`, `7`, name or `dataset/name`.
@@ -285,11 +269,7 @@ class Store:
 
     def _experiment_row(self, experiment_id: int) -> sa.Row[Any]:
         with reading(self._engine) as connection:
-            return _row(connection, tables.experiment, experiment_id, "experiment")
-
-    def _require(self, experiment_id: int) -> None:
-        if not self._has(experiment_id):
-            raise _absent(f"experiment {experiment_id}")
+            return _row(connection, tables.experiment, experiment_id)
 
     # --- videos ---------------------------------------------------------------------------------
 
@@ -313,32 +293,26 @@ class Store:
 
     def add_simulation(self, record: records.SimulationRecord) -> int:
         """Store a simulation of an experiment; return its id."""
-        self._require(record.experiment_id)
+        self._experiment_row(record.experiment_id)
         series = rows.paths_of(record.trajectory, record.pusher)
         with writing(self._engine) as connection:
-            row = rows.columns_of(record, tables.simulation)
-            row["system_parameters_id"] = _parameters_id(connection, record.parameters)
-            number = insert_one(connection, tables.simulation, row)
-            self._add_series(connection, "simulation", number, series)
-        return number
+            own = {"system_parameters_id": _parameters_id(connection, record.parameters)}
+            return self._add_once(connection, tables.simulation, record, series, own)
 
-    @_damage_named("simulation")
     def simulation(self, simulation_id: int) -> records.SimulationRecord:
         """Load a simulation by its id."""
-        with reading(self._engine) as connection:
-            row = _row(connection, tables.simulation, simulation_id, "simulation")
+        with _damage_named(f"simulation {simulation_id}"), reading(self._engine) as connection:
+            row = _row(connection, tables.simulation, simulation_id)
             series = arrays.read_all(connection, "simulation", simulation_id, self.media)
-            parameters = _row(
-                connection, tables.system_parameters, row.system_parameters_id, "parameters"
+            parameters = _row(connection, tables.system_parameters, row.system_parameters_id)
+            paths = {name: rows.trajectory_of(values) for name, _, values in series}
+            return rows.record_of(
+                records.SimulationRecord,
+                row,
+                parameters=rows.parameters_of(parameters),
+                trajectory=paths["object"],
+                pusher=paths.get("pusher"),
             )
-        paths = {name: rows.trajectory_of(values) for name, _, values in series}
-        return rows.record_of(
-            records.SimulationRecord,
-            row,
-            parameters=rows.parameters_of(parameters),
-            trajectory=paths["object"],
-            pusher=paths.get("pusher"),
-        )
 
     def simulations(self, experiment_id: int) -> list[int]:
         """Ids of the simulations of an experiment, oldest first."""
@@ -355,50 +329,67 @@ class Store:
 
     def add_calibration(self, record: records.CalibrationRecord) -> int:
         """Store a finished calibration; return its id."""
+        with writing(self._engine) as connection:
+            return self._insert_calibration(connection, record)
+
+    def add_calibrations(
+        self,
+        several: Sequence[records.CalibrationRecord],
+        key: Callable[[records.CalibrationRecord], object],
+    ) -> list[int]:
+        """Store calibrations in one transaction, but those whose key is stored; return the ids.
+
+        The key must not depend on evaluations, request and result.
+        """
+        with writing(self._engine) as connection:
+            with _damage_named("a calibration"):
+                stored = _calibrations(connection, _LIVE_CALIBRATION)
+            known = {key(own): number for number, own in stored.items()}
+            return [
+                known.get(key(own)) or self._insert_calibration(connection, own) for own in several
+            ]
+
+    def _insert_calibration(
+        self, connection: sa.Connection, record: records.CalibrationRecord
+    ) -> int:
         tried = record.evaluations
         reasons = {} if tried is None else {str(k): r for k, r in enumerate(tried.reasons) if r}
-        with writing(self._engine) as connection:
-            row = rows.columns_of(record, tables.calibration) | {
-                "system_parameters_id": _parameters_id(connection, record.parameters),
-                "n_evaluation": 0 if tried is None else len(tried.error),
-                "n_member": len(record.members),
-                "reasons": reasons,
-                "estimates": [estimate.stored() for estimate in record.estimates] or None,
-            }
-            number = insert_one(connection, tables.calibration, row)
-            connection.execute(
-                sa.insert(tables.calibration_member),
-                [
-                    {"calibration_id": number, "place": place, **asdict(member)}
-                    for place, member in enumerate(record.members)
-                ],
-            )
-            if tried is not None:
-                self._add_series(connection, "calibration", number, rows.trials_of(tried))
+        row = rows.columns_of(record, tables.calibration) | {
+            "system_parameters_id": _parameters_id(connection, record.parameters),
+            "n_evaluation": 0 if tried is None else len(tried.error),
+            "n_member": len(record.members),
+            "reasons": reasons,
+            "estimates": [estimate.stored() for estimate in record.estimates] or None,
+        }
+        measured = arrays.rows_of("calibration", rows.trials_of(tried), self.media)
+        number = _insert(connection, tables.calibration, row, measured)
+        members = [
+            {"calibration_id": number, "place": place, **asdict(member)}
+            for place, member in enumerate(record.members)
+        ]
+        connection.execute(sa.insert(tables.calibration_member), members)
         return number
 
-    @_damage_named("calibration")
     def calibration(self, calibration_id: int) -> records.CalibrationRecord:
         """Load a calibration by its id."""
         table = tables.calibration
-        with reading(self._engine) as connection:
-            row = _row(connection, table, calibration_id, "calibration")
+        with _damage_named(f"calibration {calibration_id}"), reading(self._engine) as connection:
+            row = _row(connection, table, calibration_id)
             record = _calibrations(connection, table.c.id == calibration_id)[calibration_id]
             series = arrays.read_all(connection, "calibration", calibration_id, self.media)
-        reasons = [row.reasons.get(str(k), "") for k in range(row.n_evaluation)]
-        return replace(
-            record,
-            evaluations=rows.evaluations_of(series, reasons),
-            request=row.request,
-            result=row.result,
-        )
+            reasons = [row.reasons.get(str(k), "") for k in range(row.n_evaluation)]
+            return replace(
+                record,
+                evaluations=rows.evaluations_of(series, reasons),
+                request=row.request,
+                result=row.result,
+            )
 
-    @_damage_named("a calibration")
     def calibration_summaries(self) -> dict[int, records.CalibrationRecord]:
         """Load all calibrations by id, oldest first, without evaluations, request and result: two
         queries and no file access, even for a thousand calibrations."""
-        with reading(self._engine) as connection:
-            return _calibrations(connection, tables.calibration.c.deleted_at_utc.is_(None))
+        with _damage_named("a calibration"), reading(self._engine) as connection:
+            return _calibrations(connection, _LIVE_CALIBRATION)
 
     def calibrations(self) -> list[int]:
         """Ids of all calibrations, oldest first."""
@@ -412,46 +403,39 @@ class Store:
     def add_filter_parameters(self, record: records.FilterParameters) -> int:
         """Store settings of a filter; return their id."""
         with writing(self._engine) as connection:
-            row = rows.columns_of(record, tables.filter_parameters)
-            options = {"options": dict(record.values)}
-            return insert_one(connection, tables.filter_parameters, row | options)
+            own = {"options": dict(record.values)}
+            return self._add_once(connection, tables.filter_parameters, record, [], own)
 
     def filter_parameters(self, filter_parameters_id: int) -> records.FilterParameters:
         """Load settings of a filter by their id."""
         with reading(self._engine) as connection:
-            row = _row(
-                connection, tables.filter_parameters, filter_parameters_id, "filter parameters"
-            )
+            row = _row(connection, tables.filter_parameters, filter_parameters_id)
         return rows.record_of(records.FilterParameters, row, values=row.options)
 
     def add_filter_run(self, record: records.FilterRecord) -> int:
         """Store the run of a filter on an experiment; return its id."""
-        self._require(record.experiment_id)
-        occlusion = record.occlusion or (None, None)
+        self._experiment_row(record.experiment_id)
+        series, hidden = rows.filtered_of(record), record.occlusion or (None, None)
+        own = {"occlusion_start_s": hidden[0], "occlusion_end_s": hidden[1]}
         with writing(self._engine) as connection:
-            row = rows.columns_of(record, tables.filter_run)
-            row |= {"occlusion_start_s": occlusion[0], "occlusion_end_s": occlusion[1]}
-            number = insert_one(connection, tables.filter_run, row)
-            self._add_series(connection, "filter_run", number, rows.filtered_of(record))
-        return number
+            return self._add_once(connection, tables.filter_run, record, series, own)
 
-    @_damage_named("filter run")
     def filter_run(self, filter_run_id: int) -> records.FilterRecord:
         """Load a filter run by its id."""
-        with reading(self._engine) as connection:
-            row = _row(connection, tables.filter_run, filter_run_id, "filter run")
+        with _damage_named(f"filter run {filter_run_id}"), reading(self._engine) as connection:
+            row = _row(connection, tables.filter_run, filter_run_id)
             series = arrays.read_all(connection, "filter_run", filter_run_id, self.media)
-        found = {name: (columns, values) for name, columns, values in series}
-        names, estimates = found.get("estimates", ((), np.zeros((0, 0))))
-        hidden = (row.occlusion_start_s, row.occlusion_end_s)
-        return rows.record_of(
-            records.FilterRecord,
-            row,
-            trajectory=rows.trajectory_of(found["object"][1]),
-            occlusion=None if hidden[0] is None else hidden,
-            estimate_names=names,
-            estimates=estimates,
-        )
+            found = {name: (columns, values) for name, columns, values in series}
+            names, estimates = found.get("estimates", ((), np.zeros((0, 0))))
+            hidden = (row.occlusion_start_s, row.occlusion_end_s)
+            return rows.record_of(
+                records.FilterRecord,
+                row,
+                trajectory=rows.trajectory_of(found["object"][1]),
+                occlusion=None if hidden[0] is None else hidden,
+                estimate_names=names,
+                estimates=estimates,
+            )
 
     def _ids(
         self, table: sa.Table, *where: sa.ColumnElement[bool], deleted: bool = False
@@ -462,11 +446,35 @@ class Store:
             wanted = sa.select(table.c.id).where(*live, *where)
             return list(connection.scalars(wanted.order_by(table.c.id)))
 
-    def _add_series(
-        self, connection: sa.Connection, owner: str, number: int, series: list[rows.Measured]
-    ) -> None:
-        found = arrays.rows_of(owner, series, self.media)
-        connection.execute(sa.insert(tables.series), [one | {"owner_id": number} for one in found])
+    def _add_once(
+        self, connection: sa.Connection, table: sa.Table, record: Any,
+        series: list[rows.Measured], own: dict[str, Any],
+    ) -> int:  # fmt: skip
+        """Insert a record with its series, unless an equal one is stored; return its id.
+
+        The time of creation counts only if the record has one.
+        """
+        row = rows.columns_of(record, table) | own
+        counted = [table.c[k] for k in row if k != "created_at_utc" or record.provenance.created]
+        plain = [c == row[c.name] for c in counted if not isinstance(c.type, sa.JSON)]
+        measured = arrays.rows_of(table.name, series, self.media)
+        alike = sa.select(table).where(table.c.deleted_at_utc.is_(None), *plain)
+        for found in connection.execute(alike):
+            same = all(found._mapping[c.name] == row[c.name] for c in counted)
+            if same and arrays.stored_rows(connection, table.name, found.id) == measured:
+                return int(found.id)
+        return _insert(connection, table, row, measured)
+
+
+def _insert(
+    connection: sa.Connection, table: sa.Table, row: dict[str, Any], measured: list[dict[str, Any]]
+) -> int:
+    """Insert a record with the rows of its series; return its id."""
+    number = insert_one(connection, table, row)
+    if measured:
+        series = [one | {"owner_id": number} for one in measured]
+        connection.execute(sa.insert(tables.series), series)
+    return number
 
 
 def _calibrations(
@@ -519,11 +527,12 @@ def _parameters_id(connection: sa.Connection, parameters: Mapping[str, float]) -
     return number
 
 
-def _row(connection: sa.Connection, table: sa.Table, number: int, what: str) -> sa.Row[Any]:
+def _row(connection: sa.Connection, table: sa.Table, number: int) -> sa.Row[Any]:
     row = connection.execute(sa.select(table).where(table.c.id == number)).one_or_none()
     if row is None:
         listed = "fixel calibrations lists those that are stored"
-        raise _absent(f"{what} {number}", listed if what == "calibration" else None)
+        what = f"{table.name.replace('_', ' ')} {number}"
+        raise _absent(what, listed if table is tables.calibration else None)
     return row
 
 

@@ -253,9 +253,7 @@ def add_to_project(
         asked = dict(run.asked or options_of(run.request, experiments))
         asked["project"] = str(project.folder.resolve())
         run = replace(run, asked=asked, command=run.command or command_of(asked))
-        known = {_mark(own): k for k, own in store.calibration_summaries().items()}
-        records = _records(run, experiments)
-        ids = [known.get(_mark(own)) or store.add_calibration(own) for own in records]
+        ids = store.add_calibrations([*_records(run, experiments)], _mark)
     stored = replace(run, ids=tuple(ids))
     return stored[found.number] if isinstance(found, Calibration) else stored
 

@@ -181,16 +181,14 @@ def _keep(
     command: str,
 ) -> list[int]:
     """Store a calibration for every averaged set, unless it is stored already."""
-    known = {_content(record) for record in summaries.values()}
-    added = []
-    for row in growth.steps:
-        for step in row:
-            if step.used.source != AVERAGED or step.reason:
-                continue
-            record = _record(step, growth, samples, stored, command)
-            if _content(record) not in known:
-                added.append(store.add_calibration(record))
-    return added
+    found = [
+        _record(step, growth, samples, stored, command)
+        for row in growth.steps
+        for step in row
+        if step.used.source == AVERAGED and not step.reason
+    ]
+    ids = store.add_calibrations(found, _content)
+    return [number for number in dict.fromkeys(ids) if number not in summaries]
 
 
 def _content(record: CalibrationRecord) -> tuple[object, ...]:
