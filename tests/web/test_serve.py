@@ -43,6 +43,16 @@ def test_the_link_opens_the_page(server):
         urllib.request.urlopen(server.home, timeout=60)
 
 
+def test_an_idle_connection_stays_open_for_the_next_request(server):
+    connection, answer = connected(server, "/palette.css")
+    answer.read()
+    time.sleep(5.5)  # longer than uvicorn waits by default
+    connection.auto_open = False  # else the client would connect again
+    connection.request("GET", "/")
+    assert connection.getresponse().status == 403
+    connection.close()
+
+
 def test_it_listens_here_only(server):
     assert server._socket.getsockname()[0] == "127.0.0.1"
 

@@ -19,6 +19,8 @@ from fixel.web.security import LOOPBACK, Gate
 HERE_ONLY: Final = "127.0.0.1"
 EVERYWHERE: Final = ("0.0.0.0", "::")
 CONNECTIONS: Final = 512  # a browser uses six, and an open page one more
+# [s] Longer than browsers use an idle connection: a request that meets its end gets no answer.
+IDLE: Final = 600
 STARTS_WITHIN: Final = 10.0  # [s]
 ENDS_WITHIN: Final = 1  # [s] for answers to browsers that do not read
 # Data that waits in the socket is late: about three pictures, or a slow browser lags by seconds.
@@ -67,6 +69,7 @@ class WebServer:
             proxy_headers=False,
             server_header=False,
             limit_concurrency=CONNECTIONS,
+            timeout_keep_alive=IDLE,
             timeout_graceful_shutdown=ENDS_WITHIN,
         )
         self._server = _Server(config)
