@@ -19,6 +19,7 @@ from fixel.workflows import jobs
 pytestmark = pytest.mark.system
 
 WIDE, NARROW = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
+SMALL = {"width": 320, "height": 568}
 LOOKS = [("light", WIDE), ("dark", NARROW)]
 OTHER_LOOKS = [("dark", WIDE), ("light", NARROW)]
 PATIENCE = 60_000  # [ms]
@@ -116,8 +117,9 @@ def judged(chromium, link, addresses, faults, looks):
         for address in addresses:
             settled(page, address)
             found = faults(page)
-            page.set_viewport_size(NARROW)
-            found += width_fault(page)
+            for phone in (NARROW, SMALL):
+                page.set_viewport_size(phone)
+                found += width_fault(page)
             page.set_viewport_size(WIDE)
             found += keyboard_faults(page)
             page.set_viewport_size(size)

@@ -5,6 +5,7 @@ import os
 import signal
 
 import pytest
+from tests.web.conftest import width_fault
 
 from fixel.formats import load_scene
 from fixel.web.views import scene_editor
@@ -137,7 +138,55 @@ def the_wheel_zooms_a_drag_pans_and_a_double_click_shows_everything(compare):
     assert player(compare, "stage.scale") == pytest.approx(scale)
 
 
+def test_a_motion_that_is_repeated_rests_at_its_end(compare):
+    compare.check("#player label:has-text('loop') input")
+    rests = compare.evaluate(
+        """async () => {
+            const { player } = document.querySelector('#player');
+            const reached = [];
+            player.addEventListener("time", () => reached.push([player.time, performance.now()]));
+            player.seek(player.end - 0.3);
+            player.play();
+            await new Promise((done) => setTimeout(done, 2500));
+            player.pause();
+            const at = reached.filter(([time]) => time === player.end).map(([, now]) => now);
+            return [Math.max(...at) - Math.min(...at), reached.at(-1)[0] < player.end - 0.3];
+        }"""
+    )
+    assert 500 < rests[0] < 1600  # [ms]
+    assert rests[1]  # it begins again
+
+
 # --- compare ----------------------------------------------------------------------------------
+
+
+NUMBERS = {
+    "compare?experiment=1": "#value-mu_pusher",
+    "plan": "#position_mm",
+    "simulate": ".field[data-where='bodies[0].pose[0]'] input",
+}
+
+
+@pytest.mark.parametrize("path", NUMBERS)
+def test_a_decimal_comma_is_a_point(path, browser_page, server):
+    """Chromium would drop it, so that 1,5 becomes 15."""
+    browser_page.goto(server.home + path)
+    entry = browser_page.locator(NUMBERS[path]).first
+    for enter in (browser_page.keyboard.type, browser_page.keyboard.insert_text):
+        entry.fill("")
+        entry.focus()
+        enter("1,5")
+        assert entry.input_value() == "1.5"
+        assert entry.evaluate("field => field.valueAsNumber") == 1.5
+
+
+def test_many_sets_are_not_wider_than_a_small_phone(compare):
+    compare.set_viewport_size({"width": 320, "height": 640})
+    for number in (1, 2, 3):
+        compare.fill("#value-mu_pusher", f"0.{number}")
+        compare.click("#pin")
+        compare.wait_for_selector(f"tr[data-set=pinned-{number}]")
+    assert width_fault(compare) == []
 
 
 def test_a_slider_has_a_new_simulation(compare, server):
@@ -334,7 +383,7 @@ def test_what_is_no_number_changes_nothing(simulate):
     travel = editor(simulate, "scene.pushers[0].drive.travel")
     simulate.focus(field("pushers[0].drive.travel"))
     simulate.keyboard.press("Control+a")
-    simulate.keyboard.type("1e")  # as a comma is for browsers that expect a point
+    simulate.keyboard.type("1e")
     assert editor(simulate, "scene.pushers[0].drive.travel") == pytest.approx(0.001)
     assert travel == 0.15
     width = simulate.locator(".field[data-where='pushers[0].shape.polygon'] input").first

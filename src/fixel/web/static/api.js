@@ -17,11 +17,7 @@ export class Refusal extends Error {
   }
 }
 
-/** @returns {string} */
-export function word() {
-  const meta = document.querySelector('meta[name="fixel-word"]');
-  return meta instanceof HTMLMetaElement ? meta.content : "";
-}
+export const word = () => document.querySelector('meta[name="fixel-word"]')?.getAttribute("content") ?? "";
 
 /** @param {string} path below /api/v1 @param {Record<string, string>} [query] @returns {Promise<any>} */
 export const get = (path, query = {}) => ask(`${path}?${new URLSearchParams(query)}`, {});

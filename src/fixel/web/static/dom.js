@@ -20,10 +20,7 @@ export const input = (id) => /** @type {HTMLInputElement} */ (at(id));
  * @returns {HTMLElementTagNameMap[K]}
  */
 export function make(tag, attributes = {}, ...children) {
-  const node = document.createElement(tag);
-  set(node, attributes);
-  append(node, children);
-  return node;
+  return filled(document.createElement(tag), attributes, children);
 }
 
 /**
@@ -34,26 +31,25 @@ export function make(tag, attributes = {}, ...children) {
  * @returns {SVGElement}
  */
 export function svg(tag, attributes = {}, ...children) {
-  const node = document.createElementNS("http://www.w3.org/2000/svg", tag);
-  set(node, attributes);
-  append(node, children);
-  return node;
+  return filled(document.createElementNS("http://www.w3.org/2000/svg", tag), attributes, children);
 }
 
-/** @param {Element} node @param {Record<string, any>} attributes */
-function set(node, attributes) {
+/**
+ * @template {Element} E
+ * @param {E} node
+ * @param {Record<string, any>} attributes
+ * @param {(Node | string | number | null | undefined)[]} children
+ */
+function filled(node, attributes, children) {
   for (const [name, value] of Object.entries(attributes)) {
     if (value === null || value === undefined || value === false) continue;
     if (name.startsWith("on")) node.addEventListener(name.slice(2), value);
     else node.setAttribute(name, value === true ? "" : String(value));
   }
-}
-
-/** @param {Element} node @param {(Node | string | number | null | undefined)[]} children */
-function append(node, children) {
   for (const child of children) {
     if (child !== null && child !== undefined) node.append(child instanceof Node ? child : String(child));
   }
+  return node;
 }
 
 /**
@@ -70,6 +66,13 @@ export function settled(action, pause) {
     timer = window.setTimeout(() => action(...given), pause);
   };
 }
+
+// A number field drops a decimal comma, so that 1,5 would be 15.
+document.addEventListener("beforeinput", (event) => {
+  if (!event.data?.includes(",") || !(event.target instanceof HTMLInputElement) || event.target.type !== "number") return;
+  event.preventDefault();
+  document.execCommand("insertText", false, event.data.replace(",", "."));
+});
 
 /** Whether keys are meant for a field that is written into. @param {Event} event */
 export const typing = (event) =>

@@ -12,6 +12,7 @@ import { TopView, swatch } from "./view.js";
 /** @typedef {import("./motion.js").MotionDocument} MotionDocument */
 
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
+const REST = 0.8; // [s] at the end of a motion that is repeated
 
 const ICONS = {
   play: "M8 5v14l11-7z",
@@ -46,6 +47,7 @@ export class Player extends EventTarget {
     this.playing = false;
     this.speed = 1;
     this.last = 0; // [ms] of the frame before
+    this.rested = 0; // [s] at the end
     // Who asks for less motion starts it by hand.
     this.autoplay = (options.autoplay ?? false) && !matchMedia("(prefers-reduced-motion: reduce)").matches;
     this.button = iconButton("play", "Play (space)");
@@ -155,9 +157,10 @@ export class Player extends EventTarget {
     this.last = now;
     let time = this.time + this.speed * passed;
     if (time >= this.end) {
-      if (this.loop.checked) time = this.start;
-      else this.playing = false;
-    }
+      this.rested += passed;
+      if (!this.loop.checked) this.playing = false;
+      else if (this.rested > REST) time = this.start;
+    } else this.rested = 0;
     this.seek(time);
     this.stage.render();
     if (this.playing) requestAnimationFrame((next) => this.#frame(next));
@@ -241,8 +244,7 @@ export class Player extends EventTarget {
       const box = make("input", { type: "checkbox" });
       box.checked = !this.view.hidden.has(motion.id);
       box.addEventListener("change", () => {
-        if (box.checked) this.view.hidden.delete(motion.id);
-        else this.view.hidden.add(motion.id);
+        this.view.hidden[box.checked ? "delete" : "add"](motion.id);
         this.stage.request();
       });
       return make("li", {}, make("label", {}, box, swatch(this.view.styles.get(motion.id)), motion.label));
