@@ -179,15 +179,15 @@ class EqualPushes(NamedTuple):
 
 def equal_pushes(targets: Sequence[Target], part: str, session: str) -> EqualPushes:
     """Find the pairs among pushes of single parts, whose conditions name part and session."""
-    rows = np.array([_numbers(own) for own in targets])
-    start, motion, contact, heading, travel = np.split(rows, (3, 6, 8, 9), axis=1)
+    columns = zip(*map(_in_part, targets), strict=True)
+    start, motion, contact, heading, travel = map(np.array, columns)
     outline = [own.case.scene.bodies[0].shape.outline.tobytes() for own in targets]
     parts = [(own.conditions.get(part), what) for own, what in zip(targets, outline, strict=True)]
     number = [[parts.index(own)] for own in parts]  # different parts are metres apart
     near = cKDTree(np.hstack((contact, number))).query_pairs(SAME_PLACE, output_type="ndarray")
     i, j = near.T
     equal = np.abs(wrapped(heading[i] - heading[j])) < SAME_DIRECTION
-    pushes = near[(equal & (np.abs(travel[i] - travel[j]) < SAME_PLACE))[:, 0]]
+    pushes = near[equal & (np.abs(travel[i] - travel[j]) < SAME_PLACE)]
     i, j = pushes.T
     away, moved = motion[j] - motion[i], start[j] - start[i]
     away[:, 2] = wrapped(away[:, 2])
@@ -198,21 +198,21 @@ def equal_pushes(targets: Sequence[Target], part: str, session: str) -> EqualPus
         place=np.column_stack((np.hypot(*moved[:, :2].T), np.abs(wrapped(moved[:, 2])))),
         angle=start[pushes, 2],
         away=away,
-        along=np.column_stack((rotated(away, -heading[i, 0]), sense * away[:, 2])),
+        along=np.column_stack((rotated(away, -heading[i]), sense * away[:, 2])),
         sessions=np.unique(values, return_inverse=True)[1][pushes],
     )
 
 
-def _numbers(target: Target) -> list[float]:
-    """Return start (3), motion (3), contact (2), direction and travel of a push; all but the start
-    in the frame of the part there."""
+def _in_part(target: Target) -> tuple[FloatArray, FloatArray, FloatArray, float, float]:
+    """Return start (3), and in the frame of the part there motion (3), contact (2), direction and
+    travel of a push."""
     scene, time = target.case.scene, float(target.case.times[-1])
     start, end = np.asarray(scene.bodies[0].pose), target.pose[-1]
     path = pusher_path(scene.pushers[0], time)
     tip = np.column_stack([np.interp((0.0, time), path[:, 0], x) for x in path[:, 1:3].T])
     inner = rotated(np.vstack((end[:2], tip)) - start[:2], np.full(3, -start[2]))
-    way, turn = inner[2] - inner[1], float(wrapped(end[2] - start[2]))
-    return [*start, *inner[0], turn, *inner[1], math.atan2(way[1], way[0]), math.hypot(*way)]
+    motion, way = np.append(inner[0], wrapped(end[2] - start[2])), inner[2] - inner[1]
+    return start, motion, inner[1], math.atan2(way[1], way[0]), math.hypot(*way)
 
 
 # --- estimates ------------------------------------------------------------------------------------
