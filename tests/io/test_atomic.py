@@ -1,7 +1,12 @@
 """Files that are complete or absent."""
 
+import os
+import stat
 from pathlib import Path
 
+import pytest
+
+from fixel.errors import InvalidInput
 from fixel.io.atomic import write_whole, written_whole
 
 
@@ -17,3 +22,13 @@ def test_the_unfinished_file_has_a_name_that_others_cannot_guess(tmp_path: Path)
             third.write_text("third")
     assert path.read_text() == "first"
     assert [*tmp_path.iterdir()] == [path]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="of systems with named pipes")
+def test_a_pipe_or_a_device_is_not_replaced_by_a_file(tmp_path: Path) -> None:
+    """As root, a result that was written to /dev/null removed the device of the whole machine."""
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InvalidInput, match="found a device or a pipe"):
+        write_whole(tmp_path / "pipe", "text")
+    assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
+    assert [path.name for path in tmp_path.iterdir()] == ["pipe"]

@@ -17,12 +17,12 @@ def refuse_unwritable(path: str | Path) -> None:
     path = Path(path)
     folder = path.parent
     try:
-        if path.is_dir():
-            raise InvalidInput(str(path), found="a folder", expected="the name of a file")
+        if path.exists() and not path.is_file():
+            found = "a folder" if path.is_dir() else "a device or a pipe"
+            raise InvalidInput(str(path), found=found, expected="the name of a file")
         if not folder.is_dir():
-            raise InvalidInput(
-                str(path), found=f"no folder {folder}", expected="an existing folder"
-            )
+            found = f"no folder {folder}"
+            raise InvalidInput(str(path), found=found, expected="an existing folder")
         writable = os.access(folder, os.W_OK | os.X_OK)
     except OSError as problem:
         raise _unwritable(path, problem) from None
