@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from tests.fixtures import refused
 
-from fixel import Fixel, InvalidInput, Parameters, Polygon, Seated
+from fixel import Fixel, InvalidInput, LineDrive, Parameters, Polygon, Seated
 from fixel.simulation import Simulator, StewartTrinkle, simulate, simulate_batch
 from fixel.simulation.motion import OtherEngine
+from fixel.simulation.pack import pusher_path
 from fixel.testing.scenes import grasp, heap, micro_push, moved, pushed_square, sliding_block
 
 QUICK = {"stepper": StewartTrinkle(step=0.1)}
@@ -60,6 +61,19 @@ def test_start_and_waypoints_vary():
     assert b.final[:, 1, 0] == pytest.approx([0.02, 0.04, 0.06], rel=1e-9)
 
 
+@pytest.mark.parametrize("motion", ["dynamic", "quasistatic"])
+def test_paths_take_the_steps_of_single_runs_whatever_the_drive_of_the_scene(motion):
+    """Paths of 40 mm in 2 s and in 40 s, in a scene whose own finger is fast."""
+    scene = pushed_square(duration=40.0)
+    fast = replace(scene.pushers[0], drive=LineDrive(speed=0.4))
+    way = [[[0.0, -0.055, 0.02, 0.0], [t, -0.015, 0.02, 0.0]] for t in (2.0, 40.0)]
+    runs = simulate_batch(replace(scene, pushers=(fast,)), waypoints=way, motion=motion)
+    for k, path in enumerate(way):
+        alone = Simulator(scene, motion=motion).run(waypoints=path)
+        assert np.allclose(runs.final[k, 0], alone.pose["part"][-1], atol=2e-5)
+        assert abs(int(runs.steps[k]) - alone.steps) <= 0.2 * alone.steps
+
+
 def test_rollout_that_stops_early_keeps_its_last_pose():
     run = simulate_batch(grasp(force_limit=None), times=np.arange(0.0, 11.5, 0.5))
     assert not run.converged[0]
@@ -85,6 +99,11 @@ def test_runs_that_jam_in_their_first_step_stay_at_the_start(motion):
     for k, item in enumerate((scene.bodies[0], scene.pushers[0])):
         assert np.abs(runs.pose[:, :, k] - item.pose).max() < 1e-15
     assert np.array_equal(ends, runs.final[:, :1])
+    away = replace(scene.pushers[0], pose=(-1.0, 0.0, 0.0))
+    path = pusher_path(scene.pushers[0], 2.0)[None]
+    runs = simulate_batch(replace(scene, pushers=(away,)), waypoints=path, motion=motion)
+    assert runs.status[0] == "jammed"
+    assert np.abs(runs.final[0, 1] - scene.pushers[0].pose).max() < 1e-15
 
 
 @pytest.mark.parametrize(("options", "where", "found", "expected"), [

@@ -121,16 +121,8 @@ def pack_shapes(shapes: Iterable[Shape]) -> PackedShapes:
 def contact_outline(shape: Shape) -> Shape:
     """Simplify an outline of more than `MAX_CORNERS` corners for contacts.
 
-    Parameters
-    ----------
-    shape : Polygon or Disk
-
-    Returns
-    -------
-    Polygon or Disk
-        Polygon on some of the corners, at every point within `outline_tolerance` of the full
-        outline, and vice versa; or the shape itself, where it has few corners or its edges would
-        cross.
+    Returns a polygon on some of the corners, at every point within `outline_tolerance` of the full
+    outline, and vice versa; or the shape itself, where it has few corners or its edges would cross.
     """
     if isinstance(shape, Disk) or len(shape.vertices) <= MAX_CORNERS:
         return shape

@@ -109,19 +109,10 @@ def balance(
     It is the change of the loads with the smallest relative entropy. Newton's method minimises
     log(sum(exp(exponent + tilt . r))), which is convex, with steps that are halved where needed.
 
-    Parameters
-    ----------
-    exponent : (n, n_point) float64
-        Logarithms of the loads.
-    points : (n_point, 2) float64
-        Points relative to the centre of mass, in units of about the size of the plate.
-    centre_at : (n, 2) float64, optional
-        Where to put the centres, inside the hull of the points; zero by default.
-
-    Raises
-    ------
-    InvalidInput
-        Zero is not inside the hull of the points.
+    `exponent` (n, n_point) are logarithms of the loads, on `points` (n_point, 2) relative to the
+    centre of mass, in units of about the size of the plate. The centres are moved to `centre_at`
+    (n, 2) inside the hull of the points, by default to zero. Raises `InvalidInput` if zero is not
+    inside.
 
     Source: Csiszar (1975), I-divergence geometry of probability distributions.
     """

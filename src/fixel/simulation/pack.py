@@ -97,7 +97,7 @@ def characteristic_units(
     except (OverflowError, ZeroDivisionError):
         scales = [math.inf]
     if not all(MIN_SCALE < scale < MAX_SCALE for scale in scales):
-        length = median(math.sqrt(b.moment_of_inertia / b.mass) for b in scene.bodies)
+        length = characteristic_length(scene)
         raise InvalidInput(
             "scene",
             found=f"a fastest motion of {fastest_motion(scene, length):.3g} m/s "
@@ -109,7 +109,7 @@ def characteristic_units(
 
 def _units(scene: Scene, speed: float | None, friction: Sequence[float]) -> Units:
     bodies = scene.bodies
-    length = median(math.sqrt(b.moment_of_inertia / b.mass) for b in bodies)
+    length = characteristic_length(scene)
     if speed is None:
         speed = fastest_motion(scene, length)
     mass = median(b.mass for b in bodies)
@@ -124,20 +124,34 @@ def _units(scene: Scene, speed: float | None, friction: Sequence[float]) -> Unit
     return Units(length, time, mass)
 
 
+def characteristic_length(scene: Scene) -> float:
+    """Radius of gyration of the middle body [m]."""
+    return median(math.sqrt(b.moment_of_inertia / b.mass) for b in scene.bodies)
+
+
 def fastest_motion(scene: Scene, length: float) -> float:
     """Fastest motion of pushers, and of bodies at the start [m/s]; rotation at arm `length` [m]."""
     pushed = [_fastest(p, length) for p in scene.pushers]
+    return max([*pushed, _fastest_body(scene, length)])
+
+
+def _fastest_body(scene: Scene, length: float) -> float:
     own = [math.hypot(*b.velocity[:2]) + abs(float(b.velocity[2])) * length for b in scene.bodies]
-    return max(pushed + own)
+    return max(own)
 
 
 def _fastest(pusher: Pusher, length: float) -> float:
     if isinstance(pusher.drive, LineDrive):
         return pusher.drive.speed
-    steps = np.diff(pusher.drive.waypoints, axis=0)
-    rate = np.hypot(steps[:, 1], steps[:, 2]) + np.abs(steps[:, 3]) * length
-    # Measured paths are noisy; their mean speed is a better scale.
-    return float(rate.sum() / steps[:, 0].sum()) if len(steps) else 0.0
+    return float(_mean_speed(pusher.drive.waypoints, length))
+
+
+def _mean_speed(path: FloatArray, length: float) -> FloatArray:
+    """Mean speed (...) of paths (..., n, 4) [m/s]; measured ones are noisy."""
+    steps = np.diff(path, axis=-2)
+    rate = np.hypot(steps[..., 1], steps[..., 2]) + np.abs(steps[..., 3]) * length
+    seconds = steps[..., 0].sum(axis=-1)
+    return np.asarray(rate.sum(axis=-1) / np.where(seconds > 0.0, seconds, 1.0))
 
 
 def _friction_forces(elements: Elements, scene: Scene) -> list[float]:
@@ -338,7 +352,16 @@ def pack(
     """Pack the arrays of `n` rollouts of a scene, which last `duration` [s]."""
     if n == 1 and variation is AS_IT_IS and type(stepper) in STEPPERS:
         return _packed_once(_Same(scene), motion, stepper, duration)
-    return Template(scene, motion, stepper).packed(variation, n, duration)
+    if variation.path is None:
+        return Template(scene, motion, stepper).packed(variation, n, duration)
+    # The scene's own path does not matter: the longest step follows from the path of each run.
+    length = characteristic_length(scene)
+    speed = np.maximum(_mean_speed(variation.path, length), _fastest_body(scene, length))
+    fastest = float(speed.max(initial=0.0))
+    packed = Template(scene, motion, stepper, fastest).packed(variation, n, duration)
+    longer = np.divide(fastest, speed, out=np.ones(n), where=speed > SLOWEST)
+    packed.batch.settings[:, at.LARGEST] *= longer
+    return packed
 
 
 @functools.lru_cache(maxsize=RECENT_SCENES)

@@ -235,17 +235,9 @@ class _SampleCollector:
         if written:
             contact = record.contact[: record.count[CONTACT_ROWS]]
             contact[:, 0] += self.done
-            self.rows.append(
-                RolloutRecord(
-                    record.time[:written],
-                    record.pose[:written],
-                    record.twist[:written],
-                    record.drive[:written],
-                    contact,
-                    record.count,
-                    record.total,
-                )
-            )
+            samples = [values[:written] for values in record[:4]]
+            rest = [contact, record.count, record.total]
+            self.rows.append(RolloutRecord._make([*samples, *rest]))
             self.done += written
 
     def undo(self) -> None:

@@ -34,6 +34,11 @@ def empty_record(
     pose = np.zeros((n, n_sample, n_moving, 3))
     rows = packed.batch.begin[:, kernel.BODY, None] + np.arange(n_moving)
     pose[:, 0] = packed.batch.pose.take(rows, axis=0, mode="clip")
+    model, begin = packed.batch.model, packed.batch.begin
+    for d in range(n_driven):  # where its own path begins, not the scene's
+        first = model.path_start.take(begin[:, kernel.PATH_START] + d, mode="clip")
+        waypoint = model.path.take(begin[:, kernel.PATH] + first, axis=0, mode="clip")
+        pose[np.arange(n), 0, count[:, kernel.FREE] + d] = waypoint[:, 1:]
     return BatchRecord(
         time=time,
         pose=pose,

@@ -36,16 +36,9 @@ def factors_on_table(
 ) -> FloatArray:
     """Compute factors (n, n_point) of the loads on support points.
 
-    They are the exponential of a second-degree polynomial in world axes, about the centroid.
-
-    Parameters
-    ----------
-    points : (n_point, 2) float64
-        Points relative to the centroid, in the frame of the shape [m].
-    angle : (n,) float64
-        Angle of the body on the table [rad].
-    values : mapping of name to (n,) float64
-        Values of `TABLE_NAMES`; missing ones are zero.
+    They are the exponential of a second-degree polynomial in world axes, about the centroid. The
+    `points` (n_point, 2) are relative to the centroid, in the frame of the shape [m]. `angle` (n,)
+    is that of the body on the table [rad]. Missing `values` (n,) of `TABLE_NAMES` are zero.
     """
     exponent = table_exponent(points, angle, values)
     return np.asarray(np.exp(np.clip(exponent, -MAX_EXPONENT, MAX_EXPONENT)))

@@ -130,15 +130,8 @@ def varied_elements(
 ) -> Elements:
     """Apply parameters to the supports; raise where no support matches a name.
 
-    Parameters
-    ----------
-    scene : Scene
-    elements : Elements
-        Supports of the scene.
-    values : mapping of name to (n,) float64
-    start : (n, n_free, 3) float64, optional
-        Poses of the outlines at the start, from `varied_start` [m, m, rad]; the scene's by
-        default.
+    `start` (n, n_free, 3) are poses of the outlines at the start, from `varied_start` [m, m, rad];
+    the scene's by default.
     """
     check_supports(values)
     if "pressure_spread" in values:
@@ -331,11 +324,8 @@ def on_load_map(scene: Scene, elements: Elements, start: FloatArray | None) -> E
     """Distribute the loads of every body as on the uneven table of the scene.
 
     Their sum and their centre do not change, so that three points bear what they bore before.
-
-    Parameters
-    ----------
-    start : (n, n_free, 3) float64, optional
-        Poses of the outlines at the start [m, m, rad]; the scene's by default.
+    `start` (n, n_free, 3) are poses of the outlines at the start [m, m, rad]; the scene's by
+    default.
     """
     uneven = scene.plane.load_map
     if uneven is None:
