@@ -2,6 +2,7 @@
 
 import pickle
 from dataclasses import replace
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ from fixel.simulation import (
     Simulator,
     StewartTrinkle,
     simulate,
+    simulate_batch,
 )
 from fixel.simulation.simulate import sample_times
 from fixel.testing.scenes import grasp, heap, micro_push, pushed_square, sliding_block
@@ -158,6 +160,23 @@ def test_lemke_ends_after_a_stated_number_of_steps_with_advice():
     assert run.stopped_at == pytest.approx(1.0)
     assert "Use the solver newton" in run.advice
     assert simulate(scene, stepper=StewartTrinkle(step=2e-4)).converged
+
+
+def test_motion_that_alternates_on_friction_polygons_ends_early_with_advice(monkeypatch):
+    """A square that two velocities move in turn, in ten thousands of short steps."""
+    module = import_module("fixel.simulation.simulate")
+    monkeypatch.setattr(module, "ALTERNATING_STEPS", 200)
+    module._converted.cache_clear()
+    scene = replace(pushed_square(duration=4.0), support_directions=4)
+    finger = replace(scene.pushers[0], friction=0.0)
+    scene = replace(scene, pushers=(finger,))
+    run = simulate(scene, motion="quasistatic")
+    assert run.status == "max_steps"
+    assert "use a fixed step" in run.advice
+    assert simulate_batch(scene, motion="quasistatic").status[0] == "max_steps"
+    module._converted.cache_clear()
+    assert simulate(scene, motion="quasistatic", stepper=StewartTrinkle(step=2e-3)).converged
+    assert simulate(scene, motion="quasistatic", stepper=Adaptive(max_steps=250)).steps > 200
 
 
 @pytest.mark.parametrize(("build", "options"), [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from importlib import import_module
 from os import PathLike
 from typing import Any, Final, overload
@@ -44,7 +45,7 @@ from fixel.simulation.solver import SOLVERS, AbstractSolver, Newton
 from fixel.simulation.stepper import AbstractStepper, Adaptive
 from fixel.simulation.threads import rollout_in_threads
 from fixel.simulation.vary import Variation, variation_of
-from fixel.typing import BoolArray, FloatArray, IntArray
+from fixel.typing import BoolArray, FloatArray
 
 STATUS_NAMES: Final = np.array(codes.STATUS_NAMES)
 SLOPES: Final = "fixel.simulation.derivatives"  # imported late: few batches need it
@@ -149,7 +150,9 @@ def simulate_batch(  # type: ignore[misc]
     stepper = stepper or Adaptive()
     solver = named_part(solver or Newton.name, SOLVERS, "solver")
     check_compiled(motion, stepper, solver)
-    method = method_of(motion, stepper, solver, max_contacts)
+    scenes = [scene] if isinstance(scene, Scene) else scene
+    polygons = any(own.support_directions for own in scenes)
+    method = method_of(motion, stepper, solver, max_contacts, polygons)
     if not isinstance(scene, Scene):
         varied = any(given is not None for given in (parameters, start, waypoints))
         if varied or accuracy or derivatives:
@@ -171,8 +174,8 @@ def simulate_batch(  # type: ignore[misc]
     try:
         rollout_in_threads(packed.batch, method, record, threads)
     except KeyboardInterrupt:
-        partial = _unpack(scene, packed, record, instants, variation.parameters)
-        raise Interrupted(partial, "its result has the finished runs") from None
+        finished = _unpack(scene, packed, record, instants, variation.parameters)
+        raise Interrupted(finished, "its result has the finished runs") from None
     runs = _unpack(scene, packed, record, instants, variation.parameters)
     if derivatives:
         way = motion, stepper, method, seconds, threads
@@ -197,10 +200,7 @@ def _differentiated(
     threads: int | None,
 ) -> BatchResult:
     """Return runs with the derivatives of their ends."""
-
-    def packed_of(nudges: Variation, rows: IntArray) -> PackedBatch:
-        return pack(runs.scene, motion, stepper, nudges, len(rows), seconds)
-
+    packed_of = partial(pack, runs.scene, motion, stepper, duration=seconds)
     ends, time = runs.pose[:, -1:, 0], np.full((len(runs), 1), seconds)
     slope, found = import_module(SLOPES).pose_slopes(
         runs.scene, variation, names, packed_of, method, ends, time, threads
@@ -216,15 +216,7 @@ def simulate_packed(
 ) -> BatchResult:
     """Simulate packed rollouts of a scene, for callers that reuse a template.
 
-    Parameters
-    ----------
-    scene : Scene
-    packed : PackedBatch
-    method : StepMethod
-    instants : (n_sample,) float64
-        Increasing times at which poses are sampled [s].
-    threads : int, optional
-        Number of threads; all cores by default.
+    Poses are sampled at increasing times `instants` (n_sample,) [s].
     """
     record = empty_record(packed, len(instants), 0, instants)
     rollout_in_threads(packed.batch, method, record, threads)

@@ -46,7 +46,7 @@ def pose_slopes(
     scene: Scene,
     variation: Variation,
     names: Sequence[str],
-    packed_of: Callable[[Variation, IntArray], PackedBatch],
+    packed_of: Callable[[Variation, int], PackedBatch],
     method: StepMethod,
     pose: FloatArray,
     time: FloatArray,
@@ -55,10 +55,10 @@ def pose_slopes(
     """Differentiate poses of one part by its start pose and by parameters.
 
     `names` are parameters, or ``"x"``, ``"y"`` and ``"theta"`` of the start pose. `packed_of` packs
-    rollouts of another variation than that of the rollouts, given the numbers (m,) of the original
-    ones. Rollouts have the poses `pose` (n, n_time, 3) at increasing times `time` (n, n_time), the
-    last of which is the end [s]. Returns derivatives (n, n_time, 3, n_name) of x, y and theta in SI
-    units, NaN where there are none, and a mask (n,) of the rollouts that have any.
+    a number of rollouts of another variation. Rollouts have the poses `pose` (n, n_time, 3) at
+    increasing times `time` (n, n_time), the last of which is the end [s]. Returns derivatives
+    (n, n_time, 3, n_name) of x, y and theta in SI units, NaN where there are none, and a mask (n,)
+    of the rollouts that have any.
     """
     columns = _columns(scene, names, variation)
     own = [name for name in dict.fromkeys(columns) if name not in POSE_NAMES]
@@ -70,7 +70,7 @@ def pose_slopes(
         rows = np.arange(k, min(len(pose), k + PASS))
         again = np.repeat(rows, 1 + 2 * len(own))
         nudges, widths = _nudged(scene, variation, own, again)
-        packed = packed_of(nudges, again)
+        packed = packed_of(nudges, len(again))
         part, good = _slopes(packed, method, widths, pose[rows], time[rows], threads)
         found[rows] = good
         slope[rows[good]] = part[good][..., place]

@@ -68,7 +68,8 @@ class Ensemble:
             _check_case(case, several)
         self.cases = tuple(cases)
         self._threads = threads
-        self._method = method_of(self.motion, self.stepper, self.solver, 4096)
+        polygons = any(case.scene.support_directions for case in cases)
+        self._method = method_of(self.motion, self.stepper, self.solver, 4096, polygons)
         # Hashing and comparing scenes takes long: once for each case.
         number: dict[Any, int] = {}
         groups = [number.setdefault(_key(case.scene), len(number)) for case in cases]

@@ -50,6 +50,11 @@ CONTACT_FIELDS = np.dtype(
 )
 
 
+ALTERNATING_ADVICE: Final = (
+    "With support_directions, quasi-static motion may alternate between two velocities in very "
+    "short steps. Leave support_directions out, use a fixed step, or a tolerance of 0.1 % of the "
+    "size of the part."
+)
 NO_SLOPES: Final = "no derivatives: contact modes are lost, or one ends in a jump"
 # Verdicts of `Accuracy`.
 CERTIFIED: Final = "certified"
@@ -205,6 +210,9 @@ class Simulation(Result):
         if status == codes.MAX_STEPS and self.method.get("solver") == Lemke.name:
             return f"Lemke's method is for at most {Lemke.MAX_STEPS} steps. Use the solver newton."
         advice = codes.STATUS_ADVICE[status]
+        quasistatic = self.method.get("motion") == "quasistatic"
+        if status == codes.MAX_STEPS and quasistatic and self.scene.support_directions:
+            return ALTERNATING_ADVICE
         pushers = self.scene.pushers
         if status == codes.JAMMED and pushers and all(p.drive.force_limit for p in pushers):
             advice = codes.JAMMED_AT_LIMIT

@@ -49,9 +49,10 @@ from fixel.simulation.stepper import STEPPERS, AbstractStepper, Adaptive
 from fixel.simulation.threads import rollout_in_threads
 from fixel.simulation.trust import permit
 from fixel.simulation.vary import AS_IT_IS, Variation, check_one_pusher, variation_of
-from fixel.typing import FloatArray, IntArray
+from fixel.typing import FloatArray
 
 MAX_STEPS = 1_000_000  # of a stepper without a limit
+ALTERNATING_STEPS = 5_000  # of quasi-static motion with friction polygons, by default
 MAX_SAMPLES = 200_000
 USUAL_SAMPLES = 1_000  # steps of an adaptive stepper, of which most scenes take fewer
 INSTANT = 1e-6  # duration of a start-up simulation [s]: one step of any stepper
@@ -225,7 +226,8 @@ class Simulator:
         parts = (self.motion, self.stepper, self.solver)
         own = is_compiled(self.motion) and is_compiled(self.stepper) and is_compiled(self.solver)
         convert = _converted if own else _converted.__wrapped__
-        self._method, self._described = convert(*parts, max_contacts)
+        polygons = scene.support_directions is not None
+        self._method, self._described = convert(*parts, max_contacts, polygons)
         self._plain = plain or not own
 
     def run(
@@ -397,10 +399,7 @@ class Simulator:
         slopes = import_module("fixel.simulation.derivatives")  # late: few runs need it
         slopes.check_differentiable(scene, self.motion)
         duration: float = found["duration"]
-
-        def packed_of(nudges: Variation, rows: IntArray) -> PackedBatch:
-            return pack(scene, self.motion, self.stepper, nudges, len(rows), duration)
-
+        packed_of = functools.partial(pack, scene, self.motion, self.stepper, duration=duration)
         end = found["pose"][scene.bodies[0].name][None, -1:]
         slope, good = slopes.pose_slopes(
             scene, variation, names, packed_of, self._method, end, np.array([[duration]]), threads=1
@@ -459,11 +458,18 @@ def check_method(scene: Scene, solver: AbstractSolver) -> None:
 
 
 def method_of(
-    motion: AbstractMotionModel, stepper: AbstractStepper, solver: AbstractSolver, max_contacts: int
+    motion: AbstractMotionModel,
+    stepper: AbstractStepper,
+    solver: AbstractSolver,
+    max_contacts: int,
+    polygons: bool = False,
 ) -> StepMethod:
-    """Convert a method for the kernels."""
+    """Convert a method for the kernels; `polygons` for supports with `support_directions`."""
     effort = solver.max_sweeps if isinstance(solver, GaussSeidel) else 0
     max_steps = stepper.max_steps if isinstance(stepper, Adaptive) else MAX_STEPS
+    usual = isinstance(stepper, Adaptive) and max_steps == DEFAULT_STEPPER.max_steps
+    if polygons and usual and motion.kind == codes.QUASI_STATIC:
+        max_steps = ALTERNATING_STEPS
     if isinstance(solver, Lemke):
         max_steps = min(max_steps, solver.MAX_STEPS)
     return StepMethod(
@@ -645,7 +651,11 @@ def _contact_table(values: FloatArray, time: FloatArray) -> NDArray[np.void]:
 
 @functools.lru_cache(maxsize=16)
 def _converted(
-    motion: AbstractMotionModel, stepper: AbstractStepper, solver: AbstractSolver, max_contacts: int
+    motion: AbstractMotionModel,
+    stepper: AbstractStepper,
+    solver: AbstractSolver,
+    max_contacts: int,
+    polygons: bool,
 ) -> tuple[StepMethod, Mapping[str, Any]]:
     """Return a method for the kernels; and its names and options, sufficient to run it again."""
     described: dict[str, Any] = {}
@@ -655,4 +665,4 @@ def _converted(
         if is_dataclass(part):
             own = ((f.name, getattr(part, f.name)) for f in fields(part))
             described |= {f"{role}.{name}": value for name, value in own}
-    return method_of(motion, stepper, solver, max_contacts), described
+    return method_of(motion, stepper, solver, max_contacts, polygons), described

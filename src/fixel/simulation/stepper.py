@@ -107,6 +107,11 @@ class StepLimits(NamedTuple):
 class _BuiltInStepper(AbstractStepper):
     """Stepper that the compiled loop knows."""
 
+    @property
+    def first_step(self) -> float | None:
+        step: float | None = getattr(self, "step", None)
+        return step
+
     def advance(
         self, attempt: TryStep, problem: Problem, past: StepHistory, step: float, limits: StepLimits
     ) -> StepResult:
@@ -174,10 +179,6 @@ class StewartTrinkle(_BuiltInStepper):
     def __post_init__(self) -> None:
         _check_step("StewartTrinkle.step", self.step)
 
-    @property
-    def first_step(self) -> float | None:
-        return self.step
-
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -195,10 +196,6 @@ class Midpoint(_BuiltInStepper):
 
     def __post_init__(self) -> None:
         _check_step("Midpoint.step", self.step)
-
-    @property
-    def first_step(self) -> float | None:
-        return self.step
 
 
 @final
@@ -222,7 +219,8 @@ class Adaptive(_BuiltInStepper):
         characteristic length.
     max_steps : int
         Maximum number of steps, after which the rollout ends with the status ``max_steps``. A grasp
-        takes about a hundred; a measured path one or two for each of its samples.
+        takes about a hundred; a measured path one or two for each of its samples. The default is
+        5,000 for quasi-static motion with `support_directions`.
 
     Examples
     --------
@@ -255,10 +253,6 @@ class Adaptive(_BuiltInStepper):
             raise InvalidInput(
                 "Adaptive.max_steps", found=self.max_steps, expected="a whole number of at least 1"
             )
-
-    @property
-    def first_step(self) -> float | None:
-        return None
 
 
 def stepper_of(step: float | None, tolerance: float | None) -> AbstractStepper | None:
