@@ -385,6 +385,14 @@ def counted(number: object, what: str) -> str:
     return f"{number} {what}{'' if str(number) == '1' else ending}"
 
 
+LIST_EXPERIMENTS: Final = "fixel list shows all experiments"
+
+
+def no_experiments(found: str = "none", expected: str = "at least one experiment") -> InvalidInput:
+    """Return the error for a request without experiments."""
+    return InvalidInput("experiments", found=found, expected=expected, hint=LIST_EXPERIMENTS)
+
+
 def unknown_name(where: str, name: object, known: Iterable[str], *, more: str = "") -> InvalidInput:
     """Return the error for an unknown name: it lists the known names and hints at the closest.
 

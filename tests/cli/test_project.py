@@ -84,6 +84,7 @@ def test_a_plan_on_the_simulated_testbed(lab, capsys):
     done = json_of(capsys, "testbed", "run", "--project", lab, "--limit", "3", "--seed", "5")
     assert done["new"] == 3
     assert json_of(capsys, "testbed", "run", "-p", lab, "--limit", "3", "--seed", "5")["known"] == 3
+    assert "--seed" in refusal(capsys, "testbed", "run", "-p", lab, "--seed", "-1")
     out = output(capsys, "list", "--project", lab)
     assert out.count("SIMULATED") == 3
     assert json_of(capsys, "list", "--project", lab, "--real")["total"] == 0

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, no_experiments
 from fixel.model import Experiment, LineDrive, Scene, Trajectory, pose_error
 from fixel.model.fields import instance
 from fixel.simulation.rollouts import RolloutCase
@@ -61,12 +61,7 @@ def targets_of(experiments: Iterable[Experiment | Target]) -> list[Target]:
         instance(own, Experiment | Target, "experiments", "experiments")
         targets.append(own if isinstance(own, Target) else target_of(own))
     if not targets:
-        raise InvalidInput(
-            "experiments",
-            found="none",
-            expected="at least one experiment",
-            hint="fixel list shows all experiments",
-        )
+        raise no_experiments()
     return targets
 
 

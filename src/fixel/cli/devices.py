@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fixel.cli.options import AsJson, ProjectFolder, argument, option, with_options
+from fixel.cli.options import CAMERA, AsJson, ProjectFolder, argument, option, with_options
 from fixel.cli.screen import (
     command_line,
     command_of,
@@ -351,11 +351,7 @@ def overlay(
         dir_okay=False,
         show_default=False,
     ),
-    camera: str = option(
-        "0",
-        "Camera (0, /dev/video0, http://...), video file or folder of a recording.",
-        metavar="SOURCE",
-    ),
+    camera: Annotated[str, CAMERA] = "0",
     experiment: str | None = option(
         None, "Stored experiment, instead of a scene file.", metavar="KEY"
     ),

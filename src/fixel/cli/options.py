@@ -24,6 +24,10 @@ ProjectPlace = Annotated[
     Path | None, typer.Argument(help="Same as --project.", metavar="[PROJECT]", show_default=False)
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the answer as one JSON object.")]
+CAMERA: Final = typer.Option(
+    help="Camera (0, /dev/video0, http://...), video file or folder of a recording.",
+    metavar="SOURCE",
+)
 Seed = Annotated[int, typer.Option(help="Seed of the random number generator.", min=0)]
 
 

@@ -316,7 +316,7 @@ def export(
     scenes: int = option(
         100, "Number of scenes on which the engine is compared with fixel, with --to."
     ),
-    seed: int = option(0, "Seed of the random number generator, with --to."),
+    seed: int = option(0, "Seed of the random number generator, with --to.", min=0),
     as_json: AsJson = False,
 ) -> None:
     """Export experiments, or a scene as a model for an engine."""

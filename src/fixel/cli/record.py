@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fixel.cli.camera import picture_size
-from fixel.cli.options import AsJson, ProjectFolder, option, required, with_options
+from fixel.cli.options import CAMERA, AsJson, ProjectFolder, option, required, with_options
 from fixel.cli.screen import command_line, command_of, notify, print_answer, wrote
 from fixel.errors import InvalidInput
 from fixel.progress import show_progress
@@ -46,11 +46,7 @@ Folder = Annotated[
 class RecordOptions:
     """Options of `fixel record`."""
 
-    camera: str | None = option(
-        None,
-        "Camera (0, /dev/video0, http://...), video file or folder of a recording.",
-        metavar="SOURCE",
-    )
+    camera: Annotated[str | None, CAMERA] = None
     out: Path | None = option(None, "New folder for the recording.", metavar="FOLDER")
     tactile: str | None = option(
         None,

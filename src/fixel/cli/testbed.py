@@ -29,7 +29,7 @@ def run_plan(
         None, "Plan file; by default the 420 experiments of the thesis.", metavar="[PLAN]"
     ),
     folder: ProjectFolder = Path(),
-    seed: int = option(1, "Seed of the random number generator."),
+    seed: Seed = 1,
     uneven_table: float = option(
         0.0, "Standard deviation of the logarithm of loads by place; 0 for a flat table.", min=0.0
     ),

@@ -13,7 +13,7 @@ import sqlalchemy as sa
 
 from fixel.database import rows, tables
 from fixel.database.engine import insert_one
-from fixel.errors import InvalidInput, NotStored
+from fixel.errors import LIST_EXPERIMENTS, InvalidInput, NotStored
 from fixel.model import Flag
 
 MAX_TEXT = 10_000  # characters of a note
@@ -133,5 +133,5 @@ def _known(
     wanted = sorted(set(numbers))
     found = set(connection.scalars(sa.select(table.c.id).where(table.c.id.in_(wanted))))
     if missing := [number for number in wanted if number not in found]:
-        raise NotStored(f"{what} {missing[0]}", hint="fixel list shows all experiments")
+        raise NotStored(f"{what} {missing[0]}", hint=LIST_EXPERIMENTS)
     return wanted

@@ -16,7 +16,7 @@ import sqlalchemy as sa
 from fixel.database import arrays, browsing, marks, rows, schema, tables
 from fixel.database.engine import insert_one, open_engine, reading, set_journal, writing
 from fixel.database.query import LIVE
-from fixel.errors import InvalidInput, NotStored, StoreRefused, closest
+from fixel.errors import LIST_EXPERIMENTS, InvalidInput, NotStored, StoreRefused, closest
 from fixel.io.damaged_files import INVALID_CONTENT, one_line
 from fixel.model import Experiment, Flag, Scene, records
 
@@ -237,7 +237,7 @@ class Store:
         known = {name: f"{dataset}/{name}" for dataset, name in keys}
         known |= {whole: whole for whole in known.values()}
         meant = closest(key, known)
-        return meant and f"did you mean {known[meant]!r}? fixel list shows all experiments"
+        return meant and f"did you mean {known[meant]!r}? {LIST_EXPERIMENTS}"
 
     def _has(self, experiment_id: int) -> bool:
         key = tables.experiment.c.id
@@ -537,4 +537,4 @@ def _row(connection: sa.Connection, table: sa.Table, number: int) -> sa.Row[Any]
 
 
 def _absent(what: str, hint: str | None = None) -> NotStored:
-    return NotStored(what, hint=hint or "fixel list shows all experiments")
+    return NotStored(what, hint=hint or LIST_EXPERIMENTS)

@@ -135,7 +135,7 @@ class GrblLink:
         try:
             self._converse()
         except Exception as problem:  # otherwise the caller would wait for a move without end
-            self._lose(f"the connection to the controller was lost: {problem}")
+            self._lose(problem)
 
     def _converse(self) -> None:
         self._port.timeout = TURN
@@ -149,7 +149,7 @@ class GrblLink:
                         self._hear(line)
                     self._feed()
             except (OSError, TypeError) as problem:  # TypeError: closed while pyserial reads
-                self._lose(f"the connection to the controller was lost: {problem}")
+                self._lose(problem)
 
     def _ask(self) -> None:
         now = time.monotonic()
@@ -237,11 +237,12 @@ class GrblLink:
         try:
             self._port.write(data)
         except OSError as problem:
-            self._lose(f"the connection to the controller was lost: {problem}")
+            self._lose(problem)
 
-    def _lose(self, why: str) -> None:
+    def _lose(self, problem: Exception) -> None:
         with self.changed:
-            self.lost, self.trouble = True, why
+            self.lost = True
+            self.trouble = f"the connection to the controller was lost: {problem}"
             self.changed.notify_all()
 
 

@@ -19,7 +19,7 @@ from fixel.calibration.target import Target, spread_sample, target_of, targets_o
 from fixel.calibration.usual_parameters import Space, default_unknowns, search_space
 from fixel.database.project import SETTINGS, Project, check_known_names
 from fixel.database.store import Store
-from fixel.errors import FixelError, Interrupted, InvalidInput
+from fixel.errors import FixelError, Interrupted, InvalidInput, no_experiments
 from fixel.formats.dakota_file import load_dakota
 from fixel.io.array_bytes import arrays_of
 from fixel.io.journal import read_journal
@@ -240,12 +240,8 @@ def select_experiments(
             left_out[experiment.key] = str(problem)
     if not targets:
         reason = next(iter(left_out.values()), "")
-        raise InvalidInput(
-            "experiments",
-            found=f"none to calibrate with{f' ({reason})' if reason else ''}",
-            expected="one at least with a scene and measured poses",
-            hint="fixel list shows all experiments",
-        )
+        found = f"none to calibrate with{f' ({reason})' if reason else ''}"
+        raise no_experiments(found, "one at least with a scene and measured poses")
     return ExperimentSelection(ids=list(targets), targets=list(targets.values()), left_out=left_out)
 
 

@@ -27,7 +27,7 @@ from fixel.domain.held_out import (
     held_out,
     noise_floor,
 )
-from fixel.errors import InvalidInput, counted
+from fixel.errors import InvalidInput, counted, no_experiments
 from fixel.io.array_bytes import ResultCache
 from fixel.io.atomic import write_whole
 from fixel.io.damaged_files import readable
@@ -60,12 +60,7 @@ def gather(project: Project, asked: Any, report: ProgressCallback | None = None)
         of = ProjectRequest(project, records, asked)
         ids = [row.id for row in records.experiments(of.query).rows]
         if not ids:
-            raise InvalidInput(
-                "experiments",
-                found="none",
-                expected="some",
-                hint="fixel list shows all experiments",
-            )
+            raise no_experiments()
         mark = mark_of(of, ids)
         folder = project.folder / ANALYSES / FOLDER / mark
         if _read(folder) is None:

@@ -19,7 +19,7 @@ from fixel.database.project import Project, stored_experiments
 from fixel.datasets import IMPORTERS, Experiments
 from fixel.datasets.table import CsvTable
 from fixel.drawing.chart import require_file
-from fixel.errors import InvalidInput, NotStored, require, unknown_name
+from fixel.errors import LIST_EXPERIMENTS, InvalidInput, NotStored, require, unknown_name
 from fixel.formats.frames_file import folder_whole, refuse_folder, write_frames
 from fixel.formats.lerobot import write_lerobot
 from fixel.model import Experiment
@@ -169,7 +169,7 @@ def _bundled(
 def _refuse_none(n: int, dataset: str | None) -> None:
     if not n:
         what = "experiments" if dataset is None else f"experiments of dataset {dataset!r}"
-        raise NotStored(what, hint="fixel list shows all experiments")
+        raise NotStored(what, hint=LIST_EXPERIMENTS)
 
 
 def _written(

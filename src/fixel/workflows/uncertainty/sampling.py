@@ -18,7 +18,7 @@ from fixel.calibration.target import Target, target_of
 from fixel.calibration.usual_parameters import default_unknowns
 from fixel.database.project import Project
 from fixel.database.store import Store
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, no_experiments
 from fixel.model import Experiment
 from fixel.model.selection import ExperimentQuery
 from fixel.model.space import ParameterSpace
@@ -204,12 +204,7 @@ def _ids(store: Store, keys: Sequence[str], one: CalibratedValues | None) -> lis
     listed = store.experiments(ExperimentQuery(limit=2)).rows
     if len(listed) == 1:
         return [listed[0].id]
-    raise InvalidInput(
-        "experiments",
-        found="none",
-        expected="at least one, or a calibration whose experiments are used",
-        hint="fixel list shows all experiments",
-    )
+    raise no_experiments(expected="at least one, or a calibration whose experiments are used")
 
 
 def _space(
