@@ -41,8 +41,6 @@ MIN_MARGIN: Final = -1e6
 
 CHUNK: Final = 1 << 15  # poses at a time, which bounds the memory of margins to about 100 MB
 
-Moved = FloatArray | None  # (n, n_fixel, 3) displacements of fixels [m, m, rad]
-
 
 class BodyTrack(NamedTuple):
     """Motion of one body in n simulations, on which goals are judged.
@@ -56,7 +54,8 @@ class BodyTrack(NamedTuple):
     pose: FloatArray  # (n, n_time, 3) poses in time, the last one at the end [m, m, rad]
     stalled: BoolArray | None = None  # (n,) whether the drive stalled at the end
     force: FloatArray | None = None  # (n,) largest force of the drive [N]
-    fixels: Moved = None  # without use of rotations
+    # (n, n_fixel, 3) displacements of fixels [m, m, rad], whose rotations are not used.
+    fixels: FloatArray | None = None
 
     @classmethod
     def of_ends(cls, poses: ArrayLike) -> BodyTrack:
@@ -142,8 +141,10 @@ class Clause(Goal):
             values[rows] = np.maximum(margins, MIN_MARGIN)
         return np.asarray(values.reshape(pose.shape[:2]).min(axis=1))
 
-    def _margins(self, scene: Scene, body: Body, poses: FloatArray, fixels: Moved) -> FloatArray:
-        """Return the margins (n,) of poses (n, 3), with displacements of fixels."""
+    def _margins(
+        self, scene: Scene, body: Body, poses: FloatArray, fixels: FloatArray | None
+    ) -> FloatArray:
+        """Return the margins (n,) of poses (n, 3), with displacements (n, n_fixel, 3) of fixels."""
         raise NotImplementedError
 
 
@@ -204,7 +205,9 @@ class PoseRegion(Clause):
         offset = centroids(body, np.column_stack((np.zeros((self.symmetry, 2)), angle)))
         return np.column_stack((centre - offset, angle))
 
-    def _margins(self, scene: Scene, body: Body, poses: FloatArray, fixels: Moved) -> FloatArray:
+    def _margins(
+        self, scene: Scene, body: Body, poses: FloatArray, fixels: FloatArray | None
+    ) -> FloatArray:
         margin = np.ones(len(poses))
         if self.position is not None:
             apart = centroids(body, poses) - placed(body.shape.centroid, self.pose)
@@ -297,7 +300,9 @@ class Seated(Clause):
             )
         return np.minimum(margin, np.where(stalled, 1.0, -1.0))
 
-    def _margins(self, scene: Scene, body: Body, poses: FloatArray, fixels: Moved) -> FloatArray:
+    def _margins(
+        self, scene: Scene, body: Body, poses: FloatArray, fixels: FloatArray | None
+    ) -> FloatArray:
         tolerance = tolerance_of(self.tolerance, body)
         known = [fixel.name for fixel in scene.fixels]
         for name in self.fixels:
@@ -344,7 +349,9 @@ class Inside(Clause):
         settle(self, region=region if isinstance(region, Polygon) else Polygon(region))
         check_fields(self, "goal")
 
-    def _margins(self, scene: Scene, body: Body, poses: FloatArray, fixels: Moved) -> FloatArray:
+    def _margins(
+        self, scene: Scene, body: Body, poses: FloatArray, fixels: FloatArray | None
+    ) -> FloatArray:
         return 1.0 + _clearance(self.region, body, poses) / tolerance_of(self.tolerance, body)
 
     def __str__(self) -> str:
@@ -396,7 +403,9 @@ class Beyond(Clause):
         inward = np.array([[-along[1], along[0]]])
         return inward, inward @ self.line[0]
 
-    def _margins(self, scene: Scene, body: Body, poses: FloatArray, fixels: Moved) -> FloatArray:
+    def _margins(
+        self, scene: Scene, body: Body, poses: FloatArray, fixels: FloatArray | None
+    ) -> FloatArray:
         points = _points(body) if self.feature is None else self.feature[None]
         radius = _round(body) if self.feature is None else 0.0
         distance = _least_distance(points, poses, *self.half_plane) - radius
@@ -441,7 +450,9 @@ class Contact(Clause):
     def __post_init__(self) -> None:
         check_fields(self, "goal")
 
-    def _margins(self, scene: Scene, body: Body, poses: FloatArray, fixels: Moved) -> FloatArray:
+    def _margins(
+        self, scene: Scene, body: Body, poses: FloatArray, fixels: FloatArray | None
+    ) -> FloatArray:
         gap = gap_to(scene, body, self.fixel, poses, fixels)
         return gap / tolerance_of(self.tolerance, body) - 1.0
 
@@ -482,7 +493,9 @@ class Exit(Clause):
         inside = Inside(self.region, self.tolerance)
         settle(self, region=inside.region, tolerance=inside.tolerance)
 
-    def _margins(self, scene: Scene, body: Body, poses: FloatArray, fixels: Moved) -> FloatArray:
+    def _margins(
+        self, scene: Scene, body: Body, poses: FloatArray, fixels: FloatArray | None
+    ) -> FloatArray:
         return Inside(self.region, self.tolerance)._margins(scene, body, poses, fixels)
 
     def __str__(self) -> str:
@@ -676,9 +689,12 @@ def centroids(body: Body, poses: FloatArray) -> FloatArray:
 
 
 def gap_to(
-    scene: Scene, body: Body, name: str, poses: FloatArray, fixels: Moved = None
+    scene: Scene, body: Body, name: str, poses: FloatArray, fixels: FloatArray | None = None
 ) -> FloatArray:
-    """Return the gaps (n,) of a body at poses (n, 3) to a fixel [m], negative in overlap."""
+    """Return the gaps (n,) of a body at poses (n, 3) to a fixel [m], negative in overlap.
+
+    `fixels` (n, n_fixel, 3) are displacements of the fixels from their places in the scene.
+    """
     check_fixel(name, scene)
     k = [fixel.name for fixel in scene.fixels].index(name)
     if fixels is not None:
@@ -686,8 +702,13 @@ def gap_to(
     return -overlaps(body.shape, poses, scene.fixels[k].shape, scene.fixels[k].pose).depth
 
 
-def touching(scene: Scene, body: Body, poses: FloatArray, fixels: Moved = None) -> BoolArray:
-    """Return the contacts (n, n_fixel) of a body with the fixels of its scene at poses (n, 3)."""
+def touching(
+    scene: Scene, body: Body, poses: FloatArray, fixels: FloatArray | None = None
+) -> BoolArray:
+    """Return the contacts (n, n_fixel) of a body with the fixels of its scene at poses (n, 3).
+
+    `fixels` (n, n_fixel, 3) are displacements of the fixels from their places in the scene.
+    """
     tolerance = tolerance_of(None, body)
     gaps = [gap_to(scene, body, fixel.name, poses, fixels) for fixel in scene.fixels]
     return np.array([gap < tolerance for gap in gaps], bool).reshape(len(gaps), len(poses)).T

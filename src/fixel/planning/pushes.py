@@ -14,7 +14,6 @@ import shapely
 from fixel.errors import InvalidInput, unknown_name
 from fixel.model import Body, Disk, LineDrive, PathDrive, Polygon, Pusher, Scene, Shape
 from fixel.model.fields import Value, check_fields, instance, non_negative, positive, settle
-from fixel.model.goals import Moved
 from fixel.model.overlap import overlaps, turned
 from fixel.model.scene import check_push
 from fixel.planning.simplified import MANY
@@ -469,7 +468,9 @@ def swept(path: FloatArray, steps: int = 24) -> FloatArray:
     return np.concatenate(ways, axis=1)
 
 
-def fixel_overlap(scene: Scene, shape: Shape, poses: FloatArray, fixels: Moved) -> FloatArray:
+def fixel_overlap(
+    scene: Scene, shape: Shape, poses: FloatArray, fixels: FloatArray | None
+) -> FloatArray:
     """Return the deepest overlap (n,) of a shape at poses (n, k, 3) with fixels [m]."""
     deepest = np.full(len(poses), -np.inf)
     for k, fixel in enumerate(scene.fixels):

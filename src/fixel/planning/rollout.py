@@ -11,7 +11,7 @@ import numpy as np
 
 from fixel.kernels import codes
 from fixel.model import Scene, Shape
-from fixel.model.goals import BodyTrack, Goal, Moved, tolerance_of, touching
+from fixel.model.goals import BodyTrack, Goal, tolerance_of, touching
 from fixel.model.overlap import overlaps
 from fixel.model.trajectory import wrapped
 from fixel.planning.belief import Scenarios, rows_of
@@ -372,7 +372,9 @@ def part_overlap(scene: Scene, poses: FloatArray, fixels: FloatArray | None) -> 
     return fixel_overlap(scene, scene.bodies[0].shape, poses[:, None], fixels)
 
 
-def _summed(planned: Moved, which: IntArray, errors: Moved) -> Moved:
+def _summed(
+    planned: FloatArray | None, which: IntArray, errors: FloatArray | None
+) -> FloatArray | None:
     if planned is None:
         return errors
     return planned[which] if errors is None else planned[which] + errors

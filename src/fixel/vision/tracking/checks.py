@@ -31,6 +31,14 @@ UNWATCHED: Final = "No tag on the plate is visible, so motion of the camera cann
 VAGUE: Final = 0.5e-3  # [m] largest error of a registered camera at that height
 
 
+def check_size(rig: Rig, frame: Frame) -> None:
+    """Raise for pictures of another size than those of the rig's camera."""
+    try:
+        rig.camera.lens.for_pictures_of(frame.size)
+    except InvalidInput as problem:
+        raise problem.within(f"rig {rig.name!r}") from None
+
+
 def bad_light(frame: Frame) -> str:
     """Return a remedy for a picture that is nearly all dark or white; empty for others."""
     level = np.percentile(frame.luma[::8, ::8], (50.0, 95.0))

@@ -152,7 +152,7 @@ def things_of(scene: Scene) -> dict[str, Thing]:
 
 def _checked(rig: Rig, frame: Frame, *, register: bool) -> tuple[Rig, list[str]]:
     """Check the first frame; return the rig, with its camera registered, and remarks."""
-    rig.camera.lens.for_pictures_of(frame.size)
+    checks.check_size(rig, frame)
     if not register:
         watched = checks.check_camera_place(rig, frame) or not rig.plate
         return rig, [] if watched else [checks.UNWATCHED]
@@ -361,7 +361,7 @@ class Locator:
     def see(self, frame: Frame) -> FramePoses:
         """Locate parts and fixels in a frame."""
         try:
-            self.rig.camera.lens.for_pictures_of(frame.size)
+            checks.check_size(self.rig, frame)
             parts = {
                 name: sight
                 for follower in self._followers

@@ -131,8 +131,11 @@ def _looks(name: str, rig: Rig) -> CameraEffects:
         return looks_named("microscope" if small else "thesis")
     looks = looks_named(name)
     if (looks.lighting == "through") != small:
-        expected = "looks microscope or microscope-clean for a microscope, others for a bench"
-        raise InvalidInput("looks", found=f"{name!r} with the rig {rig.name}", expected=expected)
+        raise InvalidInput(
+            "looks",
+            found=f"{name!r} with the rig {rig.name}",
+            expected="looks microscope or microscope-clean for a microscope, others for a bench",
+        )
     return looks
 
 
@@ -403,9 +406,12 @@ def _again(experiment: Experiment) -> FilmScene:
 
 
 def _check_simulated(experiment: Experiment) -> None:
+    """Raise for an experiment that the simulated testbed did not perform."""
     known = experiment.scene is not None and f"{TRUTH}final_x_m" in experiment.conditions
     if experiment.real or not known:
-        found = "a real experiment" if experiment.real else "one whose true motion is unknown"
-        expected, hint = "one of the simulated testbed", "perform some: fixel testbed run"
-        where = f"experiment {experiment.key}"
-        raise InvalidInput(where, found=found, expected=expected, hint=hint)
+        raise InvalidInput(
+            f"experiment {experiment.key}",
+            found="a real experiment" if experiment.real else "one whose true motion is unknown",
+            expected="one of the simulated testbed",
+            hint="perform some: fixel testbed run",
+        )
