@@ -31,6 +31,8 @@ class Door:
     flag: str = ""
     # Other flags of the same option: a letter such as `-n`, or the name in earlier versions.
     also: tuple[str, ...] = ()
+    # Meaning of an option that several capabilities share, unless the docstring states another.
+    meaning: str = ""
     metavar: str = ""  # form of the value, such as `NAME=LOW:HIGH`
     usual: str = ""  # words for a default that is found when the command runs
     unit: str = ""  # unit at commands and pages; the value itself is in SI units
@@ -58,7 +60,7 @@ class Option:
     name: str  # name of the argument; `group.field` for a field of a dataclass
     plain: Any  # annotated type in a request
     default: Any
-    meaning: str  # sentences of the docstring
+    meaning: str  # sentences of the docstring or the annotation
     required: bool = False
     place: bool = False  # whether it is typed without a flag
     door: Door = field(init=False)
@@ -176,7 +178,7 @@ def options_of(function: Callable[..., Any], *, leave_out: Sequence[str] = ()) -
                 name=name,
                 plain=plain,
                 default=default,
-                meaning=said.get(name, ""),
+                meaning=said.get(name) or door_of(hint).meaning,
                 required=required,
                 place=own.kind is own.POSITIONAL_OR_KEYWORD,
             )

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from fixel.calibration.noise import Noise
     from fixel.simulation.motion import AbstractMotionModel
 
-Seed = Annotated[int, Door(least=0)]
+Seed = Annotated[int, Door(least=0, meaning="Seed of the random numbers.")]
 Level = Annotated[float, Door(above=0.0, below=1.0)]
 Threads = Annotated[int | None, Door(least=1, effort=True)]
 Save = Annotated[bool, Door(effort=True)]
@@ -23,10 +23,17 @@ MotionName = Annotated["AbstractMotionModel | str | None", Door(plain=str | None
 Fit = Annotated[tuple[str, ...], Door(metavar="NAME[=LOW:HIGH[:START]]")]
 CalibrationId = Annotated[int | None, Door(metavar="ID", least=1)]
 
-# Options that select experiments; their meaning is in the docstring of each function.
-Dataset = Annotated[str, Door(metavar="NAME")]
-Where = Annotated[tuple[str, ...], Door(metavar="FILTER")]
-Flagged = Annotated[bool, Door(flag="--all")]
+# Options that select experiments.
+Dataset = Annotated[str, Door(metavar="NAME", meaning="Select only experiments of this dataset.")]
+Where = Annotated[
+    tuple[str, ...],
+    Door(
+        metavar="FILTER",
+        meaning='Select experiments that match, such as "surface=abs error>5 real"; '
+        "may be repeated.",
+    ),
+]
+Flagged = Annotated[bool, Door(flag="--all", meaning="Include experiments whose data have faults.")]
 Names = Annotated[Sequence[str], Door(plain=tuple[str, ...], metavar="NAME[,NAME]", commas=True)]
 # Engine of a stored calibration, or of its simulations; empty for none.
 EngineName = Annotated[str, Door(metavar="NAME", program=True)]

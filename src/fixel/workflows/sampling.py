@@ -98,8 +98,6 @@ def sample(
         orientations of the table.
     simulate : bool
         Whether to simulate every experiment and check that the object touches a fixel.
-    progress : object
-        Not used: it takes seconds.
     """
     from fixel.datasets.plan_table import write_rows
     from fixel.drawing.chart import require_file

@@ -135,8 +135,6 @@ def simulate_scene(
     derivatives : sequence of str
         Differentiate the final pose by this parameter, or by x, y, theta of the start; may be
         repeated.
-    progress : bool or callable, optional
-        Not used.
     """
     from fixel.formats.scene_file import load_scene, split_settings
     from fixel.simulation.stepper import stepper_of

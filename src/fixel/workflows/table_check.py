@@ -101,12 +101,6 @@ def check_stored(
 
     Parameters
     ----------
-    where : sequence of str
-        Select experiments that match, such as "surface=abs real"; may be repeated.
-    flagged : bool
-        Include experiments whose data have faults.
-    progress : object
-        Not used: it takes seconds.
     **options
         Options of `fixel.table_check`.
 

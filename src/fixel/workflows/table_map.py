@@ -161,12 +161,6 @@ def table_map_stored(
 
     Parameters
     ----------
-    dataset : str
-        Select only experiments of this dataset.
-    where : sequence of str
-        Select experiments that match, such as "surface=abs real"; may be repeated.
-    flagged : bool
-        Include experiments whose data have faults.
     out : Path, optional
         File to which the map is saved.
     **options

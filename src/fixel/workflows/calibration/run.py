@@ -253,7 +253,6 @@ def calibrate_in_project(
 
     Parameters
     ----------
-    project : Project
     experiments : tuple of str
         Ids or names of experiments; by default all that match the options.
     mode : str, optional
@@ -273,19 +272,8 @@ def calibrate_in_project(
         Option of the optimiser; may be repeated.
     sample : int, optional
         Number of experiments in a random sample, spread over their conditions.
-    dataset : str
-        Dataset whose experiments are selected.
-    where : tuple of str
-        Filter that experiments match, such as "surface=abs error>5 real"; may be repeated.
-    flagged : bool
-        Whether to include experiments whose data have faults.
     **options
         Options of `calibrate`.
-
-    Returns
-    -------
-    Calibrations
-        The stored calibrations.
 
     Raises
     ------

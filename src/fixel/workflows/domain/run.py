@@ -174,12 +174,6 @@ def map_stored(
         Use the newest calibration by this engine, such as mujoco.
     apart : sequence of str
         Conditions with a parameter set for each of their values, such as surface,shape.
-    dataset : str
-        Select only experiments of this dataset.
-    where : sequence of str
-        Select experiments that match, such as "surface=abs error>5 real"; may be repeated.
-    flagged : bool
-        Include experiments whose data have faults.
     **options
         Options of `fixel.map_domain`.
 

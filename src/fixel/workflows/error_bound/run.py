@@ -142,12 +142,6 @@ def bound_stored(
         Parameter to calibrate, instead of those of the calibration; may be repeated.
     engine : str
         Use the newest calibration by this engine, such as mujoco.
-    dataset : str
-        Select only experiments of this dataset.
-    where : sequence of str
-        Select experiments that match, such as "surface=abs error>5 real"; may be repeated.
-    flagged : bool
-        Include experiments whose data have faults.
     **options
         Options of `fixel.error_bound`.
 

@@ -33,12 +33,8 @@ def grow_stored(
 
     Parameters
     ----------
-    project : Project
-        Project with experiments of a plan and single calibrations of each.
     shape : str
         Select experiments with this shape only.
-    dataset : str
-        Select only experiments of this dataset.
     index : str
         Order of the rows: corrected, or printed as in the code of the thesis, with theta one row
         too early.

@@ -64,10 +64,6 @@ def propose_pushes(
         Speed of the pusher.
     radius : float, optional
         Radius of the pusher.
-    where : tuple of str
-        Filters that select experiments, such as "surface=abs error>5 real".
-    seed : int
-        Seed of the random numbers.
     out : Path, optional
         Plan file, .yaml, to which the proposed pushes are written.
 

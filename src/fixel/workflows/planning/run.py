@@ -167,7 +167,6 @@ def plan_goal(
 
     Parameters
     ----------
-    project : Project, optional
     goal : str
         Goal file, or the content of one in JSON.
     scene : Path, optional
