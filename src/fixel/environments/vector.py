@@ -257,11 +257,7 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
 class SingleEnv(gym.Env[Any, Any]):
     """Base class of one environment, a `BatchEnv` of one.
 
-    Parameters
-    ----------
-    kind : type of BatchEnv
-    **options
-        Those of `kind`, without truncation and autoreset, which are Gymnasium's own.
+    Options are those of its `kind`, without truncation and autoreset, which are Gymnasium's own.
     """
 
     metadata = METADATA
@@ -355,11 +351,8 @@ _OF_ONE_PART: Final = ("tripod_", "support_", "ellipsoid_")
 class WorldDraws:
     """Parameters of a scene in n environments, drawn again for each episode.
 
-    Raises
-    ------
-    InvalidInput
-        No draw can be simulated with the scene, a name does not suit it, or the support was
-        calibrated on a part with another outline.
+    Raise `InvalidInput` if no draw can be simulated with the scene, a name does not suit it, or the
+    support was calibrated on a part with another outline.
     """
 
     def __init__(self, scene: Scene, parameters: Any, n: int) -> None:

@@ -171,14 +171,7 @@ class GoalFile:
 def load_goal(path: str | Path) -> GoalFile:
     r"""Load a goal file: YAML, or JSON if the name ends in `.json`.
 
-    Returns
-    -------
-    GoalFile
-
-    Raises
-    ------
-    InvalidInput
-        The first error, with the path of its key.
+    Raise `InvalidInput` for the first error, with the path of its key.
 
     Examples
     --------

@@ -184,10 +184,7 @@ class Explanation(Result):
     def with_worth(self, other: Explanation) -> Explanation:
         """Return this explanation with the worth of measuring from another one.
 
-        Parameters
-        ----------
-        other : Explanation
-            Explanation of the same plan from scenarios in which it is compared with other plans.
+        The other one is of the same plan, from scenarios in which it is compared with other plans.
         """
         worth = {own.name: (own.worth, own.worth_error) for own in other.effects}
         effects = []

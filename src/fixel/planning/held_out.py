@@ -98,16 +98,8 @@ def held_success(
 ) -> HeldSuccess:
     """Compare stated with held success in choices among experiments that were left out.
 
-    Parameters
-    ----------
-    fit : callable
-        Function `(experiments, seed) -> calibrated model` that calibrates each fold.
-    experiments : sequence of Experiment
-        Pushes, at least 20.
-    position, angle : float
-        Tolerances of the goals [m], [rad].
-    seed : int
-        Seed of the random numbers.
+    The function `fit` calibrates each fold: `(experiments, seed) -> calibrated model`. There are at
+    least 20 pushes. Goals have the tolerances `position` [m] and `angle` [rad].
     """
     positive(position, "position", "m"), positive(angle, "angle", "rad")
     if len(experiments) < LEAST:

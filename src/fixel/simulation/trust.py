@@ -127,13 +127,7 @@ def repeatable(command: object) -> str:
 
 
 def trust_program(text: str) -> TrustedEntry:
-    """Add a program to the user's list, with the present content of its files.
-
-    Parameters
-    ----------
-    text : str
-        Path of the program, with arguments as in `./mine.py:fast`.
-    """
+    """Add a program, such as `./mine.py:fast`, to the user's list, with its files as they are."""
     return trust(_content(command_of(_program(text))))
 
 
@@ -168,10 +162,7 @@ def trusted_entries() -> list[TrustedEntry]:
 def distrust(text: str) -> list[TrustedEntry]:
     """Remove a program from the list, with all contents that it has had; return the entries.
 
-    Parameters
-    ----------
-    text : str
-        Program, as for `trust_program`, folder of a project, or the text of an entry.
+    The text is a program, as for `trust_program`, the folder of a project, or that of an entry.
     """
     texts = {text, os.path.realpath(text)}
     if EngineName.of(text).is_program:

@@ -124,11 +124,8 @@ def sobol_indices(
     The model is a function of points (m, n_factor) -> outcomes (m, n_outcome), NaN for a failure.
     It is evaluated at ``n (n_factor + 2)`` points, where n is a power of two.
 
-    Raises
-    ------
-    InvalidInput
-        There is no factor, `n` is not a power of two, more than 2 % of the points have no outcome,
-        or SALib is not installed.
+    Raise `InvalidInput` without a factor, for another `n`, if more than 2 % of the points have no
+    outcome, or if SALib is not installed.
 
     Source
     ------

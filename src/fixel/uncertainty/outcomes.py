@@ -195,10 +195,7 @@ class Sensitivity(Result):
 def sensitivity_of(ensemble: Prediction) -> Sensitivity:
     """Compute the sensitivity of a push from its ensemble.
 
-    Raises
-    ------
-    InvalidInput
-        Fewer than 50 starts with an outcome.
+    Raise `InvalidInput` for fewer than 50 starts with an outcome.
     """
     end, arm = ensemble.ends, ensemble.arm
     if len(end) < MIN_OUTCOMES:

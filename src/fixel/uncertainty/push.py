@@ -49,12 +49,8 @@ def push_of(
     """Return the push of a scene, or of an experiment up to its last useful pose.
 
     Parameters are by default the scene's own values, and the motion model that of a calibration or
-    scene file, else dynamic.
-
-    Raises
-    ------
-    InvalidInput
-        An experiment has no scene, or a parameter is not known.
+    scene file, else dynamic. An experiment without a scene and an unknown parameter raise
+    `InvalidInput`.
     """
     times: FloatArray | None = None
     conditions: Mapping[str, str | float] = {}

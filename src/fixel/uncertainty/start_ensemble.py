@@ -52,12 +52,7 @@ def simulate_starts(
     elsewhere [m, m, rad]. Parameters have one value for all starts, or one per start; those of the
     nominal simulation are by default the means of `values`. By default, twelve instants [s] are
     recorded, up to the end of the scene. Progress is called with the number of starts done and in
-    all.
-
-    Raises
-    ------
-    InvalidInput
-        The scene has several free bodies or pushers, or lacks a parameter.
+    all. A scene with several free bodies or pushers, or without a parameter, raises `InvalidInput`.
     """
     if drawn is None:
         drawn = np.zeros((n, 3)) if error is None else error.samples(n, seed)

@@ -175,12 +175,8 @@ def task_of(
 
     For scenes that a task can hold, see `unsupported`. Parameters of fixel, `values`, replace
     values of the scene; `own` are those of the engine. Errors of the poses of the fixels
-    (n_fixel, 3) are added to them [m, m, rad].
-
-    Raises
-    ------
-    InvalidInput
-        A parameter that no task has.
+    (n_fixel, 3) are added to them [m, m, rad]. Raise `InvalidInput` for a parameter that no task
+    has.
     """
     directed = [name for name in values if name.startswith("anisotropy_")]
     if directed:
