@@ -127,17 +127,9 @@ class Evaluation(NamedTuple):
 class Comparer:
     """Comparison of experiments with simulations at points of a parameter space.
 
-    Parameters
-    ----------
-    targets : sequence of Target
-    space : ParameterSpace
-        Parameter space; every free unknown must apply to an experiment.
-    error : AbstractError, optional
-        Error, by default `MeanSquare()`.
-    motion, stepper : optional
-        Motion model and stepper, by default `QuasiStatic()` and `Adaptive()`.
-    threads : int, optional
-        Number of threads, all cores by default; does not affect the result.
+    Every free unknown of the space must apply to an experiment. Error, motion model and stepper are
+    by default `MeanSquare()`, `QuasiStatic()` and `Adaptive()`. The number of threads, by default
+    that of the cores, does not affect the result.
     """
 
     def __init__(
@@ -306,33 +298,28 @@ COMBINATIONS: Final = ("sum", "mean", "largest")
 
 @final
 class Objective:
-    """Combined error of several experiments, by default all, at points of the space.
+    """Combined error of all experiments at points of the space.
 
     It is their `"sum"` (thesis, multiple calibration), `"mean"` (ASME paper) or `"largest"`.
     """
 
-    def __init__(
-        self, comparer: Comparer, members: Sequence[int] | None = None, combine: str = "mean"
-    ) -> None:
+    def __init__(self, comparer: Comparer, combine: str = "mean") -> None:
         if combine not in COMBINATIONS:
             raise unknown_name("combine", combine, COMBINATIONS)
         self.comparer = comparer
-        self.members = np.asarray(
-            range(len(comparer.targets)) if members is None else members, np.int64
-        )
         self.combine = combine
 
     def members_at(self, points: FloatArray) -> tuple[FloatArray, list[str]]:
         """Return errors (k, n_member) at points (k, n_free), and reasons of failures."""
-        k, n = len(points), len(self.members)
+        k, n = len(points), len(self.comparer.targets)
         evaluated = self.comparer.errors(
-            np.tile(self.members, k), np.repeat(np.asarray(points, np.float64), n, axis=0)
+            np.tile(np.arange(n), k), np.repeat(np.asarray(points, np.float64), n, axis=0)
         )
         reasons = []
         for row in range(k):
             own = evaluated.reasons[row * n : (row + 1) * n]
             first = next((m for m, reason in enumerate(own) if reason), None)
-            key = "" if first is None else self.comparer.targets[self.members[first]].key
+            key = "" if first is None else self.comparer.targets[first].key
             reasons.append("" if first is None else f"{key}: {own[first]}")
         return evaluated.error.reshape(k, n), reasons
 

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 from typing import ClassVar, final
 
@@ -182,15 +182,7 @@ def origin_of(path: Path) -> Provenance:
     """Provenance of an imported file: its name and checksum, and the version of fixel."""
     with path.open("rb") as stream:
         digest = hashlib.file_digest(stream, "sha256").hexdigest()
-    return Provenance(version=fixel_version(), source=path.name, sha256=digest)
-
-
-def fixel_version() -> str:
-    """Installed version of fixel; `unknown` in a folder that was never installed."""
-    try:
-        return version("fixel")
-    except PackageNotFoundError:  # run from a source folder that was never installed
-        return "unknown"
+    return Provenance(version=version("fixel"), source=path.name, sha256=digest)
 
 
 def scene_or_flag(build: Callable[[], Scene]) -> tuple[Scene | None, tuple[Flag, ...]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from importlib.metadata import version
 from importlib.resources import files
 from itertools import islice
 from pathlib import Path
@@ -11,7 +12,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from fixel.datasets.bag import BagImporter
-from fixel.datasets.base import Importer, ImportPlan, fixel_version, guarded, origin_of
+from fixel.datasets.base import Importer, ImportPlan, guarded, origin_of
 from fixel.datasets.cmu import CmuTripod, CmuTwoPoint
 from fixel.datasets.experiments import Experiments
 from fixel.datasets.files import read_table, table_rows
@@ -131,7 +132,7 @@ def _plan_table(
             return plan_table(rows, source, provenance, options, scene, split_by, columns)
     rows, source = table_rows(table), Path("table")
     digest = hashlib.sha256(repr(rows.columns).encode()).hexdigest()
-    provenance = Provenance(version=fixel_version(), source="table in memory", sha256=digest)
+    provenance = Provenance(version=version("fixel"), source="table in memory", sha256=digest)
     return plan_table(rows, source, provenance, options, scene, split_by, columns)
 
 

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fixel.calibration.contacts import PART, SIDE, SPEED, Novelty, PushedContacts, TouchedPlaces
 from fixel.calibration.known_pushes import MIN_EXPERIMENTS
+from fixel.calibration.mixed import numbered
 from fixel.domain.features import Scale, ScaleModel, default_model, fitted_model, powered, unpowered
 from fixel.errors import InvalidInput, counted
 from fixel.typing import BoolArray, FloatArray, IntArray
@@ -131,8 +132,8 @@ class ConformalBound:
             raise InvalidInput("also.features", found=f"{more.shape[1]} columns",
                                expected=f"{table.shape[1]}")  # fmt: skip
         known = tuple(dict.fromkeys(labels))
-        group = _numbered(labels)
-        unit = None if units is None else _numbered(_labels(units, len(off)))
+        group = numbered(labels)
+        unit = None if units is None else numbered(_labels(units, len(off)))
         if unit is not None:
             _check_units(rule, level, int(unit.max()) + 1)
         whole = unit if len(known) == 1 else group
@@ -510,11 +511,6 @@ def _whole_folds(whole: IntArray, seed: int) -> IntArray:
     rng = np.random.default_rng(seed)
     order = rng.permutation(int(whole.max()) + 1)
     return np.asarray(np.argsort(order)[whole] % FOLDS)
-
-
-def _numbered(labels: Labels) -> IntArray:
-    number = {label: k for k, label in enumerate(dict.fromkeys(labels))}
-    return np.array([number[label] for label in labels], np.int64)
 
 
 def _checked(features: ArrayLike, errors: ArrayLike) -> tuple[FloatArray, FloatArray]:

@@ -310,8 +310,7 @@ def _colours() -> Any:
 
 
 def _aside(offset: FloatArray, aside: FloatArray) -> FloatArray:
-    turn = (offset[:, 2] + math.pi) % (2.0 * math.pi) - math.pi
-    return np.column_stack((offset[:, :2] @ aside, turn))
+    return np.column_stack((offset[:, :2] @ aside, wrapped(offset[:, 2])))
 
 
 def causes_chart(explanation: Explanation) -> Chart:

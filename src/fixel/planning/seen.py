@@ -34,9 +34,7 @@ class SeenBelief(NamedTuple):
     note: str  # why the parameters are as before; empty where they were narrowed
 
 
-def belief_after(
-    plan: PushPlan, seen: FloatArray, done: int, error: StartError, *, threads: int | None = None
-) -> SeenBelief:
+def belief_after(plan: PushPlan, seen: FloatArray, done: int, error: StartError) -> SeenBelief:
     """Return the belief for the rest of a plan, from the pose seen after some of its pushes.
 
     After `done` pushes the part was seen at a pose (3,) [m, m, rad], with an error. Simulated runs
@@ -49,7 +47,7 @@ def belief_after(
         return SeenBelief(start, "")
     scenarios = plan.belief.scenarios(plan.scene, worlds=WORLDS, runs=1, seed=plan.seed + FRESH)
     begun = replace(plan, start=plan.start[:done], path=plan.path[:done])
-    runs = begun.run(scenarios, samples=1, threads=threads)
+    runs = begun.run(scenarios, samples=1)
     poses = runs.pose[:, done - 1]
     off = poses - seen
     off[:, 2] = wrapped(off[:, 2])

@@ -13,7 +13,7 @@ from fixel.kernels import codes
 from fixel.kernels.arrays import StepMethod
 from fixel.kernels.batch import BODY
 from fixel.kernels.modes.derivatives import differentiate_batch
-from fixel.model import Scene
+from fixel.model import Scene, rotated
 from fixel.model.parameters import info_of
 from fixel.simulation.accuracy import APART_ANGLE, APART_LENGTH, walked
 from fixel.simulation.load_profile import PROFILE_NAMES
@@ -184,18 +184,11 @@ def _refer_to_frames(
     centre = composed(outline, np.append(packed.com[0], 0.0))
     own = centre[::stride]
     heading = packed.batch.pose[packed.batch.begin[::stride, BODY], 2] - own[:, 2]
-    slope[..., 2] += np.einsum("ntij,nj->nti", slope[..., :2], _turned(own, heading + 0.5 * np.pi))
-    lever = _turned(own[:, None], angle + 0.5 * np.pi)
+    slope[..., 2] += np.einsum("ntij,nj->nti", slope[..., :2], rotated(own, heading + 0.5 * np.pi))
+    lever = rotated(own[:, None], angle + 0.5 * np.pi)
     for j in range(n_own):
         moved = centre[1 + 2 * j :: stride] - centre[2 + 2 * j :: stride]
         moved /= 2.0 * widths[:, j, None]
         slope[..., 2, 3 + j] -= moved[:, None, 2]
-        slope[..., :2, 3 + j] -= _turned(moved[:, None], angle)
+        slope[..., :2, 3 + j] -= rotated(moved[:, None], angle)
     slope[..., :2, :] -= lever[..., None] * slope[..., 2:, :]
-
-
-def _turned(point: FloatArray, angle: FloatArray) -> FloatArray:
-    """Rotate points (..., 2 or more), of which x and y count."""
-    c, s = np.cos(angle), np.sin(angle)
-    x, y = point[..., 0], point[..., 1]
-    return np.stack((c * x - s * y, s * x + c * y), axis=-1)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from typing import Annotated, Any, Final, NamedTuple, final, get_type_hints
 
 import numpy as np
@@ -32,6 +30,7 @@ from fixel.model.probability import stream
 from fixel.model.scene import check_push
 from fixel.simulation import Simulation, simulate
 from fixel.simulation.batch import simulate_batch
+from fixel.simulation.simulate import fixel_version
 from fixel.simulation.threads import cores
 from fixel.testbed import imperfections
 from fixel.typing import BoolArray, FloatArray, ProgressCallback
@@ -299,9 +298,9 @@ class SimulatedTestbed:
             dataset=self.dataset,
             name=planned.name,
             real=False,
-            simulated_by=f"fixel simulated testbed {_version()}, seed {self.seed}",
+            simulated_by=f"fixel simulated testbed {fixel_version()}, seed {self.seed}",
             provenance=Provenance(
-                version=_version(), command="SimulatedTestbed.run", seed=self.seed
+                version=fixel_version(), command="SimulatedTestbed.run", seed=self.seed
             ),
             object_name=scene.bodies[0].name,
             trajectory=tracks[0],
@@ -376,11 +375,6 @@ def _scaled(shape: Shape, ratio: float) -> Shape:
     if isinstance(shape, Disk):
         return Disk(shape.radius * ratio)
     return Polygon(shape.vertices * ratio)
-
-
-@functools.cache
-def _version() -> str:
-    return version("fixel")
 
 
 def _check_counts(cells: object, **seeds: object) -> None:

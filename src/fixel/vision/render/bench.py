@@ -14,12 +14,7 @@ from fixel.vision.marks import Rig
 from fixel.vision.render import bodies
 from fixel.vision.render.canvas import Canvas, FloatPicture, PictureWindow, cover, window_of
 from fixel.vision.render.looks import CameraEffects
-from fixel.vision.render.solids import (
-    PlacedSolid,
-    Solid,
-    painting_order,
-    place,
-)
+from fixel.vision.render.solids import PlacedSolid, Solid, painting_order, place
 from fixel.vision.render.virtual_camera import Projection
 
 Poses = Mapping[str, FloatArray]

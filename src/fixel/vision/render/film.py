@@ -17,7 +17,7 @@ from fixel.simulation import Simulation
 from fixel.typing import FloatArray
 from fixel.vision.frame import Frame, opencv
 from fixel.vision.marks import Rig
-from fixel.vision.render.bench import HAND, RenderedBench
+from fixel.vision.render.bench import HAND, Poses, RenderedBench
 from fixel.vision.render.bodies import OBJECT_HEIGHT, direction_of, falloff, hand_solid, pixel_of
 from fixel.vision.render.canvas import Canvas, FloatPicture, PictureWindow, cover
 from fixel.vision.render.looks import CameraEffects, light
@@ -157,13 +157,13 @@ def tracks_of(scene: Scene, motion: Motion) -> dict[str, Trajectory]:
     names = [*(body.name for body in scene.bodies), *(pusher.name for pusher in scene.pushers)]
     if isinstance(motion, Simulation):
         return {name: motion[name] for name in names}
-    missing = [name for name in names if name not in motion]
-    if missing:
-        raise InvalidInput(
-            "motion",
-            found=f"no trajectory of {missing[0]!r}",
-            expected="trajectories of all moving bodies",
-        )
+    for name in names:
+        if name not in motion:
+            raise InvalidInput(
+                "motion",
+                found=f"no trajectory of {name!r}",
+                expected="trajectories of all moving bodies",
+            )
     return {name: motion[name] for name in names}
 
 
@@ -187,8 +187,6 @@ def exposure_times(
     count = min(max(1, ceil(way / pixel / STRIDE)), MAX_INSTANTS)
     return [time + exposure * ((k + 0.5) / count - 0.5) for k in range(count)]
 
-
-Poses = Mapping[str, FloatArray]
 
 GROUND: Final = 214.0  # [grey levels]
 BLACK: Final = 22.0

@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 
 from fixel.model.trajectory import wrapped
 from fixel.typing import BoolArray, FloatArray
-from fixel.vision.tracking.base import PartObservation, PartTrack
+from fixel.vision.tracking.base import USUAL_PIXEL, PartObservation, PartTrack
 
 NEIGHBOURS: Final = 5  # frames to either side; a pose must agree with one side at least
 SCATTERS: Final = 8.0  # times the usual deviation, beyond which a pose is an outlier
 MIN_DISAGREEMENT: Final = (0.3e-3, 0.008)  # [m] at 0.55 mm per pixel, [rad]: less is ignored
 JUMP: Final = (1e-3, 0.05)  # [m] at 0.55 mm per pixel, [rad]: impossible change between frames
-USUAL_PIXEL: Final = 0.55e-3  # [m]
 ELSEWHERE: Final = "the camera or the plate was moved"
 BESIDE: Final = 3  # steps to either side from which a speed is computed
 AT_END: Final = 4  # poses likewise, at the end of a piece

@@ -318,7 +318,7 @@ def optics_of(camera: Camera) -> FloatArray:
 def seen_at(camera: Camera, place: FloatArray, height: float) -> tuple[float, float]:
     """Project one place [m] at a height above the plane [m]; a fast `Camera.project_at`."""
     u, v, there = pixel_of(optics_of(camera), float(place[0]), float(place[1]), float(height))
-    if not there or not math.isfinite(u + v):
+    if not there:
         raise InvalidInput(
             "points", found="a point behind the camera", expected="points in front of it [m]"
         )

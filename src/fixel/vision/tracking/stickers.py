@@ -34,7 +34,7 @@ MIN_SHARE: Final = 0.35  # of a sticker's edge
 class Stickers(base.AbstractTracking):
     """Tracking by round stickers of one colour each, two or more per part.
 
-    Stickers are found by hue and followed by their edges; see `colour.fit_sticker`. Distances that
+    Stickers are found by hue and followed by their edges; see `fit_sticker`. Distances that
     differ from those in the rig show that another object was taken for a sticker.
 
     Source
@@ -126,7 +126,7 @@ class _StickeredPart(base.PartFollower):
         )
 
     def _wrong_distance(self, index: list[int], own: FloatArray, seen: FloatArray) -> str:
-        slack = APART * self._scale / 0.55e-3
+        slack = APART * self._scale / base.USUAL_PIXEL
         for i, j in combinations(range(len(own)), 2):
             should = float(np.hypot(*(own[i] - own[j])))
             found = float(np.hypot(*(seen[i] - seen[j])))

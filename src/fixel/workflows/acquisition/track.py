@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
 from fixel.database.project import Project, typed
+from fixel.datasets.base import origin_of
 from fixel.drawing import palette
 from fixel.drawing.chart import PICTURE_ENDINGS, require_file
 from fixel.errors import InvalidInput
@@ -20,7 +19,7 @@ from fixel.formats.rig_file import rig_of
 from fixel.formats.scene_file import load_scene
 from fixel.formats.video_file import ENDINGS, VideoWriter, open_video
 from fixel.io.atomic import written_whole
-from fixel.model import Experiment, Provenance, Scene
+from fixel.model import Experiment, Scene
 from fixel.typing import ProgressCallback
 from fixel.vision.frame import Frame, Picture
 from fixel.vision.marks import Rig
@@ -141,7 +140,7 @@ def track_film(
         film.readings,
         dataset=dataset,
         name=name or source.stem,
-        provenance=_provenance(film),
+        provenance=replace(origin_of(film.video), command=typed()),
         simulated_by=film.simulated_by,
         remarks=film.remarks(),
     )
@@ -201,14 +200,6 @@ def _beside(source: Path, name: str, option: str) -> Path:
             option, found=f"no {name} next to the film", expected=f"that file, or {option} FILE"
         )
     return folder / name
-
-
-def _provenance(film: Film) -> Provenance:
-    with film.video.open("rb") as stream:
-        digest = hashlib.file_digest(stream, "sha256").hexdigest()
-    return Provenance(
-        version=version("fixel"), command=typed(), source=film.video.name, sha256=digest
-    )
 
 
 def _draw(

@@ -22,7 +22,7 @@ from fixel.testbed.motion import AbstractActuator
 from fixel.testbed.open_source import check_size, source_of
 from fixel.testbed.recorder import TouchReader
 from fixel.testbed.shared_camera import SharedCamera
-from fixel.typing import FloatArray, Notify
+from fixel.typing import FloatArray
 from fixel.vision.marks import Rig
 from fixel.workflows.acquisition.devices import chosen_actuator
 
@@ -236,7 +236,7 @@ def settings_of(stored: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str
 
 
 @contextmanager
-def open_devices(settings: Mapping[str, Any], *, notify: Notify = print) -> Iterator[BenchDevices]:
+def open_devices(settings: Mapping[str, Any]) -> Iterator[BenchDevices]:
     """Open the devices of a bench by its settings, each of which is named if it is missing.
 
     Raise `InvalidInput` without a rig, or for a device that is missing or another one, and
@@ -267,10 +267,13 @@ def open_devices(settings: Mapping[str, Any], *, notify: Notify = print) -> Iter
                 raise problem.at(f"tactile {settings['tactile']}") from None
         drive = stack.enter_context(
             chosen_actuator(
-                settings["driver"], settings["port"] or None, axes=settings["axes"],
-                notify=notify, keys=False,
+                settings["driver"],
+                settings["port"] or None,
+                axes=settings["axes"],
+                notify=print,
+                keys=False,
             )
-        )  # fmt: skip
+        )
         yield BenchDevices(camera, rig, tactile, drive, _frame(settings["drive_pose"], drive))
 
 
