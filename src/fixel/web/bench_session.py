@@ -7,7 +7,7 @@ import time
 from contextlib import AbstractContextManager
 from typing import Final, final
 
-from fixel.errors import FixelError, JobRefused
+from fixel.errors import FixelError, JobRefused, machine_failure
 from fixel.web.live import LiveView
 from fixel.workflows.bench.loop import BenchLoop
 
@@ -73,9 +73,10 @@ class BenchSession:
                 if not self._closed:
                     loop.run()
         except BaseException as failure:
-            self._failure = failure
+            named = machine_failure(failure) if isinstance(failure, OSError) else None
+            self._failure = named or failure
             self.view.repeat()
-            if not isinstance(failure, FixelError):
+            if not isinstance(self._failure, FixelError):
                 raise
         finally:
             self._ready.set()
