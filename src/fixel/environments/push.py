@@ -31,12 +31,7 @@ RewardName = Literal["sparse", "dense"]
 def push_scene(shape: Polygon | Disk | None = None, *, friction: float = 0.25) -> Scene:
     """Return the usual scene of the task: a body on uniform pressure and a round agent.
 
-    Parameters
-    ----------
-    shape : Polygon or Disk, optional
-        Shape of the body; by default a rectangle of 120 mm x 80 mm.
-    friction : float
-        Coefficient of friction of the body against the agent [-].
+    The body is by default a rectangle of 120 mm x 80 mm; its friction is that against the agent.
     """
     shape = Polygon.rectangle(0.12, 0.08) if shape is None else shape
     body = Body("part", shape, mass=1.0, support=Ellipsoid(force=1.0, torque=1.0))

@@ -59,14 +59,9 @@ def push_t_scene(
 ) -> Scene:
     """Return the scene of the task, in metres.
 
-    Parameters
-    ----------
-    com : (2,) float64, optional
-        Centre of mass and of friction in the frame of the T [px]; its centroid by default.
-    arm : float
-        Largest friction torque over largest friction force [px].
-    friction : float
-        Coefficient of friction of the T against the agent and the walls [-].
+    `com` (2,) is the centre of mass and of friction in the frame of the T, its centroid by default,
+    and `arm` the largest friction torque over the largest friction force [px]. Friction is that of
+    the T against the agent and the walls.
     """
     shape = Polygon(OUTLINE * PIXEL)
     centre = shape.centroid if com is None else com * PIXEL

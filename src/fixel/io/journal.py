@@ -88,7 +88,10 @@ class Journal:
 
         A full or failing disk raises `JobRefused` and leaves the journal unchanged.
         """
-        new = {name: data for name, data in _firsts(blocks) if name not in self._places}
+        new: dict[str, bytes] = {}
+        for name, data in blocks:
+            if name not in self._places:
+                new.setdefault(name, data)
         if not new:
             return 0
         places, pieces, end = {}, [], self._end
@@ -153,14 +156,6 @@ def writer_of(path: Path) -> Owner | None:
 def lock_of(path: Path) -> Path:
     """Return the file whose lock the writer of a journal has."""
     return path.with_name(f"{path.name}.lock")
-
-
-def _firsts(blocks: Iterable[tuple[str, bytes]]) -> Iterator[tuple[str, bytes]]:
-    seen: set[str] = set()
-    for name, data in blocks:
-        if name not in seen:
-            seen.add(name)
-            yield name, data
 
 
 def _opened(path: Path) -> BinaryIO:

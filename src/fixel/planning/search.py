@@ -193,15 +193,9 @@ class PlanSearch:
     def rounds(self, unseen: Unseen | None = None) -> Rounds[FoundNumbers]:
         """Search in rounds of requests; to resume, the stored margins are sent again.
 
-        Parameters
-        ----------
-        unseen : callable, optional
-            Sentences on what no experiment has about a plan; with any, it may not be chosen.
-
-        Raises
-        ------
-        InvalidInput
-            The goal cannot be reached, or only by pushes that resemble no experiment.
+        A plan about which `unseen` returns sentences, on what no experiment has, may not be chosen.
+        Raise `InvalidInput` if the goal cannot be reached, or only by pushes that resemble no
+        experiment.
         """
         plans = self.candidates()
         nominal_best = plans[0]

@@ -170,18 +170,9 @@ def _sparse(vertices: FloatArray, tolerance: float) -> FloatArray:
 def contact_pieces(shape: Shape) -> tuple[Piece, ...]:
     """Return the pieces of a shape for the contact kernels.
 
-    Parameters
-    ----------
-    shape : Polygon or Disk
+    A piece has strictly convex, counter-clockwise vertices (k, 2) [m], and (k,) bool: whether the
+    edge from a vertex to the next one has contacts. A disk is its centre alone.
 
-    Returns
-    -------
-    tuple of ((k, 2) float64, (k,) bool)
-        Strictly convex, counter-clockwise vertices [m], and whether the edge from vertex k to k + 1
-        has contacts. A disk is its centre alone.
-
-    Notes
-    -----
     Where an edge of the outline continues straight as a seam between pieces (in an L, under the
     upright), both become one edge with contacts. Only a point deep in the neighbouring piece meets
     the part that was a seam, while two edges on one line would alternate, by rounding, as the

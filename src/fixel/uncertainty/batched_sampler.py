@@ -35,10 +35,7 @@ class BatchedSampler:
     """
 
     def __init__(
-        self,
-        log_likelihood: Batched,
-        transform: Batched,
-        count: Callable[[int], None] | None = None,
+        self, log_likelihood: Batched, transform: Batched, count: Callable[[int], None]
     ) -> None:
         self._log_likelihood = log_likelihood
         self._transform = transform
@@ -62,8 +59,7 @@ class BatchedSampler:
 
     def _evaluated(self, points: FloatArray) -> FloatArray:
         values = self._log_likelihood(np.ascontiguousarray(points))
-        if self._count is not None:
-            self._count(len(points))
+        self._count(len(points))
         return values
 
     def _uniform(

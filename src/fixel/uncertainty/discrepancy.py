@@ -16,13 +16,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, NamedTuple, final
+from typing import Annotated, Final, NamedTuple, final
 
 import numpy as np
 
 from fixel.calibration.objective import ANGLE_SCALE
 from fixel.errors import InvalidInput
-from fixel.model.fields import positive, settle
+from fixel.model.fields import Value, check_fields, positive
 from fixel.typing import FloatArray
 
 LABEL: Final = "model_error"
@@ -42,14 +42,13 @@ class ModelError:
     """
 
     # Bounds of tau, the standard deviation at the end of the way [m].
-    low: float = MIN_DISCREPANCY
-    high: float = MAX_DISCREPANCY
+    low: Annotated[float, Value(positive, "m")] = MIN_DISCREPANCY
+    high: Annotated[float, Value(positive, "m")] = MAX_DISCREPANCY
     # Length that a radian counts as; the angle's standard deviation is tau over it [m/rad].
-    angle_scale: float = ANGLE_SCALE
+    angle_scale: Annotated[float, Value(positive, "m/rad")] = ANGLE_SCALE
 
     def __post_init__(self) -> None:
-        for name, unit in (("low", "m"), ("high", "m"), ("angle_scale", "m/rad")):
-            settle(self, **{name: positive(getattr(self, name), f"model_error.{name}", unit)})
+        check_fields(self, "model_error")
         if not self.low < self.high:
             found = f"{self.low:g} to {self.high:g} m"
             raise InvalidInput("model_error", found=found, expected="increasing bounds")

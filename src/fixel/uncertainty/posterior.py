@@ -288,21 +288,11 @@ class NestedSampling:
         seed: int = 0,
         progress: Callable[[SamplerProgress], None] | None = None,
     ) -> Posterior:
-        """Return samples of the posterior.
+        """Return samples of the posterior, bit for bit the same for the same seed.
 
-        Parameters
-        ----------
-        log_likelihood : callable
-            Function of points (k, n) -> (k,), finite; `FLOOR` where a simulation fails.
-        prior : Prior
-            Any object with `labels`, `units`, `low`, `high` and `transform`.
-        seed : int
-            Seed; the same seed gives the same result, bit for bit.
-
-        Raises
-        ------
-        InvalidInput
-            dynesty is not installed, or the likelihood has no value anywhere in the prior.
+        The likelihood is a finite function of points (k, n) -> (k,), `FLOOR` where a simulation
+        fails. The prior is any object with `labels`, `units`, `low`, `high` and `transform`. Raise
+        `InvalidInput` without dynesty, or if the likelihood has no value anywhere in the prior.
         """
         merge_runs = _dynesty().utils.merge_runs
         begun = clock.perf_counter()
