@@ -40,7 +40,6 @@ ALIKE: Final = 0.1  # difference of shares [-] or residuals [px] at which poses 
 NEEDLE: Final = 0.3  # of the part's narrower side: thinner areas are taken for the probe
 CONTRAST: Final = 25.0  # of 255 between part and field
 AREA: Final = (0.6, 1.5)  # of the expected area, for the part
-DARK = np.uint8
 
 
 @final
@@ -270,9 +269,9 @@ def _dark(picture: Gray) -> NDArray[np.uint8]:
     contiguous = np.ascontiguousarray(picture)
     low, high = np.percentile(contiguous[::4, ::4], (1.0, 99.0))
     if high - low < CONTRAST:
-        return np.zeros(picture.shape, dtype=DARK)
+        return np.zeros(picture.shape, dtype=np.uint8)
     _, mask = cv2.threshold(contiguous, 0, 255, cv2.THRESH_BINARY_INV | cv2.THRESH_OTSU)
-    return np.asarray(mask, dtype=DARK)
+    return np.asarray(mask, dtype=np.uint8)
 
 
 def _without(dark: NDArray[np.uint8], outline: FloatArray) -> NDArray[np.uint8]:
