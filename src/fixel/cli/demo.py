@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from fixel.cli.capability import NOT_SOLVED
 from fixel.cli.options import AsJson, option, with_options
 from fixel.cli.screen import notify, print_answer
 from fixel.errors import InvalidInput
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
 _WHAT = {"scene": "the scene", "plot": "picture", "animate": "film", "trajectory": "numbers"}
 CAMERA = "camera"
-NOT_SOLVED = 3
 WRONG = 1  # exit code where a claim is wrong
 
 

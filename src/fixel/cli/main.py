@@ -38,7 +38,7 @@ from fixel.cli import (
     show,
     testbed,
 )
-from fixel.cli.capability import typer_command, typer_commands
+from fixel.cli.capability import NOT_SOLVED, typer_command, typer_commands
 from fixel.cli.screen import notify
 from fixel.errors import (
     DatasetMissing,
@@ -54,7 +54,6 @@ from fixel.workflows.capabilities import CAPABILITIES
 ClickException = cast(type[Exception], typer.BadParameter.mro()[2])
 
 BAD_INPUT = 2
-NOT_SOLVED = 3
 INTERRUPTED = 130
 
 # Commands in the order of a typical workflow, as `fixel --help` lists them.
