@@ -18,7 +18,7 @@ from fixel.testing.scenes import grasp
 from fixel.typing import FloatArray
 from fixel.vision.frame import Frame, opencv
 from fixel.vision.tracking import track
-from fixel.workflows.acquisition.film import FilmSettings, film
+from fixel.workflows.acquisition import film_experiments
 from fixel.workflows.acquisition.track import Film, open_film
 
 MEANS: Final = (0.0, 0.005, 0.015, 0.03)  # [s] by which frames are held up
@@ -33,7 +33,7 @@ def run(size: Size) -> list[Figure]:
         planned, shot = Path(folder) / "planned.yaml", Path(folder) / "film"
         save_scene(SceneFile(scene=grasp(), motion="dynamic"), planned)
         frames = None if size.rollouts >= 500 else 12
-        film([str(planned)], shot, FilmSettings(frames=frames, changes=("occlusion=0",)))
+        film_experiments([str(planned)], out=shot, frames=frames, changes=("occlusion=0",))
         made, rig = open_film(shot), rig_of(shot / "rig.yaml")
         truth = np.load(shot / "truth.npz")
         track(made.frames(), rig)  # compiles

@@ -16,7 +16,7 @@ from fixel.model import pose_error
 from fixel.testing.scenes import grasp, micro_push
 from fixel.vision.frame import opencv
 from fixel.vision.tracking import FilmTracks, PartTrack, track
-from fixel.workflows.acquisition.film import FilmSettings, film
+from fixel.workflows.acquisition import film_experiments
 from fixel.workflows.acquisition.track import open_film
 
 # [m] that no pose that is believed may be off by: two pixels, on the bench and under the microscope
@@ -67,8 +67,14 @@ def _case(case: Case, folder: Path, frames: int | None, repeats: int) -> list[Fi
     shot = folder / "film"
     # The hand would lie over all of a film that is only for seeing whether everything runs.
     changes = () if frames is None or small else ("occlusion=0",)
-    settings = FilmSettings(rig=case.rig, looks=case.looks, frames=frames, changes=changes)
-    film([str(folder / "planned.yaml")], shot, settings)
+    film_experiments(
+        [str(folder / "planned.yaml")],
+        out=shot,
+        rig=case.rig,
+        looks=case.looks,
+        frames=frames,
+        changes=changes,
+    )
     recording, rig = open_film(shot), rig_of(shot / "rig.yaml")
     truth = np.load(shot / "truth.npz")
     rates = []

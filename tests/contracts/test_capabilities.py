@@ -34,6 +34,7 @@ from fixel.errors import InvalidInput
 from fixel.jobs.folder import read_job
 from fixel.testing.pushes import example_parts
 from fixel.workflows import jobs
+from fixel.workflows.acquisition import FILM
 from fixel.workflows.analysis import load_analyses
 from fixel.workflows.bench.run import BENCH
 from fixel.workflows.calibration.stored import stored_calibration
@@ -86,10 +87,10 @@ def specimen(
 # A capability without a project whose options have every form.
 SPECIMEN = Capability(group="try", name="specimen", function=specimen)
 REGISTERED = pytest.mark.parametrize("capability", CAPABILITIES.values(), ids=[*CAPABILITIES])
+# Those whose commands perform more than one call of their function.
+PERFORMED = (BENCH, FILM)
 EVERY = pytest.mark.parametrize(
-    "capability",
-    [SPECIMEN, BENCH, *CAPABILITIES.values()],
-    ids=["specimen", "bench", *CAPABILITIES],
+    "capability", [SPECIMEN, *PERFORMED, *CAPABILITIES.values()], ids=lambda own: own.name
 )
 HEAVY = {"numpy", "numba", "scipy", "matplotlib", "sqlalchemy", "pyarrow", "rich"}
 NAMES = st.text(ascii_lowercase + "_", min_size=1, max_size=9).filter(lambda n: n[0] != "_")

@@ -118,7 +118,7 @@ class Capability:
     @property
     def on_project(self) -> bool:
         """Whether the function works on a project."""
-        return next(iter(signature(self.function).parameters)) == "project"
+        return "project" in signature(self.function).parameters
 
     @property
     def needs_project(self) -> bool:

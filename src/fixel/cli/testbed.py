@@ -5,13 +5,17 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from fixel.cli.capability import typer_command
 from fixel.cli.options import AsJson, ProjectFolder, Seed, argument, option, required, with_options
 from fixel.cli.project import print_imported
 from fixel.cli.screen import command_of, print_answer, shortened, wrote
 from fixel.progress import show_progress
 from fixel.table import Column, Table
+from fixel.workflows.acquisition import FILM
 
 if TYPE_CHECKING:
+    from pydantic import BaseModel
+
     from fixel.workflows.acquisition.film import FilmResult
 
 MAX_ROWS = 20
@@ -57,68 +61,13 @@ def run_plan(
     print_imported(done, {"seed": seed}, as_json, folder)
 
 
-@app.command("film")
-@with_options
-def film(
-    *,
-    sources: list[str] | None = argument(
-        None,
-        "Scene files, plan files, or experiments of the project by id or name.",
-        metavar="[EXPERIMENT|SCENE.yaml|PLAN.yaml]...",
-    ),
-    out: Path = option(Path("film"), "New folder for the films.", "--out", "-o", metavar="FOLDER"),
-    rig: str = option(
-        "thesis-tags",
-        "Rig file or name of an example rig: thesis-tags, thesis-stickers, microscope.",
-        metavar="RIG",
-    ),
-    looks: str | None = option(
-        None,
-        "Camera effects: clean, thesis, hard, microscope-clean or microscope.",
-        metavar="NAME",
-        show_default="thesis, or microscope",
-    ),
-    set_: list[str] | None = option(
-        None,
-        "One value of the camera effects, such as occlusion=1.5; may be repeated.",
-        "--set",
-        metavar="NAME=VALUE",
-    ),
-    seed: Seed = 1,
-    exact: bool = option(False, "Store pictures without loss, in larger files.", "--exact"),
-    video: Path | None = option(None, "Also write the film as one video file: .mp4 or .mkv."),
-    rate: float = option(30.0, "Frame rate [Hz].", min=0.1, max=1000.0),
-    lead: float = option(0.5, "Time at rest before the motion [s].", min=0.0),
-    rest: float = option(0.5, "Time at rest after the motion [s].", min=0.0),
-    frames: int | None = option(None, "Maximum number of frames.", min=1, metavar="COUNT"),
-    limit: int | None = option(
-        None, "Maximum number of experiments to film from a plan.", min=1, metavar="COUNT"
-    ),
-    folder: ProjectFolder = Path(),
-    as_json: AsJson = False,
-) -> None:
-    """Render simulated experiments as recordings, to test tracking.
-
-    Their true poses are known.
-    """
-    from fixel.workflows.acquisition import film as films
-
-    settings = films.FilmSettings(
-        rig=rig,
-        looks=looks or "",
-        changes=tuple(set_ or ()),
-        seed=seed,
-        codec="exact" if exact else "near",
-        rate=rate,
-        lead=lead,
-        rest=rest,
-        frames=frames,
-    )
+def _film(request: "BaseModel", folder: Path, as_json: bool) -> None:
     with show_progress(stage="filming") as report:
-        made = films.film(
-            sources or [], out, settings, project=folder, limit=limit, video=video, progress=report
-        )
+        made = FILM.function(**FILM.arguments(request), project=folder, progress=report)
     print_answer(as_json, lambda: {"films": list(map(_content, made))}, lambda: _lines(made))
+
+
+app.command("film")(typer_command(FILM, _film))
 
 
 def _lines(films: "list[FilmResult]") -> list[str]:

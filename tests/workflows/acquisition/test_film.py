@@ -19,7 +19,8 @@ from fixel.sampling import thesis_plan
 from fixel.simulation import simulate
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing.scenes import grasp, micro_push
-from fixel.workflows.acquisition.film import ABOUT, ARRAYS, SAMPLE, FilmSettings, film
+from fixel.workflows.acquisition import film_experiments
+from fixel.workflows.acquisition.film import ABOUT, ARRAYS, SAMPLE
 from fixel.workflows.project.importing import run_testbed
 
 
@@ -45,7 +46,7 @@ def truth_of(folder) -> tuple[dict, dict]:
 
 def test_a_scene_becomes_a_recording_with_its_truth_beside_it(tmp_path, rig, scene):
     out = tmp_path / "film"
-    (filmed,) = film([scene], out, FilmSettings(rig=rig, looks="clean", frames=25, codec="exact"))
+    (filmed,) = film_experiments([scene], out=out, rig=rig, looks="clean", frames=25, exact=True)
     recording = open_recording(out)
     arrays, about = truth_of(out)
 
@@ -67,7 +68,7 @@ def test_a_scene_becomes_a_recording_with_its_truth_beside_it(tmp_path, rig, sce
 
 def test_the_same_seed_makes_the_same_files(tmp_path, rig, scene):
     for name in ("a", "b"):
-        film([scene], tmp_path / name, FilmSettings(rig=rig, frames=3, codec="exact"))
+        film_experiments([scene], out=tmp_path / name, rig=rig, frames=3, exact=True)
 
     for file in (tmp_path / "a").iterdir():
         assert file.read_bytes() == (tmp_path / "b" / file.name).read_bytes(), file.name
@@ -79,8 +80,8 @@ def test_fixels_report_as_often_wrong_as_the_testbed_says(tmp_path, rig):
     plan = replace(thesis, shapes=thesis.shapes[:1], layouts=thesis.layouts[:1])
     path = tmp_path / "plan.yaml"
     path.write_text(plan_text(plan))
-    settings = FilmSettings(rig=rig, looks="clean", rest=0.0, rate=2.5)
-    (first, second) = film([str(path)], tmp_path / "films", settings, limit=2)
+    settings = dict(rig=rig, looks="clean", rest=0.0, rate=2.5)
+    (first, second) = film_experiments([str(path)], out=tmp_path / "films", **settings, limit=2)
     wrong, total = 0, 0
     for one in (first, second):
         arrays, _ = truth_of(one.folder)
@@ -93,7 +94,7 @@ def test_fixels_report_as_often_wrong_as_the_testbed_says(tmp_path, rig):
 
 
 def test_an_exact_scene_has_exact_fixels(tmp_path, rig, scene):
-    film([scene], tmp_path / "film", FilmSettings(rig=rig, looks="clean", rate=2.0))
+    film_experiments([scene], out=tmp_path / "film", rig=rig, looks="clean", rate=2.0)
     arrays, _ = truth_of(tmp_path / "film")
 
     touches = arrays["touches"].astype(int)
@@ -112,8 +113,8 @@ def project(tmp_path_factory):
 
 def test_a_stored_experiment_moves_in_the_film_as_it_truly_did(tmp_path, rig, project):
     planned = thesis_plan().experiments[0]
-    settings = FilmSettings(rig=rig, looks="clean", rate=2.0, seed=5)
-    (filmed,) = film([planned.name], tmp_path / "film", settings, project=project)
+    settings = dict(rig=rig, looks="clean", rate=2.0, seed=5)
+    (filmed,) = film_experiments([planned.name], out=tmp_path / "film", **settings, project=project)
     arrays, about = truth_of(tmp_path / "film")
     (measured,) = SimulatedTestbed(seed=3).run([planned], threads=1)
     end = [measured.conditions[f"truth_final_{k}"] for k in ("x_m", "y_m", "angle_rad")]
@@ -129,7 +130,7 @@ def test_a_stored_experiment_moves_in_the_film_as_it_truly_did(tmp_path, rig, pr
 def test_a_microscope_films_what_lies_under_it(tmp_path):
     path = tmp_path / "micro.yaml"
     save_scene(SceneFile(scene=micro_push(3), motion="quasistatic"), path)
-    film([str(path)], tmp_path / "film", FilmSettings(rig="microscope", frames=2))
+    film_experiments([str(path)], out=tmp_path / "film", rig="microscope", frames=2)
     frame = next(open_recording(tmp_path / "film").frames())
 
     assert frame.picture.shape == (480, 640, 3)
@@ -140,13 +141,13 @@ def test_a_microscope_films_what_lies_under_it(tmp_path):
 def test_what_cannot_be_filmed_is_refused_before_any_work(tmp_path, rig, scene):
     (tmp_path / "there").mkdir()
     with pytest.raises(InvalidInput, match="nothing to film"):
-        film([], tmp_path / "x", FilmSettings(rig=rig))
+        film_experiments([], out=tmp_path / "x", rig=rig)
     with pytest.raises(InvalidInput, match="an existing folder"):
-        film([scene], tmp_path / "there", FilmSettings(rig=rig))
+        film_experiments([scene], out=tmp_path / "there", rig=rig)
     with pytest.raises(InvalidInput, match="microscope or microscope-clean for a microscope"):
-        film([scene], tmp_path / "x", FilmSettings(rig=rig, looks="microscope"))
+        film_experiments([scene], out=tmp_path / "x", rig=rig, looks="microscope")
     with pytest.raises(InvalidInput, match="2 films, but fixel needs one"):
-        film([scene, scene], tmp_path / "x", FilmSettings(rig=rig), video=tmp_path / "x.mp4")
+        film_experiments([scene, scene], out=tmp_path / "x", rig=rig, video=tmp_path / "x.mp4")
     assert not (tmp_path / "x").exists()
 
 
@@ -156,7 +157,7 @@ def test_a_film_that_is_broken_off_is_readable_up_to_there(tmp_path, rig, scene)
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        film([scene], tmp_path / "film", FilmSettings(rig=rig, frames=9), progress=tired)
+        film_experiments([scene], out=tmp_path / "film", rig=rig, frames=9, progress=tired)
     recording = open_recording(tmp_path / "film")
 
     assert recording.n_frames == 3
@@ -165,7 +166,7 @@ def test_a_film_that_is_broken_off_is_readable_up_to_there(tmp_path, rig, scene)
 
 
 def test_a_full_film_leaves_a_video_too(tmp_path, rig, scene):
-    film([scene], tmp_path / "film", FilmSettings(rig=rig, frames=4), video=tmp_path / "film.mp4")
+    film_experiments([scene], out=tmp_path / "film", rig=rig, frames=4, video=tmp_path / "film.mp4")
     video = open_video(tmp_path / "film.mp4")
     times = [frame.time for frame in video.frames()]
 

@@ -11,7 +11,7 @@ from fixel.formats.recording import open_recording
 from fixel.formats.scene_file import load_scene
 from fixel.model import Scene
 from fixel.testbed.emulators import bench as emulated_mega
-from fixel.workflows.acquisition.film import FilmSettings, film
+from fixel.workflows.acquisition import film_experiments
 from fixel.workflows.acquisition.track import track_film
 from fixel.workflows.demo.camera_demo import record_film
 
@@ -24,7 +24,7 @@ FRAMES = 45
 @pytest.fixture(scope="module")
 def filmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("film") / "slip"
-    film([str(EXAMPLE)], folder, FilmSettings(looks="clean", lead=0.2, frames=FRAMES))
+    film_experiments([str(EXAMPLE)], out=folder, looks="clean", lead=0.2, frames=FRAMES)
     return folder
 
 

@@ -23,7 +23,7 @@ from fixel.testbed.motion_grbl import GrblActuator
 from fixel.testbed.simulated import SimulatedTestbed, repeat_pushes
 from fixel.testing.scenes import pushed_square
 from fixel.units import deg, mm
-from fixel.workflows.acquisition.film import FilmSettings, film
+from fixel.workflows.acquisition import film_experiments
 from fixel.workflows.acquisition.record import RecordPlan
 from fixel.workflows.planning.execute import (
     check_plan,
@@ -177,10 +177,8 @@ def test_a_camera_records_the_move_and_sees_the_end(tmp_path: Path):
     plan = rig_plan()
     path = stored(plan, tmp_path / "a.plan")
     scene = plan.scenes[0].save(tmp_path / "scene.yaml")
-    (filmed,) = film(
-        [str(scene)],
-        tmp_path / "film",
-        FilmSettings(rig="thesis-tags", looks="clean", rate=8.0, lead=0.3),
+    (filmed,) = film_experiments(
+        [str(scene)], out=tmp_path / "film", looks="clean", rate=8.0, lead=0.3
     )
     out = tmp_path / "recorded"
     done = run_on_drive(

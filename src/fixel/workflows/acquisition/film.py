@@ -45,34 +45,12 @@ from fixel.vision.render.looks import light
 
 Write = Callable[[Frame, int | None, float], None]
 
-LEAD: Final = 0.5  # [s] at rest before the motion
-REST: Final = 0.5  # [s] at rest after the motion
-RATE: Final = 30.0  # [Hz]
-
 # A film has no date of its own, and the same seed must give the same bits.
 STARTED: Final = "2000-01-01T00:00:00.000+00:00"
 
 # Files stored in the folder of a recording besides its rig and scene.
 ARRAYS: Final = "truth.npz"
 ABOUT: Final = "truth.json"
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FilmSettings:
-    """Settings of a film."""
-
-    rig: str = "thesis-tags"  # file of the rig, or name of an example
-    # Appearance preset; empty for the one that suits the rig: `thesis` or `microscope`.
-    looks: str = ""
-    changes: tuple[str, ...] = ()  # values of the looks to change, each as `NAME=VALUE`
-    seed: int = 1  # seed of all random numbers
-    codec: str = "near"  # `near` or `exact`, as for recordings
-    rate: float = RATE  # frame rate [Hz]
-    # Rest before and after the motion [s].
-    lead: float = LEAD
-    rest: float = REST
-    frames: int | None = None  # maximum number of frames
 
 
 class FilmResult(NamedTuple):
@@ -88,41 +66,30 @@ class FilmResult(NamedTuple):
     unmarked: tuple[str, ...] = ()
 
 
-def film(
-    sources: list[str],
-    out: Path,
-    settings: FilmSettings | None = None,
-    *,
-    project: Path = Path(),
-    limit: int | None = None,
-    video: Path | None = None,
-    progress: ProgressCallback | None = None,
-) -> list[FilmResult]:
-    """Render films of scenes, plans and experiments.
+def filmed(request: Any, project: Path, progress: ProgressCallback | None) -> list[FilmResult]:
+    """Render films as a request of `fixel testbed film` states.
 
-    Sources are scene files, plan files, and ids or names of experiments of the project. `out` is
-    the folder to create: the recording, or a folder of recordings for several films. `limit` is the
-    maximum number of experiments per plan. A single film may also become a video file, which a
-    camera source can play. `progress` is called as `progress(done, total)` after every frame.
+    Several films are in folders below `out`. A single film may also become a video file, which a
+    camera source can play.
     """
     from fixel.testing.scenes import sliding_block
 
-    settings = settings or FilmSettings()
-    rig = rig_of(settings.rig)
-    looks = changed(_looks(settings.looks, rig), settings.changes)
+    out, video = request.out, request.video
+    rig = rig_of(request.rig)
+    looks = changed(_looks(request.looks, rig), request.changes)
     if out.exists():
         raise InvalidInput(str(out), found="an existing folder", expected="a new folder")
-    count, items = film_scenes(sources, project, seed=settings.seed, limit=limit)
+    count, items = film_scenes(request.sources, project, seed=request.seed, limit=request.limit)
     if video is not None and count > 1:
         raise InvalidInput("video", found=f"{count} films", expected="one film, for one video file")
     if count > 1:
         out.mkdir(parents=True)
     get_ready(sliding_block())  # compiles the simulation, which the first scene needs
-    filmed = []
+    made = []
     for subject in items:
         folder = out / subject.name if count > 1 else out
-        filmed.append(_render(subject, folder, rig, looks, settings, video, progress))
-    return filmed
+        made.append(_render(subject, folder, rig, looks, request, progress))
+    return made
 
 
 def _looks(name: str, rig: Rig) -> CameraEffects:
@@ -144,26 +111,26 @@ def _render(
     folder: Path,
     rig: Rig,
     looks: CameraEffects,
-    settings: FilmSettings,
-    video: Path | None,
+    request: Any,
     progress: ProgressCallback | None,
 ) -> FilmResult:
+    lead, video = request.lead, request.video
     # Each film has its own noise; otherwise films of one seed would have the same errors.
-    seed = int(stream(settings.seed, "film", subject.name).integers(2**31))
-    duration = settings.lead + float(subject.simulation.time[-1]) + settings.rest
-    times = frame_times(duration, settings.rate, looks, seed)[: settings.frames]
-    tracks = tracks_of(subject, settings.lead)
-    truth = truth_of(subject, tracks, rig, looks, times, seed, settings.lead)
+    seed = int(stream(request.seed, "film", subject.name).integers(2**31))
+    duration = lead + float(subject.simulation.time[-1]) + request.rest
+    times = frame_times(duration, request.rate, looks, seed)[: request.frames]
+    tracks = tracks_of(subject, lead)
+    truth = truth_of(subject, tracks, rig, looks, times, seed, lead)
     frames = film_scene(subject.scene, tracks, rig, looks, times, seed)
     header = RecordingHeader(
         size=rig.camera.lens.image_size,
-        codec=settings.codec,
+        codec="exact" if request.exact else "near",
         rig=rig.name,
         source=f"fixel testbed film of {subject.name}",
-        simulated_by=f"fixel testbed film of {subject.name}, seed {settings.seed}",
+        simulated_by=f"fixel testbed film of {subject.name}, seed {request.seed}",
         started=STARTED,
-        rate=settings.rate,
-        about={"seed": settings.seed},
+        rate=request.rate,
+        about={"seed": request.seed},
     )
     folder.parent.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
@@ -175,7 +142,7 @@ def _render(
         # Before the frames: an interrupted film is then still usable.
         save_rig(rig, folder / RIG_FILE)
         save_scene(subject.planned, folder / SCENE_FILE)
-        write_truth(subject, truth, looks, settings.seed, settings.lead, folder)
+        write_truth(subject, truth, looks, request.seed, lead, folder)
         _write_frames(frames, truth, writers, progress)
     things: list[Body | Pusher] = [*subject.scene.bodies, *subject.scene.pushers]
     marked = [name for name, part in rig.parts.items() if part.marks]
@@ -335,8 +302,9 @@ def film_scenes(
 ) -> tuple[int, Iterator[FilmScene]]:
     """Return the number of scenes to film and an iterator over them.
 
-    Arguments are those of `film`. The project is opened only if a source is an experiment, which
-    must be one of a simulated testbed; the seed is that of the testbed that performs plans.
+    Arguments are those of `film_experiments`. The project is opened only if a source is an
+    experiment, which must be one of a simulated testbed; the seed is that of the testbed that
+    performs plans.
     """
     if not sources:
         raise InvalidInput(

@@ -29,7 +29,8 @@ from fixel.testbed.frame_source import CameraPicture
 from fixel.testbed.recorder import RecordingStatus, RecordingSummary
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.typing import Notify, ProgressCallback
-from fixel.workflows.acquisition.film import ARRAYS, FilmSettings, film
+from fixel.workflows.acquisition import film_experiments
+from fixel.workflows.acquisition.film import ARRAYS
 from fixel.workflows.acquisition.record import RecordPlan, record
 from fixel.workflows.acquisition.track import TrackAnswer, track_film
 from fixel.workflows.analysis import Analysis, store_analysis
@@ -309,11 +310,11 @@ def _filmed(
         for experiment in SimulatedTestbed(seed=SEED, dataset=SIMULATED).run(planned):
             store.add_experiment(experiment)
     notify(f"filming {len(pushes)} pushes of a simulated laboratory with a virtual camera")
-    settings = FilmSettings(seed=SEED, lead=LEAD)
     films.mkdir(exist_ok=True)
     for name in missing:
         shutil.rmtree(films / name, ignore_errors=True)
-        film([name], films / name, settings, project=project.folder, progress=progress)
+        own: dict[str, Any] = {"out": films / name, "seed": SEED, "lead": LEAD}
+        film_experiments([name], **own, project=project.folder, progress=progress)
     return [films / one.name for one in planned]
 
 
