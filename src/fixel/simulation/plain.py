@@ -235,9 +235,11 @@ class _SampleCollector:
         if written:
             contact = record.contact[: record.count[CONTACT_ROWS]]
             contact[:, 0] += self.done
-            samples = [values[:written] for values in record[:4]]
-            rest = [contact, record.count, record.total]
-            self.rows.append(RolloutRecord._make([*samples, *rest]))
+            kept = record._replace(
+                time=record.time[:written], pose=record.pose[:written],
+                twist=record.twist[:written], drive=record.drive[:written], contact=contact,
+            )  # fmt: skip
+            self.rows.append(kept)
             self.done += written
 
     def undo(self) -> None:
