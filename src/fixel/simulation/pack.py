@@ -354,12 +354,12 @@ def pack(
         return _packed_once(_Same(scene), motion, stepper, duration)
     if variation.path is None:
         return Template(scene, motion, stepper).packed(variation, n, duration)
-    # The scene's own path does not matter: the longest step follows from the path of each run.
+    # Units are those of the scene, whatever the paths of other runs; the longest step is that of
+    # the path of each run.
     length = characteristic_length(scene)
     speed = np.maximum(_mean_speed(variation.path, length), _fastest_body(scene, length))
-    fastest = float(speed.max(initial=0.0))
-    packed = Template(scene, motion, stepper, fastest).packed(variation, n, duration)
-    longer = np.divide(fastest, speed, out=np.ones(n), where=speed > SLOWEST)
+    packed = Template(scene, motion, stepper).packed(variation, n, duration)
+    longer = np.divide(packed.units.speed, speed, out=np.ones(n), where=speed > SLOWEST)
     packed.batch.settings[:, at.LARGEST] *= longer
     return packed
 
