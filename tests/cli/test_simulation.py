@@ -81,7 +81,7 @@ def test_a_jam_exits_3_with_what_was_computed(scene, tmp_path, capsys):
     (["--plot", "a.bmp"], "fixel needs a picture file"),
     (["--trajectory", "nowhere/a.csv"], "no folder nowhere"),
     (["--solver", "lemke"], "support_directions"),
-    (["--step", "-1"], "must be a positive time"),
+    (["--step", "-1"], "must be a number greater than 0 [s]"),
     (["--step", "0.1", "--tolerance", "1"], "leave one out"),
     (["--motion", "magic"], "magic"),
     (["--solver", "magic"], "must be 'newton', 'gauss-seidel' or 'lemke'"),

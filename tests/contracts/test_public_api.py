@@ -429,3 +429,36 @@ def test_polygons_about_their_origin() -> None:
     for call in (lambda: fixel.Polygon.regular(2, 1.0), lambda: fixel.Polygon.rectangle(0.0, 1.0)):
         with pytest.raises(fixel.InvalidInput):
             call()
+
+
+@pytest.mark.parametrize(
+    ("where", "call"),
+    [
+        ("start", lambda p: fixel.calibrate(p, {"mu_pusher": (0, 1)}, start={"mu_pushr": 0.3})),
+        ("mu_pusher.nominal", lambda p: fixel.calibrate(p, ["mu_pusher"], start={"mu_pusher": 7})),
+        ("noise of poses", lambda p: fixel.calibrate(p, ["mu_pusher"], noise=0.0002)),
+        ("experiments", lambda p: fixel.calibrate(p[0], ["mu_pusher"])),
+        ("experiments", lambda _: fixel.compare(5)),
+        ("experiment", lambda p: fixel.filter(p)),
+        ("seed", lambda p: fixel.posterior(p[0], ["mu_pusher"], seed=-1)),
+        ("stepper", lambda p: fixel.simulate(p[0].scene, stepper=0.01)),
+        ("duration", lambda p: fixel.simulate(p[0].scene, duration="3")),
+        ("parameters", lambda p: fixel.simulate(p[0].scene, ["mu_pusher"])),
+        ("variations", lambda p: fixel.simulate_batch(p[0].scene, {"mu_pusher": []})),
+        ("threads", lambda p: fixel.simulate_batch(p[0].scene, {"mass": [1, 2]}, threads="2")),
+        ("choose.length", lambda _: fixel.FreePushes(length=0.05)),
+        ("bodies", lambda _: fixel.Scene(3)),
+        ("Adaptive.tolerance", lambda _: fixel.Adaptive(tolerance="a")),
+    ],
+)
+def test_values_of_another_kind_are_refused_by_name(where, call):
+    with pytest.raises(fixel.InvalidInput) as refused:
+        call(fixel.datasets.example()[:2])
+    assert refused.value.where == where
+
+
+def test_the_class_of_a_method_means_its_usual_options():
+    scene = fixel.datasets.example()[0].scene
+    of_class = fixel.simulate(scene, solver=fixel.GaussSeidel, motion=fixel.QuasiStatic)
+    of_name = fixel.simulate(scene, solver="gauss-seidel", motion="quasistatic")
+    assert of_class.final == of_name.final

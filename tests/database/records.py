@@ -16,7 +16,7 @@ def path(n=5, shift=0.0):
     return Trajectory(time=time, pose=np.column_stack((time + shift, -0.0 * time, 7.0 * time)))
 
 
-def simulation(number, error, parameters=()):
+def simulation(number, error, parameters=None):
     """A stored simulation of an experiment with this error [mm^2], of a part that rests."""
     return SimulationRecord(
         experiment_id=number, parameters=Parameters(parameters), provenance=Provenance(version="0"),

@@ -126,7 +126,7 @@ def test_runs_that_jam_in_their_first_step_stay_at_the_start(motion):
     ({"times": [0.0, 12.0]}, "times", "12", "11 s"),
     ({"times": []}, "times", "[]", "increasing"),
     ({"threads": 0}, "threads", "0", "at least 1"),
-    ({"duration": -1.0}, "duration", "-1.0", "positive"),
+    ({"duration": -1.0}, "duration", "-1.0", "greater than 0"),
 ])  # fmt: skip
 def test_what_does_not_fit_is_refused(options, where, found, expected):
     with pytest.raises(InvalidInput) as refusal:

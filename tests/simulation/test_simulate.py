@@ -136,7 +136,9 @@ def test_no_room_for_contacts_is_reported():
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
 @pytest.mark.parametrize("name", ["duration", "output_interval"])
 def test_times_that_cannot_be_are_refused(name, value):
-    assert "positive" in refused(simulate, sliding_block(), **{name: value}, match=name).expected
+    assert (
+        "greater than 0" in refused(simulate, sliding_block(), **{name: value}, match=name).expected
+    )
 
 
 def test_too_many_samples_are_refused():

@@ -24,9 +24,8 @@ from fixel.calibration.optimiser import (
     SearchBox,
     Size,
     feasible_points,
-    whole,
 )
-from fixel.model.fields import Value, check_fields
+from fixel.model.fields import Value, check_fields, whole
 from fixel.typing import FloatArray
 
 _MORE_WORDS = {

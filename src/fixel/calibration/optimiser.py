@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import abc
 import math
-import operator
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from functools import partial
@@ -18,7 +17,7 @@ from typing import Annotated, ClassVar, NamedTuple, final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import Value, positive, settle
+from fixel.model.fields import Value, positive, settle, whole
 from fixel.typing import FloatArray, IntArray
 
 
@@ -136,17 +135,6 @@ class AbstractOptimiser(abc.ABC):
         """
 
 
-def whole(value: object, where: str, least: int = 1) -> int:
-    """Return a whole number of at least `least`, or raise `InvalidInput`."""
-    try:
-        number = operator.index(value)  # type: ignore[arg-type]
-    except TypeError:
-        number = least - 1
-    if number < least or isinstance(value, bool):
-        raise InvalidInput(where, found=value, expected=f"a whole number of at least {least}")
-    return number
-
-
 def between(value: object, where: str) -> float:
     """Return a number between 0 and 1, exclusive, or raise `InvalidInput`."""
     number = positive(value, where)
@@ -214,7 +202,8 @@ def feasible_points(
     """
     from scipy.stats import qmc
 
-    sequence = qmc.Sobol(d=box.n, scramble=True, seed=np.random.default_rng(seed))
+    rng = np.random.default_rng(whole(seed, "seed", 0))
+    sequence = qmc.Sobol(d=box.n, scramble=True, seed=rng)
     found = np.zeros((0, box.n))
     for _ in range(TRIES // BATCH):
         points = box.low + sequence.random(BATCH) * (box.high - box.low)

@@ -20,10 +20,9 @@ from fixel.calibration.optimiser import (
     Size,
     between,
     inside,
-    whole,
 )
 from fixel.errors import InvalidInput
-from fixel.model.fields import Value, check_fields, finite, non_negative, positive
+from fixel.model.fields import Value, check_fields, finite, non_negative, positive, whole
 from fixel.typing import FloatArray
 
 

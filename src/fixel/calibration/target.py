@@ -56,6 +56,7 @@ def target_of(experiment: Experiment) -> Target:
 
 def targets_of(experiments: Iterable[Experiment | Target]) -> list[Target]:
     """Return the targets of several experiments, at least one."""
+    instance(experiments, Iterable, "experiments", "a list of experiments")
     targets = []
     for own in experiments:
         instance(own, Experiment | Target, "experiments", "experiments")

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from fixel.calibration.target import Target
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, unknown_name
 from fixel.model import (
     Disk,
     Ellipsoid,
@@ -20,6 +20,7 @@ from fixel.model import (
     Tripod,
     UniformPressure,
 )
+from fixel.model.fields import instance
 from fixel.model.parameters import KNOWN_PARAMETERS, in_si, info_of
 from fixel.model.space import Parameter, ParameterSpace, Unknown, split_label
 from fixel.simulation.uneven_table import TABLE_NAMES
@@ -180,10 +181,16 @@ def search_space(
         space = ParameterSpace(
             unknowns=tuple(u for key, own in named.items() for u in _unknowns(key, own, targets))
         )
-    if start is None:
-        return space
-    names = zip(space.free, space.nominal.tolist(), strict=True)
-    return space.started_at([start.get(u.label, start.get(u.name, x)) for u, x in names])
+    return space if start is None else _started(space, start)
+
+
+def _started(space: ParameterSpace, start: Mapping[str, float]) -> ParameterSpace:
+    instance(start, Mapping, "start", "values by name of parameter")
+    for name in set(start) - {name for u in space.unknowns for name in (u.label, u.name)}:
+        raise unknown_name("start", name, space.labels)
+    begun = {u.label: start.get(u.label, start.get(u.name, u.nominal)) for u in space.free}
+    own = (replace(u, nominal=begun.get(u.label, u.nominal)) for u in space.unknowns)
+    return ParameterSpace(unknowns=tuple(own))
 
 
 def _unknowns(key: str, entry: Bounds, targets: Sequence[Target]) -> list[Unknown]:

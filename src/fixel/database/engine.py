@@ -13,7 +13,7 @@ from urllib.parse import quote
 import sqlalchemy as sa
 from sqlalchemy import event, exc
 
-from fixel.errors import StoreRefused
+from fixel.errors import InvalidInput, StoreRefused
 
 # Network file systems, where a lock of one machine is invisible to the others.
 NETWORK: Final = frozenset(
@@ -151,8 +151,10 @@ def translated(engine: sa.Engine) -> Iterator[None]:
         yield
     except exc.DBAPIError as problem:
         raise StoreRefused(*_reason(place, str(problem.orig))) from problem
-    # From direct calls of the driver, a damaged page's message that is no text, too large an id.
-    except (sqlite3.Error, UnicodeDecodeError, OverflowError) as problem:
+    except OverflowError:
+        raise InvalidInput("id or seed", found="more than 63 bits", expected="less") from None
+    # From direct calls of the driver, or a damaged page's message that is no text.
+    except (sqlite3.Error, UnicodeDecodeError) as problem:
         raise StoreRefused(*_reason(place, str(problem))) from problem
 
 

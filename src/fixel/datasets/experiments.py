@@ -92,6 +92,7 @@ class Experiments(Result, Sequence[Experiment]):
         """
         if isinstance(experiments, Experiments):
             return experiments
+        instance(experiments, Experiment | Iterable, "experiments", "a list of experiments")
         several = [experiments] if isinstance(experiments, Experiment) else [*experiments]
         for k, one in enumerate(several):
             instance(one, Experiment, f"experiments[{k}]", "an Experiment")

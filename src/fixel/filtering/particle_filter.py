@@ -18,10 +18,10 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import final
 
-from fixel.calibration.optimiser import between, whole
+from fixel.calibration.optimiser import between
 from fixel.errors import InvalidInput
 from fixel.filtering.prior import checked_priors
-from fixel.model.fields import non_negative, optional_positive, positive, settle
+from fixel.model.fields import non_negative, optional_positive, positive, settle, whole
 from fixel.simulation import AbstractMotionModel, FirstOrder, QuasiStatic
 
 

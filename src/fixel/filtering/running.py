@@ -10,7 +10,6 @@ from typing import Final, NamedTuple, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fixel.calibration.optimiser import whole
 from fixel.calibration.target import scene_of
 from fixel.errors import InvalidInput
 from fixel.filtering import particles as cloud
@@ -19,7 +18,7 @@ from fixel.filtering.particle_filter import ParticleFilter
 from fixel.filtering.particles import quantiles
 from fixel.filtering.prior import UniformPrior, Unknowns, prior_for
 from fixel.model import Experiment, Scene, wrapped
-from fixel.model.fields import instance, vector
+from fixel.model.fields import instance, vector, whole
 from fixel.model.scene import check_push
 from fixel.typing import BoolArray, FloatArray
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import operator
 from collections.abc import Callable, Collection, Mapping
 from functools import cache
 from numbers import Real
@@ -139,6 +140,18 @@ def fraction(value: object, where: str) -> float:
 def optional_positive(value: object, where: str, unit: str = "") -> float | None:
     """Return a value as a float, checked to be finite and above zero, or None."""
     return None if value is None else positive(value, where, unit)
+
+
+def whole(value: object, where: str, least: int = 1) -> int:
+    """Return a whole number of at least `least`, or raise `InvalidInput`."""
+    try:
+        number = operator.index(value)  # type: ignore[arg-type]
+    except TypeError:
+        number = least - 1
+    if number < least or isinstance(value, bool):
+        expected = f"a whole number of at least {least}"
+        raise InvalidInput(where, found=_quoted(value), expected=expected)
+    return number
 
 
 def vector(value: ArrayLike, where: str, labels: str) -> FloatArray:

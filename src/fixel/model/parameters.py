@@ -10,7 +10,7 @@ from typing import Final, final
 
 from fixel.errors import InvalidInput, unknown_name
 from fixel.model.engine_parameters import ParameterInfo, engine_parameter
-from fixel.model.fields import finite
+from fixel.model.fields import finite, instance
 from fixel.units import cm, deg, g, mm, mrad, um
 
 _LOADS = "the distribution of the load under the body"
@@ -197,6 +197,7 @@ class Parameters(Mapping[str, float]):
     __slots__ = ("_values",)
 
     def __init__(self, values: Mapping[str, float] | None = None, /, **named: float) -> None:
+        instance({} if values is None else values, Mapping, "parameters", "values by name")
         given = {**(values or {}), **named}
         self._values = MappingProxyType({name: _checked(name, x) for name, x in given.items()})
 

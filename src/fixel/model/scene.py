@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, final
+from typing import TYPE_CHECKING, Annotated, TypeVar, final
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from fixel.model.fields import (
     non_negative,
     positive,
     settle,
+    whole,
 )
 from fixel.model.overlap import boxes, overlap_depth, pairs_of_boxes
 from fixel.model.plane import Plane
@@ -176,7 +177,8 @@ class Scene(Comparable):
         if not self.bodies:
             raise InvalidInput("bodies", found="no free body", expected="at least one")
         instance(self.plane, Plane, "plane", "a Plane")
-        _check_directions(self.support_directions)
+        if (n := self.support_directions) is not None:
+            settle(self, support_directions=whole(n, "support_directions", 4))
         _check_unique_names(self.names)
         for index, entry in enumerate(self.contact_friction):
             for name in entry.pair:
@@ -278,6 +280,7 @@ def _two_names(pair: object) -> tuple[str, str]:
 
 
 def _members(values: T | Iterable[T], kind: type[T], where: str) -> tuple[T, ...]:
+    instance(values, kind | Iterable, where, f"a {kind.__name__}, or several")
     members = (values,) if isinstance(values, kind) else tuple(values)  # type: ignore[arg-type]
     for index, member in enumerate(members):
         instance(member, kind, f"{where}[{index}]", f"a {kind.__name__}")
@@ -296,15 +299,6 @@ def check_push(
             found=f"{n} free bodies and {len(scene.pushers)} pushers",
             expected=f"one free body{' or more' * several} and "
             f"{'at most ' * (0 in pushers)}one pusher",
-        )
-
-
-def _check_directions(value: Any) -> None:
-    if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 4):
-        raise InvalidInput(
-            "support_directions",
-            found=value,
-            expected="a whole number of at least 4, or None for the exact disc",
         )
 
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from fixel.errors import InvalidInput, counted
 from fixel.model import Scene
 from fixel.model.bodies import POSE
-from fixel.model.fields import instance, vector
+from fixel.model.fields import instance, vector, whole
 from fixel.model.goal_checks import check_goal
 from fixel.model.goals import BodyTrack, Goal, body_of, events_in
 from fixel.model.probability import Probability
@@ -576,11 +576,9 @@ def search_of(
 ) -> PlanSearch:
     """Return the search for a plan, after checks; parameters as for `fixel.plan`."""
     instance(goal, Goal, "goal", "a goal, such as PoseRegion or Seated")
-    given: Any = rollouts
-    whole = isinstance(given, int | np.integer) and not isinstance(given, bool)
-    if not whole or given < MIN_ROLLOUTS:
-        expected = f"a whole number of {MIN_ROLLOUTS} or more"
-        raise InvalidInput("rollouts", found=rollouts, expected=expected)
+    instance(choose, FreePushes | RigPushes, "choose", "FreePushes or RigPushes")
+    instance(belief, Belief, "belief", "a Belief")
+    whole(rollouts, "rollouts", MIN_ROLLOUTS)
     check_goal(goal, scene)
     scene = _part_first(scene, goal)
     check_centres(belief, scene)

@@ -13,7 +13,16 @@ import shapely
 
 from fixel.errors import InvalidInput, unknown_name
 from fixel.model import Body, Disk, LineDrive, PathDrive, Polygon, Pusher, Scene, Shape
-from fixel.model.fields import Value, check_fields, instance, non_negative, positive, settle
+from fixel.model.fields import (
+    Value,
+    check_fields,
+    instance,
+    non_negative,
+    positive,
+    settle,
+    vector,
+    whole,
+)
 from fixel.model.overlap import overlaps, turned
 from fixel.model.scene import check_push
 from fixel.planning.simplified import MANY
@@ -150,7 +159,7 @@ class FreePushes:
     keep: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if isinstance(self.most, bool) or not 1 <= self.most <= MAX_PUSHES:
+        if whole(self.most, "choose.most") > MAX_PUSHES:
             expected = f"from 1 to {MAX_PUSHES}"
             raise InvalidInput("choose.most", found=self.most, expected=expected)
         instance(self.tool, Shape | None, "choose.tool", "a Polygon or a Disk")
@@ -534,8 +543,8 @@ def _check_cost(cost: str) -> None:
 
 
 def _range(given: Sequence[float], where: str, lowest: float = -math.inf) -> Range:
-    low, high = (float(x) for x in given)
-    if not (math.isfinite(low) and math.isfinite(high) and lowest <= low <= high):
+    low, high = vector(given, where, "lowest, largest").tolist()
+    if not lowest <= low <= high:
         expected = "an increasing range" + (" from 0 up" if lowest == 0.0 else "")
         raise InvalidInput(where, found=f"{low:g} to {high:g}", expected=expected)
     return low, high

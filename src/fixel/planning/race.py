@@ -17,6 +17,7 @@ from scipy.special import betainc
 
 from fixel.calibration.study import run_study
 from fixel.errors import InvalidInput
+from fixel.model.fields import whole
 from fixel.planning.success import WORST, finite_margins
 from fixel.typing import BoolArray, FloatArray, IntArray
 
@@ -246,12 +247,10 @@ def _remaining(margins: FloatArray, standing: _Standing, finalists: int, chance:
 
 
 def _check(n_plans: int, sizes: Sequence[int], finalists: int, confidence: float) -> None:
-    if n_plans < 1:
-        raise InvalidInput("n_plans", found=n_plans, expected="at least 1")
+    whole(n_plans, "n_plans")
     steps: Any = np.diff([0, *sizes])
     if not len(sizes) or np.any(steps <= 0):
         raise InvalidInput("sizes", found=tuple(sizes), expected="increasing positive numbers")
-    if finalists < 1:
-        raise InvalidInput("finalists", found=finalists, expected="at least 1")
+    whole(finalists, "finalists")
     if not 0.5 <= confidence < 1.0:
         raise InvalidInput("confidence", found=confidence, expected="at least 0.5 and below 1")

@@ -217,7 +217,7 @@ def stated_name(motion: AbstractMotionModel | str) -> str:
 def named_part(part: Part | str, family: Sequence[type[Part]], where: str) -> Part:
     """Return a part of a method, also by its name; raise for names outside its family."""
     if not isinstance(part, str):
-        return part
+        return part() if isinstance(part, type) else part  # of a class, its usual options
     for member in family:
         if getattr(member, "name", "") == part:
             return member()

@@ -29,7 +29,7 @@ from fixel.kernels.arrays import (
 )
 from fixel.kernels.samples import SAMPLE_SLACK
 from fixel.model import Parameters, PathDrive, Scene
-from fixel.model.fields import frozen, instance, settle
+from fixel.model.fields import frozen, instance, positive, settle
 from fixel.registry import offered
 from fixel.simulation.first_code import is_missing, roll_in_python
 from fixel.simulation.motion import AbstractMotionModel, OtherEngine, motion_model, named_part
@@ -429,14 +429,7 @@ def scene_file(file: SceneWithMethod | str | PathLike[str], expected: str) -> Sc
 def duration_of(scene: Scene, duration: float | None) -> float:
     """Return the simulated time of a scene [s]; raise for templates."""
     scene.complete(duration)
-    return positive_time("duration", scene.duration if duration is None else duration)
-
-
-def positive_time(where: str, value: float) -> float:
-    """Return a positive, finite time; raise for others."""
-    if not 0.0 < value < math.inf:
-        raise InvalidInput(where, found=value, expected="a positive time [s]")
-    return float(value)
+    return positive(scene.duration if duration is None else duration, "duration", "s")
 
 
 def one_variation(parameters: Parameters | None) -> Variation:
@@ -465,6 +458,9 @@ def method_of(
     polygons: bool = False,
 ) -> StepMethod:
     """Convert a method for the kernels; `polygons` for supports with `support_directions`."""
+    instance(motion, AbstractMotionModel, "motion", "a motion model, or its name")
+    instance(stepper, AbstractStepper, "stepper", "a stepper, such as fixel.Adaptive()")
+    instance(solver, AbstractSolver, "solver", "a solver, or its name")
     effort = solver.max_sweeps if isinstance(solver, GaussSeidel) else 0
     max_steps = stepper.max_steps if isinstance(stepper, Adaptive) else MAX_STEPS
     usual = isinstance(stepper, Adaptive) and max_steps == DEFAULT_STEPPER.max_steps
@@ -514,7 +510,7 @@ def check_compiled(
 
 def sample_times(duration: float, interval: float) -> FloatArray:
     """Sample times 0, interval, 2 interval, ... and the end [s]."""
-    positive_time("output_interval", interval)
+    positive(interval, "output_interval", "s")
     n = math.floor(duration / interval * (1.0 + 1e-12))
     if n + 2 > MAX_SAMPLES:
         expected, hint = f"at most {MAX_SAMPLES}", f"use at least {duration / MAX_SAMPLES:.3g} s"

@@ -6,11 +6,11 @@ import abc
 from dataclasses import dataclass
 from typing import ClassVar, final
 
-from fixel.errors import InvalidInput
 from fixel.kernels import codes, entries
 from fixel.kernels.arrays import Problem, Workspace
 from fixel.kernels.solve import MAX_ATTEMPTS, MAX_ATTEMPTS_EARLY, TOLERANCE
 from fixel.kernels.step_control import AT_ONCE
+from fixel.model.fields import whole
 from fixel.typing import FloatArray
 
 
@@ -96,10 +96,7 @@ class GaussSeidel(AbstractSolver):
     max_sweeps: int = 10_000
 
     def __post_init__(self) -> None:
-        if self.max_sweeps < 1:
-            raise InvalidInput(
-                "GaussSeidel.max_sweeps", found=self.max_sweeps, expected="at least 1"
-            )
+        whole(self.max_sweeps, "GaussSeidel.max_sweeps")
 
     def solve(
         self, problem: Problem, work: Workspace, guess: FloatArray, give_up_early: int = 0
@@ -139,8 +136,7 @@ class Lemke(AbstractSolver):
     max_pivots: int = 2_000
 
     def __post_init__(self) -> None:
-        if self.max_pivots < 1:
-            raise InvalidInput("Lemke.max_pivots", found=self.max_pivots, expected="at least 1")
+        whole(self.max_pivots, "Lemke.max_pivots")
 
     def solve(
         self, problem: Problem, work: Workspace, guess: FloatArray, give_up_early: int = 0

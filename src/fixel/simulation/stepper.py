@@ -13,6 +13,7 @@ from fixel.errors import InvalidInput
 from fixel.kernels import arrays as at
 from fixel.kernels import codes, entries
 from fixel.kernels.arrays import Problem
+from fixel.model.fields import finite, optional_positive, positive
 from fixel.typing import FloatArray
 
 
@@ -177,7 +178,7 @@ class StewartTrinkle(_BuiltInStepper):
     step: float = 0.01
 
     def __post_init__(self) -> None:
-        _check_step("StewartTrinkle.step", self.step)
+        positive(self.step, "StewartTrinkle.step", "s")
 
 
 @final
@@ -195,7 +196,7 @@ class Midpoint(_BuiltInStepper):
     step: float = 0.01
 
     def __post_init__(self) -> None:
-        _check_step("Midpoint.step", self.step)
+        positive(self.step, "Midpoint.step", "s")
 
 
 @final
@@ -241,15 +242,12 @@ class Adaptive(_BuiltInStepper):
     max_steps: int = 100_000
 
     def __post_init__(self) -> None:
-        if self.tolerance is not None and not 0.0 < self.tolerance < math.inf:
-            raise InvalidInput(
-                "Adaptive.tolerance", found=self.tolerance, expected="a positive length [m]"
-            )
-        if not 0.0 < self.largest_step <= 10.0:
+        optional_positive(self.tolerance, "Adaptive.tolerance", "m")
+        if positive(self.largest_step, "Adaptive.largest_step", "s") > 10.0:
             raise InvalidInput(
                 "Adaptive.largest_step", found=self.largest_step, expected="a number from 0 to 10"
             )
-        if isinstance(self.max_steps, bool) or not 1 <= int(self.max_steps) == self.max_steps:
+        if not 1.0 <= finite(self.max_steps, "Adaptive.max_steps") == int(self.max_steps):
             raise InvalidInput(
                 "Adaptive.max_steps", found=self.max_steps, expected="a whole number of at least 1"
             )
@@ -263,11 +261,6 @@ def stepper_of(step: float | None, tolerance: float | None) -> AbstractStepper |
     if tolerance is not None:
         return Adaptive(tolerance=tolerance)
     return None if step is None else StewartTrinkle(step=step)
-
-
-def _check_step(where: str, step: float) -> None:
-    if not 0.0 < step < math.inf:
-        raise InvalidInput(where, found=step, expected="a positive time [s]")
 
 
 STEPPERS: tuple[type[AbstractStepper], ...] = (StewartTrinkle, Midpoint, Adaptive)

@@ -14,10 +14,10 @@ from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Any, Final, TypeVar
 
-from fixel.errors import InvalidInput
 from fixel.kernels import batch as kernel
 from fixel.kernels import codes
 from fixel.kernels.arrays import SAMPLES, STOP, Batch, BatchRecord, StepMethod
+from fixel.model.fields import whole
 from fixel.simulation.first_code import is_missing, wait_for_code
 
 T = TypeVar("T")
@@ -44,9 +44,7 @@ def rollout_in_threads(
     if is_missing():
         wait_for_code()
     n = len(record.status)
-    n_threads = cores() if threads is None else threads
-    if n_threads < 1:
-        raise InvalidInput("threads", found=threads, expected="at least 1")
+    n_threads = cores() if threads is None else whole(threads, "threads")
     roll = partial(kernel.rollout_batch, batch, method, record, every_step)
 
     def roll_and_then(first: int, last: int) -> None:

@@ -606,9 +606,9 @@ def variation_of(
                 expected="times in increasing order",
             )
         lengths["waypoints"] = len(path)
-    if len(set(lengths.values())) > 1:
+    if len(set(lengths.values())) > 1 or 0 in lengths.values():
         found = ", ".join(f"{name}: {n}" for name, n in lengths.items())
-        raise InvalidInput("variations", found=found, expected="the same length for all")
+        raise InvalidInput("variations", found=found, expected="the same length for all, not 0")
     return Variation(values, poses, path), next(iter(lengths.values()), 1)
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, Final, Literal, cast, final
 import numpy as np
 
 from fixel.errors import InvalidInput, unknown_name
-from fixel.model.fields import Value, check_fields, non_negative
+from fixel.model.fields import Value, check_fields, non_negative, whole
 from fixel.typing import FloatArray
 
 Kind = Literal["uniform", "normal"]
@@ -124,8 +124,8 @@ def even_points(n: int, dimensions: int, seed: int) -> FloatArray:
     """Return points (n, dimensions) of a scrambled Sobol sequence in the unit cube."""
     from scipy.stats import qmc
 
-    if isinstance(n, bool) or not 1 <= n <= MAX_STARTS:
+    if whole(n, "samples") > MAX_STARTS:
         raise InvalidInput("samples", found=n, expected=f"a whole number from 1 to {MAX_STARTS}")
     power = math.ceil(math.log2(n)) if n > 1 else 0
-    cube = qmc.Sobol(dimensions, scramble=True, seed=np.random.default_rng(seed))
+    cube = qmc.Sobol(dimensions, scramble=True, seed=np.random.default_rng(whole(seed, "seed", 0)))
     return np.asarray(cube.random_base2(power)[:n], np.float64)

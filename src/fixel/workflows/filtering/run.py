@@ -87,12 +87,14 @@ def filter(
     >>> sorted(found.parameters)
     ['mu_fixel', 'mu_pusher', 'mu_support', 'tripod_radius']
     """
-    from fixel.calibration.optimiser import whole
     from fixel.filtering.particle_filter import ParticleFilter
     from fixel.filtering.recorded import run_filter
+    from fixel.model import Experiment
+    from fixel.model.fields import instance, whole
     from fixel.progress import show_progress
     from fixel.simulation.motion import motion_model
 
+    instance(experiment, Experiment, "experiment", "an Experiment")
     if options is None:
         whole(particles, "particles", 2)
         own: dict[str, Any] = {} if motion is None else {"motion": motion_model(motion)}

@@ -98,8 +98,7 @@ def posterior(
     from fixel.workflows.uncertainty.sampling import sample
 
     permit(motion)
-    own = [experiments] if isinstance(experiments, Experiment) else list(experiments)
-    targets = targets_of(own)
+    targets = targets_of([experiments] if isinstance(experiments, Experiment) else experiments)
     if isinstance(parameters, Calibration):
         begun = parameters.space.started_at(parameters.found.point)
         space, stated = begun.under([own.conditions for own in targets]), parameters.noise
