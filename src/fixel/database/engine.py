@@ -152,7 +152,7 @@ def translated(engine: sa.Engine) -> Iterator[None]:
     except exc.DBAPIError as problem:
         raise StoreRefused(*_reason(place, str(problem.orig))) from problem
     except OverflowError:
-        raise InvalidInput("id or seed", found="more than 63 bits", expected="less") from None
+        raise InvalidInput("id or seed", found="2^63 or more", expected="less") from None
     # From direct calls of the driver, or a damaged page's message that is no text.
     except (sqlite3.Error, UnicodeDecodeError) as problem:
         raise StoreRefused(*_reason(place, str(problem))) from problem
