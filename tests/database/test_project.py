@@ -191,5 +191,5 @@ def test_a_name_that_two_experiments_have_is_refused_with_their_ids(lab):
 
 
 def test_a_number_beyond_those_of_ids_is_refused(lab):
-    with pytest.raises(InvalidInput, match=r"2\^63 or more"):
+    with pytest.raises(InvalidInput, match="too large for"):
         lab.experiment("9" * 30)

@@ -126,7 +126,7 @@ def test_found_by_id_and_name(store):
     stored(store, experiment("two"))
     with pytest.raises(NotStored, match="2 have that name"):
         store.find("two")
-    with pytest.raises(InvalidInput, match=r"2\^63"):
+    with pytest.raises(InvalidInput, match="too large for"):
         store.find(str(10**30))
     with pytest.raises(NotStored, match="fixel list"):
         store.find("lab/three")

@@ -149,13 +149,13 @@ def translated(engine: sa.Engine) -> Iterator[None]:
     place = engine.url.render_as_string(hide_password=True)
     try:
         yield
-    except exc.DBAPIError as problem:
-        raise StoreRefused(*_reason(place, str(problem.orig))) from problem
-    except OverflowError:
-        raise InvalidInput("id or seed", found="2^63 or more", expected="less") from None
-    # From direct calls of the driver, or a damaged page's message that is no text.
-    except (sqlite3.Error, UnicodeDecodeError) as problem:
-        raise StoreRefused(*_reason(place, str(problem))) from problem
+    # Also from direct calls of the driver, or a damaged page's message that is no text.
+    except (exc.DBAPIError, sqlite3.Error, OverflowError, UnicodeDecodeError) as problem:
+        said = str(getattr(problem, "orig", problem))
+        if said.endswith(("too large to convert to SQLite INTEGER", "integer out of range")):
+            found, expected = "a number too large for the database", "a smaller one"
+            raise InvalidInput("id or seed", found=found, expected=expected) from None
+        raise StoreRefused(*_reason(place, said)) from problem
 
 
 def _reason(place: str, said: str) -> tuple[str, str | None]:
