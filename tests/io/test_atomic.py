@@ -26,7 +26,7 @@ def test_the_unfinished_file_has_a_name_that_others_cannot_guess(tmp_path: Path)
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="of systems with named pipes")
 def test_a_pipe_or_a_device_is_not_replaced_by_a_file(tmp_path: Path) -> None:
-    """As root, a result that was written to /dev/null removed the device of the whole machine."""
+    """A result that root wrote to /dev/null removed the device of the whole machine."""
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(InvalidInput, match="found a device or a pipe"):
         write_whole(tmp_path / "pipe", "text")

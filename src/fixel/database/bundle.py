@@ -303,13 +303,13 @@ class _Copy:
         return copied
 
     def _simulations(self) -> None:
+        known, copied = self._target._ids(tables.simulation), set()
         for number in self._source._ids(tables.simulation):
             record = self._source.simulation(number)
             if record.experiment_id in self._ids:
-                experiment_id = self._ids[record.experiment_id]
-                known = self._target.simulations(experiment_id)
-                record = dataclasses.replace(record, experiment_id=experiment_id)
-                self.new["simulations"] += self._target.add_simulation(record) not in known
+                record = dataclasses.replace(record, experiment_id=self._ids[record.experiment_id])
+                copied.add(self._target.add_simulation(record))
+        self.new["simulations"] += len(copied.difference(known))
 
     def _calibrations(self, whole: bool) -> None:
         stored = self._target._ids(tables.calibration, deleted=True)
@@ -334,17 +334,17 @@ class _Copy:
         """Copy runs of filters, and their settings; all settings if `whole`."""
         every = map(self._source.filter_run, self._source._ids(tables.filter_run))
         runs = [run for run in every if run.experiment_id in self._ids]
-        settings = self._filter_parameters(
-            None if whole else {r.filter_parameters_id for r in runs}
-        )
-        known = self._target._ids(tables.filter_run)
+        used = None if whole else {run.filter_parameters_id for run in runs}
+        settings = self._filter_parameters(used)
+        known, copied = self._target._ids(tables.filter_run), set()
         for run in runs:
             record = dataclasses.replace(
                 run,
                 experiment_id=self._ids[run.experiment_id],
                 filter_parameters_id=settings[run.filter_parameters_id],
             )
-            self.new["filter_runs"] += self._target.add_filter_run(record) not in known
+            copied.add(self._target.add_filter_run(record))
+        self.new["filter_runs"] += len(copied.difference(known))
 
     def _analyses(self) -> None:
         """Copy analyses whose experiments and calibrations are copied, with their ids there."""
