@@ -120,6 +120,30 @@ def test_two_turns_in_degrees_or_wrapped_radians_need_no_second_statement(tmp_pa
         assert "doubtful-angles" not in {flag.name for flag in experiment.flags}
 
 
+@pytest.mark.parametrize("title", ["theta_deg", "theta_rad"])
+@pytest.mark.parametrize("turns", [[2] * 20, [0, 2] * 10, [3, -1, 0, 5] * 5])
+def test_jumps_by_whole_turns_do_not_count_as_motion(tmp_path, title, turns):
+    """A tracker may add any number of turns to an angle, and another one in the next frame."""
+    turned = 0.02 * np.arange(40)
+    jumps = 2.0 * math.pi * np.concatenate((np.zeros(20), turns))
+    unit = math.degrees(1.0) if title == "theta_deg" else 1.0
+    rows = np.column_stack(
+        (0.1 * np.arange(40), np.arange(40), 0 * turned, unit * (turned + jumps))
+    )
+    text = "".join(",".join(f"{value:.9g}" for value in row) + "\n" for row in rows)
+    source = table_file(tmp_path / "run.csv", f"time_s,x_mm,y_mm,{title}\n{text}")
+    (experiment,) = CSV.read(source).experiments()
+    np.testing.assert_allclose(experiment.trajectory.pose[:, 2], turned, atol=1e-6)
+    assert "doubtful-angles" not in {flag.name for flag in experiment.flags}
+
+
+def test_a_spin_in_degrees_is_not_called_radians(tmp_path):
+    """Radians would make it 57 times as fast."""
+    refusal = refused(CSV.read, turning(tmp_path, "theta_deg", 54.0, 20))
+    assert refusal.found == "an object that turns 54 degrees in 0.1 s"
+    assert refusal.hint.startswith("check angles and times; if it is in degrees")
+
+
 def test_right_units_of_many_pushes_are_accepted(tmp_path):
     for mu in (0.02, 0.15, 0.6):
         for offset in (-0.035, 0.002, 0.03):

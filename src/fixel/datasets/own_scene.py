@@ -159,10 +159,7 @@ def _loaded(path: Path, experiment: Experiment) -> Scene:
         for pusher in record.pushers:
             pusher.pose = None
             pusher.drive.direction = pusher.drive.speed = pusher.drive.travel = None
-            pusher.drive.waypoints = [
-                [0.0, FAR_AWAY, FAR_AWAY, 0.0],
-                [1.0, FAR_AWAY, FAR_AWAY, 0.0],
-            ]
+            pusher.drive.waypoints = [[time, FAR_AWAY, FAR_AWAY, 0.0] for time in (0.0, 1.0)]
     return scene_of(record)
 
 
@@ -235,8 +232,7 @@ def _refuse_other_angles(shape: Shape, radius: float, track: Trajectory, tip: Tr
         return -float(np.quantile(_gaps(shape, radius, turned, tip), OFTEN))
 
     own = depth(track)
-    for unit, factor in (("rad", np.pi / 180.0), ("deg", 180.0 / np.pi)):
-        other = "deg" if unit == "rad" else "rad"
+    for unit, other, factor in (("rad", "deg", np.pi / 180.0), ("deg", "rad", 180.0 / np.pi)):
         fits = depth(rescaled(track, factor))
         if own > INSIDE * _radius(shape) and fits < 0.25 * own:
             raise InvalidInput(
@@ -303,18 +299,17 @@ def refuse_implausible(
     _refuse_lengths(track, source)
     if unit not in WORDS or len(track.time) < 3:
         return
-    other = "deg" if unit == "rad" else "rad"
-    factor = math.pi / 180.0 if unit == "rad" else 180.0 / math.pi  # from this unit to the other
-    rate = _turning(track)
+    # The other unit, and the factor from this one to it.
+    other, factor = ("deg", math.pi / 180.0) if unit == "rad" else ("rad", 180.0 / math.pi)
+    angle = _without_jumps(track.theta)
+    rate = _turning(track.time, angle)
     if rate > FASTEST_TURN:
         step = max(WINDOW, float(np.median(np.diff(track.time))))
-        _refuse(
-            where,
-            f"an object that turns {math.degrees(rate * step):.3g} degrees in {step:.3g} s",
-            unit,
-            other,
-        )
-    if unit == "rad" and (turn := float(np.ptp(track.pose[:, 2]))) > MAX_TURN:
+        found = f"an object that turns {math.degrees(rate * step):.3g} degrees in {step:.3g} s"
+        # Values that were radians under a title in degrees would make it turn even faster.
+        _refuse(where, found, unit, other if unit == "rad" else None)
+    turn = float(min(np.ptp(angle), np.ptp(track.theta)))
+    if unit == "rad" and turn > MAX_TURN:
         _refuse(where, f"an object that turns {math.degrees(turn):.4g} degrees", unit, other)
     if tip is None:
         return
@@ -332,18 +327,17 @@ def refuse_implausible(
         )
 
 
-def _refuse(where: str, found: str, unit: str, other: str) -> None:
+def _refuse(where: str, found: str, unit: str, other: str | None) -> None:
     expected = f"the motion of a pushed object, with angles in {WORDS[unit]}"
     raise InvalidInput(where, found=found, expected=expected, hint=hint_of(other, unit))
 
 
-def hint_of(other: str, unit: str) -> str:
+def hint_of(other: str | None, unit: str) -> str:
     """Hint with the likely unit of angles, and the two statements that confirm the other one."""
-    return (
-        f"it is likely in {WORDS[other]}: set angle_unit={other} with --option, or in Python"
-        f" units={{'angle': '{other}'}}; if it is in {WORDS[unit]}, end its title with _{unit} and"
-        f" set angle_unit={unit}"
-    )
+    ways = f"set angle_unit={other} with --option, or in Python units={{'angle': '{other}'}}"
+    likely = f"it is likely in {WORDS[other]}: {ways}" if other else "check angles and times"
+    sure = f"if it is in {WORDS[unit]}, end its title with _{unit} and set angle_unit={unit}"
+    return f"{likely}; {sure}"
 
 
 def _refuse_lengths(track: Trajectory, source: str) -> None:
@@ -364,12 +358,18 @@ def _refuse_lengths(track: Trajectory, source: str) -> None:
         )
 
 
-def _turning(track: Trajectory) -> float:
-    """Rate of turning while the object turns [rad/s]; jumps by a whole turn are ignored."""
+def _without_jumps(angle: FloatArray) -> FloatArray:
+    """Return angles (n,) [rad] without jumps by whole turns, which are no motion in any unit."""
+    step = np.diff(angle, prepend=angle[:1])
+    turns = 2.0 * math.pi * np.round(step / (2.0 * math.pi))
+    return np.asarray(angle - np.cumsum(np.where(np.abs(step - turns) < 0.5, turns, 0.0)))
+
+
+def _turning(time: FloatArray, angle: FloatArray) -> float:
+    """Rate of turning while the object turns [rad/s]."""
     # The first frame of each window.
-    _, rows = np.unique(np.floor(track.time / WINDOW), return_index=True)
-    step, turn = np.diff(track.time[rows]), np.diff(track.pose[rows, 2])
-    turn = np.where(np.abs(np.abs(turn) - 2.0 * math.pi) < 0.5, 0.0, turn)
+    _, rows = np.unique(np.floor(time / WINDOW), return_index=True)
+    step, turn = np.diff(time[rows]), np.diff(angle[rows])
     rates = np.abs(turn) / step
     moving = rates[np.abs(turn) > 1e-3 * np.abs(turn).max(initial=1e-12)]
     return float(np.quantile(moving, 0.75)) if len(moving) else 0.0
