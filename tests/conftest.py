@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
 
@@ -131,20 +131,47 @@ def full_style() -> dict[str, object]:
 
     Returns the style that users get.
     """
+    from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     from fixel.drawing import palette
 
-    full, lay_out = dict(palette.STYLE), ConstrainedLayoutEngine.execute
+    full = dict(palette.STYLE)
     palette.STYLE.update({"savefig.dpi": 60, "pdf.fonttype": 3})
 
-    def where_seen(engine: ConstrainedLayoutEngine, figure: object) -> None:
-        test = os.environ.get("PYTEST_CURRENT_TEST", "")
-        if any(words in test for words in ("/drawing/", "/reproductions/", "figures")):
-            lay_out(engine, figure)
+    def where_seen(lay_out: Callable[..., None]) -> Callable[..., None]:
+        def laid_out(*arguments: object) -> None:
+            test = os.environ.get("PYTEST_CURRENT_TEST", "")
+            if any(words in test for words in ("/drawing/", "/reproductions/", "figures")):
+                lay_out(*arguments)
 
-    ConstrainedLayoutEngine.execute = where_seen
+        return laid_out
+
+    ConstrainedLayoutEngine.execute = where_seen(ConstrainedLayoutEngine.execute)
+    Figure.draw_without_rendering = where_seen(Figure.draw_without_rendering)
     return full
+
+
+@pytest.fixture(scope="session", autouse=True)
+def nothing_awaits_the_disk() -> None:
+    """Leave it to the system when it writes files to the disk: only a power cut would lose them.
+
+    The system keeps what a killed process has written. Databases of 50 tests wait for a disk
+    3,000 times.
+    """
+    from sqlalchemy import event
+
+    from fixel.database import engine
+
+    os.fsync = lambda descriptor: None
+    open_file = engine._sqlite
+
+    def opened(url: object) -> object:
+        made = open_file(url)
+        event.listen(made, "connect", lambda raw, _: raw.execute("PRAGMA synchronous = OFF"))
+        return made
+
+    engine._sqlite = opened
 
 
 @pytest.fixture(scope="session", autouse=True)

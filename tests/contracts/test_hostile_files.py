@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.database.triggers import without_triggers
 from tests.datasets.test_bag import TIME, matrices, part_at, two_topics, write_bag
 from tests.fixtures import project_of
 from tests.formats.test_goal_file import FULL
@@ -410,16 +411,10 @@ def with_engine(database: Path, engine: str) -> None:
 
 def with_content(database: Path, column: str, change: Callable[[dict[str, Any]], str]) -> None:
     """Change a JSON column of the stored calibrations behind the triggers."""
-    with contextlib.closing(sqlite3.connect(database, isolation_level=None)) as raw:
-        query = "SELECT name, sql FROM sqlite_master WHERE type = 'trigger'"
-        triggers = raw.execute(query).fetchall()
-        for name, _ in triggers:
-            raw.execute(f'DROP TRIGGER "{name}"')
+    with without_triggers(database) as raw:
         for number, own in raw.execute(f"SELECT id, {column} FROM calibration").fetchall():
             changed = change(json.loads(own))
             raw.execute(f"UPDATE calibration SET {column} = ? WHERE id = ?", (changed, number))
-        for _, text in triggers:
-            raw.execute(text)
         raw.execute("PRAGMA wal_checkpoint(TRUNCATE)")
 
 
@@ -457,11 +452,8 @@ def test_a_series_is_no_other_file(name: str, lab: Path, place: Path) -> None:
     """A media file is named by its checksum, also in a project that was copied as a folder."""
     folder = copied(lab, KINDS["project"], place)
     (place / "thesis.txt").write_text("ten pages")
-    with contextlib.closing(sqlite3.connect(folder / "experiments.db")) as raw:
-        for (trigger,) in raw.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'"):
-            raw.execute(f'DROP TRIGGER "{trigger}"')
+    with without_triggers(folder / "experiments.db") as raw:
         raw.execute("UPDATE series SET data = NULL, media_sha256 = ?", (name,))
-        raw.commit()
     with Project(folder).store() as store, pytest.raises(FixelError, match="no checksum"):
         store.experiment(1)
 

@@ -3,15 +3,14 @@
 import hashlib
 import math
 import shutil
-import sqlite3
 import stat
 import zipfile
-from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from tests.database.records import HERE, experiment, path
+from tests.database.triggers import without_triggers
 
 from fixel.database import arrays
 from fixel.database.bundle import export_bundle, import_bundle
@@ -127,17 +126,13 @@ def write(path, members, packing=zipfile.ZIP_DEFLATED):
 
 
 def edited(path, *statements):
-    """The members of a bundle, after statements on its database without triggers."""
+    """Return the members of a bundle after statements on its database."""
     members = members_of(path)
     file = path.with_name("edited.db")
     file.write_bytes(members["experiments.db"])
-    with closing(sqlite3.connect(file)) as raw:
-        names = raw.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'").fetchall()
-        for (name,) in names:
-            raw.execute(f'DROP TRIGGER "{name}"')
+    with without_triggers(file) as raw:
         for statement in statements:
             raw.execute(statement)
-        raw.commit()
     return members | {"experiments.db": file.read_bytes()}
 
 

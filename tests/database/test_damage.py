@@ -9,14 +9,13 @@ import sqlite3
 
 import numpy as np
 import pytest
+from tests.database.triggers import without_triggers
 from tests.fixtures import bare_experiment
 from tests.laboratories import trusted_laboratory
 
 from fixel.database.project import Project
 from fixel.errors import FixelError, StoreRefused
 from fixel.model import Channel, Trajectory
-
-FROZEN = "SELECT name, sql FROM sqlite_master WHERE type = 'trigger'"
 
 
 @pytest.fixture(scope="module")
@@ -43,19 +42,10 @@ def folder(whole, tmp_path):
 
 def behind(folder, *statements):
     """Run SQL with no trigger and no foreign key in its way; the triggers are there afterwards."""
-    with contextlib.closing(
-        sqlite3.connect(folder / "experiments.db", isolation_level=None)
-    ) as raw:
+    with without_triggers(folder / "experiments.db") as raw:
         raw.execute("PRAGMA writable_schema = ON")
-        triggers = raw.execute(FROZEN).fetchall()
-        for name, _ in triggers:
-            raw.execute(f"DROP TRIGGER {name}")
         for statement in statements:
             raw.execute(statement)
-        tables = {name for (name,) in raw.execute("SELECT name FROM sqlite_master")}
-        for name, text in triggers:
-            if name.rpartition("_")[0] in tables:
-                raw.execute(text)
 
 
 ROWS = {

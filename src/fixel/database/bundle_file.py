@@ -225,8 +225,8 @@ def _check_values(store: Store, limits: BundleLimits) -> None:
             info = connection.exec_driver_sql(f'PRAGMA table_xinfo("{table.name}")').all()
             if {(row[1], row[6]) for row in info} != {(c.name, 0) for c in table.columns}:
                 raise ValueError(f"other columns in the table {table.name}")
+            _check_columns(connection, table)
             for column in table.columns:
-                _check_column(connection, column)
                 if column.name in _CONTENT:
                     _check_content(connection, column)
         series = tables.series.c
@@ -238,8 +238,16 @@ def _check_values(store: Store, limits: BundleLimits) -> None:
         raise ValueError(f"{largest} bytes in a series, which must fit in memory")
 
 
-def _check_column(connection: sa.Connection, column: sa.Column[Any]) -> None:
+def _check_columns(connection: sa.Connection, table: sa.Table) -> None:
     """Raise if a column has a value of another type, a longer text, or no checksum."""
+    found = connection.execute(sa.select(*(sa.func.max(_wrong(c)) for c in table.columns))).one()
+    for column, wrong in zip(table.columns, found, strict=True):
+        if wrong:
+            raise ValueError(f"a value of {table.name}.{column.name} that no project has")
+
+
+def _wrong(column: sa.Column[Any]) -> Any:
+    """Return the condition of values that a project does not write in a column."""
     kinds = _STORED_AS[type(column.type)] + (("null",) if column.nullable else ())
     wrong: Any = sa.func.typeof(column).not_in(kinds)
     if isinstance(column.type, sa.Boolean):
@@ -250,8 +258,7 @@ def _check_column(connection: sa.Connection, column: sa.Column[Any]) -> None:
     if column.name in ("media_sha256", "video_sha256"):
         other = sa.or_(sa.func.length(column) != 64, column.bool_op("GLOB")("*[^0-9a-f]*"))
         wrong = sa.or_(wrong, sa.and_(column != "", other))
-    if connection.scalar(sa.select(sa.func.count()).select_from(column.table).where(wrong)):
-        raise ValueError(f"a value of {column.table.name}.{column.name} that no project has")
+    return wrong
 
 
 def _check_content(connection: sa.Connection, column: sa.Column[Any]) -> None:
