@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 
@@ -124,10 +124,17 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
+# Tests that look at figures, by words in their names and those of their files.
+_LAID_OUT = ("/drawing/", "/reproductions/", "figure", "picture", "chart", "drawn", "animated",
+             "film", "demo")  # fmt: skip
+# And the one that makes the figures of every capability.
+_RENDERED = (*_LAID_OUT, "test_a_stored_result_prints_the_same_text_in_a_new_process")
+
+
 @pytest.fixture(scope="session", autouse=True)
 def full_style() -> dict[str, object]:
-    """Save pictures with few pixels and without embedded fonts, and lay them out only where tests
-    look at pictures: in a third of the time.
+    """Save pictures with few pixels and without embedded fonts; lay figures out and render them
+    only where tests look at them. Elsewhere, files of figures are empty pages.
 
     Returns the style that users get.
     """
@@ -139,16 +146,17 @@ def full_style() -> dict[str, object]:
     full = dict(palette.STYLE)
     palette.STYLE.update({"savefig.dpi": 60, "pdf.fonttype": 3})
 
-    def where_seen(lay_out: Callable[..., None]) -> Callable[..., None]:
-        def laid_out(*arguments: object) -> None:
+    def only_in(words: Sequence[str], call: Callable[..., None]) -> Callable[..., None]:
+        def called(*arguments: object) -> None:
             test = os.environ.get("PYTEST_CURRENT_TEST", "")
-            if any(words in test for words in ("/drawing/", "/reproductions/", "figures")):
-                lay_out(*arguments)
+            if any(word in test for word in words):
+                call(*arguments)
 
-        return laid_out
+        return called
 
-    ConstrainedLayoutEngine.execute = where_seen(ConstrainedLayoutEngine.execute)
-    Figure.draw_without_rendering = where_seen(Figure.draw_without_rendering)
+    ConstrainedLayoutEngine.execute = only_in(_LAID_OUT, ConstrainedLayoutEngine.execute)
+    Figure.draw_without_rendering = only_in(_LAID_OUT, Figure.draw_without_rendering)
+    Figure.draw = only_in(_RENDERED, Figure.draw)
     return full
 
 

@@ -13,7 +13,7 @@ from fixel.filtering.particle_filter import ParticleFilter
 from fixel.filtering.recorded import run_filter
 from fixel.model import Scene
 
-FEW = ParticleFilter(n_particles=40)
+FEW = ParticleFilter(n_particles=20)
 
 
 def without_fixels(experiment):
@@ -24,10 +24,10 @@ def without_fixels(experiment):
 
 @pytest.fixture(scope="module")
 def runs():
-    recorded = push(duration=3.0)
+    recorded = push(duration=1.5)
     bare, seen = without_fixels(recorded), replace(recorded, real=True, simulated_by="")
     return {
-        "hidden": (recorded, run_filter(recorded, FEW, occlusion=(1.0, 2.0))),
+        "hidden": (recorded, run_filter(recorded, FEW, occlusion=(0.5, 1.0))),
         "seen": (seen, run_filter(seen, FEW)),
         "bare": (bare, run_filter(bare, replace(FEW, priors={"mu_pusher": None}))),
     }

@@ -30,7 +30,7 @@ def job(tmp_path: Path) -> Path:
     pushed_square().save(tmp_path / "scene.yaml")
     goal = tmp_path / "goal.yaml"
     goal.write_text(json.dumps(GOAL))
-    folder = prepare(PLAN, PLAN.request({"goal": str(goal), "rollouts": 2_000}), project)
+    folder = prepare(PLAN, PLAN.request({"goal": str(goal), "rollouts": 1_000}), project)
     goal.write_text("changed after the job was prepared")
     return folder
 
@@ -47,7 +47,7 @@ def expected(tmp_path_factory) -> fixel.PushPlan:
     pushed_square().save(folder / "scene.yaml")
     goal = json.dumps(GOAL | {"scene": str(folder / "scene.yaml")})
     project = fixel.Project.create(folder / "lab")
-    return plan_goal(project, goal, rollouts=2_000, progress=False).found.plan
+    return plan_goal(project, goal, rollouts=1_000, progress=False).found.plan
 
 
 def test_a_job_finds_the_plan_of_the_same_call(job: Path, expected: fixel.PushPlan):
@@ -80,7 +80,7 @@ def test_a_job_does_not_compute_with_another_scene(by_option: bool, tmp_path: Pa
     project, file = fixel.Project.create(tmp_path / "lab"), Path("scene.yaml")
     pushed_square().save(file)
     scene = {"scene": file} if by_option else {}
-    request = PLAN.request({"goal": json.dumps(GOAL), "rollouts": 2_000} | scene)
+    request = PLAN.request({"goal": json.dumps(GOAL), "rollouts": 1_000} | scene)
     folder, content = prepare(PLAN, request, project), file.read_bytes()
     monkeypatch.chdir(project.folder)
     (tmp_path / file).write_bytes(content.replace(b"mass: 0.15", b"mass: 0.30"))
