@@ -111,11 +111,12 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    listing = "\n".join(f"  {name:<9}{s[2]}" for name, s in SCENARIOS.items())
+    left_out = ", ".join(sorted(ONLY_WHEN_ASKED))
+    listing = "\n".join(f"  {name:<20}{s[2]}" for name, s in SCENARIOS.items())
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks",
         description=__doc__,
-        epilog=f"names:\n{listing}\n\nAll of them where none is given, except peers.",
+        epilog=f"names:\n{listing}\n\nWhere none is given, all but {left_out}.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("names", nargs="*", metavar="NAME", choices=[*SCENARIOS, []])

@@ -17,6 +17,7 @@ from fixel.model import (
     LineDrive,
     PairFriction,
     PathDrive,
+    Polygon,
     Pusher,
     Scene,
     Tripod,
@@ -85,6 +86,23 @@ def test_wedged_parts_rest_until_the_end(seed, motion):
     force = force + last["tangential_force"][:, None] * tangent
     part = scene.bodies[0]
     assert np.hypot(*force.sum(axis=0)) <= part.support.friction * 0.15 * 9.81 + 1e-6
+
+
+@pytest.mark.parametrize(("y", "theta"), [(0.002, 1.5), (0.01, 1.8)])
+def test_parts_wedged_on_their_tool_go_with_it(y, theta):
+    """A disk too wide for the mouth of a U is caught in it, and nothing moves between them."""
+    u = np.array([(-40, -40), (40, -40), (40, 40), (28, 40), (28, -28), (-28, -28), (-28, 40),
+                  (-40, 40)])  # fmt: skip
+    part = Body(
+        "part", Polygon(1e-3 * u), mass=0.15, pose=(0.0, y, theta),
+        support=Tripod(radius=0.02, friction=0.3),
+    )  # fmt: skip
+    drive = LineDrive(direction=(1.0, 0.0), speed=0.02, travel=0.1)
+    tip = Pusher("tip", Disk(0.04), pose=(-0.12, 0.0, 0.0), drive=drive, friction=1.5)
+    run = simulate(Scene(part, tip, duration=6.0), output_interval=0.5)
+    assert run.converged
+    moved = run["part"].pose[10] - run["part"].pose[6]  # from 3 to 5 s
+    np.testing.assert_allclose(moved, (0.04, 0.0, 0.0), atol=2e-4)
 
 
 @pytest.mark.parametrize("stepper", [StewartTrinkle(step=1e-3), Midpoint(step=1e-3)], ids=_name)

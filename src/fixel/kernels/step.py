@@ -444,11 +444,13 @@ def leave_overlaps(model: Model, control: FloatArray, problem: Problem, work: Wo
     """Prepare a second solution of a trial, from rest, that leaves overlaps below a few tolerances.
 
     Between surfaces that wedge a body by friction it has no room to take them back. Returns False,
-    without a change, where there are none, and where a rigid pusher would creep through a jam.
+    without a change, where there are none, and where a rigid pusher would creep through a jam: not
+    where it is all that bodies touch.
     """
     for d in range(model.force_limit.size):
-        if model.drive_dof[d] < 0:
-            return False
+        for i in range(problem.size[N_CONTACT]):
+            if model.drive_dof[d] < 0 and problem.contact_body[i, 1] != model.mass.size + d:
+                return False
     trial = control[at.TRIAL]
     room = max(trial, GENTLY) if control[at.INERTIAL] == 1.0 else trial
     found = False

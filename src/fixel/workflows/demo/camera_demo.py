@@ -101,16 +101,13 @@ def run_camera_tour(
     project = _begun(folder, {"pushes": list(pushes), "frames": None})  # the latter of old tours
     films = _filmed(project, folder, pushes, notify, progress)
     firmware = _firmware(folder, notify)
-    runs, drive, lost, total = [], {}, 0, 0
+    runs, lost, total = [], 0, 0
     for made in films:
         name = made.name
         answer = _tracked(folder, made, firmware, notify)
         recording = open_recording(folder / "recordings" / name)
         lost += 0 if recording.end is None else recording.end.lost
         total += recording.n_frames
-        position = _noted(folder).get(name)
-        if position is not None:
-            drive[name] = position
         twin, run = true_twin(answer.experiment, made)
         with project.store() as store:
             video = store.add_video(answer.film.video)
@@ -139,7 +136,7 @@ def run_camera_tour(
         truths=truths,
         frames=total,
         lost=lost,
-        drive=drive,
+        drive={name: at for name, at in _noted(folder).items() if at is not None},
         report=report,
         overlays=tuple(sorted(folder.glob("*-overlay.*"))),
     )
