@@ -223,7 +223,7 @@ def test_a_move_that_another_thread_stops_keeps_its_zero():
     with driven({"reach": (0.0, 1.0)}, acceleration=200.0, travel=1000.0) as (_, drive):
         drive.set_zero()
         for _ in range(6):
-            stop = threading.Timer(0.25, drive.stop)
+            stop = threading.Timer(0.1, drive.stop)
             stop.start()
             with pytest.raises(DeviceFailed, match="stop was requested"):
                 drive.move(to=0.9, speed=0.04)

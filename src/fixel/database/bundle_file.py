@@ -225,8 +225,10 @@ def _check_values(store: Store, limits: BundleLimits) -> None:
             info = connection.exec_driver_sql(f'PRAGMA table_xinfo("{table.name}")').all()
             if {(row[1], row[6]) for row in info} != {(c.name, 0) for c in table.columns}:
                 raise ValueError(f"other columns in the table {table.name}")
-            _check_columns(connection, table)
-            for column in table.columns:
+            wrong = sa.select(*(sa.func.max(_is_wrong(column)) for column in table.columns))
+            for column, found in zip(table.columns, connection.execute(wrong).one(), strict=True):
+                if found:
+                    raise ValueError(f"a value of {table.name}.{column.name} that no project has")
                 if column.name in _CONTENT:
                     _check_content(connection, column)
         series = tables.series.c
@@ -238,22 +240,13 @@ def _check_values(store: Store, limits: BundleLimits) -> None:
         raise ValueError(f"{largest} bytes in a series, which must fit in memory")
 
 
-def _check_columns(connection: sa.Connection, table: sa.Table) -> None:
-    """Raise if a column has a value of another type, a longer text, or no checksum."""
-    found = connection.execute(sa.select(*(sa.func.max(_wrong(c)) for c in table.columns))).one()
-    for column, wrong in zip(table.columns, found, strict=True):
-        if wrong:
-            raise ValueError(f"a value of {table.name}.{column.name} that no project has")
-
-
-def _wrong(column: sa.Column[Any]) -> Any:
-    """Return the condition of values that a project does not write in a column."""
+def _is_wrong(column: sa.Column[Any]) -> Any:
+    """Return the condition of a value of another type, of a longer text, or of no checksum."""
     kinds = _STORED_AS[type(column.type)] + (("null",) if column.nullable else ())
     wrong: Any = sa.func.typeof(column).not_in(kinds)
     if isinstance(column.type, sa.Boolean):
         wrong = sa.or_(wrong, sa.cast(column, sa.Integer).not_in((0, 1)))
-    length = getattr(column.type, "length", None)
-    if length is not None:
+    if length := getattr(column.type, "length", None):
         wrong = sa.or_(wrong, sa.func.length(column) > length)
     if column.name in ("media_sha256", "video_sha256"):
         other = sa.or_(sa.func.length(column) != 64, column.bool_op("GLOB")("*[^0-9a-f]*"))

@@ -53,16 +53,15 @@ def upgrade(connection: sa.Connection, version: str = "head") -> None:
 
     One that is newer than this program, or of another program, raises `StoreRefused`.
     """
-    check_known(connection)
-    if version_of(connection) is None and sa.inspect(connection).get_table_names():
+    if check_known(connection) is None and sa.inspect(connection).get_table_names():
         raise StoreRefused(
             "the database has tables that do not belong to fixel", hint="use an empty database"
         )
     command.upgrade(_config(connection), version)
 
 
-def check_known(connection: sa.Connection) -> None:
-    """Raise `StoreRefused` for a database whose version this program does not know."""
+def check_known(connection: sa.Connection) -> str | None:
+    """Return `version_of` a database; raise `StoreRefused` if this program does not know it."""
     found = version_of(connection)
     if found is not None and found < versions()[0]:
         raise StoreRefused(
@@ -76,12 +75,12 @@ def check_known(connection: sa.Connection) -> None:
             "fixel",
             hint="install the version of fixel that wrote it, or a newer one",
         )
+    return found
 
 
 def check_newest(connection: sa.Connection, command: str = "fixel db upgrade") -> None:
     """Raise `StoreRefused` for a database that must be upgraded first; `command` is the hint."""
-    check_known(connection)
-    found = version_of(connection)
+    found = check_known(connection)
     if found != newest():
         what = "is empty" if found is None else f"has schema {found}"
         raise StoreRefused(
