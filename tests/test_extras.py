@@ -17,6 +17,7 @@ from fixel.formats.recording_video import VideoSink, packets
 from fixel.formats.trajectory_file import save_trajectory, trajectory_columns
 from fixel.formats.video_file import VideoWriter, open_video
 from fixel.testing import scenes
+from fixel.uncertainty.indices import Factor, sobol_indices
 
 SOURCES = Path(fixel.__file__).parent
 EXTRAS = {"pyarrow", "av", "cv2", "h5py", "pooch", "PyNomad", "sklearn", "dynesty", "SALib"}
@@ -62,9 +63,24 @@ def video_cases(run, folder):
     }
 
 
+def posterior_cases(run, folder):
+    push = fixel.datasets.example()[0]
+    return {"posterior": lambda: fixel.posterior(push, ["mu_pusher"], progress=False)}
+
+
+def indices_cases(run, folder):
+    factors = [Factor("x", 0.0, 1.0)]
+    return {"indices": lambda: sobol_indices(lambda points: points, factors, ["y"])}
+
+
 @pytest.mark.parametrize(
     ("package", "extra", "cases"),
-    [("pyarrow", "parquet", parquet_cases), ("av", "video", video_cases)],
+    [
+        ("pyarrow", "parquet", parquet_cases),
+        ("av", "video", video_cases),
+        ("dynesty", "infer", posterior_cases),
+        ("SALib", "infer", indices_cases),
+    ],
 )
 def test_what_needs_an_extra_names_it(package, extra, cases, run, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)

@@ -227,15 +227,16 @@ class NotStored(FixelError, LookupError):
 
 
 class _WithHint(FixelError, RuntimeError):
-    """Exception with a reason and a hint."""
+    """Exception with a reason and a hint; `is_input` where the cause is a wrong name or address."""
 
-    def __init__(self, reason: str, hint: str | None = None) -> None:
+    def __init__(self, reason: str, hint: str | None = None, *, is_input: bool = False) -> None:
         self.reason = reason
         self.hint = hint
+        self.is_input = is_input
         super().__init__(f"{reason}; {hint}" if hint else reason)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.reason, self.hint)
+        return partial(type(self), is_input=self.is_input), (self.reason, self.hint)
 
 
 @final
@@ -319,10 +320,10 @@ class MissingExtra(FixelError, ImportError):
         return partial(MissingExtra, command=self.command), (self.feature, self.package)
 
 
-def require(package: str, feature: str, extra: str) -> None:
-    """Raise `MissingExtra` if the package of an extra is not installed."""
+def require(package: str, feature: str, **how: str) -> None:
+    """Raise `MissingExtra` if a package is not installed; `how` is its `extra` or `command`."""
     if find_spec(package) is None:
-        raise MissingExtra(feature, package, extra=extra)
+        raise MissingExtra(feature, package, **how)
 
 
 @final

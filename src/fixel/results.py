@@ -12,7 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-from fixel.errors import InvalidInput, MissingExtra, require
+from fixel.errors import InvalidInput, require
 from fixel.registry import offered, offers
 from fixel.table import Table, Value
 
@@ -169,10 +169,9 @@ class Result:
         MissingExtra
             pandas is not installed.
         """
-        try:
-            import pandas
-        except ImportError:
-            raise MissingExtra("to_pandas", "pandas", command="pip install pandas") from None
+        require("pandas", "to_pandas", command="pip install pandas")
+        import pandas
+
         frame = pandas.DataFrame(self.to_dict())
         frame.attrs["units"] = {column.name: column.unit for column in self._data().columns}
         return frame

@@ -181,3 +181,9 @@ def csv_cell(value: Value) -> Value:
 def _plain(value: Any) -> Value:
     own: Value = value.item() if hasattr(value, "item") else value  # of NumPy, not imported here
     return None if isinstance(own, float) and not math.isfinite(own) else own
+
+
+def shortened(lines: Sequence[str], total: int, indent: str = "") -> list[str]:
+    """Return the lines, and below them how many of `total` are missing."""
+    more = total - len(lines)
+    return [*lines, f"{indent}... and {more} more; --json has them all"] if more > 0 else [*lines]

@@ -1,12 +1,13 @@
 import gc
 import math
 import signal
+import sys
 
 import numpy as np
 import pytest
 
 from fixel.calibration import Mads, mads
-from fixel.errors import InvalidInput
+from fixel.errors import MissingExtra
 from fixel.testing.optimiser_contract import bowl, box, run
 
 pytest.importorskip("PyNomad")
@@ -90,6 +91,6 @@ def test_silent(capfd):
 
 
 def test_missing_package_is_named(monkeypatch):
-    monkeypatch.setattr("fixel.calibration.mads.find_spec", lambda name: None)
-    with pytest.raises(InvalidInput, match=r'pip install "fixel\[mads\]"'):
+    monkeypatch.setitem(sys.modules, "PyNomad", None)
+    with pytest.raises(MissingExtra, match=r"pip install 'fixel\[mads\]'"):
         Mads().start(box())

@@ -127,7 +127,13 @@ def test_a_backup_reads_back_while_another_process_writes(folder, tmp_path):
 
 def test_a_backup_takes_the_place_of_the_one_before(folder, tmp_path):
     copy = tmp_path / "copy.db"
-    copy.write_bytes(b"the one before")
+    copy.write_bytes(b"notes")
+    with pytest.raises(InvalidInput, match="a new name, or an earlier backup"):
+        call("backup", copy, folder)
+    assert copy.read_bytes() == b"notes"
+
+    copy.unlink()
+    assert [call("backup", copy, folder)[1].split()[0] for _ in range(2)] == ["wrote", "replaced"]
     answer = json.loads(call("backup", copy, folder, "--json")[1])
     assert answer["file"] == str(copy)
     assert answer["size"] == copy.stat().st_size

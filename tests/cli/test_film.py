@@ -39,6 +39,12 @@ def test_the_answer_as_json(capsys, files):
     assert (one["name"], one["frames"], one["video"]) == ("push", 2, None)
 
 
+@pytest.mark.parametrize("change", ["bulr=1", "blur=much", "dropped=1.5"])
+def test_values_of_looks_are_refused_by_their_option(capsys, change):
+    said = refusal(capsys, "testbed", "film", "push.yaml", "--set", change)
+    assert said.startswith(f"fixel: --set{'' if 'r=1' in change else ' ' + change.split('=')[0]}")
+
+
 def test_looks_that_do_not_exist_are_bad_input(capsys, files):
     err = refusal(
         capsys, "testbed", "film", files / "push.yaml", "--looks", "herd", "--out", files / "film"

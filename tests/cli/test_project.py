@@ -1,6 +1,7 @@
 """`fixel new`, `import`, `list` and `testbed run`, as typed."""
 
 import math
+import pickle
 import shlex
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from tests.datasets import push_files, recordings
 
 from fixel.database.project import Project
 from fixel.database.query import ALL_EXPERIMENTS
+from fixel.errors import StoreRefused
 from fixel.jobs.folder import read_run
 
 
@@ -39,11 +41,22 @@ def test_a_new_project_is_a_folder(lab, capsys):
 
 
 def test_what_is_no_project_is_refused(tmp_path, capsys):
-    code, _, err = fixel(capsys, "list", "--project", tmp_path)
-    assert code == 1
-    assert "fixel new" in err
+    assert "fixel new" in refusal(capsys, "list", "--project", tmp_path)
+    with pytest.raises(StoreRefused) as refused:
+        Project(f"sqlite:///{tmp_path}/no.db")
+    assert pickle.loads(pickle.dumps(refused.value)).is_input
     (tmp_path / "thing").write_text("x", encoding="utf-8")
     assert "empty folder" in refusal(capsys, "new", tmp_path)
+
+
+@pytest.mark.parametrize(("words", "name"), [
+    ("data --output there", "--output"), ("data --sha256 ab", "--sha256"),
+    ("export lab.zip --scenes 3", "--scenes"), ("export lab.zip --seed 0", "--seed"),
+    ("plan run pyproject.toml --rig thesis-tags", "--rig"),
+    ("plan run pyproject.toml --driver grbl -n 3", "--trials"),
+])  # fmt: skip
+def test_options_that_nothing_uses_are_refused(capsys, words, name):
+    assert refusal(capsys, *words.split()).startswith(f"fixel: {name}: found ")
 
 
 @pytest.mark.parametrize(("settings", "words", "said"), [

@@ -10,7 +10,7 @@ from tests.datasets import push_files, recordings
 from tests.fixtures import refused
 
 from fixel.datasets import IMPORTERS, importer_for
-from fixel.errors import DatasetMissing
+from fixel.errors import DatasetMissing, MissingExtra
 from fixel.model import Disk, SupportPoints, UniformPressure
 
 
@@ -217,7 +217,8 @@ def test_hdf5_without_its_library_says_what_to_do(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "h5py", None)
     file = tmp_path / f"{recordings.RECORD}.h5"
     file.write_bytes(b"\x89HDF\r\n")
-    refused(imported, file, match="pip install h5py")
+    with pytest.raises(MissingExtra, match="hdf5"):
+        imported(file)
 
 
 def test_hdf5_as_published(tmp_path):

@@ -47,7 +47,7 @@ def test_points_lie_inside_and_can_carry_a_body(shape):
 
 @pytest.mark.parametrize("sizes", [{"outer": 1.0}, {"inner": 0.0}])
 def test_rings_beyond_the_outline_are_refused(sizes):
-    with pytest.raises(InvalidInput, match="fraction between 0 and 1"):
+    with pytest.raises(InvalidInput, match="number between 0 and 1"):
         support_grid(SQUARE, **sizes)
 
 

@@ -1,7 +1,6 @@
 """Sobol indices against closed forms."""
 
 import math
-import sys
 
 import numpy as np
 import pytest
@@ -76,10 +75,3 @@ def test_what_cannot_be_asked():
     for name, interval in (("mu_pusher", (0.5, 0.1)), ("mu_pusher", (-1.0, 1.0))):
         refused(indices_of, micro_push(1), ASME, {name: interval}, 2, match="a range")
     refused(indices_of, micro_push(1), ASME, {"start_x": (0.0, 1.0)}, 2, match="start error")
-
-
-def test_without_salib(monkeypatch):
-    for name in [name for name in sys.modules if name.startswith("SALib")]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "SALib", None)
-    refused(sobol_indices, ishigami, [Factor("x", 0.0, 1.0)], ["f"], 2, match="infer")

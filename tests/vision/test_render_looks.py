@@ -181,7 +181,7 @@ def test_numbers_of_looks_are_changed_by_name():
     assert (looks.occlusion, looks.light_change, looks.blur) == (1.5, 0.2, 1.1)
     for text in ("occlusion", "colour=3", "tab=1"):
         refused(changed, looks, [text], match="must be NAME=VALUE, where NAME is one of")
-    refused(changed, looks, ["blur=much"], match=r"looks.blur is 'much', but must be a number")
+    refused(changed, looks, ["blur=much"], match=r"changes blur is 'much', but must be a number")
 
 
 def test_a_motion_that_lacks_a_body_is_refused():

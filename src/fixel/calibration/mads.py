@@ -10,7 +10,6 @@ import sys
 import threading
 import weakref
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import IO, Any, ClassVar, Final, final
 
@@ -18,7 +17,7 @@ import numpy as np
 
 from fixel.calibration import mads_child
 from fixel.calibration.optimiser import AbstractOptimiser, Count, Feasible, Search, SearchBox, Size
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, require
 from fixel.model.fields import check_fields
 from fixel.typing import FloatArray
 
@@ -68,13 +67,7 @@ class Mads(AbstractOptimiser):
         check_fields(self, "Mads")
 
     def start(self, box: SearchBox, seed: int = 0, feasible: Feasible | None = None) -> Search:
-        if find_spec("PyNomad") is None:
-            raise InvalidInput(
-                "Mads",
-                found="no package PyNomad",
-                expected="it to be installed",
-                hint='pip install "fixel[mads]"',
-            )
+        require("PyNomad", "Mads", extra="mads")
         return _MadsSearch(box, self, seed)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput, unknown_name
-from fixel.model.fields import finite, fraction, positive, settle
+from fixel.model.fields import finite, inner_share, instance, positive, settle
 from fixel.typing import FloatArray
 
 NoiseSource = Literal["stated", "repetitions", "residuals", "differences"]
@@ -115,11 +115,15 @@ class Dispersion:
         """
         from scipy.special import ndtri, stdtrit
 
-        if not 0.0 < fraction(level, "level") < 1.0:
-            raise InvalidInput("level", found=level, expected="a number between 0 and 1")
+        inner_share(level, "level")
         tail = 0.5 * (1.0 + level)
         z = ndtri(tail) if math.isinf(self.freedom) else stdtrit(self.freedom, tail)
         return float(self.value * z * z)
+
+
+def check_noise(noise: object) -> None:
+    """Raise for what is neither a `Noise` nor None."""
+    instance(noise, Noise | None, "noise of poses", "a fixel.Noise, or none")
 
 
 def noise_from_repetitions(groups: Sequence[ArrayLike]) -> Noise:

@@ -42,6 +42,7 @@ from fixel.calibration.noise import Dispersion
 from fixel.calibration.profile import Profile, Profiles
 from fixel.calibration.profile_branch import ON_BOUND
 from fixel.errors import InvalidInput
+from fixel.model.fields import inner_share
 from fixel.model.parameters import info_of
 from fixel.model.records import Estimate
 from fixel.model.space import ParameterSpace, Unknown
@@ -173,8 +174,7 @@ def judge(
     well as the best, and `dispersion` is that of the prior (`NormalPrior.weighted`). `honest`
     allows for misfit, if the model misfits or the noise is unknown.
     """
-    if not 0.0 < level < 1.0:
-        raise InvalidInput("level", found=level, expected="a number between 0 and 1")
+    inner_share(level, "level")
     if profiles.profiles and len(profiles.profiles) != len(space.free):
         found = f"profiles of {len(profiles.profiles)} parameters"
         raise InvalidInput(

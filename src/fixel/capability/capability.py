@@ -28,7 +28,9 @@ _PHRASES: Final = {
     "greater_than": "more than {gt:g}",
     "less_than_equal": "at most {le:g}",
     "less_than": "less than {lt:g}",
+    "int_type": "an integer",
     "int_parsing": "an integer",
+    "int_from_float": "an integer",
     "float_parsing": "a number",
     "tuple_type": "a list",
 }
@@ -161,9 +163,10 @@ class Capability:
                 description=option.meaning or None,
             )
             kind = option.plain
-            if is_group(option.kind):
-                kind = Annotated[kind, BeforeValidator(option.fields)]
-            return Annotated[kind, limits], ... if option.required else option.default
+            kind = Annotated[kind, limits]
+            if is_group(option.kind) or option.kind in (int, float):
+                kind = Annotated[kind, BeforeValidator(option.before)]
+            return kind, ... if option.required else option.default
 
         config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
         fields: Any = {name: checked(option) for name, option in self.options.items()}
@@ -301,15 +304,14 @@ class Capability:
             pair = ("only one of them", "both, or neither") if rest else ("none", "a value")
             return InvalidInput(where, found=pair[0], expected=pair[1])
         found, option = first["input"], self.shown.get(where)
-        factor = FACTORS.get(option.door.unit, 1.0) if option else 1.0
-        if isinstance(found, float) and factor != 1.0:
-            found = f"{found / factor:.6g} {option.door.unit}" if option else found
+        unit = option.door.unit if option else ""
+        if isinstance(found, str):
+            found = repr(found)
+        elif isinstance(found, float) and FACTORS.get(unit, 1.0) != 1.0:
+            found = f"{found / FACTORS[unit]:.6g} {unit}"
         phrase = _PHRASES.get(kind, first["msg"].removeprefix("Input should be "))
-        return InvalidInput(
-            where,
-            found=repr(found) if isinstance(found, str) and factor == 1.0 else found,
-            expected=phrase.format(**first.get("ctx", {})).replace("valid ", ""),
-        )
+        phrase = phrase.format(**first.get("ctx", {})).replace("valid ", "")
+        return InvalidInput(where, found=found, expected=phrase)
 
 
 def named(error: InvalidInput, names: Mapping[str, str]) -> InvalidInput:

@@ -125,11 +125,19 @@ class Option:
                 if text not in self.choices:
                     raise unknown_name(self.name, text, self.choices)
 
-    def fields(self, value: Any) -> Any:
-        """Return the fields of a group by name, from an object for Python that has them."""
+    def before(self, value: Any) -> Any:
+        """Return a value for pydantic; raise for a text or bool that it would take as a number."""
+        from pydantic_core import PydanticCustomError
+
+        if self.kind in (int, float) and isinstance(value, str | bytes | bool):
+            number = "an integer" if self.kind is int else "a number"
+            raise PydanticCustomError("number", number)
+        if not is_group(self.kind) or value is None or isinstance(value, Mapping):
+            return value
         names = inspect.get_annotations(self.kind)
-        is_object = all(hasattr(value, name) for name in names)
-        return {name: getattr(value, name) for name in names} if is_object else value
+        if not all(hasattr(value, name) for name in names):
+            raise PydanticCustomError("group", f"an object with {' and '.join(names)}")
+        return {name: getattr(value, name) for name in names}
 
     def parsed(self, texts: Sequence[str]) -> Any:
         """Return the value that texts state, with numbers as texts; raise for another form."""

@@ -14,9 +14,9 @@ from fixel.cli.options import (
     required,
     with_options,
 )
-from fixel.cli.screen import command_of, paragraphs, print_answer, shortened
+from fixel.cli.screen import command_of, paragraphs, print_answer
 from fixel.errors import counted
-from fixel.table import Table
+from fixel.table import Table, shortened
 
 if TYPE_CHECKING:
     from fixel.workflows.project.maintenance import CheckResult, SchemaVersions
@@ -53,12 +53,13 @@ def backup(
     """Copy the database to a file, while other programs may use it."""
     from fixel.database.project import Project
 
+    verb = "replaced" if file.exists() else "wrote"
     done = Project(project_at(place, folder)).backup(file)
     print_answer(
         as_json,
         lambda: done._asdict() | {"file": str(done.file), "media": str(done.media)},
         lambda: [
-            f"wrote {done.file}: {done.size} bytes, sha256 {done.sha256}",
+            f"{verb} {done.file}: {done.size} bytes, sha256 {done.sha256}",
             "The media files are not in it. They never change, so copy only the new ones:",
             "",
             f"Next: {shlex.join(['cp', '-rn', str(done.media), f'{done.file}.media'])}",

@@ -211,7 +211,7 @@ def run(
     except SolveFailed as error:
         _exit(NOT_SOLVED, error, as_json)
     except FixelError as error:
-        _exit(1, error, as_json)
+        _exit(BAD_INPUT if getattr(error, "is_input", False) else 1, error, as_json)
     except OSError as error:
         failure = machine_failure(error)
         if failure is None:

@@ -1,6 +1,6 @@
 """`fixel plan`: pushes that reach a goal despite what is unknown."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -198,7 +198,9 @@ class DriveOptions:
         from fixel.workflows.acquisition.record import RecordPlan
 
         if self.camera is None:
-            return None
+            if self.out is None and self.rig is None:
+                return None
+            raise InvalidInput("--camera", found=None, expected="the camera for --out and --rig")
         if self.out is None:
             raise InvalidInput("--out", found=None, expected="a new folder for the recording")
         return RecordPlan(camera=self.camera, folder=self.out, rig=self.rig)
@@ -252,6 +254,7 @@ def run(
     from fixel.workflows.planning.execute import present_belief, run_on_testbed
     from fixel.workflows.planning.request import load_plan
 
+    _check_run(options, trials, engine)
     found, project = load_plan(plan).found, _project(folder)
     if engine:
         held, stated = found.plan.success_in(engine, trials, seed=seed), found.plan.success.mean
@@ -276,6 +279,18 @@ def run(
                  "refuted": done.refuted, **analysis_of("plan", done).texts()},
         lambda: [*str(done).splitlines(), f"Next: {again}"],
     )  # fmt: skip
+
+
+def _check_run(options: DriveOptions, trials: int, engine: str) -> None:
+    """Raise for options that the driver does not use."""
+    if options.driver == "testbed":
+        given = {one.name: getattr(options, one.name) != one.default for one in fields(options)}
+        expected = "a drive: grbl, manual or simulated"
+    else:
+        given, expected = {"trials": trials > 1, "engine": engine != ""}, "the driver testbed"
+    if unused := [name for name, differs in given.items() if differs]:
+        found = f"the driver {options.driver}"
+        raise InvalidInput(f"--{unused[0]}", found=found, expected=expected)
 
 
 def _project(folder: Path) -> "Project | None":

@@ -24,12 +24,11 @@ from fixel.cli.screen import (
     plain,
     print_answer,
     project_words,
-    shortened,
     wrote,
 )
 from fixel.errors import InvalidInput, counted
 from fixel.progress import show_progress, time_text
-from fixel.table import Column, Table
+from fixel.table import Column, Table, shortened
 
 if TYPE_CHECKING:
     from fixel.database.browsing import ExperimentPage
@@ -313,10 +312,10 @@ def export(
         metavar="ID",
         show_default="the newest for several experiments",
     ),
-    scenes: int = option(
-        100, "Number of scenes on which the engine is compared with fixel, with --to."
+    scenes: int | None = option(
+        None, "Number of scenes compared with those of the engine, with --to; 100 by default."
     ),
-    seed: int = option(0, "Seed of the random number generator, with --to.", min=0),
+    seed: int | None = option(None, "Seed of the random numbers, with --to; 0 by default.", min=0),
     as_json: AsJson = False,
 ) -> None:
     """Export experiments, or a scene as a model for an engine."""
@@ -326,14 +325,15 @@ def export(
     if len(places) > 1:
         raise InvalidInput("TARGET", found=f"{len(paths)} paths", expected="[PROJECT] TARGET")
     place = places[0] if places else None
-    _check_export(to, parquet, lerobot, calibration=calibration, dataset=dataset, fps=fps)
+    for_model: dict[str, Any] = {"calibration": calibration, "scenes": scenes, "seed": seed}
+    _check_export(to, parquet, lerobot, for_model, dataset=dataset, fps=fps)
     if to is not None:
         from fixel.workflows.model_export.run import export_model
 
         what = place if place and not place.is_dir() else Project(project_at(place, folder))
         model = export_model(
-            what, target, to=to, calibration=calibration, scenes=scenes, seed=seed,
-            progress=not as_json,
+            what, target, to=to, progress=not as_json,
+            **{name: value for name, value in for_model.items() if value is not None},
         )  # fmt: skip
         print_answer(as_json, model.summary, lambda: _exported_model(model))
         return
@@ -343,12 +343,14 @@ def export(
     print_answer(as_json, answer.summary, lambda: _exported(answer))
 
 
-def _check_export(to: str | None, parquet: bool, lerobot: bool, **given: object) -> None:
+def _check_export(
+    to: str | None, parquet: bool, lerobot: bool, for_model: Mapping[str, object], **given: object
+) -> None:
     """Raise for options that the chosen kind of export does not use."""
     if parquet and lerobot:
         raise InvalidInput("--parquet", found="--parquet and --lerobot", expected="one of them")
-    for name, value in (given | {"parquet": parquet, "lerobot": lerobot}).items():
-        if value and (name == "calibration") == (to is None):
+    for name, value in {**given, **for_model, "parquet": parquet, "lerobot": lerobot}.items():
+        if value is not None and value is not False and (name in for_model) == (to is None):
             found = "no --to" if to is None else "--to too"
             raise InvalidInput(f"--{name}", found=found, expected="options of one kind of export")
 
@@ -401,8 +403,8 @@ def _exported(answer: "ExportAnswer") -> list[str]:
 def data(
     *,
     url: str | None = argument(None, "URL of a file to download.", metavar="[URL]"),
-    folder: Path = option(
-        Path("data"), "File or folder to write.", "--output", "-o", metavar="FOLDER"
+    output: Path | None = option(
+        None, "File or folder to write.", "--output", "-o", metavar="FOLDER", show_default="data"
     ),
     sha256: str | None = option(None, "Expected SHA-256 checksum.", "--sha256", metavar="DIGITS"),
     as_json: AsJson = False,
@@ -411,10 +413,12 @@ def data(
     from fixel.workflows.project.importing import datasets, fetch
 
     if url is None:
+        if unused := "output" if output else "sha256" if sha256 else "":
+            raise InvalidInput(f"--{unused}", found="no URL", expected="the URL of a file")
         known = datasets()
         print_answer(as_json, lambda: {"datasets": known}, lambda: _datasets(known))
         return
-    found = fetch(url, folder, sha256)
+    found = fetch(url, output or Path("data"), sha256)
     size = found.n_byte
     if sha256 is None and not as_json:
         notify("No checksum was given; compare this one with that of the publisher.")

@@ -47,12 +47,6 @@ def paragraphs(*blocks: Sequence[str]) -> list[str]:
     return [line for block in full for line in ("", *block)][1:]
 
 
-def shortened(lines: Sequence[str], total: int, indent: str = "") -> list[str]:
-    """Return the lines, and below them how many of `total` are missing."""
-    more = total - len(lines)
-    return [*lines, f"{indent}... and {more} more; --json has them all"] if more > 0 else [*lines]
-
-
 def wrote(files: Iterable[Path | None]) -> list[str]:
     """Return a line for each file that was written."""
     return [f"wrote {file}" for file in files if file is not None]

@@ -20,11 +20,10 @@ from fixel.cli.screen import (
     notify,
     paragraphs,
     print_answer,
-    shortened,
     wrote,
 )
 from fixel.errors import NotStored, counted
-from fixel.table import Column, Table
+from fixel.table import Column, Table, shortened
 from fixel.workflows.sentences import origin_of
 
 if TYPE_CHECKING:

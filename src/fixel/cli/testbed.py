@@ -8,9 +8,9 @@ import typer
 from fixel.cli.capability import typer_command
 from fixel.cli.options import AsJson, ProjectFolder, Seed, argument, option, required, with_options
 from fixel.cli.project import print_imported
-from fixel.cli.screen import command_of, print_answer, shortened, wrote
+from fixel.cli.screen import command_of, print_answer, wrote
 from fixel.progress import show_progress
-from fixel.table import Column, Table
+from fixel.table import Column, Table, shortened
 from fixel.workflows.acquisition import FILM
 
 if TYPE_CHECKING:

@@ -41,6 +41,7 @@ def open_engine(url: str) -> sa.Engine:
         raise StoreRefused(
             f"{url!r} is not a database URL",
             hint="write sqlite:///FILE or postgresql+psycopg://USER@HOST/DATABASE",
+            is_input=True,
         ) from None
     except ModuleNotFoundError as missing:
         raise StoreRefused(

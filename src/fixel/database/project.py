@@ -136,6 +136,7 @@ class Project:
                 f"{folder} is not a fixel project (no {SETTINGS})",
                 hint=f"make one with: {shlex.join(['fixel', 'new', name])}, or in Python"
                 f" fixel.Project.create({name!r})",
+                is_input=True,
             )
         content = read_document(path)
         try:
@@ -461,7 +462,9 @@ def _server(url: str, media: Path | None) -> tuple[Path, ProjectSettings]:
         )
     if file != url and not Path(file).is_file():
         raise StoreRefused(
-            f"there is no database {file}", hint="create a project: fixel new FOLDER"
+            f"there is no database {file}",
+            hint="create a project: fixel new FOLDER",
+            is_input=True,
         )
     folder = Path(file).parent if media is None else Path(media).parent
     name = url.rpartition("/")[2].partition("?")[0] or "project"

@@ -18,7 +18,7 @@ import numpy as np
 from fixel.datasets.base import ImportPlan, collected, origin_of, remark, trajectory_of
 from fixel.datasets.contact import pushed_scene
 from fixel.datasets.files import LARGEST_NUMBER, MM, Problems, advancing, member, read_json
-from fixel.errors import DatasetMissing, InvalidInput
+from fixel.errors import DatasetMissing, InvalidInput, require
 from fixel.model import (
     Body,
     Channel,
@@ -206,15 +206,9 @@ def _dataset(h5py: Any, file: Any, key: str) -> Any:
 
 
 def _h5py(path: Path) -> Any:
-    try:
-        import h5py  # type: ignore[import-not-found,import-untyped,unused-ignore]
-    except ImportError:
-        raise InvalidInput(
-            path.name,
-            found="an HDF5 file, and no h5py to read it with",
-            expected="an installed h5py",
-            hint="pip install h5py, or convert the file to JSON with the same keys",
-        ) from None
+    require("h5py", path.name, extra="hdf5")
+    import h5py  # type: ignore[import-not-found,import-untyped,unused-ignore]
+
     return h5py
 
 

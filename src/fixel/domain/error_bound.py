@@ -19,6 +19,7 @@ from fixel.calibration.known_pushes import MIN_EXPERIMENTS
 from fixel.calibration.mixed import numbered
 from fixel.domain.features import Scale, ScaleModel, default_model, fitted_model, powered, unpowered
 from fixel.errors import InvalidInput, counted
+from fixel.model.fields import inner_share
 from fixel.typing import BoolArray, FloatArray, IntArray
 
 LEVEL: Final = 0.9
@@ -245,7 +246,7 @@ class ConformalBound:
         """
         table = self._table(features)
         for level in levels:
-            _check_level(level)
+            inner_share(level, "level")
         labels = _labels(groups, len(table))
         kind = np.array(self._novelty(contacts, labels).kind, object)
         answer = self._quantiles(table, labels, levels)
@@ -360,7 +361,7 @@ class ConformalBound:
 
 def min_experiments(level: float) -> int:
     """Return the number of held-out experiments for a finite bound: 9 for 90 %, 19 for 95 %."""
-    _check_level(level)
+    inner_share(level, "level")
     return math.ceil(round(level / (1.0 - level), 9))
 
 
@@ -575,8 +576,3 @@ def _check_units(rule: str, level: float, n_unit: int) -> None:
     elif n_unit < MIN_UNITS:
         raise InvalidInput("units", found=f"{n_unit} left out", expected=f"at least {MIN_UNITS}",
                            hint="one unit does not show how much units differ")  # fmt: skip
-
-
-def _check_level(level: float) -> None:
-    if not 0.0 < level < 1.0:
-        raise InvalidInput("level", found=level, expected="a number between 0 and 1")

@@ -9,7 +9,7 @@ from typing import Final, Literal, final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import Comparable, frozen, settle
+from fixel.model.fields import Comparable, frozen, settle, whole
 from fixel.typing import FloatArray, IntArray
 
 Value = str | float | None
@@ -147,8 +147,7 @@ def folds_of(blocks: Sequence[str], strata: Sequence[str], folds: int, seed: int
     `InvalidInput` for fewer than two folds, or fewer blocks than folds.
     """
     first = dict(zip(reversed(blocks), reversed(strata), strict=True))
-    if folds < 2:
-        raise InvalidInput("folds", found=folds, expected="at least 2")
+    whole(folds, "folds", 2)
     if len(first) < folds:
         raise InvalidInput(
             "experiments",

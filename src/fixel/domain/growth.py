@@ -19,7 +19,7 @@ import numpy as np
 from fixel.calibration.objective import Evaluation
 from fixel.calibration.study import MIN_ERROR, weighted_mean
 from fixel.errors import InvalidInput
-from fixel.model.fields import settle
+from fixel.model.fields import settle, whole
 from fixel.typing import FloatArray, IntArray
 
 OWN: Final = "own"  # parameters of a single experiment
@@ -94,8 +94,7 @@ def interval(axis: str, size: int) -> tuple[int, int]:
     """
     if axis not in AXES:
         raise InvalidInput("axis", found=repr(axis), expected="x, y or theta")
-    if size < 2:
-        raise InvalidInput(f"size of {axis}", found=size, expected="at least 2 samples")
+    whole(size, f"size of {axis}", 2)
     low = -((size - 1) // 2) if axis == "y" else 0
     return low, low + size - 1
 

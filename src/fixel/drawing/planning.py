@@ -265,7 +265,8 @@ def _capture_regions(plan: PushPlan) -> list[CaptureRegion]:
     for k, path in enumerate(plan.path):
         way = path[1, 1:3] - path[0, 1:3]
         aside = np.array([-way[1], way[0]]) / np.hypot(*way)
-        clouds = [_aside(track[:, j * samples] - planned[j], aside) for j in (k, k + 1)]
+        apart = [track[:, j * samples] - planned[j] for j in (k, k + 1)]
+        clouds = [np.column_stack((own[:, :2] @ aside, wrapped(own[:, 2]))) for own in apart]
         ends = np.maximum(SPAN * clouds[0].std(axis=0), (MIN_SPAN * size, MIN_SPAN))
         across, angle = (np.linspace(-x, x, GRID) for x in ends)
         grid = np.array(np.meshgrid(across, angle)).reshape(2, -1).T
@@ -307,10 +308,6 @@ def _colours() -> Any:
         chart.tint(palette.TOUCHED, 0.5),
     ]
     return LinearSegmentedColormap.from_list("success", ends)
-
-
-def _aside(offset: FloatArray, aside: FloatArray) -> FloatArray:
-    return np.column_stack((offset[:, :2] @ aside, wrapped(offset[:, 2])))
 
 
 def causes_chart(explanation: Explanation) -> Chart:

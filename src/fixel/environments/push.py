@@ -14,7 +14,7 @@ from fixel.environments.motion import STIFFNESS, PushMotion
 from fixel.environments.pictures import scene_picture
 from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, Ellipsoid, PathDrive, Polygon, Pusher, Scene, rotated
-from fixel.model.fields import positive, vector
+from fixel.model.fields import positive, vector, whole
 from fixel.model.trajectory import wrapped
 from fixel.planning.rollout import part_overlap, tool_overlap
 from fixel.typing import BoolArray, FloatArray, IntArray
@@ -107,8 +107,7 @@ class PushVectorEnv(base.BatchEnv):
     ) -> None:
         base.check_name("reward", reward, get_args(RewardName))
         base.check_name("world", world, get_args(WorldName))
-        if symmetry < 1:
-            raise InvalidInput("symmetry", found=symmetry, expected="at least 1")
+        whole(symmetry, "symmetry")
         self.goal = None if goal is None else vector(goal, "goal", "x [m], y [m], angle [rad]")
         self.position = positive(position, "position", "m")
         self.angle = positive(angle, "angle", "rad")

@@ -20,7 +20,7 @@ from fixel.environments.motion import PushMotion
 from fixel.environments.pictures import picture
 from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, Ellipsoid, Fixel, PathDrive, Polygon, Pusher, Scene, rotated
-from fixel.model.fields import vector
+from fixel.model.fields import vector, whole
 from fixel.model.overlap import overlap_depth
 from fixel.typing import BoolArray, FloatArray, IntArray
 
@@ -159,8 +159,7 @@ class PushTVectorEnv(base.BatchEnv):
         self.size = (observation_width, observation_height)
         self.shown_size = (visualization_width, visualization_height)
         for x in (*self.size, *self.shown_size):
-            if x < 1:
-                raise InvalidInput("size of a picture", found=x, expected="at least 1 px")
+            whole(x, "size of a picture")
         com = None if block_cog is None else vector(block_cog, "block_cog", "x [px], y [px]")
         # Start states turn about the legacy centre, so that they are the same in every world.
         self._pivot = LEGACY_COM if com is None else com

@@ -83,7 +83,8 @@ class PushTPlanner:
 
     def _action(self, k: int, state: FloatArray) -> FloatArray:
         agent, pose = state[:2], state[2:]
-        middle = _centre(pose)
+        # Centre of a circle of 75 px about the T.
+        middle = pose[:2] + 45.0 * np.array([-math.sin(pose[2]), math.cos(pose[2])])
         if self._phase[k] == PUSH and self._steps[k] >= PUSH_STEPS:
             self._phase[k] = CHOOSE
         if self._phase[k] == CHOOSE:
@@ -156,11 +157,6 @@ def _distance(points: FloatArray, turn: FloatArray) -> FloatArray:
     u = (from_corner * edge).sum(axis=2) / (edge**2).sum(axis=1)
     off = from_corner - np.clip(u, 0.0, 1.0)[..., None] * edge
     return np.asarray(np.hypot(off[..., 0], off[..., 1]).min(axis=1))
-
-
-def _centre(pose: FloatArray) -> FloatArray:
-    """Centre of a circle of 75 px about a T [px]."""
-    return pose[:2] + 45.0 * np.array([-math.sin(pose[2]), math.cos(pose[2])])
 
 
 def _angle(way: FloatArray) -> float:

@@ -16,6 +16,7 @@ from gymnasium.vector.utils import batch_space
 from fixel.calibration.known_pushes import KnownPushes
 from fixel.errors import InvalidInput, unknown_name
 from fixel.model import Body, Ellipsoid, Scene, Support, SupportPoints, Tripod, UniformPressure
+from fixel.model.fields import whole
 from fixel.model.footprint import cells
 from fixel.planning.belief import Belief
 from fixel.simulation.threads import cores
@@ -70,9 +71,9 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
         render_mode: str | None = "rgb_array",
         threads: int | None = None,
     ) -> None:
-        for name, x in (("num_envs", num_envs), ("max_episode_steps", max_episode_steps)):
-            if x is not None and x < 1:
-                raise InvalidInput(name, found=x, expected="at least 1")
+        whole(num_envs, "num_envs")
+        if max_episode_steps is not None:
+            whole(max_episode_steps, "max_episode_steps")
         if render_mode not in (None, *METADATA["render_modes"]):
             raise InvalidInput("render_mode", found=render_mode, expected="'rgb_array' or None")
         if not isinstance(autoreset_mode, AutoresetMode):

@@ -137,6 +137,11 @@ def fraction(value: object, where: str) -> float:
     return _number(value, where, "a number from 0 to 1", lambda x: 0.0 <= x <= 1.0)
 
 
+def inner_share(value: object, where: str) -> float:
+    """Return a value as a float, checked to be between 0 and 1, and neither of them."""
+    return _number(value, where, "a number between 0 and 1", lambda x: 0.0 < x < 1.0)
+
+
 def optional_positive(value: object, where: str, unit: str = "") -> float | None:
     """Return a value as a float, checked to be finite and above zero, or None."""
     return None if value is None else positive(value, where, unit)
@@ -157,7 +162,7 @@ def whole(value: object, where: str, least: int = 1) -> int:
 def vector(value: ArrayLike, where: str, labels: str) -> FloatArray:
     """Return a checked row of finite numbers, one per comma-separated label: `"x [m], y [m]"`."""
     length = labels.count(",") + 1
-    row = _floats(value, where, f"{length} numbers: {labels}")
+    row = floats(value, where, f"{length} numbers: {labels}")
     if row.shape != (length,):
         raise InvalidInput(where, found=_shape(row), expected=f"{length} numbers: {labels}")
     _check_finite(row, where, labels)
@@ -167,7 +172,7 @@ def vector(value: ArrayLike, where: str, labels: str) -> FloatArray:
 def table(value: ArrayLike, where: str, labels: str) -> FloatArray:
     """Return checked rows of finite numbers, one column per comma-separated label."""
     width = labels.count(",") + 1
-    rows = _floats(value, where, f"rows of {width} numbers: {labels}")
+    rows = floats(value, where, f"rows of {width} numbers: {labels}")
     if rows.ndim != 2 or rows.shape[1] != width or len(rows) == 0:
         raise InvalidInput(where, found=_shape(rows), expected=f"rows of {width} numbers: {labels}")
     for index, row in enumerate(rows) if not np.isfinite(rows).all() else ():
@@ -196,7 +201,8 @@ def _number(value: object, where: str, expected: str, fits: Callable[[float], bo
     return number
 
 
-def _floats(value: ArrayLike, where: str, expected: str) -> FloatArray:
+def floats(value: ArrayLike, where: str, expected: str) -> FloatArray:
+    """Return an array of numbers; raise for other content."""
     try:
         raw = np.asarray(value)
         if raw.dtype.kind not in "iuf" and raw.size:

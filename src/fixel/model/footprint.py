@@ -11,8 +11,7 @@ import shapely
 import shapely.affinity
 from numpy.typing import NDArray
 
-from fixel.errors import InvalidInput
-from fixel.model.fields import finite
+from fixel.model.fields import inner_share
 from fixel.model.shape import Disk, Polygon, Shape
 from fixel.typing import FloatArray
 
@@ -130,10 +129,7 @@ def support_grid(
     inner copy half a step on. Points outside an outline that is not convex are left out.
     """
     for name, size in (("outer", outer), ("inner", inner)):
-        if not 0.0 < finite(size, f"net.{name}") < 1.0:
-            raise InvalidInput(
-                f"net.{name}", found=size, expected="a fraction between 0 and 1 of the outline"
-            )
+        inner_share(size, f"net.{name}")
     centre = shape.centroid
     smooth = isinstance(shape, Disk) or len(shape.outline) > MAX_CORNERS
     if smooth:

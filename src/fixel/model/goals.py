@@ -19,6 +19,7 @@ from fixel.model.fields import (
     Value,
     check_fields,
     finite,
+    instance,
     optional_positive,
     positive,
     settle,
@@ -113,6 +114,12 @@ class Goal(Comparable, ABC):
     @abstractmethod
     def clauses(self) -> tuple[Clause, ...]:
         """Conditions on one body that the goal consists of."""
+
+
+def as_goal(goal: Goal) -> Goal:
+    """Return a goal; raise for another type."""
+    instance(goal, Goal, "goal", "a goal, such as PoseRegion or Seated")
+    return goal
 
 
 class Clause(Goal):

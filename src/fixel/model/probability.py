@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fixel.errors import InvalidInput
+from fixel.model.fields import inner_share
 
 
 def stream(seed: int, *purpose: str) -> np.random.Generator:
@@ -54,8 +55,7 @@ class Probability(NamedTuple):
         """
         from scipy.special import betaincinv
 
-        if not 0.0 < level < 1.0:
-            raise InvalidInput("level", found=level, expected="a number between 0 and 1")
+        inner_share(level, "level")
         if not 0 <= good <= n or n < 1:
             raise InvalidInput("cases", found=f"{good} of {n}", expected="at least one case")
         tail = 0.5 * (1.0 - level)

@@ -18,6 +18,7 @@ from fixel.domain.error_bound import CAUTIOUS, NO_DATA, TYPICAL, ConformalBound,
 from fixel.domain.push_bound import UNSEEN, PushBound
 from fixel.errors import InvalidInput, counted
 from fixel.model import Experiment, Pose, Scene
+from fixel.model.fields import whole
 from fixel.parts import fit
 from fixel.parts.left_out import (
     MAX_TEST,
@@ -239,8 +240,7 @@ class PartModel(Result):
         """
         if not len(candidates):
             raise InvalidInput("candidates", found="none", expected="at least one push")
-        if n < 1:
-            raise InvalidInput("n", found=n, expected="at least 1")
+        whole(n, "n")
         offered = [self._named(push_target(own, conditions)) for own in candidates]
         wanted = [self._named(push_target(own, conditions)) for own in intended or ()] or offered
         label = _one_label((*offered, *wanted), self.surface, self.part, "candidates")

@@ -14,7 +14,7 @@ from fixel.calibration.objective import ANGLE_SCALE
 from fixel.domain.push_bound import PushBound
 from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, LineDrive, Pusher, Scene, placed
-from fixel.model.fields import instance, non_negative, positive
+from fixel.model.fields import instance, non_negative, positive, whole
 from fixel.model.scene import check_push
 from fixel.parts import fit
 from fixel.results import Result, Summary
@@ -319,8 +319,7 @@ def push_candidates(
         radius, friction = float(getattr(tip.shape, "radius", radius)), tip.friction
     positive(radius, "radius", "m"), positive(travel, "travel", "m")
     positive(speed, "speed", "m/s"), non_negative(friction, "friction")
-    if contacts < 1:
-        raise InvalidInput("contacts", found=contacts, expected="at least 1")
+    whole(contacts, "contacts")
     body = scene.bodies[0]
     neighbours = [placed(own.shape.outline, own.pose) for own in scene.fixels]
     outline = shapely.Polygon(placed(body.shape.outline, body.pose))

@@ -17,7 +17,7 @@ from fixel.model import Scene
 from fixel.model.bodies import POSE
 from fixel.model.fields import instance, vector, whole
 from fixel.model.goal_checks import check_goal
-from fixel.model.goals import BodyTrack, Goal, body_of, events_in
+from fixel.model.goals import BodyTrack, Goal, as_goal, body_of, events_in
 from fixel.model.probability import Probability
 from fixel.planning.belief import UNKNOWN_UNITS, Belief, Scenarios, check_centres
 from fixel.planning.causes import MIN_SCENARIOS, Explanation
@@ -575,7 +575,7 @@ def search_of(
     report: Callable[[Progress], None] | None = None,
 ) -> PlanSearch:
     """Return the search for a plan, after checks; parameters as for `fixel.plan`."""
-    instance(goal, Goal, "goal", "a goal, such as PoseRegion or Seated")
+    as_goal(goal)
     instance(choose, FreePushes | RigPushes, "choose", "FreePushes or RigPushes")
     instance(belief, Belief, "belief", "a Belief")
     whole(rollouts, "rollouts", MIN_ROLLOUTS)

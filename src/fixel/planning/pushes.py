@@ -20,6 +20,7 @@ from fixel.model.fields import (
     non_negative,
     positive,
     settle,
+    table,
     vector,
     whole,
 )
@@ -31,6 +32,7 @@ from fixel.typing import BoolArray, FloatArray
 from fixel.units import deg, mm
 
 Range = tuple[float, float]
+RANGE: Final = "lowest, largest"
 Cost = Literal["pushes", "time", "length"]
 
 MAX_PUSHES: Final = 4
@@ -295,8 +297,12 @@ class RigPushes:
         if self.stroke is not None:
             settle(self, stroke=_range(self.stroke, "choose.stroke", lowest=0.0))
         if self.fixels is not None:
+            instance(self.fixels, Mapping, "choose.fixels", "two ranges for each fixel, by name")
             moved = {
-                k: tuple(_range(one, "choose.fixels") for one in v) for k, v in self.fixels.items()
+                name: tuple(
+                    _range(one, "choose.fixels") for one in table(own, "choose.fixels", RANGE)
+                )
+                for name, own in self.fixels.items()
             }
             settle(self, fixels=moved)
         check_fields(self, "choose")
@@ -543,7 +549,7 @@ def _check_cost(cost: str) -> None:
 
 
 def _range(given: Sequence[float], where: str, lowest: float = -math.inf) -> Range:
-    low, high = vector(given, where, "lowest, largest").tolist()
+    low, high = vector(given, where, RANGE).tolist()
     if not lowest <= low <= high:
         expected = "an increasing range" + (" from 0 up" if lowest == 0.0 else "")
         raise InvalidInput(where, found=f"{low:g} to {high:g}", expected=expected)

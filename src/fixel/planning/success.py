@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.special import betaincinv, chdtrc, stdtrit
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import settle
+from fixel.model.fields import inner_share, settle
 from fixel.results import Result, Summary
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
@@ -160,8 +160,7 @@ class SuccessProbability(Result):
         ------
         Clopper & Pearson (1934); Korn & Graubard (1998), Survey Methodology 24, 193-201.
         """
-        if not 0.0 < confidence < 1.0:
-            raise InvalidInput("confidence", found=confidence, expected="a number between 0 and 1")
+        inner_share(confidence, "confidence")
         flat = np.asarray(margins, dtype=np.float64)
         own = finite_margins(flat[:, None] if flat.ndim == 1 else flat, 2)
         n_runs = own.shape[1]

@@ -318,7 +318,8 @@ def windows_figure(outcomes: Sequence[WindowOutcome]) -> Figure:
                 row[0].plot(*((pose[:, :2] - origin).T * 1e3), linewidth=width, **style_of(which))
             row[1].plot(time, outcome.position * 1e3, color=palette.BODY, linewidth=1.0)
             row[2].plot(time, np.degrees(outcome.angle), color=palette.BODY, linewidth=1.0)
-        row[0].set_title(_short(name), loc="left")
+        short = name.removeprefix("cpush_").removeprefix("StraightLine_2016_10_23_")
+        row[0].set_title(short.replace("_", " "), loc="left")
         row[0].set_ylabel("y [mm]")
         row[1].set_ylabel("error [mm]")
         row[2].set_ylabel("error [deg]")
@@ -330,8 +331,3 @@ def windows_figure(outcomes: Sequence[WindowOutcome]) -> Figure:
     handles, labels = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles[:2], labels[:2], frameon=False, ncols=2, loc="outside upper right")
     return figure
-
-
-def _short(name: str) -> str:
-    """Name of a file without the parts that all names share."""
-    return name.removeprefix("cpush_").removeprefix("StraightLine_2016_10_23_").replace("_", " ")

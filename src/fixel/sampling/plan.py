@@ -24,7 +24,7 @@ from fixel.model import (
     Shape,
     placed,
 )
-from fixel.model.fields import settle
+from fixel.model.fields import settle, whole
 from fixel.sampling.offsets import Offset, OffsetScheme, Triple
 from fixel.sampling.rig import FixelLayout, PlannedShape, SamplingRig, plain_name, shape_of
 from fixel.sampling.rows import moved
@@ -109,8 +109,7 @@ class Plan:
             raise InvalidInput("offsets", found="none", expected="at least the nominal pose")
         if not self.places:
             raise InvalidInput("places", found="none", expected="at least [0, 0, 0]")
-        if self.repetitions < 1:
-            raise InvalidInput("repetitions", found=self.repetitions, expected="at least 1")
+        whole(self.repetitions, "repetitions")
         if self.total > MAX_EXPERIMENTS:
             raise InvalidInput(
                 "plan",
@@ -307,7 +306,8 @@ def _clearance(scene: Scene) -> float | None:
     Measured from the foremost point of the head: exact for a flat face normal to the motion.
     """
     head, body = scene.pushers[0], scene.bodies[0]
-    (_, low), (front, high) = _extent(placed(head.shape.outline, head.pose))
+    points = placed(head.shape.outline, head.pose)
+    (_, low), (front, high) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     outline = shapely.Polygon(placed(body.shape.outline, body.pose))
     ahead = shapely.intersection(outline, shapely.box(front, low, FAR_AWAY, high))
     return None if ahead.is_empty else max(float(ahead.bounds[0]) - front, 0.0)
@@ -350,11 +350,6 @@ def _head_hits(scene: Scene, travel: float) -> Iterator[str]:
 def _circle(shape: Shape) -> float:
     """Return the largest distance of the outline from the centroid [m]."""
     return max(hypot(x, y) for x, y in (shape.outline - shape.centroid).tolist())
-
-
-def _extent(points: FloatArray) -> tuple[list[float], list[float]]:
-    """Return the smallest and largest coordinates [m]."""
-    return points.min(axis=0).tolist(), points.max(axis=0).tolist()
 
 
 def _mm(length: float) -> str:

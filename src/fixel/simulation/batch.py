@@ -26,6 +26,7 @@ from fixel.kernels.arrays import (
     StepMethod,
 )
 from fixel.model import Scene
+from fixel.model.fields import floats, whole
 from fixel.simulation.motion import AbstractMotionModel, motion_model, named_part
 from fixel.simulation.pack import PackedBatch, pack, stack
 from fixel.simulation.record import empty_record, shape_poses
@@ -152,7 +153,7 @@ def simulate_batch(  # type: ignore[misc]
     check_compiled(motion, stepper, solver)
     scenes = [scene] if isinstance(scene, Scene) else scene
     polygons = any(own.support_directions for own in scenes)
-    method = method_of(motion, stepper, solver, max_contacts, polygons)
+    method = method_of(motion, stepper, solver, whole(max_contacts, "max_contacts"), polygons)
     if not isinstance(scene, Scene):
         varied = any(given is not None for given in (parameters, start, waypoints))
         if varied or accuracy or derivatives:
@@ -226,12 +227,11 @@ def simulate_packed(
 def _instants(times: ArrayLike | None, duration: float) -> FloatArray:
     if times is None:
         return np.array([duration])
-    instants = np.asarray(times, np.float64)
+    expected = f"increasing times from 0 to {duration:g} s"
+    instants = floats(times, "times", expected)
     grows = instants.ndim == 1 and instants.size > 0 and bool(np.all(np.diff(instants) > 0.0))
     if not grows or not 0.0 <= instants[0] <= instants[-1] <= duration * (1.0 + 1e-12):
-        raise InvalidInput(
-            "times", found=instants, expected=f"increasing times from 0 to {duration:g} s"
-        )
+        raise InvalidInput("times", found=instants, expected=expected)
     return instants
 
 

@@ -27,6 +27,7 @@ from fixel.model import (
     Scene,
     Trajectory,
 )
+from fixel.model.goals import as_goal
 from fixel.model.parameters import info_of
 from fixel.registry import offered
 from fixel.results import Player, Result, Summary
@@ -266,7 +267,7 @@ class Simulation(Result):
         stalled = np.array([any(trace.stalled[-1] for trace in traces)])
         force = np.array([max((np.abs(trace.force).max() for trace in traces), default=0.0)])
         tracks = {name: BodyTrack(pose[None], stalled, force) for name, pose in self.pose.items()}
-        return bool(goal.met(self.scene, tracks)[0])
+        return bool(as_goal(goal).met(self.scene, tracks)[0])
 
     def __getitem__(self, name: str) -> Trajectory:
         """Return the trajectory of a free or driven body, with forces for a pusher."""
@@ -597,7 +598,7 @@ class BatchResult(Result):
         stalled = np.asarray(self.stalled.any(axis=1))
         tracks = {name: BodyTrack(self.pose[:, :, k], stalled) for k, name in enumerate(self.names)}
         jammed = np.equal(self.status, codes.STATUS_NAMES[codes.JAMMED])
-        return np.asarray(goal.met(self.scene, tracks) & (self.converged | jammed))
+        return np.asarray(as_goal(goal).met(self.scene, tracks) & (self.converged | jammed))
 
     def __len__(self) -> int:
         return len(self.status)

@@ -29,7 +29,7 @@ from fixel.kernels.arrays import (
 )
 from fixel.kernels.samples import SAMPLE_SLACK
 from fixel.model import Parameters, PathDrive, Scene
-from fixel.model.fields import frozen, instance, positive, settle
+from fixel.model.fields import floats, frozen, instance, positive, settle, whole
 from fixel.registry import offered
 from fixel.simulation.first_code import is_missing, roll_in_python
 from fixel.simulation.motion import AbstractMotionModel, OtherEngine, motion_model, named_part
@@ -227,7 +227,9 @@ class Simulator:
         own = is_compiled(self.motion) and is_compiled(self.stepper) and is_compiled(self.solver)
         convert = _converted if own else _converted.__wrapped__
         polygons = scene.support_directions is not None
-        self._method, self._described = convert(*parts, max_contacts, polygons)
+        self._method, self._described = convert(
+            *parts, whole(max_contacts, "max_contacts"), polygons
+        )
         self._plain = plain or not own
 
     def run(
@@ -376,7 +378,7 @@ class Simulator:
         if start is None and waypoints is None:
             return scene
         if start is not None:
-            poses = np.asarray(start, np.float64)
+            poses = floats(start, "start", "x [m], y [m], theta [rad] of each free body")
             if poses.shape not in {(len(bodies), 3), (3,) if len(bodies) == 1 else ()}:
                 raise InvalidInput(
                     "start",

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from fixel.errors import InvalidInput
 from fixel.kernels import codes
 from fixel.model import Body, Disk, Parameters, Pusher, Scene, SupportPoints, UniformPressure
+from fixel.model.fields import floats, instance
 from fixel.model.footprint import cells
 from fixel.model.parameters import check_supports, info_of
 from fixel.model.support import LOAD_ROUNDING, tilted_shares, times_each, triangle_shares
@@ -569,34 +570,33 @@ def variation_of(
     waypoints: ArrayLike | None,
 ) -> tuple[Variation, int]:
     """Check the variation of a scene; return it with its number of runs."""
-    values: dict[str, FloatArray] = {}
-    if isinstance(parameters, Mapping):
-        values = {k: np.atleast_1d(np.asarray(v, np.float64)) for k, v in parameters.items()}
-    elif parameters is not None:
-        names = set(parameters[0]) if parameters else set()
+    if not isinstance(parameters, Mapping | None):
+        instance(parameters, Sequence, "parameters", "values by name, or a sequence of such")
         for k, own in enumerate(parameters):
-            if set(own) != names:
+            instance(own, Mapping, f"parameters[{k}]", "values by name")
+            if set(own) != set(parameters[0]):
                 raise InvalidInput(
                     f"parameters[{k}]",
                     found=", ".join(sorted(own)),
-                    expected=f"the names of the first set: {', '.join(sorted(names))}",
+                    expected=f"the names of the first set: {', '.join(sorted(parameters[0]))}",
                 )
-        values = {name: np.array([own[name] for own in parameters]) for name in sorted(names)}
+        names = sorted(parameters[0] if parameters else ())
+        parameters = {name: [own[name] for own in parameters] for name in names}
+    values = {k: np.atleast_1d(floats(v, k, "numbers")) for k, v in (parameters or {}).items()}
     for name, column in values.items():
         # Parameters checks names and ranges; the smallest value is the most likely to fail.
-        worst = (
-            column[np.argmin(np.where(np.isfinite(column), column, -np.inf))] if column.size else 0
-        )
-        Parameters({name: float(worst)})
+        if column.size:
+            Parameters({name: float(column.min())})
+        _check_shape(name, column, ())
     lengths = {f"parameters.{name}": len(v) for name, v in values.items()}
     poses = path = None
     if start is not None:
-        poses = np.asarray(start, np.float64)
+        poses = floats(start, "start", "x [m], y [m], theta [rad] of each free body")
         poses = poses[:, None, :] if poses.ndim == 2 else poses
         _check_shape("start", poses, (len(scene.bodies), 3))
         lengths["start"] = len(poses)
     if waypoints is not None:
-        path = np.asarray(waypoints, np.float64)
+        path = floats(waypoints, "waypoints", "time [s], x [m], y [m], theta [rad]")
         check_one_pusher(scene, "waypoints")
         _check_shape("waypoints", path, (path.shape[1] if path.ndim == 3 else 0, 4))
         if np.any(np.diff(path[:, :, 0], axis=1) <= 0.0):
@@ -624,5 +624,5 @@ def _check_shape(where: str, array: FloatArray, tail: tuple[int, ...]) -> None:
         raise InvalidInput(
             where,
             found=f"shape {array.shape}" + ("" if np.isfinite(array).all() else ", not all finite"),
-            expected=f"finite numbers of shape (n, {', '.join(map(str, tail))})",
+            expected=f"finite numbers of shape ({', '.join(['n', *map(str, tail)])})",
         )

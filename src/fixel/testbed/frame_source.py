@@ -15,6 +15,7 @@ from fixel.formats.recording_video import REDUCED, brightness, decoded, jpeg_siz
 from fixel.vision.frame import Gray, Picture
 
 STALLED: Final = 3.0  # [s] without data after which a camera counts as unplugged
+ENDED: Final = "the camera sends no more pictures"
 
 
 class Stream(NamedTuple):
@@ -166,7 +167,7 @@ class FrameQueue:
         """Reason why no more pictures will come."""
         if self._error is not None:
             return f"the camera failed: {self._error}"
-        return self._source.ended or "the camera sends no more pictures"
+        return self._source.ended or ENDED
 
     @property
     def waiting(self) -> int:

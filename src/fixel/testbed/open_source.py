@@ -21,7 +21,7 @@ from fixel.errors import InvalidInput
 from fixel.formats.recording_video import END
 from fixel.testbed.clocks import CaptureClock
 from fixel.testbed.file_source import FileSource
-from fixel.testbed.frame_source import STALLED, CameraPicture, FrameSource, Stream
+from fixel.testbed.frame_source import ENDED, STALLED, CameraPicture, FrameSource, Stream
 from fixel.testbed.loopback import SIMULATED, STAMP
 from fixel.vision.frame import Picture, opencv
 
@@ -125,7 +125,7 @@ class DeviceSource(FrameSource):
             while arrived is not None and not self._stop.is_set():
                 yield arrived
                 arrived = self._read()
-            self.ended = "stopped" if self._stop.is_set() else "the camera sends no more pictures"
+            self.ended = "stopped" if self._stop.is_set() else ENDED
         finally:
             self._let_go()
 

@@ -41,18 +41,12 @@ def found_ports() -> list[PortSeen]:
     from serial.tools import list_ports
 
     seen = sorted(list_ports.comports(), key=lambda port: (port.vid is None, port.device))
-    return [
-        PortSeen(
-            port.device,
-            ARDUINO.get((port.vid or 0, port.pid or 0), _described(port.description)),
-            _program_at(port.device),
-        )
-        for port in seen
-    ]
-
-
-def _described(description: str | None) -> str:
-    return description if description and description != "n/a" else "no description"
+    found = []
+    for port in seen:
+        stated = port.description if port.description != "n/a" else ""
+        name = ARDUINO.get((port.vid or 0, port.pid or 0), stated or "no description")
+        found.append(PortSeen(port.device, name, _program_at(port.device)))
+    return found
 
 
 def chosen_port(port: str | None, what: str) -> str:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from typing import Final, final
 
 from fixel.errors import FixelError
-from fixel.testbed.frame_source import HELD, STALLED, CameraPicture, FrameSource, Stream
+from fixel.testbed.frame_source import ENDED, HELD, STALLED, CameraPicture, FrameSource, Stream
 
 GLANCE: Final = 0.1  # [s] between two checks of a reader or a camera that has ended
 ENDS_WITHIN: Final = 5.0  # [s]
@@ -89,7 +89,7 @@ class SharedCamera:
                 self._hand_over(picture)
                 if self.reason:
                     break
-            self.reason = self.reason or self.source.ended or "the camera sends no more pictures"
+            self.reason = self.reason or self.source.ended or ENDED
         except (FixelError, OSError) as problem:
             self.reason = f"the camera failed: {problem}"
 

@@ -26,6 +26,7 @@ from fixel.model import (
     Trajectory,
     fields,
 )
+from fixel.model.fields import whole
 from fixel.model.probability import stream
 from fixel.model.scene import check_push
 from fixel.simulation import Simulation, simulate
@@ -191,8 +192,8 @@ class SimulatedTestbed:
         """
         planned = tuple(planned)
         _check_plan(planned)
-        if threads is not None and threads < 1:
-            raise InvalidInput("threads", found=threads, expected="at least 1")
+        if threads is not None:
+            whole(threads, "threads")
         return self._run_all(planned, progress, threads or cores())
 
     def _run_all(

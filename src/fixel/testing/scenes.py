@@ -24,6 +24,7 @@ from fixel.model import (
     Tripod,
     UniformPressure,
 )
+from fixel.model.fields import whole
 from fixel.sampling import published, rows
 from fixel.typing import FloatArray
 
@@ -216,8 +217,7 @@ def heap(n: int = 9, speed: float = 0.05, duration: float = 2.0) -> Scene:
 
     It has many bodies in contact at once. Every third one is a disk.
     """
-    if n < 1:
-        raise InvalidInput("n", found=n, expected="at least 1")
+    whole(n, "n")
     pitch = 0.055
     bodies = tuple(
         Body(

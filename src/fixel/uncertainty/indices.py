@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, require
 from fixel.model import Scene
 from fixel.model.parameters import info_of
 from fixel.simulation.motion import AbstractMotionModel
@@ -124,8 +124,8 @@ def sobol_indices(
     The model is a function of points (m, n_factor) -> outcomes (m, n_outcome), NaN for a failure.
     It is evaluated at ``n (n_factor + 2)`` points, where n is a power of two.
 
-    Raise `InvalidInput` without a factor, for another `n`, if more than 2 % of the points have no
-    outcome, or if SALib is not installed.
+    Raise `InvalidInput` without a factor, for another `n`, or if more than 2 % of the points have
+    no outcome; `MissingExtra` without SALib.
 
     Source
     ------
@@ -273,13 +273,9 @@ def _filled(found: FloatArray) -> tuple[FloatArray, int]:
 
 
 def _salib() -> tuple[Callable[..., Any], Callable[..., Any]]:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            from SALib.analyze import sobol as analysis
-            from SALib.sample import sobol as sampling
-    except ImportError:
-        found, hint = "no SALib", "pip install 'fixel[infer]', or do not compute indices"
-        expected = "the extra infer"
-        raise InvalidInput("Sobol indices", found=found, expected=expected, hint=hint) from None
+    require("SALib", "an analysis by Sobol indices", extra="infer")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        from SALib.analyze import sobol as analysis
+        from SALib.sample import sobol as sampling
     return sampling.sample, analysis.analyze

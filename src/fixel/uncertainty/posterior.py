@@ -20,7 +20,8 @@ import numpy as np
 from fixel.calibration.known_pushes import KnownPushes
 from fixel.calibration.noise import Noise
 from fixel.calibration.solutions import find_solutions
-from fixel.errors import InvalidInput, MissingExtra, counted
+from fixel.errors import InvalidInput, counted, require
+from fixel.model.fields import whole
 from fixel.model.space import ParameterSpace
 from fixel.results import Result, Summary
 from fixel.table import Column, Table
@@ -201,10 +202,8 @@ class Posterior(Result):
         MissingExtra
             ArviZ is not installed.
         """
-        try:
-            arviz = import_module("arviz")
-        except ImportError:
-            raise MissingExtra("to_arviz", "arviz", command="pip install arviz") from None
+        require("arviz", "to_arviz", command="pip install arviz")
+        arviz = import_module("arviz")
         chain = {name: x[None] for name, x in self.samples.items()}
         if arviz.__version__.startswith("0."):
             return arviz.from_dict(posterior=chain)
@@ -276,10 +275,9 @@ class NestedSampling:
     walks: bool | None = None
 
     def __post_init__(self) -> None:
-        if self.samples < 10:
-            raise InvalidInput("samples", found=self.samples, expected="10 or more")
-        if self.live is not None and self.live < 20:
-            raise InvalidInput("live", found=self.live, expected="20 or more")
+        whole(self.samples, "samples", 10)
+        if self.live is not None:
+            whole(self.live, "live", 20)
 
     def sample(
         self,
@@ -292,7 +290,7 @@ class NestedSampling:
 
         The likelihood is a finite function of points (k, n) -> (k,), `FLOOR` where a simulation
         fails. The prior is any object with `labels`, `units`, `low`, `high` and `transform`. Raise
-        `InvalidInput` without dynesty, or if the likelihood has no value anywhere in the prior.
+        `MissingExtra` without dynesty, `InvalidInput` for a likelihood without any value.
         """
         merge_runs = _dynesty().utils.merge_runs
         begun = clock.perf_counter()
@@ -476,11 +474,9 @@ def _information(weights: FloatArray, log_likelihood: FloatArray, log_evidence: 
 
 
 def _dynesty() -> Any:
-    try:
-        import dynesty
-    except ImportError:
-        expected, hint = "dynesty, which samples the posterior", "pip install 'fixel[infer]'"
-        raise InvalidInput("posterior", found="no dynesty", expected=expected, hint=hint) from None
+    require("dynesty", "a posterior", extra="infer")
+    import dynesty
+
     return dynesty
 
 

@@ -15,7 +15,7 @@ from fixel.calibration.optimiser import between
 from fixel.errors import InvalidInput, counted
 from fixel.model import BodyTrack, Goal, Probability, Scene
 from fixel.model.fields import settle
-from fixel.model.goals import touching
+from fixel.model.goals import as_goal, touching
 from fixel.model.trajectory import wrapped
 from fixel.results import Result, Summary
 from fixel.table import Column, Table
@@ -136,7 +136,7 @@ class Prediction(Result):
         Goals regard the simulated poses, without model error and camera noise: these would
         separate bodies in contact.
         """
-        return goal.met(self.scene, BodyTrack(self.pose[self.ended]))
+        return as_goal(goal).met(self.scene, BodyTrack(self.pose[self.ended]))
 
     def probability(self, goal: Goal, *, level: float = 0.95) -> Probability:
         """Return the probability that the push meets a goal, with its interval.

@@ -59,16 +59,13 @@ class Frame:
     def luma(self) -> Gray:
         """Brightness (height, width) uint8; its range may be that of television, 16 to 235."""
         if self._luma is None:
-            self._luma = self._decode_luma() if self._decode_luma else _gray(self.picture)
+            gray = self._decode_luma or (lambda: np.rint(self.picture @ LUMA).astype(np.uint8))
+            self._luma = gray()
         return self._luma
 
     def __repr__(self) -> str:
         width, height = self.size
         return f"Frame(time={self.time}, {width} x {height})"
-
-
-def _gray(picture: Picture) -> Gray:
-    return np.asarray(np.rint(picture @ LUMA), dtype=np.uint8)
 
 
 def opencv() -> Any:

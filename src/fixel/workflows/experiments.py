@@ -17,6 +17,7 @@ from fixel.datasets.reading import collected
 from fixel.errors import InvalidInput
 from fixel.formats.recording import is_recording
 from fixel.model import Scene
+from fixel.model.fields import whole
 from fixel.model.scene import SceneChoice
 from fixel.model.selection import ExperimentQuery
 from fixel.progress import ProgressOption
@@ -111,8 +112,8 @@ def read_experiments(
     choice = Path(scene) if isinstance(scene, str | os.PathLike) else scene
     sources = [*source] if isinstance(source, list | tuple) else [source]
     places = [Path(s) if isinstance(s, str | os.PathLike) else s for s in sources]
-    if limit is not None and limit < 1:
-        raise InvalidInput("limit", found=limit, expected="a number of at least 1")
+    if limit is not None:
+        whole(limit, "limit")
     named = {"object_name": object_name, "simulated_by": simulated_by}
     options = {name: value for name, value in named.items() if value}
     planned = partial(plan_import, scene=choice, columns=columns, units=units, split_by=split_by)

@@ -213,13 +213,14 @@ def _table(plan: Plan) -> Table:
 
 
 def _problems(answer: SampleAnswer) -> list[str]:
+    from fixel.table import shortened
+
     how = "by geometry and simulation" if answer.rehearsed else "by geometry"
     n = len(answer.problems)
     if not n:
         return [f"No problems, checked {how}."]
     shown = [f"  {own.name}: {own.sentence}" for own in answer.problems[:MAX_PROBLEMS]]
-    more = [f"  ... and {n - len(shown)} more; --json has them all"] if n > len(shown) else []
-    return [f"{counted(n, 'problem')}, checked {how}", *shown, *more]
+    return [f"{counted(n, 'problem')}, checked {how}", *shortened(shown, n, "  ")]
 
 
 SAMPLE: Final = Capability(name="sample", function=sample, plot="file")

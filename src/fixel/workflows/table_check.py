@@ -78,6 +78,7 @@ def table_check(
     >>> check["place"].is_found, check["orientation"].is_found
     (True, False)
     """
+    TABLE_CHECK.asked(locals())
     from fixel.calibration.target import targets_of
     from fixel.parts.table_check import check_table
 

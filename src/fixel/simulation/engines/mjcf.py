@@ -58,7 +58,10 @@ def mjcf(task: PlainTask, settings: ContactSettings) -> str:
     fixels = []
     for k, fixel in enumerate(task.fixels):
         geoms = list(_geoms(f"fixel{k}_", fixel.outline, meshes))
-        fixels.append(_placed(geoms, *fixel.pose.tolist()))
+        x, y, theta = fixel.pose.tolist()
+        fixels.append(
+            f'<body pos="{x!r} {y!r} {FOOT}" euler="0 0 {theta!r}">{"".join(geoms)}</body>'
+        )
         pairs += _all_pairs(body, geoms, fixel.friction, settings)
     pusher: list[str] = []
     if task.pusher is not None:
@@ -140,7 +143,3 @@ def _geoms(name: str, outline: PlainOutline, meshes: list[str]) -> Iterator[str]
 
 def _names(geoms: list[str]) -> list[str]:
     return [geom.split('"')[1] for geom in geoms]
-
-
-def _placed(geoms: list[str], x: float, y: float, theta: float) -> str:
-    return f'<body pos="{x!r} {y!r} {FOOT}" euler="0 0 {theta!r}">{"".join(geoms)}</body>'

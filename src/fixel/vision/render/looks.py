@@ -117,16 +117,14 @@ def changed(looks: CameraEffects, changes: Iterable[str]) -> CameraEffects:
     for text in changes:
         name, equals, value = text.partition("=")
         if name not in _NUMBERS or not equals:
-            raise InvalidInput(
-                "looks",
-                found=repr(text),
-                expected="NAME=VALUE, where NAME is one of " + ", ".join(_NUMBERS),
-            )
+            expected = "NAME=VALUE, where NAME is one of " + ", ".join(_NUMBERS)
+            raise InvalidInput("changes", found=repr(text), expected=expected)
         try:
-            number = float(value)
+            looks = replace(looks, **{name: float(value)})  # type: ignore[arg-type]
+        except InvalidInput as problem:
+            raise problem.at(f"changes {name}") from None
         except ValueError:
-            raise InvalidInput(f"looks.{name}", found=repr(value), expected="a number") from None
-        looks = replace(looks, **{name: number})  # type: ignore[arg-type]
+            raise InvalidInput(f"changes {name}", found=repr(value), expected="a number") from None
     return looks
 
 

@@ -205,7 +205,7 @@ def _between_jumps(clocks: Sequence[_MotionTimes], pose: FloatArray, scale: floa
     if n < 3:
         return bad
     limit = np.array([JUMP[0] * scale, JUMP[1]])
-    rates = [_rates(clock, pose) for clock in clocks]
+    rates = [np.diff(pose, axis=0) / _lasted(clock)[:, None] for clock in clocks]  # [m/s, rad/s]
     # Nearly coinciding stamps make speeds too high: use the lower speeds of the two clocks.
     fastest = np.min([np.max([_sizes(r) for r in _beside(rate)], axis=0) for rate in rates], axis=0)
     jump = np.ones(n - 1, dtype=bool)
@@ -234,11 +234,6 @@ def _lasted(clock: _MotionTimes) -> FloatArray:
     """Durations (n - 1,) of steps, at least a quarter of the median [s]."""
     step = np.diff(clock.time)
     return np.asarray(np.maximum(step, 0.25 * np.median(step)))
-
-
-def _rates(clock: _MotionTimes, pose: FloatArray) -> FloatArray:
-    """Speeds (n - 1, 3) from pose to pose [m/s, rad/s]."""
-    return np.asarray(np.diff(pose, axis=0) / _lasted(clock)[:, None])
 
 
 def _jumps(

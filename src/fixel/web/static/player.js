@@ -67,8 +67,7 @@ export class Player extends EventTarget {
         if (event.target === document.body && host.offsetParent) this.#key(event);
       });
     }
-    /** For scripts of a page, and tests. */
-    /** @type {any} */ (host).player = this;
+    /** @type {any} */ (host).player = this; // for scripts of a page, and tests
   }
 
   get motions() {
@@ -244,7 +243,8 @@ export class Player extends EventTarget {
       const box = make("input", { type: "checkbox" });
       box.checked = !this.view.hidden.has(motion.id);
       box.addEventListener("change", () => {
-        this.view.hidden[box.checked ? "delete" : "add"](motion.id);
+        if (box.checked) this.view.hidden.delete(motion.id);
+        else this.view.hidden.add(motion.id);
         this.stage.request();
       });
       return make("li", {}, make("label", {}, box, swatch(this.view.styles.get(motion.id)), motion.label));

@@ -43,7 +43,7 @@ from fixel.model.space import ParameterSpace, values_under
 from fixel.results import Result, Summary
 from fixel.simulation.engine_names import EngineName
 from fixel.simulation.motion import AbstractMotionModel
-from fixel.table import Column, Table
+from fixel.table import Column, Table, shortened
 from fixel.typing import FloatArray
 from fixel.uncertainty.predictive import LEAST, POOL, REGION, Predictive, predictive_of
 from fixel.workflows.analysis import Analysis
@@ -705,8 +705,7 @@ class Calibrations(CalibrationPlan, Result, Sequence[Calibration]):
         ]
         head: list[Column | str] = ["experiments", Column("before", "mm", ".3g")]
         head += [Column("error", "mm", ".3g"), *(u.label for u in free)]
-        more = len(rows) - MAX_ROWS
-        notes = [f"... and {more} more; --json has them all"] if more > 0 else []
+        notes = shortened([], len(rows) - MAX_ROWS)
         parts = [one.analysis for one in self if not one.found.how.is_single]
         experiments = counted(len(self.outcome.keys), "experiment")
         title = f"{counted(len(self), 'calibration')} of {experiments}"

@@ -15,7 +15,7 @@ import numpy as np
 
 from fixel.calibration import search
 from fixel.calibration.joint import draw_joint, linear_fit
-from fixel.calibration.noise import Noise
+from fixel.calibration.noise import check_noise
 from fixel.calibration.objective import Comparer
 from fixel.calibration.result import CalibrationResult, found_arrays, found_of, json_array, json_of
 from fixel.calibration.search import (
@@ -37,7 +37,6 @@ from fixel.jobs.functions import callable_by_jobs, threads
 from fixel.jobs.work import Answers, Chunk, Failure, Round, Work
 from fixel.kernels import codes
 from fixel.model import Experiment, Scene
-from fixel.model.fields import instance
 from fixel.registry import offered
 from fixel.simulation.motion import stated_name
 from fixel.uncertainty.predictive import DRAWS, LEAST, check_predictions, predictive_of
@@ -102,7 +101,7 @@ class CalibrationPlan:
             "motion": stated_name(asked.motion),
             "sample_of": getattr(experiments, "sample_of", None),
         }
-        instance(asked.noise, Noise | None, "noise of poses", "a fixel.Noise, or none")
+        check_noise(asked.noise)
         if asked.noise is not None:
             own |= {"noise_position": asked.noise.position_m, "noise_angle": asked.noise.angle_rad}
         request = CalibrationRequest(**own).with_usual_search(targets)

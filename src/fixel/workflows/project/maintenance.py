@@ -87,6 +87,8 @@ def backup(project: Project, file: Path) -> Backup:
     database = _database_file(project, file)
     if file.exists() and file.samefile(database):
         raise InvalidInput(str(file), found="the database itself", expected="another file")
+    if file.is_file() and not file.read_bytes()[:16].startswith(b"SQLite format 3"):
+        raise InvalidInput(str(file), found="a file", expected="a new name, or an earlier backup")
     with written_whole(file, durable=True) as path:
         _copy(database, path)
         with open(path, "rb") as stream:
@@ -169,7 +171,9 @@ def _checked(engine: sa.Engine, project: Project) -> CheckResult:
             troubles += lacking
             if any("missing" in one.sentence and one.hint == RESTORE for one in lacking):
                 raise StoreRefused("its content cannot be read without them", RESTORE)
-            counts = _counts(connection)
+            for name, table in tables.METADATA.tables.items():
+                n = connection.scalar(sa.select(sa.func.count()).select_from(table))
+                counts[name] = int(n or 0)
             troubles += _broken_references(connection)
             troubles += _bad_series(connection, media)
             troubles += _without_motion(connection)
@@ -204,13 +208,6 @@ def _damage(connection: sa.Connection) -> Iterator[Trouble]:
     for said in connection.exec_driver_sql("PRAGMA integrity_check").scalars():
         if said != "ok":
             yield Trouble("database", str(said), RESTORE)
-
-
-def _counts(connection: sa.Connection) -> dict[str, int]:
-    return {
-        name: int(connection.scalar(sa.select(sa.func.count()).select_from(table)) or 0)
-        for name, table in tables.METADATA.tables.items()
-    }
 
 
 def _broken_references(connection: sa.Connection) -> Iterator[Trouble]:

@@ -9,7 +9,7 @@ import platform
 import re
 import shlex
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cache
 from importlib.metadata import version
 from importlib.resources import files
@@ -145,6 +145,7 @@ def report(
     >>> done.page.name, len(done.figures)
     ('report.html', 1)
     """
+    instance(what, Project | Result | Iterable, "what", "a project, a result, or several results")
     page = Path(path) if Path(path).suffix.lower() == ".html" else Path(path) / PAGE
     folder = page.parent
     template = environment().get_template("report.html")

@@ -71,8 +71,10 @@ def posterior(
     Raises
     ------
     InvalidInput
-        An experiment cannot be compared with a simulation, a parameter is not known or informed by
-        no experiment, or dynesty is not installed.
+        An experiment cannot be compared with a simulation, or a parameter is not known or informed
+        by no experiment.
+    MissingExtra
+        dynesty is not installed.
 
     References
     ----------
@@ -139,8 +141,8 @@ def uncertainty(
     Raises
     ------
     InvalidInput
-        Experiments that cannot be compared, parameters that no experiment informs, held-out
-        experiments that are also used for the posterior, or dynesty missing.
+        Experiments that cannot be compared, parameters that no experiment informs, or held-out
+        experiments that are also used for the posterior.
     NotStored
         There is no such experiment or calibration.
     """

@@ -11,7 +11,7 @@ import numpy as np
 from fixel.calibration.assess import Frames, noise_from_repeated
 from fixel.calibration.known_pushes import KnownPushes
 from fixel.calibration.least_squares import LeastSquares, fit
-from fixel.calibration.noise import Noise, correlation_time, noise_from_residuals
+from fixel.calibration.noise import Noise, check_noise, correlation_time, noise_from_residuals
 from fixel.calibration.objective import Comparer
 from fixel.calibration.study import box_of
 from fixel.calibration.target import Target, target_of
@@ -128,9 +128,10 @@ def sample(
 
     The noise is by default the one `stated` for a calibration, else estimated.
     """
+    check_noise(noise)
     members = list(range(n_used))
-    error = model_error if isinstance(model_error, ModelError) else ModelError()
-    own = None if model_error is False else error
+    usual = ModelError() if model_error else None
+    own = model_error if isinstance(model_error, ModelError) else usual
     with show_progress(progress, "sampling") as report:
         residuals = Frames(comparer, np.asarray(members, np.int64)).residuals(FIRST_NOISE)
         rough = ROUGH_FIT.start(box_of(comparer.space), seed)
