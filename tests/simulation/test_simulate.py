@@ -17,7 +17,9 @@ from fixel import (
     Polygon,
     Pusher,
     SolveFailed,
+    load,
 )
+from fixel.io.saved import save
 from fixel.simulation import (
     Adaptive,
     Dynamic,
@@ -164,21 +166,28 @@ def test_lemke_ends_after_a_stated_number_of_steps_with_advice():
     assert simulate(scene, stepper=StewartTrinkle(step=2e-4)).converged
 
 
-def test_motion_that_alternates_on_friction_polygons_ends_early_with_advice(monkeypatch):
+def test_motion_that_alternates_on_friction_polygons_ends_early_with_advice(monkeypatch, tmp_path):
     """A square that two velocities move in turn, in ten thousands of short steps."""
     module = import_module("fixel.simulation.simulate")
-    monkeypatch.setattr(module, "ALTERNATING_STEPS", 200)
+    monkeypatch.setattr(module, "ALTERNATING_STEPS", 20)
     module._converted.cache_clear()
-    scene = replace(pushed_square(duration=4.0), support_directions=4)
+    scene = replace(pushed_square(duration=1.0), support_directions=4)
     finger = replace(scene.pushers[0], friction=0.0)
     scene = replace(scene, pushers=(finger,))
     run = simulate(scene, motion="quasistatic")
-    assert run.status == "max_steps"
+    assert (run.status, run.method["stepper.max_steps"]) == ("max_steps", 20)
     assert "use a fixed step" in run.advice
     assert simulate_batch(scene, motion="quasistatic").status[0] == "max_steps"
     module._converted.cache_clear()
     assert simulate(scene, motion="quasistatic", stepper=StewartTrinkle(step=2e-3)).converged
-    assert simulate(scene, motion="quasistatic", stepper=Adaptive(max_steps=250)).steps > 200
+    stepper = Adaptive(tolerance=4e-5, max_steps=100_000)
+    explicit = simulate(scene, motion="quasistatic", stepper=stepper)
+    assert explicit.converged
+    assert explicit.steps > 20
+    for run in (explicit, simulate(scene)):
+        assert run.method["stepper.max_steps"] == 100_000
+    for own in (Adaptive(), stepper):  # earlier versions saved the latter for the default
+        assert load(save(own, tmp_path / "stepper")) == own
 
 
 @pytest.mark.parametrize(("build", "options"), [

@@ -52,11 +52,11 @@ from fixel.simulation.vary import AS_IT_IS, Variation, check_one_pusher, variati
 from fixel.typing import FloatArray
 
 MAX_STEPS = 1_000_000  # of a stepper without a limit
-ALTERNATING_STEPS = 5_000  # of quasi-static motion with friction polygons, by default
+ADAPTIVE_STEPS = 100_000  # of adaptive ones, by default
+ALTERNATING_STEPS = 5_000  # the same for quasi-static motion with friction polygons
 MAX_SAMPLES = 200_000
 USUAL_SAMPLES = 1_000  # steps of an adaptive stepper, of which most scenes take fewer
 INSTANT = 1e-6  # duration of a start-up simulation [s]: one step of any stepper
-DEFAULT_STEPPER = Adaptive()
 DEFAULT_SOLVER = Newton()
 CONTACTS_PER_BODY = 8  # rows of the contact table per sample and moving body
 
@@ -220,7 +220,7 @@ class Simulator:
             scene = file.scene
         self.scene = scene
         self.motion = motion_model(motion)
-        self.stepper = stepper or DEFAULT_STEPPER
+        self.stepper = stepper or Adaptive()
         self.solver = named_part(solver or DEFAULT_SOLVER, SOLVERS, "solver")
         check_method(scene, self.solver)
         parts = (self.motion, self.stepper, self.solver)
@@ -298,10 +298,8 @@ class Simulator:
             seconds = clock.perf_counter()
             record = self._record(packed, duration, times)
             seconds = clock.perf_counter() - seconds
-            found = _unpacked(scene, packed, record, duration, times) | {
-                "wall_time_s": seconds,
-                "method": dict(self._described),
-            }
+            found = _unpacked(scene, packed, record, duration, times)
+            found |= {"wall_time_s": seconds, "method": dict(self._described)}
             if accuracy:
                 from fixel.simulation.accuracy import confirm  # late: few runs need it
 
@@ -465,9 +463,9 @@ def method_of(
     instance(solver, AbstractSolver, "solver", "a solver, or its name")
     effort = solver.max_sweeps if isinstance(solver, GaussSeidel) else 0
     max_steps = stepper.max_steps if isinstance(stepper, Adaptive) else MAX_STEPS
-    usual = isinstance(stepper, Adaptive) and max_steps == DEFAULT_STEPPER.max_steps
-    if polygons and usual and motion.kind == codes.QUASI_STATIC:
-        max_steps = ALTERNATING_STEPS
+    if max_steps is None:
+        alternates = polygons and motion.kind == codes.QUASI_STATIC
+        max_steps = ALTERNATING_STEPS if alternates else ADAPTIVE_STEPS
     if isinstance(solver, Lemke):
         max_steps = min(max_steps, solver.MAX_STEPS)
     return StepMethod(
@@ -475,7 +473,7 @@ def method_of(
         solver=solver.kind,
         adaptive=int(stepper.adaptive),
         lead=float(stepper.lead),
-        max_steps=max_steps,
+        max_steps=int(max_steps),
         max_contacts=max_contacts,
         effort=effort,
     )
@@ -661,6 +659,8 @@ def _converted(
     for role, part in parts.items():
         described[role] = getattr(part, "name", type(part).__name__)
         if is_dataclass(part):
-            own = ((f.name, getattr(part, f.name)) for f in fields(part))
-            described |= {f"{role}.{name}": value for name, value in own}
-    return method_of(motion, stepper, solver, max_contacts, polygons), described
+            described |= {f"{role}.{f.name}": getattr(part, f.name) for f in fields(part)}
+    method = method_of(motion, stepper, solver, max_contacts, polygons)
+    if isinstance(stepper, Adaptive):
+        described["stepper.max_steps"] = method.max_steps
+    return method, described

@@ -220,8 +220,8 @@ class Adaptive(_BuiltInStepper):
         characteristic length.
     max_steps : int
         Maximum number of steps, after which the rollout ends with the status ``max_steps``. A grasp
-        takes about a hundred; a measured path one or two for each of its samples. The default is
-        5,000 for quasi-static motion with `support_directions`.
+        takes about a hundred; a measured path one or two for each of its samples. None: 100,000,
+        but 5,000 for quasi-static motion with `support_directions`.
 
     Examples
     --------
@@ -239,7 +239,7 @@ class Adaptive(_BuiltInStepper):
     order: ClassVar[int] = 2
     tolerance: float | None = None
     largest_step: float = 0.2
-    max_steps: int = 100_000
+    max_steps: int | None = None
 
     def __post_init__(self) -> None:
         optional_positive(self.tolerance, "Adaptive.tolerance", "m")
@@ -247,9 +247,10 @@ class Adaptive(_BuiltInStepper):
             raise InvalidInput(
                 "Adaptive.largest_step", found=self.largest_step, expected="a number from 0 to 10"
             )
-        if not 1.0 <= finite(self.max_steps, "Adaptive.max_steps") == int(self.max_steps):
+        limit = 1 if self.max_steps is None else self.max_steps
+        if not 1.0 <= finite(limit, "Adaptive.max_steps") == int(limit):
             raise InvalidInput(
-                "Adaptive.max_steps", found=self.max_steps, expected="a whole number of at least 1"
+                "Adaptive.max_steps", found=limit, expected="a whole number of at least 1"
             )
 
 
