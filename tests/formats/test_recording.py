@@ -10,6 +10,7 @@ import pytest
 from tests.fixtures import refused
 
 from fixel.errors import InvalidInput
+from fixel.formats import recording as recording_module
 from fixel.formats.recording import (
     VIDEO,
     RecordingHeader,
@@ -111,6 +112,19 @@ def test_repair_cuts_both_files_to_what_belongs_together(tmp_path):
     assert after.end.reason.startswith("interrupted at t = ")
     assert (folder / ROWS).read_bytes().count(b"\n") == N
     assert repair_recording(folder).problems == after.problems
+
+
+def test_repair_reads_the_video_once_before_and_once_after(tmp_path, monkeypatch):
+    write(tmp_path / "r", end=False)
+    packets, read = recording_module.packets, []
+
+    def counted(video):
+        read.append(video)
+        return packets(video)
+
+    monkeypatch.setattr(recording_module, "packets", counted)
+    assert repair_recording(tmp_path / "r").complete
+    assert len(read) == 2
 
 
 def test_repair_says_everything_once(tmp_path):

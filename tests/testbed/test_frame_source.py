@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Container, Iterator
 from contextlib import contextmanager, suppress
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ import pytest
 from tests.testbed.films import SIZE, film, picture, record
 
 from fixel.errors import InvalidInput
-from fixel.formats.recording import open_recording
+from fixel.formats.recording import RecordingHeader, RecordingWriter, open_recording
 from fixel.formats.recording_video import brightness, jpeg_of, jpeg_size, shrunk
 from fixel.formats.video_file import VideoWriter
 from fixel.testbed.file_source import FileSource, PlayedTactile
@@ -75,6 +76,18 @@ def test_a_file_may_begin_anew(tmp_path: Path) -> None:
     source.close()
     np.testing.assert_allclose(np.diff(times), 0.01, atol=1e-9)
     assert next(frames, None) is None
+
+
+def test_a_loop_of_one_picture_waits_between_two_and_one_of_none_ends(tmp_path: Path) -> None:
+    source = FileSource(film(tmp_path / "one", n=1), loop=True)
+    source.open()
+    times = [arrived.taken for arrived in islice(source.frames(), 4)]
+    assert np.diff(times).min() > 0.01
+    with RecordingWriter(tmp_path / "none", RecordingHeader(size=SIZE)) as writer:
+        writer.write_jpeg(0.0, b"torn")
+    source = FileSource(tmp_path / "none", loop=True)
+    source.open()
+    assert list(source.frames()) == []
 
 
 def test_what_is_missing_from_a_file_is_told_at_its_end(tmp_path: Path) -> None:

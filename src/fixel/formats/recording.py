@@ -127,13 +127,19 @@ def open_recording(folder: str | Path) -> Recording:
 
     Raise `InvalidInput` for no recording, or one whose rows and pictures do not match.
     """
-    folder = Path(folder)
+    return _opened(Path(folder), *_checked(Path(folder)))
+
+
+def _opened(folder: Path, every: RecordingRows, n: int, seen: int) -> Recording:
+    """Load a recording whose rows and pictures were compared."""
     header, end = read_header(folder), read_end(folder)
-    every, n, seen = _checked(folder)
     rows, n_rows = every.rows[:n], len(every.rows)
     if end is not None and n_rows > end.frames:
         expected = f"{end.frames} rows, as in {END}"
         raise InvalidInput(str(folder / ROWS), found=f"{n_rows} rows", expected=expected)
+    problems = [*_broken_off(every, n, seen, end), *(end.problems if end else ())]
+    if end is not None and end.lost:
+        problems.append(f"{counted(end.lost, 'frame')} lost while recording")
     reading_us = np.array([row.reading_time_us for row in rows], dtype=np.float64)
     return Recording(
         folder=folder,
@@ -143,7 +149,7 @@ def open_recording(folder: str | Path) -> Recording:
         readings=np.array([row.reading for row in rows], dtype=np.int64),
         reading_time=np.where(reading_us < 0.0, np.nan, reading_us / MICRO),
         video=folder / VIDEO,
-        problems=tuple(_problems(every, n, seen, end)),
+        problems=tuple(problems),
     )
 
 
@@ -153,8 +159,8 @@ def repair_recording(folder: str | Path) -> Recording:
     Both files are shortened in place, rows first, so that an interrupted repair can be repeated.
     """
     folder = Path(folder)
-    recording = open_recording(folder)
     rows, n, seen = _checked(folder)
+    recording = _opened(folder, rows, n, seen)
     last = rows.rows[n - 1]
     try:
         os.truncate(folder / ROWS, rows.ends[n - 1])
@@ -165,21 +171,11 @@ def repair_recording(folder: str | Path) -> Recording:
             str(folder), found=problem, expected="a folder that can be written to"
         ) from None
     if not recording.complete:
-        before = recording.end
-        reason = before.reason if before else f"interrupted at t = {last.time_us / MICRO:.3f} s"
-        write_end(
-            folder,
-            RecordingEnd(
-                frames=n,
-                seconds=last.time_us / MICRO,
-                reason=reason,
-                lost=before.lost if before else 0,
-                problems=(
-                    *_broken_off(rows, n, seen, before),
-                    *(before.problems if before else ()),
-                ),
-            ),
-        )
+        seconds = last.time_us / MICRO
+        usual = RecordingEnd(n, seconds, reason=f"interrupted at t = {seconds:.3f} s")
+        end = (recording.end or usual)._replace(frames=n, seconds=seconds)
+        problems = (*_broken_off(rows, n, seen, recording.end), *end.problems)
+        write_end(folder, end._replace(problems=problems))
     return open_recording(folder)
 
 
@@ -209,17 +205,6 @@ def _checked(folder: Path) -> tuple[RecordingRows, int, int]:
 
 def _belong(row: RecordingRow, time_us: int, data: bytes) -> bool:
     return (row.time_us, row.size) == (time_us, len(data)) and row.crc == zlib.crc32(data)
-
-
-def _problems(
-    rows: RecordingRows, matched: int, seen: int, end: RecordingEnd | None
-) -> Iterator[str]:
-    """Defects of a recording, one sentence each."""
-    yield from _broken_off(rows, matched, seen, end)
-    if end is not None:
-        yield from end.problems
-        if end.lost:
-            yield f"{counted(end.lost, 'frame')} lost while recording"
 
 
 def _broken_off(rows: RecordingRows, n: int, seen: int, end: RecordingEnd | None) -> Iterator[str]:

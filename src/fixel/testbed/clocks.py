@@ -61,7 +61,9 @@ class DeviceClock:
             self._start_anew()
             device = self._unwrapped(ticks)
         self._keep(_Exchange(device, 0.5 * (earliest + latest), 0.5 * (latest - earliest)))
-        return device, min(max(self._host(device), earliest), latest)
+        centre, apart = self._centre
+        host = device + apart + self.drift * (device - centre)
+        return device, min(max(host, earliest), latest)
 
     def _unwrapped(self, ticks: int) -> float:
         if self._last_ticks is not None and ticks < self._last_ticks - WRAP // 2:
@@ -109,10 +111,6 @@ class DeviceClock:
             )
         self._centre = (device, apart)
         self.room = min(kept.half for kept in self._kept)
-
-    def _host(self, device: float) -> float:
-        centre, apart = self._centre
-        return device + apart + self.drift * (device - centre)
 
 
 @final

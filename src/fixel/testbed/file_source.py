@@ -14,6 +14,7 @@ import numpy as np
 from fixel.formats.recording import Recording, is_recording, open_recording
 from fixel.formats.video_file import VideoFile, open_video
 from fixel.testbed.frame_source import CameraPicture, FrameSource, Stream
+from fixel.testbed.recorder import USUAL_RATE
 from fixel.testbed.tactile import TactileReading
 
 FILM: Final = "film"  # instead of a port: the readings of the recording that is played
@@ -58,15 +59,17 @@ class FileSource(FrameSource):
                 if math.isnan(zero):  # opening takes time
                     zero, self.began = at, time.monotonic()
                 due = self.began + at - zero
-                if not self._wait(due):
+                if not self._fast:
+                    self._stop.wait(max(0.0, due - time.monotonic()))
+                if self._stop.is_set():
                     break
                 arrived.time = due if self._fast else time.monotonic()
                 arrived.captured = due
                 yield arrived
                 step, last = at - last, at
-            if not self._loop:
+            if not self._loop or math.isnan(zero):  # or there is no picture to play again
                 break
-            self.began += last - zero + step
+            self.began += last - zero + (step or 1.0 / USUAL_RATE)  # of a single picture
         self.ended = "stopped" if self._stop.is_set() else self._at_its_end()
 
     def close(self) -> None:
@@ -80,12 +83,6 @@ class FileSource(FrameSource):
             wrong = self._recording.problems
         self.complete = not wrong
         return "; ".join(("the file has ended", *wrong))
-
-    def _wait(self, due: float) -> bool:
-        """Wait for an instant of `time.monotonic` [s]; return whether to continue."""
-        if not self._fast:
-            self._stop.wait(max(0.0, due - time.monotonic()))
-        return not self._stop.is_set()
 
     def _played(self) -> Iterator[tuple[float, CameraPicture]]:
         recording = self._recording

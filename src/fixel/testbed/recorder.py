@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import time
 from collections import Counter, deque
@@ -161,12 +162,13 @@ class Recorder:
         queue.start()
         try:
             first = self._first(queue)
+            started = datetime.now(UTC) - timedelta(seconds=time.monotonic() - first.taken)
             header = RecordingHeader(
                 size=self.stream.size,
                 codec=self.codec,
                 rig=self.rig,
                 source=self.source.name,
-                started=_utc(first.taken),
+                started=started.isoformat(timespec="milliseconds"),
                 rate=self.stream.rate,
                 simulated_by=self.stream.simulated_by,
                 about={"times": "arrival" if first.captured is None else "capture"},
@@ -332,12 +334,6 @@ class Recorder:
         )
 
 
-def _utc(instant: float) -> str:
-    """Convert an instant of `time.monotonic` [s] to ISO 8601 in UTC."""
-    ago = timedelta(seconds=time.monotonic() - instant)
-    return (datetime.now(UTC) - ago).isoformat(timespec="milliseconds")
-
-
 def free_space(folder: Path) -> int:
     """Free space [bytes] on the disk of a folder, which need not exist yet."""
     place = folder.absolute()
@@ -346,16 +342,11 @@ def free_space(folder: Path) -> int:
     return shutil.disk_usage(place).free
 
 
-def bytes_a_second(stream: Stream, codec: str) -> float:
-    """Approximate growth of a recording [bytes/s]."""
-    width, height = stream.size
-    return width * height * ROOM[codec] * (stream.rate or USUAL_RATE)
-
-
 def check_disk_space(folder: Path, stream: Stream, codec: str, limit: float | None) -> None:
     """Raise if a minute of recording, or the shorter limit, does not fit on the disk."""
     duration = MIN_TIME if limit is None else min(limit, MIN_TIME)
-    needed = bytes_a_second(stream, codec) * duration + SPARE
+    growth = math.prod(stream.size) * ROOM[codec] * (stream.rate or USUAL_RATE)  # [bytes/s]
+    needed = growth * duration + SPARE
     free = free_space(folder)
     if free < needed:
         raise InvalidInput(

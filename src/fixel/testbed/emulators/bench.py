@@ -54,7 +54,9 @@ class EmulatedBench:
     def begin(self, status: RecordingStatus, scene: Scene, lead: float) -> None:
         """Schedule the contacts of the film, which has started to play, and start the drive."""
         if self._board is not None:
-            self._schedule_contacts(self._board, status.seconds)
+            time, bits = self._film.time - self._film.time[0], self._film.readings
+            for k in np.flatnonzero(np.diff(bits, prepend=-1)).tolist():
+                self._board.touch(int(bits[k]), max(0.0, float(time[k]) - status.seconds))
         drive = scene.pushers[0].drive
         if self.actuator is not None and isinstance(drive, LineDrive):
             travel = drive.distance(scene.duration)
@@ -72,11 +74,6 @@ class EmulatedBench:
         if self._failure is not None:
             raise self._failure
         return self.actuator.position()
-
-    def _schedule_contacts(self, board: EmulatedMega, now: float) -> None:
-        time, bits = self._film.time - self._film.time[0], self._film.readings
-        for k in np.flatnonzero(np.diff(bits, prepend=-1)).tolist():
-            board.touch(int(bits[k]), max(0.0, float(time[k]) - now))
 
     def _drive(self, wait: float, travel: float, speed: float) -> None:
         assert self.actuator is not None

@@ -329,17 +329,17 @@ class Locator:
     """Locator of parts and fixels in live pictures; frames without any raise nothing.
 
     The scene has the outlines of parts and the approximate places of fixels; `names` are its parts
-    with markers on the rig, at least one.
+    on the rig, at least one and those `needed`.
     """
 
-    def __init__(self, rig: Rig, scene: Scene) -> None:
+    def __init__(self, rig: Rig, scene: Scene, needed: Sequence[str] = ()) -> None:
         things = things_of(scene)
         own = {name: part for name, part in rig.parts.items() if name in things}
-        if not own:
+        if (lacking := [name for name in needed if name not in own]) or not own:
             raise InvalidInput(
                 f"rig {rig.name!r}",
                 found=", ".join(rig.parts) or "no part",
-                expected="a part of the scene: " + ", ".join(things),
+                expected="a part of the scene: " + ", ".join(lacking or things),
                 hint="use the names of the scene for the parts of the rig",
             )
         self.rig = rig

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, final
@@ -168,17 +167,13 @@ def _seating(plan: RecordPlan, rig: Rig | None) -> Seating:
     return Seating(sum(int(digits[name]) << bit for bit, name in enumerate(rig.tactile)))
 
 
-@contextmanager
-def _tactile(plan: RecordPlan) -> Iterator[TouchReader | None]:
-    """Open the reader of the fixels; None without a tactile port."""
+def _tactile(plan: RecordPlan) -> AbstractContextManager[TouchReader | None]:
+    """Return what opens the reader of the fixels; None without a tactile port."""
     if plan.tactile is None:
-        yield None
-        return
+        return nullcontext()
     kind, _, film = plan.tactile.partition(":")
     if kind == FILM:
-        yield PlayedTactile(film or plan.camera, in_turn=plan.fast)
-        return
+        return nullcontext(PlayedTactile(film or plan.camera, in_turn=plan.fast))
     from fixel.testbed.tactile import TactileReader
 
-    with TactileReader(plan.tactile) as reader:
-        yield reader
+    return TactileReader(plan.tactile)
