@@ -58,7 +58,7 @@ def _perform(request: "BaseModel", folder: Path, as_json: bool) -> None:
     changed: dict[str, Any] = {"dry_run": False, "check": False}
     changed |= {"limit": None} if loop.limit_reached else {}
     again = command_of(*BENCH.words(request.model_copy(update=changed)), project=folder)
-    after = command_of("calibrate", "--dataset", loop.options.name, project=folder)
+    after = command_of("calibrate", "--dataset", loop.campaign.folder.name, project=folder)
     # Where enough is known, the same command would perform nothing.
     done = not loop.campaign.left or (loop.live is not None and loop.live.finish)
     print_answer(

@@ -137,7 +137,7 @@ class TactileReader:
         try:
             reading = self._ask_framed() if self.protocol >= 2 else self._ask_old()
         except OSError as problem:
-            self._lose(f"{self.port} was disconnected: {problem}; connect it, then reconnect")
+            self._lose(f"{self.port} was disconnected: {problem}; connect it again")
             self.statistics.missing += 1
             return _missing(time.monotonic(), self.trouble)
         self.statistics.answered += reading.bits is not None
@@ -334,16 +334,12 @@ def fixels_of(bits: int, order: tuple[str, str, str] = FIXELS) -> tuple[bool, bo
 
     `order` has their colours; by default it is that of the thesis.
     """
-    one, two, three = (COLOURS.index(colour) for colour in _checked_order(order))
+    if sorted(order) != sorted(COLOURS):
+        raise InvalidInput("order", found=order, expected="blue, red and green, each once")
+    one, two, three = (COLOURS.index(colour) for colour in order)
     return bool(bits >> one & 1), bool(bits >> two & 1), bool(bits >> three & 1)
 
 
 def contact_mode(bits: int, order: tuple[str, str, str] = FIXELS) -> str:
     """Return one digit per fixel, as experiments store it: `"100"` if only fixel 1 is touched."""
     return "".join("1" if touched else "0" for touched in fixels_of(bits, order))
-
-
-def _checked_order(order: tuple[str, str, str]) -> tuple[str, str, str]:
-    if sorted(order) != sorted(COLOURS):
-        raise InvalidInput("order", found=order, expected="blue, red and green, each once")
-    return order

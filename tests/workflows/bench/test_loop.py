@@ -15,13 +15,15 @@ from tests.fixtures import short_plan
 from tests.jobs.helpers import await_true as until
 
 from fixel.database.project import Project
-from fixel.errors import JobRefused
+from fixel.errors import JobRefused, StoreRefused
 from fixel.formats.plan_file import plan_text
-from fixel.formats.recording import open_recording
+from fixel.formats.recording import VIDEO, open_recording
 from fixel.sampling import eight_push_plan, thesis_plan
 from fixel.testbed.motion import SimulatedActuator
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.bench import loop as loop_module
+from fixel.workflows.bench.campaign import Campaign
+from fixel.workflows.bench.judge import TrackedAttempt
 from fixel.workflows.bench.loop import Background, BenchLoop
 from fixel.workflows.bench.run import open_bench, report_of
 
@@ -297,7 +299,7 @@ def test_an_accepted_attempt_that_is_repeated_leaves_the_estimates(bench):
         rows, loop._estimator = loop.campaign.rows, Estimator()
         for row in rows:
             (experiment,) = SimulatedTestbed(seed=1).run([row])
-            with loop._project.store() as store:
+            with loop.project.store() as store:
                 number, _ = store.add_experiment(experiment)
             loop.campaign.note(loop.campaign.begin(row.name), "accepted", experiment=number)
         loop._estimate()
@@ -312,6 +314,35 @@ def test_an_accepted_attempt_that_is_repeated_leaves_the_estimates(bench):
         assert loop.live == "estimates of the second"
         loop._granted("repeat", second)
         assert loop.live is None
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("refusing", ["the database", "the journal"])
+def test_an_attempt_that_cannot_be_stored_is_stored_once_it_can_be(bench, monkeypatch, refusing):
+    project, _ = bench
+    with opened(bench) as loop:
+        row, loop._estimator = loop.campaign.rows[0], Estimator()
+        attempt = loop.campaign.note(loop.campaign.begin(row.name), "recorded")
+        loop.campaign.recording(attempt).mkdir()
+        (loop.campaign.recording(attempt) / VIDEO).write_bytes(b"pictures")
+        found = TrackedAttempt(*SimulatedTestbed(seed=1).run([row]), ())
+
+        def refuse(*_, **__):
+            raise (StoreRefused if refusing == "the database" else JobRefused)("full")
+
+        with monkeypatch.context() as faulty:
+            where = {"the database": (Project, "store"), "the journal": (Campaign, "note")}
+            faulty.setattr(*where[refusing], refuse)
+            loop._events.put(lambda: loop._tracked(attempt, found))
+            assert loop._in_trouble()
+            loop.ask("again")
+            assert loop._in_trouble()  # still
+            assert "No recording is lost" in loop._trouble
+        loop.ask("again")
+        assert not loop._in_trouble()
+        assert [own.row for own in loop.campaign.accepted] == [row.name]
+    with project.store() as store:
+        assert [*store.datasets().values()] == [1]
 
 
 @pytest.mark.system

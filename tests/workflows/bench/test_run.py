@@ -1,12 +1,15 @@
 """Faults of a bench and of requests are named before anything moves."""
 
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from tests.fixtures import short_plan
 from tests.jobs.helpers import await_true as until
+from tests.testbed.boards import stranger
 from tests.workflows.bench.test_loop import Hand
 
 from fixel.database.project import Project
@@ -160,12 +163,60 @@ def test_a_row_that_the_drive_cannot_perform_is_named(folder, camera, limits):
         assert len(controller.trace) == moved
 
 
-def test_a_rig_without_a_part_of_the_plan_is_refused(folder, camera, controller):
+@pytest.mark.parametrize("known", [(), ("object",), ("actuator",)])
+@pytest.mark.parametrize("emulated", [False, True])
+def test_a_rig_without_the_part_or_the_head_of_the_plan_is_refused(
+    folder, camera, controller, known, emulated
+):
+    """The head would move, but no attempt could be tracked."""
     rig = rig_of(str(folder / "rig.yaml"))
-    save_rig(replace(rig, parts={}), folder / "empty.yaml")
-    rig = str(folder / "empty.yaml")
-    assert refused(folder, rig=rig, camera=camera, port=controller.port).expected
+    parts = {name: rig.parts[name] for name in known}
+    save_rig(replace(rig, parts=parts), folder / "fewer.yaml")
+    devices = {"camera": camera, "port": controller.port, "emulated": emulated}
+    error = refused(folder, rig=str(folder / "fewer.yaml"), **devices)
+    lacking = {"object", "actuator"} - {*known}
+    assert all(name in error.expected for name in lacking)
+    assert "names of the scene" in error.hint
     assert controller.trace == []
+
+
+def test_a_board_that_was_unplugged_is_connected_again_unless_another_device_is_there(
+    folder, camera, controller, tmp_path
+):
+    port = tmp_path / "ttyACM0"
+
+    @contextmanager
+    def plugged_in(device):
+        with device as name:
+            port.symlink_to(name)
+            yield
+        port.unlink()
+
+    def troubled(hand, words):
+        until(lambda: words in "".join(hand.now().get("problems", ())))
+
+    board = partial(stranger, lambda heard: bytes([5]) * len(heard))
+    with ExitStack() as opening:
+        with plugged_in(board()):
+            devices = {"camera": camera, "tactile": str(port), "port": controller.port}
+            loop = opening.enter_context(opened(folder, **devices))
+            hand = Hand(loop)
+            hand.thread.start()
+            troubled(hand, "by hand")
+            loop.ask("again")
+            until(lambda: hand.now()["phase"] == "placing")
+        troubled(hand, "the tactile board no longer answers")
+        loop.ask("again")
+        troubled(hand, f"tactile {port}: found no port")
+        with plugged_in(stranger(lambda heard: heard)):
+            loop.ask("again")
+            troubled(hand, "echo of every byte")
+        with plugged_in(board()):
+            loop.ask("again")
+            until(lambda: hand.now()["phase"] == "placing")
+            assert loop.devices.tactile.read().bits == 5
+            loop.ask("end")
+            hand.thread.join(60.0)
 
 
 @pytest.mark.parametrize(

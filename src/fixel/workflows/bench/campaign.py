@@ -72,7 +72,9 @@ class Campaign:
         self._events = [name for name in self._journal if name != ROWS]
         for name in self._events:
             self._learn(json.loads(self._journal.get(name) or b"{}"))
-        self._mend()
+        # The program died during these pushes: their rows are performed again.
+        for attempt in [own for own in self.attempts.values() if own.state == "begun"]:
+            self.note(attempt, "stopped", reasons=("the program ended during the push",))
 
     def _check_rows(self) -> None:
         content = [
@@ -89,11 +91,6 @@ class Campaign:
                 hint="perform the new plan under another --name",
             )
         self._journal.append([(ROWS, digest)])
-
-    def _mend(self) -> None:
-        """End attempts during which the program died: their rows are performed again."""
-        for attempt in [own for own in self.attempts.values() if own.state == "begun"]:
-            self.note(attempt, "stopped", reasons=("the program ended during the push",))
 
     # --- events ---------------------------------------------------------------------------------
 

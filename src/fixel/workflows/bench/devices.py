@@ -22,6 +22,7 @@ from fixel.testbed.motion import AbstractActuator
 from fixel.testbed.open_source import check_size, source_of
 from fixel.testbed.recorder import TouchReader
 from fixel.testbed.shared_camera import SharedCamera
+from fixel.testbed.tactile import TactileReader
 from fixel.typing import FloatArray
 from fixel.vision.marks import Rig
 from fixel.workflows.acquisition.devices import chosen_actuator
@@ -159,6 +160,17 @@ class BenchDevices:
         return state == "Alarm"
 
     @property
+    def board_trouble(self) -> str:
+        """Why the tactile board is lost; empty while it answers, and without one."""
+        why = "" if self.tactile is None else self.tactile.trouble
+        return why and f"the tactile board no longer answers: {why}. Then try again (key a)"
+
+    def recover_board(self) -> None:
+        """Connect a tactile board that is lost; raise `InvalidInput` if it is not at its port."""
+        if isinstance(self.tactile, TactileReader) and not self.tactile.connected:
+            _connected(self.tactile)
+
+    @property
     def drive_state(self) -> str:
         """State of the drive as its controller names it; `Idle` for one that names none."""
         if not self.drive.connected:
@@ -259,12 +271,7 @@ def open_devices(settings: Mapping[str, Any]) -> Iterator[BenchDevices]:
         check_size(camera.stream, size, camera.source.name)
         tactile: TouchReader | None = None
         if settings["tactile"]:
-            from fixel.testbed.tactile import TactileReader
-
-            try:
-                tactile = stack.enter_context(TactileReader(settings["tactile"]))
-            except InvalidInput as problem:  # its port is not the option --port
-                raise problem.at(f"tactile {settings['tactile']}") from None
+            tactile = stack.enter_context(_connected(TactileReader(settings["tactile"])))
         drive = stack.enter_context(
             chosen_actuator(
                 settings["driver"],
@@ -275,6 +282,14 @@ def open_devices(settings: Mapping[str, Any]) -> Iterator[BenchDevices]:
             )
         )
         yield BenchDevices(camera, rig, tactile, drive, _frame(settings["drive_pose"], drive))
+
+
+def _connected(board: TactileReader) -> TactileReader:
+    """Connect a tactile board; its port is not the option `--port` that an error would name."""
+    try:
+        return board.connect()
+    except InvalidInput as problem:
+        raise problem.at(f"tactile {board.port}") from None
 
 
 def _frame(text: str, drive: AbstractActuator) -> FloatArray | None:

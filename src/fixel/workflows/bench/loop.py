@@ -6,10 +6,10 @@ import math
 import queue
 import threading
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, final
@@ -105,27 +105,42 @@ def _called(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
 
 
 @final
+@dataclass(eq=False)
 class BenchLoop:
-    """Loop over the rows of a campaign: `run` in one thread, `ask` from any."""
+    """Loop over the rows of a campaign: `run` in one thread, `ask` from any.
 
-    def __init__(
-        self, project: Project, campaign: Campaign, devices: BenchDevices, options: Any
-    ) -> None:
-        self.campaign, self.devices, self.options = campaign, devices, options
+    The options are those of `open_bench`.
+    """
+
+    project: Project
+    campaign: Campaign
+    devices: BenchDevices
+    _: KW_ONLY
+    limit: int | None = None
+    auto: bool = False
+    choose: bool = False
+    until: str = ""
+    fit: Sequence[str] = ()
+    motion: str = "quasistatic"
+    tolerance: float | None = None  # [m]
+    tolerance_angle: float | None = None  # [rad]
+    dry_run: bool = False
+    check: bool = False
+
+    def __post_init__(self) -> None:
         # Called with a picture or what draws it, or None, and with the status, as `LiveView.show`.
         self.show: Show | None = None
         # Returns why the page that asked for a push is lost; empty while it is there.
         self.page_left: Callable[[], str] = lambda: ""
-        rig = devices.rig
-        self.tolerance = Tolerance(
-            distance=options.tolerance or rig.position_tolerance,
-            angle=options.tolerance_angle or rig.angle_tolerance,
+        rig = self.devices.rig
+        self._allowed = Tolerance(
+            distance=self.tolerance or rig.position_tolerance,
+            angle=self.tolerance_angle or rig.angle_tolerance,
         )
         self.live: LiveAnswer | None = None  # newest estimates
         # Why the campaign has ended; empty before.
-        self.finish = "the drive can perform every row" if options.dry_run else ""
+        self.finish = "the drive can perform every row" if self.dry_run else ""
         self.figures: tuple[BenchFigure, ...] = ()  # measured by a check of the bench
-        self._project = project
         self._events: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._tracker, self._estimator = Background(track_attempt), Background(estimate_rows)
         self._row: PlannedExperiment | None = None
@@ -138,13 +153,12 @@ class BenchLoop:
         self._pushing, self._stop_reason, self._stops = threading.Event(), "", 0
         self._withdraws: FloatArray | None = None  # where the head goes after its push
         self._outdated = False  # whether the estimates lack an experiment that no call has
-        self._tracked_ones: dict[str, TrackedAttempt] = {}  # by the name of the attempt
+        self._tracked_ones: dict[str, TrackedAttempt | Exception] = {}  # by the name of the attempt
 
     @property
     def limit_reached(self) -> bool:
         """Whether the campaign has as many experiments as it may have."""
-        limit = self.options.limit
-        return limit is not None and len(self.campaign.accepted) >= limit
+        return self.limit is not None and len(self.campaign.accepted) >= self.limit
 
     # --- from any thread ------------------------------------------------------------------------
 
@@ -180,12 +194,12 @@ class BenchLoop:
         frames: Generator[Frame] | None = None
         try:
             self._report("waiting")
-            while self.options.check and not self.finish:
+            while self.check and not self.finish:
                 if not self._in_trouble():
                     self._measure()
             for attempt in [] if self.finish else self.campaign.undecided:
                 self._track(attempt)
-            if not self.options.check:
+            if not self.check:
                 self._estimate()
             while not self._is_over():
                 if self._in_trouble():
@@ -202,7 +216,7 @@ class BenchLoop:
                     frames.close()  # a push reads its own, and those of a lost camera have ended
                     frames = None
                 if push is not None:
-                    self._perform(push)
+                    self._tried(partial(self._perform, push))
             self._report("finished")
         finally:
             if frames is not None:
@@ -232,7 +246,7 @@ class BenchLoop:
     def _in_trouble(self) -> bool:
         """Do what was asked for, take what other processes have computed, and show trouble."""
         while not self._events.empty():
-            self._events.get()()
+            self._tried(self._events.get())
         if not self.devices.drive.zero_known:
             self._trouble = self._trouble or NO_ZERO
         if self._trouble:
@@ -240,12 +254,20 @@ class BenchLoop:
             time.sleep(0.1)
         return bool(self._trouble)
 
+    def _tried(self, do: Callable[[], None]) -> None:
+        """Do something; its error, such as that of a full disk or a locked database, is trouble."""
+        try:
+            do()
+        except FixelError as problem:
+            words = f"{problem}. No recording is lost. Remove the cause, then try again (key a)"
+            self._trouble = self._trouble or words
+
     def _turn(self, frames: Iterator[Frame]) -> None:
         """Look at one picture for the present row, which is chosen if there is none."""
         if self._row is None:
             self._begin_row(self._next_row())
         frame = next(frames, None)
-        if why := self._drive_trouble():
+        if why := self._drive_trouble() or self.devices.board_trouble:
             self._trouble = why
         elif frame is None:
             self._trouble = f"the camera stopped: {self.devices.camera.lost}"
@@ -260,7 +282,7 @@ class BenchLoop:
             look = self._look = look._replace(parts=own)
             self._checks = tuple(self._checked(look, frame))
             self._report("placing", draw)
-            if self.options.auto:
+            if self.auto:
                 self._without_asking(look)
 
     def _next_row(self) -> PlannedExperiment | None:
@@ -269,11 +291,11 @@ class BenchLoop:
         if not left or self.finish:
             return None
         coming = len(self.campaign.accepted) + len(self.campaign.undecided)
-        if self.options.limit is not None and coming >= self.options.limit:
+        if self.limit is not None and coming >= self.limit:
             return None
-        if self.options.choose and self._estimator.waiting + self._tracker.waiting:
+        if self.choose and self._estimator.waiting + self._tracker.waiting:
             return None
-        chosen = self.live.chosen if self.options.choose and self.live else ""
+        chosen = self.live.chosen if self.choose and self.live else ""
         return next((row for row in left if row.name == chosen), left[0])
 
     def _begin_row(self, row: PlannedExperiment | None) -> None:
@@ -284,7 +306,7 @@ class BenchLoop:
         if self.devices.laboratory is not None:
             self.devices.laboratory.prepare(row)
         self._overlay = Overlay(
-            self.devices.rig, row.scene, self.tolerance, anchor=self._anchor(row)
+            self.devices.rig, row.scene, self._allowed, anchor=self._anchor(row)
         )
 
     def _anchor(self, row: PlannedExperiment) -> str:
@@ -370,7 +392,7 @@ class BenchLoop:
     def _measure(self) -> None:
         """Measure the bench with the part of the first row."""
         campaign, done = self.campaign, []
-        with self._project.store() as store:
+        with self.project.store() as store:
             for own in campaign.accepted:
                 scene = load_scene(campaign.recording(own) / SCENE_FILE).scene
                 assert own.experiment is not None
@@ -537,18 +559,17 @@ class BenchLoop:
         self._tracker.call(
             lambda found: self._events.put(partial(self._tracked, attempt, found)),
             self.campaign.recording(attempt), self.campaign.by_name[attempt.row], attempt.number,
-            self.options.name, self.tolerance,
+            self.campaign.folder.name, self._allowed,
         )  # fmt: skip
 
     def _tracked(self, attempt: Attempt, found: TrackedAttempt | Exception) -> None:
         """Take a tracked attempt, which is accepted if nothing speaks against it."""
+        self._tracked_ones[attempt.name] = found
         reasons = (str(found),) if isinstance(found, Exception) else found.reasons
         attempt = self.campaign.note(attempt, "tracked", reasons=reasons)
-        if not isinstance(found, Exception):
-            self._tracked_ones[attempt.name] = found
         if not reasons:
             self._accept(attempt)
-        elif self.options.auto:
+        elif self.auto:
             self.campaign.note(attempt, "repeated")
             faulty = [own for own in self.campaign.of(attempt.row) if own.state == "repeated"]
             if len(faulty) >= MAX_ATTEMPTS:  # those that were stopped had no fault
@@ -557,10 +578,10 @@ class BenchLoop:
     def _accept(self, attempt: Attempt) -> None:
         """Store an attempt as an experiment of the project; the same again changes nothing."""
         found = self._tracked_ones.get(attempt.name)
-        if found is None:
+        if not isinstance(found, TrackedAttempt):
             self._remark = f"{attempt.name} cannot be tracked; repeat it"
             return
-        with self._project.store() as store:
+        with self.project.store() as store:
             video = store.add_video(self.campaign.recording(attempt) / VIDEO)
             number, _ = store.add_experiment(replace(found.experiment, video=video))
         self.campaign.note(attempt, "accepted", experiment=number)
@@ -573,14 +594,14 @@ class BenchLoop:
         self.live = self.live if ids else None
         if not ids or self._outdated:
             return
-        with self._project.store() as store:
+        with self.project.store() as store:
             experiments = [store.experiment(number) for number in ids]
         scenes = [own.scene for own in experiments if own.scene is not None]
-        fit = searched_unknowns(self.options.fit, scenes)
+        fit = searched_unknowns(self.fit, scenes)
         self._estimator.call(
             lambda found: self._events.put(partial(self._learned, ids, found)),
-            experiments, ParameterSpace(unknowns=tuple(fit)) if fit else None, self.options.motion,
-            self.options.until, self.campaign.left, self.options.choose,
+            experiments, ParameterSpace(unknowns=tuple(fit)) if fit else None, self.motion,
+            self.until, self.campaign.left, self.choose,
             None if self.live is None else self.live.estimates,
         )  # fmt: skip
 
@@ -599,13 +620,14 @@ class BenchLoop:
     # --- trouble --------------------------------------------------------------------------------
 
     def _recover(self, by: str) -> None:
-        """Open a lost camera again, home a drive whose position is lost, or withdraw the head."""
+        """Open lost devices again, home a drive whose position is lost, or withdraw the head."""
         self._stop_reason = ""
         self._pushing.set()
         self._report("moving")  # every key stops it
         try:
             if self.devices.camera.lost:
                 self.devices.camera.restart()
+            self.devices.recover_board()
             at_zero = self._trouble == NO_ZERO
             homed = self.devices.recover_drive(at_zero, self._refuse_stopped)
             if self._withdraws is not None and not (at_zero or homed):
@@ -615,6 +637,9 @@ class BenchLoop:
             self._trouble = str(problem)
         else:
             self._trouble = ""
+            for attempt in self.campaign.undecided:  # what an error prevented
+                if attempt.name in self._tracked_ones and not attempt.reasons:
+                    self._tracked(attempt, self._tracked_ones[attempt.name])
         finally:
             self._pushing.clear()
 

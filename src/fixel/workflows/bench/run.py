@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -134,7 +135,7 @@ def open_bench(
     settings = settings_of(project.settings.bench, given)
     devices = emulated_devices(rows, seed, rig or "") if emulated else open_devices(settings)
     options = BENCH.asked({**call, "name": name or ("thesis" if plan is None else plan.stem)})
-    return _opened(project, rows, devices, options)
+    return _opened(project, rows, devices, dict(options))
 
 
 @contextmanager
@@ -142,9 +143,9 @@ def _opened(
     project: Project,
     rows: Sequence[PlannedExperiment],
     devices: AbstractContextManager[BenchDevices],
-    options: Any,
+    options: Mapping[str, Any],
 ) -> Iterator[BenchLoop]:
-    from fixel.workflows.acquisition.overlay import Overlay
+    from fixel.vision.tracking.follow import Locator
     from fixel.workflows.bench.campaign import BENCH as FOLDER
     from fixel.workflows.bench.campaign import Campaign
     from fixel.workflows.bench.loop import BenchLoop
@@ -152,10 +153,12 @@ def _opened(
     with devices as opened:
         for row in rows:
             opened.check(row)
-            Overlay(opened.rig, row.scene)  # raises if the rig has no part of the row
-        campaign = Campaign(project.folder / FOLDER / options.name, rows)
+            things = row.scene.bodies[0], row.scene.pushers[0]
+            Locator(opened.rig, row.scene, tuple(own.name for own in things))
+        campaign = Campaign(project.folder / FOLDER / options["name"], rows)
         with closing(campaign):
-            yield BenchLoop(project, campaign, opened, options)
+            own = {one.name: options[one.name] for one in fields(BenchLoop) if one.kw_only}
+            yield BenchLoop(project, campaign, opened, **own)
 
 
 def report_of(loop: BenchLoop) -> AnalysisReport:
