@@ -156,6 +156,22 @@ def test_methods_that_do_not_fit_are_refused():
     refused(simulate, grasp(), {"tripod_radiu": 0.1}, match="tripod_radiu")
 
 
+def test_a_force_beyond_friction_needs_inertia():
+    """On a table tilted further than its friction holds, a block slides away ever faster."""
+    scene = sliding_block()
+    (block,) = scene.bodies
+    most = block.support.friction * block.mass * scene.gravity
+    held, lost = (
+        replace(scene, bodies=(replace(block, velocity=(0.0, 0.0, 0.0), force=(f, 0.0, 0.0)),))
+        for f in (0.9 * most, 1.1 * most)
+    )
+    assert simulate(held, motion="quasistatic").converged
+    run = simulate(lost, motion="quasistatic")
+    assert not run.converged
+    assert "use the motion model dynamic" in run.advice
+    assert simulate(lost).converged
+
+
 def test_lemke_ends_after_a_stated_number_of_steps_with_advice():
     scene = replace(pushed_square(duration=2.0), support_directions=8)
     run = simulate(scene, stepper=StewartTrinkle(step=2e-4), solver=Lemke())

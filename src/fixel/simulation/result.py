@@ -51,6 +51,10 @@ CONTACT_FIELDS = np.dtype(
 )
 
 
+FORCED_ADVICE: Final = (
+    "Without inertia, friction or contacts have to balance the force on every body. Reduce the "
+    "force, or use the motion model dynamic."
+)
 ALTERNATING_ADVICE: Final = (
     "With support_directions, quasi-static motion may alternate between two velocities in very "
     "short steps. Leave support_directions out, use a fixed step, or a tolerance of 0.1 % of the "
@@ -214,6 +218,9 @@ class Simulation(Result):
         quasistatic = self.method.get("motion") == "quasistatic"
         if status == codes.MAX_STEPS and quasistatic and self.scene.support_directions:
             return ALTERNATING_ADVICE
+        forced = any(body.force.any() or body.spring for body in self.scene.bodies)
+        if status == codes.MAX_ITERATIONS and quasistatic and forced:
+            return FORCED_ADVICE
         pushers = self.scene.pushers
         if status == codes.JAMMED and pushers and all(p.drive.force_limit for p in pushers):
             advice = codes.JAMMED_AT_LIMIT
@@ -225,15 +232,13 @@ class Simulation(Result):
         """Sentences on outlines that were simplified for contacts, and how far; usually none."""
         if "engine" in self.method:
             return []
-        scene = self.scene
+        scene, notes = self.scene, []
         items: list[Body | Pusher | Fixel] = [*scene.bodies, *scene.pushers, *scene.fixels]
-        shapes = {item.name: item.shape for item in items}
-        notes = []
-        for name, full in shapes.items():
-            used = contact_outline(full)
+        for item in items:
+            full, used = item.shape, contact_outline(item.shape)
             if used is not full and isinstance(full, Polygon) and isinstance(used, Polygon):
                 notes.append(
-                    f"outline of {name} for contacts: {len(used.vertices)} of its "
+                    f"outline of {item.name} for contacts: {len(used.vertices)} of its "
                     f"{len(full.vertices)} corners, within {1e3 * outline_tolerance(full):.2g} mm"
                 )
         return notes
