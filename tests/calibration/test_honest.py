@@ -37,11 +37,22 @@ def _true(experiments, label):
     return 0.2 * np.mean([one.conditions[ratio] for one in experiments])
 
 
-def _comparer(bench, planned=PLANNED, twice=False):
+def _still(target):
+    """A recording of the same part, while the pusher stays a metre away."""
+    scene = target.case.scene
+    pusher = replace(scene.pushers[0], pose=scene.pushers[0].pose - [1.0, 0.0, 0.0])
+    case = target.case._replace(scene=replace(scene, pushers=(pusher,)))
+    noise = np.random.default_rng(7).normal(size=target.pose.shape) * [5e-5, 5e-5, 2e-3]
+    key, pose = f"{target.key}-still", scene.bodies[0].pose + noise
+    return target._replace(key=key, conditions={"experiment": key}, case=case, pose=pose)
+
+
+def _comparer(bench, planned=PLANNED, twice=False, still=0):
     experiments = list(bench.run(planned))
     if twice:
         experiments += [replace(one, name=f"{one.name}-again") for one in experiments]
     targets = targets_of(experiments)
+    targets += [_still(target) for target in targets[:still]]
     scenes = [target.case.scene for target in targets]
     space = ParameterSpace(unknowns=default_unknowns(scenes)).with_frozen({"mu_support": 0.25})
     return Comparer(targets, space, motion=Dynamic())
@@ -52,6 +63,7 @@ def _fitted(name):
     comparer = {
         "demo": lambda: _comparer(SimulatedTestbed(seed=1), DEMO),
         "wrong": lambda: _comparer(WRONG),
+        "still": lambda: _comparer(WRONG, still=3),
         "twice": lambda: _comparer(WRONG, twice=True),
         "right": lambda: _comparer(RIGHT),
         "one": lambda: _comparer(WRONG, PLANNED[:1]),
@@ -112,6 +124,16 @@ def test_experiments_stored_twice_do_not_shrink_intervals():
     np.testing.assert_array_equal(twice.honest.sd, once.honest.sd)
     np.testing.assert_array_equal(twice.honest.freedom, once.honest.freedom)
     assert twice.dispersion == once.dispersion
+
+
+def test_experiments_in_which_nothing_moves_add_no_information():
+    """Three of them made the residuals smaller, and the intervals narrower."""
+    _, seven, _ = _fitted("wrong")
+    _, ten, _ = _fitted("still")
+    assert ten.honest.clusters == seven.honest.clusters
+    assert ten.dispersion.freedom == pytest.approx(seven.dispersion.freedom)
+    assert ten.noise.position_m == pytest.approx(seven.noise.position_m, rel=0.01)
+    assert (ten.honest.sd > 0.95 * seven.honest.sd).all()
 
 
 def test_one_experiment_gives_wider_intervals_than_seven():

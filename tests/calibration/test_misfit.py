@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fixel import Noise, Tripod
-from fixel.calibration.misfit import misfit_of, noise_from_differences
+from fixel.calibration.misfit import counting_frames, misfit_of, noise_from_differences
 from fixel.calibration.target import Target
 from fixel.simulation.rollouts import RolloutCase
 from fixel.testing.scenes import free_push
@@ -106,3 +106,22 @@ def test_of_unknown_noise_the_warning_states_that_and_no_ratio():
     assert np.isnan(found.ratio)
     assert found.warned
     assert found.sentences[0].startswith("noise unknown")
+
+
+def test_frames_before_the_first_motion_do_not_count_unless_a_push_is_missed():
+    start = np.array(SCENE.bodies[0].pose)
+    rng = np.random.default_rng(4)
+    simulated = start + np.maximum(0.0, np.arange(-10, 20))[:, None] * [1e-3, 0.0, 1e-2]
+    simulated[:, 2] += 2.0 * np.pi  # the same pose
+    noise = [rng.normal(size=(30, 3)) * NOISE.standard_deviations for _ in range(3)]
+    case = RolloutCase(SCENE, np.arange(1.0, 31.0))
+    moving = Target("a", {}, case, simulated - noise[0])
+    still = Target("b", {}, case, start - noise[1])
+    missed = Target("c", {}, case, simulated - noise[2])
+    residuals = [noise[0], noise[1], noise[2] + start - simulated]
+    frames = [np.arange(30)] * 3
+    first, second, third = counting_frames([moving, still, missed], frames, residuals)
+    assert first.tolist() == [False] * 11 + [True] * 19
+    assert not second.any()
+    assert third.all()
+    assert counting_frames([still], frames[:1], residuals[1:2])[0].all()

@@ -14,7 +14,7 @@ import numpy as np
 from fixel.calibration.cost import NormalPrior
 from fixel.calibration.honest import Honest, ShiftModel, mixed_study
 from fixel.calibration.least_squares import LeastSquares, LeastSquaresFit
-from fixel.calibration.misfit import Misfit, misfit_of, noise_from_differences
+from fixel.calibration.misfit import Misfit, counting_frames, misfit_of, noise_from_differences
 from fixel.calibration.noise import (
     Dispersion,
     Noise,
@@ -213,8 +213,9 @@ def fit_steps(
     misfit = chosen.misfit(best.residual, noise, scatter, starts)
     honest = None
     if misfit is not None and misfit.noted:
+        moving = own[[*chosen.counting(noise, best.residual)]].tolist()
         mixed = yield from _simulated(
-            mixed_study(ShiftModel(comparer), own.tolist(), best.point, camera or scatter),
+            mixed_study(ShiftModel(comparer), moving, best.point, camera or scatter),
             "fit with shifts of each experiment",
         )
         again = yield from _least_squares(chosen, mixed.value, noise)
@@ -328,13 +329,7 @@ def _left(point: FloatArray) -> AssessmentSteps[Noise]:
     """Noise from what the calibrated simulations leave."""
     told = yield AssessmentRequest("noise", np.asarray(point, np.float64)[None], "noise")
     position, angle, correlation, freedom = told[0].tolist()
-    return Noise(
-        position_m=position,
-        angle_rad=angle,
-        source="residuals",
-        correlation=correlation,
-        freedom=freedom,
-    )
+    return Noise.of(position, angle, "residuals", correlation=correlation, freedom=freedom)
 
 
 class Frames:
@@ -343,6 +338,7 @@ class Frames:
     def __init__(self, comparer: Comparer, members: IntArray) -> None:
         self.comparer = comparer
         self._members = members
+        self._targets = [comparer.targets[m] for m in members.tolist()]
         length = comparer.length(members)
         frames = np.arange(comparer.ensemble.n_sample)
         self._stride = 1
@@ -385,28 +381,31 @@ class Frames:
         """
         if at_best.size == 0 or not np.isfinite(at_best).all():
             return None
+        rows, frames = self.counting(noise, at_best), np.nonzero(self._seen)[1]
         table = at_best.reshape(-1, 3) * noise.standard_deviations
-        parts = np.split(table, np.cumsum(self.frames)[:-1])
-        keys = [self.comparer.targets[m].key for m in self._members.tolist()]
-        seen = [np.flatnonzero(row) for row in self._seen]
-        by_start = (
-            [one.deviations(own) for one, own in zip(starts, seen, strict=True)] if starts else []
-        )
+        parts, keys = [table[own] for own in rows.values()], [self._targets[k].key for k in rows]
+        by_start = [starts[k].deviations(frames[own]) for k, own in rows.items() if starts]
         return misfit_of(parts, keys, scatter, by_start)
 
-    @property
-    def count(self) -> int:
-        """Residuals of one point."""
-        return 3 * int(self._seen.sum())
+    def counting(self, noise: Noise, at_best: FloatArray) -> dict[int, IntArray]:
+        """Return the rows (n,) of residuals that count (`counting_frames`), by experiment."""
+        table = at_best.reshape(-1, 3) * noise.standard_deviations
+        rows = np.split(np.arange(len(table)), np.cumsum(self.frames)[:-1])
+        frames = [np.flatnonzero(row) for row in self._seen]
+        masks = counting_frames(self._targets, frames, [table[own] for own in rows])
+        return {k: rows[k][mask] for k, mask in enumerate(masks) if mask.any()}
 
     def dispersion(self, noise: Noise, at_best: FloatArray, unknowns: int) -> Dispersion:
         """Return the dispersion of the residuals (m,) at the best, in standard deviations."""
         known = at_best.size > 0 and bool(np.isfinite(at_best).all())
+        if known:
+            rows = np.concatenate([*self.counting(noise, at_best).values()])
+            at_best = at_best.reshape(-1, 3)[rows].ravel()
         deviance = float(at_best @ at_best) if known else math.inf
         # Of frames so far apart, fewer say as much as one.
         correlation = max(1.0, noise.correlation / self._stride)
         noise = replace(noise, correlation=correlation)
-        return dispersion_of(noise, deviance, self.count, unknowns)
+        return dispersion_of(noise, deviance, at_best.size, unknowns)
 
     def residuals(self, noise: Noise) -> Callable[[FloatArray], FloatArray]:
         """Points (k, n) -> residuals (k, m) in standard deviations; a failed row is inf."""
@@ -484,8 +483,6 @@ def _touches(comparer: Comparer, member: int, point: FloatArray) -> set[str]:
         stepper=comparer.ensemble.stepper,
         duration=float(target.case.times[-1]),
     )
-    others = {run.names[int(k)] for k in np.unique(run.contacts["other"])}
-    others |= {run.names[int(k)] for k in np.unique(run.contacts["body"])}
+    others = {run.names[k] for end in ("other", "body") for k in np.unique(run.contacts[end])}
     kinds: dict[str, tuple[Pusher | Fixel, ...]] = {"pusher": scene.pushers, "fixel": scene.fixels}
-    names = {kind: {thing.name for thing in things} for kind, things in kinds.items()}
-    return {kind for kind, own in names.items() if own & others}
+    return {kind for kind, things in kinds.items() if not others.isdisjoint(t.name for t in things)}

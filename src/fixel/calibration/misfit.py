@@ -12,9 +12,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from fixel.calibration.noise import Noise
+from fixel.calibration.noise import MIN_SCATTER, ORIGINS, Noise
 from fixel.calibration.target import Target
-from fixel.typing import FloatArray
+from fixel.model.trajectory import wrapped
+from fixel.typing import BoolArray, FloatArray, IntArray
 
 NOTED: Final = 1.5  # residuals over noise from which intervals allow for misfit...
 WARNED: Final = 3.0  # ... and from which results are headed by a warning
@@ -26,12 +27,6 @@ WHITE: Final = -0.4
 EVEN: Final = 0.1  # largest relative difference of the intervals between frames
 NAMED: Final = 3  # number of them that are named
 OUTLYING: Final = 4.0  # squared residuals over the median's that name an experiment
-_HOW: Final = {
-    "stated": "as stated",
-    "repetitions": "scatter of repetitions",
-    "differences": "second differences of the measured poses",
-    "residuals": "residuals of the fit",
-}
 
 
 class Misfit(NamedTuple):
@@ -82,7 +77,7 @@ class Misfit(NamedTuple):
         first = (
             f"{'model misfit' if self.warned else 'slight model misfit'}: residuals of "
             f"{residual:.2g} {unit} are {shown_ratio(self.ratio)} times the noise of "
-            f"{noise:.2g} {unit} ({_HOW[self.noise.source]}{start})."
+            f"{noise:.2g} {unit} ({ORIGINS[self.noise.source]}{start})."
         )
         if math.isnan(self.ratio):
             first = (
@@ -129,6 +124,29 @@ def noise_from_differences(targets: Sequence[Target]) -> Noise | None:
     scale = 1.4826 / math.sqrt(6.0)
     sizes = [scale * float(np.median(np.abs(np.concatenate(own)))) for own in (position, angle)]
     return Noise.of(sizes[0], sizes[1], "differences")
+
+
+def counting_frames(
+    targets: Sequence[Target], frames: Sequence[IntArray], residuals: Sequence[FloatArray]
+) -> list[BoolArray]:
+    """Return masks (n,) of the frames (n,) whose residuals (n, 3) show how well a model fits.
+
+    As long as the simulated body is still at its start, no parameter and hardly an error of the
+    model moves it. Such frames count only in experiments that they fit far worse than the others
+    do, such as one whose push the simulation misses, or if there are no others.
+    """
+    moved: list[BoolArray] = []
+    for target, own, left in zip(targets, frames, residuals, strict=True):
+        away = target.pose[own] + left - target.case.scene.bodies[0].pose
+        away[:, 2] = wrapped(away[:, 2])
+        moved.append(np.asarray((np.abs(away) > MIN_SCATTER).any(axis=1)))
+    squares = [left**2 for left in residuals]
+    others = np.concatenate([one[own] for one, own in zip(squares, moved, strict=True)])
+    if len(others) == 0:
+        return [~own for own in moved]
+    far = OUTLYING * np.maximum(others.mean(axis=0), MIN_SCATTER**2)
+    pairs = zip(squares, moved, strict=True)
+    return [own | bool((one[~own].sum(axis=0) > far * (~own).sum()).any()) for one, own in pairs]
 
 
 def misfit_of(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Literal, final, get_args
+from typing import Final, Literal, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +16,12 @@ from fixel.typing import FloatArray
 
 NoiseSource = Literal["stated", "repetitions", "residuals", "differences"]
 
-SOURCES: Final[tuple[NoiseSource, ...]] = get_args(NoiseSource)
+ORIGINS: Final[dict[NoiseSource, str]] = {
+    "stated": "as stated",
+    "repetitions": "scatter of repetitions",
+    "residuals": "residuals of the fit, including model error",
+    "differences": "second differences of the measured poses",
+}
 
 # Probability of a fit under the stated noise below which the model or the noise is wrong, and the
 # scatter of the residuals is used instead. Usual: 0.01; 0.05 rejects one good fit in twenty.
@@ -67,8 +72,8 @@ class Noise:
             angle_rad=positive(self.angle_rad, "noise.angle_rad", "rad"),
             correlation=_at_least_one(self.correlation, "noise.correlation"),
         )
-        if self.source not in SOURCES:
-            raise unknown_name("noise.source", self.source, SOURCES)
+        if self.source not in ORIGINS:
+            raise unknown_name("noise.source", self.source, tuple(ORIGINS))
         if not self.freedom > 0.0:
             raise InvalidInput("noise.freedom", found=self.freedom, expected="positive, or inf")
 
@@ -86,12 +91,7 @@ class Noise:
     @property
     def text(self) -> str:
         """Size and origin in words."""
-        how = {
-            "stated": "as stated",
-            "repetitions": "from the scatter of repetitions",
-            "residuals": "residuals of the fit, including model error",
-            "differences": "second differences of the poses",
-        }[self.source]
+        how = ORIGINS[self.source]
         if self.correlation > 1.5:
             how += f"; {self.correlation:.0f} correlated frames count as one"
         return f"noise {1e3 * self.position_m:.3g} mm, {1e3 * self.angle_rad:.3g} mrad ({how})"

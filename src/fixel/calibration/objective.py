@@ -11,6 +11,7 @@ from typing import ClassVar, Final, NamedTuple, final
 
 import numpy as np
 
+from fixel.calibration.misfit import counting_frames
 from fixel.calibration.target import Target
 from fixel.errors import InvalidInput, unknown_name
 from fixel.model.fields import positive
@@ -183,12 +184,14 @@ class Comparer:
         self, members: Sequence[int] | IntArray, point: FloatArray
     ) -> list[FloatArray]:
         """Return the differences (n_frame, 3) of experiments at one point (n_free,), as from
-        `differences`, without failed simulations."""
+        `differences`, in the frames that count; without failed simulations."""
         own = np.asarray(members, np.int64)
         points = np.repeat(np.asarray(point, np.float64)[None], len(own), axis=0)
         difference, good, _ = self.differences(own, points)
-        length = self.length(own)
-        return [d[:n] for d, n, ok in zip(difference, length, good, strict=True) if ok]
+        frames = [np.arange(n) for n in self.length(own[good])]
+        series = [one[rows] for one, rows in zip(difference[good], frames, strict=True)]
+        masks = counting_frames([self.targets[m] for m in own[good].tolist()], frames, series)
+        return [one[mask] for one, mask in zip(series, masks, strict=True) if mask.any()]
 
     def length(self, which: IntArray) -> IntArray:
         """Return the number of samples (n,) of experiments."""
@@ -318,9 +321,8 @@ class Objective:
         reasons = []
         for row in range(k):
             own = evaluated.reasons[row * n : (row + 1) * n]
-            first = next((m for m, reason in enumerate(own) if reason), None)
-            key = "" if first is None else self.comparer.targets[first].key
-            reasons.append("" if first is None else f"{key}: {own[first]}")
+            named = (f"{self.comparer.targets[m].key}: {why}" for m, why in enumerate(own) if why)
+            reasons.append(next(named, ""))
         return evaluated.error.reshape(k, n), reasons
 
     def combined(self, errors: FloatArray) -> FloatArray:

@@ -1,9 +1,4 @@
-"""A particle filter that follows a pushed object and learns its friction while it moves.
-
-Every particle is a start pose with a set of parameters and a size of model error of its own. In
-each frame of the camera all of them are simulated over the pusher's smoothed motion, in one
-compiled batch, and weighed by what was seen and felt. Proposals that are simulated from the start
-on keep them apart.
+"""Options of a particle filter that follows a pushed object and learns its friction.
 
 Source: Zhang, Lyu & Trinkle (2013), A dynamic Bayesian approach to real-time estimation and
 filtering in grasp acquisition, for estimating pose and parameters together with tactile bits; the
@@ -91,11 +86,9 @@ class ParticleFilter:
         for name in ("no_contact_reliability", "contact_reliability", "resample_below"):
             between(getattr(self, name), f"filter.{name}")
         if not isinstance(self.motion, QuasiStatic | FirstOrder):
-            raise InvalidInput(
-                "filter.motion",
-                found=type(self.motion).__name__,
-                expected="QuasiStatic or FirstOrder, since particles have no velocities",
-            )
+            expected = "QuasiStatic or FirstOrder, since particles have no velocities"
+            found = type(self.motion).__name__
+            raise InvalidInput("filter.motion", found=found, expected=expected)
         limit = optional_positive(self.force_limit, "filter.force_limit", "N")
         priors = MappingProxyType(checked_priors(self.priors))
         settle(self, force_limit=limit, priors=priors)

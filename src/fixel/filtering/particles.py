@@ -31,8 +31,6 @@ AT_REST: Final = 1e-9  # of the object's size: motion below is rounding
 SIDES: Final = [0, 0, 1]  # which variance is that of x, y and the angle
 MOST_CONTACTS: Final = 24  # in one rollout
 FARTHEST: Final = 5.0  # times the pusher's way: an object that goes further was not pushed there
-
-
 CLEAR: Final = 1e-3  # probability from which a contact is clear
 FAR_GAP: Final = 5e-3  # [m] gaps beyond it are bounded, not measured
 

@@ -204,8 +204,7 @@ class Unknowns(NamedTuple):
         """(n, size) logarithms of the belief's density on the free scale, up to constants."""
         stretched = np.abs(free)
         found = -stretched - 2.0 * np.log1p(np.exp(-stretched))
-        normal = np.s_[:, -N_POSE - 1 : -1]
-        found[normal] = -0.5 * free[normal] ** 2
+        found[:, -N_POSE - 1 : -1] = -0.5 * free[:, -N_POSE - 1 : -1] ** 2
         return np.asarray(found)
 
     def proposed(
@@ -229,9 +228,8 @@ class Unknowns(NamedTuple):
         whole = random.random(n) < 0.1
         scale = np.where(whole, 1.0, 2.38 / np.sqrt(2.0 * np.maximum(moved.sum(axis=1), 1)))
         scale *= random.uniform(0.6, 1.1, n)
-        step = scale[:, None] * (free[one] - free[other]) + TREMBLE * random.standard_normal(
-            (n, size)
-        )
+        tremble = TREMBLE * random.standard_normal((n, size))
+        step = scale[:, None] * (free[one] - free[other]) + tremble
         there = free + np.where(moved, step, 0.0)
         drawn = np.asarray(random.integers(0, size, n))[:, None] == np.arange(size)
         drawn &= random.random((n, 1)) < 0.25

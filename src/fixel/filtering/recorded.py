@@ -283,11 +283,9 @@ def _within_run(experiment: Experiment, frames: list[FilterFrame]) -> tuple[Traj
 def _gathered(estimates: list[FilterEstimate], **rest: object) -> FilterRun:
     columns = {
         name: np.array([getattr(estimate, name) for estimate in estimates])
-        for name in (
-            "time", "pose", "covariance", "mean", "quantiles", "touch", "ess", "failed", "surprise",
-            "recovered"
-        )
-    }  # fmt: skip
+        for name in FilterEstimate._fields
+        if name != "names"
+    }
     return FilterRun(**columns, **rest)  # type: ignore[arg-type]
 
 

@@ -125,6 +125,7 @@ class RunningFilter:
         self._islands = np.array_split(np.arange(options.n_particles), n_island)
         self._losses = 0  # in a row
         self._angle = float(pose[2])
+        self._start_spread = options.start_position_deviation, options.start_angle_deviation
         self._unknowns = Unknowns(self.prior, pose, np.array(self._start_spread)[[0, 0, 1]])
         free = self._unknowns.drawn(options.n_particles, self._random)
         self._begin(free, time, pusher)
@@ -330,11 +331,6 @@ class RunningFilter:
         sights += [cloud.gathered(self._sights[a + 1 : b + 1]) for a, b in pairwise(knots)]
         path = np.tile(self._path[knots], (len(particles.free), 1, 1))
         self._mechanics.advance(particles, self._unknowns, sights, path, self._shake, coarse=True)
-
-    @property
-    def _start_spread(self) -> tuple[float, float]:
-        options = self.options
-        return options.start_position_deviation, options.start_angle_deviation
 
     def _start_again(self, sight: cloud.FrameMeasurement, pusher: FloatArray) -> None:
         random, options = self._random, self.options
