@@ -90,3 +90,9 @@ def test_unknown_names_are_compared_without_case() -> None:
     assert error.hint == "did you mean 'dynamic'?"
     assert str(error).startswith("motion is 'Dynamc', but must be one of dynamic, quasistatic, ")
     assert unknown_name("motion", 3, ("dynamic",)).hint is None
+
+
+def test_control_characters_reach_no_terminal() -> None:
+    for error in (InvalidInput("\x1b[2Ja.csv", found="\x9b31m"), DatasetMissing("\x1b[2J\u202e")):
+        assert str(error).isprintable()
+    assert str(InvalidInput("a\nb", hint="é")) == "a\nb; é"

@@ -27,6 +27,13 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final, final
 
+_CONTROLS: Final = re.compile(r"[\0-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+
+
+def plain(text: str) -> str:
+    """Return text with codes for what a terminal would obey, or a file in UTF-8 cannot have."""
+    return _CONTROLS.sub(lambda found: ascii(found[0])[1:-1], text)
+
 
 class FixelError(Exception):
     """Base class of the exceptions of fixel.
@@ -40,6 +47,9 @@ class FixelError(Exception):
     ...     print(problem)
     disk is -1.0, but must be a number greater than 0 [m]
     """
+
+    def __str__(self) -> str:
+        return plain(super().__str__())
 
 
 class _Absent:

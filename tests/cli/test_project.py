@@ -37,6 +37,7 @@ def recording(tmp_path):
 def test_a_new_project_is_a_folder(lab, capsys):
     assert {p.name for p in lab.iterdir()} >= {"fixel.yaml", "experiments.db", "media"}
     assert "a project" in refusal(capsys, "new", lab)
+    assert "a name in UTF-8" in refusal(capsys, "new", f"{lab}\udcff")
     assert json_of(capsys, "new", lab.parent / "other")["name"] == "other"
 
 

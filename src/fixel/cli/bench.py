@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from fixel.cli.capability import typer_command
 from fixel.cli.screen import command_of, notify, paragraphs, print_answer
+from fixel.errors import plain
 from fixel.workflows.bench.run import BENCH
 
 if TYPE_CHECKING:
@@ -97,7 +98,7 @@ def _reporter(session: "BenchSession") -> Callable[[], None]:
         words = report["problems"] or words
         if terminal:
             row = f"row {report['number']}/{report['rows']} {report['row']}"
-            line = f"{row}: {report['phase']} {'; '.join(words)}"
+            line = plain(f"{row}: {report['phase']} {'; '.join(words)}")
             if line != last:
                 print(f"\r{line:<{len(last)}}", end="", file=sys.stderr, flush=True)
             last = line

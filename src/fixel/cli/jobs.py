@@ -15,8 +15,8 @@ from fixel.cli.options import (
     required,
     with_options,
 )
-from fixel.cli.screen import command_of, job_bar, notify, plain, print_answer, table
-from fixel.errors import InvalidInput
+from fixel.cli.screen import command_of, job_bar, notify, print_answer, table
+from fixel.errors import InvalidInput, plain
 from fixel.progress import time_text
 
 if TYPE_CHECKING:

@@ -21,12 +21,11 @@ from fixel.cli.screen import (
     command_line,
     command_of,
     notify,
-    plain,
     print_answer,
     project_words,
     wrote,
 )
-from fixel.errors import InvalidInput, counted
+from fixel.errors import InvalidInput, counted, plain
 from fixel.progress import show_progress, time_text
 from fixel.table import Column, Table, shortened
 

@@ -1,7 +1,6 @@
 """Output of the commands: answers as text or JSON, sentences, commands, progress."""
 
 import json
-import re
 import shlex
 import sys
 import time
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from fixel.errors import plain
 from fixel.table import Table
 
 if TYPE_CHECKING:
@@ -18,12 +18,6 @@ if TYPE_CHECKING:
 
 JOB_BAR = 24  # [characters]
 BETWEEN_LINES_S = 30.0  # [s] where the progress of a job goes into a file
-CONTROLS = re.compile(r"[\0-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
-
-
-def plain(text: str) -> str:
-    """Return text with codes for control characters of a file, which a terminal would obey."""
-    return CONTROLS.sub(lambda found: ascii(found[0])[1:-1], text)
 
 
 def print_answer(
@@ -89,7 +83,7 @@ def job_bar() -> "Callable[[JobProgress], None]":
             print(f"\r\033[K{_bar(progress)}", end=end, file=sys.stderr, flush=True)
         elif time.monotonic() - last >= BETWEEN_LINES_S:
             last = time.monotonic()
-            print(progress.text, file=sys.stderr, flush=True)
+            print(plain(progress.text), file=sys.stderr, flush=True)
 
     return show
 
@@ -98,4 +92,4 @@ def _bar(progress: "JobProgress") -> str:
     """One line: the bar stays empty while the amount of work is unknown."""
     full = int(JOB_BAR * (progress.share or 0.0))
     bar = f"[{'#' * full}{'.' * (JOB_BAR - full)}]"
-    return f"{bar}  {progress.text}"
+    return f"{bar}  {plain(progress.text)}"

@@ -8,8 +8,8 @@ from html import escape
 from pathlib import Path
 
 from fixel.cli.options import AsJson, ProjectFolder, ProjectPlace, option, project_at, with_options
-from fixel.cli.screen import notify, plain
-from fixel.errors import InvalidInput
+from fixel.cli.screen import notify
+from fixel.errors import InvalidInput, plain
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 

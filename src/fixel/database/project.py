@@ -177,6 +177,9 @@ class Project:
         folder = Path(folder)
         if (folder / SETTINGS).exists():
             raise InvalidInput(str(folder), found="a project", expected="a new folder")
+        whole = str(folder.resolve())
+        if whole.encode(errors="ignore").decode() != whole:
+            raise InvalidInput(whole, found="bytes of no UTF-8", expected="a name in UTF-8")
         was_there = folder.exists()
         if was_there and not (folder.is_dir() and _is_empty(folder)):
             raise InvalidInput(str(folder), found="other files", expected="a new or empty folder")
