@@ -560,7 +560,7 @@ def deep(path: Path) -> None:
 
 
 def bomb(path: Path) -> None:
-    """Make the file unpack or expand to gigabytes."""
+    """Make the file unpack to 100 MB, or expand to gigabytes."""
     if path.suffix == ".yaml":
         levels = [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]" for k in range(1, 12)]
         path.write_text("\n".join(["a0: &a0 [x, x]", *levels]))
@@ -574,7 +574,7 @@ def bomb(path: Path) -> None:
             for name, content in members.items():
                 with file.open(name, "w", force_zip64=True) as stream:
                     stream.write(content)
-                    for _ in range(300 if name == largest else 0):
+                    for _ in range(100 if name == largest else 0):
                         stream.write(bytes(1_000_000))
 
 

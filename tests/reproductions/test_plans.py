@@ -50,8 +50,9 @@ def exact(motions, error=0.0):
     return PredictedPushes(KEY, np.arange(len(motions)), motions, measured, draws)
 
 
-def test_a_look_corrects_what_two_blind_pushes_miss():
+def test_a_look_corrects_what_two_blind_pushes_miss(monkeypatch):
     """Straight moves on a grid of 4 mm, of which each ends 4 mm farther along x than predicted."""
+    monkeypatch.setattr("reproductions.plans.GOALS", 100)
     grid = np.stack(np.meshgrid(*2 * [np.linspace(-0.02, 0.02, 11)]), axis=-1).reshape(-1, 2)
     held = exact(np.column_stack((grid, np.zeros(len(grid)))), error=4e-3)
     few = exact(np.array([[0.01, 0.0, 0.0], [0.0, 0.01, 0.0]] * 20))
