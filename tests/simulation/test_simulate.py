@@ -156,6 +156,14 @@ def test_methods_that_do_not_fit_are_refused():
     refused(simulate, grasp(), {"tripod_radiu": 0.1}, match="tripod_radiu")
 
 
+def test_an_own_limit_of_steps_is_not_called_that_of_lemkes_method():
+    scene = replace(sliding_block(), support_directions=4)
+    run = simulate(scene, stepper=Adaptive(max_steps=2), solver=Lemke())
+    assert (run.status, run.steps) == ("max_steps", 2)
+    assert "max_steps" in run.advice
+    assert "5000" not in run.advice
+
+
 def test_a_force_beyond_friction_needs_inertia():
     """On a table tilted further than its friction holds, a block slides away ever faster."""
     scene = sliding_block()

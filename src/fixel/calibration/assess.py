@@ -403,8 +403,7 @@ class Frames:
             at_best = at_best.reshape(-1, 3)[rows].ravel()
         deviance = float(at_best @ at_best) if known else math.inf
         # Of frames so far apart, fewer say as much as one.
-        correlation = max(1.0, noise.correlation / self._stride)
-        noise = replace(noise, correlation=correlation)
+        noise = replace(noise, correlation=max(1.0, noise.correlation / self._stride))
         return dispersion_of(noise, deviance, at_best.size, unknowns)
 
     def residuals(self, noise: Noise) -> Callable[[FloatArray], FloatArray]:

@@ -212,7 +212,8 @@ class Simulation(Result):
     def advice(self) -> str:
         """Remedy for an early end; empty when converged."""
         status = codes.STATUS_NAMES.index(self.status)
-        if status == codes.MAX_STEPS and self.method.get("solver") == Lemke.name:
+        longest = self.method.get("solver") == Lemke.name and self.steps >= Lemke.MAX_STEPS
+        if status == codes.MAX_STEPS and longest:
             return f"Lemke's method is for at most {Lemke.MAX_STEPS} steps. Use the solver newton."
         advice = codes.STATUS_ADVICE[status]
         quasistatic = self.method.get("motion") == "quasistatic"
