@@ -28,9 +28,7 @@ from fixel.calibration.objective import Comparer, Objective, RootMeanSquare
 from fixel.calibration.optimiser import MultiStartSearch, feasible_points
 from fixel.calibration.solutions import (
     Solution,
-    SupportFeatures,
     find_solutions,
-    support_features,
 )
 from fixel.calibration.study import box_of
 from fixel.calibration.target import Target
@@ -45,6 +43,7 @@ from fixel.typing import FloatArray
 from reproductions.charts.convergence import BestSoFar, convergence_figure
 from reproductions.charts.pictures import clusters_figure
 from reproductions.result import Reproduction, RunOptions
+from reproductions.support_features import SupportFeatures, support_features
 
 # Column p1* of table 1 with decimal points restored: friction of probe and plane, support points.
 P1: Final = (0.666, 0.757, 411.3e-6, -563.3e-6, -409.1e-6, 605.9e-6, -273.2e-6, -102.1e-6)

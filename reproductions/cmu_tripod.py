@@ -14,7 +14,6 @@ from functools import partial
 import numpy as np
 
 from fixel.calibration.least_squares import LeastSquares, fit
-from fixel.calibration.solutions import support_features
 from fixel.calibration.study import box_of
 from fixel.model import SupportPoints, UniformPressure
 from fixel.model.space import ParameterSpace, Unknown
@@ -23,6 +22,7 @@ from fixel.replay.base import Row
 from fixel.typing import FloatArray
 from reproductions.charts.pictures import supports_figure
 from reproductions.result import Reproduction, RunOptions
+from reproductions.support_features import support_features
 from reproductions.tripod_pushes import (
     FORCE_NOISE,
     POSE_NOISE,

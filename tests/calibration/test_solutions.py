@@ -4,9 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from reproductions.support_features import support_features
 from tests.fixtures import refused
 
-from fixel.calibration.solutions import find_solutions, support_features
+from fixel.calibration.solutions import find_solutions
 
 
 def test_clusters_are_found_best_first():

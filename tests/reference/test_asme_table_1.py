@@ -5,8 +5,9 @@
 """What the two support triangles of table 1 have in common."""
 
 import numpy as np
+from reproductions.support_features import support_features
 
-from fixel.calibration.solutions import find_solutions, support_features
+from fixel.calibration.solutions import find_solutions
 from fixel.model.support import triangle_shares
 
 POINTS = 1e-6 * np.array([
