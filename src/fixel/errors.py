@@ -132,9 +132,10 @@ class InvalidInput(FixelError, ValueError):
 
     def _sentence(self) -> str:
         sentence, found, expected = self.where, self.found, self.expected
+        is_value = _VALUE.fullmatch(found) if isinstance(found, str) else found is not _ABSENT
         if found is None:
             sentence += " is missing" + (f": give {expected}" if expected else "")
-        elif _is_value(found) and not _PLACE.search(self.where):
+        elif is_value and not _PLACE.search(self.where):
             sentence += f" is {_shown(found)}" + (f", but must be {expected}" if expected else "")
         elif found is not _ABSENT:
             sentence += f": found {_shown(found)}"
@@ -450,10 +451,6 @@ def machine_failure(problem: OSError) -> FixelError | None:
     full = problem.errno in (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
     hint = "free disk space, then repeat the command" if full else None
     return StoreRefused(f"{place}{reason}", hint=hint)
-
-
-def _is_value(found: object) -> bool:
-    return _VALUE.fullmatch(found) is not None if isinstance(found, str) else found is not _ABSENT
 
 
 def _shown(found: object) -> str:
