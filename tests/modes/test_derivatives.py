@@ -222,6 +222,37 @@ def test_agrees_with_a_tight_stepper_where_pegs_seat_the_part():
     assert max(errors) < 0.01
 
 
+@pytest.mark.parametrize(
+    ("layout", "start", "radius", "angle", "frictions", "known"),
+    [
+        (
+            "seated", (0.10395168901937467, -0.00296119810777981, 0.06400052599753381),
+            0.020208661538774104, 4.687664734881332, (0.2710038627336632, 0.23411577999818295),
+            {"y": (0.0, -83.590646), "mu_pusher": (0.0, 1.120898)},
+        ),
+        (
+            "slip", (0.10996780442700164, -0.01027957273037199, 0.27083859900845386),
+            0.04236896069294342, 4.41086257594126, (0.08934793030213359, 0.11273223929012872),
+            {"y": (0.28372332, 1.21105109), "theta": (-3.688421e-4, -1.574374e-3)},
+        ),
+    ],
+)  # fmt: skip
+def test_starts_that_move_the_end_far(layout, start, radius, angle, frictions, known):
+    """The known values are differences of an integration by DOP853 that enumerates modes."""
+    scene = grasp(layout)
+    head, peg = frictions
+    support = Tripod(radius=radius, friction=0.15, angle=angle)
+    scene = replace(
+        scene,
+        bodies=(replace(scene.bodies[0], pose=row(*start), support=support),),
+        pushers=(replace(scene.pushers[0], friction=head),),
+        fixels=tuple(replace(fixel, friction=peg) for fixel in scene.fixels),
+    )
+    found = simulate(scene, motion="quasistatic", derivatives=tuple(known)).derivatives
+    for name, value in known.items():
+        assert found[name][:2] == pytest.approx(value, rel=2e-3, abs=1e-6), name
+
+
 def _finger(offset, angle):
     """A finger that touches a square, `offset` beside its middle, and moves at an angle."""
     finger = Pusher(

@@ -134,7 +134,14 @@ def watch(
     for reader, reading in watch_tactile(
         port, interval=1.0 / rate, duration=duration, thresholds=thresholds
     ):
-        line = _as_json(reading) if as_json else _line(reader, reading)
+        content = {
+            "bits": reading.bits,
+            "time_s": reading.time,
+            "device_time_s": reading.device_time,
+            "values": reading.values,
+            "problem": reading.problem,
+        }
+        line = json.dumps(content) if as_json else _line(reader, reading)
         news = line.split("  (")[0] + reading.problem
         if live:
             print(f"\r\033[K{line}", end="", flush=True)
@@ -164,18 +171,6 @@ def _line(reader: "TactileReader", reading: "TactileReading") -> str:
     trip = f"{1e3 * counts.round_trips[-1]:.1f} ms" if counts.round_trips else "-"
     return f"{fixels}  ({trip}, {counts.asked} requested, {lost} lost){volts}" + (
         f"  {reading.problem}" if reading.problem else ""
-    )
-
-
-def _as_json(reading: "TactileReading") -> str:
-    return json.dumps(
-        {
-            "bits": reading.bits,
-            "time_s": reading.time,
-            "device_time_s": reading.device_time,
-            "values": reading.values,
-            "problem": reading.problem,
-        }
     )
 
 

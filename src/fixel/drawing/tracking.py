@@ -35,7 +35,8 @@ def track_figure(tracked: FilmTracks, effective: tuple[float, float] | None = No
     """
     figure = sheet(WIDE, HEIGHT)
     panels = figure.subplots(4, 1, sharex=True)
-    micro = _is_small(tracked)
+    places = [part.pose[part.good, :2] for part in tracked.parts.values() if part.good.any()]
+    micro = bool(places) and max(float(np.ptp(own, axis=0).max()) for own in places) < 5e-3
     unit, factor = ("µm", 1e6) if micro else ("mm", 1e3)
     zero = tracked.time[0]
     for part, colour in zip(tracked.parts.values(), COLOURS, strict=False):
@@ -64,11 +65,6 @@ def _part(panels: Any, part: PartTrack, colour: str, zero: float, factor: float)
     for first, last, _ in part.gaps:
         for axes in panels:
             axes.axvspan(first - zero, last - zero, color=colour, alpha=0.15, linewidth=0)
-
-
-def _is_small(tracked: FilmTracks) -> bool:
-    places = [part.pose[part.good, :2] for part in tracked.parts.values() if part.good.any()]
-    return bool(places) and max(float(np.ptp(own, axis=0).max()) for own in places) < 5e-3
 
 
 class TrackedRun(NamedTuple):

@@ -295,7 +295,8 @@ def _simple_outline(given: FloatArray) -> FloatArray:
             raise InvalidInput("polygon", found=found, expected="a polygon with an area")
         _check_pairs(scaled, vertices)
     vertices = _without_straight_corners(vertices, size)
-    doubled = _doubled_area(vertices)
+    x, y = (vertices - vertices[0]).T
+    doubled = float(np.sum(x * following(y) - following(x) * y))
     if abs(doubled) <= COINCIDENT * size**2:
         found, expected = f"an area of {abs(doubled) / 2:g} m^2", "a polygon with an area"
         raise InvalidInput("polygon", found=found, expected=expected)
@@ -375,11 +376,6 @@ def _crossing_edges(vertices: FloatArray) -> tuple[int, int] | None:
         if not neighbours or shapely.intersection(edges[first], edges[second]).length > 0.0:
             return first, second
     return None
-
-
-def _doubled_area(vertices: FloatArray) -> float:
-    x, y = (vertices - vertices[0]).T
-    return float(np.sum(x * following(y) - following(x) * y))
 
 
 def _area_moments(vertices: FloatArray) -> tuple[float, FloatArray, float]:

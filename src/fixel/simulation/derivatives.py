@@ -162,16 +162,12 @@ def _slopes(
     slope[:, :, :2, 2:] *= length
     slope[:, :, 2, :2] /= length
     slope[..., 3:] /= widths[:, None, None]
-    ends = shape_poses(_every(packed, stride), record.end[:, None, None, :3])[:, 0, 0]
+    outline = None if packed.outline is None else packed.outline[::stride]
+    ends = shape_poses(packed._replace(outline=outline), record.end[:, None, None, :3])[:, 0, 0]
     gap = np.abs(ends - pose[:, -1])
     same = (gap[:, :2].max(axis=1) <= APART_LENGTH * length) & (gap[:, 2] <= APART_ANGLE)
     _refer_to_frames(slope, packed, stride, widths, pose[..., 2])
     return slope, (found == 1) & same
-
-
-def _every(packed: PackedBatch, stride: int) -> PackedBatch:
-    """Return what converts the poses of every rollout that was followed."""
-    return packed if packed.outline is None else packed._replace(outline=packed.outline[::stride])
 
 
 def _refer_to_frames(

@@ -26,21 +26,23 @@ AGO = 1e-6  # of the clock
 FLAT = 1e-9  # rate of a margin below which its root has no derivative
 BEFORE = 3e-3  # part of a step before its end at which a part that comes to rest still moves
 AT_REST = 1e-2  # velocity over that at the start of a mode, at its end
+BENT = 0.005  # second difference of the velocity's derivative over a piece, times its length
+GROWTH = 0.5  # velocity's derivative times the length of a piece
+SPARE = 256  # states, of steps that are divided
 TOUCHING = -3  # event of a part that touches the pusher at the start: as if it came from a gap
-# Columns of `Flow.span`: of a mode, its first state, the one after its last, and its first step.
+# Columns of `Flow.span`: of a mode, its first state and the one after its last.
 ONWARD = 0
 UP_TO = 1
-STEP = 2
 
 
 class Flow(NamedTuple):
     """Linear equations of the derivatives along a rollout.
 
-    They are known at states: at the start, in the middle and at the end of each step of a mode,
-    where the end of one step is the start of the next.
+    They are known at states: at the start, in the middle and at the end of each piece of a step,
+    where the end of one piece is the start of the next.
     """
 
-    span: IntArray  # (n_mode, 3) see ONWARD; no states of modes at rest and of those not entered
+    span: IntArray  # (n_mode, 2) see ONWARD; no states of modes at rest and of those not entered
     state: FloatArray  # (n_state, 4)
     unknown: FloatArray  # (n_state, 9)
     pole: IntArray  # (n_state,)
@@ -79,16 +81,13 @@ def _load_step(mode: ContactMode, row: FloatArray, q: FloatArray) -> None:
 
 
 @large_kernel
-def _evaluate(model: Model, mode: ContactMode, q: FloatArray) -> None:
-    """Write velocity and residual of the present unknowns at a state."""
+def _add_change(
+    model: Model, mode: ContactMode, q: FloatArray, change: FloatArray, sign: float
+) -> None:
+    """Add velocity and negative residual of the present unknowns at a state to the changes."""
     geometry.place_mode(mode, q)
     write_rows(model, mode)
     assemble(model, mode, mode.size[geometry.ROWS])
-
-
-@kernel
-def _add_change(mode: ContactMode, change: FloatArray, sign: float) -> None:
-    """Add the velocity to the changes, and subtract the residual."""
     for i in range(3):
         change[i] += sign * mode.velocity[i]
     for i in range(3 + mode.size[geometry.ROWS]):
@@ -104,8 +103,15 @@ def _write_slope(flow: Flow, k: int, n: int, column: int, width: float) -> None:
         for j in range(n):
             total += flow.gain[k, i, j] * change[3 + j]
         flow.slope[k, i, column] = total / width
+    change[:] = 0.0
+
+
+@kernel
+def _load_unknowns(mode: ContactMode, flow: Flow, k: int) -> None:
+    """Set the unknowns that solve the mode at state k."""
+    mode.size[geometry.POLE] = flow.pole[k]
     for i in range(9):
-        change[i] = 0.0
+        mode.unknown[i] = flow.unknown[k, i]
 
 
 @large_kernel
@@ -133,12 +139,9 @@ def _linearise_state(model: Model, mode: ContactMode, flow: Flow, k: int) -> boo
             flow.gain[k, way, i] = total
     for column in range(3):
         middle = q[column]
-        q[column] = middle + NUDGE
-        _evaluate(model, mode, q)
-        _add_change(mode, flow.change[k], 1.0)
-        q[column] = middle - NUDGE
-        _evaluate(model, mode, q)
-        _add_change(mode, flow.change[k], -1.0)
+        for sign in (1.0, -1.0):
+            q[column] = middle + sign * NUDGE
+            _add_change(model, mode, q, flow.change[k], sign)
         q[column] = middle
         _write_slope(flow, k, n, column, 2.0 * NUDGE)
     return True
@@ -205,6 +208,65 @@ def _slows_down(flow: Flow, first: int, last: int) -> bool:
     return last > first and end < AT_REST**2 * begin
 
 
+@kernel
+def _is_even(slope: FloatArray, k: int, length: float) -> bool:
+    """Whether the method of Runge and Kutta is accurate to 0.1 % over a piece from state k."""
+    for i in range(3):
+        bent = 0.0
+        growth = 0.0
+        for j in range(3):
+            bent += abs(slope[k, i, j] - 2.0 * slope[k + 1, i, j] + slope[k + 2, i, j])
+            growth += abs(slope[k + 1, i, j])
+        if length * bent > BENT or length * growth > GROWTH:
+            return False
+    return True
+
+
+@large_kernel
+def _linearise_step(
+    model: Model, mode: ContactMode, own: FloatArray, flow: Flow, k: int, begins: bool
+) -> tuple[int, bool]:
+    """Write the states of a step of the tape, from state `k` on.
+
+    A step is as long as the motion allows, and is divided where neighbouring motions bend. The
+    first state is known unless a mode `begins`. Returns the place after the last, negative where
+    there is none, and whether the velocity vanishes at the end.
+    """
+    q = mode.point[1]
+    _load_step(mode, own, q)
+    k -= 0 if begins else 1
+    n = 0
+    pieces = 1
+    while n < pieces:
+        if k + 2 * (pieces - n) >= flow.pole.size:
+            return -1, False
+        for i in range(0 if begins else 1, 3):
+            x = own[walk.PART] * (n + 0.5 * i) / pieces
+            walk.dense(mode, q, own[walk.LENGTH], x, flow.state[k + i])
+            if _linearise_state(model, mode, flow, k + i):
+                continue
+            if i < 2 or pieces > 1:
+                return -1, False
+            # A velocity that vanishes has no direction. Just before it has.
+            walk.dense(mode, q, own[walk.LENGTH], x * (1.0 - BEFORE), flow.state[k + 2])
+            mode.size[geometry.POLE] = flow.pole[k + 1]
+            for j in range(9):
+                # From the middle of the step the velocity falls evenly.
+                lasts = j > 2 or (j == 1 and flow.pole[k + 1] >= 0)
+                share = 1.0 if lasts else 2.0 * BEFORE
+                mode.unknown[j] = share * flow.unknown[k + 1, j]
+            return k + 3 if _linearise_state(model, mode, flow, k + 2) else -1, True
+        if not _is_even(flow.slope, k, flow.state[k + 2, 3] - flow.state[k, 3]):
+            pieces *= 2
+            n *= 2
+            _load_unknowns(mode, flow, k)
+            continue
+        k += 2
+        n += 1
+        begins = False
+    return k + 1, False
+
+
 @large_kernel
 def _linearise(
     model: Model, mode: ContactMode, tape: Tape, flow: Flow, work: Workspace, problem: Problem
@@ -219,7 +281,6 @@ def _linearise(
         span = flow.span[number]
         span[ONWARD] = k
         span[UP_TO] = k
-        span[STEP] = step
         event = flow.event[number]
         n_step = tape.step.shape[0]
         moves = step < n_step and int(tape.step[step, walk.OF_MODE]) == number
@@ -236,26 +297,11 @@ def _linearise(
             if not (one and _linearise_event(model, mode, flow, n_mode, TOUCHING, work, problem)):
                 return False
         while step < n_step and tape.step[step, walk.OF_MODE] == number:
-            own = tape.step[step]
-            _load_step(mode, own, event)
-            for part in range(0 if step == span[STEP] else 1, 3):
-                x = 0.5 * part * own[walk.PART]
-                walk.dense(mode, event, own[walk.LENGTH], x, flow.state[k])
-                if not _linearise_state(model, mode, flow, k):
-                    if part < 2:
-                        return False
-                    # A velocity that vanishes has no direction. Just before it has.
-                    walk.dense(mode, event, own[walk.LENGTH], x * (1.0 - BEFORE), flow.state[k])
-                    mode.size[geometry.POLE] = flow.pole[k - 1]
-                    for i in range(9):
-                        # From the middle of the step the velocity falls evenly.
-                        lasts = i > 2 or (i == 1 and flow.pole[k - 1] >= 0)
-                        share = 1.0 if lasts else 2.0 * BEFORE
-                        mode.unknown[i] = share * flow.unknown[k - 1, i]
-                    if not _linearise_state(model, mode, flow, k):
-                        return False
-                    which = walk.FOLDED
-                k += 1
+            k, folds = _linearise_step(model, mode, tape.step[step], flow, k, k == span[ONWARD])
+            if k < 0:
+                return False
+            if folds:
+                which = walk.FOLDED
             step += 1
         span[UP_TO] = k
         # At rest, up to the gap that closes where the next mode begins.
@@ -263,7 +309,8 @@ def _linearise(
             event[i] = flow.state[k - 1, i] if moves else row[walk.POSE + i]
         event[3] = tape.mode[min(number + 1, n_mode - 1), walk.BEGIN]
         if moves:
-            event[3] = flow.state[k - 1, 3]
+            own = tape.step[step - 1]
+            event[3] = own[walk.START] + own[walk.PART] * own[walk.LENGTH]
         if which == walk.FOLDED:
             # It comes to rest, or else it jumps.
             if not _slows_down(flow, span[ONWARD], k - 1):
@@ -308,11 +355,8 @@ def _vary(
             margin = _margin(own, mode, flow.event[-1], TOUCHING, work, problem)
             flow.slant[-1, column] += 0.5 * sign * margin
         for k in range(span[ONWARD], span[UP_TO]):
-            mode.size[geometry.POLE] = flow.pole[k]
-            for i in range(9):
-                mode.unknown[i] = flow.unknown[k, i]
-            _evaluate(own, mode, flow.state[k])
-            _add_change(mode, flow.change[k], sign)
+            _load_unknowns(mode, flow, k)
+            _add_change(own, mode, flow.state[k], flow.change[k], sign)
             if sign < 0.0:
                 _write_slope(flow, k, 3 + mode.size[geometry.ROWS], column, 2.0)
         if row[walk.EVENT] >= 0.0:
@@ -327,7 +371,7 @@ def _jump(state: FloatArray, before: FloatArray, after: FloatArray, times: Float
     for column in range(times.size):
         for i in range(3):
             state[i, column] += (before[i] - after[i]) * times[column]
-        times[column] = 0.0
+    times[:] = 0.0
 
 
 @kernel
@@ -341,7 +385,7 @@ def _rate(slope: FloatArray, state: FloatArray, i: int, column: int) -> float:
 
 @large_kernel
 def _advance(flow: Flow, k: int, span: float, state: FloatArray, stage: FloatArray) -> None:
-    """Integrate the linear equation over the step from state k to k + 2 by the classical method of
+    """Integrate the linear equation over the piece from state k to k + 2 by the classical method of
     Runge and Kutta; leaves the rates at both ends in the first and last of the stages."""
     trial = stage[4]
     for column in range(state.shape[1]):
@@ -415,21 +459,20 @@ def _integrate(
             at += 1
         _jump(state, before, velocity, late)
         for k in range(span[ONWARD], span[UP_TO] - 2, 2):
-            own = tape.step[span[STEP] + (k - span[ONWARD]) // 2]
-            length = own[walk.LENGTH] * own[walk.PART]
+            begin = flow.state[k, 3]
+            last = k + 3 == span[UP_TO]
+            length = (flow.event[number, 3] if last else flow.state[k + 2, 3]) - begin
             _write_between(state, state, stage, 0.0, 0.0, was)
             _advance(flow, k, length, state, stage)
-            while at < times.size and times[at] < own[walk.START] + length:
-                x = (times[at] - own[walk.START]) / length
-                _write_between(was, state, stage, length, x, out[at])
+            while at < times.size and times[at] < begin + length:
+                _write_between(was, state, stage, length, (times[at] - begin) / length, out[at])
                 at += 1
         for i in range(3):
             before[i] = flow.velocity[span[UP_TO] - 1, i] if moves else 0.0
         if row[walk.EVENT] >= 0.0 and not _time_event(flow, number, state, late):
             return False
     # A part that stalls stops where the last mode ended.
-    for i in range(3):
-        velocity[i] = 0.0
+    velocity[:] = 0.0
     _jump(state, before, velocity, late)
     for k in range(at, times.size):
         _write_between(state, state, stage, 0.0, 0.0, out[k])
@@ -474,9 +517,9 @@ def _differentiate(
     mode.number[geometry.DURATION] = batch.settings[base, arrays.DURATION]
     wide = slope.shape[2]
     n_mode = tape.mode.shape[0]
-    n_state = n_mode + 2 * tape.step.shape[0]
+    n_state = n_mode + 4 * tape.step.shape[0] + SPARE
     flow = Flow(
-        span=np.zeros((n_mode, 3), np.int64),
+        span=np.zeros((n_mode, 2), np.int64),
         state=np.zeros((n_state, 4)),
         unknown=np.zeros((n_state, 9)),
         pole=np.zeros(n_state, np.int64),

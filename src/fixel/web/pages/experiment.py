@@ -156,12 +156,12 @@ def provenance(experiment: Experiment) -> list[Fact]:
         ("seed", "" if origin.seed is None else str(origin.seed)),
         ("SHA-256 of the video", experiment.video),
     )
-    return [Fact(name, _short(name, value)) for name, value in given if value]
-
-
-def _short(name: str, value: str) -> str:
-    """Shorten checksums to their beginning, which identifies them; the JSON has all of it."""
-    return f"{value[:16]}\u2026" if name.startswith("SHA-256") else value
+    # The beginning of a checksum identifies the file; the JSON has all of it.
+    return [
+        Fact(name, f"{value[:16]}\u2026" if name.startswith("SHA-256") else value)
+        for name, value in given
+        if value
+    ]
 
 
 def command(context: ProjectContext, experiment: Experiment) -> str:
