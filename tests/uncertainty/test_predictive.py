@@ -113,6 +113,19 @@ def test_few_pushes_are_not_checked(recorded):
     assert "predictions not checked: that takes 4 experiments" in str(fit)
 
 
+def test_recordings_in_which_nothing_moves_are_not_checked(recorded):
+    still = []
+    for k, own in enumerate(recorded[:3]):
+        pose = np.tile(own.scene.bodies[0].pose, (len(own.trajectory.time), 1))
+        pose += np.random.default_rng(k).normal(size=pose.shape) * (0.1 * mm, 0.1 * mm, 1e-3)
+        drive = replace(own.scene.pushers[0].drive, travel=0.0)
+        scene = replace(own.scene, pushers=(replace(own.scene.pushers[0], drive=drive),))
+        trajectory = replace(own.trajectory, pose=pose)
+        still.append(replace(own, name=f"still-{k}", scene=scene, trajectory=trajectory))
+    fit = fixel.calibrate([*recorded, *still], _SPACE, motion="quasistatic", progress=False)
+    assert fit.prediction_check.of == len(recorded)
+
+
 def test_pushes_among_fixels_are_not_checked(fit):
     fixel_far_away = Fixel("pin", Disk(5 * mm), pose=(1.0, 1.0, 0.0), friction=0.2)
     targets = [

@@ -131,15 +131,19 @@ def check_predictions(
 ) -> tuple[int, int]:
     """Return how many recorded ends are in the regions predicted without them, and of how many.
 
-    Those among fixels are not counted: their ends are not free. `moved` (n_target, n_free) is by
-    how much the best fit, and the draws with it, move where one push is left out.
+    Those among fixels are not counted: their ends are not free. Nor are those in which nothing
+    moves. `moved` (n_target, n_free) is by how much the best fit, and the draws with it, move where
+    one push is left out.
     """
-    space = predictive.space
-    free = np.flatnonzero([not own.case.scene.fixels for own in targets])
+    space, ends = predictive.space, [_end_of(own) for own in targets]
+    left = end_residuals(ends, space, motion, best[None])
+    free = np.flatnonzero([
+        not own.case.scene.fixels and _motions(own, off)[0] > TINY
+        for own, off in zip(ends, left, strict=True)
+    ])  # fmt: skip
     if len(targets) < LEAST or not len(free):
         return 0, 0
-    some, ends = free[_spread(len(free))], [_end_of(own) for own in targets]
-    squares = (end_residuals(ends, space, motion, best[None]) ** 2).sum(axis=(1, 2))
+    some, squares = free[_spread(len(free))], (left**2).sum(axis=(1, 2))
     motions = np.concatenate([_motions(own, np.zeros(3)) for own in ends])
     points = np.clip(predictive.points + moved[some, None], space.low, space.high)
     found = end_residuals([ends[k] for k in some], space, motion, points)
