@@ -46,7 +46,7 @@ def test_intervals_hold_the_nominal_sample(axis, size, ends):
 
 
 def test_what_cannot_be_is_refused():
-    refused(interval, "x", 1, match="2 samples")
+    refused(interval, "x", 1, match="at least 2")
     refused(interval, "z", 3, match="x, y or theta")
     refused(joining, 6, "printed", match="as printed")
     refused(joining, 1, "other", match="corrected or printed")
