@@ -72,9 +72,7 @@ class Summary:
             if share >= len(title) + 2:
                 rows = _cut([f"  {row}" for row in table.lines()], share - len(title))
                 lines += [*title, *rows]
-        every = [*heading, *lines, *notes]
-        room = MAX_COLUMNS - 3
-        return "\n".join(x if len(x) <= MAX_COLUMNS else f"{x[:room]}..." for x in every)
+        return "\n".join(_shortened(line) for line in [*heading, *lines, *notes])
 
     def html(self) -> str:
         """Return HTML of at most `MAX_HTML` bytes, without scripts."""
@@ -284,6 +282,10 @@ def _cut(lines: list[str], most: int) -> list[str]:
     if len(lines) <= most:
         return lines
     return [*lines[: most - 1], f"  ... and {len(lines) - most + 1} more"]
+
+
+def _shortened(line: str) -> str:
+    return line if len(line) <= MAX_COLUMNS else f"{line[: MAX_COLUMNS - 3]}..."
 
 
 def _limited(text: str) -> str:

@@ -145,8 +145,11 @@ def counting_frames(
     if len(others) == 0:
         return [~own for own in moved]
     far = OUTLYING * np.maximum(others.mean(axis=0), MIN_SCATTER**2)
-    pairs = zip(squares, moved, strict=True)
-    return [own | bool((one[~own].sum(axis=0) > far * (~own).sum()).any()) for one, own in pairs]
+    masks = []
+    for square, moving in zip(squares, moved, strict=True):
+        missed = (square[~moving].sum(axis=0) > far * np.sum(~moving)).any()
+        masks.append(np.asarray(moving | missed))
+    return masks
 
 
 def misfit_of(

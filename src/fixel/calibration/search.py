@@ -334,16 +334,7 @@ class CalibrationSearch:
         direct = yield from self._direct(subset.point)
         return [
             *alone,
-            *(
-                ParameterSet(
-                    how=FitKind.NEIGHBOUR,
-                    members=one.members,
-                    point=point,
-                    errors=np.array([error]),
-                )
-                for one, point, error in zip(alone, better, least, strict=True)
-                if error < one.errors[0]
-            ),
+            *_improved(alone, better, least),
             _pooled(FitKind.WEIGHTED, members, pooled),
             _pooled(FitKind.SUBSET, members, subset),
             direct,
@@ -455,6 +446,18 @@ def _evaluated(answer: PartAnswer, n: int) -> Evaluation:
     return Evaluation(answer["error"], reasons)
 
 
+def _improved(
+    alone: Sequence[ParameterSet], points: FloatArray, errors: FloatArray
+) -> list[ParameterSet]:
+    return [
+        ParameterSet(
+            how=FitKind.NEIGHBOUR, members=one.members, point=point, errors=np.array([error])
+        )
+        for one, point, error in zip(alone, points, errors, strict=True)
+        if error < one.errors[0]
+    ]
+
+
 def _pooled(how: FitKind, members: Sequence[int], pooled: CombinedFit) -> ParameterSet:
     return ParameterSet(how=how, members=tuple(members), point=pooled.point, errors=pooled.members)
 
@@ -562,20 +565,23 @@ def distinct_solutions(comparer: Comparer, trace: Trace) -> FloatArray:
 
 def with_assessment(comparer: Comparer, one: ParameterSet, found: Assessment) -> ParameterSet:
     """Return a parameter set with its estimates, profiles and misfit."""
-    best = comparer.space.values(one.point)
-    frozen = [
-        Estimate(label=u.label, unit=u.unit, value=u.nominal, verdict="frozen")
-        for u in comparer.space.unknowns
-        if u.frozen
-    ]
+    best, estimates = comparer.space.values(one.point), (*found.quoted, *_frozen(comparer))
     return replace(
         one,
-        estimates=tuple(replace(e, best_fit=best[e.label]) for e in (*found.quoted, *frozen)),
+        estimates=tuple(replace(e, best_fit=best[e.label]) for e in estimates),
         profiles=found.profiles.records(comparer.space.labels),
         noise=found.noise.text,
         misfit=() if found.misfit is None else found.misfit.sentences,
         misfit_ratio=math.nan if found.misfit is None else found.misfit.ratio,
     )
+
+
+def _frozen(comparer: Comparer) -> list[Estimate]:
+    return [
+        Estimate(label=u.label, unit=u.unit, value=u.nominal, verdict="frozen")
+        for u in comparer.space.unknowns
+        if u.frozen
+    ]
 
 
 def explained(reason: str) -> str:

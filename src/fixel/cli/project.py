@@ -32,6 +32,7 @@ from fixel.table import Column, Table, shortened
 if TYPE_CHECKING:
     from fixel.database.browsing import ExperimentPage
     from fixel.database.project import AddSummary
+    from fixel.model.selection import ExperimentRow
     from fixel.workflows.model_export.run import ModelExport
     from fixel.workflows.project.export import ExportAnswer
 
@@ -247,19 +248,7 @@ def _listed(listing: "ExperimentPage") -> list[str]:
         *("id", "experiment", "", "frames", Column("time", "s", ".2f")),
         *(Column("moved", "mm", ".1f"), Column("turned", "deg", ".1f"), "contacts"),
     )
-    rows: list[tuple[str | float, ...]] = [
-        (
-            row.id,
-            row.key,
-            "" if row.is_real else "SIMULATED",
-            row.n_frame,
-            row.duration_s,
-            1e3 * row.moved_m,
-            degrees(row.turned_rad),
-            row.contact_mode,
-        )
-        for row in listing.rows
-    ]
+    rows = [_row(row) for row in listing.rows]
     lines = Table(columns, rows, left=3).lines() if rows else []
     more = listing.total - len(rows)
     lines.append(counted(listing.total, "experiment") + (f", {more} not shown" if more else ""))
@@ -268,6 +257,19 @@ def _listed(listing: "ExperimentPage") -> list[str]:
             f"; {listing.left_out} with faults in their data are not listed (--all lists them)"
         )
     return lines
+
+
+def _row(row: "ExperimentRow") -> tuple[str | float, ...]:
+    return (
+        row.id,
+        row.key,
+        "" if row.is_real else "SIMULATED",
+        row.n_frame,
+        row.duration_s,
+        1e3 * row.moved_m,
+        degrees(row.turned_rad),
+        row.contact_mode,
+    )
 
 
 def _content(listing: "ExperimentPage") -> dict[str, Any]:

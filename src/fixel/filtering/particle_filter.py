@@ -1,4 +1,9 @@
-"""Options of a particle filter that follows a pushed object and learns its friction.
+"""Options of a particle filter that follows a pushed object and learns its friction while it moves.
+
+Every particle is a start pose with a set of parameters and a size of model error of its own. In
+each frame of the camera all of them are simulated over the pusher's smoothed motion, in one
+compiled batch, and weighed by what was seen and felt. Proposals that are simulated from the start
+on keep them apart.
 
 Source: Zhang, Lyu & Trinkle (2013), A dynamic Bayesian approach to real-time estimation and
 filtering in grasp acquisition, for estimating pose and parameters together with tactile bits; the

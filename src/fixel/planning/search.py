@@ -203,13 +203,7 @@ class PlanSearch:
             texts = [unseen(plan) for plan in plans]
             plans = [plan for plan, text in zip(plans, texts, strict=True) if not text]
             if not plans:
-                unlike = "; ".join(texts[0])
-                raise InvalidInput(
-                    "belief.parameters",
-                    found=f"no experiment that resembles a push towards the goal: {unlike}",
-                    expected="experiments with similar pushes",
-                    hint="record some (fixel next proposes them), or plan with untrusted=True",
-                )
+                raise _refused(texts[0])
         ranked = yield from self._race(plans)
         finalists = self.distinct(ranked, FINALISTS)
         if self.simulator.choice.cost != "pushes":
@@ -467,6 +461,15 @@ def conduct(search: PlanSearch, rounds: Rounds[T], answers: Answers) -> T:
         return answers[request.name]
 
     return run_study(rounds, answer)
+
+
+def _refused(unseen: tuple[str, ...]) -> InvalidInput:
+    return InvalidInput(
+        "belief.parameters",
+        found=f"no experiment that resembles a push towards the goal: {'; '.join(unseen)}",
+        expected="experiments with similar pushes",
+        hint="record some (fixel next proposes them), or plan with untrusted=True",
+    )
 
 
 def grouped(

@@ -184,16 +184,7 @@ class Plan:
             except InvalidInput as problem:
                 refused.append(PlanProblem(entry.name, str(problem)))
                 continue
-            conditions: dict[str, str | float] = {
-                "shape": entry.shape.name,
-                "layout": entry.layout.name,
-                "axis": entry.offset.axis,
-                "step": entry.offset.step,
-                "offset_x_m": entry.offset.x,
-                "offset_y_m": entry.offset.y,
-                "offset_theta_rad": entry.offset.theta,
-                "repetition": float(entry.repetition),
-            }
+            conditions = _conditions(entry)
             if self.places != (HERE,):
                 conditions |= dict(zip(_PLACE, entry.place, strict=True))
             built.append(PlannedExperiment(name=entry.name, scene=scene, conditions=conditions))
@@ -207,6 +198,19 @@ def object_pose(rig: SamplingRig, shape: PlannedShape, offset: Offset) -> FloatA
     arm = np.array([[c, -s], [s, c]]) @ shape.shape.centroid
     place = rig.nominal_centroid(shape.shape) + np.array([offset.x, offset.y]) - arm
     return np.array([place[0], place[1], angle])
+
+
+def _conditions(entry: PlanEntry) -> dict[str, str | float]:
+    return {
+        "shape": entry.shape.name,
+        "layout": entry.layout.name,
+        "axis": entry.offset.axis,
+        "step": entry.offset.step,
+        "offset_x_m": entry.offset.x,
+        "offset_y_m": entry.offset.y,
+        "offset_theta_rad": entry.offset.theta,
+        "repetition": float(entry.repetition),
+    }
 
 
 def _refuse_repeats(names: Sequence[str], where: str) -> None:

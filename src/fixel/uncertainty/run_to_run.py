@@ -182,9 +182,7 @@ class RunToRun:
         usual = np.append(np.zeros(len(parts)), math.log(FREEDOM))
 
         def cost(z: FloatArray) -> float:
-            factor = np.exp(2.0 * np.clip(z[:-1], -7.0, 4.0))
-            scaled = np.einsum("p,pkij->kij", factor, parts)
-            total = np.asarray(scaled + effects.known + 1e-12 * np.eye(3))
+            total = _total(z[:-1], parts, effects.known)
             own = float(np.exp(np.clip(z[-1], *np.log(FREEDOMS))))
             return (
                 -log_student(residual, total, own)
@@ -451,6 +449,12 @@ def _unit_covariances(effects: RunEffects) -> FloatArray:
             REST_ANGLE**2 * turned * angle,
         ]
     )
+
+
+def _total(z: FloatArray, parts: FloatArray, known: FloatArray | float) -> FloatArray:
+    """Return covariances (k, 3, 3) for logarithms of factors on the parts."""
+    factor = np.exp(2.0 * np.clip(z, -7.0, 4.0))
+    return np.asarray(np.einsum("p,pkij->kij", factor, parts) + known + 1e-12 * np.eye(3))
 
 
 def log_student(residual: FloatArray, scale: FloatArray, freedom: float) -> float:

@@ -263,27 +263,28 @@ def numbers(found: Exploration) -> dict[str, Any]:
             }
             for row in found.growth.steps
         ],
-        "axes": [
-            {
-                "shape": study.shape,
-                "axis": study.axis,
-                "size": study.size,
-                "interval": list(study.interval),
-                "steps": study.steps,
-                "layouts": list(study.layouts),
-                "layouts_counted": study.counted(),
-                "average": study.average,
-                "own_average": study.own_average,
-                "relative": study.average_excess,
-                "ratio": study.ratio,
-                "error": study.error,
-                "own_error": study.own,
-                "sets": [one.point for one in study.sets],
-                "reasons": [one.reason for one in study.sets],
-                "edges": study.edges(found.threshold)._asdict(),
-                "relative_edges": study.relative_edges(found.threshold)._asdict(),
-            }
-            for study in found.studies
-        ],
+        "axes": [_axis_numbers(found, study) for study in found.studies],
         "calibrations_added": found.added,
+    }
+
+
+def _axis_numbers(found: Exploration, study: AxisStudy) -> dict[str, Any]:
+    return {
+        "shape": study.shape,
+        "axis": study.axis,
+        "size": study.size,
+        "interval": list(study.interval),
+        "steps": study.steps,
+        "layouts": list(study.layouts),
+        "layouts_counted": study.counted(),
+        "average": study.average,
+        "own_average": study.own_average,
+        "relative": study.average_excess,
+        "ratio": study.ratio,
+        "error": study.error,
+        "own_error": study.own,
+        "sets": [one.point for one in study.sets],
+        "reasons": [one.reason for one in study.sets],
+        "edges": study.edges(found.threshold)._asdict(),
+        "relative_edges": study.relative_edges(found.threshold)._asdict(),
     }

@@ -144,24 +144,7 @@ def export_model(
         model = _model(engine, exported)
         stated = f"{engine.name} {engine.version}"
         judged = _judged(source, engine, wanted, scenes, seed, progress)
-    card: dict[str, Any] = {
-        "format": FORMAT,
-        "fixel": version("fixel"),
-        "platform": f"{platform.system()} {platform.machine()}",
-        "source": {
-            "kind": source.kind,
-            "name": source.name,
-            "calibration": source.calibration_id,
-            "exported": source.cases[0].key or None,
-            "experiments": sum(case.measured is not None for case in source.cases),
-        },
-        "parameters": [
-            {"name": own.label, **{name: getattr(own, name) for name in STATED}}
-            for own in source.estimates
-        ],
-        "exported_values": dict(source.cases[0].values),
-        "not_in_the_model": model.lost,
-    } | judged
+    card = _head(source) | {"not_in_the_model": model.lost} | judged
     contents = {**model.files, "card.json": json.dumps(card, indent=2, allow_nan=False) + "\n"}
     with folder_whole(target) as unfinished:
         for name, text in contents.items():
@@ -241,6 +224,26 @@ def _urdf(case: SourceCase) -> _ModelFiles:
 def _script(name: str) -> str:
     text = files(_SCRIPTS).joinpath(f"{name}.py").read_text("utf-8")
     return text.replace(f"from {_SCRIPTS}.drive import", "from drive import")
+
+
+def _head(source: ModelSource) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "fixel": version("fixel"),
+        "platform": f"{platform.system()} {platform.machine()}",
+        "source": {
+            "kind": source.kind,
+            "name": source.name,
+            "calibration": source.calibration_id,
+            "exported": source.cases[0].key or None,
+            "experiments": sum(case.measured is not None for case in source.cases),
+        },
+        "parameters": [
+            {"name": own.label, **{name: getattr(own, name) for name in STATED}}
+            for own in source.estimates
+        ],
+        "exported_values": dict(source.cases[0].values),
+    }
 
 
 def _judged(

@@ -39,15 +39,7 @@ def plan_in_rounds(
     try:
         wanted = next(rounds)
         while True:
-            chunks = []
-            for k, part in enumerate(_split(wanted)):
-                content = bytes_of(
-                    pushes=[len(plan) for plan in part.plans],
-                    numbers=np.concatenate(part.plans),
-                    stage=part.stage,
-                    rows=(part.first, part.last),
-                )
-                chunks.append(Chunk(f"{number}-{k}", content))
+            chunks = [Chunk(f"{number}-{k}", _bytes(part)) for k, part in enumerate(_split(wanted))]
             answers = yield Round("plan:margins", chunks, note=f"success {search.best:.3f}")
             wanted = rounds.send(np.concatenate([_margins(answers[own.name]) for own in chunks]))
             number += 1
@@ -83,6 +75,15 @@ def _split(request: MarginRequest) -> Iterator[MarginRequest]:
     each = max(1, CHUNK // (request.last - request.first))
     for k in range(0, len(request.plans), each):
         yield request._replace(plans=request.plans[k : k + each])
+
+
+def _bytes(request: MarginRequest) -> bytes:
+    return bytes_of(
+        pushes=[len(plan) for plan in request.plans],
+        numbers=np.concatenate(request.plans),
+        stage=request.stage,
+        rows=(request.first, request.last),
+    )
 
 
 def _request(payload: bytes) -> MarginRequest:
