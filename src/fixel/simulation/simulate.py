@@ -228,7 +228,7 @@ class Simulator:
         convert = _converted if own else _converted.__wrapped__
         polygons = scene.support_directions is not None
         self._method, self._described = convert(
-            *parts, whole(max_contacts, "max_contacts"), polygons
+            *parts, whole(max_contacts, "max_contacts", 0), polygons
         )
         self._plain = plain or not own
 

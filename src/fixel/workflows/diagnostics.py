@@ -132,9 +132,12 @@ def _film_check() -> SelfCheck:
 def _bench_check() -> SelfCheck:
     """Report cameras and serial ports; having none is no failure."""
     name = "cameras and serial ports"
-    cameras = [f"/dev/{path.name}" for path in sorted(Path("/dev").glob("video*"))]
-    found = cameras + _serial_ports()
+    found = _cameras() + _serial_ports()
     return SelfCheck(name, True, ", ".join(found) if found else "none; optional")
+
+
+def _cameras() -> list[str]:
+    return [f"/dev/{path.name}" for path in sorted(Path("/dev").glob("video*"))]
 
 
 def _serial_ports() -> list[str]:
