@@ -22,7 +22,7 @@ from fixel.uncertainty.indices import Factor, sobol_indices
 SOURCES = Path(fixel.__file__).parent
 EXTRAS = {"pyarrow", "av", "cv2", "h5py", "pooch", "PyNomad", "sklearn", "dynesty", "SALib"}
 EXTRAS |= {"serial", "cryptography", "dask", "distributed", "psycopg", "mujoco", "Box2D", "pydrake"}
-IMPORTED = re.compile(rf"^(?:import|from) ({'|'.join(EXTRAS)})\b", re.MULTILINE)
+IMPORTED = re.compile(rf"^(?:import (?:.*, *)?|from )({'|'.join(EXTRAS)})\b", re.MULTILINE)
 
 
 @pytest.fixture(scope="module")

@@ -44,7 +44,7 @@ def _chart(rows, columns, panels, name="{}"):
     return map_chart(domain, CLAIM, [own] * panels, up=1 if rows > 1 else None)
 
 
-@pytest.mark.parametrize(("rows", "columns", "panels"), [(1, 11, 6), (6, 11, 2), (2, 7, 1)])
+@pytest.mark.parametrize(("rows", "columns", "panels"), [(1, 11, 20), (6, 11, 4), (2, 7, 1)])
 def test_every_cell_of_every_panel_is_drawn(tmp_path, rows, columns, panels):
     from matplotlib.patches import Rectangle
 

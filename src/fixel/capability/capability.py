@@ -162,8 +162,7 @@ class Capability:
                 lt=door.below,
                 description=option.meaning or None,
             )
-            kind = option.plain
-            kind = Annotated[kind, limits]
+            kind: Any = Annotated[option.plain, limits]
             if is_group(option.kind) or option.kind in (int, float):
                 kind = Annotated[kind, BeforeValidator(option.before)]
             return kind, ... if option.required else option.default

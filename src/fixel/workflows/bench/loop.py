@@ -116,16 +116,16 @@ class BenchLoop:
     campaign: Campaign
     devices: BenchDevices
     _: KW_ONLY
-    limit: int | None = None
-    auto: bool = False
-    choose: bool = False
-    until: str = ""
-    fit: Sequence[str] = ()
-    motion: str = "quasistatic"
-    tolerance: float | None = None  # [m]
-    tolerance_angle: float | None = None  # [rad]
-    dry_run: bool = False
-    check: bool = False
+    limit: int | None
+    auto: bool
+    choose: bool
+    until: str
+    fit: Sequence[str]
+    motion: str
+    tolerance: float | None  # [m]
+    tolerance_angle: float | None  # [rad]
+    dry_run: bool
+    check: bool
 
     def __post_init__(self) -> None:
         # Called with a picture or what draws it, or None, and with the status, as `LiveView.show`.
