@@ -70,10 +70,11 @@ def reproduce_published(
         reproduce,
     )
 
+    note = ["A quick run: it shows that everything works, and its figures mean nothing."] * quick
     if only in REPRODUCTIONS:
         with show_progress() as show:
             found = reproduce(only, data, out=out, progress=show, quick=quick)
-        print_answer(as_json, found.summary, lambda: found.conclusions)
+        print_answer(as_json, found.summary, lambda: [*found.conclusions, *note])
         return
     data = _require_data(data)
     if protocol == ["joint"]:
@@ -88,7 +89,7 @@ def reproduce_published(
     )
     with show_progress() as show:
         answer = benchmark_real(data, request, part=only, out=out, progress=show)
-    print_answer(as_json, answer.summary, lambda: _benchmark_lines(answer, data, out))
+    print_answer(as_json, answer.summary, lambda: [*_benchmark_lines(answer, data, out), *note])
 
 
 def _require_data(data: Path | None) -> Path:

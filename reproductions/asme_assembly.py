@@ -43,6 +43,7 @@ from fixel.planning.looks import Policy, looks_of, policy_of
 from fixel.planning.plan import PlanRuns, simulator_of
 from fixel.planning.pushes import FreePushes, scene_of_push
 from fixel.planning.search import DRAWS, MarginRequest, PlanSearch, SearchStage, Views
+from fixel.planning.success import SuccessProbability
 from fixel.replay.base import Row
 from fixel.sampling.published import PART_LENGTH, PART_MASS, PART_WIDTH, PROBE_SIDE
 from fixel.simulation.ensemble import Ensemble
@@ -87,9 +88,22 @@ BEFORE_MOUTH: Final = PoseRegion(
     row(-100 * UM - 0.5 * PART_LENGTH, 0.0, 0.5 * math.pi),
     position=60 * UM, angle=math.radians(2.0), symmetry=2,
 )  # fmt: skip
-STATED, HELD = 200, 68  # runs from which such a policy is stated, and in which it is carried out
 START_A: Final = row(-2.6e-3, -0.4e-3, 0.0)  # the long side lies across the slot
 Values = Mapping[str, float]
+
+
+class Effort(NamedTuple):
+    """Sizes of the computations for one assembly."""
+
+    rollouts: int  # of a search
+    trees: int  # number of random trees
+    looks: int | None  # runs from which looks after a blind plan are stated; None for its own
+    stated: int  # runs from which the policy with a look before the mouth is stated
+    held: int  # runs in which that policy is carried out
+
+
+FULL: Final = Effort(8_000, 4, None, 200, 68)
+QUICK: Final = Effort(2_000, 1, 8, 8, 4)
 
 
 class Assembly(NamedTuple):
@@ -113,7 +127,7 @@ def run(options: RunOptions) -> Reproduction:
     found = []
     for k, clearance in enumerate(PLANNED[:1] if quick else PLANNED):
         options.progress(3 + k, total, f"assembly with a clearance of {clearance} um")
-        found.append(assembled(clearance, sets, 2_000 if quick else 8_000, 1 if quick else 4))
+        found.append(assembled(clearance, sets, QUICK if quick else FULL))
     options.progress(total, total, "assembly")
     rows = [own.row for own in found]
     return Reproduction(
@@ -252,7 +266,7 @@ def _inserted(
 # --- the whole assembly -----------------------------------------------------------------------
 
 
-def assembled(clearance: int, sets: Sequence[Values], rollouts: int, trees: int) -> Assembly:
+def assembled(clearance: int, sets: Sequence[Values], effort: Effort) -> Assembly:
     """Plan from A into the slot at B: blind, nominal, by trees, and with one look."""
     part = Body(
         "part", box(PART_WIDTH, PART_LENGTH), mass=PART_MASS, pose=START_A,
@@ -264,33 +278,39 @@ def assembled(clearance: int, sets: Sequence[Values], rollouts: int, trees: int)
         speed=SPEED, friction=sets[0]["mu_pusher"],
     )  # fmt: skip
     belief, goal = Belief(parameters=list(sets), start=ASME), in_slot(clearance * UM)
-    row: Row = {"clearance_um": clearance, "sets": len(sets), "rollouts": rollouts}
+    row: Row = {"clearance_um": clearance, "sets": len(sets), "rollouts": effort.rollouts}
     try:
-        plan = fixel.plan(scene, goal, choose, belief, rollouts=rollouts, progress=False)
+        plan = fixel.plan(scene, goal, choose, belief, rollouts=effort.rollouts, progress=False)
     except InvalidInput as problem:
         row["found"] = problem.found
         way = replace(choose, most=3)
-        plan = fixel.plan(scene, BEFORE_MOUTH, way, belief, rollouts=rollouts, progress=False)
-        return _corrected(clearance, plan, goal, row)
+        plan = fixel.plan(
+            scene, BEFORE_MOUTH, way, belief, rollouts=effort.rollouts, progress=False
+        )
+        return _corrected(clearance, plan, goal, effort, row)
     simulator = simulator_of(plan.scene, goal, choose, belief, None, None, None)
-    judge = PlanSearch(simulator=simulator, belief=belief, rollouts=rollouts)
+    judge = PlanSearch(simulator=simulator, belief=belief, rollouts=effort.rollouts)
     row |= {"found": "a plan", "pushes": len(plan.pushes), **_rates("blind", plan.success)}
     row["nominal"] = plan.nominal_success.mean
-    grown = [own for own in (nominal_rrt(simulator, k) for k in range(trees)) if own is not None]
+    trees = (nominal_rrt(simulator, k) for k in range(effort.trees))
+    grown = [own for own in trees if own is not None]
     draws = judge.fresh_stages[0]
+    seen = [SearchStage(DRAWS, effort.looks, 1)] if effort.looks else judge.fresh_stages
     if grown:
         margins = judge.margins(MarginRequest(grown, draws, 0, draws.worlds))
         row["trees"] = (margins >= 0.0).mean(axis=1).tolist()
     for name, camera in CAMERAS.items():
         seeing = replace(judge, views=Views(1, camera))
         first, policy = policy_of(seeing, [choose.numbers(plan.pushes)], None)
-        looks, _ = looks_of(policy, judge.fresh_stages, 1)
+        looks, _ = looks_of(policy, seen, 1)
         row |= {**_rates(name, looks.worth[1]), f"{name}_after": len(first)}
         row[f"{name}_before"], row[f"{name}_pushes"] = looks.worth[0].mean, looks.pushes
     return Assembly(clearance, plan, row)
 
 
-def _corrected(clearance: int, way: fixel.PushPlan, goal: Inside, row: Row) -> Assembly:
+def _corrected(
+    clearance: int, way: fixel.PushPlan, goal: Inside, effort: Effort, row: Row
+) -> Assembly:
     """State and carry out the policy of one look after the way to the mouth, and one push."""
     simulator = simulator_of(way.scene, goal, way.choose, way.belief, None, None, None)
     table = CorrectionTable.of(simulator, way.belief, way.rollouts, 11)
@@ -302,12 +322,13 @@ def _corrected(clearance: int, way: fixel.PushPlan, goal: Inside, row: Row) -> A
             simulator=simulator, belief=way.belief, planned=planned, table=table,
             views=Views(1, camera),
         )  # fmt: skip
-        looks, drawn = looks_of(policy, [SearchStage(DRAWS, STATED, 1)], 1)
-        rngs = np.random.default_rng(13).spawn(HELD)
+        looks, drawn = looks_of(policy, [SearchStage(DRAWS, effort.stated, 1)], 1)
+        rngs = np.random.default_rng(13).spawn(effort.held)
         held = [carried_out(policy, k % sets, rng) for k, rng in enumerate(rngs)]
         row |= {**_rates(name, looks.worth[1]), f"{name}_after": len(way.pushes)}
-        row |= {f"{name}_held": sum(held) / HELD, f"{name}_pushes": looks.pushes}
+        row |= {f"{name}_held": sum(held) / len(held), f"{name}_pushes": looks.pushes}
         missed = tuple("" if own >= 0.0 else "missed" for own in looks.walk.margin[1])
+        row["held_runs"] = len(held)
         runs = PlanRuns(drawn, looks.walk.margin[1], looks.walk.pose, missed)
         plan = replace(way, runs=runs, success=looks.worth[1])
     return Assembly(clearance, plan, row)
@@ -333,7 +354,7 @@ def _pushed(scene: Scene, pose: FloatArray, path: FloatArray, world: Values) -> 
     return np.asarray(fixel.simulate(push, world, motion="quasistatic")["part"].pose[-1])
 
 
-def _rates(name: str, success: fixel.SuccessProbability) -> Row:
+def _rates(name: str, success: SuccessProbability) -> Row:
     return {name: success.mean, f"{name}_low": success.low, f"{name}_worst": success.worst}
 
 
@@ -358,7 +379,7 @@ def _conclusions(curve: Sequence[Row], under_sets: Sequence[Row], rows: Sequence
         if one["found"] != "a plan":
             looks = ", ".join(
                 f"{own.removeprefix('look_')} {one[own]:.3f} ({one[f'{own}_low']:.3f});"
-                f" held {one[f'{own}_held']:.3f} of {HELD}"
+                f" held {one[f'{own}_held']:.3f} of {one['held_runs']}"
                 for own in CAMERAS
             )
             sentences.append(

@@ -1,16 +1,20 @@
 """Assembly of the ASME paper: the goal, the last push, and the tree over nominal simulations."""
 
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from reproductions import asme_assembly as assembly
 from reproductions.nominal_rrt import nominal_rrt
+from reproductions.result import RunOptions
 from reproductions.thesis_grasps import grasp_scenes, seating_modes
 
 import fixel
 from fixel.model.goals import BodyTrack
 from fixel.planning.plan import simulator_of
+from fixel.planning.success import SuccessProbability
 from fixel.testing.scenes import pushed_square
 from fixel.units import deg, mm
 
@@ -47,6 +51,31 @@ def test_tree_over_nominal_simulations_reaches_the_goal_without_errors():
     end = simulator.planned(plan[None]).nominal
     assert simulator.margins(end)[0] >= 0.0
     assert (nominal_rrt(simulator, seed=1) == plan).all()
+
+
+def test_quick_run_states_looks_from_few_runs(monkeypatch):
+    rate = SuccessProbability.of(np.ones((8, 8)))
+    looks = SimpleNamespace(worth=(rate, rate), pushes=3.0)
+    sizes = []
+
+    def plan(scene, goal, choose, belief, **options):
+        push = SimpleNamespace(success=rate, nominal_success=rate, pushes=())
+        return SimpleNamespace(scene=choose.prepared(scene), **vars(push))
+
+    def looks_of(policy, stages, seed):
+        sizes.append(sum(own.worlds * own.runs for own in stages))
+        return looks, None
+
+    monkeypatch.setattr(fixel, "plan", plan)
+    monkeypatch.setattr(assembly.FreePushes, "numbers", lambda choose, pushes: pushes)
+    monkeypatch.setattr(assembly, "nominal_rrt", lambda simulator, seed: None)
+    monkeypatch.setattr(assembly, "policy_of", lambda search, plans, trusted: ((), None))
+    monkeypatch.setattr(assembly, "looks_of", looks_of)
+    options = RunOptions(folder=Path(), progress=lambda done, total, note="": None, quick=True)
+    found = assembly.run(options)
+    assert found.tables["assembly"][0]["look_1um"] == rate.mean
+    assert len(sizes) == 2
+    assert sum(sizes) < 50
 
 
 def test_tightly_seated_square_touches_all_fixels():

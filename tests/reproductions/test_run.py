@@ -115,6 +115,9 @@ def test_a_reproduction_that_needs_no_data_takes_none(capsys, monkeypatch):
     assert end.value.code == 0
     assert capsys.readouterr().out == "done\n"
     assert asked == [("asme-table-1", None)]
+    with pytest.raises(SystemExit):
+        run(["--only", "asme-table-1", "--quick"], program=command.app, name="x")
+    assert "its figures mean nothing" in capsys.readouterr().out
     with pytest.raises(SystemExit) as end:
         run([], program=command.app, name="python -m reproductions")
     assert end.value.code == 2
