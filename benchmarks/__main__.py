@@ -7,6 +7,7 @@ import os
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -81,7 +82,10 @@ ONLY_WHEN_ASKED = {
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the chosen scenarios; 1 where one of them broke down."""
-    chosen = _parser().parse_args(arguments)
+    parser = _parser()
+    chosen = parser.parse_args(arguments)
+    if chosen.page and chosen.small:
+        parser.error("--page shows figures of full sizes: leave out --small")
     names = chosen.names or [name for name in SCENARIOS if name not in ONLY_WHEN_ASKED]
     if chosen.peers and "peers" not in names:
         names.append("peers")
@@ -103,10 +107,15 @@ def main(arguments: list[str] | None = None) -> int:
             console.print(f"      broke down: {error!r}", markup=False, style="red")
             broken = 1
         console.print(f"      {time.perf_counter() - start:.1f} s", highlight=False)
+    if chosen.small:
+        figures = [replace(figure, bar=None) for figure in figures]
     report.show(console, figures)
+    if chosen.small:
+        console.print("Tiny sizes show that everything runs: no figure counts, and none has a bar.")
     if chosen.page:
         report.write_into(report.PAGE, "figures", report.as_markdown(figures, names))
-    console.print(f"Appended to {os.path.relpath(report.append(figures, chosen.output))}")
+    path = report.append(figures, chosen.output, small=chosen.small)
+    console.print(f"Appended to {os.path.relpath(path)}")
     return broken
 
 

@@ -51,6 +51,10 @@ class Figure:
     values: tuple[float, ...]
     bar: Bar | None = None
 
+    def __post_init__(self) -> None:
+        if not self.values:
+            raise ValueError(f"{self.name}: no values")
+
     @property
     def median(self) -> float:
         return median(self.values)

@@ -58,11 +58,11 @@ def _verdict(figure: Figure) -> str:
     return "[green]PASS[/green]" if figure.passed else "[bold red]MISS[/bold red]"
 
 
-def append(figures: Iterable[Figure], folder: Path = RESULTS) -> Path:
-    """Append one row a figure to today's file of this machine; returns the file."""
+def append(figures: Iterable[Figure], folder: Path = RESULTS, *, small: bool = False) -> Path:
+    """Append one row a figure to today's file of this machine and size; returns the file."""
     folder.mkdir(parents=True, exist_ok=True)
     today = date.today().isoformat()
-    path = folder / f"{machine()}-{today}.csv"
+    path = folder / f"{machine()}-{today}{'-small' if small else ''}.csv"
     fresh = not path.exists()
     head = (today, version("fixel"), commit(), machine(), platform.python_version())
     with path.open("a", newline="", encoding="utf-8") as file:

@@ -94,7 +94,7 @@ def _case(case: Case, folder: Path, frames: int | None, repeats: int) -> list[Fi
         Figure(
             f"tracking, {case.name}, speed with decoding",
             "frames/s",
-            tuple(rates[1:]),
+            tuple(rates[1:] or rates),
             at_least(SPEED),
         ),
     ]

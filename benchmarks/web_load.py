@@ -22,6 +22,7 @@ import httpx
 import numpy as np
 
 from benchmarks.figures import FULL, Figure, Size, at_least, at_most
+from benchmarks.report import console
 from benchmarks.web import FIRST_PAINT, Served, filled
 
 TABLE = "/api/v1/experiments?limit=100"
@@ -41,11 +42,20 @@ def run(size: Size) -> list[Figure]:
     """Load, table and pictures; small: does it run at all?"""
     n, clients, seconds = (10_000, 20, 60.0) if size is FULL else (60, 3, 3.0)
     repeats = 5 if size is FULL else 1
+    for line in _skipped(size):
+        console().print(f"      {line}")
     with tempfile.TemporaryDirectory() as folder:
         project = filled(Path(folder) / "many", n)
         figures = _cold(project, n, repeats)
         figures += _browsed(project, n, clients, seconds)
     return figures + (_moving() if size is FULL and _chromium() else [])
+
+
+def _skipped(size: Size) -> list[str]:
+    """Lines on the figures that are left out."""
+    if not _chromium():
+        return ["first paint, frames and slider: skipped (no Chromium here)"]
+    return [] if size is FULL else ["frames and slider: skipped (tiny size)"]
 
 
 # --- a table that nobody has asked for before -------------------------------------------------

@@ -9,8 +9,8 @@ from pathlib import Path
 import benchmarks
 import pytest
 from benchmarks import __main__ as command
-from benchmarks import report, work_precision
-from benchmarks.figures import SMALL, Figure, at_least, at_most
+from benchmarks import report, web_load, work_precision
+from benchmarks.figures import FULL, SMALL, Figure, at_least, at_most
 
 pytestmark = pytest.mark.system
 
@@ -50,6 +50,8 @@ def test_bars() -> None:
     assert not Figure("f", "x", (3.0, 1.0, 2.0), at_least(2.1)).passed
     assert not Figure("f", "s", (math.nan,), at_most(1.0)).passed
     assert Figure("f", "s", (1.0,)).passed is None
+    with pytest.raises(ValueError, match="f: no values"):
+        Figure("f", "s", ())
 
 
 def test_rows_of_the_csv_file(tmp_path: Path) -> None:
@@ -107,6 +109,34 @@ def test_command_writes_where_it_is_told(
     assert command.main(["grasp", "--small", "--output", str(tmp_path)]) == 0
     assert "grasp, default stepper" in capsys.readouterr().out
     assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_tiny_sizes_have_no_verdicts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module, function, _ = command.SCENARIOS["grasp"]
+    figures = [Figure("one", "s", (3.0,), at_most(2.0)), Figure("two", "s", (1.0,), at_most(2.0))]
+    run = importlib.import_module(f"benchmarks.{module}")
+    monkeypatch.setattr(run, function, lambda size: figures)
+    shown = []
+    for size in ([], ["--small"]):
+        command.main(["grasp", *size, "--output", str(tmp_path)])
+        shown.append(capsys.readouterr().out)
+    assert [("PASS" in out, "MISS" in out) for out in shown] == [(True, True), (False, False)]
+    full, small = sorted(tmp_path.iterdir(), key=lambda path: "small" in path.stem)
+    assert ("yes" in full.read_text(), "yes" in small.read_text()) == (True, False)
+    with pytest.raises(SystemExit):
+        command.main(["grasp", "--small", "--page"])
+
+
+def test_figures_that_need_a_browser_are_skipped_with_a_word(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(web_load.shutil, "which", lambda name: None)
+    assert web_load._skipped(FULL) == web_load._skipped(SMALL)
+    assert "no Chromium" in web_load._skipped(FULL)[0]
+    monkeypatch.setattr(web_load.shutil, "which", lambda name: name)
+    assert [len(web_load._skipped(size)) for size in (FULL, SMALL)] == [0, 1]
 
 
 def test_unknown_name_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
