@@ -70,3 +70,24 @@ def test_texts_have_no_minus_before_zero_and_the_ends_of_the_data(drawn):
     found = drawn([-0.04, 3.0, 12.5])
     assert found["shown"] == "0.0"
     assert found["words"] == "x in mm against time in seconds: a from 0.0 to 12.5"
+
+
+# Shows a panel in a wide place that becomes narrow, and measures before it can be drawn again.
+SHRUNK = """async (root) => {
+  const { Charts } = await import(`${root}static/charts.js`);
+  const host = document.createElement("div");
+  document.body.append(host);
+  host.style.width = `${innerWidth + 300}px`;
+  const charts = new Charts(host);
+  charts.show([{ title: "x", unit: "mm", series: [] }], [0, 1]);
+  charts.cursor(1);
+  host.style.width = "200px";
+  return [document.documentElement.scrollWidth - innerWidth, charts.width - innerWidth];
+}"""
+
+
+def test_charts_of_a_window_that_shrinks_do_not_widen_the_page(browser_page, server):
+    """Else a phone that is turned shows a page to scroll sideways for a moment."""
+    browser_page.goto(server.home + "compare")  # has the styles of charts
+    beyond, drawn_beyond = browser_page.evaluate(SHRUNK, server.home)
+    assert beyond <= 0 < drawn_beyond
