@@ -56,10 +56,10 @@ def _figures(text: str, repeats: int) -> list[Figure]:
     held = float(np.mean(column("held")))
     return [
         Figure(f"camera, {kind}, 95 % held", "-", (held,), at_least(0.95)),
-        Figure(f"camera, {kind}, said, typical", "mm", column("typical", 1e3)),
-        Figure(f"camera, {kind}, said, worst", "mm", column("worst", 1e3)),
-        Figure(f"camera, {kind}, off, median", "mm", column("off", 1e3)),
-        Figure(f"camera, {kind}, calibrating", "s", column("seconds")),
+        Figure(f"camera, {kind}, stated radius, median", "mm", column("typical", 1e3)),
+        Figure(f"camera, {kind}, stated radius, worst", "mm", column("worst", 1e3)),
+        Figure(f"camera, {kind}, error, median", "mm", column("off", 1e3)),
+        Figure(f"camera, {kind}, CPU time of a calibration", "s", column("seconds")),
     ]
 
 

@@ -100,8 +100,8 @@ def figures_of(rows: Sequence[dict[str, str]]) -> list[Figure]:
         figures += [
             Figure(f"{label}, held, mean", "-", mean, at_least(0.93)),
             Figure(f"{label}, held", "-", held),
-            Figure(f"{label}, off, median", "mm", off),
-            Figure(f"{label}, said, median", "mm", said),
+            Figure(f"{label}, error, median", "mm", off),
+            Figure(f"{label}, stated radius, median", "mm", said),
         ]
     return figures
 
