@@ -17,14 +17,7 @@ from fixel.cli.options import (
     required,
     with_options,
 )
-from fixel.cli.screen import (
-    command_line,
-    command_of,
-    notify,
-    print_answer,
-    project_words,
-    wrote,
-)
+from fixel.cli.screen import command_line, command_of, notify, print_answer, project_words, wrote
 from fixel.errors import InvalidInput, counted, plain
 from fixel.progress import show_progress, time_text
 from fixel.table import Column, Table, shortened

@@ -14,14 +14,7 @@ from fixel.cli.options import (
     required,
     with_options,
 )
-from fixel.cli.screen import (
-    command_line,
-    command_of,
-    notify,
-    paragraphs,
-    print_answer,
-    wrote,
-)
+from fixel.cli.screen import command_line, command_of, notify, paragraphs, print_answer, wrote
 from fixel.errors import NotStored, counted
 from fixel.table import Column, Table, shortened
 from fixel.workflows.sentences import origin_of

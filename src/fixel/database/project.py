@@ -465,9 +465,7 @@ def _server(url: str, media: Path | None) -> tuple[Path, ProjectSettings]:
         )
     if file != url and not Path(file).is_file():
         raise StoreRefused(
-            f"there is no database {file}",
-            hint="create a project: fixel new FOLDER",
-            is_input=True,
+            f"there is no database {file}", hint="create a project: fixel new FOLDER", is_input=True
         )
     folder = Path(file).parent if media is None else Path(media).parent
     name = url.rpartition("/")[2].partition("?")[0] or "project"

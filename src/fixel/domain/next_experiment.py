@@ -55,11 +55,7 @@ def proposals(
             reason = _reason(cells, verdicts[g][c], inside[g], c)
             found.append(
                 Proposal(
-                    group=group,
-                    cell=c,
-                    where=cells.text(c),
-                    bits=float(worth[c]),
-                    reason=reason,
+                    group=group, cell=c, where=cells.text(c), bits=float(worth[c]), reason=reason
                 )
             )
     return sorted(found, key=lambda one: -one.bits)[:most]

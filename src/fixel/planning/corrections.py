@@ -15,12 +15,7 @@ from fixel.errors import InvalidInput
 from fixel.model.goals import BodyTrack
 from fixel.model.trajectory import wrapped
 from fixel.planning.belief import Belief, Scenarios
-from fixel.planning.candidates import (
-    embedded,
-    goal_poses,
-    poses_within,
-    spread_pushes,
-)
+from fixel.planning.candidates import embedded, goal_poses, poses_within, spread_pushes
 from fixel.planning.rollout import CARRIED_OUT, WORST_MARGIN, PlanSimulator
 from fixel.simulation.vary import composed, inverted
 from fixel.typing import BoolArray, FloatArray, IntArray
@@ -169,11 +164,7 @@ class CorrectionTable:
         return np.asarray(size[..., None] / np.array([1.0, 1.0, self.arm]))
 
     def chosen(
-        self,
-        simulator: PlanSimulator,
-        case: SeenParts,
-        towards: FloatArray,
-        refined: bool = True,
+        self, simulator: PlanSimulator, case: SeenParts, towards: FloatArray, refined: bool = True
     ) -> Correction:
         """Choose a push, or none, for each of n seen parts.
 

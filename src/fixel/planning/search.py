@@ -28,12 +28,7 @@ from fixel.planning.candidates import (
 )
 from fixel.planning.pushes import FreePushes
 from fixel.planning.race import SIZES, RaceResult, RaceRound, race_rounds
-from fixel.planning.rollout import (
-    CARRIED_OUT,
-    WORST_MARGIN,
-    PlannedMotions,
-    PlanSimulator,
-)
+from fixel.planning.rollout import CARRIED_OUT, WORST_MARGIN, PlannedMotions, PlanSimulator
 from fixel.planning.simplified import simplified
 from fixel.planning.success import SuccessProbability
 from fixel.progress import Progress

@@ -146,12 +146,7 @@ def simulate(
     moved 32.0 mm, status converged
     """
     simulator = Simulator(
-        scene,
-        motion=motion,
-        stepper=stepper,
-        solver=solver,
-        max_contacts=max_contacts,
-        plain=plain,
+        scene, motion=motion, stepper=stepper, solver=solver, max_contacts=max_contacts, plain=plain
     )
     return simulator.run(
         parameters,

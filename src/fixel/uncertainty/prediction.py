@@ -305,10 +305,7 @@ def bounds_of(poses: FloatArray, level: float) -> EndBounds:
     radius = float(np.quantile(_distances(poses[:, :2], centre, spread), level))
     variances, axes = np.linalg.eigh(spread)
     ellipse = Ellipse(
-        level,
-        centre,
-        radius * np.sqrt(variances[::-1]),
-        math.atan2(axes[1, 1], axes[0, 1]),
+        level, centre, radius * np.sqrt(variances[::-1]), math.atan2(axes[1, 1], axes[0, 1])
     )
     return EndBounds(level, ellipse, shortest(poses[:, 2], level))
 

@@ -9,13 +9,7 @@ from pathlib import Path
 from typing import Any, Final, final
 
 from fixel.errors import InvalidInput, unknown_name
-from fixel.formats.recording import (
-    CODECS,
-    RIG_FILE,
-    SCENE_FILE,
-    Recording,
-    is_recording,
-)
+from fixel.formats.recording import CODECS, RIG_FILE, SCENE_FILE, Recording, is_recording
 from fixel.formats.recording_video import warm_up
 from fixel.formats.rig_file import rig_of, save_rig
 from fixel.formats.scene_file import load_scene

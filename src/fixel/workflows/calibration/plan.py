@@ -18,14 +18,7 @@ from fixel.calibration.joint import draw_joint, linear_fit
 from fixel.calibration.noise import check_noise
 from fixel.calibration.objective import Comparer
 from fixel.calibration.result import CalibrationResult, found_arrays, found_of, json_array, json_of
-from fixel.calibration.search import (
-    CalibrationTask,
-    PartAnswer,
-    Question,
-    Rows,
-    Steps,
-    explained,
-)
+from fixel.calibration.search import CalibrationTask, PartAnswer, Question, Rows, Steps, explained
 from fixel.calibration.study import relayed
 from fixel.calibration.target import Target, targets_of
 from fixel.calibration.usual_parameters import Space, search_space
