@@ -359,7 +359,8 @@ class Interrupted(KeyboardInterrupt):
     def __init__(self, result: Any = None, hint: str = "") -> None:
         self.result = result
         self.hint = hint
-        super().__init__(f"interrupted; {hint}" if hint else "interrupted")
+        found = "" if result is None else "its result has what was finished"
+        super().__init__("; ".join(filter(None, ("interrupted", found, hint))))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Interrupted, (self.result, self.hint)

@@ -9,7 +9,7 @@ from functools import partial
 
 import pytest
 import yaml
-from tests.cli.shell import invoked
+from tests.cli.shell import invoked, output, refusal
 from tests.jobs.helpers import await_true, names_in, start
 from tests.jobs.kinds import toy_job
 
@@ -116,6 +116,13 @@ def test_ctrl_c_says_how_to_go_on(tmp_path):
     assert f"Resume with: fixel jobs resume {folder}" in said
     assert "Traceback" not in said
     assert call("resume", folder)[1].splitlines()[0] == f"{folder} is done; 8 of 8 chunks"
+
+
+def test_the_status_of_a_folder_that_does_not_exist_is_refused(tmp_path, capsys):
+    said = refusal(capsys, "jobs", "status", tmp_path / "none")
+    assert f"{tmp_path / 'none'}: found no job" in said
+    assert "fixel jobs status --project FOLDER" in said
+    assert output(capsys, "jobs", "status", tmp_path).startswith("no jobs in this folder")
 
 
 def test_failed_chunks_are_counted(tmp_path):

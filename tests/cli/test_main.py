@@ -1,12 +1,16 @@
 import itertools
+import os
+import subprocess
+import sys
 
 import pytest
 import typer
+from tests.cli import shell
 from typer.testing import CliRunner
 
 import fixel
 from fixel.cli import main
-from fixel.errors import DatasetMissing, InvalidInput, SolveFailed
+from fixel.errors import DatasetMissing, Interrupted, InvalidInput, SolveFailed
 
 GROUP = typer.main.get_command(main.app)
 COMMANDS = [command.name for command in main.app.registered_commands if command.name]
@@ -68,3 +72,38 @@ def test_failure_becomes_a_sentence_and_an_exit_code(error, code, sentence, caps
     assert sentence in printed.err
     assert "Traceback" not in printed.err
     assert printed.out == ""
+
+
+def test_an_interrupted_command_shows_how_to_continue(capsys, monkeypatch):
+    def stopped():
+        raise Interrupted(None, "the same request continues")
+
+    monkeypatch.setitem(main.COMMANDS, "doctor", stopped)
+    sentence = "stopped; the same request continues"
+    assert shell.fixel(capsys, "doctor") == (130, "", f"fixel: {sentence}\n")
+
+
+def test_ctrl_c_while_modules_load_ends_with_a_sentence():
+    code = (
+        "import os, signal, sys\n"
+        "class CtrlC:\n"
+        "    def find_spec(name, *_):\n"
+        "        name == 'typer' and os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, CtrlC)\n"
+        "from fixel.cli import run\n"
+        "run()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "fixel: stopped.\n")
+
+
+@pytest.mark.parametrize(
+    "words", ["--help", "--version", "jobs status", "list --project NO --json"]
+)
+def test_output_that_nothing_reads_is_no_error(words, tmp_path):
+    code = [sys.executable, "-c", "from fixel.cli import run; run()", *words.split()]
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run(code, stdout=write, stderr=subprocess.PIPE, cwd=tmp_path)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (141, b"")

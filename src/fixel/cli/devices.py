@@ -11,17 +11,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fixel.cli.options import CAMERA, AsJson, ProjectFolder, argument, option, with_options
-from fixel.cli.screen import (
-    command_line,
-    command_of,
-    notify,
-    paragraphs,
-    print_answer,
-    table,
-    wrote,
-)
+from fixel.cli.screen import command_line, command_of, notify, paragraphs, print_answer, wrote
 from fixel.errors import InvalidInput
 from fixel.progress import show_progress, time_text
+from fixel.table import Table
 
 if TYPE_CHECKING:
     from fixel.testbed.frame_source import FrameSource
@@ -58,7 +51,7 @@ def _print_ports(found: "list[PortSeen]", as_json: bool, follow: str) -> None:
         "No serial ports. Plug the device in, then list again; on Linux, dmesg shows its port."
     ]
     if found:
-        lines = [*table(("port", "device", "in use by"), rows, left=3), ""]
+        lines = [*Table(("port", "device", "in use by"), rows, left=3).lines(), ""]
         lines.append(f"Next: {follow} {found[0].port}")
     print_answer(as_json, lambda: {"ports": [port._asdict() for port in found]}, lambda: lines)
 
@@ -442,7 +435,7 @@ def _errors(look: "Look") -> list[str]:
             rows.append((part.name, *look.words(part), "in place" if part.within else "off"))
     allowed = look.tolerance
     return [
-        *table(("measured - planned", "x [mm]", "y [mm]", "angle [deg]", "verdict"), rows),
+        *Table(("measured - planned", "x [mm]", "y [mm]", "angle [deg]", "verdict"), rows).lines(),
         f"tolerance: {1e3 * allowed.distance:.3g} mm, {degrees(allowed.angle):.3g} deg",
     ]
 

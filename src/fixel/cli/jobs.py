@@ -15,9 +15,10 @@ from fixel.cli.options import (
     required,
     with_options,
 )
-from fixel.cli.screen import command_of, job_bar, notify, print_answer, table
-from fixel.errors import InvalidInput, plain
+from fixel.cli.screen import command_of, job_bar, notify, print_answer
+from fixel.errors import Interrupted, InvalidInput, plain
 from fixel.progress import time_text
+from fixel.table import Table
 
 if TYPE_CHECKING:
     from fixel.workflows.jobs import JobStatus
@@ -96,7 +97,7 @@ def status(
     if folders and project != Path():
         project_at(folders[0], project)
     for folder in folders or [project]:
-        is_job = (folder / "job.json").exists()
+        is_job = (folder / "job.json").exists() or not folder.is_dir()
         found += [jobs.status_of(folder)] if is_job else jobs.jobs_in(folder)
     print_answer(
         as_json, lambda: {"jobs": [job.summary() for job in found]}, lambda: _listed(found)
@@ -195,8 +196,9 @@ def _run(folder: Path, options: PlaceOptions, as_json: bool, accept_version: boo
                 done = jobs.run_here(folder, job_bar(), None if as_json else notify)
             except KeyboardInterrupt:
                 resume = command_of("jobs", "resume", folder)
-                notify(f"stopped; finished chunks are stored. Resume with: {resume}")
-                raise
+                raise Interrupted(
+                    hint=f"finished chunks are stored. Resume with: {resume}"
+                ) from None
     _print_status(done, as_json)
 
 
@@ -204,7 +206,7 @@ def _listed(found: "list[JobStatus]") -> list[str]:
     if not found:
         return ["no jobs in this folder", "", "Next: fixel calibrate --help"]
     head = ("job", "state", "done", "of", "failed", "workers", "rate [1/s]", "left", "")
-    return [*table(head, map(_row, found), left=2), "", *_advice(found[0])]
+    return [*Table(head, map(_row, found), left=2).lines(), "", *_advice(found[0])]
 
 
 def _row(job: "JobStatus") -> tuple[str, ...]:

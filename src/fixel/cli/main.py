@@ -6,6 +6,7 @@
     3    the simulation did not finish; what was computed until then is in the answer
     4    `fixel overlay --once`: something is not in its place
     130  interrupted
+    141  standard output was closed, as by `| head`
 
 With `--json` the message is a JSON object on standard output: `{"error": {...}}`.
 
@@ -43,6 +44,7 @@ from fixel.cli.screen import notify
 from fixel.errors import (
     DatasetMissing,
     FixelError,
+    Interrupted,
     InvalidInput,
     NotStored,
     SolveFailed,
@@ -108,8 +110,11 @@ HELP: Final = ["-h", "--help"]
 class InSections(TyperGroup):
     """Command group that lists commands under the headings of `SECTIONS`, in their order."""
 
-    def list_commands(self, ctx: Any) -> list[str]:
-        return list(self.commands)
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as stop:  # Typer would end without its hint
+            raise SystemExit(INTERRUPTED) from stop
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         width = formatter.width - 6 - max(map(len, self.commands))
@@ -192,7 +197,8 @@ def run(
 ) -> None:
     """Run a command line and exit.
 
-    An expected failure becomes one sentence and an exit code; with `--json`, one JSON object.
+    An expected failure becomes one sentence and an exit code; with `--json`, one JSON object. A
+    closed pipe raises `BrokenPipeError`.
     """
     if arguments is not None:  # commands repeat these, in provenance and in proposed commands
         sys.argv = [name, *arguments]
@@ -217,23 +223,30 @@ def run(
         if failure is None:
             raise
         _exit(1, failure, as_json)
-    except (KeyboardInterrupt, typer.Abort):
-        _exit(INTERRUPTED, None, as_json)
+    except (KeyboardInterrupt, typer.Abort) as error:
+        _exit(INTERRUPTED, error, as_json)
     except SystemExit as end:
-        # Typer has already turned an interrupt inside a command into this code, silently.
         if end.code == INTERRUPTED:
-            _exit(INTERRUPTED, None, as_json)
+            _exit(INTERRUPTED, end.__cause__, as_json)
+        if isinstance(end.__context__, BrokenPipeError):  # Typer has turned it into code 1
+            raise end.__context__ from None
         raise
     sys.exit(code if isinstance(code, int) else 0)
 
 
-def _exit(code: int, error: Exception | None, as_json: bool) -> None:
-    sentence = "stopped." if error is None else _sentence(error)
+def _exit(code: int, error: BaseException | None, as_json: bool) -> None:
+    if code == INTERRUPTED:
+        hint = getattr(error, "hint", "")
+        error = Interrupted(hint=hint)
+        sentence = f"stopped; {hint}" if hint else "stopped."
+    else:
+        message = getattr(error, "format_message", error.__str__)
+        sentence = message()
     if not as_json:
         notify(f"fixel: {sentence}")
         sys.exit(code)
-    kind = "Interrupted" if error is None else type(error).__name__
-    content: dict[str, Any] = {"kind": kind, "sentence": sentence, "exit_code": code}
+    content: dict[str, Any] = {"kind": type(error).__name__, "sentence": sentence}
+    content["exit_code"] = code
     for name in ("where", "found", "expected", "hint"):
         value = getattr(error, name, None)
         if value is not None:
@@ -241,8 +254,3 @@ def _exit(code: int, error: Exception | None, as_json: bool) -> None:
             content[name] = value if plain else repr(value)
     print(json.dumps({"error": content}, allow_nan=False), flush=True)
     sys.exit(code)
-
-
-def _sentence(error: Exception) -> str:
-    message = getattr(error, "format_message", None)
-    return str(message()) if callable(message) else str(error)

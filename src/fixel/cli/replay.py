@@ -4,8 +4,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from fixel.cli.options import AsJson, option, require_picture, required, with_options
-from fixel.cli.screen import command_of, print_answer, table
+from fixel.cli.screen import command_of, print_answer
 from fixel.progress import show_progress
+from fixel.table import Table
 
 if TYPE_CHECKING:
     from fixel.replay import Replay
@@ -120,7 +121,7 @@ def _replay_lines(answer: "Replay", dataset: Path, plot: Path | None) -> list[st
     rows = answer.groups or answer.pushes
     columns = [own for own in COLUMNS[answer.dataset] if own[1].partition(".")[0] in rows[0]]
     cells = [[cell(row, name, form) for _, name, form in columns] for row in rows]
-    lines = table([heading for heading, _, _ in columns], cells, left=len(columns))
+    lines = Table([heading for heading, _, _ in columns], cells, left=len(columns)).lines()
     lines += answer.notes
     if answer.not_solved:
         lines.append(

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from fixel.errors import plain
-from fixel.table import Table
 
 if TYPE_CHECKING:
     from fixel.jobs.work import JobProgress
@@ -64,11 +63,6 @@ def project_words(folder: Path) -> list[str]:
 def command_of(*words: object, project: Path = Path()) -> str:
     """Return a command of fixel, quoted for a shell, that finds the same project."""
     return shlex.join(["fixel", *map(str, words), *project_words(project)])
-
-
-def table(head: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> list[str]:
-    """Format the lines of a table of texts; the first `left` columns are left-aligned."""
-    return Table(head, rows, left=left).lines()
 
 
 def job_bar() -> "Callable[[JobProgress], None]":

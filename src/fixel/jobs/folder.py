@@ -18,7 +18,6 @@ from __future__ import annotations
 import datetime
 import hashlib
 import json
-import os
 import secrets
 import shutil
 import time
@@ -136,11 +135,11 @@ def read_job(folder: Path) -> Job:
     A folder that comes from elsewhere may have links, through which a run would write outside it.
     """
     if not (folder / "job.json").is_file():
-        raise InvalidInput(str(folder), found="no job", expected="a folder with a job.json")
-    for place, folders, names in os.walk(folder):
-        for path in (Path(place, name) for name in (*folders, *names)):
-            if path.is_symlink():
-                raise InvalidInput(str(path), found="a link", expected="a folder without links")
+        hint = "list those of a project: fixel jobs status --project FOLDER"
+        raise InvalidInput(str(folder), found="no job", expected="a folder of one", hint=hint)
+    for path in folder.rglob("*"):
+        if path.is_symlink():
+            raise InvalidInput(str(path), found="a link", expected="a folder without links")
     return _read(folder / "job.json", Job)
 
 

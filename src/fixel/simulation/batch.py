@@ -176,7 +176,7 @@ def simulate_batch(  # type: ignore[misc]
         rollout_in_threads(packed.batch, method, record, threads)
     except KeyboardInterrupt:
         finished = _unpack(scene, packed, record, instants, variation.parameters)
-        raise Interrupted(finished, "its result has the finished runs") from None
+        raise Interrupted(finished) from None
     runs = _unpack(scene, packed, record, instants, variation.parameters)
     if derivatives:
         way = motion, stepper, method, seconds, threads

@@ -310,7 +310,7 @@ class Simulator:
             scene=scene, parameters=parameters, version=fixel_version(), **found
         )
         if simulation.status == codes.STATUS_NAMES[codes.INTERRUPTED]:
-            raise Interrupted(simulation, "its result is the motion up to then")
+            raise Interrupted(simulation)
         if check and not simulation.converged:
             raise SolveFailed(
                 f"{simulation.status} at {simulation.stopped_at:.6g} s. {simulation.advice}",

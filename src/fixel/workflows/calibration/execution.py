@@ -172,7 +172,7 @@ def _run_job(plan: CalibrationPlan, folder: Path, asked: SimpleNamespace) -> Cal
     live = LiveSearch(plan, plan.task(asked.threads))
     local = LocalEngine(live.answer) if here else None
     again = f"fixel jobs resume {shlex.quote(str(folder))}"
-    hint = f"the same call with this store continues, or: {again}"
+    hint = f"finished evaluations are stored; the same request continues, or: {again}"
     with _watched(live, asked, hint, folder / files.JOURNAL) as show:
         jobs.run_here(folder, show, local=local)
     return collect(plan, folder)

@@ -140,8 +140,8 @@ def plan(
             )  # fmt: skip
             return conduct(search, plan_rounds(search, untrusted=untrusted), answers)
         except KeyboardInterrupt:
-            hint = "the same call continues" if store else "with store='FOLDER' it would continue"
-            raise Interrupted(None, hint) from None
+            where = "" if store else "with a store "
+            raise Interrupted(None, f"{where}the same request continues") from None
 
 
 def plan_goal(
