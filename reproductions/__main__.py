@@ -10,10 +10,11 @@ import typer
 from fixel.cli.main import run
 from fixel.cli.options import AsJson, option, with_options
 from fixel.cli.replay import cell
-from fixel.cli.screen import print_answer, table
+from fixel.cli.screen import print_answer
 from fixel.errors import InvalidInput
 from fixel.progress import show_progress, time_text
 from fixel.replay.base import Row
+from fixel.table import Table
 
 if TYPE_CHECKING:
     from reproductions.result import Benchmark
@@ -114,7 +115,7 @@ def _benchmark_lines(answer: "Benchmark", data: Path, out: Path | None) -> list[
     after = ("--out", "benchmark") if out is None else ("--protocol", "joint")
     written = [] if out is None else [f"Written: {out}/{answer.part}_rows.csv, _pushes.csv, .png"]
     return [
-        *table(head, [_cells(row, models) for row in rows], left=3),
+        *Table(head, [_cells(row, models) for row in rows], left=3).lines(),
         "",
         "Errors are mean / median.",
         *answer.notes,

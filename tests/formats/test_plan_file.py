@@ -113,7 +113,10 @@ def test_what_is_wrong_is_refused_with_its_path(path, value, sentence, file):
     for key in path[:-1]:
         level = level[key]
     level[path[-1]] = value
-    refused(load_plan, file(yaml.safe_dump(raw)), match=sentence)
+    path = file(yaml.safe_dump(raw))
+    before, _, rest = str(refused(load_plan, path)).partition(f"{path}: ")
+    assert not before
+    assert re.search(sentence, rest)
 
 
 @pytest.mark.parametrize("text", ["", "[]", "a", "{fixel_plan: 1}", "a: &x 1\nb: *x", "!!set {a}"])
@@ -124,7 +127,7 @@ def test_what_is_no_plan_is_refused(text, file):
 def test_a_missing_key_is_named(file):
     raw = content()
     del raw["nominal"]["gap"]
-    refused(load_plan, file(yaml.safe_dump(raw)), match=r"^nominal\.gap is missing")
+    refused(load_plan, file(yaml.safe_dump(raw)), match=r"plan\.yaml: nominal\.gap is missing")
 
 
 def test_a_support_that_a_file_cannot_hold_is_refused():

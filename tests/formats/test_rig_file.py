@@ -82,7 +82,7 @@ def test_parts_have_the_names_of_the_scenes():
     (("name",), "", "rig.name", "name"),
     (("fixel_rig",), 2, "fixel_rig", "1"),
 ])  # fmt: skip
-def test_what_is_wrong_is_said(path, value, where, word):
+def test_what_is_wrong_is_said(path, value, where, word, tmp_path):
     content = copy.deepcopy(rig_dict(rig_of("thesis-tags")))
     at = content
     for key in path[:-1]:
@@ -91,6 +91,12 @@ def test_what_is_wrong_is_said(path, value, where, word):
     refusal = refused(rig_from_dict, content)
     assert where in str(refusal)
     assert word in str(refusal)
+    file = tmp_path / "rig.yaml"
+    file.write_text(yaml_text(content))
+    found = str(refused(load_rig, file))
+    assert found.startswith(f"{file}: ")
+    assert where in found
+    assert word in found
 
 
 @pytest.mark.parametrize("raw", [None, [], "rig", 3, {}, {"fixel_rig": 1}])

@@ -9,7 +9,7 @@ import pytest
 from tests.equal_pushes import over_a_table
 from tests.fixtures import refused
 
-from fixel import InvalidInput, SimulatedTestbed, table_check
+from fixel import InvalidInput, SimulatedTestbed, part_model, table_check, table_map
 from fixel.datasets import plan_import
 from fixel.sampling import table_plan
 from fixel.testing.pushes import example_parts
@@ -119,6 +119,9 @@ def test_pushes_without_repeats_are_refused_with_the_command_that_plans_them():
     with pytest.raises(InvalidInput, match="0 pairs of equal pushes at one spot, 0 elsewhere"):
         table_check(example_parts(2, 3))
     refused(table_check, [], match="experiments: found none")
+    for learn in (table_check, table_map, part_model):
+        refused(learn, 3, match="experiments: found the type int")
+        refused(learn, [3], match=r"experiments\[0\]: found the type int")
 
 
 def test_a_condition_with_many_values_names_no_sessions():

@@ -239,6 +239,8 @@ def test_numbers_of_rollouts_that_are_none(rollouts):
 @pytest.mark.parametrize(("make", "where"), [
     (lambda: FreePushes(length=(-5 * mm, 60 * mm)), "choose.length"),
     (lambda: RigPushes(stroke=(-10 * mm, 60 * mm)), "choose.stroke"),
+    (lambda: RigPushes(fixels={"a": ((0, 1),)}), r"choose\.fixels 'a': found 1 range"),
+    (lambda: Belief(conditions=3), r"belief\.conditions: found the type int"),
     (lambda: PlanPush(0.5, 0.0, -0.01), "push.length"),
     (lambda: FreePushes(cost="tiem"), r"choose\.cost is .*tiem.*did you mean .*time"),
 ])  # fmt: skip

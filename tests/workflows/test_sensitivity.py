@@ -57,6 +57,8 @@ def test_wrong_input_is_refused():
         sensitivity(42, ASME, **QUIET)
     with pytest.raises(InvalidInput, match="mu_pusher"):
         sensitivity(micro_push(1), ASME, {"mu_pushr": 0.2}, **QUIET)
+    with pytest.raises(InvalidInput, match=r"vary\.mu_pusher is 'x', .*2 numbers: low, high"):
+        sensitivity(micro_push(1), ASME, vary={"mu_pusher": "x"}, indices=True, **QUIET)
 
 
 def test_a_project_stores_a_sensitivity_and_refuses_what_no_command_stores(tmp_path, monkeypatch):

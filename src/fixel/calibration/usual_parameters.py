@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
@@ -177,6 +177,7 @@ def search_space(
         scenes = [target.case.scene for target in targets]
         space = ParameterSpace(unknowns=tuple(default_unknowns(scenes)))
     else:
+        instance(parameters, Iterable, "parameters", "names, or bounds by name")
         named = parameters if isinstance(parameters, Mapping) else dict.fromkeys(parameters)
         space = ParameterSpace(
             unknowns=tuple(u for key, own in named.items() for u in _unknowns(key, own, targets))

@@ -18,7 +18,7 @@ from fixel.errors import InvalidInput
 from fixel.formats import records
 from fixel.formats.records import content
 from fixel.io.atomic import write_whole
-from fixel.io.document import read_document, yaml_text
+from fixel.io.document import in_file, read_document, yaml_text
 from fixel.vision.camera import Camera, MeasuredCamera
 from fixel.vision.lens import Lens
 from fixel.vision.marks import MarkedPart, Rig, Sticker, Tag
@@ -92,7 +92,7 @@ def load_camera(path: str | Path) -> MeasuredCamera:
         raise InvalidInput(
             str(path), found="no lens in it", expected="a camera file of fixel", hint=hint
         )
-    with records.within(str(path)):
+    with in_file(path):
         return camera_from_dict(raw)
 
 
@@ -217,14 +217,16 @@ def markers_of(name_or_path: str | Path) -> tuple[str, dict[str, MarkedPart], tu
         rig = rig_of(name_or_path)
         return rig.name, rig.parts, rig.plate
     raw = read_document(_rig_path(name_or_path), "rig file")
-    found = records.arguments(records.validated(RigRecord, raw, "rig"))
+    with in_file(name_or_path):
+        found = records.arguments(records.validated(RigRecord, raw, "rig"))
     return found["name"], found["parts"], tuple(found["plate"])
 
 
 def load_rig(path: str | Path) -> Rig:
     """Load a rig file: YAML, or JSON if the name ends in `.json`."""
-    path = Path(path)
-    return rig_from_dict(read_document(path, "rig file"), path.parent)
+    raw = read_document(Path(path), "rig file")
+    with in_file(path):
+        return rig_from_dict(raw, Path(path).parent)
 
 
 def rig_from_dict(raw: Any, folder: Path | None = None) -> Rig:

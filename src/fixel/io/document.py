@@ -13,6 +13,7 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +56,15 @@ def read_document(path: Path, kind: str = "file") -> Any:
     text = _text(path)
     parse = parse_json if path.suffix.lower() == ".json" else parse_yaml
     return parse(text, str(path))
+
+
+@contextmanager
+def in_file(path: str | Path) -> Iterator[None]:
+    """Report errors in the content of a file with its path."""
+    try:
+        yield
+    except InvalidInput as problem:
+        raise problem.at(f"{path}: {problem.where}") from None
 
 
 def parse_yaml(text: str, where: str) -> Any:

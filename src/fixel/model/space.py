@@ -194,9 +194,9 @@ def check_once(where: str, labels: Sequence[str]) -> None:
             raise InvalidInput(where, found=f"{label} twice", expected="each parameter once")
 
 
-def split_label(label: str) -> tuple[str, dict[str, str]]:
+def split_label(label: object) -> tuple[str, dict[str, str]]:
     """Split the label of a parameter into name and conditions: `"mu_pusher[surface=abs]"`."""
-    match = _LABEL.fullmatch(label)
+    match = _LABEL.fullmatch(label) if isinstance(label, str) else None
     if match is None:
         raise InvalidInput("label", found=repr(label), expected="NAME or NAME[CONDITION=VALUE]")
     pairs = (match["where"] or "").split(", ")

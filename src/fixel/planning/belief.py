@@ -162,6 +162,7 @@ class Belief:
         instance(self.start, StartError | None, "belief.start", "a StartError")
         instance(self.rig, RigError | None, "belief.rig", "a RigError")
         instance(self.run_to_run, RunToRun | None, "belief.run_to_run", "a RunToRun")
+        instance(self.conditions, Mapping, "belief.conditions", "values by name")
         settle(self, conditions=MappingProxyType(dict(self.conditions)))
         given = self.parameters
         instance(self.sets, Sequence, "belief.sets", "parameter sets")

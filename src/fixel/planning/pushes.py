@@ -11,7 +11,7 @@ from typing import Annotated, Any, Final, Literal, NamedTuple, final, get_args
 import numpy as np
 import shapely
 
-from fixel.errors import InvalidInput, unknown_name
+from fixel.errors import InvalidInput, counted, unknown_name
 from fixel.model import Body, Disk, LineDrive, PathDrive, Polygon, Pusher, Scene, Shape
 from fixel.model.fields import (
     Value,
@@ -298,12 +298,13 @@ class RigPushes:
             settle(self, stroke=_range(self.stroke, "choose.stroke", lowest=0.0))
         if self.fixels is not None:
             instance(self.fixels, Mapping, "choose.fixels", "two ranges for each fixel, by name")
-            moved = {
-                name: tuple(
-                    _range(one, "choose.fixels") for one in table(own, "choose.fixels", RANGE)
-                )
-                for name, own in self.fixels.items()
-            }
+            moved = {}
+            for name, own in self.fixels.items():
+                rows = table(own, "choose.fixels", RANGE)
+                if len(rows) != 2:
+                    found = counted(len(rows), "range")
+                    raise InvalidInput(f"choose.fixels {name!r}", found=found, expected="x and y")
+                moved[name] = tuple(_range(one, "choose.fixels") for one in rows)
             settle(self, fixels=moved)
         check_fields(self, "choose")
         _check_cost(self.cost)

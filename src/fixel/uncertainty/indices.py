@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput, require
 from fixel.model import Scene
+from fixel.model.fields import vector
 from fixel.model.parameters import info_of
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
@@ -193,7 +194,7 @@ def indices_of(
     other options are those of `simulate_starts`. Indices are of the end along and across the
     nominal way [m], and of the angle [rad].
     """
-    factors = [_ranged(name, *interval) for name, interval in ranges.items()]
+    factors = [_ranged(name, interval) for name, interval in ranges.items()]
     sizes = zip(START, error.size.tolist(), strict=True)
     factors += [Factor(name, -size, size, error.kind) for name, size in sizes if size > 0.0]
     held = {name: value for name, value in (values or {}).items() if name not in ranges}
@@ -231,10 +232,10 @@ def scalars(ensemble: Prediction) -> FloatArray:
     return found
 
 
-def _ranged(name: str, low: float, high: float) -> Factor:
+def _ranged(name: str, interval: tuple[float, float]) -> Factor:
     info = info_of(name)
-    least = max(low, info.lowest)
-    if not math.isfinite(low) or not math.isfinite(high) or not low < high or least != low:
+    low, high = vector(interval, f"vary.{name}", "low, high").tolist()
+    if not info.lowest <= low < high:
         raise InvalidInput(
             f"vary.{name}",
             found=f"{low:g} to {high:g}",

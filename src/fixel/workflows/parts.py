@@ -10,6 +10,7 @@ import numpy as np
 
 from fixel.calibration.known_pushes import PARTS, SURFACES
 from fixel.calibration.target import target_of
+from fixel.datasets import Experiments
 from fixel.domain.error_bound import LEVEL
 from fixel.errors import InvalidInput
 from fixel.io.array_bytes import ResultCache, listed
@@ -113,7 +114,7 @@ def pushes_of_parts(
     experiments: Iterable[Experiment], part: str | None, surface: str | None
 ) -> tuple[tuple[Experiment, ...], str, str]:
     """Return experiments with a scene, and the conditions that name their part and surface."""
-    used = tuple(own for own in experiments if own.scene is not None)
+    used = tuple(own for own in Experiments.of(experiments) if own.scene is not None)
     if not used:
         expected, hint = "pushes of parts", "fixel.read_experiments(folder) reads them"
         raise InvalidInput("experiments", found="none with a scene", expected=expected, hint=hint)

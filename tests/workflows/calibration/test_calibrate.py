@@ -157,6 +157,8 @@ def test_plots_are_axes(fit, kind):
         ({"mu_pusher": (0, 1, 2)}, "3 numbers, but fixel needs two bounds"),
         ({"mu_pusher": 0.3}, "no parameter that is free"),
         ({"support_1_x": (0, 0.1)}, "a body on Tripod"),
+        (3, "parameters: found the type int"),
+        ([3], "label is 3, but must be NAME or NAME[CONDITION=VALUE]"),
     ],
 )
 def test_spaces_that_cannot_be_searched_are_refused(pushes, parameters, said):
@@ -241,7 +243,7 @@ def test_a_store_continues_and_refuses_another_call(pushes, tmp_path):
     best = stopped.value.result
     assert best.status == "interrupted"
     assert dict(best) == dict(whole)  # the search had ended
-    assert "the same call" in str(stopped.value)
+    assert "the same request" in str(stopped.value)
     assert fixel.calibrate(pushes[:2], BOUNDS, store=store, **QUIET) == whole
     for changed, said in (
         ({"seed": 1}, "another seed: 0"),
