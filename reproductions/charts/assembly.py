@@ -67,7 +67,7 @@ def _curves(axes: Axes, rows: Sequence[Row]) -> None:
     ticks = [x for x, above in apart if above > 1.25 * x]  # labels of nearer ones would overlap
     axes.set_xticks(ticks, [str(x) for x in ticks])
     axes.minorticks_off()
-    axes.legend(frameon=False, fontsize=5.0, loc="lower right")
+    axes.legend(frameon=False, fontsize=5.0, loc="lower right", handlelength=4.0)
     hide_spines(axes)
 
 
@@ -88,6 +88,7 @@ def _plan(axes: Axes, plan: PushPlan) -> None:
             "", xy=MM * path[1, 1:3], xytext=MM * path[0, 1:3],
             arrowprops={"arrowstyle": "->", "color": palette.PUSHER, "linewidth": 1.0},
         )  # fmt: skip
+        axes.update_datalim(MM * path[:2, 1:3])  # an arrow alone does not widen the axes
         axes.text(
             MM * path[0, 1],
             MM * path[0, 2],
@@ -97,6 +98,7 @@ def _plan(axes: Axes, plan: PushPlan) -> None:
             color=palette.INK,
         )
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
+    axes.margins(0.1)  # room for the numbers of the pushes
     hide_spines(axes)
 
 
@@ -126,7 +128,7 @@ def grasps_figure(rows: Sequence[Row]) -> Figure:
     axes.set_yticks(
         place, [f"{rows[k]['shape']}, {rows[k]['layout']}: {rows[k]['mode']}" for k in order]
     )
-    axes.set(xlabel="success probability", xlim=(-0.02, 1.02))
+    axes.set(xlabel="success probability", xlim=(-0.02, 1.02), ylim=(-0.5, len(rows) - 0.5))
     figure.legend(frameon=False, ncols=2, loc="outside lower center")
     hide_spines(axes)
     return figure

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from reproductions import asme_assembly as assembly
+from reproductions.charts.assembly import assembly_figure
 from reproductions.nominal_rrt import nominal_rrt
 from reproductions.result import RunOptions
 from reproductions.thesis_grasps import grasp_scenes, seating_modes
@@ -76,6 +77,22 @@ def test_quick_run_states_looks_from_few_runs(monkeypatch):
     assert found.tables["assembly"][0]["look_1um"] == rate.mean
     assert len(sizes) == 2
     assert sum(sizes) < 50
+
+
+def test_arrows_of_pushes_lie_inside_the_axes():
+    scene, far = pushed_square(), np.array([[0.0, -0.4, 0.3, 0.0], [1.0, 0.1, -0.5, 0.0]])
+    plan = SimpleNamespace(
+        scene=scene, start=scene.bodies[0].pose[None], path=far[None],
+        runs=SimpleNamespace(outcome=[""], end=scene.bodies[0].pose[None]),
+        success=SimpleNamespace(stated=1.0),
+    )  # fmt: skip
+    probes = {f"probe_{k:+d}_um": 1.0 for k in assembly.OFFSETS}
+    row = {"start": "normal", "clearance_um": 13, **probes}
+    curve = [{**row, "mouth_ahead_um": ahead} for ahead in assembly.AHEAD]
+    axes = assembly_figure(curve, [(plan, 13)]).axes[1]
+    for limits, values in zip((axes.get_xlim(), axes.get_ylim()), far[:, 1:3].T, strict=True):
+        assert limits[0] < 1e3 * values.min()
+        assert 1e3 * values.max() < limits[1]
 
 
 def test_tightly_seated_square_touches_all_fixels():
