@@ -100,6 +100,16 @@ def test_calibrate_on_a_full_disk(small_disk, laboratory, capsys):
     assert left_kb > 36
 
 
+@pytest.mark.parametrize("ending", ["png", "pdf", "svg"])
+def test_a_chart_on_a_full_disk(small_disk, laboratory, capsys, ending):
+    fill(small_disk, 4)
+    chart = small_disk / f"chart.{ending}"
+    code, _, err = fixel(capsys, "show", 1, "--project", laboratory, "--plot", chart)
+    assert (code, err.count("\n")) == (2, 1), err
+    assert "no space left on device" in err
+    assert [path.name for path in small_disk.iterdir()] == ["fill"]
+
+
 def test_calibrate_where_jobs_cannot_be_written(small_disk, lab, capsys):
     (lab / "jobs").mkdir(exist_ok=True)
     protect(small_disk)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import partial, wraps
+from io import BytesIO
 from itertools import chain, zip_longest
 from operator import methodcaller
 from pathlib import Path
@@ -16,7 +17,7 @@ import numpy as np
 
 from fixel.drawing import palette
 from fixel.errors import InvalidInput
-from fixel.io.atomic import refuse_ending, refuse_unwritable, written_whole
+from fixel.io.atomic import refuse_ending, refuse_unwritable, write_whole
 from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.units import displayed
@@ -169,8 +170,10 @@ def save_figure(make: Callable[[], Figure], *paths: str | Path) -> None:
     with mpl.rc_context(palette.STYLE):  # type: ignore[arg-type]
         figure = _laid_out(make)
         for path in paths:
-            with written_whole(path) as unfinished:
-                figure.savefig(unfinished, metadata=known.get(Path(path).suffix.lower()))
+            # In memory: Matplotlib hides the error of a full disk behind one of its own.
+            ending, content = Path(path).suffix.lower(), BytesIO()
+            figure.savefig(content, format=ending[1:], metadata=known.get(ending))
+            write_whole(path, content.getvalue())
             figure.set_layout_engine(None)  # all files have the layout of the first
 
 

@@ -28,8 +28,7 @@ Widths = Annotated[
     Mapping[str, float] | None, Door(metavar="AXIS=WIDTH", commas=True, also=("--step",))
 ]
 Facets = Annotated[
-    Sequence[str],
-    Door(plain=tuple[str, ...], metavar="NAME[,NAME]", commas=True, also=("--by",)),
+    Sequence[str], Door(plain=tuple[str, ...], metavar="NAME[,NAME]", commas=True, also=("--by",))
 ]
 
 

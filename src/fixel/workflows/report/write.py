@@ -17,8 +17,9 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from fixel.database.project import Project
+from fixel.drawing.chart import save_figure
 from fixel.errors import InvalidInput
-from fixel.io.atomic import write_whole, written_whole
+from fixel.io.atomic import write_whole
 from fixel.model.fields import instance
 from fixel.registry import offers
 from fixel.results import Result
@@ -396,9 +397,7 @@ def _drawn(result: Result, name: str, folder: Path) -> tuple[Figure, ...]:
 
     axes = result.plot()
     figure = (axes.flat[0] if hasattr(axes, "flat") else axes).figure
-    for ending in ("png", "pdf"):
-        with written_whole(folder / f"{name}.{ending}") as file:
-            figure.savefig(file, dpi=300)
+    save_figure(lambda: figure, folder / f"{name}.png", folder / f"{name}.pdf")
     pyplot.close(figure)
     return (Figure(name, type(result).__name__, folder / f"{name}.png"),)
 
