@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.seated import free_push as any_push
 from benchmarks.seated import seated_grasp
 
 from fixel.errors import InvalidInput
@@ -179,8 +180,9 @@ def _tight(scene, name, width):
     body = scene.bodies[0]
     simulator = Simulator(scene, motion="quasistatic", stepper=Adaptive(tolerance=1e-11))
     nominal = {
-        "mu_pusher": scene.pushers[0].friction, "tripod_radius": body.support.radius
-    }.get(name, 0.0)  # fmt: skip
+        "mu_pusher": scene.pushers[0].friction,
+        "tripod_radius": getattr(body.support, "radius", 0.0),
+    }.get(name, 0.0)
     ends = [
         simulator.run({name: nominal + step}, output_interval=scene.duration).final[body.name]
         for step in (width, -width)
@@ -214,6 +216,27 @@ def test_agrees_with_a_tight_stepper(seed):
     errors = _errors(_without_pegs(seed), PROVEN)
     assert len(errors) == 5
     assert max(errors.values()) < 0.01
+
+
+@pytest.mark.parametrize("seed", range(200, 212))
+def test_agrees_with_a_tight_stepper_for_every_tool_and_support(seed):
+    """Each of three tools on each of four supports."""
+    errors = _errors(any_push(seed), ("mu_pusher", "start_x", "start_y", "start_theta"))
+    assert len(errors) >= 3
+    assert max(errors.values()) < 0.01
+
+
+def test_agrees_with_a_tight_stepper_where_the_pusher_turns():
+    """A corner of the part slides along the head, and corners of the head along the part."""
+    for offset, turn in ((0.0, 0.5), (0.02, -0.6), (-0.02, 0.3)):
+        path = [(0.0, -0.06, offset, 0.1), (3.0, 0.0, offset, 0.1 + turn)]
+        head = Pusher(
+            "head", box(0.04, 0.03), pose=path[0][1:], friction=0.2, drive=PathDrive(path)
+        )
+        part = Body("part", box(0.06, 0.06), mass=0.2, pose=(0.0, 0.0, 0.2), support=SUPPORT)
+        errors = _errors(Scene(part, head, duration=3.0), PROVEN)
+        assert len(errors) >= 4
+        assert max(errors.values()) < 0.01
 
 
 def test_agrees_with_a_tight_stepper_where_pegs_seat_the_part():

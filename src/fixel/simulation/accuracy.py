@@ -27,8 +27,6 @@ from fixel.typing import FloatArray, IntArray
 APART_LENGTH: Final = 5e-3  # of the characteristic length: two ends that are this close agree
 APART_ANGLE: Final = math.radians(0.1)
 FIXED_STEP: Final = 5e-4  # of the time in which the fastest motion covers that length
-MODE_ROOM: Final = 200  # rows of the tapes that derivatives need
-STEP_ROOM: Final = 1000
 
 _LOST: Final = {
     walk.UNSUITED: "contact modes describe one part and one pusher on an even plane only",
@@ -76,7 +74,9 @@ def confirm(
     converged = status == codes.CONVERGED
     doubtful = converged.copy()
     if method.motion == codes.QUASI_STATIC:
-        record = walked(packed, method, n, threads=threads)
+        record = empty_modes(n)
+        no_tape = walk.Tape(np.empty((0, 0)), np.empty((0, 0)))
+        in_ranges(partial(walk.walk_batch, packed.batch, method, 1, record, no_tape), n, threads)
         ended, folds = record.status, record.count[:, walk.FOLDS]
         reached = ended == walk.COMPLETE
         if reached.any():
@@ -122,26 +122,10 @@ def _reason(verdict: str, method: StepMethod, ended: int, folds: bool, stopped: 
     return lost or "two ways differ, so that two motions may be possible"
 
 
-def walked(
-    packed: PackedBatch,
-    method: StepMethod,
-    n: int,
-    *,
-    stride: int = 1,
-    taped: bool = False,
-    threads: int | None = None,
-) -> walk.ModeRecord:
-    """Follow the contact modes of every `stride`-th rollout; `taped` for derivatives."""
-    modes, steps = (MODE_ROOM, STEP_ROOM) if taped else (0, 0)
-    record = walk.ModeRecord(
-        status=np.zeros(n, np.int64),
-        end=np.zeros((n, 4)),
-        count=np.zeros((n, 4), np.int64),
-        mode=np.zeros((n, modes, walk.MODE_WIDE)),
-        step=np.zeros((n, steps, walk.STEP_WIDE)),
-    )
-    in_ranges(partial(walk.walk_batch, packed.batch, method, stride, record), n, threads)
-    return record
+def empty_modes(n: int) -> walk.ModeRecord:
+    """Return an empty record of the contact modes of rollouts."""
+    count = np.zeros((n, 6), np.int64)
+    return walk.ModeRecord(status=np.zeros(n, np.int64), end=np.zeros((n, 4)), count=count)
 
 
 def _repeated(
@@ -151,9 +135,8 @@ def _repeated(
     batch = _chosen(packed.batch, chosen)
     batch.settings[:, at.STEP] = FIXED_STEP
     fixed = method._replace(adaptive=0, lead=0.0)
-    part = packed._replace(
-        batch=batch, outline=None if packed.outline is None else packed.outline[chosen]
-    )
+    outline = None if packed.outline is None else packed.outline[chosen]
+    part = packed._replace(batch=batch, outline=outline)
     ends, status = ends_of(part, fixed, threads)
     return ends, status != codes.CONVERGED
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -12,10 +11,11 @@ from fixel.errors import InvalidInput
 from fixel.kernels import codes
 from fixel.kernels.arrays import StepMethod
 from fixel.kernels.batch import BODY
+from fixel.kernels.modes import walk
 from fixel.kernels.modes.derivatives import differentiate_batch
 from fixel.model import Scene, rotated
 from fixel.model.parameters import info_of
-from fixel.simulation.accuracy import APART_ANGLE, APART_LENGTH, walked
+from fixel.simulation.accuracy import APART_ANGLE, APART_LENGTH, empty_modes
 from fixel.simulation.load_profile import PROFILE_NAMES
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.pack import PackedBatch
@@ -26,7 +26,7 @@ from fixel.simulation.uneven_table import TABLE_NAMES
 from fixel.simulation.vary import Variation, composed
 from fixel.typing import BoolArray, FloatArray, IntArray
 
-NUDGE: Final = 1e-4  # of a parameter, to differentiate the rows of contacts
+NUDGE: Final = 1e-6  # of a parameter, to differentiate the rows of contacts
 SMALLEST_NUDGE: Final = 1e-7  # of a parameter that is zero, in SI units
 PASS: Final = 512  # rollouts whose tapes are held at once
 
@@ -68,7 +68,7 @@ def pose_slopes(
     found = np.zeros(len(pose), bool)
     for k in range(0, len(pose), PASS):
         rows = np.arange(k, min(len(pose), k + PASS))
-        again = np.repeat(rows, 1 + 2 * len(own))
+        again = np.repeat(rows, 1 + len(own))
         nudges, widths = _nudged(scene, variation, own, again)
         packed = packed_of(nudges, len(again))
         part, good = _slopes(packed, method, widths, pose[rows], time[rows], threads)
@@ -88,17 +88,16 @@ def _columns(scene: Scene, names: Sequence[str], variation: Variation) -> list[s
 def _nudged(
     scene: Scene, variation: Variation, names: Sequence[str], rows: IntArray
 ) -> tuple[Variation, FloatArray]:
-    """Return a variation in which every rollout is followed by two for each parameter, a little
-    larger and a little smaller, and by how much (n, n_parameter)."""
-    stride = 1 + 2 * len(names)
+    """Return a variation in which every rollout is followed by one for each parameter, a little
+    larger, and by how much (n, n_parameter)."""
+    stride = 1 + len(names)
     values = {k: np.array(v[rows]) for k, v in variation.parameters.items()}
     widths = np.zeros((len(rows) // stride, len(names)))
     for j, name in enumerate(names):
         if name not in values:
             values[name] = np.full(len(rows), scene_value(scene, name))
         widths[:, j] = np.maximum(NUDGE * np.abs(values[name][::stride]), SMALLEST_NUDGE)
-        values[name][1 + 2 * j :: stride] += widths[:, j]
-        values[name][2 + 2 * j :: stride] -= widths[:, j]
+        values[name][1 + j :: stride] += widths[:, j]
     start, path, of, fixels = variation[1:]
     nudges = Variation(
         values,
@@ -149,16 +148,20 @@ def _slopes(
 ) -> tuple[FloatArray, BoolArray]:
     """Differentiate poses by x, y and theta at the start, and by parameters changed by `widths`."""
     n, n_own = widths.shape
-    stride, length = 1 + 2 * n_own, packed.units.length
-    record = walked(packed, method, n, stride=stride, taped=True, threads=threads)
+    stride, length = 1 + n_own, packed.units.length
+    record = empty_modes(n)
     slope = np.zeros((*pose.shape, 3 + n_own))
     found = np.zeros(n, np.int64)
     times = time / packed.units.time
-    in_ranges(
-        partial(differentiate_batch, packed.batch, method, stride, record, times, slope, found),
-        n,
-        threads,
-    )
+
+    def differentiate(first: int, last: int) -> None:
+        modes = np.empty(((last - first) * walk.MODE_ROOM, walk.MODE_WIDE))
+        steps = np.empty(((last - first) * walk.STEP_ROOM, walk.STEP_WIDE))
+        taped = stride, record, walk.Tape(modes, steps)
+        walk.walk_batch(packed.batch, method, *taped, first, last)
+        differentiate_batch(packed.batch, *taped, times, slope, found, first, last)
+
+    in_ranges(differentiate, n, threads)
     slope[:, :, :2, 2:] *= length
     slope[:, :, 2, :2] /= length
     slope[..., 3:] /= widths[:, None, None]
@@ -183,8 +186,7 @@ def _refer_to_frames(
     slope[..., 2] += np.einsum("ntij,nj->nti", slope[..., :2], rotated(own, heading + 0.5 * np.pi))
     lever = rotated(own[:, None], angle + 0.5 * np.pi)
     for j in range(n_own):
-        moved = centre[1 + 2 * j :: stride] - centre[2 + 2 * j :: stride]
-        moved /= 2.0 * widths[:, j, None]
+        moved = (centre[1 + j :: stride] - own) / widths[:, j, None]
         slope[..., 2, 3 + j] -= moved[:, None, 2]
         slope[..., :2, 3 + j] -= rotated(moved[:, None], angle)
     slope[..., :2, :] -= lever[..., None] * slope[..., 2:, :]

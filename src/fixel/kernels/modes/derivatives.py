@@ -6,30 +6,37 @@ derives both. Rows change by differences of the residual, not of solutions, so t
 solves for nothing but the motion itself. Each parameter is visited once, along the whole rollout.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from fixel.kernels import arrays
-from fixel.kernels.allocate import allocate
-from fixel.kernels.arrays import Batch, Model, Problem, StepMethod, Workspace
+from fixel.kernels.arrays import Batch, Model
 from fixel.kernels.batch import BODY, select
 from fixel.kernels.jit import allocating_kernel, entry, kernel, large_kernel
 from fixel.kernels.modes import geometry, walk
-from fixel.kernels.modes.equation import assemble, newton_step, solve_mode, write_rows
+from fixel.kernels.modes.equation import (
+    assemble,
+    reduce_balance,
+    solve_mode,
+    write_dual,
+    write_rows,
+)
 from fixel.kernels.modes.geometry import ContactMode
 from fixel.kernels.modes.walk import Tape
 from fixel.typing import FloatArray, IntArray
 
-NUDGE = 1e-5  # of a pose, in scaled units
-AGO = 1e-6  # of the clock
+NUDGE = 1e-6  # of a pose and the clock, in scaled units
 FLAT = 1e-9  # rate of a margin below which its root has no derivative
 BEFORE = 3e-3  # part of a step before its end at which a part that comes to rest still moves
 AT_REST = 1e-2  # velocity over that at the start of a mode, at its end
 BENT = 0.005  # second difference of the velocity's derivative over a piece, times its length
-GROWTH = 0.5  # velocity's derivative times the length of a piece
+GROWTH = 0.75  # velocity's derivative times the length of a piece
+MOST_PIECES = 1000  # of a step
 SPARE = 256  # states, of steps that are divided
 TOUCHING = -3  # event of a part that touches the pusher at the start: as if it came from a gap
+TO_TOUCH = walk.MODE_ROOM  # number of that event
 # Columns of `Flow.span`: of a mode, its first state and the one after its last.
 ONWARD = 0
 UP_TO = 1
@@ -49,9 +56,9 @@ class Flow(NamedTuple):
     gain: FloatArray  # (n_state, 3, 6) change of the velocity by a change of the residual
     velocity: FloatArray  # (n_state, 3)
     slope: FloatArray  # (n_state, 3, 3 + n_parameter) derivative of the velocity
-    change: FloatArray  # (n_state, 9) differences of the velocity and of the residual
-    event: FloatArray  # (n_mode + 1, 4) state at the end of a mode; the last is the start
-    rate: FloatArray  # (n_mode + 1,) by the time, of the margin that ends it
+    event: FloatArray  # (n_mode + 1, 4) state at the end of a mode; see TO_TOUCH
+    margin: FloatArray  # (n_mode + 1,) the one that ends it, close to zero
+    rate: FloatArray  # (n_mode + 1,) by the time, of that margin
     slant: FloatArray  # (n_mode + 1, 3 + n_parameter) its derivative
 
 
@@ -80,32 +87,6 @@ def _load_step(mode: ContactMode, row: FloatArray, q: FloatArray) -> None:
     mode.size[geometry.POLE] = int(row[walk.AROUND])
 
 
-@large_kernel
-def _add_change(
-    model: Model, mode: ContactMode, q: FloatArray, change: FloatArray, sign: float
-) -> None:
-    """Add velocity and negative residual of the present unknowns at a state to the changes."""
-    geometry.place_mode(mode, q)
-    write_rows(model, mode)
-    assemble(model, mode, mode.size[geometry.ROWS])
-    for i in range(3):
-        change[i] += sign * mode.velocity[i]
-    for i in range(3 + mode.size[geometry.ROWS]):
-        change[3 + i] -= sign * mode.vector[i]
-
-
-@kernel
-def _write_slope(flow: Flow, k: int, n: int, column: int, width: float) -> None:
-    """Write a column of the derivative of the velocity from changes over an interval."""
-    change = flow.change[k]
-    for i in range(3):
-        total = change[i]
-        for j in range(n):
-            total += flow.gain[k, i, j] * change[3 + j]
-        flow.slope[k, i, column] = total / width
-    change[:] = 0.0
-
-
 @kernel
 def _load_unknowns(mode: ContactMode, flow: Flow, k: int) -> None:
     """Set the unknowns that solve the mode at state k."""
@@ -115,42 +96,56 @@ def _load_unknowns(mode: ContactMode, flow: Flow, k: int) -> None:
 
 
 @large_kernel
+def _write_column(
+    model: Model, mode: ContactMode, q: FloatArray, flow: Flow, k: int, column: int, width: float
+) -> None:
+    """Write a column of the derivative of the velocity at state k, from the residuals of its
+    unknowns in a model and at a pose that differ from it by a width."""
+    geometry.place_mode(mode, q)
+    n = write_rows(model, mode)
+    assemble(model, mode, n)
+    for i in range(3):
+        total = mode.velocity[i] - flow.velocity[k, i]
+        for j in range(3 + n):
+            total -= flow.gain[k, i, j] * mode.vector[j]
+        flow.slope[k, i, column] = total / width
+
+
+@large_kernel
 def _linearise_state(model: Model, mode: ContactMode, flow: Flow, k: int) -> bool:
     """Solve the mode at state k, and differentiate its velocity by the pose."""
     q = flow.state[k]
     if not solve_mode(model, mode, q):
         return False
-    n = 3 + mode.size[geometry.ROWS]
+    n = mode.size[geometry.ROWS]
+    flow.pole[k] = mode.size[geometry.POLE]
     for i in range(9):
         flow.unknown[k, i] = mode.unknown[i]
+    assemble(model, mode, n)
+    if not reduce_balance(mode, n):
+        return False
     for i in range(3):
         flow.velocity[k, i] = mode.velocity[i]
-    flow.pole[k] = mode.size[geometry.POLE]
-    assemble(model, mode, n - 3)
-    for i in range(n):
-        for j in range(n):
-            mode.vector[j] = 1.0 if i == j else 0.0
-        if not newton_step(mode, n - 3):
-            return False
-        for way in range(3):
-            total = 0.0
+        flow.gain[k, i] = 0.0
+        for m in range(3):
+            part = 0.0
             for j in range(3):
-                total += mode.ways[way, j] * mode.vector[j]
-            flow.gain[k, way, i] = total
+                part += mode.ways[i, j] * mode.dual[m, j]
+            if m < n:
+                flow.gain[k, i, 3 + m] = part
+                continue
+            for j in range(3):
+                flow.gain[k, i, j] += part * mode.pull[m, j]
     for column in range(3):
         middle = q[column]
-        for sign in (1.0, -1.0):
-            q[column] = middle + sign * NUDGE
-            _add_change(model, mode, q, flow.change[k], sign)
+        q[column] = middle + NUDGE
+        _write_column(model, mode, q, flow, k, column, NUDGE)
         q[column] = middle
-        _write_slope(flow, k, n, column, 2.0 * NUDGE)
     return True
 
 
 @large_kernel
-def _margin(
-    model: Model, mode: ContactMode, q: FloatArray, which: int, work: Workspace, problem: Problem
-) -> float:
+def _margin(model: Model, mode: ContactMode, q: FloatArray, which: int) -> float:
     """Margin of the mode at a state; NaN where the mode cannot be solved."""
     if which == TOUCHING:
         geometry.place_mode(mode, q)
@@ -158,38 +153,31 @@ def _margin(
         return float(mode.gap[0])
     if which == geometry.OPEN:
         geometry.place_mode(mode, q)
-        return float(geometry.open_gap(geometry.gap_arrays(model, mode, work, problem)))
+        return float(geometry.open_gap(geometry.gap_arrays(model, mode)))
     if not solve_mode(model, mode, q):
         return np.nan
     return float(mode.margin[which])
 
 
 @large_kernel
-def _linearise_event(
-    model: Model,
-    mode: ContactMode,
-    flow: Flow,
-    number: int,
-    which: int,
-    work: Workspace,
-    problem: Problem,
-) -> bool:
+def _linearise_event(model: Model, mode: ContactMode, flow: Flow, number: int, which: int) -> bool:
     """Differentiate the margin that ends a mode by the pose and along the motion."""
     q = flow.event[number]
     rate = 0.0
     for column in range(4):
-        width = NUDGE if column < 3 else AGO
         middle = q[column]
-        q[column] = middle + width
-        above = _margin(model, mode, q, which, work, problem)
-        q[column] = middle - width
-        below = _margin(model, mode, q, which, work, problem)
+        # Where the velocity vanishes, only differences to both sides contain how a margin jumps.
+        q[column] = middle + NUDGE
+        above = _margin(model, mode, q, which)
+        q[column] = middle - NUDGE
+        below = _margin(model, mode, q, which)
         q[column] = middle
-        slant = (above - below) / (2.0 * width)
+        slant = (above - below) / (2.0 * NUDGE)
+        flow.margin[number] = 0.5 * (above + below)
         speed = 1.0
         if column < 3:
             flow.slant[number, column] = slant
-            last = flow.span[number, UP_TO] - 1 if number < flow.span.shape[0] else -1
+            last = flow.span[number, UP_TO] - 1 if number != TO_TOUCH else -1
             moves = last >= 0 and last >= flow.span[number, ONWARD]
             speed = flow.velocity[last, column] if moves else 0.0
         rate += slant * speed
@@ -209,22 +197,24 @@ def _slows_down(flow: Flow, first: int, last: int) -> bool:
 
 
 @kernel
-def _is_even(slope: FloatArray, k: int, length: float) -> bool:
-    """Whether the method of Runge and Kutta is accurate to 0.1 % over a piece from state k."""
+def _divisor(slope: FloatArray, k: int, length: float) -> int:
+    """Number of parts of a piece from state k over which the derivatives are accurate to 0.1 %."""
+    most = 1.0
     for i in range(3):
         bent = 0.0
         growth = 0.0
         for j in range(3):
             bent += abs(slope[k, i, j] - 2.0 * slope[k + 1, i, j] + slope[k + 2, i, j])
             growth += abs(slope[k + 1, i, j])
-        if length * bent > BENT or length * growth > GROWTH:
-            return False
-    return True
+        most = max(most, length * growth / GROWTH)
+        if length * bent > BENT:
+            most = max(most, (length * bent / BENT) ** (1.0 / 3.0))
+    return math.ceil(min(most, MOST_PIECES))
 
 
 @large_kernel
 def _linearise_step(
-    model: Model, mode: ContactMode, own: FloatArray, flow: Flow, k: int, begins: bool
+    model: Model, mode: ContactMode, own: FloatArray, flow: Flow, k: int, room: int, begins: bool
 ) -> tuple[int, bool]:
     """Write the states of a step of the tape, from state `k` on.
 
@@ -238,7 +228,7 @@ def _linearise_step(
     n = 0
     pieces = 1
     while n < pieces:
-        if k + 2 * (pieces - n) >= flow.pole.size:
+        if k + 2 * (pieces - n) >= room:
             return -1, False
         for i in range(0 if begins else 1, 3):
             x = own[walk.PART] * (n + 0.5 * i) / pieces
@@ -256,9 +246,10 @@ def _linearise_step(
                 share = 1.0 if lasts else 2.0 * BEFORE
                 mode.unknown[j] = share * flow.unknown[k + 1, j]
             return k + 3 if _linearise_state(model, mode, flow, k + 2) else -1, True
-        if not _is_even(flow.slope, k, flow.state[k + 2, 3] - flow.state[k, 3]):
-            pieces *= 2
-            n *= 2
+        parts = _divisor(flow.slope, k, flow.state[k + 2, 3] - flow.state[k, 3])
+        if parts > 1:
+            pieces *= parts
+            n *= parts
             _load_unknowns(mode, flow, k)
             continue
         k += 2
@@ -268,11 +259,10 @@ def _linearise_step(
 
 
 @large_kernel
-def _linearise(
-    model: Model, mode: ContactMode, tape: Tape, flow: Flow, work: Workspace, problem: Problem
-) -> bool:
+def _linearise(model: Model, mode: ContactMode, tape: Tape, flow: Flow) -> bool:
     """Write the equations of all modes, without columns of parameters."""
-    n_mode = flow.span.shape[0]
+    n_mode = tape.mode.shape[0]
+    room = n_mode + 4 * tape.step.shape[0] + SPARE
     k = 0
     step = 0
     rests = True  # without a gap that closes
@@ -288,16 +278,17 @@ def _linearise(
         _load_mode(model, mode, row, moves)
         if moves and rests:
             for i in range(3):
-                flow.event[n_mode, i] = tape.step[0, walk.FROM + i]
-            flow.event[n_mode, 3] = row[walk.BEGIN] + AGO
+                flow.event[TO_TOUCH, i] = tape.step[0, walk.FROM + i]
+            flow.event[TO_TOUCH, 3] = row[walk.BEGIN] + NUDGE
             # One contact closes at once; several do so in one order or in another, and a contact
             # along which the pusher slid first may have closed before.
             one = number == 0 and mode.size[geometry.N_CLOSED] == 1
             one = one and mode.contact[0, geometry.FORM] != geometry.FLUSH
-            if not (one and _linearise_event(model, mode, flow, n_mode, TOUCHING, work, problem)):
+            if not (one and _linearise_event(model, mode, flow, TO_TOUCH, TOUCHING)):
                 return False
         while step < n_step and tape.step[step, walk.OF_MODE] == number:
-            k, folds = _linearise_step(model, mode, tape.step[step], flow, k, k == span[ONWARD])
+            own = tape.step[step]
+            k, folds = _linearise_step(model, mode, own, flow, k, room, k == span[ONWARD])
             if k < 0:
                 return False
             if folds:
@@ -309,7 +300,6 @@ def _linearise(
             event[i] = flow.state[k - 1, i] if moves else row[walk.POSE + i]
         event[3] = tape.mode[min(number + 1, n_mode - 1), walk.BEGIN]
         if moves:
-            own = tape.step[step - 1]
             event[3] = own[walk.START] + own[walk.PART] * own[walk.LENGTH]
         if which == walk.FOLDED:
             # It comes to rest, or else it jumps.
@@ -319,7 +309,7 @@ def _linearise(
         elif (
             which >= 0
             and not _is_skipped(row, flow, number)
-            and not _linearise_event(model, mode, flow, number, which, work, problem)
+            and not _linearise_event(model, mode, flow, number, which)
         ):
             return False
         rests = which < 0 and (rests if _is_skipped(row, flow, number) else not moves)
@@ -334,35 +324,23 @@ def _is_skipped(row: FloatArray, flow: Flow, number: int) -> bool:
 
 
 @large_kernel
-def _vary(
-    own: Model,
-    mode: ContactMode,
-    tape: Tape,
-    flow: Flow,
-    column: int,
-    sign: float,
-    work: Workspace,
-    problem: Problem,
-) -> None:
-    """Add what a model with another parameter changes of the velocities and margins."""
-    for number in range(flow.span.shape[0]):
+def _vary(own: Model, mode: ContactMode, tape: Tape, flow: Flow, column: int) -> None:
+    """Write what a little more of a parameter changes of the velocities and margins."""
+    for number in range(tape.mode.shape[0]):
         row = tape.mode[number]
         span = flow.span[number]
         if _is_skipped(row, flow, number):
             continue
         _load_mode(own, mode, row, span[UP_TO] > span[ONWARD])
         if span[UP_TO] > 0 and number == 0:
-            margin = _margin(own, mode, flow.event[-1], TOUCHING, work, problem)
-            flow.slant[-1, column] += 0.5 * sign * margin
+            margin = _margin(own, mode, flow.event[TO_TOUCH], TOUCHING)
+            flow.slant[TO_TOUCH, column] = margin - flow.margin[TO_TOUCH]
         for k in range(span[ONWARD], span[UP_TO]):
             _load_unknowns(mode, flow, k)
-            _add_change(own, mode, flow.state[k], flow.change[k], sign)
-            if sign < 0.0:
-                _write_slope(flow, k, 3 + mode.size[geometry.ROWS], column, 2.0)
+            _write_column(own, mode, flow.state[k], flow, k, column, 1.0)
         if row[walk.EVENT] >= 0.0:
-            q = flow.event[number]
-            margin = _margin(own, mode, q, int(row[walk.EVENT]), work, problem)
-            flow.slant[number, column] += 0.5 * sign * margin
+            margin = _margin(own, mode, flow.event[number], int(row[walk.EVENT]))
+            flow.slant[number, column] = margin - flow.margin[number]
 
 
 @kernel
@@ -384,25 +362,40 @@ def _rate(slope: FloatArray, state: FloatArray, i: int, column: int) -> float:
 
 
 @large_kernel
-def _advance(flow: Flow, k: int, span: float, state: FloatArray, stage: FloatArray) -> None:
-    """Integrate the linear equation over the piece from state k to k + 2 by the classical method of
-    Runge and Kutta; leaves the rates at both ends in the first and last of the stages."""
-    trial = stage[4]
+def _advance(flow: Flow, k: int, span: float, state: FloatArray, stage: FloatArray) -> bool:
+    """Integrate the linear equation over the piece from state k to k + 2 by Lobatto's method IIIA
+    of order 4; leaves the rates at both ends in the first two of the stages."""
+    one = flow.slope[k + 1]
+    two = flow.slope[k + 2]
+    solve = stage[2]
+    dual = stage[3]
+    for i in range(3):
+        for j in range(3):
+            total = 0.0
+            for m in range(3):
+                total += one[i, m] * two[m, j]
+            solve[i, j] = (span / 12.0) * (span * total - 4.0 * one[i, j] - 2.0 * two[i, j])
+        solve[i, i] += 1.0
+    if not write_dual(solve, dual):
+        return False
+    middle = stage[4]
     for column in range(state.shape[1]):
         for i in range(3):
-            trial[i, column] = state[i, column]
-        for s in range(4):
-            for i in range(3):
-                stage[s, i, column] = _rate(flow.slope[k + (s + 1) // 2], trial, i, column)
-            reach = 0.5 * span if s < 2 else span
-            for i in range(3):
-                trial[i, column] = state[i, column] + reach * stage[s, i, column]
+            stage[0, i, column] = _rate(flow.slope[k], state, i, column)
+            ends = stage[0, i, column] - (two[i, column] if column > 2 else 0.0)
+            middle[i, column] = 0.5 * state[i, column] + 0.125 * span * ends
         for i in range(3):
-            middle = stage[1, i, column] + stage[2, i, column]
-            ends = stage[0, i, column] + stage[3, i, column]
-            state[i, column] += (span / 6.0) * (ends + 2.0 * middle)
+            ends = stage[0, i, column] + (two[i, column] if column > 2 else 0.0)
+            middle_rate = _rate(one, middle, i, column)
+            stage[1, i, column] = state[i, column] + (span / 6.0) * (ends + 4.0 * middle_rate)
         for i in range(3):
-            stage[3, i, column] = _rate(flow.slope[k + 2], state, i, column)
+            total = 0.0
+            for j in range(3):
+                total += dual[j, i] * stage[1, j, column]
+            state[i, column] = total
+        for i in range(3):
+            stage[1, i, column] = _rate(two, state, i, column)
+    return True
 
 
 @kernel
@@ -416,7 +409,7 @@ def _write_between(
             out[i, column] = (
                 y * y * (1.0 + 2.0 * x) * before[i, column]
                 + x * x * (1.0 + 2.0 * y) * state[i, column]
-                + span * x * y * (y * stage[0, i, column] - x * stage[3, i, column])
+                + span * x * y * (y * stage[0, i, column] - x * stage[1, i, column])
             )
 
 
@@ -444,9 +437,9 @@ def _integrate(
     velocity = root[1]
     late = root[2]
     at = 0
-    if flow.rate[-1] != 0.0 and not _time_event(flow, flow.span.shape[0], state, late):
+    if flow.rate[TO_TOUCH] != 0.0 and not _time_event(flow, TO_TOUCH, state, late):
         return False
-    for number in range(flow.span.shape[0]):
+    for number in range(tape.mode.shape[0]):
         row = tape.mode[number]
         span = flow.span[number]
         if _is_skipped(row, flow, number):
@@ -463,7 +456,8 @@ def _integrate(
             last = k + 3 == span[UP_TO]
             length = (flow.event[number, 3] if last else flow.state[k + 2, 3]) - begin
             _write_between(state, state, stage, 0.0, 0.0, was)
-            _advance(flow, k, length, state, stage)
+            if not _advance(flow, k, length, state, stage):
+                return False
             while at < times.size and times[at] < begin + length:
                 _write_between(was, state, stage, length, (times[at] - begin) / length, out[at])
                 at += 1
@@ -481,70 +475,76 @@ def _integrate(
 
 @entry
 def differentiate_batch(
-    batch: Batch, method: StepMethod, stride: int, record: walk.ModeRecord, times: FloatArray,
+    batch: Batch, stride: int, record: walk.ModeRecord, tape: Tape, times: FloatArray,
     slope: FloatArray, found: IntArray, first: int, last: int,
 ) -> None:  # fmt: skip
     """Write the derivatives of poses by the start poses and by parameters.
 
-    Rollout ``stride * r`` of the batch is the one on tape r; after it, two rollouts for each
-    parameter have it a little larger and a little smaller, and are not simulated. `slope` (n,
-    n_time, 3, 3 + n_parameter) has the derivatives at the increasing `times` (n, n_time); column
-    3 + k is half the difference that parameter k makes. `found` (n,) is zero where a mode or its
-    end has no derivative.
+    Rollout ``stride * r`` of the batch is the one that the tape has; after it, one rollout for each
+    parameter has a little more of it, and is not simulated. `slope` (n, n_time, 3, 3 + n_parameter)
+    has the derivatives at the increasing `times` (n, n_time); column 3 + k is the difference that
+    parameter k makes. `found` (n,) is zero where a mode or its end has no derivative.
     """
+    flow = _empty_flow(slope.shape[3])
     for r in range(first, last):
-        n_mode = record.count[r, walk.MODES]
-        n_step = record.count[r, walk.STEPS]
+        count = record.count[r]
+        n_mode = count[walk.MODES]
+        n_step = count[walk.STEPS]
         found[r] = 0
         if (
             record.status[r] == walk.COMPLETE
-            and n_mode <= record.mode.shape[1]
-            and n_step <= record.step.shape[1]
+            and n_mode <= walk.MODE_ROOM
+            and n_step <= walk.STEP_ROOM
         ):
-            tape = Tape(record.mode[r, :n_mode], record.step[r, :n_step])
-            if _differentiate(batch, stride * r, method, tape, times[r], slope[r]):
+            m = count[walk.MODE_AT]
+            s = count[walk.STEP_AT]
+            own = Tape(tape.mode[m : m + n_mode], tape.step[s : s + n_step])
+            if _differentiate(batch, stride * r, own, flow, times[r], slope[r]):
                 found[r] = 1
 
 
 @allocating_kernel
+def _empty_flow(wide: int) -> Flow:
+    """Allocate equations with room for those of the longest tape."""
+    n_state = walk.MODE_ROOM + 4 * walk.STEP_ROOM + SPARE
+    return Flow(
+        span=np.empty((walk.MODE_ROOM, 2), np.int64),
+        state=np.empty((n_state, 4)),
+        unknown=np.empty((n_state, 9)),
+        pole=np.empty(n_state, np.int64),
+        gain=np.empty((n_state, 3, 6)),
+        velocity=np.empty((n_state, 3)),
+        slope=np.empty((n_state, 3, wide)),
+        event=np.empty((walk.MODE_ROOM + 1, 4)),
+        margin=np.empty(walk.MODE_ROOM + 1),
+        rate=np.empty(walk.MODE_ROOM + 1),
+        slant=np.empty((walk.MODE_ROOM + 1, wide)),
+    )
+
+
+@allocating_kernel
 def _differentiate(
-    batch: Batch, base: int, method: StepMethod, tape: Tape, times: FloatArray, slope: FloatArray
+    batch: Batch, base: int, tape: Tape, flow: Flow, times: FloatArray, slope: FloatArray
 ) -> bool:
     """Write the derivatives of rollout `base`; False where there are none."""
-    model = select(batch, base)
-    problem, work = allocate(model, method.max_contacts)
-    mode = geometry.empty_mode(model)
+    mode = geometry.empty_mode(select(batch, base))
     mode.number[geometry.DURATION] = batch.settings[base, arrays.DURATION]
     wide = slope.shape[2]
-    n_mode = tape.mode.shape[0]
-    n_state = n_mode + 4 * tape.step.shape[0] + SPARE
-    flow = Flow(
-        span=np.zeros((n_mode, 2), np.int64),
-        state=np.zeros((n_state, 4)),
-        unknown=np.zeros((n_state, 9)),
-        pole=np.zeros(n_state, np.int64),
-        gain=np.zeros((n_state, 3, 6)),
-        velocity=np.zeros((n_state, 3)),
-        slope=np.zeros((n_state, 3, wide)),
-        change=np.zeros((n_state, 9)),
-        event=np.zeros((n_mode + 1, 4)),
-        rate=np.zeros(n_mode + 1),
-        slant=np.zeros((n_mode + 1, wide)),
-    )
+    flow.rate[:] = 0.0
+    flow.slant[:] = 0.0
     stage = np.zeros((7, 3, wide))
-    for k in range(2 * wide - 5):
+    start = batch.begin[base, BODY]
+    for k in range(wide - 2):
         own = select(batch, base + k)
         begin = batch.begin[base + k, BODY]
         geometry.measure(own, mode, batch.pose[begin : begin + batch.count[base + k, BODY]])
-        column = 3 + (k - 1) // 2
-        sign = 1.0 if k % 2 == 1 else -1.0
         if not walk.suits(own):
             return False
         if k > 0:
-            _vary(own, mode, tape, flow, column, sign, work, problem)
+            _vary(own, mode, tape, flow, 2 + k)
             for i in range(3):
-                stage[5, i, column] += 0.5 * sign * batch.pose[begin, i]
-        elif not _linearise(own, mode, tape, flow, work, problem):
+                stage[5, i, 2 + k] = batch.pose[begin, i] - batch.pose[start, i]
+        elif not _linearise(own, mode, tape, flow):
             return False
     for i in range(3):
         stage[5, i, i] = 1.0

@@ -257,7 +257,7 @@ def _write_cross(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
 
 
 @kernel
-def _write_dual(rows: FloatArray, dual: FloatArray) -> bool:
+def write_dual(rows: FloatArray, dual: FloatArray) -> bool:
     """Write the vectors of which each makes 1 with its row and 0 with the others; False where the
     rows depend on each other."""
     _write_cross(rows[1], rows[2], dual[0])
@@ -273,19 +273,15 @@ def _write_dual(rows: FloatArray, dual: FloatArray) -> bool:
 
 
 @kernel
-def newton_step(mode: ContactMode, n: int) -> bool:
-    """Replace the residuals by the changes of the unknowns that make them; False where there are
-    none.
+def reduce_balance(mode: ContactMode, n: int) -> bool:
+    """Write three equations for the velocity alone, and their dual vectors; False where they depend
+    on each other.
 
-    The balance along directions in which no contact force acts, and the rows, are three equations
-    for the velocity. The forces follow from the balance.
+    They are the `n` rows and the balance along directions in which no contact force acts.
     """
-    vector = mode.vector
     matrix = mode.matrix
     pull = mode.pull
     solve = mode.solve
-    dual = mode.dual
-    right = mode.change
     if n == 1:
         pull[1, 0] = -pull[0, 1]
         pull[1, 1] = pull[0, 0]
@@ -293,26 +289,37 @@ def newton_step(mode: ContactMode, n: int) -> bool:
     if n < 3:
         _write_cross(pull[0], pull[1], pull[2])
     for k in range(3):
-        if k < n:
-            for j in range(3):
+        for j in range(3):
+            if k < n:
                 solve[k, j] = matrix[3 + k, j]
-            right[k] = vector[3 + k]
-        else:
-            x = pull[k, 0]
-            y = pull[k, 1]
-            z = pull[k, 2]
-            for j in range(3):
+            else:
+                x, y, z = pull[k, 0], pull[k, 1], pull[k, 2]
                 solve[k, j] = x * matrix[0, j] + y * matrix[1, j] + z * matrix[2, j]
-            right[k] = x * vector[0] + y * vector[1] + z * vector[2]
-    if not _write_dual(solve, dual):
+    return write_dual(solve, mode.dual)
+
+
+@kernel
+def newton_step(mode: ContactMode, n: int) -> bool:
+    """Replace the residuals by the changes of the unknowns that make them; False where there are
+    none. The forces follow from the balance."""
+    vector = mode.vector
+    matrix = mode.matrix
+    pull = mode.pull
+    dual = mode.dual
+    right = mode.change
+    if not reduce_balance(mode, n):
         return False
+    for k in range(3):
+        right[k] = vector[3 + k]
+        if k >= n:
+            right[k] = pull[k, 0] * vector[0] + pull[k, 1] * vector[1] + pull[k, 2] * vector[2]
     for i in range(3):
         right[3 + i] = -vector[i]
     for j in range(3):
         vector[j] = right[0] * dual[0, j] + right[1] * dual[1, j] + right[2] * dual[2, j]
         for i in range(3):
             right[3 + i] += matrix[i, j] * vector[j]
-    if not _write_dual(pull, dual):
+    if not write_dual(pull, dual):
         return False
     for k in range(n):
         vector[3 + k] = 0.0

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fixel.kernels.arrays import GAP, Model, Problem, Workspace
+from fixel.kernels.arrays import GAP, N_PLACE, Model
 from fixel.kernels.gap import contact_pair
 from fixel.kernels.jit import allocating_kernel, kernel, large_kernel
 from fixel.kernels.path import path_pose
@@ -84,6 +84,9 @@ class ContactMode(NamedTuple):
     floor: FloatArray  # (N_MARGIN,) by which margins may be negative
     slope: FloatArray  # (7, 3) of the stages of a step
     point: FloatArray  # (3, 4) states: end of a step, stage, inside
+    world: FloatArray  # (n_vertex, 2) vertices where a gap is looked for
+    place: FloatArray  # (2, N_PLACE) contacts of two pieces
+    key: IntArray  # (2,)
     number: FloatArray  # (9,) see CLOCK_END
 
 
@@ -120,6 +123,9 @@ def empty_mode(model: Model) -> ContactMode:
         floor=np.zeros(N_MARGIN),
         slope=np.zeros((7, 3)),
         point=np.zeros((3, 4)),
+        world=np.zeros((model.vertex.shape[0], 2)),
+        place=np.zeros((2, N_PLACE)),
+        key=np.zeros(2, np.int64),
         number=np.zeros(9),
     )
 
@@ -332,7 +338,7 @@ class GapArrays(NamedTuple):
 
 
 @kernel
-def gap_arrays(model: Model, mode: ContactMode, work: Workspace, problem: Problem) -> GapArrays:
+def gap_arrays(model: Model, mode: ContactMode) -> GapArrays:
     """Collect the arrays of `open_gap`."""
     return GapArrays(
         model.piece_body,
@@ -341,9 +347,9 @@ def gap_arrays(model: Model, mode: ContactMode, work: Workspace, problem: Proble
         model.piece_radius,
         model.edge_real,
         model.vertex,
-        work.world,
-        problem.contact_place,
-        problem.contact_key,
+        mode.world,
+        mode.place,
+        mode.key,
         mode.frame,
         mode.contact,
         mode.size,

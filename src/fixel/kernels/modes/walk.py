@@ -73,6 +73,8 @@ AHEAD = 1e-6  # how far ahead the next mode is looked for
 AFTER_FOLD = 1e-4
 FARTHEST = 1e-3  # where none holds nearer
 ACCURACY = 1e-7  # of a step
+MODE_ROOM = 200  # rows of a tape for one rollout
+STEP_ROOM = 1000
 LONGEST = 0.3
 SHORTEST = 1e-8
 FLOOR = 1e-9  # by which a margin that begins at zero may fall
@@ -89,6 +91,8 @@ MODES = 0
 STEPS = 1
 FOLDS = 2
 SUDDEN = 3  # 1 where the drive stalls at once as a mode ends
+MODE_AT = 4  # place of the first on the tape
+STEP_AT = 5
 ROOT = 1e-12
 TOUCH = 1e-10  # gap that closes
 
@@ -118,20 +122,18 @@ STEP_WIDE = 41
 
 
 class Tape(NamedTuple):
-    """Modes and steps of a rollout, as far as there is room."""
+    """Modes and steps of one rollout after the other, as far as there is room for each."""
 
     mode: FloatArray  # (n, MODE_WIDE)
     step: FloatArray  # (n, STEP_WIDE)
 
 
 class ModeRecord(NamedTuple):
-    """Ends, counts and tapes of a batch of rollouts."""
+    """Ends and counts of a batch of rollouts."""
 
     status: IntArray  # (n,) see COMPLETE
     end: FloatArray  # (n, 4) pose, and the pusher's clock
-    count: IntArray  # type: ignore[assignment]  # (n, 4) see MODES
-    mode: FloatArray  # (n, room, MODE_WIDE)
-    step: FloatArray  # (n, room, STEP_WIDE)
+    count: IntArray  # type: ignore[assignment]  # (n, 6) see MODES
 
 
 _A = np.array(
@@ -590,7 +592,7 @@ def _follow_piece(
 ) -> int:
     """Follow the modes of one straight piece of the path; returns how it ended."""
     ahead = AHEAD
-    pieces = gap_arrays(model, mode, work, problem)
+    pieces = gap_arrays(model, mode)
     while q[3] < mode.number[CLOCK_END] - 1e-12:
         counts[MODES] += 1
         if counts[MODES] > MOST_MODES:
@@ -647,22 +649,25 @@ def _follow_piece(
 
 @entry
 def walk_batch(
-    batch: Batch, method: StepMethod, stride: int, record: ModeRecord, first: int, last: int
-) -> None:
+    batch: Batch, method: StepMethod, stride: int, record: ModeRecord, tape: Tape,
+    first: int, last: int,
+) -> None:  # fmt: skip
     """Follow the modes of every `stride`-th rollout of a batch, `first` to ``last - 1`` of the
-    record, without Python's lock."""
+    record, without Python's lock. The tape has no rows, or room for each rollout."""
+    m = 0
+    s = 0
     for r in range(first, last):
         model = select(batch, stride * r)
         if not suits(model):
             record.status[r] = UNSUITED
             continue
         a = batch.begin[stride * r, BODY]
-        record.status[r] = _walk(
-            model,
-            batch.pose[a : a + batch.count[stride * r, BODY]],
-            method,
-            batch.settings[stride * r],
-            record.end[r],
-            record.count[r],
-            Tape(record.mode[r], record.step[r]),
-        )
+        own = Tape(tape.mode[m : m + MODE_ROOM], tape.step[s : s + STEP_ROOM])
+        count = record.count[r]
+        count[MODE_AT] = m
+        count[STEP_AT] = s
+        start = batch.pose[a : a + batch.count[stride * r, BODY]]
+        settings = batch.settings[stride * r]
+        record.status[r] = _walk(model, start, method, settings, record.end[r], count, own)
+        m += min(count[MODES], own.mode.shape[0])
+        s += min(count[STEPS], own.step.shape[0])
