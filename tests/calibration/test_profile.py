@@ -92,6 +92,24 @@ def test_intervals_along_a_bent_valley_are_those_of_a_grid():
         assert profile.high == pytest.approx(inside[-1], abs=0.03 * half + 5e-4)
 
 
+def test_an_interval_contains_what_the_profile_of_another_parameter_met():
+    """Descents over y stay in one of its dents; the profile of y shows that x reaches further.
+
+    The reference is the least deviance on a grid.
+    """
+
+    def dented(points):
+        x, y = points[:, 0], points[:, 1]
+        return np.c_[(y - x) / 0.1, (x - 0.5) / 0.15, np.sin(np.pi * (y - 0.5) / 0.05)]
+
+    _, found = calibrated(dented, box([0, 0], [1, 1]))
+    grid = np.linspace(0.0, 1.0, 1001)
+    least = [np.sum(dented(np.c_[np.full(len(grid), x), grid]) ** 2, axis=1).min() for x in grid]
+    inside = grid[np.array(least) <= found.limit]
+    assert inside[[0, -1]] == pytest.approx([0.206, 0.794])
+    assert intervals(found)[0] == pytest.approx(inside[[0, -1]], abs=0.01)
+
+
 @pytest.mark.parametrize("n", [2, 6])
 def test_profiles_of_a_parabola_cost_few_evaluations(n):
     """Before: 150 an unknown, ten times as many as a search by least squares."""

@@ -28,19 +28,17 @@ from fixel.typing import FloatArray
 # A descent at a fixed value ends when it gains less: an end of an interval is off by 1 % of the
 # distance then.
 PRECISION: Final = 0.02
-# A neighbour's parameters are taken over where they are better by more.
-WORTH: Final = 0.02
+# Length of a node from which the next has starts elsewhere: no flat profile needs them.
+WORTH: Final = 0.15
 # A gain less than this share of the roughness means nothing.
 MEANINGLESS: Final = 0.25
-# Nodes try their neighbours' parameters on a surface rougher than this.
-ROUGH: Final = 0.1
 # The profiles begin again from a point that is better than the best by more; what was found stays.
 ANEW: Final = 0.05
 MAX_RESTARTS: Final = 4
 # Share of the range above which an interval is so wide that its partners are looked for.
 WIDE: Final = 0.5
 # Points that a phase takes for each side of an unknown, for the estimate of what is left.
-USUAL: Final = {"profiles": 4.0, "bounds": 2.0, "slices": 2.5, "partners": 1.0}
+USUAL: Final = {"profiles": 5.0, "bounds": 2.0, "slices": 2.5, "partners": 1.0}
 # Distance from the best [radii of the predicted interval] of the points that measure roughness, and
 # how many an unknown: a smooth deviance rises by a hundredth of the threshold there.
 DENT: Final = 0.1
@@ -58,8 +56,6 @@ RIDGE: Final = 1e-12
 
 Task = Generator[FloatArray, FloatArray, None]
 """Yields points (k, n), is sent their residuals (k, m)."""
-
-Found = Generator[FloatArray, FloatArray, Node]
 
 
 class Profile(NamedTuple):
@@ -121,10 +117,11 @@ class ProfileLikelihood:
     end at the nearest bump.
 
     Each fixed value begins with the derivatives of the value before, corrected by what was met on
-    the way; its own are taken only where these mislead. Where the deviance is a parabola, one value
-    a side confirms what the curvature predicts, and an unknown costs some 20 evaluations; on rough
-    or bent surfaces several times as much. A better optimum than the one given becomes the new
-    base: the values known already stay.
+    the way; its own are taken only where these mislead. An interval contains every point met that
+    is below the threshold. Where the deviance is a parabola, one value a side confirms what the
+    curvature predicts, and an unknown costs some 20 evaluations; on rough or bent surfaces several
+    times as much. A better optimum than the one given becomes the new base: the values known
+    already stay.
 
     Source
     ------
@@ -160,8 +157,7 @@ class ProfileLikelihood:
         if given.shape != (box.n,):
             raise InvalidInput("point", found=f"shape {given.shape}", expected=f"({box.n},)")
         threshold = positive(threshold, "threshold")
-        cost = self.descent.cost(prior)
-        return ProfileSearch(self, box, given, threshold, cost, fitted)
+        return ProfileSearch(self, box, given, threshold, self.descent.cost(prior), fitted)
 
 
 @final
@@ -183,7 +179,7 @@ class ProfileSearch:
         self._options, self._nominal, self._cost = options, threshold, cost
         self._roughness = 0.0
         self._best = Best(np.clip(point, box.low, box.high), math.inf)
-        self._given: float | None = None
+        self._given = math.nan  # deviance at the point given
         self._met: dict[bytes, float] = {}  # deviance of each point evaluated
         self._hessian = np.zeros((box.n, box.n))
         self._sides: list[ProfileBranch] = []
@@ -248,8 +244,7 @@ class ProfileSearch:
     @property
     def profiles(self) -> Profiles:
         """Profiles as far as they are known; complete at the end."""
-        given = math.inf if self._given is None else self._given
-        better = self._best.error < given - 1e-3 * self._nominal and math.isfinite(given)
+        better = self._best.error < self._given - 1e-3 * self._nominal < math.inf
         return Profiles(
             best=self._best,
             better=self._best if better else None,
@@ -262,7 +257,7 @@ class ProfileSearch:
 
     def _note(self, points: FloatArray, deviances: FloatArray) -> None:
         self._met.update(zip(map(bytes, points), deviances.tolist(), strict=True))
-        if self._given is None:
+        if math.isnan(self._given):
             self._given = float(deviances[0])
         k = int(np.argmin(deviances))
         if deviances[k] < self._best.error:
@@ -286,8 +281,7 @@ class ProfileSearch:
         self._moved, self._rise = np.zeros((2, self.box.n, self.box.n))
         self._phases: list[tuple[str, Callable[[], list[Task]]]] = [
             ("profiles", lambda: list(map(self._trace, self._sides))),
-            ("neighbours", lambda: list(map(self._polish, self._sides))),
-            ("profiles again", lambda: list(map(self._trace, self._sides))),
+            ("ends", lambda: list(map(self._extend, self._sides))),
             ("bounds", lambda: list(map(self._scan, self._sides))),
             ("slices", self._make_slices),
             ("partners", lambda: list(map(self._hold, self._sides))),
@@ -367,33 +361,44 @@ class ProfileSearch:
     def _trace(self, side: ProfileBranch) -> Task:
         """Step outwards, then close in on the crossing."""
         while (value := side.next_value(self._threshold)) is not None:
-            side.add((yield from self._fixed(side, side.guesses(value))))
+            starts = side.guesses(value)
+            if side.lengths(self._threshold)[-1] > WORTH:
+                starts += self._elsewhere(side, value)
+            side.add((yield from self._fixed(side, value, starts, self._fitting)))
 
-    def _polish(self, side: ProfileBranch) -> Task:
-        """Try each node's parameters at its neighbours: on a rough surface descents get stuck."""
-        if self._roughness < ROUGH * self._nominal and not self._restarts:
-            return
-        nodes = list(side.nodes)
-        pairs = [(k, near) for k in range(1, len(nodes)) for near in (k - 1, k + 1)]
-        pairs = [(k, near) for k, near in pairs if near < len(nodes)]
-        points = np.array([nodes[near].point for _, near in pairs]).reshape(-1, self.box.n)
-        points[:, side.index] = [nodes[k].value for k, _ in pairs]
-        deviances = yield from self._deviances(points)
-        for (k, _), point, deviance in zip(pairs, points, deviances, strict=True):
-            if deviance < nodes[k].deviance - WORTH * self._threshold:
-                side.add((yield from self._fixed(side, point[None])))
+    def _extend(self, side: ProfileBranch) -> Task:
+        """Go on outwards from the farthest good point that any profile met past the crossing."""
+        while (above := side.first_above(self._threshold)) is not None:
+            for node in self._beyond(side, side.nodes[above].value)[-1:]:
+                side.add(node)
+            if side.first_above(self._threshold) == above:
+                return
+            yield from self._trace(side)
+
+    def _elsewhere(self, side: ProfileBranch, value: float) -> list[FloatArray]:
+        """Return starts (n,) for a value: the nearest good point beyond it, if any, and the best.
+
+        Descents from the values before it end in dents, or leave valleys that bend.
+        """
+        return [node.point for node in (*self._beyond(side, value)[:1], side.nodes[0])]
+
+    def _beyond(self, side: ProfileBranch, value: float) -> list[Node]:
+        """Return the known points past a value that are below the threshold, the nearest first."""
+        limit, j = side.nodes[0].deviance + self._threshold, side.index
+        good = [(np.frombuffer(key), known) for key, known in self._met.items() if known < limit]
+        nodes = [Node(float(point[j]), known, point) for point, known in good]
+        past = [node for node in nodes if side.sign * (node.value - value) > 0.0]
+        return sorted(past, key=lambda node: side.sign * node.value)
 
     def _scan(self, side: ProfileBranch) -> Task:
         """Look at the rest of the way to the bound."""
         if side.crossing(self._threshold) is None or side.nodes[-1].value == side.bound:
             return
         outer, options = side.nodes[-1], replace(self._fitting, most_iterations=SCAN_ITERATIONS)
-        for share in np.arange(1, self._options.scan + 1) / max(1, self._options.scan):
-            value = side.bound if share == 1.0 else outer.value + share * (side.bound - outer.value)
+        for value in np.linspace(outer.value, side.bound, self._options.scan + 1)[1:].tolist():
             near = side.beyond[-1] if side.beyond else outer
-            guesses = np.array([near.point, side.nodes[0].point])
-            guesses[:, side.index] = value
-            node = yield from self._fixed(side, guesses, options)
+            starts = [near.point, side.nodes[0].point]
+            node = yield from self._fixed(side, value, starts, options)
             if math.isfinite(node.deviance):
                 side.beyond.append(node)
 
@@ -416,8 +421,7 @@ class ProfileSearch:
 
     def _slice(self, slicer: Slicer) -> Task:
         while not slicer.done:
-            points = slicer.ask()
-            slicer.tell((yield from self._deviances(points)))
+            slicer.tell((yield from self._deviances(slicer.ask())))
 
     def _hold(self, side: ProfileBranch) -> Task:
         """At the end of the interval put each other parameter back, to see which one it needs."""
@@ -443,20 +447,18 @@ class ProfileSearch:
         return ends[1] - ends[0]
 
     def _fixed(
-        self, side: ProfileBranch, guesses: FloatArray, options: LeastSquares | None = None
-    ) -> Found:
-        """Fit the others with one unknown fixed, from the first guess that can be evaluated."""
-        free = np.arange(self.box.n) != side.index
-        options = options or self._fitting
-        for guess in guesses:
-            near = side.columns, self._steps
-            descent = Descent(options, self.box, self._cost, guess[None], free, *near)
-            yield from _run(descent)
-            self._steps = descent.fit.steps
-            if math.isfinite(descent.deviance):
-                side.learn(descent.fit, free)
-                break
-        return Node(float(guesses[0, side.index]), descent.deviance, descent.point)
+        self, side: ProfileBranch, value: float, starts: Sequence[FloatArray], options: LeastSquares
+    ) -> Generator[FloatArray, FloatArray, Node]:
+        """Fit the others with one unknown fixed, from the best of some starts (n,)."""
+        points = np.array(starts)
+        points[:, side.index] = value
+        free, near = np.arange(self.box.n) != side.index, (side.columns, self._steps)
+        descent = Descent(options, self.box, self._cost, points, free, *near)
+        yield from _run(descent)
+        self._steps = descent.fit.steps
+        if math.isfinite(descent.deviance):
+            side.learn(descent.fit, free)
+        return Node(value, descent.deviance, descent.point)
 
     def _profile(self, j: int) -> Profile:
         down, up = self._sides[2 * j], self._sides[2 * j + 1]

@@ -132,11 +132,9 @@ class ProfileBranch:
         return self._between(self.nodes[above - 1], self.nodes[above], threshold)
 
     def first_above(self, threshold: float) -> int | None:
-        """Return the index of the first node above the threshold, counted from the optimum."""
-        for k, length in enumerate(self.lengths(threshold)):
-            if k and length >= 1.0:
-                return k
-        return None
+        """Return the index of the first node past all that are below the threshold."""
+        above = 1 + max(k for k, n in enumerate(self.lengths(threshold)) if n < 1.0)
+        return above if above < len(self.nodes) else None
 
     def lengths(self, threshold: float) -> list[float]:
         """Return the length of each node: the root of its rise over the threshold."""
@@ -163,8 +161,8 @@ class ProfileBranch:
         base = self.nodes[0].deviance
         return min(known, key=lambda node: abs(node.deviance - base - threshold))
 
-    def guesses(self, value: float) -> FloatArray:
-        """Return start points (k, n) for a fixed value of the unknown, the likeliest first."""
+    def guesses(self, value: float) -> list[FloatArray]:
+        """Return start points (n,) for a fixed value of the unknown, the likeliest first."""
         known = [node for node in self.nodes if math.isfinite(node.deviance)]
         near = sorted(known, key=lambda node: abs(node.value - value))[:2]
         if len(near) == 1:
@@ -172,9 +170,7 @@ class ProfileBranch:
         else:
             share = (value - near[0].value) / (near[1].value - near[0].value)
             guess = near[0].point + share * (near[1].point - near[0].point)
-        points = np.array([guess, near[0].point])
-        points[:, self.index] = value
-        return points
+        return [guess, near[0].point]
 
     def _distance(self, value: float) -> float:
         return self.sign * (value - self._centre)
