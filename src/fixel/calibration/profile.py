@@ -117,11 +117,11 @@ class ProfileLikelihood:
     end at the nearest bump.
 
     Each fixed value begins with the derivatives of the value before, corrected by what was met on
-    the way; its own are taken only where these mislead. An interval contains every point met that
-    is below the threshold. Where the deviance is a parabola, one value a side confirms what the
-    curvature predicts, and an unknown costs some 20 evaluations; on rough or bent surfaces several
-    times as much. A better optimum than the one given becomes the new base: the values known
-    already stay.
+    the way; its own are taken only where these mislead. An interval contains every point
+    below the threshold that profiles met. Where the deviance is a parabola, one value a side
+    confirms what the curvature predicts, and an unknown costs some 20 evaluations; on rough or bent
+    surfaces several times as much. A better optimum than the one given becomes the new base: the
+    values known already stay.
 
     Source
     ------
