@@ -306,6 +306,16 @@ def test_an_overload_stops_the_head_in_the_first_push_of_a_row_only():
     assert lab.moments[-1].head[0] > 0.6 * TRAVEL
 
 
+def test_a_row_begun_by_an_earlier_program_has_no_second_fault():
+    """Else a campaign that is killed in such a row meets the fault each time, and skips the row."""
+    lab = laboratory(replace(NO_FAULTS, overload=(ROW.name,)))
+    first = true_parameters(lab)
+    lab.prepare(ROW, 1)
+    assert true_parameters(lab)["mu_pusher"] != first["mu_pusher"]
+    pushed(lab)
+    assert lab.moments[-1].head[0] > 0.6 * TRAVEL
+
+
 def begin(lab):
     """The head goes back, and the row is prepared again."""
     frames = lab.source.frames()
@@ -314,7 +324,7 @@ def begin(lab):
         while drive.moving:
             next(frames)
         next(frames)
-    lab.prepare(ROW)
+    lab.prepare(ROW, 1)
 
 
 def true_parameters(lab):

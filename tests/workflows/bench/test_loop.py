@@ -294,6 +294,21 @@ class Estimator:
 
 
 @pytest.mark.system
+def test_the_emulated_laboratory_counts_the_pushes_of_earlier_programs(bench, monkeypatch):
+    counts = []
+    for _ in range(3):
+        with opened(bench) as loop:
+            lab = loop.devices.laboratory
+            monkeypatch.setattr(lab, "prepare", lambda row, done: counts.append((row.name, done)))
+            first, second = loop.campaign.rows
+            loop._begin_row(first)
+            loop._begin_row(second)
+            loop.campaign.begin(first.name)  # and is killed
+    assert counts == [(first.name, 0), (second.name, 0), (first.name, 1), (second.name, 0),
+                      (first.name, 2), (second.name, 0)]  # fmt: skip
+
+
+@pytest.mark.system
 def test_an_accepted_attempt_that_is_repeated_leaves_the_estimates(bench):
     with opened(bench) as loop:
         rows, loop._estimator = loop.campaign.rows, Estimator()

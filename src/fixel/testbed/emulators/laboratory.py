@@ -145,7 +145,6 @@ class EmulatedLaboratory:
         self._lock = threading.RLock()
         self._sensor = Sensor(self._looks, self.stream.size, seed)
         self._frame = self._placings = 0
-        self._pushes: dict[str, int] = {}  # number of pushes by row
         self._view: RenderedBench | film.BrightField | None = None
 
     def clock(self) -> float:
@@ -159,16 +158,18 @@ class EmulatedLaboratory:
 
     # --- the person at the bench ------------------------------------------------------------------
 
-    def prepare(self, planned: PlannedExperiment) -> None:
-        """Place fixels and part of a row, the part roughly; the head stays where it is."""
-        done = self._pushes.get(planned.name, 0)
+    def prepare(self, planned: PlannedExperiment, done: int = 0) -> None:
+        """Place fixels and part of a row, the part roughly; the head stays where it is.
+
+        `done` is the number of pushes that the row has had: only the first has the faults of a row.
+        """
         # Every repetition has its own scatter.
         run = replace(planned, name=f"{planned.name} {done + 1}") if done else planned
         scene, head = self._truth.true_scene(run), planned.scene.pushers[0]
         simulate(scene, duration=1e-6)  # compiles here and not while the pictures run
         drive, along = head.drive, placed(direction_of(head), (0.0, 0.0, head.pose[2]))
         with self._lock:
-            self._planned, self._scene, self._along = planned, scene, along
+            self._planned, self._done, self._scene, self._along = planned, done, scene, along
             self._travel = (
                 drive.distance(planned.scene.duration)
                 if isinstance(drive, LineDrive)
@@ -276,13 +277,11 @@ class EmulatedLaboratory:
         return np.append(way, 0.0)
 
     def _begin_push(self, seconds: float) -> None:
-        """Begin the faults of a row, which only its first push has, of a given duration [s]."""
-        name, faults = self._planned.name, self._faults
-        self._pushing, done = True, self._pushes.get(name, 0)
-        self._pushes[name] = done + 1
-        if name in faults.overload and not done:
+        """Begin a push of a given duration [s], with the faults of its row if it is the first."""
+        name, faults, self._pushing = self._planned.name, self._faults, True
+        if name in faults.overload and not self._done:
             self._jam = JAM * self._travel
-        if name in faults.hidden and not done:
+        if name in faults.hidden and not self._done:
             looks = replace(self._looks, occlusion=faults.hand)
             times = self._now + np.array([0.0, seconds])
             self._hand = film.Occlusion(self._scene, self.rig, looks, times, self._seed)

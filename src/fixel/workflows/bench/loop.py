@@ -304,7 +304,7 @@ class BenchLoop:
         if row is None:
             return
         if self.devices.laboratory is not None:
-            self.devices.laboratory.prepare(row)
+            self.devices.laboratory.prepare(row, len(self.campaign.of(row.name)))
         self._overlay = Overlay(
             self.devices.rig, row.scene, self._allowed, anchor=self._anchor(row)
         )
