@@ -110,6 +110,23 @@ def test_an_interval_contains_what_the_profile_of_another_parameter_met():
     assert intervals(found)[0] == pytest.approx(inside[[0, -1]], abs=0.01)
 
 
+def test_an_interval_contains_what_the_look_at_the_bounds_met():
+    """At both bounds of x the deviance is low again, and y is far from the best there."""
+
+    def twisted(points):
+        x, y = points[:, 0], points[:, 1]
+        return np.c_[3.0 * np.sin(np.pi * x) + 0.5 * x, (y - 0.7 * x**8) / 0.1]
+
+    _, found = calibrated(twisted, box([-1, -1], [1, 1]))
+    assert intervals(found)[0] == pytest.approx([np.nan, np.nan], nan_ok=True)  # open
+    low, high = intervals(found)[1]
+    assert low == pytest.approx(-0.1 * np.sqrt(found.limit), abs=0.01)
+    # At x = 1, where the first residual is 0.5.
+    assert high == pytest.approx(0.7 + 0.1 * np.sqrt(found.limit - 0.25), abs=0.02)
+    for profile in found.profiles:
+        assert (np.diff(profile.values) > 0.0).all()
+
+
 @pytest.mark.parametrize("n", [2, 6])
 def test_profiles_of_a_parabola_cost_few_evaluations(n):
     """Before: 150 an unknown, ten times as many as a search by least squares."""

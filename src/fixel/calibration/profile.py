@@ -281,9 +281,9 @@ class ProfileSearch:
         self._moved, self._rise = np.zeros((2, self.box.n, self.box.n))
         self._phases: list[tuple[str, Callable[[], list[Task]]]] = [
             ("profiles", lambda: list(map(self._trace, self._sides))),
-            ("ends", lambda: list(map(self._extend, self._sides))),
             ("bounds", lambda: list(map(self._scan, self._sides))),
             ("slices", self._make_slices),
+            ("ends", lambda: list(map(self._extend, self._sides))),
             ("partners", lambda: list(map(self._hold, self._sides))),
         ]
         self.phase, self._phase_begun = "best fit", self.evaluations
@@ -369,11 +369,13 @@ class ProfileSearch:
     def _extend(self, side: ProfileBranch) -> Task:
         """Go on outwards from the farthest good point that any profile met past the crossing."""
         while (above := side.first_above(self._threshold)) is not None:
-            for node in self._beyond(side, side.nodes[above].value)[-1:]:
-                side.add(node)
-            if side.first_above(self._threshold) == above:
+            farthest = self._beyond(side, side.nodes[above].value)[-1:]
+            if not farthest:
                 return
+            side.add(farthest[0])
+            side.beyond = []  # from descents that began elsewhere
             yield from self._trace(side)
+            yield from self._scan(side)
 
     def _elsewhere(self, side: ProfileBranch, value: float) -> list[FloatArray]:
         """Return starts (n,) for a value: the nearest good point beyond it, if any, and the best.
