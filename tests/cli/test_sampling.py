@@ -83,7 +83,7 @@ def test_simulating_finds_more(capsys):
     (["--plot", "plan.bmp"], "fixel needs a picture file"),
     (["--out", "plan.txt"], "fixel needs a plan file"),
     (["--out", "no/such/folder/plan.yaml"], "no folder"),
-    (["bad.yaml"], "fixel: head.speed is -1"),
+    (["bad.yaml"], "fixel: bad.yaml: head.speed is -1"),
     (["good.yaml", "--out", "good.yaml"], "the plan file itself"),
 ])  # fmt: skip
 def test_bad_input_exits_2(arguments, sentence, tmp_path, monkeypatch, capsys):
