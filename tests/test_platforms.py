@@ -58,7 +58,7 @@ def import_all():
         if name not in installed_engines()
         for module in (
             f"fixel.simulation.engines.{own.module}",
-            f"fixel.workflows.model_export.scripts.run_{name}",
+            f"fixel.simulation.engines.scripts.run_{name}",
         )
     }
     for module in pkgutil.walk_packages(fixel.__path__, "fixel."):

@@ -11,14 +11,8 @@ from fixel import Body, Disk, Ellipsoid, Fixel, PathDrive, Plane, Polygon, Pushe
 from fixel.model.bodies import Spring
 from fixel.model.support import UniformPressure
 from fixel.simulation.engines.contract import fault, overlap
-from fixel.simulation.engines.task import (
-    bench_units,
-    plain,
-    segments,
-    task_from,
-    task_of,
-    unsupported,
-)
+from fixel.simulation.engines.scripts import drive
+from fixel.simulation.engines.task import bench_units, plain, task_from, task_of, unsupported
 from fixel.testing.scenes import pushed_square
 
 L_SHAPE = Polygon([(0, 0), (0.08, 0), (0.08, 0.03), (0.03, 0.03), (0.03, 0.09), (0, 0.09)])
@@ -66,22 +60,32 @@ def test_frames_return_to_the_scene():
     np.testing.assert_allclose(frames.scene_poses(moved) - body.pose, [0.01, 0, 0], atol=1e-15)
 
 
+def segments(task):
+    """Return durations (n,), velocities (n, 3) and samples of the segments of a task."""
+    model = {"choices": {"step": 1e-3}, **plain(task)}
+    durations, velocities, samples = [], [], []
+    for n, step, velocity, sample in drive.segments(model):
+        assert step < 1e-3 * (1.0 + 1e-8)
+        durations.append(n * step)
+        velocities.append(velocity)
+        samples.append(sample)
+    return np.array(durations), np.array(velocities), samples
+
+
 def test_segments_reach_every_sample_and_follow_the_path():
     task, _ = task_of(SCENE, TIMES, {}, {})
-    found = list(segments(task))
-    assert [s.sample for s in found] == [True, True, True, False, True]
-    np.testing.assert_allclose(
-        np.cumsum([s.duration for s in found]), [0.1, 0.33, 0.7, 1.0, 1.5], atol=1e-12
-    )
-    way = np.cumsum([s.duration * s.velocity for s in found], axis=0)
+    duration, velocity, samples = segments(task)
+    assert samples == [True, True, True, False, True]
+    np.testing.assert_allclose(np.cumsum(duration), [0.1, 0.33, 0.7, 1.0, 1.5], atol=1e-12)
+    way = np.cumsum(duration[:, None] * velocity, axis=0)
     np.testing.assert_allclose(way[2], PATH[1, 1:] - PATH[0, 1:], atol=1e-12)
     np.testing.assert_allclose(way[-1], PATH[2, 1:] - PATH[0, 1:], atol=1e-12)
-    assert min(s.duration for s in found) > 1e-6
+    assert duration.min() > 1e-6
 
 
 def test_a_sample_at_the_last_waypoint_is_one_end():
     task, _ = task_of(SCENE, np.array([0.5, 1.0, 1.5]), {}, {})
-    assert [s.duration for s in segments(task)] == pytest.approx([0.5, 0.2, 0.3, 0.5])
+    assert segments(task)[0] == pytest.approx([0.5, 0.2, 0.3, 0.5])
 
 
 PUSH = pushed_square()
@@ -170,25 +174,27 @@ def test_the_judge_measures_overlap():
 
 def test_a_path_that_began_before_the_push_is_at_its_place_at_time_zero() -> None:
     early = PATH[0] - [1.0, 0.02, -0.01, 0.3]
-    drive = PathDrive(np.vstack((early, PATH[1:])))
-    scene = replace(SCENE, pushers=(replace(SCENE.pushers[0], drive=drive),))
+    begun = PathDrive(np.vstack((early, PATH[1:])))
+    scene = replace(SCENE, pushers=(replace(SCENE.pushers[0], drive=begun),))
     task, _ = task_of(scene, TIMES, {}, {})
     assert task.pusher is not None
     assert task.pusher.path[0, 0] == 0.0
-    way = np.cumsum([s.duration * s.velocity for s in segments(task)], axis=0)
+    duration, velocity, _ = segments(task)
+    way = np.cumsum(duration[:, None] * velocity, axis=0)
     for place, time in zip(way, (0.1, 0.33, 0.7, 1.0, 1.5), strict=True):
-        np.testing.assert_allclose(task.pusher.path[0, 1:] + place, drive.pose_at(time), atol=1e-12)
+        np.testing.assert_allclose(task.pusher.path[0, 1:] + place, begun.pose_at(time), atol=1e-12)
 
 
 def test_a_path_that_begins_after_the_push_rests_until_then() -> None:
-    drive = PathDrive(PATH + np.array([0.4, 0.0, 0.0, 0.0]))
-    scene = replace(SCENE, pushers=(replace(SCENE.pushers[0], drive=drive),))
+    late = PathDrive(PATH + np.array([0.4, 0.0, 0.0, 0.0]))
+    scene = replace(SCENE, pushers=(replace(SCENE.pushers[0], drive=late),))
     task, _ = task_of(scene, np.array([0.2, 1.5]), {}, {})
     place, time = PATH[0, 1:], 0.0
-    for segment in segments(task):
-        place, time = place + segment.duration * segment.velocity, time + segment.duration
-        np.testing.assert_allclose(place, drive.pose_at(time), atol=1e-12)
-    assert sum(s.duration for s in segments(task) if not s.velocity.any()) == pytest.approx(0.5)
+    duration, velocity, _ = segments(task)
+    for lasted, speed in zip(duration, velocity, strict=True):
+        place, time = place + lasted * speed, time + lasted
+        np.testing.assert_allclose(place, late.pose_at(time), atol=1e-12)
+    assert duration[~velocity.any(axis=1)].sum() == pytest.approx(0.5)
 
 
 def test_bodies_may_coast_and_pushers_return():

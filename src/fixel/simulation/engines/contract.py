@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -18,6 +18,7 @@ from fixel.simulation.engines.task import (
     PlainTask,
     TaskUnits,
     bench_units,
+    plain,
     pusher_poses,
 )
 from fixel.simulation.vary import composed, inverted
@@ -29,10 +30,6 @@ MAX_OVERLAP = 1e-3  # [m] for a body of the bench, in `bench_units` for others
 # Largest distance between two samples beyond the way at the fastest motion that is prescribed.
 MAX_JUMP = 50e-3  # [m] likewise
 JUDGED_SAMPLES = 16  # of a simulation, for overlap
-
-
-class EngineFailed(Exception):
-    """Exception raised by an engine that cannot finish one simulation; its text is the reason."""
 
 
 class EngineInfo(NamedTuple):
@@ -105,6 +102,11 @@ class AbstractPhysicsEngine(abc.ABC):
                 raise unknown_name(f"choices of {cls.name}", name, known)
             given[name] = _value(f"{cls.name}:{name}", value, known[name].default)
         return cls(**given)
+
+
+def model_of(engine: AbstractPhysicsEngine, task: PlainTask) -> dict[str, Any]:
+    """Return a task with the choices of an engine as objects of JSON, for a module of `scripts`."""
+    return {"choices": asdict(engine), **plain(task)}
 
 
 def _value(where: str, text: str, usual: Any) -> Any:

@@ -10,12 +10,11 @@ import mujoco
 import numpy as np
 
 from fixel.model.engine_parameters import MUJOCO, ParameterInfo
-from fixel.simulation.engines.contract import AbstractPhysicsEngine, EngineFailed
+from fixel.simulation.engines.contract import AbstractPhysicsEngine, model_of
 from fixel.simulation.engines.mjcf import mjcf
-from fixel.simulation.engines.task import PlainTask, drive_refusal, steps_of
+from fixel.simulation.engines.scripts import run_mujoco
+from fixel.simulation.engines.task import PlainTask, drive_refusal
 from fixel.typing import FloatArray
-
-SETTLING = 0.2  # [s] before time zero in which feet sink to their rest
 
 
 @final
@@ -66,27 +65,5 @@ class MuJoCo(AbstractPhysicsEngine):
         return drive_refusal(task)
 
     def simulate(self, task: PlainTask) -> FloatArray:
-        model = mujoco.MjModel.from_xml_string(mjcf(task, self))
-        data = mujoco.MjData(model)
-        path = np.zeros((1, 4)) if task.pusher is None else task.pusher.path
-        self._settle(model, data, task)
-        data.qpos[:3], data.qvel[:3] = task.body.start, task.body.velocity
-        data.qpos[-3:] = path[0, 1:]
-        found = []
-        for segment, n, step in steps_of(task, self.step):
-            data.qvel[-3:] = segment.velocity
-            model.opt.timestep = step
-            mujoco.mj_step(model, data, n)
-            if any(warning.number for warning in data.warning):
-                raise EngineFailed("a warning of MuJoCo: unstable")
-            if segment.sample:
-                found.append(data.qpos[:3].copy())
-        return np.array(found)
-
-    def _settle(self, model: mujoco.MjModel, data: mujoco.MjData, task: PlainTask) -> None:
-        """Let the feet sink with body and pusher far from everything."""
-        data.qpos[:2] = 100.0
-        data.qpos[-3:-1] = -100.0
-        mujoco.mj_step(model, data, round(SETTLING / self.step))
-        data.qvel[:] = 0.0
-        data.time = 0.0
+        physics = mujoco.MjModel.from_xml_string(mjcf(task, self))
+        return np.array(run_mujoco.poses_of(model_of(self, task), physics))

@@ -9,7 +9,8 @@ from collections.abc import Mapping
 from importlib import import_module
 from typing import Any
 
-from fixel.simulation.engines.contract import AbstractPhysicsEngine, EngineFailed
+from fixel.simulation.engines.contract import AbstractPhysicsEngine
+from fixel.simulation.engines.scripts.drive import EngineFailed
 from fixel.simulation.engines.task import task_from
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +17,6 @@ from fixel.simulation.pack import pair_tables, pusher_path, supports_of
 from fixel.simulation.vary import Variation, composed, inverted, vary
 from fixel.typing import FloatArray
 
-SHORTEST = 1e-6  # [s] of an interval
 # Parts on a bench, for which engines and their usual choices are made. Others are scaled to them.
 BENCH_SIZE = (0.05, 0.15)  # [m] from the centre of mass to the farthest point of the outline
 BENCH_MASS = (0.1, 1.0)  # [kg]
@@ -140,14 +139,6 @@ def bench_units(body: PlainBody) -> TaskUnits:
     return TaskUnits(length, mass, (0.0, 0.0) if length == 1.0 else (x, y))
 
 
-class Segment(NamedTuple):
-    """Interval of time in which the pusher has one velocity."""
-
-    duration: float  # [s]
-    velocity: FloatArray  # (3,) of the pusher [m/s, m/s, rad/s]
-    sample: bool  # whether the pose at its end is wanted
-
-
 def unsupported(scene: Scene) -> str:
     """Return what of a scene a task cannot hold; empty for a scene that it can."""
     if len(scene.bodies) != 1 or len(scene.pushers) > 1:
@@ -230,35 +221,6 @@ class BodyFrames(NamedTuple):
         """Return poses (n, 3) of the scene's frame from those of a task's."""
         found = _moved(pose, -self.body.com)
         return found if self.outline is None else composed(found, inverted(self.outline))
-
-
-def segments(task: PlainTask) -> Iterator[Segment]:
-    """Yield the intervals between waypoints and samples, in order of time.
-
-    A waypoint very near another end is left out: engines divide by the length of a step.
-    """
-    samples = task.times[task.times > 0.0]
-    ends = [(float(time), True) for time in samples]
-    if task.pusher is not None:
-        inside = task.pusher.path[1:, 0]
-        apart = np.abs(inside[:, None] - np.append(samples, 0.0)).min(axis=1) > SHORTEST
-        ends += [(float(time), False) for time in inside[apart & (inside < samples[-1])]]
-    before = 0.0
-    for end, sample in sorted(ends):
-        if end - before < SHORTEST and not sample:
-            continue
-        velocity = np.zeros(3)
-        if task.pusher is not None:
-            velocity = np.diff(pusher_poses(task.pusher, np.array([before, end])), axis=0)[0]
-        yield Segment(end - before, velocity / (end - before), sample)
-        before = end
-
-
-def steps_of(task: PlainTask, step: float) -> Iterator[tuple[Segment, int, float]]:
-    """Yield segments with the number and the length [s] of their steps, at most `step` each."""
-    for segment in segments(task):
-        n = math.ceil(segment.duration / step * (1.0 - 1e-9))
-        yield segment, n, segment.duration / n
 
 
 def planar_refusal(task: PlainTask) -> str:

@@ -24,9 +24,10 @@ from fixel.progress import ProgressOption, show_progress
 from fixel.simulation import AbstractMotionModel, AbstractStepper
 from fixel.simulation.engine_names import EngineName
 from fixel.simulation.engines import AbstractPhysicsEngine, engine_of
+from fixel.simulation.engines.contract import model_of
 from fixel.simulation.engines.mjcf import mjcf
 from fixel.simulation.engines.sdf import sdf
-from fixel.simulation.engines.task import PlainTask, bench_units, plain, task_of, unsupported
+from fixel.simulation.engines.task import PlainTask, bench_units, task_of, unsupported
 from fixel.simulation.motion import OtherEngine
 from fixel.simulation.rollouts import RolloutCase, ensemble_of
 from fixel.typing import FloatArray, ProgressCallback
@@ -44,7 +45,7 @@ MODELS: Final[Mapping[str, Callable[[PlainTask, Any], Mapping[str, str]]]] = {
 }
 # Fields of an estimate in a card.
 STATED: Final = ("unit", "value", "best_fit", "low", "high", "level", "verdict")
-_SCRIPTS: Final = "fixel.workflows.model_export.scripts"
+_SCRIPTS: Final = "fixel.simulation.engines.scripts"
 
 
 class ModelExport(NamedTuple):
@@ -186,13 +187,12 @@ def _model(engine: AbstractPhysicsEngine, case: SourceCase) -> _ModelFiles:
     task, frame = _task(case)
     if found := engine.refusal(task):
         raise _refused(engine.name, found)
-    made, units = asdict(engine), bench_units(task.body)
+    units = bench_units(task.body)
     task = units.task(task)
     document = {
         "format": FORMAT,
         "fixel": version("fixel"),
         "engine": f"{engine.name} {engine.version}",
-        "choices": made,
         "units": {
             "length_m": units.length,
             "mass_kg": units.mass,
@@ -200,7 +200,7 @@ def _model(engine: AbstractPhysicsEngine, case: SourceCase) -> _ModelFiles:
             "origin_m": units.origin,
         },
         "frame": frame,
-        **plain(task),
+        **model_of(engine, task),
     }
     del document["values"]
     contents = {"model.json": json.dumps(document, indent=1, allow_nan=False) + "\n"}

@@ -15,17 +15,17 @@ from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from fixel.workflows.model_export.scripts.drive import Poses, pusher_path, run
+from fixel.simulation.engines.scripts.drive import EngineFailed, Poses, pusher_path, run
 
 SAME = 1e-9  # [m/s], [rad/s]
 
 
-def simulate(model: dict[str, Any]) -> Poses:
-    """Return the poses of the body at the times of the model."""
-    own, choices, times = model["body"], model["choices"], model["times"]
-    n = math.ceil(times[-1] / choices["step"] * (1.0 - 1e-9))
+def simulate(model: dict[str, Any], folder: Path = Path(__file__).parent) -> Poses:
+    """Return the poses of the body at the times of the model, whose SDF is in a folder."""
+    own, times = model["body"], model["times"]
+    n = math.ceil(times[-1] / model["choices"]["step"] * (1.0 - 1e-9))
     step = times[-1] / n
-    plant, diagram = built(model, step)
+    plant, diagram = built(model, step, folder)
     simulator = Simulator(diagram)
     context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
     body, drive = (plant.GetJointByName(name) for name in ("object_plane", "pusher_plane"))
@@ -39,19 +39,29 @@ def simulate(model: dict[str, Any]) -> Poses:
     body.set_angular_velocity(context, own["velocity"][2])
     simulator.Initialize()
     velocity = np.diff(head, axis=0) / step
-    track = [own["start"]]
-    for k in range(n):
-        if k == 0 or np.abs(velocity[k] - velocity[k - 1]).max() > SAME:
-            drive.set_translational_velocity(context, velocity[k, :2])
-            drive.set_angular_velocity(context, velocity[k, 2])
-        simulator.AdvanceTo(grid[k + 1])
+    track, before = [own["start"]], 0
+    # A call of Drake takes longer than a step: one until the velocity changes, or a sample.
+    jumps = np.abs(np.diff(velocity, axis=0)).max(axis=1) > SAME
+    changes = {0, *(1 + np.flatnonzero(jumps)).tolist()}
+    after = np.searchsorted(grid, times)
+    stops = sorted({*changes, *(after - 1).tolist(), *after.tolist()} - {0, -1})
+    for k in stops:
+        if before in changes:
+            drive.set_translational_velocity(context, velocity[before, :2])
+            drive.set_angular_velocity(context, velocity[before, 2])
+        try:
+            simulator.AdvanceTo(grid[k])
+        except RuntimeError as problem:
+            raise EngineFailed(str(problem).strip().partition("\n")[0]) from None
         track.append([*body.get_translation(context), body.get_rotation(context)])
-    columns = [np.interp(times, grid, column) for column in np.array(track).T]
+        before = k
+    known = grid[[0, *stops]]
+    columns = [np.interp(times, known, column) for column in np.array(track).T]
     return list(np.column_stack(columns).tolist())
 
 
-def built(model: dict[str, Any], step: float) -> tuple[Any, Any]:
-    """Return the plant of `model.sdf`, and the diagram that contains it."""
+def built(model: dict[str, Any], step: float, folder: Path) -> tuple[Any, Any]:
+    """Return the plant of the SDF in a folder, and the diagram that contains it."""
     builder = DiagramBuilder()
     config = MultibodyPlantConfig(
         time_step=step,
@@ -61,7 +71,10 @@ def built(model: dict[str, Any], step: float) -> tuple[Any, Any]:
     )
     plant, _ = AddMultibodyPlant(config, builder)
     plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -model["gravity"]])
-    Parser(plant).AddModels(str(Path(__file__).with_name("model.sdf")))
+    # A model that is a file is parsed ten times as slowly as a text, but meshes have to be files.
+    text = (folder / "model.sdf").read_text("utf-8")
+    text = text.replace("<uri>", f"<uri>file://{folder.absolute()}/")
+    Parser(plant).AddModelsFromString(text, "sdf")
     plant.Finalize()
     return plant, builder.Build()
 

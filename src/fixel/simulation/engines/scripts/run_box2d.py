@@ -10,7 +10,7 @@ from typing import Any
 
 import Box2D
 
-from fixel.workflows.model_export.scripts.drive import Poses, pusher_path, run, segments
+from fixel.simulation.engines.scripts.drive import Poses, pusher_path, run, segments
 
 
 def simulate(model: dict[str, Any]) -> Poses:

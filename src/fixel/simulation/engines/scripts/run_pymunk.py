@@ -11,19 +11,19 @@ from typing import Any
 
 import pymunk
 
-from fixel.workflows.model_export.scripts.drive import Poses, pusher_path, run, segments
+from fixel.simulation.engines.scripts.drive import Poses, pusher_path, run, segments
 
-UNIT = 1000.0  # of length to the metre
+UNIT = 1000.0  # of length to the metre: slop and bias of the engine are made for such sizes
 
 
 def simulate(model: dict[str, Any]) -> Poses:
     """Return the poses of the body at the times of the model."""
     own, choices = model["body"], model["choices"]
-    space = pymunk.Space()
+    space = pymunk.Space()  # a new one each time: contacts of the last one would be remembered
     space.gravity = (0.0, 0.0)
     space.iterations = choices["iterations"]
     space.collision_slop = choices["slop"] * UNIT
-    space.collision_bias = 0.0
+    space.collision_bias = 0.0  # an overlap is gone after one step
     body = pymunk.Body(own["mass"], own["inertia"] * choices["inertia_factor"] * UNIT**2)
     body.position, body.angle = scaled(own["start"]), own["start"][2]
     body.velocity, body.angular_velocity = scaled(own["velocity"]), own["velocity"][2]

@@ -11,15 +11,20 @@ from typing import Any
 
 import mujoco
 
-from fixel.workflows.model_export.scripts.drive import Poses, pusher_path, run, segments
+from fixel.simulation.engines.scripts.drive import EngineFailed, Poses, pusher_path, run, segments
 
 SETTLING = 0.2  # [s] before time zero in which feet sink to their rest
 
 
 def simulate(model: dict[str, Any]) -> Poses:
     """Return the poses of the body at the times of the model."""
+    file = Path(__file__).with_name("model.xml")
+    return poses_of(model, mujoco.MjModel.from_xml_path(str(file)))
+
+
+def poses_of(model: dict[str, Any], physics: mujoco.MjModel) -> Poses:
+    """Return the poses of the body at the times of a model that MuJoCo has read."""
     own = model["body"]
-    physics = mujoco.MjModel.from_xml_path(str(Path(__file__).with_name("model.xml")))
     data = mujoco.MjData(physics)
     # Body and pusher are far from everything while the feet settle.
     data.qpos[:2], data.qpos[-3:-1] = 100.0, -100.0
@@ -34,7 +39,7 @@ def simulate(model: dict[str, Any]) -> Poses:
         physics.opt.timestep = step
         mujoco.mj_step(physics, data, n)
         if any(warning.number for warning in data.warning):
-            raise SystemExit(f"MuJoCo became unstable at {data.time:.3g} s")
+            raise EngineFailed("MuJoCo became unstable")
         if wanted:
             found.append(data.qpos[:3].tolist())
     return found

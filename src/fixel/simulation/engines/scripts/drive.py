@@ -1,4 +1,4 @@
-"""Drive and poses of a model that fixel exported. Used by `run.py`; needs only Python."""
+"""Drive and poses of a model. Used by `run.py`; needs only Python."""
 
 from __future__ import annotations
 
@@ -13,6 +13,10 @@ from typing import Any
 
 Poses = list[Sequence[float]]
 SHORTEST = 1e-6  # [s] between two ends of segments
+
+
+class EngineFailed(Exception):
+    """Exception raised by an engine that cannot finish one simulation; its text is the reason."""
 
 
 def load() -> dict[str, Any]:
@@ -49,9 +53,9 @@ def pusher_at(path: list[list[float]], time: float) -> list[float]:
 def segments(model: dict[str, Any]) -> Iterator[tuple[int, float, list[float], bool]]:
     """Yield number and length of steps, velocity of the pusher, and whether a sample follows.
 
-    A waypoint very near another end is left out.
+    A waypoint very near another end is left out: engines divide by the length of a step.
     """
-    path, times = pusher_path(model), model["times"]
+    path, times = pusher_path(model), [time for time in model["times"] if time > 0.0]
     ends = [(time, True) for time in times]
     for row in path[1:]:
         apart = min(abs(row[0] - time) for time in [0.0, *times])
@@ -85,8 +89,12 @@ def run(simulate: Callable[[dict[str, Any]], Iterable[Sequence[float]]]) -> None
     model = load()
     length, second = model["units"]["length_m"], model["units"]["time_s"]
     x0, y0 = model["units"]["origin_m"]
+    try:
+        poses = simulate(model)
+    except EngineFailed as failure:
+        raise SystemExit(str(failure)) from None
     table = csv.writer(sys.stdout, lineterminator="\n")
     table.writerow(("time_s", "x_m", "y_m", "theta_rad"))
-    for time, (x, y, theta) in zip(model["times"], simulate(model), strict=True):
+    for time, (x, y, theta) in zip(model["times"], poses, strict=True):
         pose = in_frame((x0 + length * x, y0 + length * y, theta), model["frame"])
         table.writerow((second * time, *pose))
