@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -91,9 +91,8 @@ def explore(
     get_ready(samples.targets[0].case.scene)
     if progress is not None:
         progress.stage = f"simulating {len(wanted)} times"
-    comparer = Comparer(
-        samples.targets, _space(stored), stored.calibrated.error, stored.calibrated.motion
-    )
+    method = stored.best[0]  # they have the same motion model and error
+    comparer = Comparer(samples.targets, _space(stored), method.error, method.motion)
     answer = wanted.run(comparer.errors)
     growth = grower.read(answer)
     added = _keep(store, summaries, growth, samples, stored, command)
@@ -305,29 +304,15 @@ class SingleMethod(NamedTuple):
         return f"{self.motion}, {self.error} [{self.unit}{at}] of {', '.join(self.names)}"
 
 
-class One(NamedTuple):
-    """Stored set of parameters."""
-
-    id: int
-    record: CalibrationRecord
-    values: dict[str, float]
-
-    @property
-    def error(self) -> float:
-        """Error of its only member."""
-        return self.record.errors[0]
-
-
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredSets:
     """Sets of parameters of one method."""
 
     method: SingleMethod
-    best: list[One]  # best set of each experiment
+    best: list[CalibratedValues]  # best set of each experiment
     # The same sets for the growth; parameters in the order of `method.names`.
     singles: SingleCalibrations
-    calibrated: CalibratedValues  # one of the sets, for motion model and error
     warnings: list[str] = field(default_factory=list)
 
 
@@ -345,7 +330,7 @@ def best_singles(
     calibrations of several methods.
     """
     place = {number: k for k, number in enumerate(samples.ids)}
-    by_method: dict[SingleMethod, dict[int, One]] = {}
+    by_method: dict[SingleMethod, dict[int, CalibratedValues]] = {}
     for number, record in summaries.items():
         if len(record.members) != 1 or record.members[0].experiment_id not in place:
             continue
@@ -354,41 +339,39 @@ def best_singles(
         if error not in ("", record.method.get("error")):
             continue
         k = place[record.members[0].experiment_id]
-        one = One(
-            number, record, CalibratedValues(number, record).values(samples.targets[k].conditions)
-        )
-        best = by_method.setdefault(_method(one), {})
+        one = CalibratedValues(number, record)
+        best = by_method.setdefault(_method(record, one.values(samples.targets[k].conditions)), {})
         # The newest of equals.
-        if k not in best or not one.error > best[k].error:
+        if k not in best or not record.errors[0] > best[k].record.errors[0]:
             best[k] = one
     method, warnings = _chosen(by_method, samples, folder)
     found = [by_method[method][k] for k in range(len(samples.ids))]
-    points = np.array([[one.values[name] for name in method.names] for one in found])
-    errors = np.array([one.error for one in found])
+    sets = [one.values(own.conditions) for one, own in zip(found, samples.targets, strict=True)]
+    points = np.array([[values[name] for name in method.names] for values in sets])
+    errors = np.array([one.record.errors[0] for one in found])
     return StoredSets(
         method=method,
         best=found,
         singles=SingleCalibrations(
             points=points, errors=errors, joint=_joint(summaries, method, place, samples)
         ),
-        calibrated=CalibratedValues(found[0].id, found[0].record),
         warnings=warnings,
     )
 
 
-def _method(one: One) -> SingleMethod:
-    own = one.record.method
+def _method(record: CalibrationRecord, names: Iterable[str]) -> SingleMethod:
+    own = record.method
     return SingleMethod(
-        motion=one.record.motion,
+        motion=record.motion,
         error=str(own.get("error", "")),
         unit=str(own.get("error_unit", "")),
         options=tuple((k, v) for k, v in sorted(own.items()) if k.startswith("error.")),
-        names=tuple(sorted(one.values)),
+        names=tuple(sorted(names)),
     )
 
 
 def _chosen(
-    by_method: dict[SingleMethod, dict[int, One]], samples: GrowthSamples, folder: Path
+    by_method: dict[SingleMethod, dict[int, CalibratedValues]], samples: GrowthSamples, folder: Path
 ) -> tuple[SingleMethod, list[str]]:
     """Select the method under which every experiment has a set; of several the last one used."""
     n = len(samples.ids)
@@ -406,7 +389,7 @@ def _chosen(
 
 
 def _refuse(
-    by_method: dict[SingleMethod, dict[int, One]], samples: GrowthSamples, folder: Path
+    by_method: dict[SingleMethod, dict[int, CalibratedValues]], samples: GrowthSamples, folder: Path
 ) -> None:
     n = len(samples.ids)
     place = [] if folder == Path() else ["--project", str(folder)]
@@ -452,8 +435,7 @@ def _joint(
             continue
         model = CalibratedValues(number, record)
         sets = [model.values(samples.targets[k].conditions) for k in rows]
-        one = One(number, record, sets[0])
-        if _method(one) != method or any(values != sets[0] for values in sets):
+        if _method(record, sets[0]) != method or any(values != sets[0] for values in sets):
             continue
         members, largest = tuple(sorted(rows)), max(record.errors)
         if not math.isfinite(largest) or largest > least.get(members, math.inf):
