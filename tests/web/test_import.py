@@ -47,9 +47,7 @@ def test_what_cannot_be_is_refused_in_a_sentence(bench):
 def test_files_dropped_on_the_page_are_imported(browser_page, server):
     page = browser_page
     page.wait_for_selector("tr[data-id]")
-    template = workflow.import_texts(
-        server.context.store, "a.csv", TABLE, None, dry_run=True
-    ).template
+    _, template, _ = workflow.import_texts(server.context.store, "a.csv", TABLE, None, dry_run=True)
     page.evaluate(
         """({ table, scene }) => {
             const dataTransfer = new DataTransfer();

@@ -119,7 +119,7 @@ def undelete_notes(context: Context, wanted: MarkRequest) -> ChangedRecords:
 
 @router.post("/import", summary="Import a CSV table with its scene", tags=["experiments"])
 def import_table(context: Context, wanted: TableRequest) -> TableResult:
-    done = import_texts(
+    plan, template, done = import_texts(
         context.store,
         wanted.name,
         wanted.table,
@@ -128,9 +128,9 @@ def import_table(context: Context, wanted: TableRequest) -> TableResult:
         dry_run=wanted.dry_run,
     )
     return TableResult(
-        understood=list(done.understood),
-        has_scene=done.template is None,
-        template=done.template,
-        stored=done.new,
-        known=done.known,
+        understood=list(plan.understood),
+        has_scene=template is None,
+        template=template,
+        stored=bool(done.new),
+        known=bool(done.known),
     )

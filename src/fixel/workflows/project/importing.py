@@ -49,15 +49,6 @@ def write_template(plan: ImportPlan, folder: Path) -> Path | None:
     return None
 
 
-class ImportedTable(NamedTuple):
-    """Result of reading the text of a table."""
-
-    understood: tuple[str, ...]
-    template: str | None  # template of a scene, if there is none
-    new: bool
-    known: bool
-
-
 def import_texts(
     store: Store,
     name: str,
@@ -66,11 +57,12 @@ def import_texts(
     *,
     angle_unit: str | None = None,
     dry_run: bool = False,
-) -> ImportedTable:
+) -> tuple[ImportPlan, str | None, AddSummary]:
     """Store the experiment in the text of a CSV table, or with `dry_run` only read it.
 
-    The experiment gets its name from `name`, that of the table's file. `scene` is the YAML of a
-    scene file; `angle_unit`, `rad` or `deg`, overrides the header.
+    Return how it was read, the template of a scene if it has none, and how many experiments were
+    added. The experiment gets its name from `name`, that of the table's file. `scene` is the YAML
+    of a scene file; `angle_unit`, `rad` or `deg`, overrides the header.
     """
     with TemporaryDirectory(prefix="fixel-import-") as folder:
         source = Path(folder) / name
@@ -83,7 +75,7 @@ def import_texts(
         (experiment,) = plan.experiments()
         template = None if experiment.scene is not None else template_text(experiment, name)
         done = AddSummary(0, 0, 0, 0.0) if dry_run else add_experiments(store, [experiment])
-    return ImportedTable(plan.understood, template, bool(done.new), bool(done.known))
+    return plan, template, done
 
 
 def run_testbed(
