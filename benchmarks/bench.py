@@ -30,8 +30,8 @@ from fixel.testbed.shared_camera import SharedCamera
 from fixel.workflows.acquisition.overlay import Tolerance
 from fixel.workflows.acquisition.record import codec_for
 from fixel.workflows.bench import devices
+from fixel.workflows.bench.estimates import LiveAnswer, estimate_rows
 from fixel.workflows.bench.judge import track_attempt
-from fixel.workflows.bench.live import LiveAnswer, estimate_rows
 from fixel.workflows.bench.loop import Background
 from fixel.workflows.bench.run import open_bench
 from fixel.workflows.calibration.parameter_options import searched_unknowns

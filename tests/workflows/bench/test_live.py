@@ -4,7 +4,7 @@ import pytest
 
 from fixel.model import PlannedExperiment
 from fixel.testing.pushes import example_pushes
-from fixel.workflows.bench.live import estimate_rows
+from fixel.workflows.bench.estimates import estimate_rows
 
 SPACE = {"mu_pusher": (0.0, 1.0), "tripod_radius": 0.038}
 PUSHES = example_pushes(5)

@@ -36,8 +36,8 @@ from fixel.workflows.acquisition.record import codec_for
 from fixel.workflows.bench.acceptance import BenchFigure, BenchRun, measure_bench
 from fixel.workflows.bench.campaign import Attempt, Campaign
 from fixel.workflows.bench.devices import NO_ZERO, BenchDevices
+from fixel.workflows.bench.estimates import LiveAnswer, estimate_rows
 from fixel.workflows.bench.judge import TrackedAttempt, track_attempt
-from fixel.workflows.bench.live import LiveAnswer, estimate_rows
 from fixel.workflows.calibration.parameter_options import searched_unknowns
 
 LEAD: Final = 0.5  # [s] of recording before the push

@@ -125,7 +125,7 @@ def open_bench(
     from fixel.sampling import about_part as pushes_about_part
     from fixel.sampling import thesis_plan
     from fixel.workflows.bench.devices import SETTINGS, emulated_devices, open_devices, settings_of
-    from fixel.workflows.bench.live import check_wishes
+    from fixel.workflows.bench.estimates import check_wishes
     from fixel.workflows.sampling import planned_rows
 
     read = planned_rows(plan, project, scene=scene) if plan else thesis_plan().experiments
