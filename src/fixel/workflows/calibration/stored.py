@@ -22,6 +22,7 @@ from fixel.calibration.result import CalibrationResult, FitKind, ParameterSet, s
 from fixel.calibration.search import CalibrationSearch
 from fixel.calibration.study import Trace
 from fixel.calibration.target import Target, target_of
+from fixel.calibration.usual_parameters import default_unknowns
 from fixel.database.project import DATABASE, Project
 from fixel.database.store import Store
 from fixel.errors import InvalidInput, NotStored, StoreRefused
@@ -160,13 +161,20 @@ def newest_calibration(store: Store, experiment: int | None = None, engine: str 
 
 
 def searched_space(
-    project: Project, one: CalibratedValues, scenes: Sequence[Scene]
+    project: Project,
+    one: CalibratedValues | None,
+    scenes: Sequence[Scene],
+    settings: Sequence[str] = (),
 ) -> ParameterSpace:
     """Return the bounds that a calibration searched, with its result as the start.
 
     Of calibrations that earlier versions stored without bounds, the usual bounds of their
-    parameters are returned.
+    parameters are returned. Parameters of `--fit` come first; without a calibration, the usual
+    ones are returned.
     """
+    if settings or one is None:
+        own = searched_unknowns(settings, scenes) or default_unknowns(scenes)
+        return ParameterSpace(unknowns=tuple(own))
     record, found = one.record, one.record.best_fit
     if record.request is not None or SEARCHED in record.method:
         with readable(project.folder / DATABASE):

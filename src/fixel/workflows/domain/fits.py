@@ -13,7 +13,7 @@ import numpy as np
 from fixel.calibration.objective import AbstractError, EndPose, MeanSquare
 from fixel.calibration.result import FitKind
 from fixel.calibration.target import Target
-from fixel.calibration.usual_parameters import Space, default_unknowns, search_space
+from fixel.calibration.usual_parameters import Space, search_space
 from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.domain.held_out import Apart, CalibrationModel, Finished, counted
@@ -22,13 +22,11 @@ from fixel.io.array_bytes import ResultCache
 from fixel.io.atomic import write_whole
 from fixel.io.damaged_files import readable
 from fixel.model.selection import ExperimentQuery, parse_filter
-from fixel.model.space import ParameterSpace
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.motion import motion_model, stated_name
 from fixel.simulation.trust import permit
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration
-from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.plan import other_call
 from fixel.workflows.calibration.request import target_files
 from fixel.workflows.calibration.stored import CalibratedValues, load_values, searched_space
@@ -93,16 +91,13 @@ def stored_model(of: ProjectRequest, targets: Sequence[Target]) -> FitStarts:
         one = load_values(of.store, asked.calibration, engine=asked.engine)
     elif not asked.fit and (asked.engine or of.store.calibrations()):
         one = load_values(of.store, engine=asked.engine)
-    if one is not None and not asked.fit:
-        space, words = searched_space(of.project, one, scenes), f"calibration {one.id}"
-    else:
-        unknowns = searched_unknowns(asked.fit, scenes) if asked.fit else default_unknowns(scenes)
-        space = ParameterSpace(unknowns=tuple(unknowns))
-        words = (
-            "parameters of --fit" if asked.fit else "the usual parameters, no calibration stored"
-        )
+    words = "the usual parameters, no calibration stored"
+    if asked.fit:
+        words = "parameters of --fit"
+    elif one is not None:
+        words = f"calibration {one.id}"
     model = CalibrationModel(
-        space=space,
+        space=searched_space(of.project, one, scenes, asked.fit),
         motion=motion_model(stated_name(asked.engine or "dynamic")) if one is None else one.motion,
         error=MeanSquare() if one is None else one.error,
     )

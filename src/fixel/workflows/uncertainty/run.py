@@ -146,10 +146,12 @@ def uncertainty(
     NotStored
         There is no such experiment or calibration.
     """
+    asked = UNCERTAINTY.asked(locals())
     from fixel.workflows.calibration.stored import request_in
     from fixel.workflows.uncertainty.sampling import sample, selected, with_predictions
 
-    own = selected(project, experiments, calibration, fit, held_out, options.pop("motion", None))
+    own = selected(project, asked)
+    options.pop("motion", None)
     one = own.calibration and own.calibration.record
     stated = request_in(one).noise if one and one.request else None
     found, point = sample(own.comparer, own.n_used, stated, progress=progress, **options)

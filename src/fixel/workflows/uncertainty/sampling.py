@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -15,13 +15,11 @@ from fixel.calibration.noise import Noise, check_noise, correlation_time, noise_
 from fixel.calibration.objective import Comparer
 from fixel.calibration.study import box_of
 from fixel.calibration.target import Target, target_of
-from fixel.calibration.usual_parameters import default_unknowns
 from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.errors import InvalidInput, no_experiments
 from fixel.model import Experiment
 from fixel.model.selection import ExperimentQuery
-from fixel.model.space import ParameterSpace
 from fixel.progress import ProgressOption, show_progress
 from fixel.simulation.motion import motion_model
 from fixel.typing import FloatArray
@@ -31,7 +29,6 @@ from fixel.uncertainty.near_optimal import NearOptimal, near_optimal, rise_of
 from fixel.uncertainty.posterior import NestedSampling, Posterior, SamplerProgress
 from fixel.uncertainty.prediction import Prediction
 from fixel.uncertainty.repetition import predict_repetition
-from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.stored import (
     CalibratedValues,
     load_values,
@@ -85,19 +82,12 @@ class Uncertainty(NamedTuple):
         return tuple(one for one in self.predicted if one.held_out)
 
 
-def selected(
-    project: Project,
-    keys: Sequence[str],
-    calibration: int | None,
-    settings: Sequence[str],
-    held_out: Sequence[str],
-    motion: str | None,
-) -> SampledExperiments:
+def selected(project: Project, asked: Any) -> SampledExperiments:
     """Load the experiments of a request, with the parameters and the motion model to compare by."""
     with project.store() as store:
-        one = None if calibration is None else load_values(store, calibration)
-        ids = _ids(store, keys, one)
-        held = list(dict.fromkeys(store.find(key) for key in held_out))
+        one = None if asked.calibration is None else load_values(store, asked.calibration)
+        ids = _ids(store, asked.experiments, one)
+        held = list(dict.fromkeys(store.find(key) for key in asked.held_out))
         if set(ids) & set(held):
             raise InvalidInput(
                 "held_out",
@@ -107,7 +97,9 @@ def selected(
         experiments = [store.experiment(number) for number in (*ids, *held)]
         compared = one or _newest(store, ids[0])
     targets = [target_of(experiment) for experiment in experiments]
-    space = _space(project, settings, one, targets[: len(ids)])
+    used, motion = targets[: len(ids)], asked.motion
+    space = searched_space(project, one, [target.case.scene for target in used], asked.fit)
+    space = space.under([target.conditions for target in used])
     if motion is None and one is not None:
         motion = one.motion.name
     comparer = Comparer(targets, space, motion=motion_model(motion))
@@ -206,20 +198,6 @@ def _ids(store: Store, keys: Sequence[str], one: CalibratedValues | None) -> lis
     if len(listed) == 1:
         return [listed[0].id]
     raise no_experiments(expected="at least one, or a calibration whose experiments are used")
-
-
-def _space(
-    project: Project,
-    settings: Sequence[str],
-    one: CalibratedValues | None,
-    targets: Sequence[Target],
-) -> ParameterSpace:
-    """Return the requested parameters, a calibration's with its bounds, or the usual ones."""
-    scenes = [target.case.scene for target in targets]
-    if settings or one is None:
-        own = searched_unknowns(settings, scenes) if settings else default_unknowns(scenes)
-        return ParameterSpace(unknowns=tuple(own))
-    return searched_space(project, one, scenes).under([t.conditions for t in targets])
 
 
 def _noise(comparer: Comparer, members: list[int], point: FloatArray, of_camera: bool) -> Noise:
