@@ -179,20 +179,13 @@ class PushProposal(NamedTuple):
     scenes: tuple[Scene, ...]  # proposed pushes, the best first
 
 
-def select(
-    project: Project,
-    part: str,
-    surface: str,
-    where: Sequence[str],
-    scene: Path | None,
-    candidates: Path | None,
-) -> NextSelection:
-    """Select the experiments of a part and of the other parts; arguments of `propose_pushes`."""
-    first = load_scene(scene).scene if scene else None
-    offered = list(load_plan(candidates).experiments) if candidates else []
-    usable, skipped = _usable(project.experiments(*where))
-    of_part = _condition("part", part, PARTS, usable)
-    of_surface = _condition("surface", surface, SURFACES, usable)
+def select(project: Project, asked: Any) -> NextSelection:
+    """Select the experiments of a part and of the other parts, for a request for pushes."""
+    first = load_scene(asked.scene).scene if asked.scene else None
+    offered = list(load_plan(asked.candidates).experiments) if asked.candidates else []
+    usable, skipped = _usable(project.experiments(*asked.where))
+    of_part = _condition("part", asked.part, PARTS, usable)
+    of_surface = _condition("surface", asked.surface, SURFACES, usable)
     named = [own for own in usable if of_part.name in own.conditions]
     mine = [own for own in named if of_part.is_of(own)]
     known = [own for own in named if not of_part.is_of(own)]

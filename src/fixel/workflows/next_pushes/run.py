@@ -73,12 +73,13 @@ def propose_pushes(
         No experiments of other parts can be used, the part is unknown and has no scene, or no
         candidate moves it.
     """
+    asked = NEXT.asked(locals())
     from fixel.drawing.chart import require_file
     from fixel.workflows.next_pushes import report
     from fixel.workflows.parts import part_model
 
     require_file(out, (".yaml", ".yml"), "plan")
-    own = report.select(project, part, surface, where, scene, candidates)
+    own = report.select(project, asked)
     fits = project.folder / STORE
     fits.mkdir(parents=True, exist_ok=True)
     model = part_model(

@@ -213,21 +213,7 @@ def arrays_of(found: Sequence[Finding]) -> dict[str, FloatArray]:
     return arrays
 
 
-Ranges = Mapping[str, tuple[float, float]]
-
-
 SCENE_ENDINGS: Final = (".yaml", ".yml", ".json")
-
-
-class PushSelection(NamedTuple):
-    """Pushes to analyse, and the source of their parameters."""
-
-    project: Project | None
-    things: Sequence[str]  # keys of experiments, or scene files; empty for all experiments
-    calibration: int | None  # id; of stored experiments by default the newest
-    engine: str  # whose newest calibration is used, and that simulates scene files
-    values: Mapping[str, float]  # override those of a calibration
-    ranges: Ranges  # further inputs of the indices; override a calibration's intervals
 
 
 class Subject(NamedTuple):
@@ -237,7 +223,7 @@ class Subject(NamedTuple):
     source: str  # key, or scene file
     scene: Scene
     values: dict[str, float]
-    ranges: Ranges
+    ranges: Mapping[str, tuple[float, float]]
     motion: AbstractMotionModel
     id: int | None = None  # id of a stored experiment
     stepper: AbstractStepper | None = None
@@ -260,21 +246,24 @@ class RankedPushes(NamedTuple):
     calibration: int | None = None  # id of the calibration whose parameters were used
 
 
-def selected(own: PushSelection) -> tuple[PushSelection, list[Subject], dict[str, str]]:
-    """Load the pushes to analyse, and the reasons why other experiments cannot be simulated.
+def selected(
+    project: Project | None, asked: Any
+) -> tuple[list[Subject], dict[str, str], int | None]:
+    """Load the pushes of a request, and the reasons why other experiments cannot be simulated.
 
-    The selection is returned with the calibration that is used by default. If nothing can be
-    simulated, `InvalidInput` is raised.
+    The id of the calibration that is used is returned, too, which is by default the newest. If
+    nothing can be simulated, `InvalidInput` is raised.
     """
-    for name in own.ranges:
+    for name in asked.vary or ():
         info_of(name)
-    own = own._replace(values=Parameters(own.values))
-    if own.project is not None and own.calibration is None:
-        with own.project.store() as store:
-            own = own._replace(calibration=newest_calibration(store, engine=own.engine))
-    if own.engine and own.calibration is None:
-        own = own._replace(engine=stated_name(own.engine))
-    subjects, skipped = _subjects(own)
+    number, engine = asked.calibration, asked.engine or ""
+    if project is not None and number is None:
+        with project.store() as store:
+            number = newest_calibration(store, engine=engine)
+    if engine and number is None:
+        engine = stated_name(engine)
+    own = {"calibration": number, "engine": engine, "values": Parameters(asked.values or {})}
+    subjects, skipped = _subjects(project, asked.model_copy(update=own))
     if not subjects:
         why = "; ".join(f"{key}: {reason}" for key, reason in list(skipped.items())[:3])
         raise InvalidInput(
@@ -282,7 +271,7 @@ def selected(own: PushSelection) -> tuple[PushSelection, list[Subject], dict[str
             found=f"none ({why})" if why else "none",
             expected="a push that can be simulated",
         )
-    return own, subjects, skipped
+    return subjects, skipped, number
 
 
 def by_flag(finding: Finding) -> tuple[int, float, str]:
@@ -296,16 +285,16 @@ def is_scene_file(thing: str) -> bool:
     return thing.lower().endswith(SCENE_ENDINGS)
 
 
-def _subjects(own: PushSelection) -> tuple[list[Subject], dict[str, str]]:
-    files = [thing for thing in own.things if is_scene_file(thing)]
-    if own.project is None:
+def _subjects(project: Project | None, own: Any) -> tuple[list[Subject], dict[str, str]]:
+    files = [thing for thing in own.experiments if is_scene_file(thing)]
+    if project is None:
         return [_subject(thing, own, None) for thing in files], {}
-    with own.project.store() as store:
+    with project.store() as store:
         model = None
         if own.calibration is not None:
             model = load_values(store, own.calibration, engine=own.engine)
-        ids = {thing: store.find(thing) for thing in own.things if thing not in files}
-        if not own.things:
+        ids = {thing: store.find(thing) for thing in own.experiments if thing not in files}
+        if not own.experiments:
             ids = {one.key: one.id for one in store.experiments(ExperimentQuery()).rows}
         subjects = [_subject(thing, own, model) for thing in files]
         skipped = {}
@@ -313,7 +302,7 @@ def _subjects(own: PushSelection) -> tuple[list[Subject], dict[str, str]]:
             try:
                 subjects.append(_subject(store.experiment(number), own, model, number))
             except InvalidInput as problem:
-                if len(own.things) == 1:
+                if len(own.experiments) == 1:
                     raise
                 skipped[key] = str(problem)
     return subjects, skipped
@@ -321,7 +310,7 @@ def _subjects(own: PushSelection) -> tuple[list[Subject], dict[str, str]]:
 
 def _subject(
     what: str | Experiment,
-    own: PushSelection,
+    own: Any,
     model: CalibratedValues | None,
     number: int | None = None,
 ) -> Subject:
@@ -339,7 +328,7 @@ def _subject(
         source=source,
         scene=push.scene,
         values=values | dict(own.values),
-        ranges=intervals_of(estimates, conditions) | dict(own.ranges),
+        ranges=intervals_of(estimates, conditions) | dict(own.vary or {}),
         motion=push.motion if model is None else model.motion,
         id=number,
         stepper=push.stepper,

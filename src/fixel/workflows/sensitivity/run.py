@@ -203,21 +203,20 @@ def sensitivity_of_pushes(
     NotStored
         There is no such experiment or calibration.
     """
+    asked = SENSITIVITY.asked({**locals(), "start_error": None})  # which is an object here
     from fixel.simulation.simulate import get_ready
     from fixel.uncertainty.starts import preset as named
-    from fixel.workflows.sensitivity.report import PushSelection, RankedPushes, by_flag, selected
+    from fixel.workflows.sensitivity.report import RankedPushes, by_flag, selected
 
     if preset is not None and start_error is not None:
         raise InvalidInput("preset", found="a preset and a start error", expected="one of them")
     usual = replace(StartSizes(), uniform=True)
     error = named(preset) if preset is not None else start_error or usual.build()
-    ranges = options.pop("vary", None) or {}
-    given = PushSelection(project, experiments, calibration, engine or "", values or {}, ranges)
-    own, subjects, skipped = selected(given)
+    subjects, skipped, number = selected(project, asked)
     get_ready(subjects[0].scene)
-    options["indices"] = options.get("indices") or bool(ranges)
+    options["indices"] = bool(options.pop("vary", None)) or options.get("indices")
     found = _analysed(subjects, skipped, error, {**options, "progress": progress})
-    return RankedPushes(sorted(found, key=by_flag), skipped, error, own.calibration)
+    return RankedPushes(sorted(found, key=by_flag), skipped, error, number)
 
 
 def _analysed(
