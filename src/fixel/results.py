@@ -127,9 +127,8 @@ class Result:
 
     A subclass is a frozen dataclass with `repr=False, eq=False`. It defines `_summary`, and
     `_data` if its data are more than the first table of the summary. Its plots are registered in
-    `fixel.offers`, with the usual kind first; they are called as `function(result, ax=ax,
-    **options)` and return Matplotlib axes; `fixel.drawing.chart.plot_axes` does that for
-    functions that make whole figures.
+    `fixel.offers`, with the usual kind first: functions of the result that make a chart or a
+    figure, or that draw into axes `ax`; see `fixel.drawing.chart.plot`.
     """
 
     __slots__ = ()
@@ -224,7 +223,7 @@ class Result:
         if chosen not in kinds:
             expected = " or ".join(repr(own) for own in kinds) or "no plot of this result"
             raise InvalidInput("kind", found=repr(kind), expected=expected)
-        return offered(plots, chosen)(self, ax=ax, **options)
+        return offered("methods", "plot")(offered(plots, chosen), self, ax, options)
 
     def save(self, path: str | Path) -> Path:
         """Save the result to a file, which `fixel.load` reads.

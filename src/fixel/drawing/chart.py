@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass
-from functools import partial, wraps
+from functools import partial
+from inspect import signature
 from io import BytesIO
 from itertools import chain, zip_longest
 from operator import methodcaller
@@ -127,18 +128,19 @@ def in_rows(every: Sequence[Mark], columns: int) -> list[Sequence[Mark]]:
     return [every[k : k + columns] for k in range(0, len(every), columns)]
 
 
-def plot_of(draw: Callable[..., Chart | Figure]) -> Callable[..., Any]:
-    """Return the `plot` function of a result from the function that makes its chart or figure."""
+def plot(draw: Callable[..., Any], found: Any, ax: Axes | None, options: dict[str, Any]) -> Any:
+    """Draw a result for its method `plot`, and return the axes.
 
-    @wraps(draw)
-    def plot(found: Any, *, ax: Axes | None = None, **options: Any) -> Any:
-        def figure() -> Figure:
-            made = draw(found, **options)
-            return made.figure() if isinstance(made, Chart) else made
+    The function `draw` makes a chart or a figure, or has an argument `ax` and returns axes.
+    """
+    if "ax" in signature(draw).parameters:
+        return draw(found, ax=ax, **options)
 
-        return plot_axes(figure, ax)
+    def figure() -> Figure:
+        made = draw(found, **options)
+        return made.figure() if isinstance(made, Chart) else made
 
-    return plot
+    return plot_axes(figure, ax)
 
 
 def draw_chart(chart: Chart, *paths: str | Path, banner: str = "") -> None:

@@ -266,7 +266,3 @@ def draw_bounds(found: ErrorBound, *, ax: Axes | None = None) -> Any:
         return chart.plot_axes(bound_chart(found).figure)
     _bound_panel(found)(ax)
     return ax
-
-
-draw_map = chart.plot_of(claimed_map_chart)
-draw_size = chart.plot_of(size_chart)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fixel.drawing import palette, top_view
-from fixel.drawing.chart import Style, plot_axes, plot_of
+from fixel.drawing.chart import Style
 from fixel.drawing.view import Rectangle, evenly, ghosts
 from fixel.errors import InvalidInput
 from fixel.model import Channel, Experiment, Shape, Trajectory, placed, pose_error
@@ -93,13 +93,9 @@ def plot_errors(comparison: Any, *, ax: Axes | None = None) -> Axes:
     return axes
 
 
-def plot_motion(
-    comparison: Any,
-    *,
-    ax: Axes | None = None,
-    experiment: str | None = None,
-    model: str | None = None,
-) -> Any:
+def motion_figure(
+    comparison: Any, *, experiment: str | None = None, model: str | None = None
+) -> Figure:
     """Draw measured and simulated motion of one experiment, and the errors against time.
 
     By default it is the first experiment, and the last model. The plot has axes of its own.
@@ -113,7 +109,7 @@ def plot_motion(
             expected="a compared experiment",
         )
     run = chosen[0].run
-    return plot_axes(lambda: comparison_figure(run.experiment, run.simulated, run.contacts), ax)
+    return comparison_figure(run.experiment, run.simulated, run.contacts)
 
 
 def experiment_figure(experiment: Experiment) -> Figure:
@@ -309,6 +305,3 @@ def _set_time(page: top_view.ColumnPage, experiment: Experiment) -> None:
     for axes in page.panels:
         axes.locator_params(axis="y", nbins=4, steps=[1, 2, 5, 10])
         axes.margins(y=0.12)
-
-
-plot_experiment = plot_of(experiment_figure)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from fixel.drawing import palette, top_view
-from fixel.drawing.chart import plot_of, tint
+from fixel.drawing.chart import tint
 from fixel.filtering.recorded import FilterRun
 from fixel.model import Experiment, Scene, Shape, Trajectory, placed, wrapped
 from fixel.typing import FloatArray
@@ -191,6 +191,3 @@ def _set_time(every: Sequence[Axes], estimates: FilterRun) -> None:
             axes.margins(y=0.1)
         elif k < 3 + len(estimates.prior.names):
             axes.locator_params(axis="y", nbins=3)
-
-
-plot_filter = plot_of(filter_figure)

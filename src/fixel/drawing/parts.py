@@ -186,9 +186,3 @@ def _draw_map(figure: Figure, table: TableMap, places: FloatArray) -> None:
         figure.colorbar(shown, ax=axes, location="bottom", shrink=0.7, aspect=30, label=label)
         axes.set(xlabel=f"x [{unit.name}]", ylabel=f"y [{unit.name}]", aspect="equal")
     chart.legend_below(figure, figure.axes[1:2])
-
-
-draw_errors = chart.plot_of(left_out_chart)
-draw_map = chart.plot_of(map_chart)
-draw_table = chart.plot_of(table_chart)
-draw_next = chart.plot_of(next_pushes_chart)

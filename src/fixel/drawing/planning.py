@@ -465,13 +465,3 @@ def orienting_figure(plan: OrientingPlan) -> Figure:
     axes.set_ylabel(f"along the fence [{unit.name}]")
     axes.spines[["top", "right"]].set_visible(False)
     return own
-
-
-draw_orienting = chart.plot_of(orienting_figure)
-draw_paths = chart.plot_of(paths_chart)
-draw_looks = chart.plot_of(looks_chart)
-draw_capture_regions = chart.plot_of(capture_chart)
-draw_causes = chart.plot_of(causes_chart)
-draw_success_against = chart.plot_of(success_curves_chart)
-draw_success = chart.plot_of(success_chart)
-draw_trials = chart.plot_of(trials_chart)

@@ -253,9 +253,3 @@ def runs_chart(runs: BatchResult, *, body: str | None = None) -> Chart:
         fill=chart.panels([row]),
         data=Table.from_columns({"x_m": ends.x, "y_m": ends.y, "angle_rad": ends.theta}),
     )
-
-
-plot_ends = chart.plot_of(runs_chart)
-draw_sensitivity = chart.plot_of(sensitivity_chart)
-draw_ends = chart.plot_of(prediction_chart)
-draw_indices = chart.plot_of(indices_chart)

@@ -361,7 +361,3 @@ def _coverage(title: str, curve: CoverageCurve, groups: Sequence[FloatArray]) ->
 def prediction_bands_chart(found: Prediction) -> Chart:
     """Draw the nominal path of a prediction with bands of 50 and 90 %."""
     return bands_chart(found.time, found.nominal, [found.bands(level) for level in LEVELS])
-
-
-draw_bands = chart.plot_of(prediction_bands_chart)
-draw_posterior = chart.plot_of(corner_chart)

@@ -25,7 +25,7 @@ from fixel.drawing.calibration import (
     offsets_chart,
     seconds_chart,
 )
-from fixel.drawing.chart import Chart, plot_of
+from fixel.drawing.chart import Chart
 from fixel.drawing.overlay import OverlayMotions, Track, overlay_chart
 from fixel.drawing.profiles import parameters_chart, profiles_chart
 from fixel.drawing.searches import SearchPanel, search_chart, starts_chart
@@ -205,14 +205,14 @@ def _of_searches(data: _ChartData) -> NamedCharts:
     searched = data.searched
     for _, fit in data.joint:
         if fit.found.trace is not None:
-            yield "search", _search_chart(fit)
+            yield "search", fit_search_chart(fit)
     if data.picks:
         words = [f"{word} of {len(searched)}\n" if word else "" for word, _ in data.picks]
-        single = _search_chart(*(fit for _, fit in data.picks), words=words)
+        single = fit_search_chart(*(fit for _, fit in data.picks), words=words)
         yield "search_alone" if data.joint else "search", single
     for word, fit in (*data.picks, *data.joint):
         if fit.found.ends:
-            yield data.name("starts", word), _starts_chart(fit)
+            yield data.name("starts", word), fit_starts_chart(fit)
     if len(searched) > 1:
         seconds = np.array([fit.found.seconds for fit in searched])
         keys = [fit.keys_of_experiments[0] for fit in searched]
@@ -222,9 +222,9 @@ def _of_searches(data: _ChartData) -> NamedCharts:
 def _of_parameters(data: _ChartData) -> NamedCharts:
     """Charts of the set for all experiments, or of single ones if there is no such set."""
     for word, fit in data.joint or data.picks:
-        yield data.name("parameters", word), _parameters_chart(fit, word)
+        yield data.name("parameters", word), fit_parameters_chart(fit, word)
         if fit.found.profiles:
-            yield data.name("profiles", word), _profiles_chart(fit, word)
+            yield data.name("profiles", word), fit_profiles_chart(fit, word)
     if len(data.alone) > 1:
         quantities = [
             Quantity(
@@ -262,7 +262,7 @@ def _three(errors: FloatArray) -> list[tuple[str, int]]:
 # --- charts -------------------------------------------------------------------------------------
 
 
-def _search_chart(*fits: Calibration, words: Sequence[str] = ("",)) -> Chart:
+def fit_search_chart(*fits: Calibration, words: Sequence[str] = ("",)) -> Chart:
     """Draw the error against the evaluation, with the best so far; each may have a word."""
     if any(fit.found.trace is None for fit in fits):
         raise InvalidInput("kind", found="a result without a search", expected="one with a search")
@@ -284,7 +284,7 @@ def _what(fit: Calibration) -> str:
     return "largest RMS error" if largest else "RMS error"
 
 
-def _starts_chart(fit: Calibration) -> Chart:
+def fit_starts_chart(fit: Calibration) -> Chart:
     """Draw the results of the searches from several starts."""
     trace, ends = fit.found.trace, fit.found.ends
     if trace is None or not ends:
@@ -304,7 +304,7 @@ def _starts_chart(fit: Calibration) -> Chart:
     )
 
 
-def _parameters_chart(fit: Calibration, word: str = "") -> Chart:
+def fit_parameters_chart(fit: Calibration, word: str = "") -> Chart:
     """Draw values and intervals, each between the bounds of its search."""
     rows = [estimate for estimate in fit.estimates.values() if estimate.bounds is not None]
     found = {
@@ -318,7 +318,7 @@ def _parameters_chart(fit: Calibration, word: str = "") -> Chart:
     return parameters_chart(_title_of(fit, word), rows, others, fit.level)
 
 
-def _each_chart(fits: Calibrations) -> Chart:
+def each_fit_chart(fits: Calibrations) -> Chart:
     """Draw values and intervals of all calibrations of a run, by parameter."""
     rows = [
         replace(fit.estimates[unknown.label], label=f"{unknown.label} {_title_of(fit)}")
@@ -329,7 +329,7 @@ def _each_chart(fits: Calibrations) -> Chart:
     return parameters_chart(f"Parameters of {of} calibrations", rows, None, fits.request.level)
 
 
-def _profiles_chart(fit: Calibration, word: str = "") -> Chart:
+def fit_profiles_chart(fit: Calibration, word: str = "") -> Chart:
     """Draw the profile likelihood of each parameter."""
     if not fit.found.profiles:
         raise InvalidInput(
@@ -342,16 +342,11 @@ def _profiles_chart(fit: Calibration, word: str = "") -> Chart:
     return profiles_chart(_title_of(fit, word), fit.found.profiles, estimates, fit.level)
 
 
-def _errors_chart(fit: Calibration) -> Chart:
+def fit_errors_chart(fit: Calibration) -> Chart:
     """Draw the error of every experiment before and after the calibration."""
     errors = {BEFORE: fit.nominal_errors, "after": fit.found.errors}
     series = {name: fit.request.lengths(own) for name, own in errors.items()}
     return errors_chart(fit.keys_of_experiments, series, "mm")
-
-
-plot_parameters, plot_each = plot_of(_parameters_chart), plot_of(_each_chart)
-plot_profiles, plot_errors = plot_of(_profiles_chart), plot_of(_errors_chart)
-plot_search, plot_starts = plot_of(_search_chart), plot_of(_starts_chart)
 
 
 def _offsets_chart(data: _ChartData, title: str, quantities: list[Quantity]) -> Chart:
