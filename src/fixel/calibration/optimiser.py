@@ -135,14 +135,6 @@ class AbstractOptimiser(abc.ABC):
         """
 
 
-def between(value: object, where: str) -> float:
-    """Return a number between 0 and 1, exclusive, or raise `InvalidInput`."""
-    number = positive(value, where)
-    if number >= 1.0:
-        raise InvalidInput(where, found=number, expected="a number between 0 and 1")
-    return number
-
-
 # Types of options, whose values `check_fields` checks.
 Size = Annotated[float, Value(positive)]
 Count = Annotated[int, Value(whole)]

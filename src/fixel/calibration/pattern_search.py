@@ -18,11 +18,18 @@ from fixel.calibration.optimiser import (
     Search,
     SearchBox,
     Size,
-    between,
     inside,
 )
 from fixel.errors import InvalidInput
-from fixel.model.fields import Value, check_fields, finite, non_negative, positive, whole
+from fixel.model.fields import (
+    Value,
+    check_fields,
+    finite,
+    inner_share,
+    non_negative,
+    positive,
+    whole,
+)
 from fixel.typing import FloatArray
 
 
@@ -70,7 +77,7 @@ class PatternSearch(AbstractOptimiser):
     name: ClassVar[str] = "pattern-search"
     initial_delta: Size = 0.5
     threshold_delta: Size = 1e-6
-    contraction_factor: Annotated[float, Value(between)] = 0.9
+    contraction_factor: Annotated[float, Value(inner_share)] = 0.9
     expand_after: Annotated[int | None, Value(whole)] = 5
     sufficient_decrease: Annotated[float, Value(non_negative)] = 0.01
     resolution: Annotated[float, Value(non_negative)] = 3e-7

@@ -16,12 +16,19 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import final
+from typing import Annotated, final
 
-from fixel.calibration.optimiser import between
 from fixel.errors import InvalidInput
 from fixel.filtering.prior import checked_priors
-from fixel.model.fields import non_negative, optional_positive, positive, settle, whole
+from fixel.model.fields import (
+    Value,
+    check_fields,
+    inner_share,
+    non_negative,
+    positive,
+    settle,
+    whole,
+)
 from fixel.simulation import AbstractMotionModel, FirstOrder, QuasiStatic
 
 
@@ -68,36 +75,24 @@ class ParticleFilter:
 
     n_particles: int = 125
     priors: Mapping[str, tuple[float, float] | None] = field(default_factory=dict)
-    start_position_deviation: float = math.sqrt(0.5) * 1e-3
-    start_angle_deviation: float = math.sqrt(1e-3)
-    position_deviation: float = math.sqrt(0.5) * 1e-3
-    angle_deviation: float = math.sqrt(1e-3)
-    no_contact_reliability: float = 0.9575
-    contact_reliability: float = 0.9875
-    touch_gap: float = 0.3e-3
-    resample_below: float = 0.6
+    start_position_deviation: Annotated[float, Value(non_negative, "m")] = math.sqrt(0.5) * 1e-3
+    start_angle_deviation: Annotated[float, Value(non_negative, "rad")] = math.sqrt(1e-3)
+    position_deviation: Annotated[float, Value(positive, "m")] = math.sqrt(0.5) * 1e-3
+    angle_deviation: Annotated[float, Value(positive, "rad")] = math.sqrt(1e-3)
+    # A fixel that never errs would kill every particle at its first error.
+    no_contact_reliability: Annotated[float, Value(inner_share)] = 0.9575
+    contact_reliability: Annotated[float, Value(inner_share)] = 0.9875
+    touch_gap: Annotated[float, Value(positive, "m")] = 0.3e-3
+    resample_below: Annotated[float, Value(inner_share)] = 0.6
     motion: AbstractMotionModel = field(default_factory=QuasiStatic)
-    force_limit: float | None = None
-    threads: int = 1
+    force_limit: Annotated[float | None, Value(positive, "N")] = None
+    threads: Annotated[int, Value(whole)] = 1
 
     def __post_init__(self) -> None:
         whole(self.n_particles, "filter.n_particles", 2)
-        whole(self.threads, "filter.threads")
-        for name, unit in _POSITIVE.items():
-            settle(self, **{name: positive(getattr(self, name), f"filter.{name}", unit)})
-        for name, unit in _NOT_NEGATIVE.items():
-            settle(self, **{name: non_negative(getattr(self, name), f"filter.{name}", unit)})
-        # A fixel that never errs would kill every particle at its first error.
-        for name in ("no_contact_reliability", "contact_reliability", "resample_below"):
-            between(getattr(self, name), f"filter.{name}")
+        check_fields(self, "filter")
         if not isinstance(self.motion, QuasiStatic | FirstOrder):
             expected = "QuasiStatic or FirstOrder, since particles have no velocities"
             found = type(self.motion).__name__
             raise InvalidInput("filter.motion", found=found, expected=expected)
-        limit = optional_positive(self.force_limit, "filter.force_limit", "N")
-        priors = MappingProxyType(checked_priors(self.priors))
-        settle(self, force_limit=limit, priors=priors)
-
-
-_POSITIVE = {"position_deviation": "m", "angle_deviation": "rad", "touch_gap": "m"}
-_NOT_NEGATIVE = {"start_position_deviation": "m", "start_angle_deviation": "rad"}
+        settle(self, priors=MappingProxyType(checked_priors(self.priors)))

@@ -11,10 +11,9 @@ from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
-from fixel.calibration.optimiser import between
 from fixel.errors import InvalidInput, counted
 from fixel.model import BodyTrack, Goal, Probability, Scene
-from fixel.model.fields import settle
+from fixel.model.fields import inner_share, settle
 from fixel.model.goals import as_goal, touching
 from fixel.model.trajectory import wrapped
 from fixel.results import Result, Summary
@@ -300,7 +299,7 @@ class EndBounds(NamedTuple):
 def bounds_of(poses: FloatArray, level: float) -> EndBounds:
     """Return the smallest ellipse of the draws' shape and the shortest interval of angles that
     contain a share of poses (k, 3)."""
-    between(level, "level")
+    inner_share(level, "level")
     centre, spread = _shape(poses[:, :2])
     radius = float(np.quantile(_distances(poses[:, :2], centre, spread), level))
     variances, axes = np.linalg.eigh(spread)

@@ -14,14 +14,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple, final
+from typing import Annotated, Any, Final, NamedTuple, final
 
 import numpy as np
 
 from fixel.calibration.target import Target, target_of
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters, Scene, wrapped
-from fixel.model.fields import instance, non_negative, settle
+from fixel.model.fields import Value, check_fields, instance, non_negative
 from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
 from fixel.simulation.rollouts import ensemble_of
 from fixel.simulation.stepper import AbstractStepper
@@ -53,6 +53,7 @@ _NUMBERS: Final = (
 )  # fmt: skip
 _SHIFTS: Final = ("start_x", "start_y", "start_theta")
 _CENTRES: Final = ("friction_centre_x", "friction_centre_y")
+NotNegative = Annotated[float, Value(non_negative)]
 
 
 class RunChanges(NamedTuple):
@@ -118,19 +119,18 @@ class RunToRun:
     ['friction_centre_x', 'friction_centre_y', 'mu_pusher']
     """
 
-    start: float = START
-    centre: float = CENTRE
-    friction: float = FRICTION
-    rest_position: float = REST_POSITION
-    rest_angle: float = REST_ANGLE
-    noise_position: float = NOISE_POSITION
-    noise_angle: float = NOISE_ANGLE
+    start: NotNegative = START
+    centre: NotNegative = CENTRE
+    friction: NotNegative = FRICTION
+    rest_position: NotNegative = REST_POSITION
+    rest_angle: NotNegative = REST_ANGLE
+    noise_position: NotNegative = NOISE_POSITION
+    noise_angle: NotNegative = NOISE_ANGLE
     freedom: float = FREEDOM
     experiments: int = 0
 
     def __post_init__(self) -> None:
-        for name in _NUMBERS:
-            settle(self, **{name: non_negative(getattr(self, name), f"run_to_run.{name}")})
+        check_fields(self, "run_to_run")
         if not self.freedom >= FREEDOMS[0]:
             raise InvalidInput(
                 "run_to_run.freedom", found=self.freedom, expected=f"{FREEDOMS[0]} or more"

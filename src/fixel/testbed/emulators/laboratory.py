@@ -13,13 +13,13 @@ from collections import deque
 from collections.abc import Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple, final
+from typing import Annotated, Final, NamedTuple, final
 
 import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.model import LineDrive, PathDrive, PlannedExperiment, Shape, Trajectory, placed
-from fixel.model.fields import fraction, non_negative, positive
+from fixel.model.fields import Value, check_fields, fraction, non_negative, positive
 from fixel.model.probability import stream
 from fixel.simulation import simulate
 from fixel.testbed.frame_source import CameraPicture, FrameSource, Stream
@@ -58,17 +58,17 @@ class Faults:
     # Largest errors of a part that is placed roughly, and that a person corrected [m, rad].
     placement: tuple[float, float] = (3e-3, math.radians(3.0))
     corrected: tuple[float, float] = (2e-4, math.radians(0.3))
-    jitter: float = 5e-4  # standard deviation of the error of a time stamp [s]
-    dropped: float = 0.003  # probability that a frame is lost [-]
+    # Standard deviation of the error of a time stamp [s].
+    jitter: Annotated[float, Value(non_negative, "s")] = 5e-4
+    dropped: Annotated[float, Value(fraction)] = 0.003  # probability that a frame is lost [-]
     hidden: Collection[str] = ()  # names of rows in which a hand hides the part for a while
-    hand: float = 1.0  # duration for which it does [s]
+    hand: Annotated[float, Value(positive, "s")] = 1.0  # duration for which it does [s]
     overload: Collection[str] = ()  # names of rows in which the head jams on its way
 
     def __post_init__(self) -> None:
-        fraction(self.dropped, "faults.dropped")
-        positive(self.hand, "faults.hand", "s")
-        for name in ("jitter", "placement", "corrected"):
-            for value in np.ravel(getattr(self, name)).tolist():
+        check_fields(self, "faults")
+        for name in ("placement", "corrected"):
+            for value in getattr(self, name):
                 non_negative(value, f"faults.{name}")
 
 
