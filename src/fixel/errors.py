@@ -21,7 +21,7 @@ from __future__ import annotations
 import errno
 import re
 import reprlib
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -435,6 +435,12 @@ def unknown_name(where: str, name: object, known: Iterable[str], *, more: str = 
     return InvalidInput(
         where, found=found, expected=f"one of {', '.join(names[:_MAX_NAMED])}{more}", hint=hint
     )
+
+
+def check_name(where: str, name: object, known: Collection[str], *, more: str = "") -> None:
+    """Raise `unknown_name` for a name that is not among the known ones."""
+    if name not in known:
+        raise unknown_name(where, name, known, more=more)
 
 
 def os_reason(problem: OSError) -> str:

@@ -9,7 +9,7 @@ from typing import Final, Literal, NamedTuple, final, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fixel.errors import InvalidInput, unknown_name
+from fixel.errors import InvalidInput, check_name
 from fixel.model.fields import frozen, positive, settle
 from fixel.model.space import ParameterSpace
 from fixel.typing import FloatArray
@@ -95,8 +95,7 @@ class Cost:
     prior: NormalPrior | None = None
 
     def __post_init__(self) -> None:
-        if self.loss not in LOSSES:
-            raise unknown_name("loss", self.loss, LOSSES)
+        check_name("loss", self.loss, LOSSES)
         settle(self, width=positive(self.width, "width", "standard deviations"))
 
     def deviance(self, points: FloatArray, residuals: FloatArray) -> FloatArray:

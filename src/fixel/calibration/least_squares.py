@@ -11,7 +11,7 @@ import numpy as np
 from fixel.calibration.cost import LOSSES, Cost, Loss, NormalPrior, Quadratic, Residuals
 from fixel.calibration.differences import Differences
 from fixel.calibration.optimiser import Best, Count, Feasible, SearchBox, Size, feasible_points
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, check_name
 from fixel.model.fields import Value, check_fields, non_negative
 from fixel.typing import BoolArray, FloatArray, IntArray
 
@@ -105,10 +105,8 @@ class LeastSquares:
     secant: bool = False
 
     def __post_init__(self) -> None:
-        for name, kinds in (("loss", LOSSES), ("differences", DIFFERENCE_KINDS)):
-            if getattr(self, name) not in kinds:
-                found, expected = repr(getattr(self, name)), "one of " + ", ".join(kinds)
-                raise InvalidInput(f"LeastSquares.{name}", found=found, expected=expected)
+        check_name("LeastSquares.loss", self.loss, LOSSES)
+        check_name("LeastSquares.differences", self.differences, DIFFERENCE_KINDS)
         check_fields(self, "LeastSquares")
 
     def cost(self, prior: NormalPrior | None = None) -> Cost:

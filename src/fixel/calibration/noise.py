@@ -10,7 +10,7 @@ from typing import Final, Literal, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fixel.errors import InvalidInput, unknown_name
+from fixel.errors import InvalidInput, check_name
 from fixel.model.fields import finite, inner_share, instance, positive, settle
 from fixel.typing import FloatArray
 
@@ -72,8 +72,7 @@ class Noise:
             angle_rad=positive(self.angle_rad, "noise.angle_rad", "rad"),
             correlation=_at_least_one(self.correlation, "noise.correlation"),
         )
-        if self.source not in ORIGINS:
-            raise unknown_name("noise.source", self.source, tuple(ORIGINS))
+        check_name("noise.source", self.source, ORIGINS)
         if not self.freedom > 0.0:
             raise InvalidInput("noise.freedom", found=self.freedom, expected="positive, or inf")
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from fixel.calibration.misfit import counting_frames
 from fixel.calibration.target import Target
-from fixel.errors import InvalidInput, unknown_name
+from fixel.errors import InvalidInput, check_name
 from fixel.model.fields import positive
 from fixel.model.space import ParameterSpace
 from fixel.model.trajectory import wrapped
@@ -307,8 +307,7 @@ class Objective:
     """
 
     def __init__(self, comparer: Comparer, combine: str = "mean") -> None:
-        if combine not in COMBINATIONS:
-            raise unknown_name("combine", combine, COMBINATIONS)
+        check_name("combine", combine, COMBINATIONS)
         self.comparer = comparer
         self.combine = combine
 

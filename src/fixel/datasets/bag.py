@@ -14,7 +14,7 @@ from fixel.datasets.bag_file import Bag, FrameTrack, bag_files, read_bag
 from fixel.datasets.base import Importer, ImportPlan, origin_of
 from fixel.datasets.files import CsvRows
 from fixel.datasets.table import plan_table
-from fixel.errors import InvalidInput, unknown_name
+from fixel.errors import InvalidInput, check_name, unknown_name
 from fixel.typing import BoolArray, FloatArray
 
 DATASET: Final = "bag"
@@ -94,8 +94,7 @@ class _Roles(NamedTuple):
             part = moving[0]
         joints = pusher.split(",") if pusher is not None and pusher not in bag.tracks else []
         for role, name in (("part", part), *(("pusher", joint) for joint in joints)):
-            if name not in bag.tracks:
-                raise unknown_name(role, name, bag.tracks)
+            check_name(role, name, bag.tracks)
         return cls(where, part, pusher, reference or bag.tracks[part].parent)
 
     def columns(self, bag: Bag, split_by: str | None) -> tuple[dict[str, Any], list[str]]:

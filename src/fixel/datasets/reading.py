@@ -20,8 +20,8 @@ from fixel.datasets.mit_push import MitPush
 from fixel.datasets.mit_pusher_slider import MitPusherSlider
 from fixel.datasets.rpi_2dgad import Rpi2dgad
 from fixel.datasets.table import DATASET as TABLE
-from fixel.datasets.table import CsvTable, plan_table, refuse_unknown_name
-from fixel.errors import DatasetMissing, InvalidInput, unknown_name
+from fixel.datasets.table import CsvTable, plan_table
+from fixel.errors import DatasetMissing, InvalidInput, check_name
 from fixel.model import Body, Disk, Polygon, Provenance, Pusher, Scene, Tripod
 from fixel.model.scene import SceneChoice
 from fixel.progress import ProgressOption, show_progress
@@ -47,8 +47,7 @@ def importer_for(source: Path, name: str | None = None) -> Importer:
     Unknown names raise `InvalidInput`; `DatasetMissing` means that none recognises the source.
     """
     if name is not None:
-        if name not in IMPORTERS:
-            raise unknown_name("format", name, IMPORTERS)
+        check_name("format", name, IMPORTERS)
         return IMPORTERS[name]
     source = Path(source)
     if not source.exists():
@@ -99,7 +98,7 @@ def plan_import(
         choice = Path(file) if file is not None and scene is None else scene
         split_by = known.pop("split_by", split_by)
         for kind, unit in (units or {}).items():
-            refuse_unknown_name("units", kind, KINDS)
+            check_name("units", kind, KINDS)
             known[f"{kind}_unit"] = unit
         return _plan_table(source, known, choice, split_by, columns)
     given = {"scene": scene, "columns": columns, "units": units, "split_by": split_by}

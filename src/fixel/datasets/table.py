@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -16,7 +16,7 @@ import numpy as np
 from fixel.datasets.base import Importer, ImportPlan, origin_of, remark, trajectory_of
 from fixel.datasets.files import CsvRows, Problems, increasing, rate_of, read_table
 from fixel.datasets.own_scene import WORDS, refuse_implausible, with_scene
-from fixel.errors import InvalidInput, unknown_name
+from fixel.errors import InvalidInput, check_name, unknown_name
 from fixel.model import Channel, Experiment, Flag, Provenance, Trajectory
 from fixel.model.scene import SceneChoice
 from fixel.typing import FloatArray
@@ -195,8 +195,8 @@ def _chosen_columns(table: CsvRows, columns: Mapping[str, str]) -> dict[str, str
     """Return the role of each chosen title; raise for unknown roles and titles."""
     roles = sorted({*_ROLES.values()})
     for role, title in columns.items():
-        refuse_unknown_name("columns", role, roles)
-        refuse_unknown_name(f"columns[{role!r}]", title, table.columns)
+        check_name("columns", role, roles)
+        check_name(f"columns[{role!r}]", title, table.columns)
     return {title: role for role, title in columns.items()}
 
 
@@ -205,7 +205,7 @@ def _parts(table: CsvRows, split_by: str | None) -> Iterator[tuple[str | None, C
     if split_by is None:
         yield None, table
         return
-    refuse_unknown_name("split_by", split_by, table.columns)
+    check_name("split_by", split_by, table.columns)
     for value, own in _rows_by_cell(table, split_by).items():
         part = table.only(own)
         columns = {name: cells for name, cells in part.columns.items() if name != split_by}
@@ -236,12 +236,6 @@ def _common(sentences: Sequence[tuple[str, ...]], split_by: str) -> tuple[str, .
     common = [sentence for sentence, k in counts.items() if k == n]
     others = [f"{sentence} ({k} of {n})" for sentence, k in counts.items() if k < n]
     return (f"{n} experiments, one for each value of {split_by!r}.", *common, *others[:MAX_OTHERS])
-
-
-def refuse_unknown_name(where: str, name: str, known: Iterable[str]) -> None:
-    """Raise for a name that is not known, with the one that resembles it most."""
-    if name not in (names := [*known]):
-        raise unknown_name(where, name, names)
 
 
 def _text_option(name: str, value: object) -> str:

@@ -10,7 +10,7 @@ from gymnasium import spaces
 
 from fixel.environments import vector as base
 from fixel.environments.pictures import scene_picture
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, check_name
 from fixel.model import Body, Disk, Fixel, Goal, LineDrive, Polygon, Pusher, Scene, Seated, Tripod
 from fixel.model.fields import instance, non_negative, vector
 from fixel.model.goals import BodyTrack
@@ -110,7 +110,7 @@ class GraspVectorEnv(base.BatchEnv):
         max_episode_steps: int | None = MAX_STROKES,
         **options: Unpack[base.BatchOptions],
     ) -> None:
-        base.check_name("world", world, get_args(WorldName))
+        check_name("world", world, get_args(WorldName))
         instance(goal, Goal | None, "goal", "a Goal")
         self.scene = grasp_scene() if scene is None else scene
         self._drive = _stroke(self.scene)

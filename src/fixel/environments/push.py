@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from fixel.environments import vector as base
 from fixel.environments.motion import STIFFNESS, PushMotion
 from fixel.environments.pictures import scene_picture
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, check_name
 from fixel.model import Body, Disk, Ellipsoid, PathDrive, Polygon, Pusher, Scene, rotated
 from fixel.model.fields import positive, vector, whole
 from fixel.model.trajectory import wrapped
@@ -105,8 +105,8 @@ class PushVectorEnv(base.BatchEnv):
         max_episode_steps: int | None = MAX_STEPS,
         **options: Unpack[base.BatchOptions],
     ) -> None:
-        base.check_name("reward", reward, get_args(RewardName))
-        base.check_name("world", world, get_args(WorldName))
+        check_name("reward", reward, get_args(RewardName))
+        check_name("world", world, get_args(WorldName))
         whole(symmetry, "symmetry")
         self.goal = None if goal is None else vector(goal, "goal", "x [m], y [m], angle [rad]")
         self.position = positive(position, "position", "m")

@@ -18,7 +18,7 @@ from fixel.environments import vector as base
 from fixel.environments.loops import STILL, coverage
 from fixel.environments.motion import PushMotion
 from fixel.environments.pictures import picture
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, check_name
 from fixel.model import Body, Disk, Ellipsoid, Fixel, PathDrive, Polygon, Pusher, Scene, rotated
 from fixel.model.fields import vector, whole
 from fixel.model.overlap import overlap_depth
@@ -150,9 +150,9 @@ class PushTVectorEnv(base.BatchEnv):
         max_episode_steps: int | None = MAX_STEPS,
         **options: Unpack[base.BatchOptions],
     ) -> None:
-        base.check_name("obs_type", obs_type, get_args(ObservationName))
-        base.check_name("world", world, get_args(WorldName))
-        base.check_name("seeds", seeds, get_args(SeedsName))
+        check_name("obs_type", obs_type, get_args(ObservationName))
+        check_name("world", world, get_args(WorldName))
+        check_name("seeds", seeds, get_args(SeedsName))
         if damping:
             raise InvalidInput("damping", found=damping, expected="0: motion is quasi-static")
         self.obs_type, self.world, self.seeds_of = obs_type, world, seeds

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any, Final, TypedDict, final
 
@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from fixel.calibration.known_pushes import KnownPushes
-from fixel.errors import InvalidInput, unknown_name
+from fixel.errors import InvalidInput, check_name
 from fixel.model import Body, Ellipsoid, Scene, Support, SupportPoints, Tripod, UniformPressure
 from fixel.model.fields import whole
 from fixel.model.footprint import cells
@@ -308,12 +308,6 @@ def symmetric_box(most: list[float]) -> gym.spaces.Box:
     """Return the box from minus to plus some numbers."""
     high = np.array(most)
     return gym.spaces.Box(-high, high, dtype=np.float64)
-
-
-def check_name(where: str, value: object, names: Collection[str]) -> None:
-    """Raise `InvalidInput` for a value that is not one of some names."""
-    if value not in names:
-        raise unknown_name(where, value, names)
 
 
 def _masked(info: Info, mask: BoolArray) -> Info:

@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, check_name
 from fixel.formats.camera_opencv import check_plausible, lens_of, opencv_camera, placed_above
 from fixel.formats.records import within
 from fixel.io.atomic import read_bounded
@@ -71,8 +71,7 @@ def import_camera(
         "kalibr": lambda: (MeasuredCamera(lens=_kalibr(path, which)), ()),
         "ros": lambda: (MeasuredCamera(lens=_ros(path)), ()),
     }
-    if kind not in readers:
-        raise InvalidInput("format", found=repr(kind), expected="auto, " + ", ".join(FORMATS))
+    check_name("format", kind, ("auto", *FORMATS))
     try:
         # OpenCV does not say why a file cannot be read, and its parser dies of deep nesting.
         if kind == "opencv" and len(re.findall(rb"[\[{]|<\w", _head(path))) > MAX_BRACKETS:
@@ -146,10 +145,7 @@ def _kalibr_lens(one: dict[str, Any]) -> Lens:
             hint="calibrate again with --models pinhole-radtan or pinhole-equi",
         )
     model = one.get("distortion_model")
-    if model not in ("radtan", "equidistant", "none"):
-        raise InvalidInput(
-            "distortion_model", found=repr(model), expected="radtan, equidistant or none"
-        )
+    check_name("distortion_model", model, ("radtan", "equidistant", "none"))
     fx, fy, cx, cy = numbers(one, "intrinsics", 4)
     coefficients = [0.0] if model == "none" else numbers(one, "distortion_coeffs", 4)
     width, height = numbers(one, "resolution", 2)
@@ -166,10 +162,8 @@ def _ros(path: Path) -> Lens:
     if not isinstance(raw, dict):
         raise InvalidInput("camera_info", found="no keys", expected="a ROS camera_info file")
     _refuse_cropped(raw)
-    model = raw.get("distortion_model")
-    if model not in (*PINHOLE, "equidistant"):
-        found, expected = repr(model), "plumb_bob, rational_polynomial or equidistant"
-        raise InvalidInput("distortion_model", found=found, expected=expected)
+    model: Any = raw.get("distortion_model")
+    check_name("distortion_model", model, (*PINHOLE, "equidistant"))
     matrix, coefficients = (
         numbers(raw, message, count)
         if message in raw

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.io.atomic import write_whole, written_whole
+from fixel.io.atomic import refuse_ending, write_whole, written_whole
 from fixel.io.document import yaml_text
 from fixel.typing import FloatArray
 from fixel.vision.camera import Camera, MeasuredCamera
@@ -204,9 +204,7 @@ def _ros_matrix(matrix: FloatArray) -> dict[str, Any]:
 
 
 def _check_export(lens: Lens, path: str | Path, format: str) -> None:
-    if Path(path).suffix.lower() not in ENDINGS[format]:
-        expected = "a file that ends with " + ", ".join(ENDINGS[format])
-        raise InvalidInput(str(path), found=f"the ending {Path(path).suffix!r}", expected=expected)
+    refuse_ending(path, ENDINGS[format], "camera")
     if lens.skew and not lens.fisheye:
         width = lens.skew * lens.image_size[1] / 2.0
         raise InvalidInput(

@@ -16,7 +16,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from fixel.errors import InvalidInput, require, unknown_name
+from fixel.errors import InvalidInput, check_name, require
+from fixel.io.atomic import refuse_ending
 from fixel.io.damaged_files import parsed
 from fixel.typing import FloatArray
 
@@ -53,11 +54,9 @@ def read_outline(
 ) -> FloatArray:
     """Read the outline (n, 2) of a part from a file [m]; see `fixel.Polygon.from_file`."""
     path = Path(path)
-    if path.suffix.lower() not in _READERS:
-        expected = f"a file that ends in {', '.join(_READERS)}"
-        raise InvalidInput(str(path), found=path.suffix or "no ending", expected=expected)
-    if unit is not None and unit not in UNITS:
-        raise unknown_name("unit", unit, UNITS)
+    refuse_ending(path, [*_READERS], "drawing or shape")
+    if unit is not None:
+        check_name("unit", unit, UNITS)
     if tolerance is not None and not tolerance >= FINEST:
         raise InvalidInput("tolerance", found=tolerance, expected=f"at least {FINEST:g} m")
     with parsed(path):
@@ -215,8 +214,7 @@ def _from_svg(source: _OutlineSource) -> list[FloatArray]:
     found = [*svg.elements()]
     if source.part is not None:
         named = {one.id: one for one in found if getattr(one, "id", None)}
-        if source.part not in named:
-            raise unknown_name("part", source.part, named)
+        check_name("part", source.part, named)
         group = isinstance(named[source.part], svgelements.Group)
         found = [*named[source.part].select()] if group else [named[source.part]]
     lines = []
@@ -254,8 +252,7 @@ def _from_dxf(source: _OutlineSource) -> list[FloatArray]:
     found = [*document.modelspace()]
     if source.part is not None:
         layers = sorted({one.dxf.layer for one in found})
-        if source.part not in layers:
-            raise unknown_name("part", source.part, layers)
+        check_name("part", source.part, layers)
         found = [one for one in found if one.dxf.layer == source.part]
     lines = []
     for curve in _curves(found, iter(range(MAX_CURVES)), source.path.name):

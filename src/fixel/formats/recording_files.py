@@ -18,7 +18,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple, final
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, check_name
 from fixel.io.atomic import write_whole
 from fixel.model.fields import name_of, settle
 
@@ -57,10 +57,7 @@ class RecordingHeader:
         if min(width, height) < 1 or width * height > MAX_PIXELS:
             expected = f"width and height [px], at most {MAX_PIXELS // 10**6} megapixels"
             raise InvalidInput("recording.size", found=f"{width} x {height}", expected=expected)
-        if self.codec not in CODECS:
-            raise InvalidInput(
-                "recording.codec", found=repr(self.codec), expected=", ".join(CODECS)
-            )
+        check_name("recording.codec", self.codec, CODECS)
         if self.rig:
             name_of(self.rig, "recording.rig")
         settle(

@@ -11,8 +11,8 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from fixel.errors import InvalidInput, require
-from fixel.io.atomic import refuse_unwritable, unfinished_path
+from fixel.errors import InvalidInput, check_name, require
+from fixel.io.atomic import refuse_ending, refuse_unwritable, unfinished_path
 from fixel.typing import FloatArray
 from fixel.vision.frame import Frame, Gray, Picture
 
@@ -339,10 +339,8 @@ def _seconds(stream: Any, container: Any) -> float | None:
 
 
 def _refuse_output(path: Path, size: tuple[int, int], codec: str) -> None:
-    if path.suffix.lower() not in ENDINGS:
-        raise InvalidInput(str(path), found=path.suffix or "no ending", expected=", ".join(ENDINGS))
-    if codec not in CODECS:
-        raise InvalidInput("codec", found=repr(codec), expected=", ".join(CODECS))
+    refuse_ending(path, ENDINGS, "video")
+    check_name("codec", codec, CODECS)
     if min(size) < 1 or (codec != "ffv1" and (size[0] % 2 or size[1] % 2)):
         raise InvalidInput(
             "size", found=f"{size[0]} x {size[1]}", expected="an even width and height [px]"

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
-from fixel.errors import unknown_name
+from fixel.errors import check_name
 
 
 class ParameterInfo(NamedTuple):
@@ -77,6 +77,5 @@ def engine_parameter(name: str) -> ParameterInfo:
     known = ENGINE_PARAMETERS.get(engine)
     if known is None:
         return ParameterInfo("-", f"parameter {own} of the engine {engine}", -math.inf)
-    if own not in known:
-        raise unknown_name(f"parameters of {engine}", own, known)
+    check_name(f"parameters of {engine}", own, known)
     return known[own]

@@ -12,7 +12,7 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 
-from fixel.errors import InvalidInput, unknown_name
+from fixel.errors import InvalidInput, check_name
 from fixel.model.bodies import POSE, Body
 from fixel.model.fields import (
     Comparable,
@@ -685,8 +685,7 @@ def check_fixel(name: str, scene: Scene) -> None:
     names = [fixel.name for fixel in scene.fixels]
     if not names:
         raise InvalidInput("goal.fixels", found=repr(name), expected="a fixel of the scene")
-    if name not in names:
-        raise unknown_name("goal.fixels", name, names)
+    check_name("goal.fixels", name, names)
 
 
 def centroids(body: Body, poses: FloatArray) -> FloatArray:

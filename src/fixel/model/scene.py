@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar, final
 
 import numpy as np
 
-from fixel.errors import InvalidInput, unknown_name
+from fixel.errors import InvalidInput, check_name
 from fixel.model.bodies import Body, Fixel, Pusher
 from fixel.model.fields import (
     Comparable,
@@ -182,8 +182,8 @@ class Scene(Comparable):
         _check_unique_names(self.names)
         for index, entry in enumerate(self.contact_friction):
             for name in entry.pair:
-                if not _is_pattern(name) and name not in self.names:
-                    raise unknown_name(f"contact_friction[{index}].pair", name, self.names)
+                if not _is_pattern(name):
+                    check_name(f"contact_friction[{index}].pair", name, self.names)
         _check_friction(self)
         _check_overlaps(self)
 
@@ -254,8 +254,7 @@ class Scene(Comparable):
 
     def _obstacle(self, a: str, b: str) -> Pusher | Fixel:
         for name in (a, b):
-            if name not in self.names:
-                raise unknown_name("the pair", name, self.names)
+            check_name("the pair", name, self.names)
         pushers = [pusher for pusher in self.pushers if pusher.name in (a, b)]
         fixels = [fixel for fixel in self.fixels if fixel.name in (a, b)]
         obstacles: list[Pusher | Fixel] = [*pushers, *fixels]

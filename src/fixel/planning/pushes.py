@@ -11,7 +11,7 @@ from typing import Annotated, Any, Final, Literal, NamedTuple, final, get_args
 import numpy as np
 import shapely
 
-from fixel.errors import InvalidInput, counted, unknown_name
+from fixel.errors import InvalidInput, check_name, counted
 from fixel.model import Body, Disk, LineDrive, PathDrive, Polygon, Pusher, Scene, Shape
 from fixel.model.fields import (
     Value,
@@ -170,7 +170,7 @@ class FreePushes:
         if self.turn is not None:
             settle(self, turn=_range(self.turn, "choose.turn"))
         check_fields(self, "choose")
-        _check_cost(self.cost)
+        check_name("choose.cost", self.cost, get_args(Cost))
         settle(self, obstacles=_regions(self.obstacles), keep=_names(self.keep))
         if self.angle >= 0.5 * math.pi:
             raise InvalidInput(
@@ -307,7 +307,7 @@ class RigPushes:
                 moved[name] = tuple(_range(one, "choose.fixels") for one in rows)
             settle(self, fixels=moved)
         check_fields(self, "choose")
-        _check_cost(self.cost)
+        check_name("choose.cost", self.cost, get_args(Cost))
         settle(self, obstacles=_regions(self.obstacles), keep=_names(self.keep))
 
     @property
@@ -336,8 +336,7 @@ class RigPushes:
         _part(scene, self.keep)
         known = [fixel.name for fixel in scene.fixels]
         for name in self.fixels or {}:
-            if name not in known:
-                raise unknown_name("choose.fixels", name, known)
+            check_name("choose.fixels", name, known)
         _line(scene)
         return scene
 
@@ -511,8 +510,7 @@ def _part(scene: Scene, keep: Sequence[str]) -> Body:
     check_push(scene, pushers=(0, 1), several=True)
     known = [own.name for own in scene.bodies[1:]]
     for name in keep:
-        if name not in known:
-            raise unknown_name("choose.keep", name, known)
+        check_name("choose.keep", name, known)
     return scene.bodies[0]
 
 
@@ -542,11 +540,6 @@ def _regions(given: Any) -> tuple[Polygon, ...]:
 
 def _names(given: Any) -> tuple[str, ...]:
     return (given,) if isinstance(given, str) else tuple(given)
-
-
-def _check_cost(cost: str) -> None:
-    if cost not in get_args(Cost):
-        raise unknown_name("choose.cost", cost, get_args(Cost))
 
 
 def _range(given: Sequence[float], where: str, lowest: float = -math.inf) -> Range:

@@ -16,7 +16,7 @@ from fixel.datasets.mit_push_records import TIP
 from fixel.drawing import palette
 from fixel.drawing.chart import clean, sheet
 from fixel.drawing.top_view import MM, closed_line, plain_view
-from fixel.errors import InvalidInput, unknown_name
+from fixel.errors import InvalidInput, check_name, unknown_name
 from fixel.model import (
     Body,
     Disk,
@@ -162,8 +162,7 @@ def matching(
     """Mask (n,) of the matching records; raise if a column or a value occurs in none of them."""
     fits = np.ones(n, dtype=bool)
     for name, values in wanted.items():
-        if name not in columns:
-            raise unknown_name("--select", name, columns)
+        check_name("--select", name, columns)
         cells = [str(cell) for cell in columns[name]]
         for value in values:
             if not any(_same(cell, value) for cell in set(cells)):
@@ -193,8 +192,7 @@ def spread(n: int, limit: int | None) -> NDArray[np.intp]:
 def settings_from(nominal: Mapping[str, float], given: Mapping[str, float]) -> dict[str, float]:
     """Replace nominal values by given ones; raise for unknown names."""
     for name in given:
-        if name not in nominal:
-            raise unknown_name("--set", name, nominal)
+        check_name("--set", name, nominal)
     return {**nominal, **given}
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Final, Literal, get_args
 
 import numpy as np
 
-from fixel.errors import InvalidInput, unknown_name
+from fixel.errors import InvalidInput, check_name
 from fixel.model.fields import Value, finite, positive, settle, vector
 from fixel.typing import FloatArray
 
@@ -85,8 +85,7 @@ class OffsetAxis:
     last: int
 
     def __post_init__(self) -> None:
-        if self.name not in get_args(AxisName):
-            raise unknown_name("axis.name", self.name, AXES)
+        check_name("axis.name", self.name, AXES)
         settle(self, step=positive(self.step, "axis.step", "rad" if self.name == "theta" else "m"))
         if not self.first <= self.last or max(-self.first, self.last) > MAX_OFFSETS:
             raise InvalidInput(
@@ -191,8 +190,7 @@ class OffsetSample:
     theta: Bounds = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        if self.method not in get_args(Method):
-            raise unknown_name("sample.method", self.method, get_args(Method))
+        check_name("sample.method", self.method, get_args(Method))
         if self.count < 1 or self.seed < 0:
             found = f"a count of {self.count} and the seed {self.seed}"
             raise InvalidInput(

@@ -10,7 +10,7 @@ from typing import Annotated, Final, Literal, cast, final
 
 import numpy as np
 
-from fixel.errors import InvalidInput, unknown_name
+from fixel.errors import InvalidInput, check_name
 from fixel.model.fields import Value, check_fields, non_negative, whole
 from fixel.typing import FloatArray
 
@@ -115,8 +115,7 @@ PRESETS: Final[Mapping[str, StartError]] = MappingProxyType(
 
 def preset(name: str) -> StartError:
     """Return a start error by name, or raise `InvalidInput`."""
-    if name not in PRESETS:
-        raise unknown_name("preset", name, PRESETS)
+    check_name("preset", name, PRESETS)
     return PRESETS[name]
 
 

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Final, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, check_name
 from fixel.model.bodies import POSE
 from fixel.model.fields import (
     Comparable,
@@ -80,8 +80,7 @@ class Tag(Comparable):
     family: str = FAMILIES[0]
 
     def __post_init__(self) -> None:
-        if self.family not in FAMILIES:
-            raise InvalidInput("tag.family", found=repr(self.family), expected=", ".join(FAMILIES))
+        check_name("tag.family", self.family, FAMILIES)
         if isinstance(self.id, bool) or self.id < 0 or self.id != int(self.id):
             raise InvalidInput("tag.id", found=self.id, expected="a whole number of at least 0")
         check_fields(self, "tag")
@@ -110,10 +109,7 @@ class Sticker(Comparable):
     height: Annotated[float, Value(non_negative, "m")]
 
     def __post_init__(self) -> None:
-        if self.colour not in COLOURS:
-            raise InvalidInput(
-                "sticker.colour", found=repr(self.colour), expected=", ".join(COLOURS)
-            )
+        check_name("sticker.colour", self.colour, COLOURS)
         check_fields(self, "sticker")
 
 
@@ -262,10 +258,7 @@ class Board:
                 found=f"tags of {1e3 * self.marker:g} mm in squares of {1e3 * self.square:g} mm",
                 expected="tags smaller than the squares",
             )
-        if self.dictionary not in DICTIONARIES:
-            raise InvalidInput(
-                "board.dictionary", found=repr(self.dictionary), expected=", ".join(DICTIONARIES)
-            )
+        check_name("board.dictionary", self.dictionary, DICTIONARIES)
         if self.columns * self.rows // 2 > DICTIONARIES[self.dictionary]:
             raise InvalidInput(
                 "board",

@@ -8,7 +8,7 @@ from typing import Annotated, Final, final
 
 import numpy as np
 
-from fixel.errors import InvalidInput, unknown_name
+from fixel.errors import InvalidInput, check_name
 from fixel.model.fields import Value, check_fields, field_types, fraction, non_negative, settle
 from fixel.model.probability import stream
 from fixel.typing import FloatArray
@@ -56,10 +56,7 @@ class CameraEffects:
     tab: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        if self.lighting not in LIGHTINGS:
-            raise InvalidInput(
-                "looks.lighting", found=repr(self.lighting), expected=" or ".join(LIGHTINGS)
-            )
+        check_name("looks.lighting", self.lighting, LIGHTINGS)
         check_fields(self, "looks")
         width, length = (non_negative(side, "looks.tab", "m") for side in self.tab)
         settle(self, tab=(width, length))
@@ -107,9 +104,8 @@ PRESETS: Final[dict[str, CameraEffects]] = {
 
 def looks_named(name: str) -> CameraEffects:
     """Return the preset with a name; raise `InvalidInput` if there is none."""
-    if name in PRESETS:
-        return PRESETS[name]
-    raise unknown_name("looks", name, PRESETS)
+    check_name("looks", name, PRESETS)
+    return PRESETS[name]
 
 
 def changed(looks: CameraEffects, changes: Iterable[str]) -> CameraEffects:

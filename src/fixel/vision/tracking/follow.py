@@ -8,7 +8,7 @@ from typing import Final, final
 
 import numpy as np
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, check_name
 from fixel.model import Disk, Fixel, Scene
 from fixel.typing import FloatArray
 from fixel.vision.frame import Frame
@@ -193,8 +193,7 @@ def followers_of(
 def _chosen(method: str | AbstractTracking) -> AbstractTracking:
     if not isinstance(method, str):
         return method
-    if method not in METHODS:
-        raise InvalidInput("method", found=repr(method), expected=", ".join((AUTO, *METHODS)))
+    check_name("method", method, (AUTO, *METHODS))
     return METHODS[method]
 
 
