@@ -50,10 +50,9 @@ def test_noise_has_the_deviation_it_should():
 
 def test_a_sensor_without_noise_rounds_and_cuts_off():
     sensor = Sensor(CameraEffects(), (2, 1), 1)
-    picture = sensor.exposed(
-        np.array([[[-3.0, 1.4, 1.6], [254.6, 300.0, 100.0]]], np.float32), np.ones(3), 0
-    )
-    assert picture.tolist() == [[[0, 1, 2], [255, 255, 100]]]
+    light = np.array([[[-3.0, 1.4, 1.6], [254.6, 100.0, 100.0]]], np.float32)
+    picture = sensor.exposed(light, np.array([1.0, 3.0, 0.4]), 0)
+    assert picture.tolist() == [[[0, 4, 1], [255, 255, 40]]]
 
 
 def test_a_third_of_the_light_goes_and_comes_back():

@@ -58,9 +58,11 @@ class Frame:
     @property
     def luma(self) -> Gray:
         """Brightness (height, width) uint8; its range may be that of television, 16 to 235."""
-        if self._luma is None:
-            gray = self._decode_luma or (lambda: np.rint(self.picture @ LUMA).astype(np.uint8))
-            self._luma = gray()
+        if self._luma is None and self._decode_luma is not None:
+            self._luma = self._decode_luma()
+        elif self._luma is None:
+            weighted = opencv().transform(self.picture.astype(np.float64), LUMA[None])
+            self._luma = np.rint(weighted).astype(np.uint8)
         return self._luma
 
     def __repr__(self) -> str:

@@ -81,8 +81,7 @@ class RenderedBench:
             light = self._painted(placed[0], window)
             for moving in placed[1:]:
                 light += self._painted(moving, window)
-            if len(placed) > 1:
-                light /= np.float32(len(placed))
+            light /= np.float32(len(placed))
             self._paste(picture, window, light, margin)
         return picture
 
@@ -136,16 +135,12 @@ class RenderedBench:
         self, picture: FloatPicture, window: PictureWindow, light: FloatPicture, margin: int
     ) -> None:
         """Copy a window into the picture, without the margin that blurring made invalid."""
-        right, bottom = window.left + window.width, window.top + window.height
-        rows = slice(
-            margin if window.top > 0 else 0,
-            window.height - (margin if bottom < self.size[1] else 0),
+        ends = zip((window.top, window.left), light.shape, self.size[::-1], strict=False)
+        inside = tuple(
+            slice(margin if first > 0 else 0, n - (margin if first + n < whole else 0))
+            for first, n, whole in ends
         )
-        columns = slice(
-            margin if window.left > 0 else 0,
-            window.width - (margin if right < self.size[0] else 0),
-        )
-        picture[window.slices][rows, columns] = self._developed(window, light)[rows, columns]
+        picture[window.slices][inside] = self._developed(window, light)[inside]
 
 
 COARSE: Final = 4  # [px] per value; shadows are soft

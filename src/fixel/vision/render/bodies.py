@@ -309,19 +309,19 @@ def _holes(eye: Projection, middle: FloatArray) -> Iterator[FilledPolygons]:
     """Yield threaded holes with a countersink, bright on one side."""
     pixel = eye.camera.metres_per_pixel()
     reach = int((HALF - 0.012) / PITCH)
+    steps = PITCH * np.arange(-reach, reach + 1)
+    places = middle + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    places = places[eye.camera.lens.sees(eye.project_at(places, 0.0))]
     rings = (
         (1.45 * HOLE, (0.0, 0.0), 0.80 * METAL),
         (1.36 * HOLE, (-0.0003, 0.0003), 1.16 * METAL),
         (1.12 * HOLE, (0.0, 0.0), 0.55 * METAL),
         (HOLE, (0.0, 0.0), DARK),
     )
-    for i in range(-reach, reach + 1):
-        for j in range(-reach, reach + 1):
-            place = middle + PITCH * np.array([i, j])
-            if not eye.camera.lens.sees(eye.project_at(place, 0.0)):
-                continue
-            for radius, aside, colour in rings:
-                yield eye.polygons(circle(radius, pixel, place + aside).points, 0.0, colour)
+    for radius, aside, colour in rings if len(places) else ():
+        ring = circle(radius, pixel, aside).points
+        points, starts = places[:, None] + ring, len(ring) * np.arange(len(places) + 1)
+        yield eye.polygons(points.reshape(-1, 2), 0.0, colour, starts)
 
 
 def _scratches(eye: Projection, middle: FloatArray, seed: int) -> Iterator[FilledPolygons]:
@@ -332,8 +332,7 @@ def _scratches(eye: Projection, middle: FloatArray, seed: int) -> Iterator[Fille
         along = np.array([np.cos(angle), np.sin(angle)]) * random.uniform(0.01, 0.05)
         across = np.array([-along[1], along[0]]) / np.hypot(*along) * 1.2e-4
         line = np.array([place, place + along, place + along + across, place + across])
-        inside = (np.abs(line - middle) < HALF).all()
-        if inside:
+        if (np.abs(line - middle) < HALF).all():
             yield eye.polygons(line, 0.0, METAL * random.uniform(1.04, 1.2))
 
 

@@ -75,13 +75,10 @@ class Sensor:
         self._read, self._shot = looks.read_noise, looks.shot_noise
         self._seed = seed
         self._values = 3 * size[0] * size[1]
-        noisy = self._read > 0.0 or self._shot > 0.0
-        count = self._values + SPARE if noisy else self._values
-        self._bank: FloatPicture = (
-            stream(seed, "film", "noise").standard_normal(count, dtype=np.float32)
-            if noisy
-            else np.zeros(count, np.float32)
-        )
+        self._bank: FloatPicture = np.zeros(self._values, np.float32)
+        if self._read > 0.0 or self._shot > 0.0:
+            random = stream(seed, "film", "noise")
+            self._bank = random.standard_normal(self._values + SPARE, dtype=np.float32)
 
     def exposed(self, light: FloatPicture, factor: FloatArray, frame: int) -> Picture:
         """Convert light (h, w, 3) [grey levels], times factors (3,) of its colours, to uint8.
@@ -90,9 +87,12 @@ class Sensor:
         """
         random = stream(self._seed, "film", "frame", str(frame))
         start = int(random.integers(len(self._bank) - self._values + 1))
-        picture = np.empty(light.shape, np.uint8)
-        noise = self._bank[start : start + self._values].reshape(light.shape)
-        _grey_levels(light, factor, self._read**2, self._shot**2 / 255.0, noise, picture)
+        picture, rows = np.empty(light.shape, np.uint8), (len(light), -1)
+        noise = self._bank[start : start + self._values].reshape(rows)
+        factors, per_level = np.tile(factor, light.shape[1]), self._shot**2 / 255.0
+        _grey_levels(
+            light.reshape(rows), factors, self._read**2, per_level, noise, picture.reshape(rows)
+        )
         return picture
 
 
@@ -105,13 +105,17 @@ def _digitise(
     noise: FloatArray,
     picture: FloatArray,
 ) -> None:
-    """Write grey levels with noise of variance `dark + per_level * level`, rounded and clipped."""
+    """Write grey levels with noise of variance `dark + per_level * level`, rounded and clipped.
+
+    Rows hold all colours of their pixels: loops over three colours would give no vector
+    instructions, in 2.5 times the time, and neither would `max`.
+    """
     for row in range(light.shape[0]):
-        for column in range(light.shape[1]):
-            for k in range(3):
-                level = light[row, column, k] * factor[k]
-                level += math.sqrt(dark + per_level * max(level, 0.0)) * noise[row, column, k]
-                picture[row, column, k] = int(min(max(level + 0.5, 0.0), 255.0))
+        for k in range(light.shape[1]):
+            level = light[row, k] * factor[k]
+            level += math.sqrt(dark + per_level * (level if level > 0.0 else 0.0)) * noise[row, k]
+            level = level + 0.5 if level > -0.5 else 0.0
+            picture[row, k] = np.int32(level if level < 255.0 else 255.0)
 
 
 # The kernel takes any real arrays, but is annotated for float64.

@@ -234,9 +234,7 @@ class BenchLoop:
         """Whether nothing is left to do."""
         if self._tracker.waiting or self._pushing.is_set() or not self._events.empty():
             return False
-        if self.finish:
-            return True
-        if not self.campaign.undecided and not self._estimator.waiting:
+        if not (self.finish or self.campaign.undecided or self._estimator.waiting):
             if not self.campaign.left:
                 self.finish = "every row of the plan is done"
             elif self.limit_reached:
@@ -273,6 +271,8 @@ class BenchLoop:
             self._trouble = f"the camera stopped: {self.devices.camera.lost}"
         elif self._overlay is None:
             self._report("waiting", frame.picture)
+            if self.devices.laboratory is not None:
+                time.sleep(0.1)  # rendering would take the processors of what is waited for
         else:
             look = self._overlay.look(frame)
             draw = partial(draw_look, frame.picture, look)
