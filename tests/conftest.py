@@ -202,6 +202,16 @@ def few_live() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="module")
+def small_laboratory() -> Iterator[None]:
+    """Render the pictures of an emulated laboratory with half the usual number of pixels."""
+    from fixel.workflows.bench import devices
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(devices, "SMALLER", 0.5)
+        yield
+
+
 # Compile the engine, then the parts of the plain loop.
 _COMPILE = """
 from fixel.simulation import Simulator, simulate

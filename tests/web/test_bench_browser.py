@@ -13,7 +13,7 @@ from fixel.formats.plan_file import plan_text
 from fixel.sampling import thesis_plan
 from fixel.web.bench_session import LOST
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.usefixtures("small_laboratory")]
 
 PATIENCE = 180.0  # [s]
 

@@ -1,18 +1,16 @@
-"""The check of a bench: by hand at small numbers, and by the truth of an emulated laboratory."""
+"""The check of a bench by hand, at small numbers; the tests of the loop compare it with a truth."""
 
 import math
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from tests.workflows.bench.test_loop import bench, opened  # noqa: F401
 
 import fixel
 from fixel.errors import InvalidInput
 from fixel.sampling import thesis_plan
 from fixel.workflows.bench import acceptance
 from fixel.workflows.bench.acceptance import BenchFigure, BenchRun, figure_table, measure_bench
-from fixel.workflows.bench.run import report_of
 
 
 def overlay_with(distance, angle):
@@ -71,43 +69,6 @@ def test_the_delay_of_the_board_from_a_part_that_moves_against_a_fixel(delay):
         found += acceptance.contact_delays(BenchRun(None, scene, experiment))
     assert len(found) == 40  # the peg far away was never touched
     assert np.median(found) == pytest.approx(delay, abs=5e-3)
-
-
-@pytest.mark.system
-def test_the_check_measures_an_emulated_laboratory(bench):  # noqa: F811
-    with opened(bench, auto=True) as loop:
-        loop.run()
-        truth = np.array([moment.part for moment in loop.devices.laboratory.moments])
-        with bench[0].store() as store:
-            ids = [own.experiment for own in loop.campaign.accepted]
-            ends = [store.experiment(number).trajectory.pose[-1] for number in ids]
-    nearest = [truth[np.abs(truth - end).sum(axis=1).argmin()] for end in ends]
-    true_scatter = np.hypot(*(nearest[0] - nearest[1])[:2]) / math.sqrt(2.0)
-
-    with opened(bench, check=True) as loop:
-        assert loop.run() == "the bench was measured"
-        figures = {own.name: own for own in loop.figures}
-        moments = list(loop.devices.laboratory.moments)
-        report = report_of(loop).analysis
-    assert not loop.campaign.left  # no row was performed or changed
-    # The part never moved after it was placed; the head stood at one place after each move.
-    parts = np.array([moment.part for moment in moments[-200:]])
-    assert np.ptp(parts, axis=0).max() < 1e-9
-    assert 0.0 < figures["camera noise"].value < 1e-4
-    assert 0.0 < figures["camera noise, angle"].value < math.radians(0.2)
-    heads = np.array([moment.head[:2] for moment in moments])
-    start = heads[-1]
-    gone = np.hypot(*(heads - start).T)
-    assert 5e-3 < gone.max() < 21e-3
-    assert figures["repeatability of the drive"].value < 5e-5
-    # In accelerated time the begin of a move is known to a frame.
-    assert abs(figures["latency of the camera"].value) < 1.0 / 30.0
-    assert figures["error of placement"].value < 1e-3
-    assert figures["scatter between runs"].value == pytest.approx(true_scatter, abs=3e-4)
-    assert figures["round trip of the tactile board"].verdict == "good"
-    assert abs(figures["delay of the tactile board"].value or 0.0) < 1.0 / 30.0
-    assert len(report.numbers["check"]) == 8
-    assert report.tables[0].title == "Check of the bench"
 
 
 def test_a_part_that_is_not_seen_is_refused():

@@ -17,27 +17,19 @@ from fixel.workflows.bench.judge import _reasons
 from fixel.workflows.bench.run import open_bench
 
 
-def reasons(bench, monkeypatch, **faults):  # noqa: F811
-    """Reasons of the first attempt of each row at a laboratory with these faults."""
+@pytest.mark.system
+@pytest.mark.usefixtures("small_laboratory")
+def test_faults_are_noticed_and_their_rows_repeated(bench, monkeypatch):  # noqa: F811
     project, plan = bench
-    monkeypatch.setattr(devices, "HIDDEN", faults.get("hidden", slice(0)))
-    monkeypatch.setattr(devices, "OVERLOAD", faults.get("overload", slice(0)))
+    monkeypatch.setattr(devices, "OVERLOAD", slice(1))
+    monkeypatch.setattr(devices, "HIDDEN", slice(1, 2))
     with open_bench(project, plan, emulated=True, auto=True, fit=("mu_support",)) as loop:
         loop.run()
-        first = [own for own in loop.campaign.attempts.values() if own.number == 1]
-        again = [own for own in loop.campaign.attempts.values() if own.number == 2]
-    return [own.reasons for own in first], again
-
-
-@pytest.mark.system
-@pytest.mark.parametrize(
-    ("fault", "reason"), [("overload", "overload"), ("hidden", "was not seen for")]
-)
-def test_a_fault_is_noticed_and_the_row_repeated(fault, reason, bench, monkeypatch):  # noqa: F811
-    first, again = reasons(bench, monkeypatch, **{fault: slice(1)})
-    assert any(reason in found for found in first[0])
-    assert first[1] == ()
-    assert [own.state for own in again] == ["accepted"]
+        attempts = list(loop.campaign.attempts.values())
+    first, again = ([own for own in attempts if own.number == n] for n in (1, 2))
+    for own, reason in zip(first, ("overload", "was not seen for"), strict=True):
+        assert any(reason in found for found in own.reasons)
+    assert [(own.state, own.reasons) for own in again] == [("accepted", ())] * 2
 
 
 def test_a_part_that_is_hidden_until_the_end_is_noticed(tmp_path):

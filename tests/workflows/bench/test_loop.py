@@ -1,5 +1,6 @@
 """The whole loop at the emulated laboratory, judged by the laboratory's hidden truth."""
 
+import math
 import os
 import queue
 import signal
@@ -8,6 +9,7 @@ import time
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from importlib.resources import files
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -27,12 +29,18 @@ from fixel.workflows.bench.judge import TrackedAttempt
 from fixel.workflows.bench.loop import Background, BenchLoop
 from fixel.workflows.bench.run import open_bench, report_of
 
+pytestmark = [pytest.mark.system, pytest.mark.usefixtures("small_laboratory")]
+
+
+def begun(folder):
+    """Create a project, and a plan of two quick pushes of a square."""
+    (folder / "few.yaml").write_text(plan_text(short_plan()))
+    return Project.create(folder / "lab"), folder / "few.yaml"
+
 
 @pytest.fixture
 def bench(tmp_path):
-    """A project, and a plan of two quick pushes of a square."""
-    (tmp_path / "few.yaml").write_text(plan_text(short_plan()))
-    return Project.create(tmp_path / "lab"), tmp_path / "few.yaml"
+    return begun(tmp_path)
 
 
 def opened(bench, **options):
@@ -79,48 +87,89 @@ def operated(bench):
         hand.thread.join(60.0)
 
 
-@pytest.mark.system
-def test_a_plan_is_performed_tracked_stored_and_calibrated(bench):
-    project, _ = bench
-    truth = []
+@pytest.fixture(scope="module")
+def performed(tmp_path_factory, small_laboratory):
+    """A bench whose plan was performed by two programs; what they showed, and the true poses."""
+    bench = begun(tmp_path_factory.mktemp("performed"))
+    truth, statuses = [], []
     with opened(bench, auto=True, limit=1) as loop:
         assert loop.run() == "the limit is reached"
         truth += [moment.part for moment in loop.devices.laboratory.moments]
     with opened(bench, auto=True) as loop:
-        statuses = []
         loop.show = lambda draw, status: statuses.append(status)
         assert loop.run() == "every row of the plan is done"
-        attempts = [own for own in loop.campaign.attempts.values() if own.state == "accepted"]
         truth += [moment.part for moment in loop.devices.laboratory.moments]
-        report = report_of(loop).analysis
+        return SimpleNamespace(
+            bench=bench, loop=loop, numbers=report_of(loop).analysis.numbers,
+            truth=np.array(truth), phases={status["phase"] for status in statuses},
+        )  # fmt: skip
 
-    assert [own.row for own in attempts] == [row.name for row in loop.campaign.rows]
+
+def nearest(truth, found):
+    """The true pose that is nearest to a found one."""
+    return truth[np.hypot(*(truth - found)[:, :2].T).argmin()]
+
+
+def test_a_plan_is_performed_tracked_stored_and_calibrated(performed):
+    campaign, (project, _) = performed.loop.campaign, performed.bench
+    attempts = campaign.accepted
+    assert [own.row for own in attempts] == [row.name for row in campaign.rows]
     with project.store() as store:
         stored = [store.experiment(own.experiment) for own in attempts]
     assert not any(own.real for own in stored)
     for own, attempt in zip(stored, attempts, strict=True):
         assert own.dataset == "few"
-        recording = open_recording(loop.campaign.recording(attempt))
+        recording = open_recording(campaign.recording(attempt))
         assert recording.complete
         assert recording.end.lost == 0
         # The end of the track is a pose that the part truly had.
-        off = np.abs(np.array(truth) - own.trajectory.pose[-1])
-        nearest = off[np.argmin(np.hypot(*off[:, :2].T))]
-        assert nearest[:2].max() < 3e-4
-        assert nearest[2] < 5e-3
-    assert report.numbers["accepted"] == 2
-    assert report.numbers["half_widths"]["mu_support"] > 0.0
-    phases = [status["phase"] for status in statuses]
-    for phase in ("placing", "moving", "pushing", "finished"):
-        assert phase in phases
+        end = own.trajectory.pose[-1]
+        off = np.abs(nearest(performed.truth, end) - end)
+        assert off[:2].max() < 3e-4
+        assert off[2] < 5e-3
+    assert performed.numbers["accepted"] == 2
+    assert performed.numbers["half_widths"]["mu_support"] > 0.0
+    assert performed.phases >= {"placing", "moving", "pushing", "finished"}
 
-    with opened(bench, auto=True) as loop:  # again: nothing is left, nothing is doubled
+    with opened(performed.bench, auto=True) as loop:  # again: nothing is left, nothing is doubled
         assert loop.run() == "every row of the plan is done"
     with project.store() as store:
         assert store.datasets() == {"few": 2}
 
 
-@pytest.mark.system
+def test_the_check_measures_an_emulated_laboratory(performed):
+    with performed.bench[0].store() as store:
+        accepted = performed.loop.campaign.accepted
+        ends = [store.experiment(own.experiment).trajectory.pose[-1] for own in accepted]
+    first, second = (nearest(performed.truth, end) for end in ends)
+    true_scatter = np.hypot(*(first - second)[:2]) / math.sqrt(2.0)
+
+    with opened(performed.bench, check=True) as loop:
+        assert loop.run() == "the bench was measured"
+        figures = {own.name: own for own in loop.figures}
+        moments = list(loop.devices.laboratory.moments)
+        report = report_of(loop).analysis
+    assert not loop.campaign.left  # no row was performed or changed
+    # The part never moved after it was placed; the head stood at one place after each move.
+    parts = np.array([moment.part for moment in moments[-200:]])
+    assert np.ptp(parts, axis=0).max() < 1e-9
+    assert 0.0 < figures["camera noise"].value < 1e-4
+    assert 0.0 < figures["camera noise, angle"].value < math.radians(0.2)
+    heads = np.array([moment.head[:2] for moment in moments])
+    start = heads[-1]
+    gone = np.hypot(*(heads - start).T)
+    assert 5e-3 < gone.max() < 21e-3
+    assert figures["repeatability of the drive"].value < 5e-5
+    # In accelerated time the begin of a move is known to a frame.
+    assert abs(figures["latency of the camera"].value) < 1.0 / 30.0
+    assert figures["error of placement"].value < 1e-3
+    assert figures["scatter between runs"].value == pytest.approx(true_scatter, abs=3e-4)
+    assert figures["round trip of the tactile board"].verdict == "good"
+    assert abs(figures["delay of the tactile board"].value or 0.0) < 1.0 / 30.0
+    assert len(report.numbers["check"]) == 8
+    assert report.tables[0].title == "Check of the bench"
+
+
 def test_a_stop_ends_the_push_at_once_and_the_row_is_performed_again(bench):
     with operated(bench) as (loop, hand):
         hand.place()
@@ -141,7 +190,6 @@ def test_a_stop_ends_the_push_at_once_and_the_row_is_performed_again(bench):
     assert loop.finish == "ended by the person at the bench"
 
 
-@pytest.mark.system
 @pytest.mark.parametrize("after", ["stop", "end"])
 def test_a_push_that_was_asked_for_before_does_not_begin_after(after, bench):
     with operated(bench) as (loop, hand):
@@ -156,7 +204,6 @@ def test_a_push_that_was_asked_for_before_does_not_begin_after(after, bench):
         assert "moving" not in {status["phase"] for status in hand.statuses}
 
 
-@pytest.mark.system
 def test_an_interruption_stops_the_head_on_its_way(bench):
     """Ctrl-C interrupts the loop where it runs in the main thread."""
     with opened(bench, auto=True) as loop:
@@ -173,7 +220,6 @@ def test_an_interruption_stops_the_head_on_its_way(bench):
         assert np.linalg.norm(drive.place() - start) > 5e-3
 
 
-@pytest.mark.system
 def test_a_repeated_key_confirms_no_zero_that_was_not_asked_for(bench, monkeypatch):
     confirmed = []
     with operated(bench) as (loop, hand):
@@ -191,7 +237,6 @@ def test_a_repeated_key_confirms_no_zero_that_was_not_asked_for(bench, monkeypat
         assert not confirmed
 
 
-@pytest.mark.system
 def test_a_stop_during_recovery_prevents_homing(bench, monkeypatch):
     with operated(bench) as (loop, hand):
         hand.place()
@@ -206,7 +251,6 @@ def test_a_stop_during_recovery_prevents_homing(bench, monkeypatch):
         assert not homed
 
 
-@pytest.mark.system
 def test_a_drive_of_unknown_position_does_not_move_before_a_person_confirms_its_zero(
     bench, monkeypatch
 ):
@@ -235,7 +279,6 @@ def test_a_drive_of_unknown_position_does_not_move_before_a_person_confirms_its_
         assert not loop.campaign.attempts
 
 
-@pytest.mark.system
 def test_a_lost_page_stops_the_push_that_it_asked_for(bench):
     with operated(bench) as (loop, hand):
         loop.page_left = lambda: "the page is lost" if loop.devices.drive.moving else ""
@@ -245,7 +288,6 @@ def test_a_lost_page_stops_the_push_that_it_asked_for(bench):
         assert hand.now()["problems"] == ["the page is lost"]
 
 
-@pytest.mark.system
 def test_a_lost_camera_stops_the_push_and_is_opened_again(bench, monkeypatch):
     with operated(bench) as (loop, hand):
         hand.place()
@@ -258,7 +300,6 @@ def test_a_lost_camera_stops_the_push_and_is_opened_again(bench, monkeypatch):
         hand.place()
 
 
-@pytest.mark.system
 def test_an_attempt_with_a_fault_waits_for_a_decision(bench, monkeypatch):
     real = BenchLoop._tracked
 
@@ -293,7 +334,6 @@ class Estimator:
         pass
 
 
-@pytest.mark.system
 def test_the_emulated_laboratory_counts_the_pushes_of_earlier_programs(bench, monkeypatch):
     counts = []
     for _ in range(3):
@@ -308,7 +348,6 @@ def test_the_emulated_laboratory_counts_the_pushes_of_earlier_programs(bench, mo
                       (first.name, 2), (second.name, 0)]  # fmt: skip
 
 
-@pytest.mark.system
 def test_an_accepted_attempt_that_is_repeated_leaves_the_estimates(bench):
     with opened(bench) as loop:
         rows, loop._estimator = loop.campaign.rows, Estimator()
@@ -331,7 +370,6 @@ def test_an_accepted_attempt_that_is_repeated_leaves_the_estimates(bench):
         assert loop.live is None
 
 
-@pytest.mark.system
 @pytest.mark.parametrize("refusing", ["the database", "the journal"])
 def test_an_attempt_that_cannot_be_stored_is_stored_once_it_can_be(bench, monkeypatch, refusing):
     project, _ = bench
@@ -360,7 +398,6 @@ def test_an_attempt_that_cannot_be_stored_is_stored_once_it_can_be(bench, monkey
         assert [*store.datasets().values()] == [1]
 
 
-@pytest.mark.system
 def test_a_camera_lost_while_a_part_is_placed_is_opened_again(bench):
     with operated(bench) as (loop, hand):
         hand.place()
@@ -371,7 +408,6 @@ def test_a_camera_lost_while_a_part_is_placed_is_opened_again(bench):
         hand.place()
 
 
-@pytest.mark.system
 def test_a_plate_without_fixels_needs_no_reading_of_them(bench):
     project, plan = bench
     layout = replace(thesis_plan().layouts[0], pegs=())
@@ -392,7 +428,6 @@ def dies_twice(folder):
     return "done"
 
 
-@pytest.mark.system
 def test_a_calculation_whose_process_was_killed_is_repeated(tmp_path, monkeypatch):
     answers = queue.Queue()
     with closing(Background(dies_twice)) as background:
@@ -404,7 +439,6 @@ def test_a_calculation_whose_process_was_killed_is_repeated(tmp_path, monkeypatc
         assert isinstance(answers.get(timeout=300.0), JobRefused)
 
 
-@pytest.mark.system
 def test_a_small_part_is_pushed_where_it_lies_from_two_sides(tmp_path):
     """Pushes of the ASME paper with two axes, under the microscope."""
     plan = replace(eight_push_plan(), repetitions=1)

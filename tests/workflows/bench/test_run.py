@@ -29,7 +29,7 @@ pytestmark = pytest.mark.system
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A project, a plan of one push of 120 mm at 30 mm/s, a small rig, a film of its size."""
+    """A project, a plan of one push of 0.1 m at 30 mm/s, a small rig, a film of its size."""
     folder = tmp_path_factory.mktemp("bench")
     plan = short_plan("one", repetitions=1, speed=0.03)
     (folder / "one.yaml").write_text(plan_text(plan))
