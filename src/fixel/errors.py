@@ -21,7 +21,7 @@ from __future__ import annotations
 import errno
 import re
 import reprlib
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -396,6 +396,12 @@ def counted(number: object, what: str) -> str:
     """Return a number of things as text: `1 push`, `2 pushes`."""
     ending = "es" if what.endswith(("sh", "ch")) else "s"
     return f"{number} {what}{'' if str(number) == '1' else ending}"
+
+
+def some_of(names: Sequence[str], most: int) -> str:
+    """Return the first names as text, and how many more there are: `a, b and 3 more`."""
+    more = len(names) - most
+    return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
 
 
 LIST_EXPERIMENTS: Final = "fixel list shows all experiments"

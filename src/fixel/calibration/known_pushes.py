@@ -28,6 +28,7 @@ from fixel.calibration.contacts import (
     gaps_and_normals,
 )
 from fixel.calibration.target import Target, target_of
+from fixel.errors import some_of
 from fixel.model import Disk, Experiment, Scene
 from fixel.model.fields import Comparable, frozen, instance, settle
 from fixel.simulation.pack import pusher_path
@@ -147,7 +148,8 @@ class KnownPushes(Comparable):
             n = counts[value]
             least = min(MIN_EXPERIMENTS, len(self)) if name in IDENTITY else 1
             if value and not n:
-                yield Trait(name, f"{name} {value!r}: no experiment with it, only {_some(counts)}")
+                known = some_of(sorted(counts), MAX_NAMES)
+                yield Trait(name, f"{name} {value!r}: no experiment with it, only {known}")
             elif value and n < least:
                 yield Trait(name, f"{name} {value!r}: only {n} of {len(self)} experiments with it")
 
@@ -164,7 +166,8 @@ class KnownPushes(Comparable):
                 continue  # a scene alone belongs to no laboratory
             if name in PARTS and len({column[k] for k in np.flatnonzero(same)}) == 1:
                 continue  # the outline identifies the part
-            yield Trait(name, f"{name} not given (experiments have {_some(counts)})", False)
+            known = some_of(sorted(counts), MAX_NAMES)
+            yield Trait(name, f"{name} not given (experiments have {known})", False)
 
     @cached_property
     def _counts(self) -> dict[str, Counter[str]]:
@@ -292,12 +295,6 @@ def _repeats(column: Sequence[str]) -> bool:
     """Whether most values of a text occur more than once, so that it groups experiments."""
     counts = Counter(filter(None, column))
     return 2 * sum(n for n in counts.values() if n > 1) > len(column)
-
-
-def _some(counts: Counter[str]) -> str:
-    names = sorted(counts)
-    more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
-    return ", ".join(names[:MAX_NAMES]) + more
 
 
 def _size(scene: Scene) -> tuple[float, float]:

@@ -34,7 +34,7 @@ from fixel.calibration.objective import (
 from fixel.calibration.result import PLAIN, CalibrationResult, FitKind, ParameterSet
 from fixel.calibration.study import MADE, OUT_OF_BUDGET
 from fixel.calibration.target import Target, target_of
-from fixel.errors import InvalidInput, counted
+from fixel.errors import InvalidInput, counted, some_of
 from fixel.io.damaged_files import readable
 from fixel.jobs import folder as files
 from fixel.model import Experiment, Parameters, Scene
@@ -526,16 +526,14 @@ class Calibration(Result, Mapping[str, float]):
         found = outliers(errors, unit)
         if not found:
             return []
-        named = ", ".join(
-            f"{self.keys_of_experiments[k]} ({lengths_of(errors[k], unit):.3g} mm)"
-            for k in found[:MAX_OUTLIERS]
-        )
-        more = f" and {len(found) - MAX_OUTLIERS} more" if len(found) > MAX_OUTLIERS else ""
+        named = [
+            f"{self.keys_of_experiments[k]} ({lengths_of(errors[k], unit):.3g} mm)" for k in found
+        ]
         share = float(errors[found].sum() / errors[np.isfinite(errors)].sum())
         robust = self.request.error.name == Robust.name
         return [
             f"{len(found)} of {len(errors)} experiments are outliers, with {100 * share:.0f} % of"
-            f" the summed error: {named}{more}"
+            f" the summed error: {some_of(named, MAX_OUTLIERS)}"
             + ("" if robust else f"; the error {Robust.name} reduces their weight")
         ]
 
@@ -646,10 +644,7 @@ class Calibrations(CalibrationPlan, Result, Sequence[Calibration]):
         reasons: dict[str, list[str]] = {}
         for key, reason in self.left_out.items():
             reasons.setdefault(reason.removeprefix(f"{key}: "), []).append(key)
-        return tuple(
-            f"skipped {keys[0]}{f' and {len(keys) - 1} more' if keys[1:] else ''}: {reason}"
-            for reason, keys in reasons.items()
-        )
+        return tuple(f"skipped {some_of(keys, 1)}: {reason}" for reason, keys in reasons.items())
 
     def draw(self, folder: Path) -> list[Path]:
         """Draw all charts into a folder; return PNG, PDF and CSV of each."""

@@ -28,7 +28,7 @@ from fixel.domain.growth import (
     Step,
     weights,
 )
-from fixel.errors import InvalidInput, counted
+from fixel.errors import InvalidInput, counted, some_of
 from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Member
 from fixel.model.space import ParameterSpace, Unknown
@@ -242,12 +242,11 @@ def _changed(growth: Growth, singles: SingleCalibrations) -> list[str]:
                 changed.append(f"{first.group.name} ({stored:.4g}, now {errors[0]:.4g})")
     if not changed:
         return []
-    more = f" and {len(changed) - 3} more" if len(changed) > 3 else ""
     return [
         "Simulating nominal experiments again does not reproduce their stored errors: "
-        + ", ".join(changed[:3]) + more
-        + ". The calibrations are of another version or of other data; calibrate again."
-    ]  # fmt: skip
+        f"{some_of(changed, 3)}. The calibrations are of another version or of other data; "
+        "calibrate again."
+    ]
 
 
 def _beaten(

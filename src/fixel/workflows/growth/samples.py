@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple, final
 
 from fixel.calibration.target import Target, target_of
 from fixel.database.store import Store
 from fixel.domain.growth import AXES, NOMINAL, AxisPlace, ExperimentGroup
-from fixel.errors import InvalidInput, counted
+from fixel.errors import InvalidInput, counted, some_of
 from fixel.model.selection import Bound, ExperimentQuery, ExperimentRow
 from fixel.workflows.figures import banner_of
 
@@ -145,7 +144,7 @@ def _read(store: Store, first: dict[_Seat, ExperimentRow], warnings: list[str]) 
         makers.append("" if experiment.real else experiment.simulated_by or "an unknown program")
     if unusable:
         skipped = f"skipped {counted(len(unusable), 'experiment')} that cannot be compared with a"
-        warnings.append(f"{skipped} simulation: {_some(unusable)}.")
+        warnings.append(f"{skipped} simulation: {some_of(unusable, 3)}.")
     return GrowthSamples(
         ids=ids,
         targets=targets,
@@ -168,8 +167,3 @@ def _lengths(first: dict[_Seat, ExperimentRow]) -> dict[str, float]:
         for axis, own in found.items()
         if own[0] > 0.0 and all(math.isclose(x, own[0], rel_tol=1e-3) for x in own)
     }
-
-
-def _some(keys: Sequence[str], most: int = 3) -> str:
-    more = f" and {len(keys) - most} more" if len(keys) > most else ""
-    return ", ".join(keys[:most]) + more

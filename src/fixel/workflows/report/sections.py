@@ -17,6 +17,7 @@ from fixel.calibration.objective import lengths_of
 from fixel.database.project import Project
 from fixel.database.query import ALL_EXPERIMENTS
 from fixel.database.store import Store
+from fixel.errors import some_of
 from fixel.model.selection import ExperimentQuery, ExperimentRow
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
@@ -99,8 +100,8 @@ def calibration_warnings(fit: Calibration) -> tuple[str, ...]:
         "warnings",
         misfit=fit.found.misfit,
         estimates=fit.found.estimates,
-        failed=_named([keys[k] for k in np.flatnonzero(~np.isfinite(after))]),
-        far=_named(far),
+        failed=some_of([keys[k] for k in np.flatnonzero(~np.isfinite(after))], MAX_NAMED),
+        far=some_of(far, MAX_NAMED),
         far_ratio=FAR_RATIO,
     )
 
@@ -151,11 +152,6 @@ def _scale_mm(fit: Calibration) -> float:
 def _middle(values: FloatArray) -> str:
     good = values[np.isfinite(values)]
     return f"{np.median(good):.3g} mm RMS{' (median)' * (len(values) > 1)}" if len(good) else ""
-
-
-def _named(names: list[str]) -> str:
-    more = len(names) - MAX_NAMED
-    return ", ".join(names[:MAX_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def _of_parameters(figure: Figure) -> bool:
