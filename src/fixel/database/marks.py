@@ -29,7 +29,7 @@ class Note(NamedTuple):
 
 def flag(connection: sa.Connection, experiment_ids: Iterable[int], flag: Flag) -> list[int]:
     """Add a flag to experiments that do not have it; return their ids."""
-    wanted = _known(connection, tables.experiment, experiment_ids, "experiment")
+    wanted = _known(connection, tables.experiment, experiment_ids)
     new = sorted({*wanted}.difference(_carrying(connection, wanted, flag.name)))
     if new:
         connection.execute(sa.insert(tables.flag), [flag_row(one, flag) for one in new])
@@ -49,7 +49,7 @@ def flag_row(experiment_id: int, flag: Flag) -> dict[str, Any]:
 
 def unflag(connection: sa.Connection, experiment_ids: Iterable[int], name: str) -> list[int]:
     """Remove a flag from experiments; return the ids of those that had it."""
-    wanted = _known(connection, tables.experiment, experiment_ids, "experiment")
+    wanted = _known(connection, tables.experiment, experiment_ids)
     had = _carrying(connection, wanted, name)
     flag = tables.flag
     connection.execute(
@@ -64,8 +64,7 @@ def delete(
     connection: sa.Connection, experiment_ids: Iterable[int], *, back: bool = False
 ) -> list[int]:
     """Delete experiments, or restore them; return the changed ids."""
-    wanted = _known(connection, tables.experiment, experiment_ids, "experiment")
-    return _mark(connection, tables.experiment, wanted, back)
+    return _mark(connection, tables.experiment, experiment_ids, back)
 
 
 def annotate(connection: sa.Connection, experiment_ids: Iterable[int], text: str) -> list[int]:
@@ -75,7 +74,7 @@ def annotate(connection: sa.Connection, experiment_ids: Iterable[int], text: str
         raise InvalidInput(
             "note.text", found=f"{len(text)} characters", expected=f"1 to {MAX_TEXT} characters"
         )
-    wanted = _known(connection, tables.experiment, experiment_ids, "experiment")
+    wanted = _known(connection, tables.experiment, experiment_ids)
     row = {"text": text, "created_at_utc": rows.now()}
     return [insert_one(connection, tables.note, row | {"experiment_id": one}) for one in wanted]
 
@@ -84,8 +83,7 @@ def delete_notes(
     connection: sa.Connection, notes: Iterable[int], *, back: bool = False
 ) -> list[int]:
     """Delete notes by their ids, or restore them; return the changed ids."""
-    wanted = _known(connection, tables.note, notes, "note")
-    return _mark(connection, tables.note, wanted, back)
+    return _mark(connection, tables.note, notes, back)
 
 
 def notes_of(connection: sa.Connection, experiment_id: int) -> list[Note]:
@@ -99,10 +97,13 @@ def notes_of(connection: sa.Connection, experiment_id: int) -> list[Note]:
     return [Note(*row) for row in connection.execute(wanted)]
 
 
-def _mark(connection: sa.Connection, table: sa.Table, numbers: list[int], back: bool) -> list[int]:
+def _mark(
+    connection: sa.Connection, table: sa.Table, numbers: Iterable[int], back: bool
+) -> list[int]:
+    wanted = _known(connection, table, numbers)
     gone = table.c.deleted_at_utc
     other = gone.is_not(None) if back else gone.is_(None)
-    found = connection.scalars(sa.select(table.c.id).where(table.c.id.in_(numbers), other))
+    found = connection.scalars(sa.select(table.c.id).where(table.c.id.in_(wanted), other))
     changed = sorted(found)
     connection.execute(
         sa.update(table)
@@ -126,12 +127,10 @@ def _carrying(connection: sa.Connection, experiment_ids: list[int], name: str) -
     return sorted(found)
 
 
-def _known(
-    connection: sa.Connection, table: sa.Table, numbers: Iterable[int], what: str
-) -> list[int]:
+def _known(connection: sa.Connection, table: sa.Table, numbers: Iterable[int]) -> list[int]:
     """Return the ids sorted and without duplicates; raise `NotStored` for the first missing one."""
     wanted = sorted(set(numbers))
     found = set(connection.scalars(sa.select(table.c.id).where(table.c.id.in_(wanted))))
     if missing := [number for number in wanted if number not in found]:
-        raise NotStored(f"{what} {missing[0]}", hint=LIST_EXPERIMENTS)
+        raise NotStored(f"{table.name} {missing[0]}", hint=LIST_EXPERIMENTS)
     return wanted
