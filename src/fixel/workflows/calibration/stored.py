@@ -81,12 +81,6 @@ class CalibratedValues:
         options = {field.name: method.get(f"error.{field.name}") for field in fields(kind)}
         return kind(**{name: float(value) for name, value in options.items() if value is not None})
 
-    @property
-    def level(self) -> float | None:
-        """Confidence level of the intervals; None if it was not stored."""
-        level: float | None = (self.record.request or {}).get("level")
-        return level
-
     def values(self, conditions: Mapping[str, str | float]) -> dict[str, float]:
         """Return the parameters for an experiment under these conditions, by name [SI].
 

@@ -235,7 +235,8 @@ def _contradictions(found: Uncertainty, compared: CalibratedValues) -> Iterator[
     """Parameters whose median is outside the 95 % interval of a calibration, if it were normal."""
     from scipy.special import ndtri
 
-    wider = float(ndtri(0.975) / ndtri(0.5 + 0.5 * (compared.level or 0.95)))
+    level = (compared.record.request or {}).get("level") or 0.95  # earlier records lack it
+    wider = float(ndtri(0.975) / ndtri(0.5 + 0.5 * level))
     low, middle, high = found.posterior.quantiles()
     estimates = {estimate.label: estimate for estimate in compared.record.estimates}
     for k, label in enumerate(found.posterior.labels):
