@@ -186,6 +186,15 @@ def test_import_is_light(module: str) -> None:
     assert module == "fixel.cli.main" or float(seconds) <= 0.1
 
 
+def test_a_project_is_read_and_simulated_without_the_geometry_of_scipy() -> None:
+    """It would be a fifth of what each process loads; only bags and plans need it."""
+    code = (
+        "import fixel.database.project, fixel.workflows.simulation, sys;"
+        "sys.exit('scipy.spatial' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
 # ---- results -------------------------------------------------------------------------------------
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Final, NamedTuple, final
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
+import scipy  # which loads `scipy.spatial` when it is used
 
 from fixel.datasets.bag_file import Bag, FrameTrack, bag_files, read_bag
 from fixel.datasets.base import Importer, ImportPlan, origin_of
@@ -205,7 +205,7 @@ def _pose_in(
 def _composed(tracks: list[FrameTrack], time: FloatArray) -> _Poses:
     """Return the poses of the first frame in the parent of the last."""
     n = len(time)
-    found = _Poses(np.zeros((n, 3)), Rotation.identity(n), np.ones(n, dtype=bool))
+    found = _Poses(np.zeros((n, 3)), scipy.spatial.transform.Rotation.identity(n), np.ones(n, bool))
     for track in tracks:
         one = _at(track, time)
         position = one.position + one.rotation.apply(found.position)
@@ -225,7 +225,7 @@ def _at(track: FrameTrack, time: FloatArray) -> _Poses:
         (track.time[after] - track.time[after - 1] <= GAP) | np.isin(time, track.time)
     )
     position = [np.interp(inside, track.time, axis) for axis in track.position.T]
-    rotation = Slerp(track.time, track.rotation)(inside)
+    rotation = scipy.spatial.transform.Slerp(track.time, track.rotation)(inside)
     return _Poses(np.column_stack(position), rotation, np.asarray(there))
 
 

@@ -17,7 +17,7 @@ from types import SimpleNamespace
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy  # which loads `scipy.spatial` when it is used
 
 from fixel.datasets.files import bounded_lines
 from fixel.errors import DatasetMissing, InvalidInput, require
@@ -40,7 +40,7 @@ _TAGS: Final = {  # detections with poses, by the packages that define them
     "isaac_ros_apriltag_interfaces": "string family\nint32 id\ngeometry_msgs/Point center\n"
     "geometry_msgs/Point[4] corners\ngeometry_msgs/PoseWithCovarianceStamped pose",
 }
-_FLIP: Final = Rotation.from_quat((1.0, 0.0, 0.0, 0.0))  # half a turn about x
+_FLIP: Final = (1.0, 0.0, 0.0, 0.0)  # half a turn about x, as a quaternion
 
 
 class Message(NamedTuple):
@@ -77,11 +77,11 @@ class FrameTrack:
                 name, found="a pose without a place or rotation", expected="finite, unit rotations"
             )
         self.time, self.logged, self.position = table[:, 0], table[:, 1], table[:, 2:5]
-        self.rotation = Rotation.from_quat(table[:, 5:])
+        self.rotation = scipy.spatial.transform.Rotation.from_quat(table[:, 5:])
         # AprilTag 3 has z into the tag, as the camera looks; others have it out of the tag.
         seen = name.startswith("tag") and re.search("cam|optical", self.parent.lower())
         if seen and self.rotation.as_matrix()[:, 2, 2].mean() > 0.0:
-            self.rotation, self.turned = self.rotation * _FLIP, True
+            self.rotation, self.turned = self.rotation * self.rotation.from_quat(_FLIP), True
 
 
 @final
@@ -268,7 +268,7 @@ def _from_tags(path: Path) -> Iterator[Message]:
             row = json.loads(line)
             for seen in row.get("detections", [row]):
                 x, y, z = np.asarray(seen["pose_t"], dtype=np.float64).ravel().tolist()
-                q = Rotation.from_matrix(seen["pose_R"]).as_quat().tolist()
+                q = scipy.spatial.transform.Rotation.from_matrix(seen["pose_R"]).as_quat().tolist()
                 pose = SimpleNamespace(
                     translation=SimpleNamespace(x=x, y=y, z=z),
                     rotation=SimpleNamespace(**dict(zip("xyzw", q, strict=True))),
