@@ -2,8 +2,8 @@
 
 Inside a mode the derivative obeys the linear equation of the flow. Where one mode ends and the next
 begins it jumps by the change of velocity times the derivative of that time; docs/theory/modes.md
-derives both. Rows change by differences of the residual, not of solutions, so that Newton's method
-solves for nothing but the motion itself. Each parameter is visited once, along the whole rollout.
+derives both. By parameters, rows change by differences of the residual, not of solutions, so that
+Newton's method solves for nothing but the motion. Each is visited once, along the whole rollout.
 """
 
 import math
@@ -95,27 +95,71 @@ def _load_unknowns(mode: ContactMode, flow: Flow, k: int) -> None:
         mode.unknown[i] = flow.unknown[k, i]
 
 
-@large_kernel
-def _write_column(
-    model: Model, mode: ContactMode, q: FloatArray, flow: Flow, k: int, column: int, width: float
-) -> None:
-    """Write a column of the derivative of the velocity at state k, from the residuals of its
-    unknowns in a model and at a pose that differ from it by a width."""
-    geometry.place_mode(mode, q)
-    n = write_rows(model, mode)
-    assemble(model, mode, n)
+@kernel
+def _respond(flow: Flow, k: int, column: int, change: FloatArray, n: int) -> None:
+    """Add what a change of n residuals makes of the velocity to a column of its derivative."""
     for i in range(3):
-        total = mode.velocity[i] - flow.velocity[k, i]
-        for j in range(3 + n):
-            total -= flow.gain[k, i, j] * mode.vector[j]
-        flow.slope[k, i, column] = total / width
+        for j in range(n):
+            flow.slope[k, i, column] -= flow.gain[k, i, j] * change[j]
+
+
+@large_kernel
+def _write_pose_columns(model: Model, mode: ContactMode, flow: Flow, k: int) -> None:
+    """Write the derivative of the velocity by the pose at state k, where the mode is solved.
+
+    Seen from the part, with which supports and velocity turn, the obstacles move instead.
+    """
+    v = mode.velocity
+    change = mode.vector
+    for j in range(3):
+        spun = -1.0 if j == 2 else 0.0  # turn of the obstacles
+        flow.slope[k, 0, j] = spun * v[1]
+        flow.slope[k, 1, j] = -spun * v[0]
+        flow.slope[k, 2, j] = 0.0
+        change[:] = 0.0
+        n = 3
+        for c in range(mode.size[geometry.N_CLOSED]):
+            own = mode.contact[c]
+            row = mode.row[n - 3]
+            tangent = mode.tangent[c]
+            body = model.piece_body[own[geometry.SECOND]]
+            near = model.piece_radius[own[geometry.FIRST]]
+            far = model.piece_radius[own[geometry.SECOND]]
+            # Turn of the normal, and motion of the point along tangent and normal.
+            turn = 0.0 if own[geometry.FORM] == geometry.TIP else spun
+            if own[geometry.FORM] == geometry.ROUND:
+                turn = (tangent[j] + spun * far) / (near + far)
+            along = far * (turn - spun) - tangent[j]
+            away = -row[j]
+            if own[geometry.FORM] == geometry.EDGE:
+                along = -near * turn
+                away = 0.0
+            sticks = own[geometry.SLIP] == 0
+            normal = mode.unknown[n]
+            friction = own[geometry.SLIP] * model.friction[0, body] * normal
+            if sticks:
+                friction = mode.unknown[n + 1]
+            change[0] -= turn * (normal * tangent[0] - friction * row[0])
+            change[1] -= turn * (normal * tangent[1] - friction * row[1])
+            change[2] -= turn * (normal * tangent[2] - friction * row[2])
+            change[2] += along * normal - away * friction
+            spin = mode.motion[2] if body == 1 else 0.0
+            slip = -tangent[3]
+            for i in range(3):
+                slip += tangent[i] * v[i]
+            right = mode.right[n - 3]
+            change[n] = turn * slip - along * v[2] + spun * tangent[3] + spin * (along + tangent[j])
+            if sticks:
+                n += 1
+                change[n] = away * v[2] - spun * right - spin * (away + row[j])
+            n += 2 if own[geometry.FORM] == geometry.FLUSH else 1
+        _respond(flow, k, j, change, n)
 
 
 @large_kernel
 def _linearise_state(model: Model, mode: ContactMode, flow: Flow, k: int) -> bool:
     """Solve the mode at state k, and differentiate its velocity by the pose."""
-    q = flow.state[k]
-    if not solve_mode(model, mode, q):
+    if not solve_mode(model, mode, flow.state[k]):
         return False
     n = mode.size[geometry.ROWS]
     flow.pole[k] = mode.size[geometry.POLE]
@@ -136,11 +180,7 @@ def _linearise_state(model: Model, mode: ContactMode, flow: Flow, k: int) -> boo
                 continue
             for j in range(3):
                 flow.gain[k, i, j] += part * mode.pull[m, j]
-    for column in range(3):
-        middle = q[column]
-        q[column] = middle + NUDGE
-        _write_column(model, mode, q, flow, k, column, NUDGE)
-        q[column] = middle
+    _write_pose_columns(model, mode, flow, k)
     return True
 
 
@@ -337,7 +377,12 @@ def _vary(own: Model, mode: ContactMode, tape: Tape, flow: Flow, column: int) ->
             flow.slant[TO_TOUCH, column] = margin - flow.margin[TO_TOUCH]
         for k in range(span[ONWARD], span[UP_TO]):
             _load_unknowns(mode, flow, k)
-            _write_column(own, mode, flow.state[k], flow, k, column, 1.0)
+            geometry.place_mode(mode, flow.state[k])
+            n = write_rows(own, mode)
+            assemble(own, mode, n)
+            for i in range(3):
+                flow.slope[k, i, column] = mode.velocity[i] - flow.velocity[k, i]
+            _respond(flow, k, column, mode.vector, 3 + n)
         if row[walk.EVENT] >= 0.0:
             margin = _margin(own, mode, flow.event[number], int(row[walk.EVENT]))
             flow.slant[number, column] = margin - flow.margin[number]

@@ -276,36 +276,28 @@ def place_contact(
             margin[m + 5] = -_lean(model, mode, two, j, after(model, two, j), nx, ny)
             margin[m + 6] = -_lean(model, mode, two, j, before(model, two, j), nx, ny)
         return nx, ny, wx + nx * r2, wy + ny * r2, distance - r1 - r2, 0.0
+    # The vertex or edge of one piece on an edge of the other, here the second.
+    side = 1.0
     if own[FORM] == TIP:
-        bx, by = vertex_at(model, mode, first, after(model, one, i))
-        ex = bx - vx
-        ey = by - vy
-        length = math.sqrt(ex * ex + ey * ey)
-        ex /= length
-        ey /= length
-        foot = (wx - vx) * ex + (wy - vy) * ey
-        margin[m + 3] = foot
-        margin[m + 4] = length - foot
-        if not is_disk(model, two):
-            margin[m + 5] = _lean(model, mode, two, j, after(model, two, j), ey, -ex)
-            margin[m + 6] = _lean(model, mode, two, j, before(model, two, j), ey, -ex)
-        gap = (wx - vx) * ey - (wy - vy) * ex - r2
-        return -ey, ex, wx - ey * r2, wy + ex * r2, gap, 0.0
-    bx, by = vertex_at(model, mode, second, after(model, two, j))
+        one, two, i, j = two, one, j, i
+        vx, vy, wx, wy = wx, wy, vx, vy
+        side = -1.0
+    bx, by = vertex_at(model, mode, model.piece_body[two], after(model, two, j))
     ex = bx - wx
     ey = by - wy
     length = math.sqrt(ex * ex + ey * ey)
     ex /= length
     ey /= length
-    if own[FORM] == EDGE:
+    if own[FORM] != FLUSH:
         foot = (vx - wx) * ex + (vy - wy) * ey
         margin[m + 3] = foot
         margin[m + 4] = length - foot
         if not is_disk(model, one):
             margin[m + 5] = _lean(model, mode, one, i, after(model, one, i), ey, -ex)
             margin[m + 6] = _lean(model, mode, one, i, before(model, one, i), ey, -ex)
-        gap = (vx - wx) * ey - (vy - wy) * ex - r1
-        return ey, -ex, vx - ey * r1, vy + ex * r1, gap, 0.0
+        radius = model.piece_radius[one]
+        gap = (vx - wx) * ey - (vy - wy) * ex - radius
+        return side * ey, -side * ex, vx - ey * radius, vy + ex * radius, gap, 0.0
     # Flush: both ends of the part's edge, along the obstacle's from its middle.
     ux, uy = vertex_at(model, mode, first, after(model, one, i))
     ox = 0.5 * (wx + bx)

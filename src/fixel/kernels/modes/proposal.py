@@ -215,8 +215,6 @@ def read_mode(
         pair = problem.contact_key[i] // FEATURES
         tangential = problem.impulse[i, 1] / scale
         c = size[N_CLOSED]
-        body = problem.contact_body[i, 1]
-        rub = model.friction[0, body]
         if c > 0 and (
             mode.contact[c - 1, FIRST] * model.piece_body.size + mode.contact[c - 1, SECOND] == pair
         ):

@@ -22,7 +22,7 @@ from fixel.kernels.arrays import (
     Workspace,
 )
 from fixel.kernels.batch import BODY, select
-from fixel.kernels.jit import entry, kernel, large_kernel, spliced_kernel
+from fixel.kernels.jit import allocating_kernel, entry, kernel, large_kernel
 from fixel.kernels.modes.equation import project, seed, solve_mode
 from fixel.kernels.modes.geometry import (
     CLOCK_END,
@@ -273,6 +273,17 @@ def between(a: float, above: float, b: float, below: float, n: int) -> float:
     return min(max(x, a + 1e-3 * (b - a)), b - 1e-3 * (b - a))
 
 
+@kernel
+def tighten(
+    a: float, above: float, b: float, below: float, side: int, x: float, value: float
+) -> tuple[float, float, float, float, int]:
+    """Return the bracket of `between` with the value at x, and the side that moved: the other one
+    counts half when it moves twice."""
+    if value < 0.0:
+        return a, above * (0.5 if side == -1 else 1.0), x, value, -1
+    return x, value, b, below * (0.5 if side == 1 else 1.0), 1
+
+
 @large_kernel
 def find_end(
     model: Model,
@@ -303,18 +314,9 @@ def find_end(
         x = between(a, above, b, below, n)
         dense(mode, q, h, x, point)
         value, which = look(model, mode, point, pieces, True)
-        if value < 0.0:
-            b = x
-            below = value
-            above *= 0.5 if side == -1 else 1.0
-            side = -1
-            if value > -1e-13:
-                break
-        else:
-            a = x
-            above = value
-            below *= 0.5 if side == 1 else 1.0
-            side = 1
+        a, above, b, below, side = tighten(a, above, b, below, side, x, value)
+        if -1e-13 < value < 0.0:
+            break
     if x != b:
         dense(mode, q, h, b, point)
         _, which = look(model, mode, point, pieces, True)
@@ -493,16 +495,9 @@ def wait(mode: ContactMode, q: FloatArray, pieces: GapArrays) -> None:
             wide = _gap_at(mode, q, between(low, above, high, below, n), pieces)
             if abs(wide + FLOOR) < 1e-13:
                 break
-            if wide < -FLOOR:
-                high = q[3]
-                below = wide + FLOOR
-                above *= 0.5 if side == -1 else 1.0
-                side = -1
-            else:
-                low = q[3]
-                above = wide + FLOOR
-                below *= 0.5 if side == 1 else 1.0
-                side = 1
+            low, above, high, below, side = tighten(
+                low, above, high, below, side, q[3], wide + FLOOR
+            )
         return
 
 
@@ -514,16 +509,17 @@ def _gap_at(mode: ContactMode, q: FloatArray, clock: float, pieces: GapArrays) -
     return open_gap(pieces)
 
 
-@spliced_kernel
+@allocating_kernel
 def _walk(
     model: Model,
     start: FloatArray,
     method: StepMethod,
     settings: FloatArray,
-    end: FloatArray,
+    q: FloatArray,
     counts: IntArray,
     tape: Tape,
 ) -> int:
+    """Follow the modes of a rollout to its end `q`; returns how it ended."""
     problem, work = allocate(model, method.max_contacts)
     mode = empty_mode(model)
     wide = problem.momentum.size
@@ -534,29 +530,7 @@ def _walk(
     begin(model, state, np.zeros((1, 3)), settings[at.STEP], problem, work)
     for i in range(at.N_SETTING):
         control[i] = settings[i]
-    return _run(
-        model, start, state, mode, rows, guess, control, end, problem, work, method,
-        settings[at.DURATION], counts, tape,
-    )  # fmt: skip
-
-
-@large_kernel
-def _run(
-    model: Model,
-    start: FloatArray,
-    state: State,
-    mode: ContactMode,
-    rows: FloatArray,
-    guess: FloatArray,
-    control: FloatArray,
-    q: FloatArray,
-    problem: Problem,
-    work: Workspace,
-    method: StepMethod,
-    duration: float,
-    counts: IntArray,
-    tape: Tape,
-) -> int:
+    duration = settings[at.DURATION]
     measure(model, mode, start)
     mode.number[DURATION] = duration
     mode.number[STEP_LENGTH] = FIRST_STEP
@@ -570,7 +544,7 @@ def _run(
             q[3] = mode.number[CLOCK_END]
             continue
         status = _follow_piece(
-            model, state, mode, rows, guess, control, q, problem, work, method, counts, tape
+            model, state, mode, rows, guess, control, q, problem, work, counts, tape
         )
     return COMPLETE if status == STALLED else status
 
@@ -586,7 +560,6 @@ def _follow_piece(
     q: FloatArray,
     problem: Problem,
     work: Workspace,
-    method: StepMethod,
     counts: IntArray,
     tape: Tape,
 ) -> int:
