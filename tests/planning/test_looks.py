@@ -1,6 +1,7 @@
 """Plans that look at the part between pushes, against pushes that are simulated one by one."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from fixel.drawing.planning import looks_chart
 from fixel.planning.corrections import CorrectionTable, likelihoods
 from fixel.planning.looks import Policy, looks_of
 from fixel.planning.plan import search_of
+from fixel.planning.pushes import scene_of_push
 from fixel.planning.search import DRAWS, SearchStage, Views
 from fixel.testing.scenes import grasp, pushed_square
 from fixel.units import deg, mm
@@ -136,8 +138,7 @@ def test_a_goal_that_no_correction_reaches_is_refused():
         fixel.plan(pushed_square(), far, looks=1, rollouts=1_000, progress=False)
 
 
-def searched(goal=GOAL, looks=1):
-    choose = FreePushes(length=(2 * mm, 60 * mm))
+def searched(goal=GOAL, looks=1, choose=FreePushes(length=(2 * mm, 60 * mm))):  # noqa: B008
     return search_of(
         pushed_square(), goal, choose, UNKNOWN, rollouts=4_000, seed=0, views=Views(looks, CAMERA)
     )
@@ -177,6 +178,22 @@ def test_a_refined_push_reaches_a_goal_that_the_table_misses(policy):
             ends[k, refined] = np.hypot(*(end - GOAL.pose)[:2])
     assert max(ends[k, True] for k in range(2)) < 0.7 * mm
     assert min(ends[k, False] for k in range(2)) > 0.7 * mm
+
+
+def test_parts_near_a_tight_goal_are_refined_by_pushes_shorter_than_those_of_a_plan(policy):
+    """Without lengths of the user, corrections may be shorter, also while they are refined."""
+    search = searched(policy.simulator.goal, choose=FreePushes())
+    table = CorrectionTable.of(search.simulator, Belief(), 4_000, 3)
+    own = replace(policy, simulator=search.simulator, belief=Belief(), table=table)
+    off = np.random.default_rng(1).uniform(-1.0, 1.0, (20, 3)) * (3 * mm, 3 * mm, 3 * deg)
+    seen = GOAL.pose + off
+    found = own._chosen(seen, np.ones((20, 32)), np.repeat(seen[:, None], 32, axis=1))
+    paths = own.simulator.choice.motions(own.simulator.scene, found.numbers, seen).path
+    scenes = map(partial(scene_of_push, own.simulator.scene), seen, paths)
+    ends = [fixel.simulate(scene, motion="quasistatic")["part"].pose[-1] for scene in scenes]
+    assert sum(met(own.simulator, end) for end in ends) >= 12  # 3 by the pushes of the table
+    shortest = own.simulator.choice.bounds(own.simulator.scene)[0][2]
+    assert (found.numbers[found.refined, 2] < shortest).any()
 
 
 def test_refined_pushes_stay_near_those_of_the_table(policy):

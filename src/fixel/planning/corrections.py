@@ -104,9 +104,7 @@ class CorrectionTable:
         """
         none = np.zeros((WORLDS, 3))
         alone = replace(simulator.alone, samples=LENGTHS)
-        low, high = alone.choice.bounds(alone.scene)
-        if getattr(alone.choice, "length", None) is None:
-            low[2] *= SHORTER
+        low, high = _bounds(alone)
         n = 2 ** int(math.log2(np.clip(SHARE * rollouts / WORLDS, *WAYS)))
         ways = spread_pushes(alone.scene, alone.choice, n, seed)
         ways[:, :, 2] = high[2]
@@ -244,7 +242,7 @@ class CorrectionTable:
         ------
         Beyer & Schwefel (2002), Natural Computing 1, 3-52: parents and children compete.
         """
-        low, high = simulator.choice.bounds(simulator.scene)
+        low, high = _bounds(simulator)
         span, rng = high - low, np.random.default_rng([self.seed, 13])
         none, moved = np.zeros(near.shape), self._aimed(simulator, case, near, towards)
         aimed = Correction(near, none, none, moved, (moved != self.numbers[near]).any(axis=2))
@@ -278,7 +276,7 @@ class CorrectionTable:
         alone, (seen, weight, _) = simulator.alone, case
         numbers = self.numbers[row]
         n, t, d = numbers.shape
-        low, high = alone.choice.bounds(alone.scene)
+        low, high = _bounds(alone)
         steps = np.vstack((np.zeros(d), SLOPE * np.diag(high - low)))
         wanted = np.stack([composed(inverted(seen), pose) for pose in towards], axis=1)
         scenarios = self.worlds.rows(np.repeat(weight.argmax(axis=1), t * (d + 1)))
@@ -302,11 +300,19 @@ class CorrectionTable:
 
         So they resemble the experiments that pushes of the table resemble.
         """
-        low, high = simulator.choice.bounds(simulator.scene)
+        low, high = _bounds(simulator)
         own, reach = self.numbers[row], REACH * (high - low)
         low[0], high[0] = -np.inf, np.inf  # the way round the outline is closed
         low, high = np.maximum(low, own - reach), np.minimum(high, own + reach)
         return np.asarray(np.clip(numbers, low, high))
+
+
+def _bounds(simulator: PlanSimulator) -> tuple[FloatArray, FloatArray]:
+    """Return the bounds (d,) of corrections, which may be shorter than the pushes of a plan."""
+    low, high = simulator.choice.bounds(simulator.scene)
+    if getattr(simulator.choice, "length", None) is None:
+        low[2] *= SHORTER
+    return low, high
 
 
 def _scored(margin: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
