@@ -13,14 +13,7 @@ import numpy as np
 
 from fixel.kernels import arrays as at
 from fixel.kernels.allocate import allocate
-from fixel.kernels.arrays import (
-    Batch,
-    Model,
-    Problem,
-    State,
-    StepMethod,
-    Workspace,
-)
+from fixel.kernels.arrays import Batch, Model, Problem, State, StepMethod, Workspace
 from fixel.kernels.batch import BODY, select
 from fixel.kernels.jit import allocating_kernel, entry, kernel, large_kernel
 from fixel.kernels.modes.equation import project, seed, solve_mode
