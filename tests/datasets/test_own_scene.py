@@ -57,7 +57,7 @@ def test_placeholders_that_are_left_are_named_all_together(tmp_path):
     source = table(tmp_path)
     scene = filled(tmp_path, source, shapes=())
     refusal = refused(CSV.read, source, scene=str(scene))
-    assert refusal.where == "bodies[0].shape"
+    assert refusal.where == f"{scene}: bodies[0].shape"
     assert "FILL_IN" in str(refusal)
     assert "disk" in refusal.expected
     assert "pushers[0].shape" in refusal.hint

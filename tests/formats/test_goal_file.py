@@ -140,7 +140,7 @@ def test_units_and_kinds_are_named(belief, message):
 
 
 @pytest.mark.parametrize(("old", "new", "message"), [
-    ("fixel: 1", "fixel: 2", "^fixel is 2"),
+    ("fixel: 1", "fixel: 2", r"goal\.yaml: fixel is 2"),
     ("position_mm", "positoin_mm", r"goal\.any\[0\]\.pose\.positoin_mm.*position_mm"),
     ("position_mm: 2", "position_mm: -2", r"goal\.any\[0\]\.pose\.position_mm.*greater than 0"),
     ("fixel: fixel-4", "fixels: fixel-4", r"goal\.never\[0\]\.contact"),
@@ -156,7 +156,7 @@ def test_units_and_kinds_are_named(belief, message):
     ("calibration: 7", "calibration: seven", r"belief\.calibration.*whole number"),
     ("calibration: 7", "calibration: 7\n  parameters: {mu_pusher: 1}", "one of them"),
     ("success: 0.9", "success: 90", r"want\.success.*at most 1"),
-    ("goal:", "goals:", "^goal is missing: give a value"),
+    ("goal:", "goals:", r"goal\.yaml: goal is missing: give a value"),
     ("  any:", "   any: {", "line"),
 ])  # fmt: skip
 def test_errors_name_the_key_or_the_line(old, new, message, tmp_path):

@@ -14,7 +14,7 @@ from fixel.datasets.base import trajectory_of
 from fixel.datasets.contact import MAX_CORRECTION, corrected_path, correction_flag, moved_to_contact
 from fixel.errors import InvalidInput
 from fixel.formats.scene_file import FILL_IN, scene_of, scene_record
-from fixel.io.document import read_document, yaml_text
+from fixel.io.document import in_file, read_document, yaml_text
 from fixel.model import Disk, Experiment, Flag, PathDrive, Pusher, Scene, Shape, Trajectory
 from fixel.model.fields import instance
 from fixel.model.scene import SceneChoice
@@ -154,13 +154,14 @@ def _loaded(path: Path, experiment: Experiment) -> Scene:
 
     With the poses of the file, from another run or with noise, the two might overlap.
     """
-    record = scene_record(read_document(path, "scene file"))
-    if experiment.pusher is not None:
-        for pusher in record.pushers:
+    raw = read_document(path, "scene file")
+    with in_file(path):
+        record = scene_record(raw)
+        for pusher in record.pushers if experiment.pusher is not None else ():
             pusher.pose = None
             pusher.drive.direction = pusher.drive.speed = pusher.drive.travel = None
             pusher.drive.waypoints = [[time, FAR_AWAY, FAR_AWAY, 0.0] for time in (0.0, 1.0)]
-    return scene_of(record)
+        return scene_of(record)
 
 
 def _object_of(scene: Scene, source: str, name: str | None) -> Any:

@@ -16,7 +16,7 @@ from pydantic import Field
 
 from fixel.errors import InvalidInput
 from fixel.formats import records
-from fixel.io.document import read_document
+from fixel.io.document import in_file, read_document
 from fixel.model import Disk, Polygon, goals
 from fixel.model.parameters import info_of
 from fixel.planning.belief import Belief, RigError
@@ -182,7 +182,9 @@ def load_goal(path: str | Path) -> GoalFile:
     the part within 2 mm of (180, 0) mm, 0 deg
     """
     path = Path(path)
-    return goal_file_from_dict(read_document(path, "goal file"), path.parent)
+    raw = read_document(path, "goal file")
+    with in_file(path):
+        return goal_file_from_dict(raw, path.parent)
 
 
 def goal_file_from_dict(raw: Any, folder: Path | None = None) -> GoalFile:

@@ -18,12 +18,11 @@ import numpy as np
 
 from fixel.database.project import Project
 from fixel.errors import InvalidInput
-from fixel.formats.goal_file import GoalFile, goal_file_from_dict
+from fixel.formats.goal_file import GoalFile, goal_file_from_dict, load_goal
 from fixel.formats.scene_file import load_scene
 from fixel.formats.trials_file import append_trials, read_trials, write_trials
 from fixel.io import load, save
 from fixel.io.array_bytes import array_of
-from fixel.io.document import read_document
 from fixel.io.journal import Journal
 from fixel.model import Experiment, Scene
 from fixel.model.goal_checks import check_goal
@@ -99,7 +98,7 @@ def goal_content(goal: str) -> tuple[Any, Path]:
     The second value is the folder in which its scene file is searched.
     """
     if not is_content(goal):
-        return read_document(Path(goal), "goal file"), Path(goal).parent
+        return dict(load_goal(goal).raw), Path(goal).parent
     try:
         return json.loads(goal), Path()
     except ValueError as problem:
