@@ -8,6 +8,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import typer
+from tests.cli.shell import output
 
 from fixel.cli.project import export
 from fixel.database.bundle import import_bundle
@@ -55,7 +56,10 @@ def project(tmp_path):
 def test_a_bundle_is_written_and_said(project, capsys, tmp_path):
     out = call(capsys, project.folder, tmp_path / "a.zip")
     assert out.splitlines()[0] == "3 experiments, of them 1 flagged, 1 simulated"
-    assert "wrote" in out.splitlines()[-1]
+    assert "wrote" in out.splitlines()[-2]
+    following = f"fixel import {tmp_path / 'a.zip'} --dry-run --project {project.folder}"
+    assert out.splitlines()[-1] == f"Next: {following}"
+    assert output(capsys, *following.split()[1:]).startswith(f"{tmp_path / 'a.zip'}: contains 3")
     with Project.create(tmp_path / "other").store() as store:
         assert import_bundle(tmp_path / "a.zip", store)["experiments"] == 3
 
@@ -153,6 +157,7 @@ def test_a_scene_becomes_a_model_of_another_engine(tmp_path, capsys):
     text = call(capsys, scene, tmp_path / "model", "--to", "pymunk", "--scenes", "3")
     assert "end poses differ from those of fixel by" in text
     assert f"wrote {tmp_path / 'model' / 'run.py'}" in text
+    assert text.splitlines()[-1] == f"Next: python {tmp_path / 'model' / 'run.py'}"
     answer = json.loads(call(capsys, scene, tmp_path / "body", "--to", "urdf", "--json"))
     assert answer["files"] == ["card.json", "object.urdf"]
     assert "3 fixels" in answer["card"]["not_in_the_model"]

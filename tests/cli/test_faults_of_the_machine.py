@@ -12,11 +12,12 @@ import pytest
 from tests.cli.shell import fixel
 from tests.fixtures import project_of, refused
 
-from fixel import FixelError, InvalidInput, Project, SimulatedTestbed, StoreRefused
+from fixel import FixelError, InvalidInput, Project, SimulatedTestbed, StoreRefused, compare, report
 from fixel.cli.main import run
 from fixel.formats.scene_file import scene_file_from_dict
 from fixel.io.document import parse_json
 from fixel.sampling import thesis_plan
+from fixel.workflows.analysis import Analysis, store_analysis
 
 pytestmark = pytest.mark.system
 
@@ -106,8 +107,19 @@ def test_a_chart_on_a_full_disk(small_disk, laboratory, capsys, ending):
     chart = small_disk / f"chart.{ending}"
     code, _, err = fixel(capsys, "show", 1, "--project", laboratory, "--plot", chart)
     assert (code, err.count("\n")) == (2, 1), err
-    assert "no space left on device" in err
+    assert "no space left on device), but fixel needs free space on the disk" in err
     assert [path.name for path in small_disk.iterdir()] == ["fill"]
+
+
+def test_a_report_on_a_full_disk_leaves_no_folder(small_disk, laboratory, lab):
+    found = compare(Project(laboratory).experiments(), progress=False)
+    before = sorted(lab.iterdir())
+    fill(small_disk, 0)
+    refused(report, found, small_disk / "new" / "report", match="free space on the disk")
+    analysis = Analysis(kind="compare", title="", question={}, headline=())
+    refused(store_analysis, Project(lab), analysis, match="free space on the disk")
+    assert sorted(lab.iterdir()) == before
+    assert sorted(path.name for path in small_disk.iterdir()) == ["fill", "lab"]
 
 
 def test_calibrate_where_jobs_cannot_be_written(small_disk, lab, capsys):

@@ -127,6 +127,8 @@ def test_a_bundle_goes_from_one_project_to_another(lab, recording, tmp_path, cap
     assert json_of(capsys, "list", "-p", other)["total"] == 0
     assert json_of(capsys, "import", tmp_path / "all.zip", "-p", other)["experiments"] == 3
     assert json_of(capsys, "import", tmp_path / "all.zip", "-p", other)["known"] == 3
+    again = output(capsys, "import", tmp_path / "all.zip", "-p", other)
+    assert "added nothing; 3 were already stored" in again
     assert json_of(capsys, "list", "-p", other, "--simulated")["total"] == 2
 
 

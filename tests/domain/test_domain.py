@@ -194,7 +194,15 @@ def test_axes_and_nominals_that_cannot_be_are_refused():
     refused(cells_of, evidence, ("offset_z_m",), match="one of offset_x_m")
     refused(cells_of, evidence, ("offset_x_m", "offset_x_m"), match="each axis once")
     refused(cells_of, evidence, ("offset_x_m",), {"offset_x_m": 0.5}, match="with experiments")
-    refused(cells_of, evidence, ("offset_x_m",), {"offset_y_m": 0.0}, match="one of the axes")
+    refused(cells_of, evidence, ("offset_x_m",), {"offset_y_m": 0.0}, match="one of offset_x_m")
+    refused(
+        cells_of,
+        evidence,
+        ("offset_x_m",),
+        {},
+        {"offset_y": 1e-3},
+        match="^cells.*one of offset_x_m",
+    )
 
 
 # --- folds --------------------------------------------------------------------------------------

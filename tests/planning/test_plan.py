@@ -240,7 +240,11 @@ def test_numbers_of_rollouts_that_are_none(rollouts):
     (lambda: FreePushes(length=(-5 * mm, 60 * mm)), "choose.length"),
     (lambda: RigPushes(stroke=(-10 * mm, 60 * mm)), "choose.stroke"),
     (lambda: RigPushes(fixels={"a": ((0, 1),)}), r"choose\.fixels 'a': found 1 range"),
+    (lambda: RigPushes(fixels={3: ((0, 1), (0, 1))}), r"choose\.fixels is 3, but must be a name"),
+    (lambda: RigPushes(fixels={"a": ((0, 1), (1, 0))}), r"choose\.fixels 'a' is 1 to 0"),
     (lambda: Belief(conditions=3), r"belief\.conditions: found the type int"),
+    (lambda: Belief(conditions={"a": []}), r"belief\.conditions 'a': found the type list"),
+    (lambda: Belief(conditions={3: "a"}), r"belief\.conditions is 3, but must be a name"),
     (lambda: PlanPush(0.5, 0.0, -0.01), "push.length"),
     (lambda: FreePushes(cost="tiem"), r"choose\.cost is .*tiem.*did you mean .*time"),
 ])  # fmt: skip

@@ -100,7 +100,7 @@ def diagram(
     print_answer(
         as_json,
         lambda: {"file": str(file), "tables": names},
-        lambda: [f"wrote {file}: {len(names)} tables", "Next: fixel db check"],
+        lambda: [f"wrote {file}: {len(names)} tables", "Next: fixel db --help"],
     )
 
 

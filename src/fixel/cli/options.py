@@ -113,9 +113,10 @@ def project_at(place: Path | None, folder: Path) -> Path:
 def require_folder(folder: Path | None) -> None:
     """Make the folder for pictures, if there is to be one, before any work."""
     if folder is not None:
-        from fixel.workflows.figures import make_folder
+        from fixel.workflows.figures import new_folder
 
-        make_folder(folder)
+        with new_folder(folder):
+            pass
 
 
 def require_picture(file: Path | None) -> None:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from fixel.workflows.project.export import ExportAnswer
 
 MAX_ROWS = 30
+SEE_EXPORT = "fixel export --help"
 
 
 @with_options
@@ -142,8 +143,10 @@ def _import_bundle(source: Path, folder: Path, dry_run: bool, as_json: bool) -> 
 
     with show_progress(stage="importing") as report:
         counts = import_zip(Project(folder), source, report, dry_run=dry_run)
-    verb = "would add" if dry_run else "added"
-    found = ", ".join(f"{n} {kind}" for kind, n in counts.items() if n) or "nothing"
+    new = [f"{n} {kind}" for kind, n in counts.items() if n and kind != "known"]
+    found = ", ".join(new) or "nothing"
+    found += f"; {n} were already stored" if (n := counts.get("known")) else ""
+    verb = "contains" if dry_run else "added"
     following = command_line("--dry-run") if dry_run else command_of("list", project=folder)
     print_answer(
         as_json,
@@ -332,7 +335,9 @@ def export(
     kind = "parquet" if parquet else "lerobot" if lerobot else "bundle"
     project = Project(project_at(place, folder))
     answer = project.export(target, format=kind, dataset=dataset, fps=fps)
-    print_answer(as_json, answer.summary, lambda: _exported(answer))
+    check = command_of("import", target, "--dry-run", project=project.folder)
+    following = check if kind == "bundle" else SEE_EXPORT
+    print_answer(as_json, answer.summary, lambda: [*_exported(answer), f"Next: {following}"])
 
 
 def _check_export(
@@ -358,7 +363,10 @@ def _exported_model(answer: "ModelExport") -> list[str]:
         which = "held-out experiments" if errors["held_out"] else "the experiments"
         for name in (card["to"], "fixel"):
             lines.append(f"error of {name} on {which}: {_distances(errors[name])}")
-    return [*lines, *wrote([answer.folder / name for name in answer.files])]
+    script = answer.folder / "run.py"
+    following = shlex.join(["python", str(script)]) if script.exists() else SEE_EXPORT
+    lines += wrote([answer.folder / name for name in answer.files])
+    return [*lines, f"Next: {following}"]
 
 
 def _distances(stated: Mapping[str, Any]) -> str:

@@ -16,7 +16,8 @@ import sqlalchemy as sa
 from fixel.database import arrays, browsing, marks, rows, schema, tables
 from fixel.database.engine import insert_one, open_engine, reading, set_journal, writing
 from fixel.database.query import LIVE
-from fixel.errors import LIST_EXPERIMENTS, InvalidInput, NotStored, StoreRefused, closest
+from fixel.errors import LIST_EXPERIMENTS, NotStored, StoreRefused, closest
+from fixel.io.atomic import usable
 from fixel.io.damaged_files import INVALID_CONTENT, one_line
 from fixel.model import Experiment, Flag, Scene, records
 
@@ -279,10 +280,8 @@ class Store:
             with suppress(OSError):
                 if time.time() - path.stat().st_mtime > ABANDONED:
                     path.unlink()
-        try:
+        with usable(file, "a file to read"):
             return arrays.keep(file.read_bytes(), self.media)
-        except OSError as problem:
-            raise InvalidInput(str(file), found=problem, expected="a file to read") from None
 
     def video(self, experiment_id: int) -> Path | None:
         """Path of an experiment's video; None if it has none."""

@@ -19,6 +19,7 @@ from fixel.datasets.base import ImportPlan, collected, origin_of, remark, trajec
 from fixel.datasets.contact import pushed_scene
 from fixel.datasets.files import LARGEST_NUMBER, MM, Problems, advancing, member, read_json
 from fixel.errors import DatasetMissing, InvalidInput, require
+from fixel.io.atomic import usable
 from fixel.model import (
     Body,
     Channel,
@@ -189,11 +190,8 @@ def _scene(
 
 def _hdf5_tables(path: Path) -> dict[str, Any]:
     h5py = _h5py(path)
-    try:
-        with h5py.File(path, "r") as file:
-            return {key: _dataset(h5py, file, key) for key in _KEYS}
-    except OSError as problem:
-        raise InvalidInput(path.name, found=problem, expected="an HDF5 file") from None
+    with usable(path.name, "an HDF5 file"), h5py.File(path, "r") as file:
+        return {key: _dataset(h5py, file, key) for key in _KEYS}
 
 
 def _dataset(h5py: Any, file: Any, key: str) -> Any:

@@ -14,7 +14,7 @@ from fixel.datasets.base import trajectory_of
 from fixel.datasets.contact import MAX_CORRECTION, corrected_path, correction_flag, moved_to_contact
 from fixel.errors import InvalidInput
 from fixel.formats.scene_file import FILL_IN, scene_of, scene_record
-from fixel.io.document import in_file, read_document, yaml_text
+from fixel.io.document import document, yaml_text
 from fixel.model import Disk, Experiment, Flag, PathDrive, Pusher, Scene, Shape, Trajectory
 from fixel.model.fields import instance
 from fixel.model.scene import SceneChoice
@@ -154,8 +154,7 @@ def _loaded(path: Path, experiment: Experiment) -> Scene:
 
     With the poses of the file, from another run or with noise, the two might overlap.
     """
-    raw = read_document(path, "scene file")
-    with in_file(path):
+    with document(path, "scene file") as raw:
         record = scene_record(raw)
         for pusher in record.pushers if experiment.pusher is not None else ():
             pusher.pose = None

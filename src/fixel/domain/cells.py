@@ -13,7 +13,7 @@ import numpy as np
 from fixel.calibration.contacts import CONTACT_ANGLE
 from fixel.calibration.target import Target
 from fixel.domain.evidence import HeldOutErrors, Value
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, check_name
 from fixel.model import wrapped
 from fixel.simulation.pack import pusher_path
 from fixel.typing import FloatArray, IntArray
@@ -357,10 +357,10 @@ def cells_of(
     """
     if not axes or len(set(axes)) < len(axes):
         raise InvalidInput("axes", found=", ".join(axes) or "none", expected="each axis once")
-    strangers = set(nominal or {}) - set(axes)
-    if strangers:
-        expected = "one of the axes: " + ", ".join(axes)
-        raise InvalidInput("nominal", found=", ".join(sorted(strangers)), expected=expected)
+    # A value for a misspelt axis would change nothing.
+    for argument, given in {"nominal": nominal, "cells": steps}.items():
+        for name in given or {}:
+            check_name(argument, name, axes)
     made = tuple(axis_of(n, evidence.column(n), (steps or {}).get(n)) for n in axes)
     centre = tuple(_nominal(axis, evidence, (nominal or {}).get(axis.name)) for axis in made)
     columns = np.stack([axis.find(evidence.column(axis.name)) for axis in made], axis=1)

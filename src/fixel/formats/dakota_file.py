@@ -17,7 +17,7 @@ from typing import Any, Final, NamedTuple
 
 from fixel.calibration.pattern_search import PatternSearch
 from fixel.errors import InvalidInput, did_you_mean, unknown_name
-from fixel.io.atomic import read_bounded
+from fixel.io.atomic import read_bounded, usable
 from fixel.model.parameters import KNOWN_PARAMETERS, is_parameter
 from fixel.model.space import ParameterSpace, Unknown
 
@@ -128,10 +128,8 @@ class _Token(NamedTuple):
 def load_dakota(path: str | Path) -> DakotaFile:
     """Load a Dakota input file; errors have the line of what fixel's search does not support."""
     data = read_bounded(Path(path), "a Dakota input file", MAX_BYTES)
-    try:
+    with usable(path, "a text file", UnicodeDecodeError):
         return dakota_from_text(data.decode("utf-8-sig"), str(path))
-    except UnicodeDecodeError as problem:
-        raise InvalidInput(str(path), found=problem, expected="a text file") from None
 
 
 def dakota_from_text(text: str, where: str = "dakota") -> DakotaFile:

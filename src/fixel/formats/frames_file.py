@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.io.atomic import refuse_unwritable, unfinished_path
+from fixel.io.atomic import refuse_unwritable, unfinished_path, usable
 from fixel.model import Experiment, Trajectory
 from fixel.typing import FloatArray
 
@@ -131,15 +131,12 @@ def folder_whole(folder: Path) -> Iterator[Path]:
     refuse_folder(folder)
     unfinished = unfinished_path(folder)
     try:
-        unfinished.mkdir()
-        yield unfinished
-        if folder.exists():
-            folder.rmdir()
-        os.replace(unfinished, folder)
-    except OSError as problem:
-        raise InvalidInput(
-            str(folder), found=problem, expected="a folder that can be written"
-        ) from None
+        with usable(folder, "a folder to write to"):
+            unfinished.mkdir()
+            yield unfinished
+            if folder.exists():
+                folder.rmdir()
+            os.replace(unfinished, folder)
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
 

@@ -16,7 +16,7 @@ from pydantic import Field
 
 from fixel.errors import InvalidInput
 from fixel.formats import records
-from fixel.io.document import in_file, read_document
+from fixel.io.document import document
 from fixel.model import Disk, Polygon, goals
 from fixel.model.parameters import info_of
 from fixel.planning.belief import Belief, RigError
@@ -182,8 +182,7 @@ def load_goal(path: str | Path) -> GoalFile:
     the part within 2 mm of (180, 0) mm, 0 deg
     """
     path = Path(path)
-    raw = read_document(path, "goal file")
-    with in_file(path):
+    with document(path, "goal file") as raw:
         return goal_file_from_dict(raw, path.parent)
 
 

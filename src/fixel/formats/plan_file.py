@@ -14,7 +14,7 @@ from pydantic import Field
 from fixel.errors import InvalidInput
 from fixel.formats import scene_file as _shapes_and_supports  # noqa: F401
 from fixel.formats.records import arguments, choice_of, content, keys_of, made, record_of, validated
-from fixel.io.document import in_file, read_document, yaml_text
+from fixel.io.document import document, yaml_text
 from fixel.model import Disk, Ellipsoid, NoSupport, Polygon, SupportPoints, Tripod, UniformPressure
 from fixel.sampling import (
     FixelLayout,
@@ -82,9 +82,8 @@ PlanRecord: Any = record_of(
 
 def load_plan(path: str | Path) -> Plan:
     """Load a plan file: YAML, or JSON if the name ends in `.json`."""
-    raw = read_document(Path(path), "plan file")
     rig: dict[str, Any] = {}
-    with in_file(path):
+    with document(path, "plan file") as raw:
         record = validated(PlanRecord, raw, "plan")
         for section in SECTIONS:
             rig |= arguments(getattr(record, section), section)

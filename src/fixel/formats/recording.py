@@ -46,6 +46,7 @@ from fixel.formats.recording_files import (
     write_header,
 )
 from fixel.formats.recording_video import PictureDecoder, StoredPacket, VideoSink, packets
+from fixel.io.atomic import usable
 from fixel.typing import FloatArray
 from fixel.vision.frame import Frame
 
@@ -162,14 +163,10 @@ def repair_recording(folder: str | Path) -> Recording:
     rows, n, seen = _checked(folder)
     recording = _opened(folder, rows, n, seen)
     last = rows.rows[n - 1]
-    try:
+    with usable(folder, FOLDER):
         os.truncate(folder / ROWS, rows.ends[n - 1])
         os.truncate(folder / VIDEO, last.video_end)
         (folder / RESERVE).unlink(missing_ok=True)
-    except OSError as problem:
-        raise InvalidInput(
-            str(folder), found=problem, expected="a folder that can be written to"
-        ) from None
     if not recording.complete:
         seconds = last.time_us / MICRO
         usual = RecordingEnd(n, seconds, reason=f"interrupted at t = {seconds:.3f} s")
@@ -225,6 +222,7 @@ def _broken_off(rows: RecordingRows, n: int, seen: int, end: RecordingEnd | None
 MAX_READING: Final = 255
 RESERVE: Final = ".reserve"  # name of the reserved space in recordings of earlier versions
 RESERVED: Final = 65536  # [bytes]
+FOLDER: Final = "a folder that can be created and written to"
 
 
 @final
@@ -246,7 +244,7 @@ class RecordingWriter:
         self._closed = False
         _make(self.folder)
         write_header(self.folder, header)
-        try:
+        with usable(self.folder, FOLDER):
             # Space for the end mark, in case the disk becomes full. It has no name, so that it is
             # free again also after this process was killed.
             self._reserve = TemporaryFile(dir=self.folder, buffering=0)  # noqa: SIM115
@@ -254,8 +252,6 @@ class RecordingWriter:
             self._rows = open(self.folder / ROWS, "xb", buffering=0)  # noqa: SIM115
             self._rows_end = self._rows.write(HEAD.encode("ascii"))
             self._video = VideoSink(self.folder / VIDEO, header.size, exact=header.codec == "exact")
-        except OSError as problem:
-            raise _refusal(self.folder, problem) from None
 
     @property
     def seconds(self) -> float:
@@ -375,17 +371,7 @@ def _make(folder: Path) -> None:
     """Create a folder; raise if it exists already."""
     if (folder / HEADER).exists():
         raise InvalidInput(str(folder), found="a recording", expected="a new folder")
-    try:
+    if folder.exists():
+        raise InvalidInput(str(folder), found="an existing file or folder", expected="a new folder")
+    with usable(folder, FOLDER):
         folder.mkdir(parents=True)
-    except FileExistsError:
-        raise InvalidInput(
-            str(folder), found="an existing file or folder", expected="a new folder"
-        ) from None
-    except OSError as problem:
-        raise _refusal(folder, problem) from None
-
-
-def _refusal(folder: Path, problem: OSError) -> InvalidInput:
-    return InvalidInput(
-        str(folder), found=problem, expected="a folder that can be created and written to"
-    )

@@ -19,7 +19,7 @@ from types import MappingProxyType
 from typing import Any, Final, NamedTuple, final
 
 from fixel.errors import InvalidInput, check_name
-from fixel.io.atomic import write_whole
+from fixel.io.atomic import usable, write_whole
 from fixel.model.fields import name_of, settle
 
 VERSION: Final = 1
@@ -117,11 +117,9 @@ def read_end(folder: Path) -> RecordingEnd | None:
     content = _read(folder / END)
     if content is None:
         return None
-    try:
+    with usable(folder / END, "an end mark", TypeError):
         end = RecordingEnd(**content)
         return end._replace(problems=tuple(end.problems))
-    except TypeError as problem:
-        raise InvalidInput(str(folder / END), found=problem, expected="an end mark") from None
 
 
 def _write(path: Path, content: dict[str, Any]) -> None:
@@ -172,10 +170,8 @@ def row_text(row: RecordingRow) -> bytes:
 
 def read_rows(path: Path) -> RecordingRows:
     """Load all intact rows; raise if a damaged or missing row is before intact ones."""
-    try:
+    with usable(path, "the rows of a recording"):
         lines = path.read_bytes().splitlines(keepends=True)
-    except OSError as problem:
-        raise InvalidInput(str(path), found=problem, expected="the rows of a recording") from None
     if not lines or lines[0] != HEAD.encode("ascii"):
         state = "unexpected" if lines and lines[0].endswith(b"\n") else "incomplete"
         found, expected = f"an {state} first line", f"the header {HEAD.strip()}"

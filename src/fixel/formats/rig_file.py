@@ -18,7 +18,7 @@ from fixel.errors import InvalidInput
 from fixel.formats import records
 from fixel.formats.records import content
 from fixel.io.atomic import write_whole
-from fixel.io.document import in_file, read_document, yaml_text
+from fixel.io.document import document, yaml_text
 from fixel.vision.camera import Camera, MeasuredCamera
 from fixel.vision.lens import Lens
 from fixel.vision.marks import MarkedPart, Rig, Sticker, Tag
@@ -86,13 +86,10 @@ class CameraRecord(records.FileRecord):
 
 def load_camera(path: str | Path) -> MeasuredCamera:
     """Load a camera file: YAML, or JSON if the name ends in `.json`."""
-    raw = read_document(Path(path))
-    if not isinstance(raw, dict) or "lens" not in raw:
-        hint = "to import a file of MATLAB, OpenCV, Kalibr or ROS: fixel camera import FILE"
-        raise InvalidInput(
-            str(path), found="no lens in it", expected="a camera file of fixel", hint=hint
-        )
-    with in_file(path):
+    with document(path) as raw:
+        if not isinstance(raw, dict) or "lens" not in raw:
+            hint = "to import a file of MATLAB, OpenCV, Kalibr or ROS: fixel camera import FILE"
+            raise InvalidInput("lens", found=None, hint=hint)
         return camera_from_dict(raw)
 
 
@@ -216,16 +213,14 @@ def markers_of(name_or_path: str | Path) -> tuple[str, dict[str, MarkedPart], tu
     if str(name_or_path) in EXAMPLES:
         rig = rig_of(name_or_path)
         return rig.name, rig.parts, rig.plate
-    raw = read_document(_rig_path(name_or_path), "rig file")
-    with in_file(name_or_path):
+    with document(_rig_path(name_or_path), "rig file") as raw:
         found = records.arguments(records.validated(RigRecord, raw, "rig"))
     return found["name"], found["parts"], tuple(found["plate"])
 
 
 def load_rig(path: str | Path) -> Rig:
     """Load a rig file: YAML, or JSON if the name ends in `.json`."""
-    raw = read_document(Path(path), "rig file")
-    with in_file(path):
+    with document(path, "rig file") as raw:
         return rig_from_dict(raw, Path(path).parent)
 
 

@@ -16,7 +16,7 @@ from fixel.errors import InvalidInput, closest
 from fixel.formats import records
 from fixel.formats.records import content
 from fixel.io.atomic import write_whole
-from fixel.io.document import in_file, parse_yaml, read_document, yaml_text
+from fixel.io.document import document, parse_yaml, yaml_text
 from fixel.model import (
     Body,
     Disk,
@@ -261,11 +261,10 @@ def load_scene(path: str | Path, overrides: Sequence[str] = ()) -> SceneFile:
     >>> fixel.simulate(file).duration
     0.5
     """
-    raw = read_document(Path(path), "scene file")
-    for override in overrides:
-        apply_override(raw, override)
-    with in_file(path):
-        return scene_file_from_dict(raw)
+    with document(path, "scene file") as raw:
+        if not overrides:
+            return scene_file_from_dict(raw)
+    return scene_file_from_dict(raw, overrides)  # its errors may be those of the overrides
 
 
 def scene_file_from_dict(raw: Mapping[str, Any], overrides: Sequence[str] = ()) -> SceneFile:

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from fixel.errors import InvalidInput
-from fixel.io.atomic import read_bounded, write_whole
+from fixel.io.atomic import WRITABLE, read_bounded, usable, write_whole
 from fixel.io.lock import FileLock
 from fixel.planning.trials import PlanTrial, Trials
 
@@ -66,15 +66,12 @@ def append_trials(path: str | Path, *trials: PlanTrial, plan: str | None = None)
     with FileLock(path.with_name(f".{path.name}.lock"), f"the file {path}"):
         before = read_trials(path, plan=plan)
         rows = b"".join(_row(k, trial) for k, trial in enumerate(trials, before.n + 1))
-        try:
-            with path.open("r+b") as stream:
-                stream.truncate(stream.read().rfind(b"\n") + 1)
-                stream.seek(0, os.SEEK_END)
-                stream.write(rows)
-                stream.flush()
-                os.fsync(stream.fileno())
-        except OSError as problem:
-            raise InvalidInput(str(path), found=problem, expected="a writable file") from None
+        with usable(path, WRITABLE), path.open("r+b") as stream:
+            stream.truncate(stream.read().rfind(b"\n") + 1)
+            stream.seek(0, os.SEEK_END)
+            stream.write(rows)
+            stream.flush()
+            os.fsync(stream.fileno())
     return before.added(*trials)
 
 

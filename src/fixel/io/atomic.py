@@ -8,15 +8,29 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Final
 
 from fixel.errors import InvalidInput
+
+WRITABLE: Final = "a file that can be written"
+
+
+@contextmanager
+def usable(
+    path: str | Path, expected: str, errors: type[Exception] | tuple[type[Exception], ...] = OSError
+) -> Iterator[None]:
+    """Raise `InvalidInput` with the path for one of these errors in the block."""
+    try:
+        yield
+    except errors as problem:
+        raise InvalidInput(str(path), found=problem, expected=expected) from None
 
 
 def refuse_unwritable(path: str | Path) -> None:
     """Raise `InvalidInput` if a file cannot be written, before a long computation for it."""
     path = Path(path)
     folder = path.parent
-    try:
+    with usable(path, WRITABLE):
         if path.exists() and not path.is_file():
             found = "a folder" if path.is_dir() else "a device or a pipe"
             raise InvalidInput(str(path), found=found, expected="the name of a file")
@@ -24,8 +38,6 @@ def refuse_unwritable(path: str | Path) -> None:
             found = f"no folder {folder}"
             raise InvalidInput(str(path), found=found, expected="an existing folder")
         writable = os.access(folder, os.W_OK | os.X_OK)
-    except OSError as problem:
-        raise _unwritable(path, problem) from None
     if not writable:
         raise InvalidInput(
             str(path), found="no write permission", expected="a folder with write permission"
@@ -57,13 +69,12 @@ def written_whole(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
     refuse_unwritable(path)
     temporary = unfinished_path(path)
     try:
-        yield temporary
-        if durable:
-            with temporary.open("rb+") as stream:
-                os.fsync(stream.fileno())
-        os.replace(temporary, path)
-    except OSError as problem:
-        raise _unwritable(path, problem) from None
+        with usable(path, WRITABLE):
+            yield temporary
+            if durable:
+                with temporary.open("rb+") as stream:
+                    os.fsync(stream.fileno())
+            os.replace(temporary, path)
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
@@ -107,7 +118,3 @@ def sync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-def _unwritable(path: Path, problem: OSError) -> InvalidInput:
-    return InvalidInput(str(path), found=problem, expected="a file that can be written")

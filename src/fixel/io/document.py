@@ -59,10 +59,11 @@ def read_document(path: Path, kind: str = "file") -> Any:
 
 
 @contextmanager
-def in_file(path: str | Path) -> Iterator[None]:
-    """Report errors in the content of a file with its path."""
+def document(path: str | Path, kind: str = "file") -> Iterator[Any]:
+    """Yield the content of a file, as `read_document`; errors in the block name the file."""
+    content = read_document(Path(path), kind)
     try:
-        yield
+        yield content
     except InvalidInput as problem:
         raise problem.at(f"{path}: {problem.where}") from None
 

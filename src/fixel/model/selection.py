@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal, NamedTuple, cast, final
 
-from fixel.errors import InvalidInput, closest, unknown_name
+from fixel.errors import InvalidInput, check_name, closest, unknown_name
 from fixel.model.experiment import Experiment, Flag
 from fixel.model.trajectory import turned
 
@@ -141,9 +141,7 @@ def parse_filter(*filters: str, **options: Any) -> ExperimentQuery:
         head, colon, rest = token.partition(":")
         if token in MARKS or (colon and head == "is"):
             mark = rest if colon else token
-            if mark not in MARKS:
-                expected = "one of " + ", ".join(MARKS)
-                raise InvalidInput("filter: is:", found=repr(mark), expected=expected)
+            check_name("filter: is:", mark, MARKS)
             marks.append(mark)
         elif colon and head == "flag" and rest:
             flags.append(rest)

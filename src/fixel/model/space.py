@@ -11,7 +11,7 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, check_name
 from fixel.model.fields import Comparable, finite, frozen, optional_positive, positive, settle
 from fixel.model.parameters import check_supports, info_of
 from fixel.typing import FloatArray
@@ -319,13 +319,9 @@ class ParameterSpace(Comparable):
 
     def with_frozen(self, values: Mapping[str, float]) -> ParameterSpace:
         """Return the space with some unknowns frozen at values, by label."""
-        strangers = set(values) - {unknown.label for unknown in self.unknowns}
-        if strangers:
-            raise InvalidInput(
-                "space",
-                found=f"no parameter {', '.join(sorted(strangers))}",
-                expected="one of " + ", ".join(unknown.label for unknown in self.unknowns),
-            )
+        labels = [unknown.label for unknown in self.unknowns]
+        for label in values:
+            check_name("space", label, labels)
         return ParameterSpace(
             unknowns=tuple(
                 replace(u, nominal=values[u.label], frozen=True) if u.label in values else u

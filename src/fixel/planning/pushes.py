@@ -17,6 +17,7 @@ from fixel.model.fields import (
     Value,
     check_fields,
     instance,
+    name_of,
     non_negative,
     positive,
     settle,
@@ -300,11 +301,12 @@ class RigPushes:
             instance(self.fixels, Mapping, "choose.fixels", "two ranges for each fixel, by name")
             moved = {}
             for name, own in self.fixels.items():
-                rows = table(own, "choose.fixels", RANGE)
+                where = f"choose.fixels {name_of(name, 'choose.fixels')!r}"
+                rows = table(own, where, RANGE)
                 if len(rows) != 2:
                     found = counted(len(rows), "range")
-                    raise InvalidInput(f"choose.fixels {name!r}", found=found, expected="x and y")
-                moved[name] = tuple(_range(one, "choose.fixels") for one in rows)
+                    raise InvalidInput(where, found=found, expected="x and y")
+                moved[name] = tuple(_range(one, where) for one in rows)
             settle(self, fixels=moved)
         check_fields(self, "choose")
         check_name("choose.cost", self.cost, get_args(Cost))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -13,7 +12,7 @@ from typing import Any, Final, NamedTuple, final, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fixel.errors import InvalidInput, counted
+from fixel.errors import InvalidInput, check_name, counted
 from fixel.kernels import codes
 from fixel.model import (
     Body,
@@ -692,11 +691,8 @@ PER_RUN: Final = (
 
 
 def _known(name: str, names: Sequence[str]) -> str:
-    if name in names:
-        return name
-    close = difflib.get_close_matches(str(name), names, n=1)
-    hint = f"did you mean {close[0]!r}?" if close else None
-    raise InvalidInput("name", found=repr(name), expected=f"one of {', '.join(names)}", hint=hint)
+    check_name("name", name, names)
+    return name
 
 
 def _length_unit(poses: FloatArray) -> tuple[str, float]:

@@ -30,7 +30,7 @@ from fixel.results import Result
 from fixel.simulation.trust import repeatable
 from fixel.table import Table
 from fixel.typing import FloatArray
-from fixel.workflows.figures import ENDINGS, Picture, make_folder, write_picture
+from fixel.workflows.figures import ENDINGS, Picture, new_folder, write_picture
 
 CONTENT: Final = "analysis.json"
 ARRAYS: Final = "arrays.npz"
@@ -161,9 +161,9 @@ class StoredAnalysis(NamedTuple):
 
     def copy_pictures(self, folder: Path) -> list[Path]:
         """Copy all files of its charts to another folder, which is created if missing."""
-        make_folder(folder)
         sources = [self.picture(p.name, end) for p in self.analysis.pictures for end in ENDINGS]
-        return [Path(shutil.copyfile(source, folder / source.name)) for source in sources]
+        with new_folder(folder):
+            return [Path(shutil.copyfile(source, folder / source.name)) for source in sources]
 
 
 class StoredAnswer(NamedTuple):
@@ -210,24 +210,22 @@ def store_analysis(
     Its `pictures`, `version` and `created`, which is later than others in any case, are set here.
     """
     folder = project.folder / ANALYSES / analysis_name(analysis.kind, analysis.question)
-    make_folder(folder)
     pictures = tuple(pictures)
-    (folder / CONTENT).unlink(missing_ok=True)
-    for picture in pictures:
-        write_picture(folder, picture)
-    if arrays:
-        write_whole(folder / ARRAYS, bytes_of(**{k: np.asarray(v) for k, v in arrays.items()}))
-    times = [path.stat().st_mtime + 1e-6 for path in folder.parent.glob(f"*/{CONTENT}")]
-    created = datetime.datetime.fromtimestamp(max([time.time(), *times]), datetime.UTC)
-    done = analysis.model_copy(
-        update={
-            "pictures": tuple(AnalysisFigure(name=p.name, caption=p.caption) for p in pictures),
-            "version": version("fixel"),
-            "created": created.isoformat(timespec="microseconds"),
-        }
-    )
-    write_whole(folder / CONTENT, json.dumps(done.model_dump(), indent=1, allow_nan=False))
-    os.utime(folder / CONTENT, (created.timestamp(),) * 2)
+    with new_folder(folder):
+        (folder / CONTENT).unlink(missing_ok=True)
+        for picture in pictures:
+            write_picture(folder, picture)
+        if arrays:
+            write_whole(folder / ARRAYS, bytes_of(**{k: np.asarray(v) for k, v in arrays.items()}))
+        times = [path.stat().st_mtime + 1e-6 for path in folder.parent.glob(f"*/{CONTENT}")]
+        created = datetime.datetime.fromtimestamp(max([time.time(), *times]), datetime.UTC)
+        shown = tuple(AnalysisFigure(name=p.name, caption=p.caption) for p in pictures)
+        written = created.isoformat(timespec="microseconds")
+        done = analysis.model_copy(
+            update={"pictures": shown, "version": version("fixel"), "created": written}
+        )
+        write_whole(folder / CONTENT, json.dumps(done.model_dump(), indent=1, allow_nan=False))
+        os.utime(folder / CONTENT, (created.timestamp(),) * 2)
     return StoredAnalysis(folder, done)
 
 

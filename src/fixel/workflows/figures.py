@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from fixel.drawing.chart import Chart, draw_chart
-from fixel.errors import InvalidInput
-from fixel.io.atomic import write_whole
+from fixel.io.atomic import usable, write_whole
 from fixel.model import Experiment
 
 ENDINGS: Final = ("png", "pdf", "csv")
@@ -40,12 +40,19 @@ def banner_over(experiments: Iterable[Experiment]) -> str:
     )
 
 
-def make_folder(folder: Path) -> None:
-    """Create a folder for pictures; long computations call this before they start."""
-    try:
+@contextmanager
+def new_folder(folder: Path) -> Iterator[None]:
+    """Create a folder for the files of the block; remove it if the block fails without any."""
+    missing = [own for own in (folder, *folder.parents) if not own.exists()]
+    with usable(folder, "a folder to write to"):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as problem:
-        raise InvalidInput(str(folder), found=problem, expected="a folder for pictures") from None
+    try:
+        yield
+    except BaseException:
+        with suppress(OSError):  # it is not empty
+            for own in missing:
+                own.rmdir()
+        raise
 
 
 def write_picture(folder: Path, picture: Picture) -> list[Path]:

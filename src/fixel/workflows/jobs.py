@@ -26,7 +26,7 @@ from pydantic import Field, computed_field
 
 from fixel.errors import FixelError, InvalidInput, JobRefused
 from fixel.io.array_bytes import RATIO, SMALL
-from fixel.io.atomic import written_whole
+from fixel.io.atomic import usable, written_whole
 from fixel.io.journal import read_journal
 from fixel.jobs import folder as files
 from fixel.jobs.coordinator import coordinate
@@ -299,17 +299,15 @@ def unpack(file: Path, folder: Path) -> JobStatus:
     """Unpack the job of a file into a new folder."""
     if folder.exists() and any(folder.iterdir()):
         raise InvalidInput(str(folder), found="an existing folder or file", expected="a new folder")
-    try:
-        with zipfile.ZipFile(file) as archive:
-            members = [m for m in archive.infolist() if not m.is_dir()]
-            _check_members(file, members)
-            (folder / "inputs").mkdir(parents=True)
-            # `job.json` last, since it makes the folder a job.
-            for member in sorted(members, key=lambda m: m.filename == "job.json"):
-                with archive.open(member) as source, (folder / member.filename).open("wb") as copy:
-                    shutil.copyfileobj(source, copy)
-    except (OSError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error) as problem:
-        raise InvalidInput(str(file), found=problem, expected="a packed job") from None
+    errors = (OSError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error)
+    with usable(file, "a packed job", errors), zipfile.ZipFile(file) as archive:
+        members = [m for m in archive.infolist() if not m.is_dir()]
+        _check_members(file, members)
+        (folder / "inputs").mkdir(parents=True)
+        # `job.json` last, since it makes the folder a job.
+        for member in sorted(members, key=lambda m: m.filename == "job.json"):
+            with archive.open(member) as source, (folder / member.filename).open("wb") as copy:
+                shutil.copyfileobj(source, copy)
     return status_of(folder)
 
 

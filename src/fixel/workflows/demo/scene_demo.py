@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fixel.drawing.animation import film_ending
-from fixel.errors import InvalidInput
 from fixel.formats import load_scene
 from fixel.io.atomic import write_whole
 from fixel.model import LineDrive, placed
 from fixel.simulation import Simulation
 from fixel.typing import FloatArray
+from fixel.workflows.figures import new_folder
 from fixel.workflows.simulation import Outputs, simulate_file
 
 EXAMPLE = "grasp"
@@ -49,15 +49,12 @@ def run_demo(folder: Path) -> Demo:
 
     Files of the same names are replaced.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as problem:
-        raise InvalidInput(str(folder), found=problem, expected="a folder to write to") from None
     scene = folder / f"{EXAMPLE}.yaml"
     endings = {"trajectory": ".csv", "plot": ".png", "animate": film_ending()}
     files = {name: scene.with_suffix(ending) for name, ending in endings.items()}
-    write_whole(scene, example_text(EXAMPLE))
-    simulation = simulate_file(load_scene(scene), Outputs(**files))
+    with new_folder(folder):
+        write_whole(scene, example_text(EXAMPLE))
+        simulation = simulate_file(load_scene(scene), Outputs(**files))
     return Demo(simulation, motion_events(simulation), {"scene": scene, **files})
 
 

@@ -23,6 +23,7 @@ from fixel.formats.scene_file import load_scene
 from fixel.formats.trials_file import append_trials, read_trials, write_trials
 from fixel.io import load, save
 from fixel.io.array_bytes import array_of
+from fixel.io.atomic import usable
 from fixel.io.journal import Journal
 from fixel.model import Experiment, Scene
 from fixel.model.goal_checks import check_goal
@@ -99,10 +100,8 @@ def goal_content(goal: str) -> tuple[Any, Path]:
     """
     if not is_content(goal):
         return dict(load_goal(goal).raw), Path(goal).parent
-    try:
+    with usable("goal", "a goal file in JSON", ValueError):
         return json.loads(goal), Path()
-    except ValueError as problem:
-        raise InvalidInput("goal", found=problem, expected="a goal file in JSON") from None
 
 
 def inputs_for(project: Project, request: Any) -> PlanInputs:

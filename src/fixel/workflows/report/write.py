@@ -33,7 +33,7 @@ from fixel.workflows.calibration.stored import (
     stored_calibration,
     stored_in_run,
 )
-from fixel.workflows.figures import ENDINGS, make_folder
+from fixel.workflows.figures import ENDINGS, new_folder
 from fixel.workflows.report.sections import (
     Content,
     Figure,
@@ -150,12 +150,12 @@ def report(
     page = Path(path) if Path(path).suffix.lower() == ".html" else Path(path) / PAGE
     folder = page.parent
     template = environment().get_template("report.html")
-    make_folder(folder / FIGURES)
-    if isinstance(what, Project):
-        content = gather(what, calibration, folder / FIGURES, title, notify, engine)
-    else:
-        results = [what] if isinstance(what, Result) else [*what]
-        content = results_content(results, folder / FIGURES, title)
+    with new_folder(folder / FIGURES):
+        if isinstance(what, Project):
+            content = gather(what, calibration, folder / FIGURES, title, notify, engine)
+        else:
+            results = [what] if isinstance(what, Result) else [*what]
+            content = results_content(results, folder / FIGURES, title)
     cited = works(content.references)
     html = template.render(
         content=content,

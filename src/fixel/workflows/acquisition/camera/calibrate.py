@@ -17,7 +17,7 @@ from fixel.formats.camera_opencv import save_opencv, save_ros
 from fixel.formats.recording import RIG_FILE
 from fixel.formats.rig_file import EXAMPLES, load_camera, markers_of, rig_of, save_camera
 from fixel.formats.video_file import ENDINGS, open_video
-from fixel.io.atomic import refuse_unwritable, written_whole
+from fixel.io.atomic import refuse_unwritable, usable, written_whole
 from fixel.io.document import read_document
 from fixel.typing import ProgressCallback
 from fixel.vision.calibrate_lens import calibrate_lens, find_boards
@@ -333,12 +333,10 @@ def first_picture(path: Path) -> Picture:
 def read_picture(path: Path) -> Picture:
     """Load a picture as the sensor recorded it, without the rotation noted in its file."""
     cv2 = opencv()
-    try:
+    with usable(path, "a picture"):
         if path.stat().st_size > MAX_BYTES:
             raise InvalidInput(str(path), found="more than 200 MB", expected="a picture")
         data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
-    except OSError as problem:
-        raise InvalidInput(str(path), found=problem, expected="a picture") from None
     flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
     try:
         picture: Picture | None = cv2.imdecode(data, flags) if len(data) else None
