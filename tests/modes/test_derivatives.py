@@ -128,6 +128,18 @@ def test_a_batch_has_the_derivatives_of_its_runs():
     assert np.isnan(alternate.derivatives["x"]).all()
 
 
+def test_a_batch_is_differentiated_and_confirmed_where_its_last_times_end():
+    """Derivatives at half the time, against differences over 2 % of friction."""
+    scene, times, mu = pushed_square(), [0.5, 1.0], 0.25 + 0.005 * np.array([-1.0, 0.0, 1.0])
+    tight = Adaptive(tolerance=1e-9)
+    asked = {"motion": "quasistatic", "stepper": tight, "times": times, "accuracy": True}
+    runs = simulate_batch(scene, {"mu_pusher": mu}, derivatives=["mu_pusher"], **asked)
+    slope = (runs.final[2, 0] - runs.final[0, 0]) / 0.01
+    assert runs.differentiable.all()
+    assert runs.derivatives["mu_pusher"][1] == pytest.approx(slope, rel=0.01)
+    assert list(runs.accuracy) == ["certified"] * 3
+
+
 def test_shifts_of_the_start_and_of_the_path():
     """A shifted path and a start that is shifted the other way differ by a shift of all."""
     scene = free_push(SUPPORT)

@@ -117,10 +117,11 @@ def simulate_batch(  # type: ignore[misc]
     max_contacts : int
         Largest number of contacts in one rollout.
     accuracy : bool
-        Whether to solve every run in a second, independent way; see `BatchResult.accuracy`.
+        Whether to solve every run in a second, independent way, until the last of `times`; see
+        `BatchResult.accuracy`.
     derivatives : sequence of str
         Parameters, or ``"x"``, ``"y"`` and ``"theta"`` of the start pose, by which to differentiate
-        the ends; for quasi-static motion of one part.
+        the last poses; for quasi-static motion of one part.
 
     Returns
     -------
@@ -178,14 +179,28 @@ def simulate_batch(  # type: ignore[misc]
         finished = _unpack(scene, packed, record, instants, variation.parameters)
         raise Interrupted(finished) from None
     runs = _unpack(scene, packed, record, instants, variation.parameters)
+    last = float(instants[-1])  # poses after it are not in the result
     if derivatives:
-        way = motion, stepper, method, seconds, threads
-        runs = _differentiated(runs, variation, derivatives, *way)
-    if not accuracy:
-        return runs
+        runs = _differentiated(runs, variation, derivatives, motion, stepper, method, last, threads)
+    if accuracy:
+        if last < seconds:
+            packed = pack(scene, motion, stepper, variation, n, last)
+        runs = _confirmed(runs, packed, method, record, threads)
+    return runs
+
+
+def _confirmed(
+    runs: BatchResult,
+    packed: PackedBatch,
+    method: StepMethod,
+    record: BatchRecord,
+    threads: int | None,
+) -> BatchResult:
+    """Return runs with the accuracy of their last poses."""
     from fixel.simulation.accuracy import confirm  # late: few batches need it
 
-    sure = confirm(packed, method, runs.final[:, : len(scene.bodies)], record.status, threads)
+    ends = runs.final[:, : len(runs.scene.bodies)]
+    sure = confirm(packed, method, ends, record.status, threads)
     apart = np.stack((sure.distance, sure.angle), axis=1)
     return replace(runs, accuracy=sure.verdict, apart=apart)
 
@@ -200,7 +215,7 @@ def _differentiated(
     seconds: float,
     threads: int | None,
 ) -> BatchResult:
-    """Return runs with the derivatives of their ends."""
+    """Return runs with the derivatives of their last poses, which are those at `seconds`."""
     packed_of = partial(pack, runs.scene, motion, stepper, duration=seconds)
     ends, time = runs.pose[:, -1:, 0], np.full((len(runs), 1), seconds)
     slope, found = import_module(SLOPES).pose_slopes(
