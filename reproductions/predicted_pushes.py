@@ -13,9 +13,9 @@ import numpy as np
 
 import fixel
 from fixel.calibration.target import Target, target_of
+from fixel.model.trajectory import pose_difference
 from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.predictive import EndError, end_residuals, motion_of
-from fixel.uncertainty.run_to_run import pose_difference
 from reproductions.protocols import BenchmarkData
 from reproductions.pushes import Key
 from reproductions.residuals import Split, few_of, in_object

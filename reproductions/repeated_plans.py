@@ -19,11 +19,12 @@ import fixel
 from fixel.drawing import palette
 from fixel.drawing.chart import WIDE, clean, legend_below, sheet
 from fixel.model import Experiment, Provenance, Trajectory
+from fixel.model.trajectory import pose_difference
 from fixel.planning.belief import Belief
 from fixel.replay.base import Row
 from fixel.typing import FloatArray
 from fixel.uncertainty.predictive import motion_of
-from fixel.uncertainty.run_to_run import arm_of, pose_difference
+from fixel.uncertainty.run_to_run import arm_of
 from fixel.uncertainty.start_ensemble import simulate_starts
 from reproductions.repeat_groups import RepeatGroup, group_scene, read_groups
 from reproductions.repeats import RANGES, pooled

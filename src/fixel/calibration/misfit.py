@@ -14,7 +14,7 @@ import numpy as np
 
 from fixel.calibration.noise import MIN_SCATTER, ORIGINS, Noise
 from fixel.calibration.target import Target
-from fixel.model.trajectory import wrapped
+from fixel.model.trajectory import pose_difference
 from fixel.typing import BoolArray, FloatArray, IntArray
 
 NOTED: Final = 1.5  # residuals over noise from which intervals allow for misfit...
@@ -137,8 +137,7 @@ def counting_frames(
     """
     moved: list[BoolArray] = []
     for target, own, left in zip(targets, frames, residuals, strict=True):
-        away = target.pose[own] + left - target.case.scene.bodies[0].pose
-        away[:, 2] = wrapped(away[:, 2])
+        away = pose_difference(target.pose[own] + left, target.case.scene.bodies[0].pose)
         moved.append(np.asarray((np.abs(away) > MIN_SCATTER).any(axis=1)))
     squares = [left**2 for left in residuals]
     others = np.concatenate([one[own] for one, own in zip(squares, moved, strict=True)])

@@ -16,7 +16,7 @@ from fixel.calibration.target import Target
 from fixel.errors import InvalidInput, check_name
 from fixel.model.fields import positive
 from fixel.model.space import ParameterSpace
-from fixel.model.trajectory import wrapped
+from fixel.model.trajectory import pose_difference
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.rollouts import Rollouts, ensemble_of
 from fixel.simulation.stepper import AbstractStepper
@@ -233,8 +233,7 @@ class Comparer:
 
             def compare(rollouts: IntArray, pose: FloatArray, own: IntArray = own) -> None:
                 mine = own[rollouts]
-                difference = pose - self._measured[which[mine]]
-                difference[:, :, 2] = wrapped(difference[:, :, 2])
+                difference = pose_difference(pose, self._measured[which[mine]])
                 difference[sample >= self._length[which[mine]][:, None]] = 0.0
                 use(mine, difference)
 

@@ -16,6 +16,7 @@ import numpy as np
 from fixel.calibration.contacts import Configurations, gaps_and_normals
 from fixel.calibration.objective import ANGLE_SCALE
 from fixel.model import Disk, Shape, rotated, wrapped
+from fixel.model.trajectory import pose_difference
 from fixel.typing import BoolArray, FloatArray, IntArray
 
 # Disturbances of a configuration, as large as the uncertainty of trackers and tables.
@@ -114,8 +115,7 @@ def _way(asked: Configurations, pose: FloatArray) -> tuple[list[str], list[Float
     local = local.reshape(n, k + 1, 2)
     steps = np.hypot(*np.moveaxis(np.diff(local, axis=1), 2, 0))
     slid = np.hypot(*(local[:, -1] - local[:, 0]).T)
-    moved = pose[:, -1] - pose[:, 0]
-    moved[:, 2] = wrapped(moved[:, 2])
+    moved = pose_difference(pose[:, -1], pose[:, 0])
     body = np.column_stack((rotated(moved[:, :2], -asked.start[:, 2]), moved[:, 2]))
     at_corner = corner < AT_CORNER
     named = {

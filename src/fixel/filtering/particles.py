@@ -14,6 +14,7 @@ from fixel.filtering.particle_filter import ParticleFilter
 from fixel.filtering.prior import Unknowns
 from fixel.kernels.measure import measure_gaps
 from fixel.model import Scene, wrapped
+from fixel.model.trajectory import pose_difference
 from fixel.simulation import Newton, StewartTrinkle
 from fixel.simulation.batch import simulate_packed
 from fixel.simulation.geometry import pack_shapes
@@ -390,8 +391,7 @@ def mean_pose(pose: FloatArray, weight: FloatArray, near: float) -> FloatArray:
 
 def pose_covariance(pose: FloatArray, weight: FloatArray, mean: FloatArray) -> FloatArray:
     """(3, 3) covariance about a mean [m, m, rad], angles the short way."""
-    away = pose - mean
-    away[:, 2] = wrapped(away[:, 2])
+    away = pose_difference(pose, mean)
     return np.asarray(np.einsum("i,ij,ik->jk", weight, away, away))
 
 

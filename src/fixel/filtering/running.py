@@ -17,9 +17,10 @@ from fixel.filtering.head_path import smoothed
 from fixel.filtering.particle_filter import ParticleFilter
 from fixel.filtering.particles import quantiles
 from fixel.filtering.prior import UniformPrior, Unknowns, prior_for
-from fixel.model import Experiment, Scene, wrapped
+from fixel.model import Experiment, Scene
 from fixel.model.fields import instance, vector, whole
 from fixel.model.scene import check_push
+from fixel.model.trajectory import pose_difference
 from fixel.typing import BoolArray, FloatArray
 
 WEIGHTS_OF_LIMIT: Final = 20.0  # of the object, for a drive that the scene calls rigid
@@ -243,8 +244,7 @@ class RunningFilter:
         if seen is None:
             return 0.0, np.ones(len(particles.free), np.bool_)
         noise = np.array([options.position_deviation, options.angle_deviation])[[0, 0, 1]] ** 2
-        away = seen - particles.expected
-        away[:, 2] = wrapped(away[:, 2])
+        away = pose_difference(seen, particles.expected)
         near = np.sum(away**2 / (noise + particles.doubt[:, [0, 0, 1]]), axis=1) < LOST**2
         weight = cloud.normalised(self._log_weight)
         mean = np.sum(weight[:, None] * away, axis=0)

@@ -121,8 +121,15 @@ class Trajectory(Comparable):
 
 def pose_error(a: ArrayLike, b: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Compute distances (...) [m] and angles (...) from b to a, in [-pi, pi), of poses (..., 3)."""
-    difference = np.asarray(a, dtype=np.float64) - np.asarray(b, dtype=np.float64)
-    return np.hypot(difference[..., 0], difference[..., 1]), wrapped(difference[..., 2])
+    difference = pose_difference(a, b)
+    return np.hypot(difference[..., 0], difference[..., 1]), difference[..., 2]
+
+
+def pose_difference(a: ArrayLike, b: ArrayLike) -> FloatArray:
+    """Return differences (..., 3) from b to a of poses, with angles in [-pi, pi) [m, m, rad]."""
+    difference = np.asarray(np.asarray(a, dtype=np.float64) - np.asarray(b, dtype=np.float64))
+    difference[..., 2] = wrapped(difference[..., 2])
+    return difference
 
 
 def turned(start: float, end: float, frames: int) -> float:

@@ -16,6 +16,7 @@ from fixel.calibration.known_pushes import PARTS, SURFACES
 from fixel.calibration.target import Target
 from fixel.errors import InvalidInput, counted
 from fixel.model import rotated, wrapped
+from fixel.model.trajectory import pose_difference
 from fixel.parts.model import SAME_DIRECTION, SAME_PLACE
 from fixel.results import Result, Summary
 from fixel.simulation.pack import pusher_path
@@ -189,8 +190,7 @@ def equal_pushes(targets: Sequence[Target], part: str, session: str) -> EqualPus
     equal = np.abs(wrapped(heading[i] - heading[j])) < SAME_DIRECTION
     pushes = near[equal & (np.abs(travel[i] - travel[j]) < SAME_PLACE)]
     i, j = pushes.T
-    away, moved = motion[j] - motion[i], start[j] - start[i]
-    away[:, 2] = wrapped(away[:, 2])
+    away, moved = pose_difference(motion[j], motion[i]), start[j] - start[i]
     sense = np.where(motion[i, 2] + motion[j, 2] < 0.0, -1.0, 1.0)
     values = [str(own.conditions.get(session, "")) for own in targets]
     return EqualPushes(

@@ -13,6 +13,7 @@ from scipy.linalg import cho_factor, cho_solve
 from fixel.calibration.objective import ANGLE_SCALE
 from fixel.errors import InvalidInput
 from fixel.model import LoadMap, SupportPoints, wrapped
+from fixel.model.trajectory import pose_difference
 from fixel.parts.fit import STEP, PartPushes
 from fixel.simulation import QuasiStatic, StewartTrinkle
 from fixel.simulation.ensemble import Ensemble
@@ -156,8 +157,7 @@ class StandingPart:
     @property
     def middle(self) -> FloatArray:
         """Poses (n, 3) of the part half way through its simulated pushes."""
-        moved = self.base - self.pushes.start
-        moved[:, 2] = wrapped(moved[:, 2])
+        moved = pose_difference(self.base, self.pushes.start)
         return np.asarray(self.pushes.start + 0.5 * moved)
 
     @property

@@ -13,7 +13,7 @@ from fixel.errors import InvalidInput
 from fixel.model import Body, Ellipsoid, NoSupport, Shape
 from fixel.model.fields import non_negative, positive, vector
 from fixel.model.support import support_points
-from fixel.model.trajectory import wrapped
+from fixel.model.trajectory import pose_error, wrapped
 from fixel.planning.orienting import OrientingPlan, PushFunction, hull_of, surviving_plan
 from fixel.planning.pushes import outline_points
 from fixel.typing import BoolArray, FloatArray
@@ -103,8 +103,8 @@ def geometric_pushes(
     heading = np.arctan2(inward[own, 1], inward[own, 0]) + turns
     ways = np.linspace(low, high, LENGTHS)
     moved = point_push(point[own][:, None], heading[:, None], ways, arm)
-    off = moved - wanted
-    far = np.hypot(off[..., 0], off[..., 1]) + arm * np.abs(wrapped(off[..., 2]))
+    apart, turned = pose_error(moved, wanted)
+    far = apart + arm * np.abs(turned)
     best = np.argmin(far, axis=1)
     rows = np.arange(len(best))
     # The contact turns with the part, so that the cone is widest used at one of the two ends.

@@ -17,8 +17,9 @@ import numpy as np
 
 from fixel.calibration.target import Target, target_of
 from fixel.errors import InvalidInput
-from fixel.model import Experiment, wrapped
+from fixel.model import Experiment
 from fixel.model.fields import positive
+from fixel.model.trajectory import pose_error
 from fixel.planning.belief import Belief
 from fixel.planning.success import interval
 from fixel.progress import ProgressOption, show_progress
@@ -178,6 +179,5 @@ def _motion(target: Target, ends: FloatArray) -> FloatArray:
 
 
 def _within(motions: FloatArray, goal: FloatArray, tolerance: tuple[float, float]) -> BoolArray:
-    off = motions - goal
-    near = np.hypot(off[..., 0], off[..., 1]) <= tolerance[0]
-    return np.asarray(near & (np.abs(wrapped(off[..., 2])) <= tolerance[1]))
+    apart, turned = pose_error(motions, goal)
+    return np.asarray((apart <= tolerance[0]) & (np.abs(turned) <= tolerance[1]))

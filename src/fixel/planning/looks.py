@@ -14,7 +14,7 @@ from fixel.errors import InvalidInput
 from fixel.model.fields import instance, whole
 from fixel.model.goals import Beyond, Inside, PoseRegion
 from fixel.model.scene import check_push
-from fixel.model.trajectory import wrapped
+from fixel.model.trajectory import pose_difference
 from fixel.planning.belief import Belief, Scenarios
 from fixel.planning.candidates import Numbers
 from fixel.planning.corrections import (
@@ -264,8 +264,7 @@ class Policy:
         ends = ends - ends.mean(axis=1, keepdims=True)
         spread = np.einsum("wri,wrj->wij", ends, ends) / (RUNS - 1)
         spread = np.where(good[..., None], spread, np.eye(3))
-        off = seen[:, None] - mean
-        off[..., 2] = wrapped(off[..., 2])
+        off = pose_difference(seen[:, None], mean)
         far = np.einsum("nwi,wij,nwj->nw", off, np.linalg.inv(spread + view), off) / 3.0
         spread = np.maximum(far, 1.0)[..., None, None] * spread + 1e-18 * np.eye(3)
         gain = spread @ np.linalg.inv(spread + view)

@@ -13,7 +13,7 @@ from fixel.kernels import codes
 from fixel.model import Scene, Shape
 from fixel.model.goals import BodyTrack, Goal, tolerance_of, touching
 from fixel.model.overlap import overlaps
-from fixel.model.trajectory import wrapped
+from fixel.model.trajectory import pose_difference
 from fixel.planning.belief import Scenarios, rows_of
 from fixel.planning.pushes import PushChoice, fixel_overlap, scene_of_push, swept, touches
 from fixel.simulation.ensemble import Ensemble
@@ -220,8 +220,7 @@ class PlanSimulator:
             begun = np.concatenate((actual[:, None], others), axis=1)
             ensemble = self._ensemble(begun, path)
         else:
-            offset = actual - planned
-            offset[:, 2] = wrapped(offset[:, 2])
+            offset = pose_difference(actual, planned)
             values |= dict(zip(START, offset.T.copy(), strict=True))
             shifted = varied_start(scene, planned[:, None], values)
             assert shifted is not None

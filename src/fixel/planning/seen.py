@@ -11,7 +11,7 @@ import numpy as np
 from fixel.errors import InvalidInput
 from fixel.model.goals import BodyTrack
 from fixel.model.scene import check_push
-from fixel.model.trajectory import wrapped
+from fixel.model.trajectory import pose_difference
 from fixel.planning.belief import Belief
 from fixel.planning.plan import PushPlan, plan_rounds, search_of
 from fixel.planning.pushes import FreePushes
@@ -49,8 +49,7 @@ def belief_after(plan: PushPlan, seen: FloatArray, done: int, error: StartError)
     begun = replace(plan, start=plan.start[:done], path=plan.path[:done])
     runs = begun.run(scenarios, samples=1)
     poses = runs.pose[:, done - 1]
-    off = poses - seen
-    off[:, 2] = wrapped(off[:, 2])
+    off = pose_difference(poses, seen)
     weight = _weights(off, error.deviation, runs.failure == 0)
     if weight is None:
         return SeenBelief(

@@ -23,7 +23,7 @@ import numpy as np
 from fixel.calibration.objective import Comparer
 from fixel.calibration.target import Target
 from fixel.model.space import ParameterSpace
-from fixel.model.trajectory import wrapped
+from fixel.model.trajectory import pose_error
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.push import CalibratedModel
@@ -182,8 +182,8 @@ def end_residuals(
 
 def motion_of(start: FloatArray, end: FloatArray, arm: float) -> FloatArray:
     """Return motions (n,) between poses (n, 3): the way, and the rotation as an arc [m]."""
-    off = end - start
-    return np.asarray(np.hypot(off[:, 0], off[:, 1]) + arm * np.abs(wrapped(off[:, 2])))
+    way, turned = pose_error(end, start)
+    return np.asarray(way + arm * np.abs(turned))
 
 
 def _end_of(own: Target) -> Target:

@@ -22,6 +22,7 @@ from fixel.calibration.target import Target, target_of
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters, Scene, wrapped
 from fixel.model.fields import Value, check_fields, instance, non_negative
+from fixel.model.trajectory import pose_difference
 from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
 from fixel.simulation.rollouts import ensemble_of
 from fixel.simulation.stepper import AbstractStepper
@@ -420,13 +421,6 @@ class _ExperimentEnds:
     def _poses(self, which: IntArray, values: Mapping[str, FloatArray]) -> FloatArray:
         outcome = self._ensemble.simulate(which, values)
         return np.asarray(np.where(outcome.converged[:, None], outcome.pose[:, -1], np.nan))
-
-
-def pose_difference(last: FloatArray, first: FloatArray) -> FloatArray:
-    """Return differences (n, 3) of poses, with angles within half a turn [m, m, rad]."""
-    off = np.asarray(last - first)
-    off[:, 2] = wrapped(off[:, 2])
-    return off
 
 
 # --- likelihood -----------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fixel.errors import InvalidInput
 from fixel.model import Body, Pusher, Trajectory
 from fixel.model.fields import Comparable, frozen, settle
-from fixel.model.trajectory import wrapped
+from fixel.model.trajectory import pose_difference
 from fixel.typing import BoolArray, FloatArray
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
@@ -142,8 +142,7 @@ class PartPrediction:
         self._rate, self._step = np.zeros(3), np.zeros(3)
         if self._last is not None and self.fresh(time):
             then, before = self._last
-            step = pose - before
-            step[2] = wrapped(step[2])  # angles read from a tag are modulo 2 pi
+            step = pose_difference(pose, before)  # angles read from a tag are modulo 2 pi
             self._step = step / max(self._unseen, 1)
             if time - then < FORGET:
                 self._rate = step / (time - then)
