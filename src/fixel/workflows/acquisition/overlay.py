@@ -21,7 +21,7 @@ from fixel.formats.scene_file import load_scene
 from fixel.io.atomic import written_whole
 from fixel.model import Body, Disk, Fixel, Polygon, Pusher, Scene, placed
 from fixel.model.fields import positive
-from fixel.model.trajectory import wrapped
+from fixel.model.trajectory import pose_difference
 from fixel.sampling.rows import moved_onto
 from fixel.testbed.frame_source import STALLED, FrameQueue, FrameSource
 from fixel.typing import FloatArray
@@ -87,7 +87,7 @@ class Overlay:
     def _follow(self, pose: FloatArray) -> None:
         """Move the wanted poses to the mean pose of the anchor since it was last displaced."""
         now = things_of(self.scene)[self.anchor].pose
-        off = np.array([*(pose - now)[:2], float(wrapped(pose[2] - now[2]))])
+        off = pose_difference(pose, now)
         far = np.hypot(*off[:2]) > self.tolerance.distance or abs(off[2]) > self.tolerance.angle
         self._n_seen = 1 if far else self._n_seen + 1
         self.scene = moved_onto(self._planned, self._home, now + off / self._n_seen)
@@ -256,10 +256,7 @@ class PartLook(NamedTuple):
     @property
     def error(self) -> FloatArray | None:
         """(3,) measured minus wanted pose [m, m, rad], with the angle wrapped."""
-        if self.measured is None:
-            return None
-        off = self.measured - self.thing.pose
-        return np.array([off[0], off[1], float(wrapped(off[2]))])
+        return None if self.measured is None else pose_difference(self.measured, self.thing.pose)
 
     @property
     def within(self) -> bool:

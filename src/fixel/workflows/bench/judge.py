@@ -13,7 +13,7 @@ import numpy as np
 from fixel.formats.recording import SCENE_FILE, open_recording
 from fixel.formats.scene_file import load_scene
 from fixel.model import Experiment, LineDrive, PlannedExperiment, Scene
-from fixel.model.trajectory import wrapped
+from fixel.model.trajectory import pose_error
 from fixel.workflows.acquisition.overlay import Tolerance
 from fixel.workflows.acquisition.track import track_film
 
@@ -63,8 +63,7 @@ def _reasons(
     moved = float(np.hypot(*np.ptp(last, axis=0)))
     if moved > MOVED:
         yield f"the part still moved by {1e3 * moved:.1f} mm in the last {REST:g} s"
-    off = track.pose[0] - planned.bodies[0].pose
-    apart, turned = float(np.hypot(*off[:2])), abs(float(wrapped(off[2])))
+    apart, turned = map(abs, pose_error(track.pose[0], planned.bodies[0].pose))
     if apart > tolerance.distance or turned > tolerance.angle:
         yield f"the part began {1e3 * apart:.1f} mm and {math.degrees(turned):.1f} deg off"
     if experiment.effective is None:

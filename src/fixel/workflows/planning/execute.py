@@ -20,7 +20,7 @@ from fixel.model import Experiment, Scene
 from fixel.model.fields import whole
 from fixel.model.goals import BodyTrack, events_in
 from fixel.model.scene import check_push
-from fixel.model.trajectory import wrapped
+from fixel.model.trajectory import pose_difference
 from fixel.planning.belief import Belief
 from fixel.planning.held_out import HeldSuccess, held_success
 from fixel.planning.plan import PlanCorrection, PushPlan
@@ -260,11 +260,9 @@ def check_start(plan: PushPlan, seen: FloatArray) -> None:
     """Raise `InvalidInput` if a seen start differs from the planned one by more than allowed."""
     own = plan.belief.start
     allowed = np.maximum(LEAST, 0.0 if own is None else MAX_DEVIATION * own.deviation)
-    off = seen - plan.start[0]
-    off[2] = wrapped(off[2])
+    off = pose_difference(seen, plan.start[0])
     if (np.abs(off) > allowed).any():
-        x, y, angle = off * (1e3, 1e3, math.degrees(1.0))
-        a, b, c = allowed * (1e3, 1e3, math.degrees(1.0))
+        (x, y, angle), (a, b, c) = np.array([off, allowed]) * (1e3, 1e3, math.degrees(1.0))
         raise InvalidInput(
             "seen start",
             found=f"{x:+.2f}, {y:+.2f} mm and {angle:+.2f} deg from the planned one",
