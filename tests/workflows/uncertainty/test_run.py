@@ -153,6 +153,8 @@ def _beside(low, high, quantiles, of=1, level=0.95):
         posterior=SimpleNamespace(
             labels=("mu_pusher",),
             units=("-",),
+            low=np.zeros(1),
+            high=np.ones(1),
             quantiles=lambda *_: np.array(quantiles)[:, None],
             effective=1.0,
             model_error=True,
@@ -179,6 +181,15 @@ def test_a_posterior_does_not_contradict_the_calibration_silently():
     assert " ," not in beside  # friction has no unit
     assert "(0.15 to open)" in beside
     assert beside.endswith("quote the wider interval.")
+
+
+def test_a_posterior_at_the_bound_of_its_prior_is_named():
+    """The prior is from 0 to 1; an interval that fills it shows that nothing was learned."""
+    warned = "mu_pusher is at the bound of its prior: use a wider one if other values are possible."
+    assert _beside(0.1, 0.9, (0.9, 0.97, 0.999))[-1] == warned
+    assert _beside(0.1, 0.9, (0.001, 0.02, 0.1))[-1] == warned
+    assert warned not in _beside(0.1, 0.9, (0.01, 0.5, 0.99))
+    assert warned not in _beside(0.1, 0.9, (0.6, 0.7, 0.8))
 
 
 @pytest.mark.parametrize(("away", "verdicts"), [(1.0, 0), (1.9, 0), (2.1, 1), (5.0, 1)])

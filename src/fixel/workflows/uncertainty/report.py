@@ -19,6 +19,7 @@ from fixel.drawing.uncertainty import (
     final_pose_chart,
     label_text,
 )
+from fixel.filtering.prior import UniformPrior
 from fixel.simulation.engine_names import compare_words
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
@@ -228,7 +229,16 @@ def _warnings(found: Uncertainty) -> tuple[str, ...]:
         failed=posterior.failed / max(1, posterior.evaluations),
         lost=sum(one.prediction.failed for one in found.predicted),
         at_bound=at_bound,
+        crowded=_crowded(posterior),
     )
+
+
+def _crowded(posterior: Posterior) -> list[str]:
+    """Return the parameters that a bound of their prior, and not the data, may have decided."""
+    low, _, high = posterior.quantiles((0.05, 0.5, 0.95))
+    prior = UniformPrior(posterior.labels, posterior.low, posterior.high)
+    found = prior.excited(low, high) & prior.touched(low, high)
+    return [k for k, own in zip(posterior.labels, found, strict=True) if own and k != LABEL]
 
 
 def _contradictions(found: Uncertainty, compared: CalibratedValues) -> Iterator[dict[str, Any]]:
