@@ -244,7 +244,7 @@ def test_a_folder_that_cannot_be_made_is_refused(lab, tmp_path):
     done = _done(lab, n=1, mode="each")
     (tmp_path / "file").touch()
 
-    with pytest.raises(InvalidInput, match="a folder for pictures"):
+    with pytest.raises(InvalidInput, match="a folder to write to"):
         done.draw(tmp_path / "file" / "pictures")
 
 
