@@ -23,7 +23,7 @@ from fixel.formats.recording import RIG_FILE, SCENE_FILE
 from fixel.formats.rig_file import rig_of
 from fixel.model import Experiment, PlannedExperiment
 from fixel.model.space import ParameterSpace
-from fixel.testbed.loopback import LoopbackCamera
+from fixel.testbed.file_source import LoopbackCamera
 from fixel.testbed.open_source import source_of
 from fixel.testbed.recorder import Recorder
 from fixel.testbed.shared_camera import SharedCamera

@@ -23,9 +23,8 @@ from fixel.model import (
 from fixel.model.footprint import support_grid
 from fixel.simulation import StewartTrinkle
 from fixel.simulation.ensemble import Ensemble
-from fixel.simulation.load_profile import PROFILE_NAMES, LoadNet
+from fixel.simulation.load_profile import PROFILE_NAMES, TABLE_NAMES, LoadNet, factors_on_table
 from fixel.simulation.rollouts import RolloutCase
-from fixel.simulation.uneven_table import TABLE_NAMES, factors_on_table
 from fixel.typing import BoolArray, FloatArray, IntArray
 
 # Quasi-static pushes do not depend on time: all are simulated at one speed [s], in steps of 1 mm.

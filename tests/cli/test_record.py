@@ -20,7 +20,7 @@ from fixel.cli.record import duration, status_line
 from fixel.formats.recording import open_recording
 from fixel.formats.recording_files import ROWS, VIDEO
 from fixel.formats.rig_file import rig_of, save_rig
-from fixel.testbed.loopback import LoopbackCamera
+from fixel.testbed.file_source import LoopbackCamera
 from fixel.testbed.recorder import RecordingStatus
 
 FIXEL = [sys.executable, "-c", "from fixel.cli.main import run; run()"]

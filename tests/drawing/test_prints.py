@@ -10,7 +10,7 @@ from tests.fixtures import refused
 from fixel.drawing import prints
 from fixel.errors import InvalidInput
 from fixel.vision.marks import Tag, board_of
-from fixel.vision.tracking.tag_reader import read_tags
+from fixel.vision.tracking.tags import read_tags
 
 
 @pytest.mark.parametrize("text", ["charuco:7x5:30mm:20mm", "charuco:4x6:24mm:16mm:5x5"])

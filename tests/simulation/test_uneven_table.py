@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fixel.model import KNOWN_PARAMETERS
-from fixel.simulation.uneven_table import LENGTH, MAX_EXPONENT, TABLE_NAMES, factors_on_table
+from fixel.simulation.load_profile import LENGTH, MAX_TABLE_EXPONENT, TABLE_NAMES, factors_on_table
 
 CROSS = LENGTH * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 
@@ -26,7 +26,7 @@ def test_every_one_is_a_known_parameter():
     (0.5 * np.pi, {"table_bend_xy": 0.8}, [-0.4, 0.4, -0.4, 0.4]),
     (0.25 * np.pi, {"table_bend_diagonal": 0.8}, [0.4, -0.4, 0.4, -0.4]),
     (np.pi, {"table_slope_x": 0.2}, [-0.2, 0.0, 0.2, 0.0]),  # loads one side
-    (0.0, {"table_bend": 50.0}, [MAX_EXPONENT] * 4),
+    (0.0, {"table_bend": 50.0}, [MAX_TABLE_EXPONENT] * 4),
 ])  # fmt: skip
 def test_factors_of_a_table(angle, values, logarithms):
     assert factors(angle, **values) == pytest.approx(np.exp(logarithms))

@@ -17,8 +17,8 @@ from fixel.model import (
     Tripod,
     UniformPressure,
 )
+from fixel.simulation.load_profile import TABLE_NAMES
 from fixel.simulation.pack import supports_of
-from fixel.simulation.uneven_table import TABLE_NAMES
 from fixel.simulation.vary import (
     composed,
     infeasible,

@@ -13,7 +13,7 @@ from tests.testbed.films import film
 from tests.testbed.test_frame_source import Webcam
 
 from fixel.testbed.clocks import CaptureClock, DeviceClock
-from fixel.testbed.loopback import LoopbackCamera
+from fixel.testbed.file_source import LoopbackCamera
 from fixel.testbed.open_source import DeviceSource, UrlSource
 
 

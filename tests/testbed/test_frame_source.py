@@ -21,9 +21,8 @@ from fixel.errors import InvalidInput
 from fixel.formats.recording import RecordingHeader, RecordingWriter, open_recording
 from fixel.formats.recording_video import brightness, jpeg_of, jpeg_size, shrunk
 from fixel.formats.video_file import VideoWriter
-from fixel.testbed.file_source import FileSource, PlayedTactile
+from fixel.testbed.file_source import FileSource, LoopbackCamera, PlayedTactile
 from fixel.testbed.frame_source import FrameQueue, Stream
-from fixel.testbed.loopback import LoopbackCamera
 from fixel.testbed.open_source import DeviceSource, UrlSource, check_size, source_of
 from fixel.testbed.recorder import Recorder
 from fixel.vision.frame import Frame

@@ -23,7 +23,7 @@ from benchmarks.recording import plate
 
 from fixel.formats.recording import RecordingHeader, RecordingWriter, open_recording
 from fixel.formats.recording_files import ROWS
-from fixel.testbed.loopback import LoopbackCamera
+from fixel.testbed.file_source import LoopbackCamera
 from fixel.vision.frame import Frame
 
 pytestmark = pytest.mark.system

@@ -8,7 +8,7 @@ from fixel.vision.camera import Camera
 from fixel.vision.lens import Lens
 from fixel.vision.marks import MarkedPart, Rig, Tag, dictionary_of
 from fixel.vision.outlines import outline_pixels
-from fixel.vision.tracking.tag_reader import CORNERS
+from fixel.vision.tracking.tags import CORNERS
 
 FINE = 4  # subpixels along a side
 CELLS = 10  # of a tag of 36h11, its white border included; 8 without

@@ -23,7 +23,7 @@ from fixel.model import (
 from fixel.model.fields import instance
 from fixel.model.parameters import KNOWN_PARAMETERS, in_si, info_of
 from fixel.model.space import Parameter, ParameterSpace, Unknown, split_label
-from fixel.simulation.uneven_table import TABLE_NAMES
+from fixel.simulation.load_profile import TABLE_NAMES
 from fixel.table import Table
 
 MAX_FRICTION: Final = 1.0

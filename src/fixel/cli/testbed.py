@@ -102,7 +102,7 @@ def serve(
     as_json: AsJson = False,
 ) -> None:
     """Serve a film on this machine like a network camera, until Ctrl-C."""
-    from fixel.testbed.loopback import LoopbackCamera
+    from fixel.testbed.file_source import LoopbackCamera
 
     with LoopbackCamera(film, port=port, loop=loop) as camera:
         width, height = camera.stream.size

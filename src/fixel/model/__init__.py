@@ -1,7 +1,6 @@
 """Data model: shapes, bodies, pushers, fixels and scenes, checked when created."""
 
 from fixel.model.bodies import Body, Drive, Fixel, LineDrive, PathDrive, Pusher, Spring
-from fixel.model.engine_parameters import ParameterInfo
 from fixel.model.experiment import Channel, Experiment, Flag, PlannedExperiment, Provenance
 from fixel.model.goals import (
     AllOf,
@@ -16,7 +15,7 @@ from fixel.model.goals import (
     PoseRegion,
     Seated,
 )
-from fixel.model.parameters import KNOWN_PARAMETERS, Parameters
+from fixel.model.parameters import KNOWN_PARAMETERS, ParameterInfo, Parameters
 from fixel.model.plane import FrictionMap, LoadMap, Plane
 from fixel.model.probability import Probability
 from fixel.model.scene import PairFriction, Scene

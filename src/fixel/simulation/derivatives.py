@@ -16,13 +16,12 @@ from fixel.kernels.modes.derivatives import differentiate_batch
 from fixel.model import Scene, rotated
 from fixel.model.parameters import info_of
 from fixel.simulation.accuracy import APART_ANGLE, APART_LENGTH, empty_modes
-from fixel.simulation.load_profile import PROFILE_NAMES
+from fixel.simulation.load_profile import PROFILE_NAMES, TABLE_NAMES
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.pack import PackedBatch
 from fixel.simulation.record import shape_poses
 from fixel.simulation.result import POSE_NAMES
 from fixel.simulation.threads import in_ranges
-from fixel.simulation.uneven_table import TABLE_NAMES
 from fixel.simulation.vary import Variation, composed
 from fixel.typing import BoolArray, FloatArray, IntArray
 

@@ -21,8 +21,15 @@ from fixel.model.fields import floats, instance
 from fixel.model.footprint import cells
 from fixel.model.parameters import check_supports, info_of
 from fixel.model.support import LOAD_ROUNDING, tilted_shares, times_each, triangle_shares
-from fixel.simulation.load_profile import PROFILE_NAMES, LoadNet, balance, can_balance
-from fixel.simulation.uneven_table import MAX_EXPONENT, TABLE_NAMES, factors_on_table
+from fixel.simulation.load_profile import (
+    MAX_TABLE_EXPONENT,
+    PROFILE_NAMES,
+    TABLE_NAMES,
+    LoadNet,
+    balance,
+    can_balance,
+    factors_on_table,
+)
 from fixel.typing import FloatArray, IntArray
 
 Values = Mapping[str, FloatArray]  # name -> (n,)
@@ -185,7 +192,7 @@ def pressure_shares(scene: Scene, spread: FloatArray) -> tuple[FloatArray, Float
     square = ((points - body.shape.centroid) ** 2).sum(axis=1)
     exponent = 0.5 * spread[:, None] * (square / (share @ square) - 1.0)
     # Larger exponents would have no further effect.
-    load = share * np.exp(np.clip(exponent, -MAX_EXPONENT, MAX_EXPONENT))
+    load = share * np.exp(np.clip(exponent, -MAX_TABLE_EXPONENT, MAX_TABLE_EXPONENT))
     load /= load.sum(axis=1, keepdims=True)
     return points - body.com, tilted_shares(load, points - body.com)
 

@@ -20,9 +20,8 @@ import numpy as np
 from fixel.errors import InvalidInput
 from fixel.formats.recording_video import END
 from fixel.testbed.clocks import CaptureClock
-from fixel.testbed.file_source import FileSource
+from fixel.testbed.file_source import SIMULATED, STAMP, FileSource
 from fixel.testbed.frame_source import ENDED, STALLED, CameraPicture, FrameSource, Stream
-from fixel.testbed.loopback import SIMULATED, STAMP
 from fixel.vision.frame import Picture, opencv
 
 

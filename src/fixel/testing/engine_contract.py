@@ -35,7 +35,7 @@ from fixel.model import (
     Support,
     Tripod,
 )
-from fixel.model.engine_parameters import engine_parameter
+from fixel.model.parameters import engine_parameter
 from fixel.simulation.engines import shared_program
 from fixel.simulation.motion import AbstractMotionModel, Dynamic, OtherEngine, motion_model
 from fixel.simulation.rollouts import EnsembleOutcome, RolloutCase, Rollouts, ensemble_of

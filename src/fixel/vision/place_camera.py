@@ -21,7 +21,7 @@ from fixel.vision.camera import PLACE, Camera, MeasuredCamera
 from fixel.vision.frame import Picture, opencv
 from fixel.vision.lens import Lens
 from fixel.vision.marks import Board, Tag, gray_of
-from fixel.vision.tracking.tag_reader import find_tags, other_families, tag_points
+from fixel.vision.tracking.tags import find_tags, other_families, tag_points
 
 MIN_TAGS: Final = 2
 UNEVEN: Final = 0.2  # variation of the shift of tags' edges between corners, as a share of it

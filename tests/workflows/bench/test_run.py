@@ -19,7 +19,7 @@ from fixel.formats.recording import RecordingHeader, RecordingWriter
 from fixel.formats.rig_file import rig_of, save_rig
 from fixel.testbed.emulators.grbl import EmulatedGrbl
 from fixel.testbed.emulators.laboratory import smaller
-from fixel.testbed.loopback import LoopbackCamera
+from fixel.testbed.file_source import LoopbackCamera
 from fixel.testbed.motion_grbl import GrblActuator
 from fixel.vision.frame import Frame
 from fixel.workflows.bench.run import open_bench

@@ -22,7 +22,7 @@ from fixel.model import Trajectory, UniformPressure
 from fixel.model.records import Estimate
 from fixel.model.selection import ExperimentQuery
 from fixel.sampling.published import thesis_plan
-from fixel.simulation.uneven_table import TABLE_NAMES
+from fixel.simulation.load_profile import TABLE_NAMES
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views.calibration_detail import list_calibrations
 from fixel.workflows.calibration import plan

@@ -9,7 +9,7 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from fixel.model.engine_parameters import BOX2D, ParameterInfo
+from fixel.model.parameters import BOX2D, ParameterInfo
 from fixel.simulation.engines.contract import AbstractPhysicsEngine, model_of
 from fixel.simulation.engines.task import PlainTask, planar_refusal
 from fixel.typing import FloatArray

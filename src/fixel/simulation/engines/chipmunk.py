@@ -9,7 +9,7 @@ from typing import ClassVar, final
 import numpy as np
 import pymunk
 
-from fixel.model.engine_parameters import CHIPMUNK, ParameterInfo
+from fixel.model.parameters import CHIPMUNK, ParameterInfo
 from fixel.simulation.engines.contract import AbstractPhysicsEngine, model_of
 from fixel.simulation.engines.scripts import run_pymunk
 from fixel.simulation.engines.task import PlainTask, planar_refusal

@@ -11,8 +11,8 @@ import numpy as np
 
 from fixel.errors import InvalidInput, unknown_name
 from fixel.model import Disk, Polygon
-from fixel.model.engine_parameters import ParameterInfo
 from fixel.model.overlap import overlaps
+from fixel.model.parameters import ParameterInfo
 from fixel.simulation.engines.task import (
     PlainOutline,
     PlainTask,

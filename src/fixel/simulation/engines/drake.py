@@ -11,7 +11,7 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from fixel.model.engine_parameters import DRAKE, ParameterInfo
+from fixel.model.parameters import DRAKE, ParameterInfo
 from fixel.simulation.engines.contract import AbstractPhysicsEngine, model_of
 from fixel.simulation.engines.scripts import run_drake
 from fixel.simulation.engines.sdf import MAX_FRICTION, sdf

@@ -9,7 +9,7 @@ from typing import ClassVar, final
 import mujoco
 import numpy as np
 
-from fixel.model.engine_parameters import MUJOCO, ParameterInfo
+from fixel.model.parameters import MUJOCO, ParameterInfo
 from fixel.simulation.engines.contract import AbstractPhysicsEngine, model_of
 from fixel.simulation.engines.mjcf import mjcf
 from fixel.simulation.engines.scripts import run_mujoco

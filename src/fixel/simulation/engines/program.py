@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, final
 
 from fixel.errors import InvalidInput
-from fixel.model.engine_parameters import ParameterInfo
+from fixel.model.parameters import ParameterInfo
 from fixel.simulation.engines.contract import EngineInfo
 from fixel.simulation.trust import check_command
 

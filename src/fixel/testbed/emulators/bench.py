@@ -24,8 +24,7 @@ import numpy as np
 from fixel.errors import FixelError
 from fixel.formats.recording import Recording, open_recording
 from fixel.model import LineDrive, Scene
-from fixel.testbed.file_source import FILM
-from fixel.testbed.loopback import LoopbackCamera
+from fixel.testbed.file_source import FILM, LoopbackCamera
 from fixel.testbed.recorder import RecordingStatus
 
 if TYPE_CHECKING:

@@ -17,8 +17,7 @@ from fixel.vision.frame import Frame, Gray
 from fixel.vision.marks import Rig, Tag, mirrored
 from fixel.vision.plane_errors import place_covariance, radius95
 from fixel.vision.tracking.outline import MIN_SCATTER, fit_pose, window_of
-from fixel.vision.tracking.tag_reader import read_tags, tag_corners, tag_points
-from fixel.vision.tracking.tags import tag_edges
+from fixel.vision.tracking.tags import read_tags, tag_corners, tag_edges, tag_points
 
 MOVED: Final = 1.5  # [px] largest offset of tags on the plate
 CERTAIN: Final = 1.6  # times the radius of 95 %, four standard deviations

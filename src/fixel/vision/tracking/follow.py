@@ -28,8 +28,7 @@ from fixel.vision.tracking.judge import clock_scatter, judged
 from fixel.vision.tracking.outline import OutlineEdges, PoseFit, circle_edges, fit_pose, window_of
 from fixel.vision.tracking.silhouette import Silhouette
 from fixel.vision.tracking.stickers import Stickers
-from fixel.vision.tracking.tag_reader import other_families, tag_corners
-from fixel.vision.tracking.tags import Tags
+from fixel.vision.tracking.tags import Tags, other_families, tag_corners
 
 METHODS: Final[Mapping[str, AbstractTracking]] = {
     method.name: method for method in (Tags(), Stickers(), Silhouette())

@@ -27,7 +27,7 @@ from fixel.vision.lens import Lens
 from fixel.vision.marks import Board, Rig, Tag, board_of
 from fixel.vision.place_camera import Placement, place_by_board, place_by_tags
 from fixel.vision.tracking.checks import moved_limit
-from fixel.vision.tracking.tag_reader import find_tags, tag_corners
+from fixel.vision.tracking.tags import find_tags, tag_corners
 from fixel.workflows.acquisition.camera.answer import (
     CameraAnswer,
     CameraCheck,
