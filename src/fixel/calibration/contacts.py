@@ -13,7 +13,7 @@ import numpy as np
 import shapely
 
 from fixel.errors import InvalidInput
-from fixel.model import Disk, Shape, wrapped
+from fixel.model import Disk, Shape, rotated, wrapped
 from fixel.typing import FloatArray, IntArray
 
 # A contact is new where it differs by more than this from every pushed one of the part.
@@ -64,10 +64,9 @@ def contacts_of(asked: Configurations, speed: FloatArray) -> TouchedPlaces:
     """Return the first contact of straight pushes at speeds (n,) [m/s]."""
     gap, normal = gaps_and_normals(asked.shape, asked.radius, asked.start, asked.tip_start)
     point = asked.tip_start - (asked.radius + gap)[:, None] * normal - asked.start[:, :2]
-    c, s = np.cos(asked.start[:, 2]), np.sin(asked.start[:, 2])
-    turned = [np.column_stack((c * x + s * y, c * y - s * x)) for x, y in (normal.T, point.T)]
-    place = (turned[1] - np.asarray(asked.shape.centroid)) / np.sqrt(asked.shape.area / np.pi)
-    return TouchedPlaces(np.arctan2(turned[0][:, 1], turned[0][:, 0]), place, np.asarray(speed))
+    normal, point = (rotated(own, -asked.start[:, 2]) for own in (normal, point))
+    place = (point - np.asarray(asked.shape.centroid)) / np.sqrt(asked.shape.area / np.pi)
+    return TouchedPlaces(np.arctan2(normal[:, 1], normal[:, 0]), place, np.asarray(speed))
 
 
 class Novelty(NamedTuple):
@@ -154,16 +153,14 @@ def gaps_and_normals(
     Poses (n, 3) of the object [m, m, rad] and centres (n, 2) of the tip [m] are in the world, and
     so are normals. Gaps [m] are negative for overlap. Exact for convex outlines.
     """
-    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-    dx, dy = (tip - pose[:, :2]).T
-    local = np.column_stack((c * dx + s * dy, c * dy - s * dx))
+    local = rotated(tip - pose[:, :2], -pose[:, 2])
     if isinstance(shape, Disk):
         distance, away = np.hypot(*local.T) - shape.radius, local
     else:
         distance, away = _from_polygon(shape.outline, local)
     length = np.hypot(*away.T)[:, None]
-    nx, ny = np.divide(away, length, out=np.zeros_like(away), where=length > 0.0).T
-    return distance - radius, np.column_stack((c * nx - s * ny, s * nx + c * ny))
+    normal = np.divide(away, length, out=np.zeros_like(away), where=length > 0.0)
+    return distance - radius, rotated(normal, pose[:, 2])
 
 
 def _from_polygon(outline: FloatArray, point: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -18,6 +18,7 @@ from fixel.io.document import document, yaml_text
 from fixel.model import Disk, Experiment, Flag, PathDrive, Pusher, Scene, Shape, Trajectory
 from fixel.model.fields import instance
 from fixel.model.scene import SceneChoice
+from fixel.model.shape import rotated
 from fixel.typing import FloatArray
 
 # Duration of the correction of a path that starts inside the object [s].
@@ -383,9 +384,7 @@ def rescaled(track: Trajectory, factor: float) -> Trajectory:
 def _slip(track: Trajectory, tip: Trajectory, glance: FloatArray) -> float:
     """Path length of the tip in the object's frame while the object moves [m]."""
     pose = track.at(glance)
-    dx, dy = (tip.at(glance) - pose)[:, :2].T
-    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-    local = np.column_stack((c * dx + s * dy, c * dy - s * dx))
+    local = rotated(tip.at(glance) - pose, -pose[:, 2])
     strides = np.hypot(*np.diff(local, axis=0).T)
     moved = np.hypot(*np.diff(pose[:, :2], axis=0).T)
     return float(strides[moved > 0.1 * moved.max(initial=1e-12)].sum())

@@ -15,6 +15,7 @@ from fixel.datasets.files import CsvRows, read_table
 from fixel.datasets.table import UNITS
 from fixel.errors import InvalidInput, unknown_name
 from fixel.formats.frames_file import folder_whole
+from fixel.formats.records import within
 from fixel.formats.scene_file import SceneFile, load_scene, save_scene
 from fixel.model import PlannedExperiment, Scene
 from fixel.sampling.rig import plain_name
@@ -59,10 +60,8 @@ def read_rows(
             raise InvalidInput(where, found=f"{name!r} twice", expected="different names")
         scene = _template(table, row, loaders, usual)
         values = {key: float(own[row]) for key, own in columns.items() if not np.isnan(own[row])}
-        try:
+        with within(f"{table.source}, row {row + 1}, {name}"):
             scene = row_scene(scene, values)
-        except InvalidInput as problem:
-            raise problem.within(f"{table.source}, row {row + 1}, {name}") from None
         # The names of the conditions of other plans, such as axes of a domain.
         given = {key.replace("offset_angle", "offset_theta"): own for key, own in values.items()}
         stated = _conditions({title: cells[row] for title, cells in table.columns.items()})
@@ -107,10 +106,8 @@ def _template(
         expected = f"a scene file or an experiment, or the template {usual}"
         raise InvalidInput(where, found="none", expected=expected)
     name = table.columns[named[0]][row] if named else str(usual)
-    try:
+    with within(where):
         return loaders[named == ["experiment"]](name)
-    except InvalidInput as problem:
-        raise problem.within(where) from None
 
 
 def _conditions(cells: dict[str, str]) -> dict[str, str | float]:

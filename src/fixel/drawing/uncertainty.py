@@ -10,7 +10,7 @@ import numpy as np
 from fixel.drawing import chart, palette
 from fixel.drawing.chart import Chart, Mark, Style
 from fixel.drawing.top_view import closed_line
-from fixel.model import placed
+from fixel.model import placed, rotated
 from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.uncertainty.discrepancy import LABEL
@@ -272,13 +272,12 @@ def _outlines(
 
 def _positions(measured: FloatArray, draws: FloatArray, regions: Sequence[EndBounds]) -> Mark:
     turn = np.linspace(0.0, 2.0 * np.pi, 121)
+    circle = np.column_stack((np.cos(turn), np.sin(turn)))
     rings = []
     for region, style in zip(regions, LINES, strict=False):
         own = region.position
-        c, s = np.cos(own.angle), np.sin(own.angle)
-        a, b = own.radii[:, None] * np.array([np.cos(turn), np.sin(turn)])
-        ring = own.centre[:, None] + np.array([c * a - s * b, s * a + c * b])
-        rings.append(chart.line(*(1e3 * ring), color=palette.BODY, linewidth=0.9, linestyle=style,
+        ring = own.centre + rotated(own.radii * circle, np.asarray(own.angle))
+        rings.append(chart.line(*(1e3 * ring.T), color=palette.BODY, linewidth=0.9, linestyle=style,
                                 label=f"{100.0 * region.level:.0f} %"))  # fmt: skip
     return chart.panel(
         chart.line(*(1e3 * draws[:, :2].T), ".", color=palette.TRAIL, markersize=2.0,

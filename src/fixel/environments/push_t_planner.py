@@ -9,6 +9,7 @@ import numpy as np
 
 from fixel.environments import push_t
 from fixel.environments.motion import PushMotion
+from fixel.model import rotated
 from fixel.typing import FloatArray, IntArray
 
 CANDIDATES: Final = 192  # pushes simulated for each choice
@@ -131,10 +132,7 @@ class PushTPlanner:
         touched = push_t.OUTLINE[k] + rng.uniform(0.03, 0.97, (n, 1)) * edge[k]
         start = touched - (push_t.AGENT_RADIUS + CLEARANCE) * inward
         aside = math.radians(35.0) * rng.uniform(-1.0, 1.0, n)
-        c, s = np.cos(aside), np.sin(aside)
-        way = np.column_stack(
-            (c * inward[:, 0] - s * inward[:, 1], s * inward[:, 0] + c * inward[:, 1])
-        )
+        way = rotated(inward, aside)
         # Lengths of every order of magnitude: a last push may have to be short.
         far = np.exp(rng.uniform(math.log(MIN_LENGTH), math.log(MAX_LENGTH), n))
         end = start + way * far[:, None]

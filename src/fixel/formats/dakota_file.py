@@ -17,6 +17,7 @@ from typing import Any, Final, NamedTuple
 
 from fixel.calibration.pattern_search import PatternSearch
 from fixel.errors import InvalidInput, did_you_mean, unknown_name
+from fixel.formats.records import within
 from fixel.io.atomic import read_bounded, usable
 from fixel.model.parameters import KNOWN_PARAMETERS, is_parameter
 from fixel.model.space import ParameterSpace, Unknown
@@ -307,7 +308,7 @@ def _optimiser(block: _Block, notes: list[str]) -> PatternSearch:
     if left_out:
         notes.append("missing, so defaults of Dakota are used: " + ", ".join(left_out))
     values = {**_DEFAULTS, **given}
-    try:
+    with within(block.at("coliny_pattern_search")):
         return PatternSearch(
             initial_delta=values["initial_delta"],
             threshold_delta=values["variable_tolerance"],
@@ -318,8 +319,6 @@ def _optimiser(block: _Block, notes: list[str]) -> PatternSearch:
             max_iterations=values["max_iterations"],
             max_function_evaluations=values["max_function_evaluations"],
         )
-    except InvalidInput as problem:
-        raise problem.within(block.at("coliny_pattern_search")) from None
 
 
 def _space(block: _Block) -> ParameterSpace:
@@ -336,12 +335,10 @@ def _space(block: _Block) -> ParameterSpace:
     unknowns = []
     for start, low, high, descriptor in zip(*columns, strict=True):
         name, unit = _name(descriptor, block.at("descriptors"))
-        try:
+        with within(block.at("continuous_design")):
             unknowns.append(
                 Unknown(name=name, low=low * unit, high=high * unit, nominal=start * unit)
             )
-        except InvalidInput as problem:
-            raise problem.within(block.at("continuous_design")) from None
     return ParameterSpace(unknowns=tuple(unknowns))
 
 

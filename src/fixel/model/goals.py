@@ -26,9 +26,9 @@ from fixel.model.fields import (
     table,
     vector,
 )
-from fixel.model.overlap import overlaps, turned
+from fixel.model.overlap import overlaps
 from fixel.model.scene import Scene
-from fixel.model.shape import Disk, Polygon, placed
+from fixel.model.shape import Disk, Polygon, placed, rotated
 from fixel.model.trajectory import wrapped
 from fixel.typing import BoolArray, FloatArray
 
@@ -690,8 +690,7 @@ def check_fixel(name: str, scene: Scene) -> None:
 
 def centroids(body: Body, poses: FloatArray) -> FloatArray:
     """Return the positions (n, 2) of a body's centroid at poses (n, 3) [m]."""
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    return np.asarray(poses[:, :2] + turned(body.shape.centroid[None], c, s))
+    return np.asarray(poses[:, :2] + rotated(body.shape.centroid, poses[:, 2]))
 
 
 def gap_to(
@@ -757,8 +756,7 @@ def _least_distance(
 
     `inward` (m, 2) are unit normals, `offset` (m,) their products with points of the lines.
     """
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    place = poses[:, None, :2] + turned(points[None], c, s)  # (n, k, 2)
+    place = poses[:, None, :2] + rotated(points, poses[:, None, 2])  # (n, k, 2)
     least = np.full(len(poses), np.inf)
     for normal, own in zip(inward, offset, strict=True):
         least = np.minimum(least, (place @ normal).min(axis=1) - own)

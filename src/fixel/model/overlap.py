@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fixel.model.shape import Disk, Shape, placed
+from fixel.model.shape import Disk, Shape, placed, rotated
 from fixel.typing import FloatArray
 
 
@@ -39,15 +39,12 @@ def overlaps(a: Shape, poses: FloatArray, b: Shape, pose: FloatArray) -> Overlap
         pieces = [placed(vertices, pose) for vertices, _ in b.pieces]
         return _deepest([_disk(a.radius, poses[:, :2], piece) for piece in pieces])
     if isinstance(b, Disk):
-        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        x, y = (pose[:2] - poses[:, :2]).T
-        centre = np.column_stack((c * x + s * y, c * y - s * x))
+        centre = rotated(pose[:2] - poses[:, :2], -poses[:, 2])
         found = _deepest([_disk(b.radius, centre, vertices) for vertices, _ in a.pieces])
-        return Overlap(found.depth, -turned(found.way, c, s))
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        return Overlap(found.depth, -rotated(found.way, poses[:, 2]))
     return _deepest(
         [
-            _polygons(poses[:, None, :2] + turned(mine[None], c, s), placed(other, pose))
+            _polygons(poses[:, None, :2] + rotated(mine, poses[:, None, 2]), placed(other, pose))
             for mine, _ in a.pieces
             for other, _ in b.pieces
         ]
@@ -103,14 +100,6 @@ def _normals(piece: FloatArray) -> FloatArray:
 def _edges(piece: FloatArray) -> FloatArray:
     """Return the edges of polygons (..., k, 2), from each corner to the next."""
     return np.concatenate((piece[..., 1:, :], piece[..., :1, :]), axis=-2) - piece
-
-
-def turned(vector: FloatArray, c: FloatArray, s: FloatArray) -> FloatArray:
-    """Return vectors (n, ..., 2) rotated by n angles."""
-    shape = (len(c), *([1] * (vector.ndim - 2)))
-    c, s = c.reshape(shape), s.reshape(shape)
-    x, y = vector[..., 0], vector[..., 1]
-    return np.stack((c * x - s * y, s * x + c * y), axis=-1)
 
 
 def _unit(vector: FloatArray) -> FloatArray:

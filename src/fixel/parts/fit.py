@@ -16,7 +16,7 @@ from fixel.calibration.optimiser import SearchBox
 from fixel.calibration.target import Target
 from fixel.domain.features import simulated_features
 from fixel.errors import InvalidInput
-from fixel.model import Disk, PathDrive, Scene, pose_error, wrapped
+from fixel.model import Disk, PathDrive, Scene, pose_error, rotated, wrapped
 from fixel.model.scene import check_push
 from fixel.simulation import QuasiStatic, StewartTrinkle
 from fixel.simulation.ensemble import Ensemble
@@ -331,9 +331,7 @@ class PartPushes:
 
     def in_frame(self, points: FloatArray) -> FloatArray:
         """Return points (n, 2), one per push, in the part's frame at the start of the push [m]."""
-        c, s = np.cos(self.start[:, 2]), np.sin(self.start[:, 2])
-        x, y = (points - self.start[:, :2]).T
-        return np.column_stack((c * x + s * y, c * y - s * x))
+        return rotated(points - self.start[:, :2], -self.start[:, 2])
 
     def errors(self, which: IntArray, ends: FloatArray) -> FloatArray:
         """Return errors (n, 2) of end poses: position [m] and angle [rad]."""

@@ -12,7 +12,7 @@ import numpy as np
 import shapely
 
 from fixel.errors import InvalidInput, check_name, counted
-from fixel.model import Body, Disk, LineDrive, PathDrive, Polygon, Pusher, Scene, Shape
+from fixel.model import Body, Disk, LineDrive, PathDrive, Polygon, Pusher, Scene, Shape, rotated
 from fixel.model.fields import (
     Value,
     check_fields,
@@ -25,7 +25,7 @@ from fixel.model.fields import (
     vector,
     whole,
 )
-from fixel.model.overlap import overlaps, turned
+from fixel.model.overlap import overlaps
 from fixel.model.scene import check_push
 from fixel.planning.simplified import MANY
 from fixel.simulation.vary import composed
@@ -420,15 +420,13 @@ def _touching(
         return np.asarray(point - tool.radius * inward)
     along = np.column_stack((np.cos(heading), np.sin(heading)))
     # Poses of the part in the frame of the tool, which lies at `point - way * along`.
-    c, s = np.cos(heading), np.sin(heading)
-    x, y = point.T
-    far = np.column_stack((-(c * x + s * y), s * x - c * y, -heading))
+    far = np.column_stack((-rotated(point, -heading), -heading))
     # From a tool that covers the point to one that is behind the part.
     axis = shapely.LineString([(-tool.radius, 0.0), (tool.radius, 0.0)])
     back, _, front, _ = axis.intersection(shapely.Polygon(tool.outline)).bounds
     low = np.full(len(point), 0.5 * (back + front))
     high = np.full(len(point), front + 2.0 * part.radius)
-    solid, tools = shapely.Polygon(part.outline), turned(tool.outline[None], c, s)
+    solid, tools = shapely.Polygon(part.outline), rotated(tool.outline, heading[:, None])
     many = isinstance(part, Polygon) and len(part.outline) > MANY
     shapely.prepare(solid)
     for _ in range(HALVINGS):

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from fixel.kernels import codes
-from fixel.model import Scene, Shape
+from fixel.model import Scene, Shape, rotated
 from fixel.model.goals import BodyTrack, Goal, tolerance_of, touching
 from fixel.model.overlap import overlaps
 from fixel.model.trajectory import pose_difference
@@ -289,11 +289,7 @@ class PlanSimulator:
         across = np.column_stack((-along[:, 1], along[:, 0]))
         travel, aside, heading = scenarios.tool.T
         shift = travel[:, None] * along + aside[:, None] * across
-        c, s = np.cos(heading), np.sin(heading)
-        turned = np.column_stack(
-            (c * begin[:, 0] - s * begin[:, 1], s * begin[:, 0] + c * begin[:, 1])
-        )
-        error = np.column_stack((begin - turned + shift, heading))
+        error = np.column_stack((begin - rotated(begin, heading) + shift, heading))
         own = composed(registration(scenarios.values, len(path)), error)
         return dict(zip(REGISTRATION, own.T.copy(), strict=True))
 
@@ -360,9 +356,8 @@ def others_overlap(scene: Scene, shape: Shape, poses: FloatArray, others: FloatA
 
 
 def _overlap(shape: Shape, poses: FloatArray, other: Shape, others: FloatArray) -> FloatArray:
-    c, s = np.cos(others[:, 2]), np.sin(others[:, 2])
-    x, y = (poses - others)[:, :2].T
-    relative = np.column_stack((c * x + s * y, c * y - s * x, poses[:, 2] - others[:, 2]))
+    place = rotated(poses - others, -others[:, 2])
+    relative = np.column_stack((place, poses[:, 2] - others[:, 2]))
     return overlaps(shape, relative, other, np.zeros(3)).depth
 
 

@@ -19,7 +19,7 @@ import numpy as np
 import shapely
 
 from fixel.errors import InvalidInput
-from fixel.model import Shape
+from fixel.model import Shape, rotated
 from fixel.model.footprint import support_grid
 from fixel.model.support import times_each
 from fixel.typing import FloatArray
@@ -207,8 +207,6 @@ def table_exponent(
     bend, bend_xy, bend_diagonal, slope_x, slope_y = (
         values.get(name, nothing)[:, None] for name in TABLE_NAMES
     )
-    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    u, v = (points / LENGTH).T
-    x, y = c * u - s * v, s * u + c * v
+    x, y = np.moveaxis(rotated(points / LENGTH, angle[:, None]), -1, 0)
     exponent = 0.5 * (bend * (x * x + y * y) + bend_xy * (x * x - y * y)) + bend_diagonal * x * y
     return np.asarray(exponent + slope_x * x + slope_y * y)

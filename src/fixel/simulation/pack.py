@@ -31,6 +31,7 @@ from fixel.model import (
     Scene,
     Shape,
     Tripod,
+    rotated,
     support_points,
 )
 from fixel.simulation.geometry import contact_outline, contact_pieces
@@ -487,9 +488,7 @@ def _scaled_poses(pose: FloatArray, com: FloatArray, length: float) -> FloatArra
     """Scale poses (n, n_body, 3), with those of free bodies moved to their centres of mass; the
     result is new, and has the rows of all rollouts one after another."""
     n_free = len(com)
-    c, s = np.cos(pose[:, :n_free, 2]), np.sin(pose[:, :n_free, 2])
-    pose[:, :n_free, 0] += c * com[:, 0] - s * com[:, 1]
-    pose[:, :n_free, 1] += s * com[:, 0] + c * com[:, 1]
+    pose[:, :n_free, :2] += rotated(com, pose[:, :n_free, 2])
     return np.ascontiguousarray(pose.reshape(-1, 3) / np.array([length, length, 1.0]))
 
 

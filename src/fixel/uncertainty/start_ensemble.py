@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
 from fixel.kernels import codes
-from fixel.model import Disk, Pusher, Scene, Shape
-from fixel.model.overlap import Overlap, overlaps, turned
+from fixel.model import Disk, Pusher, Scene, Shape, rotated
+from fixel.model.overlap import Overlap, overlaps
 from fixel.model.trajectory import wrapped
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.rollouts import RolloutCase, Rollouts, ensemble_of
@@ -237,5 +237,4 @@ def _overlaps(shape: Shape, poses: FloatArray, other: Neighbour) -> Overlap:
         return overlaps(shape, poses, other.shape, other.pose)
     seen = composed(inverted(other.moved), poses)
     found = overlaps(shape, seen, other.shape, other.pose)
-    c, s = np.cos(other.moved[:, 2]), np.sin(other.moved[:, 2])
-    return Overlap(found.depth, turned(found.way, c, s))
+    return Overlap(found.depth, rotated(found.way, other.moved[:, 2]))
