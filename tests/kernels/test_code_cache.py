@@ -153,16 +153,31 @@ def test_code_that_cannot_be_stored_or_read_back_is_one_sentence(tmp_path):
         assert "cannot be stored" in error
         assert "FIXEL_CACHE_DIR" in error
     assert [f for f in (tmp_path / "cache").rglob("*") if f.is_file()] == []  # nor half a file
+    compiling = process(tmp_path, "jit.PATIENCE_S = -1.0; run()", tmp_path / "file")
+    announced, problem = compiling.communicate()[1].splitlines()
+    assert announced.startswith("Compiling")
+    assert "once" not in announced
+    assert "cannot be stored" in problem
 
 
 @pytest.mark.system
-def test_processes_that_compile_at_once_leave_sound_files(tmp_path):
+def test_processes_at_once_compile_each_code_once(tmp_path):
     cache = tmp_path / "cache"
     all_at_once = [process(tmp_path, "run()", cache) for _ in range(3)]
-    for out, error in [one.communicate() for one in all_at_once]:
-        assert out in {f"{n}\n" for n in range(4)}  # a later one may find code of an earlier one
-        assert error == ""
+    answers = [one.communicate() for one in all_at_once]
+    assert sum(int(out) for out, _ in answers) == 3  # for three combinations of types
+    assert [error for _, error in answers] == [""] * 3
     assert process(tmp_path, "run()", cache).communicate() == ("0\n", "")
+
+
+@pytest.mark.system
+def test_a_process_that_is_killed_while_it_compiles_blocks_no_other(tmp_path):
+    cache = tmp_path / "cache"
+    dies = "jit.EntryCompiler._compile_core = lambda own: os.kill(os.getpid(), 9); import os; run()"
+    process(tmp_path, dies, cache).communicate()
+    assert [file.suffix for file in cache.rglob("*.*")] == [".compiling"]
+    assert process(tmp_path, "run()", cache).communicate() == ("3\n", "")
+    assert not [*cache.rglob("*.compiling")]
 
 
 @pytest.mark.system

@@ -114,7 +114,7 @@ def test_a_compilation_shows_how_far_it_is(monkeypatch, tmp_path):
         write(path, content)
 
     monkeypatch.setattr(code_cache, "write_sealed", store)
-    monkeypatch.setattr(jit, "show", show)
+    monkeypatch.setattr(code_cache, "show", show)
     monkeypatch.setattr(EntryCompiler, "_compile_core", slow)
     assert entry(fourth_power)(2.0) == 16.0
     assert stages == ["compiling test_jit.fourth_power, 1 functions"]

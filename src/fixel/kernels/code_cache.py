@@ -38,12 +38,14 @@ from numba.core import caching, compiler, serialize
 MAX_BYTES = 1 << 28  # the largest entry has 4 MB
 SEAL_BYTES = 32
 SILENT_S = 10.0  # time without a sign after which a process that compiles counts as dead
+BEAT_S = 0.2  # time between two signs of progress
 
 # Numba's type information is incomplete.
 _caching: Any = caching
 _compiler: Any = compiler
 _serialize: Any = serialize
 _printed: set[str] = set()
+show: Any = None  # `fixel.progress.show_progress`, where upper floors are in use
 
 
 class CodeCache(_caching.NullCache):  # type: ignore[misc]
@@ -63,15 +65,42 @@ class CodeCache(_caching.NullCache):  # type: ignore[misc]
         self._sign = sign_path(self._name, self._folder)
 
     def load_overload(self, signature: Any, target: Any) -> Any:
-        """Load the code for these types; None if there is none that can be used."""
+        """Load the code for these types, if need be once another process has compiled it.
+
+        None if there is none that can be used, with a sign that this process compiles.
+        """
         target.refresh()
-        content = read_sealed(self._path(signature, target.codegen()))
+        path = self._path(signature, target.codegen())
+        content = read_sealed(path) or self._wait_or_sign(path)
         if content is None:
             return None
         try:
             return _compiler.CompileResult._rebuild(target, *pickle.loads(content))
         except Exception:  # whatever it is, the entry can be compiled again
             return None
+
+    def _wait_or_sign(self, path: str) -> bytes | None:
+        """Return the code that another process stores; None with the sign of this process."""
+        if not self._set_sign():
+            with shown(f"compiling {self._name} in another process") as report:
+                while not self._set_sign():
+                    report(int(1000 * (share_compiled(self._name, self._folder) or 0.0)), 1000)
+                    time.sleep(BEAT_S)
+        content = read_sealed(path)  # stored by another process
+        if content is not None:
+            remove_sign(self._sign)
+        return content
+
+    def _set_sign(self) -> bool:
+        """Set the sign, unless another process gives it; return whether to compile."""
+        try:
+            if share_compiled(self._name, self._folder) is None:
+                remove_sign(self._sign)
+            os.makedirs(self._folder, exist_ok=True)
+            os.close(os.open(self._sign, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644))
+            return True
+        except OSError:  # it is there, or code cannot be stored either
+            return share_compiled(self._name, self._folder) is None
 
     def save_overload(self, signature: Any, result: Any) -> None:
         """Store the code for these types, or print why that failed."""
@@ -87,8 +116,7 @@ class CodeCache(_caching.NullCache):  # type: ignore[misc]
                 "process compiles it again. Set FIXEL_CACHE_DIR to a folder with write permission."
             )
         finally:  # not earlier: processes that wait for the code would compile it again
-            with contextlib.suppress(OSError):
-                os.unlink(self._sign)
+            remove_sign(self._sign)
 
     def _path(self, signature: Any, codegen: Any) -> str:
         svml = getattr(numba.config, "USING_SVML", None)
@@ -113,9 +141,9 @@ def is_stored(entry: str) -> bool:
     return any(read_sealed(os.path.join(folder, name)) is not None for name in names)
 
 
-def share_compiled(entry: str) -> float | None:
-    """Share of an entry of the kernels that some process has compiled by now; None if none does."""
-    path = sign_path(entry, cache_folder())
+def share_compiled(entry: str, folder: str = "") -> float | None:
+    """Share of an entry, by default of the kernels, that is compiled so far; None if none does."""
+    path = sign_path(entry, folder or cache_folder())
     try:
         if abs(time.time() - os.stat(path).st_mtime) > SILENT_S:
             return None
@@ -123,6 +151,12 @@ def share_compiled(entry: str) -> float | None:
             return float(file.read() or 0.0)
     except (OSError, ValueError):
         return None
+
+
+def remove_sign(sign: str) -> None:
+    """Remove the sign of a process that compiles no more."""
+    with contextlib.suppress(OSError):
+        os.unlink(sign)
 
 
 def sign_path(entry: str, folder: str) -> str:
@@ -212,3 +246,8 @@ def print_once(sentence: str) -> None:
         _printed.add(sentence)
         with contextlib.suppress(OSError, ValueError, AttributeError):  # it may be closed or None
             print(sentence, file=sys.stderr, flush=True)
+
+
+def shown(stage: str) -> Any:
+    """Return a context that shows progress, if upper floors are in use, and gives its callback."""
+    return show(stage=stage) if show else contextlib.nullcontext(lambda *_: None)

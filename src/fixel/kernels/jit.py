@@ -30,7 +30,16 @@ from numba.core import cgutils, codegen, compiler, compiler_machinery, typed_pas
 from numba.extending import intrinsic
 from numba.np import arrayobj
 
-from fixel.kernels.code_cache import CodeCache, cache_folder, entry_name, print_once, sign_path
+from fixel.kernels.code_cache import (
+    BEAT_S,
+    CodeCache,
+    cache_folder,
+    entry_name,
+    print_once,
+    remove_sign,
+    shown,
+    sign_path,
+)  # fmt: skip
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -91,15 +100,11 @@ class _TakeIntermediate(_machinery.FunctionPass):  # type: ignore[misc]
         return True
 
 
-COMPILING = (
-    "Compiling numerical code, only once for this version; this can take a minute. "
-    "`fixel compile` does all of it in advance."
-)
+COMPILING = "Compiling numerical code; this can take a minute"
+ONCE = ", but only once for this version. `fixel compile` does all of it in advance"
 PATIENCE_S = 1.0  # time that this process compiles before it prints a line
-BEAT_S = 0.2  # time between two signs of progress
 OPTIMISED = 1.4  # duration of a compilation, in those of its functions before they are optimised
 compiled_s = 0.0  # time that this process has compiled
-show: Any = None  # `fixel.progress.show_progress`, where upper floors are in use
 _watch: "_Watch | None" = None  # progress of the entry that is compiled now
 
 # Numba creates millions of objects that remain until the entry is compiled. Python's collector
@@ -139,19 +144,15 @@ class _Watch(threading.Thread):
         self.done = 0  # functions that are compiled, but not optimised
 
     def run(self) -> None:
-        with contextlib.suppress(OSError):
-            os.makedirs(os.path.dirname(self._path), exist_ok=True)
         while self.seconds + compiled_s < PATIENCE_S:
             self._share()
             if self._ended.wait(BEAT_S):
                 return
-        print_once(COMPILING)
+        print_once(f"{COMPILING}{ONCE if os.path.exists(self._path) else ''}.")
         stage = f"compiling {self._entry}, {self._functions} functions"
-        with show(stage=stage) if show else contextlib.nullcontext() as report:
+        with shown(stage) as report:
             while not self._ended.wait(BEAT_S):
-                share = self._share()
-                if report:
-                    report(int(1000 * share), 1000)
+                report(int(1000 * self._share()), 1000)
 
     def _share(self) -> float:
         """Compute the share that is done, and write it for other processes."""
@@ -169,8 +170,7 @@ class _Watch(threading.Thread):
         self._ended.set()
         self.join()
         if failed:
-            with contextlib.suppress(OSError):
-                os.unlink(self._path)
+            remove_sign(self._path)
 
 
 def _functions_below(function: Any, found: set[Any]) -> set[Any]:

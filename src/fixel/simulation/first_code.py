@@ -19,7 +19,7 @@ from typing import Any, Final
 
 import numba
 
-from fixel.kernels import jit
+from fixel.kernels import code_cache
 from fixel.kernels.arrays import Batch, BatchRecord, StepMethod
 from fixel.kernels.batch import rollout_batch
 from fixel.kernels.code_cache import cache_folder, is_stored, print_once, share_compiled
@@ -39,7 +39,7 @@ SAME_BITS: Final = (
     and platform.machine() == "x86_64"
     and not getattr(numba.config, "USING_SVML", False)
 )
-jit.show = show_progress
+code_cache.show = show_progress
 _turn = threading.Lock()
 _settled = False  # whether the code need not be waited for any more
 _compiling: subprocess.Popen[bytes] | None = None

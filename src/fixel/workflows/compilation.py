@@ -15,7 +15,7 @@ from typing import Final, final
 import numpy as np
 
 from fixel.kernels import jit
-from fixel.kernels.code_cache import cache_folder, is_stored, share_compiled
+from fixel.kernels.code_cache import BEAT_S, cache_folder, is_stored, share_compiled
 from fixel.model import Trajectory
 from fixel.progress import ProgressOption, show_progress
 from fixel.simulation import Lemke, Simulator, simulate
@@ -56,7 +56,7 @@ def compile_kernels(progress: ProgressOption = None) -> list[CompiledPart]:
             done = sum(one.done() for one in running)
             share = 0.0 if running[0].done() else share_compiled(ENTRY) or 0.0
             report(int(100 * (done + share)), 100 * len(running), f"{done} of {len(running)} parts")
-            time.sleep(jit.BEAT_S)
+            time.sleep(BEAT_S)
         return [one.result() for one in running]
 
 
