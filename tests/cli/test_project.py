@@ -10,6 +10,7 @@ import pytest
 from tests.cli.shell import fixel, json_of, output, refusal
 from tests.datasets import push_files, recordings
 
+from fixel.cli.project import _records
 from fixel.database.project import Project
 from fixel.database.query import ALL_EXPERIMENTS
 from fixel.errors import StoreRefused
@@ -132,6 +133,17 @@ def test_a_bundle_goes_from_one_project_to_another(lab, recording, tmp_path, cap
     assert json_of(capsys, "list", "-p", other, "--simulated")["total"] == 2
 
 
+def test_single_records_of_a_bundle_are_named_in_the_singular(lab, recording, tmp_path, capsys):
+    json_of(capsys, "import", recording, "--project", lab)
+    output(capsys, "export", lab, tmp_path / "one.zip")
+    other = Project.create(tmp_path / "other").folder
+    words = ("import", tmp_path / "one.zip", "-p", other)
+    assert "added 1 experiment\n" in output(capsys, *words)
+    assert "added nothing; 1 was already stored" in output(capsys, *words)
+    counts = {"parameters": 1, "filter_runs": 1, "analyses": 1, "calibrations": 2, "flags": 0}
+    assert _records(counts) == ["1 parameter", "1 filter run", "1 analysis", "2 calibrations"]
+
+
 def test_import_lists_what_is_left_out(lab, tmp_path, capsys):
     folder = push_files.mit_push(
         tmp_path / "pushes", push_files.push(0), push_files.push(1, obj_x1="?"), push_files.push(2)
@@ -156,6 +168,20 @@ def test_import_of_nothing_sound_is_refused_and_stores_nothing(lab, tmp_path, ca
     folder = push_files.mit_push(tmp_path / "pushes", push_files.push(0, obj_x1="?"))
     assert "column obj_x1" in refusal(capsys, "import", folder, "--project", lab)
     assert json_of(capsys, "list", "--project", lab)["total"] == 0
+
+
+def test_errors_of_an_import_name_options_of_the_command(recording, capsys):
+    header, *rows = recording.read_text().splitlines()
+    twice = [f"{row},{push}" for push in "ab" for row in rows]
+    recording.write_text("\n".join([f"{header},push", *twice]))
+    for option, error in (
+        ([], 'use --option split_by="push" if'),
+        (["--option", "split_by=pushh"], "--option split_by is 'pushh'"),
+        (["--option", "length_unit=ell"], "--option length_unit is 'ell'"),
+        (["--option", "split_by"], "--option is 'split_by'"),
+        (["--as", "sheet"], "--as is 'sheet'"),
+    ):
+        assert error in refusal(capsys, "import", recording, "--dry-run", *option)
 
 
 def test_simulations_of_the_publisher_are_stored_and_compared(lab, tmp_path, capsys):

@@ -292,6 +292,9 @@ def test_hints_have_the_name_of_the_door():
     deaf = InvalidInput("tactile", found=1, expected="2", hint="filter without: tactile=False")
 
     assert named(deaf, CAPABILITIES["filter"].flags()).hint == "filter without: --no-tactile"
+    assert named(deaf, CAPABILITIES["filter"].labels()).hint == "filter without: tactile off"
+    bold = InvalidInput("looks", found=1, expected="2", hint="or plan with untrusted=True")
+    assert named(bold, CAPABILITIES["plan"].flags()).hint == "or plan with --untrusted"
 
 
 @pytest.fixture(scope="module")

@@ -113,10 +113,10 @@ def test_units_that_contradict_the_header_are_refused():
 def test_pushes_that_are_not_split_name_the_column_that_splits_them():
     table = columns(0.01, -0.02)
     table |= {"surface": ["abs"] * len(table["push"]), "row": [*range(len(table["push"]))]}
-    with pytest.raises(InvalidInput, match=r'increasing times; set split_by="push" if'):
+    with pytest.raises(InvalidInput, match=r'increasing times; use split_by="push" if'):
         read_experiments(table, scene=template(), progress=False)
     del table["push"]
-    with pytest.raises(InvalidInput, match=r'set split_by="COLUMN"'):
+    with pytest.raises(InvalidInput, match=r'use split_by="COLUMN"'):
         read_experiments(table, scene=template(), progress=False)
     table["time_s"][1] = table["time_s"][0]  # the clock stands still, which no column explains
     with pytest.raises(InvalidInput, match="increasing times"):

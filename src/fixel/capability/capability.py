@@ -125,10 +125,8 @@ class Capability:
     @property
     def needs_project(self) -> bool:
         """Whether it cannot do without one."""
-        return (
-            self.on_project
-            and "None" not in signature(self.function).parameters["project"].annotation
-        )
+        own = signature(self.function).parameters.get("project")
+        return own is not None and "None" not in own.annotation
 
     @cached_property
     def options(self) -> dict[str, Option]:
@@ -319,19 +317,19 @@ def named(error: InvalidInput, names: Mapping[str, str]) -> InvalidInput:
     The `where` of the error begins with an argument (`nominal side`); its hint may set one
     (`folds=2`). `names` has the name of each argument at the door.
     """
-    where, space, rest = error.where.partition(" ")
-    own, hint = names.get(where, where), error.hint
+    name, space, rest = error.where.partition(" ")
+    where, hint = f"{names.get(name, name)}{space}{rest}", error.hint
     if hint:
-        hint = re.sub(r"\b([a-z_]+)=(False)?", lambda found: _setting(found, names), hint)
-    if (own, hint) == (where, error.hint):
-        return error
-    return InvalidInput(
-        f"{own}{space}{rest}", found=error.found, expected=error.expected, hint=hint
-    )
+        hint = re.sub(r"\b([a-z_]+)=(True|False)?", lambda found: _setting(found, names), hint)
+    return InvalidInput(where, found=error.found, expected=error.expected, hint=hint)
 
 
 def _setting(found: re.Match[str], names: Mapping[str, str]) -> str:
     own = names.get(found[1])
     if own is None:
         return found[0]
-    return f"--no-{own[2:]}" if found[2] and own.startswith("--") else f"{own} "
+    if not found[2]:
+        return f"{own}=" if "--option " in own else f"{own} "
+    if own.startswith("--"):
+        return own if found[2] == "True" else f"--no-{own[2:]}"
+    return f"{own} {'on' if found[2] == 'True' else 'off'}"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from fixel.capability.capability import named
 from fixel.cli.options import (
     AsJson,
     ProjectFolder,
@@ -25,6 +26,7 @@ from fixel.table import Column, Table, shortened
 if TYPE_CHECKING:
     from fixel.database.browsing import ExperimentPage
     from fixel.database.project import AddSummary
+    from fixel.datasets import ImportPlan
     from fixel.model.selection import ExperimentRow
     from fixel.workflows.model_export.run import ModelExport
     from fixel.workflows.project.export import ExportAnswer
@@ -84,7 +86,6 @@ def import_(
 ) -> None:
     """Import recorded experiments, and skip stored ones."""
     from fixel.database.project import Project
-    from fixel.datasets import plan_import
     from fixel.workflows.project.importing import write_template
 
     if source.suffix.lower() == ".zip" and importer is None:
@@ -94,7 +95,7 @@ def import_(
         return
     if not dry_run:
         project = Project(folder)
-    plan = plan_import(source, importer, scene=scene, options=dict(map(_pair, option or ())))
+    plan = _planned(source, importer, scene, dict(map(_pair, option or ())))
     content: dict[str, Any] = {
         "importer": plan.importer,
         "source": str(source),
@@ -123,6 +124,19 @@ def import_(
     print_imported(done, content, as_json, folder)
 
 
+def _planned(
+    source: Path, importer: str | None, scene: Path | None, options: dict[str, str]
+) -> "ImportPlan":
+    """Plan the import of a source; errors name the options of the command."""
+    from fixel.datasets import plan_import
+
+    flags = {name: f"--option {name}" for name in ("split_by", "object_name")}
+    try:
+        return plan_import(source, importer, scene=scene, options=options)
+    except InvalidInput as error:
+        raise named(error, flags | {"format": "--as", "option": "--option"}) from None
+
+
 def _skipped(names: Sequence[str]) -> list[str]:
     """List what an import left out, with the reasons."""
     lines = shortened([f"  {name}" for name in names[:MAX_ROWS]], len(names), "  ")
@@ -132,7 +146,7 @@ def _skipped(names: Sequence[str]) -> list[str]:
 def _pair(text: str) -> tuple[str, str]:
     name, equals, value = text.partition("=")
     if not equals or not name:
-        raise InvalidInput("option", found=repr(text), expected="NAME=VALUE")
+        raise InvalidInput("--option", found=repr(text), expected="NAME=VALUE")
     return name, value
 
 
@@ -143,9 +157,8 @@ def _import_bundle(source: Path, folder: Path, dry_run: bool, as_json: bool) -> 
 
     with show_progress(stage="importing") as report:
         counts = import_zip(Project(folder), source, report, dry_run=dry_run)
-    new = [f"{n} {kind}" for kind, n in counts.items() if n and kind != "known"]
-    found = ", ".join(new) or "nothing"
-    found += f"; {n} were already stored" if (n := counts.get("known")) else ""
+    n, found = counts.get("known"), ", ".join(_records({**counts, "known": 0})) or "nothing"
+    found += f"; {n} {'was' if n == 1 else 'were'} already stored" if n else ""
     verb = "contains" if dry_run else "added"
     following = command_line("--dry-run") if dry_run else command_of("list", project=folder)
     print_answer(
@@ -381,14 +394,24 @@ def _distances(stated: Mapping[str, Any]) -> str:
     return ", ".join(shown) + failed
 
 
+def _records(counts: Mapping[str, int]) -> list[str]:
+    """Return the number of records of each kind as text, without kinds that have none."""
+    one = {"analyses": "analysis"}
+    kinds = {kind: kind.replace("_", " ") for kind, n in counts.items() if n}
+    return [
+        f"{counts[kind]} {one.get(kind, name.removesuffix('s')) if counts[kind] == 1 else name}"
+        for kind, name in kinds.items()
+    ]
+
+
 def _exported(answer: "ExportAnswer") -> list[str]:
     counts = dict(answer.counts)
     total = counts.pop("experiments")
     about = [f"{counts.pop(what, 0)} {what}" for what in ("flagged", "simulated", "replaced")]
     about = [text for text in about if not text.startswith("0 ")]
-    more = [f"{n} {what.replace('_', ' ')}" for what, n in counts.items() if n]
+    more = _records(counts)
     reasons = {
-        "deleted": "deleted experiments",
+        "deleted": "deleted",
         "calibrations": "calibrations that use experiments which are not exported",
     }
     return [

@@ -64,7 +64,8 @@ def _hint(source: Path) -> str:
         return "save the sheet as CSV"
     inside = sorted(path for path in source.iterdir() if path.is_dir()) if source.is_dir() else []
     found = [path.name for path in inside if any(x.recognised(path) for x in _ALL)]
-    return f"data found in: {', '.join(found)}" if found else "name the importer: --as NAME"
+    name_it = "name the importer: --as NAME, in Python format=NAME"
+    return f"data found in: {', '.join(found)}" if found else name_it
 
 
 KINDS: Final = ("time", "length", "angle")

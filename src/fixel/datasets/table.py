@@ -497,7 +497,7 @@ def _how_to_split(reading: _TableReading, time: FloatArray) -> str:
         if all(len(own) > 1 and (np.diff(time[own]) > 0.0).all() for own in rows.values()):
             found[column.title] = len(rows)
     likely = min(found, key=lambda title: found[title], default="COLUMN")
-    return f'set split_by="{likely}" if the values of this column separate experiments'
+    return f'use split_by="{likely}" if the values of this column separate experiments'
 
 
 def _poses(
