@@ -111,6 +111,14 @@ def test_a_chart_on_a_full_disk(small_disk, laboratory, capsys, ending):
     assert [path.name for path in small_disk.iterdir()] == ["fill"]
 
 
+def test_a_command_that_fails_leaves_no_folder_for_charts(laboratory, capsys, tmp_path):
+    charts = tmp_path / "new" / "charts"
+    options = ("--threshold-mm", 4, "--by", "shoe_size", "--plot", charts)
+    code, out, _ = fixel(capsys, "domain", "--project", laboratory, *options)
+    assert (code, out) == (2, "")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_report_on_a_full_disk_leaves_no_folder(small_disk, laboratory, lab):
     found = compare(Project(laboratory).experiments(), progress=False)
     before = sorted(lab.iterdir())

@@ -111,7 +111,7 @@ def project_at(place: Path | None, folder: Path) -> Path:
 
 
 def require_folder(folder: Path | None) -> None:
-    """Make the folder for pictures, if there is to be one, before any work."""
+    """Reject a place where no folder for pictures can be made, before any work."""
     if folder is not None:
         from fixel.workflows.figures import new_folder
 

@@ -70,16 +70,13 @@ def check(
     The probability is that under the present calibration.
     """
     from fixel.io.atomic import write_whole
-    from fixel.workflows.figures import write_picture
+    from fixel.workflows.figures import write_pictures
     from fixel.workflows.planning.execute import check_plan
     from fixel.workflows.planning.report import pictures_of, waypoints_text
 
     require_folder(plot)
     checked = check_plan(_project(folder), plan)
-    files = []
-    if plot is not None:
-        pictures = pictures_of(checked.found.plan)
-        files = [file for picture in pictures for file in write_picture(plot, picture)]
+    files = write_pictures(plot, pictures_of(checked.found.plan)) if plot is not None else []
     if waypoints is not None:
         write_whole(waypoints, waypoints_text(checked.found.plan, waypoints))
         files.append(waypoints)

@@ -128,7 +128,7 @@ def report_result(
     figures.
     """
     from fixel.workflows.analysis import StoredAnswer, store_analysis
-    from fixel.workflows.figures import write_picture
+    from fixel.workflows.figures import write_pictures
 
     present = capability.present
     report = present.report_of(result)
@@ -159,11 +159,7 @@ def report_result(
         present.draw(result, plot)
         files["plot"] = plot
     elif plot is not None:
-        paths = (
-            [path for picture in report.pictures for path in write_picture(plot, picture)]
-            if kept is None
-            else kept.copy_pictures(plot)
-        )
+        paths = kept.copy_pictures(plot) if kept else write_pictures(plot, report.pictures)
         files |= {path.name: path for path in paths}
     return StoredAnswer(
         capability=capability,

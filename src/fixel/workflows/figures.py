@@ -42,17 +42,16 @@ def banner_over(experiments: Iterable[Experiment]) -> str:
 
 @contextmanager
 def new_folder(folder: Path) -> Iterator[None]:
-    """Create a folder for the files of the block; remove it if the block fails without any."""
+    """Create a folder for the files of the block; remove it if the block writes none."""
     missing = [own for own in (folder, *folder.parents) if not own.exists()]
     with usable(folder, "a folder to write to"):
         folder.mkdir(parents=True, exist_ok=True)
     try:
         yield
-    except BaseException:
+    finally:
         with suppress(OSError):  # it is not empty
             for own in missing:
                 own.rmdir()
-        raise
 
 
 def write_picture(folder: Path, picture: Picture) -> list[Path]:
@@ -61,3 +60,9 @@ def write_picture(folder: Path, picture: Picture) -> list[Path]:
     draw_chart(picture.chart, *paths[:2], banner=picture.banner)
     write_whole(paths[2], picture.chart.table().csv())
     return paths
+
+
+def write_pictures(folder: Path, pictures: Iterable[Picture]) -> list[Path]:
+    """Write the files of pictures into a folder, which is created if missing."""
+    with new_folder(folder):
+        return [path for picture in pictures for path in write_picture(folder, picture)]

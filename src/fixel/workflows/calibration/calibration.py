@@ -50,7 +50,7 @@ from fixel.workflows.analysis import Analysis
 from fixel.workflows.calibration.parameter_options import call_of, enlarged_command
 from fixel.workflows.calibration.plan import CalibrationPlan, outcome_of
 from fixel.workflows.calibration.request import CalibrationRequest
-from fixel.workflows.figures import new_folder, write_picture
+from fixel.workflows.figures import write_pictures
 
 if TYPE_CHECKING:
     from fixel.simulation import Simulation
@@ -648,9 +648,8 @@ class Calibrations(CalibrationPlan, Result, Sequence[Calibration]):
 
     def draw(self, folder: Path) -> list[Path]:
         """Draw all charts into a folder; return PNG, PDF and CSV of each."""
-        with new_folder(folder):
-            pictures = import_module("fixel.workflows.calibration.report").pictures_of(self)
-            return [path for picture in pictures for path in write_picture(folder, picture)]
+        pictures = import_module("fixel.workflows.calibration.report").pictures_of(self)
+        return write_pictures(folder, pictures)
 
     def summary(self) -> dict[str, Any]:
         """Return plain values, for `--json`; infinite errors become None."""
