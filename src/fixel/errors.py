@@ -68,7 +68,7 @@ _MAX_NAMED: Final = 40  # known names that an error lists
 _MAX_FOUND: Final = 300  # [characters] of a text that was found; it may be a whole file
 
 _PLACE: Final = re.compile(r"\b(line|row|frame) \d+$")  # place in a file, which is no value
-_FULL: Final = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))  # no space on the disk
+FULL: Final = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))  # no space on the disk
 
 # Strings that are values, not phrases: a quoted text, a length or a range with its unit.
 _NUMBER: Final = r"[-+]?[\d.]+(e[-+]?\d+)?"
@@ -113,7 +113,7 @@ class InvalidInput(FixelError, ValueError):
         hint: str | None = None,
     ) -> None:
         self.where = where
-        if isinstance(found, OSError) and found.errno in _FULL:
+        if isinstance(found, OSError) and found.errno in FULL:
             expected, hint = "free space on the disk", None
         if isinstance(found, Exception):
             found = f"an error ({os_reason(found) if isinstance(found, OSError) else found})"
@@ -464,7 +464,7 @@ def machine_failure(problem: OSError) -> FixelError | None:
     reason = os_reason(problem)
     name = str(problem.filename) if problem.filename is not None else ""
     place = f"{name[:80]}...: " if len(name) > 200 else f"{name}: " if name else ""
-    hint = "free disk space, then repeat the command" if problem.errno in _FULL else None
+    hint = "free disk space, then repeat the command" if problem.errno in FULL else None
     return StoreRefused(f"{place}{reason}", hint=hint)
 
 

@@ -1,5 +1,6 @@
 """The journal: what `append` has returned for is there, whatever happens next."""
 
+import errno
 import os
 import random
 import signal
@@ -7,6 +8,7 @@ import struct
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 from tests.processes import line_of
@@ -173,6 +175,24 @@ def test_a_full_disk_leaves_the_journal_as_it_was(path):
         assert "d" not in journal
         journal.append([("d", b"fits now")])
     assert dict(read_journal(path)) == dict(BLOCKS) | {"d": b"fits now"}
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES])
+def test_the_advice_fits_the_error(path, monkeypatch, number):
+    open_file = os.open
+
+    def fail(name, *options):
+        if Path(name).suffix == ".lock":
+            return open_file(name, *options)
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "open", fail)
+    with pytest.raises(
+        JobRefused, match=f"cannot be written: {os.strerror(number).lower()}"
+    ) as bad:
+        Journal(path)
+    is_full = number in (errno.ENOSPC, errno.EDQUOT)
+    assert ("free disk space" in str(bad.value)) == is_full
 
 
 def test_a_look_at_the_lock_does_not_take_it(tmp_path):

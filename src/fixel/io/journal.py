@@ -16,11 +16,11 @@ import os
 import struct
 import zlib
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple, Self, final
 
-from fixel.errors import InvalidInput, JobRefused, os_reason
+from fixel.errors import FULL, InvalidInput, JobRefused, os_reason
 from fixel.io.atomic import sync_folder, written_whole
 from fixel.io.lock import FileLock, Owner, holder
 
@@ -57,17 +57,11 @@ class Journal:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._lock = FileLock(lock_of(path), f"the journal {path}")
-        try:
-            self._stream = _opened(path)
-        except BaseException:
-            self._lock.release()
-            raise
-        try:
+        with ExitStack() as undo:
+            self._lock = undo.enter_context(FileLock(lock_of(path), f"the journal {path}"))
+            self._stream = undo.enter_context(_opened(path))
             self._mark, self._places, self._end, self.damaged = _contents(self._stream, path)
-        except BaseException:
-            self.close()
-            raise
+            undo.pop_all()
 
     def __contains__(self, name: str) -> bool:
         return name in self._places
@@ -161,19 +155,14 @@ def lock_of(path: Path) -> Path:
 def _opened(path: Path) -> BinaryIO:
     """Open the file; write its header if that is incomplete."""
     try:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
-        stream: BinaryIO = os.fdopen(descriptor, "r+b", buffering=0)
+        with ExitStack() as undo:
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+            stream: BinaryIO = undo.enter_context(os.fdopen(descriptor, "r+b", buffering=0))
+            if os.fstat(descriptor).st_size < _HEADER:
+                _begin(stream, path)
+            undo.pop_all()
     except OSError as problem:
         raise _unwritable(path, problem) from None
-    try:
-        if os.fstat(descriptor).st_size < _HEADER:
-            _begin(stream, path)
-    except OSError as problem:
-        stream.close()
-        raise _unwritable(path, problem) from None
-    except InvalidInput:
-        stream.close()
-        raise
     return stream
 
 
@@ -276,7 +265,5 @@ def _other(path: Path) -> InvalidInput:
 
 
 def _unwritable(path: Path, problem: OSError) -> JobRefused:
-    reason = os_reason(problem)
-    return JobRefused(
-        f"{path} cannot be written: {reason}", hint="free disk space, then resume the job"
-    )
+    hint = "free disk space, then resume the job" if problem.errno in FULL else None
+    return JobRefused(f"{path} cannot be written: {os_reason(problem)}", hint)
