@@ -1,5 +1,6 @@
 """Experiments refuse what would mislead later, and compare by content."""
 
+import json
 import math
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from tests.fixtures import refused
 
 from fixel.errors import InvalidInput
-from fixel.model import Channel, Experiment, Flag, Provenance, Trajectory
+from fixel.model import Channel, Experiment, Flag, PlannedExperiment, Provenance, Trajectory
 from fixel.model.experiment import unit_of
 from fixel.testing.scenes import grasp
 
@@ -32,6 +33,17 @@ def test_equal_by_content_and_hashable():
     assert a != experiment(conditions={"a": "y", "b": 1.0})
     assert a.key == "lab/1"
     assert a.duration == 1.0
+
+
+def test_conditions_are_texts_and_numbers_that_can_be_stored():
+    numbers = experiment(conditions={"n": np.int64(3), "x": np.float32(0.5), "s": "abs"}).conditions
+    assert json.loads(json.dumps(dict(numbers))) == {"n": 3, "x": 0.5, "s": "abs"}
+    for wrong in ([], {}, None, b"abs", 1j):
+        refused(experiment, conditions={"a": wrong}, match="conditions 'a'.* a text or a number")
+        plan = {"name": "1", "scene": grasp("seated"), "conditions": {"a": wrong}}
+        refused(PlannedExperiment, **plan, match="conditions 'a'.* a text or a number")
+    refused(experiment, conditions={1: 2.0}, match="a name of printable characters")
+    refused(experiment, conditions=[("a", 1)], match="values by name")
 
 
 def test_simulated_for_ever():

@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from math import degrees
+from numbers import Real
 from types import MappingProxyType
 from typing import Any, Final, final
 
@@ -150,6 +151,15 @@ class Provenance:
     created: str = ""
 
 
+def conditions_of(values: Mapping[str, Any], where: str) -> Mapping[str, str | float]:
+    """Return conditions by name, checked to be texts or numbers; those of NumPy become Python's."""
+    instance(values, Mapping, where, "values by name")
+    for name, value in values.items():
+        instance(value, str | Real, f"{where} {name_of(name, where)!r}", "a text or a number")
+    plain = {k: v.item() if isinstance(v, np.generic) else v for k, v in values.items()}
+    return MappingProxyType(dict(sorted(plain.items())))
+
+
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Experiment(Comparable, Result):
@@ -249,7 +259,7 @@ class Experiment(Comparable, Result):
         settle(
             self,
             channels=tuple(self.channels),
-            conditions=MappingProxyType(dict(sorted(self.conditions.items()))),
+            conditions=conditions_of(self.conditions, f"{where}.conditions"),
             flags=tuple(sorted(self.flags)),
         )
 
@@ -367,4 +377,4 @@ class PlannedExperiment(Comparable):
     def __post_init__(self) -> None:
         name_of(self.name, "planned.name")
         instance(self.scene, Scene, "planned.scene", "a Scene")
-        settle(self, conditions=MappingProxyType(dict(sorted(self.conditions.items()))))
+        settle(self, conditions=conditions_of(self.conditions, "planned.conditions"))

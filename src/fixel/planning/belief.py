@@ -6,8 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
-from numbers import Real
-from types import MappingProxyType
 from typing import Annotated, Any, Final, NamedTuple, final
 
 import numpy as np
@@ -16,7 +14,8 @@ import shapely
 from fixel.calibration.known_pushes import push_target
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters, Scene
-from fixel.model.fields import Value, check_fields, instance, name_of, non_negative, settle
+from fixel.model.experiment import conditions_of
+from fixel.model.fields import Value, check_fields, instance, non_negative, settle
 from fixel.parts.fit import NAMES
 from fixel.parts.model import PartModel
 from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
@@ -163,11 +162,7 @@ class Belief:
         instance(self.start, StartError | None, "belief.start", "a StartError")
         instance(self.rig, RigError | None, "belief.rig", "a RigError")
         instance(self.run_to_run, RunToRun | None, "belief.run_to_run", "a RunToRun")
-        instance(self.conditions, Mapping, "belief.conditions", "values by name")
-        for name, value in self.conditions.items():
-            where = f"belief.conditions {name_of(name, 'belief.conditions')!r}"
-            instance(value, str | Real, where, "a text or a number")
-        settle(self, conditions=MappingProxyType(dict(self.conditions)))
+        settle(self, conditions=conditions_of(self.conditions, "belief.conditions"))
         given = self.parameters
         instance(self.sets, Sequence, "belief.sets", "parameter sets")
         if self.sets:
