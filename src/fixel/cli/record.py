@@ -16,7 +16,7 @@ import typer
 from fixel.cli.camera import picture_size
 from fixel.cli.options import CAMERA, AsJson, ProjectFolder, option, required, with_options
 from fixel.cli.screen import command_line, command_of, notify, print_answer, wrote
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, counted
 from fixel.progress import show_progress
 from fixel.table import Column, Table
 
@@ -194,9 +194,8 @@ def status_line(status: "RecordingStatus") -> str:
 
 
 def _lines(done: "RecordingSummary") -> list[str]:
-    frames = "frame" if done.frames == 1 else "frames"
     lines = [
-        f"recorded {done.folder}: {done.frames} {frames} in {done.seconds:.3f} s, "
+        f"recorded {done.folder}: {counted(done.frames, 'frame')} in {done.seconds:.3f} s, "
         f"{done.rate:.2f} frames/s, {done.lost} lost, {done.bytes / 1e6:.1f} MB",
         f"ended{' early' if done.early else ''}: {done.reason}",
     ]

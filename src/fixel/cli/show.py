@@ -66,7 +66,7 @@ def _show_lines(
         for name, value in experiment.conditions.items()
     }
     channels = [
-        (channel.name, f"{len(channel.time)} readings of {', '.join(channel.columns)}")
+        (channel.name, f"{counted(len(channel.time), 'reading')} of {', '.join(channel.columns)}")
         for channel in experiment.channels
     ]
     return paragraphs(
@@ -90,7 +90,7 @@ def _frames(experiment: "Experiment") -> list[str]:
     rate = frame_rate(experiment.trajectory)
     count = len(experiment.trajectory.time)
     lines = [
-        f"{count} frames" + ("" if rate is None else f" at {rate:.4g} Hz")
+        counted(count, "frame") + ("" if rate is None else f" at {rate:.4g} Hz")
         + f", {experiment.duration:.4g} s"
     ]  # fmt: skip
     if experiment.effective is not None:

@@ -240,4 +240,4 @@ def _pushes(bag: Bag, driver: FrameTrack, split_by: str | None) -> tuple[Any, st
     except ValueError:
         raise unknown_name("split_by", str(split_by), bag.names) from None
     number = np.concatenate(([1], 1 + np.cumsum(np.diff(driver.time) > gap)))
-    return number.astype(str), f"{number[-1]} pushes, separated by gaps of more than {gap:g} s."
+    return number.astype(str), f"Pushes: {number[-1]}, separated by gaps of more than {gap:g} s."

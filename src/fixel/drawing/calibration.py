@@ -108,7 +108,7 @@ def seconds_chart(keys: Sequence[str], seconds: FloatArray, evaluations: Sequenc
         chart.histogram(seconds, bins=min(MAX_BARS, max(4, math.ceil(2.0 * math.sqrt(n)))),
                         range=ends, color=palette.BODY, edgecolor="white", linewidth=0.5),
         chart.vline(middle, color=palette.INK, linewidth=0.8, linestyle=chart.DASHED),
-        title=f"{n} calibrations, {text(seconds.sum())} in all; median {text(middle)} (dashed)",
+        title=f"n = {n}, {text(seconds.sum())} in all; median {text(middle)} (dashed)",
         whole="y",
         xlabel="time of one calibration [s]",
         ylabel="calibrations",

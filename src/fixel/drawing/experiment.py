@@ -10,7 +10,7 @@ import numpy as np
 from fixel.drawing import palette, top_view
 from fixel.drawing.chart import Style
 from fixel.drawing.view import Rectangle, evenly, ghosts
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, counted
 from fixel.model import Channel, Experiment, Shape, Trajectory, placed, pose_error
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def plot_paths(experiments: Sequence[Experiment], *, ax: Axes | None = None) -> 
     axes.set_xlabel(f"x [{top_view.MM.name}]")
     axes.set_ylabel(f"y [{top_view.MM.name}]")
     n, shown = len(experiments), len(chosen)
-    axes.set_title(f"{n} experiments" + (f", {shown} of them drawn" if shown < n else ""))
+    axes.set_title(counted(n, "experiment") + (f", {shown} of them drawn" if shown < n else ""))
     return axes
 
 

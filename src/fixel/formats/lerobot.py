@@ -316,7 +316,7 @@ def _card(found: _Dataset, name: str, rights: Mapping[str, Any]) -> str:
         licence, citation = rights.get(source, ("", ""))
         says = f"licence: {licence or 'not stated; contact the authors of the data'}"
         sources.append(
-            f"- `{source}`, {count} episodes; {says}" + f"; cite: {citation}" * (citation != "")
+            f"- `{source}`, episodes: {count}; {says}" + f"; cite: {citation}" * (citation != "")
         )
     listed = "\n".join(sources)
     return f"""\

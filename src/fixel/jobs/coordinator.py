@@ -16,7 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, final
 
-from fixel.errors import FixelError, JobRefused
+from fixel.errors import FixelError, JobRefused, counted
 from fixel.io.atomic import write_whole
 from fixel.io.journal import Journal
 from fixel.jobs import folder as files
@@ -51,7 +51,7 @@ def coordinate(
             state.enter("preparing")
             _check_unchanged(folder, job, run)
             if n := journal.damaged:
-                lost = f"the journal is damaged in {n} places"
+                lost = f"the journal is damaged in {counted(n, 'place')}"
                 state.notify(f"{lost}; the chunks there are computed again")
             result = _run(folder, job, run, journal, state, local)
             state.enter("collecting")

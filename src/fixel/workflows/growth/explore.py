@@ -90,7 +90,7 @@ def explore(
     studies.ask(wanted)
     get_ready(samples.targets[0].case.scene)
     if progress is not None:
-        progress.stage = f"simulating {len(wanted)} times"
+        progress.stage = f"simulating {counted(len(wanted), 'time')}"
     method = stored.best[0]  # they have the same motion model and error
     comparer = Comparer(samples.targets, _space(stored), method.error, method.motion)
     answer = wanted.run(comparer.errors)
