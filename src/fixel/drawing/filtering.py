@@ -36,8 +36,10 @@ def filter_figure(estimates: FilterRun) -> Figure:
     from matplotlib.patches import Patch
 
     experiment = estimates.experiment
-    scene, measured = _scene(experiment), _cut(experiment.trajectory, estimates)
-    pusher = _pusher(experiment, estimates)
+    scene = experiment.scene
+    assert scene is not None  # both are required by filters
+    assert experiment.pusher is not None
+    measured, pusher = (_cut(own, estimates) for own in (experiment.trajectory, experiment.pusher))
     corners = top_view.swept_points(scene.pushers[0].shape, pusher.pose)
     for track in (measured, estimates.trajectory):
         corners += top_view.swept_points(scene.bodies[0].shape, track.pose)
@@ -49,7 +51,7 @@ def filter_figure(estimates: FilterRun) -> Figure:
         [f.name for f in scene.fixels][:n_fixel],
         2.0 * top_view.STRIP_ROW,
     )
-    handles = _draw_view(page.view, experiment, estimates)
+    handles = _draw_view(page.view, scene, pusher.pose[-1], measured, estimates)
     _draw_poses(page.panels[:3], measured, estimates)
     _draw_parameters(page.panels[3:], estimates)
     _draw_touches(page.strip, experiment, estimates)
@@ -61,31 +63,21 @@ def filter_figure(estimates: FilterRun) -> Figure:
     return top_view.finish_page(page, handles, f"{experiment.key}, filtered", experiment)
 
 
-def _scene(experiment: Experiment) -> Scene:
-    assert experiment.scene is not None  # required by filters
-    return experiment.scene
-
-
-def _pusher(experiment: Experiment, estimates: FilterRun) -> Trajectory:
-    assert experiment.pusher is not None
-    return _cut(experiment.pusher, estimates)
-
-
 def _cut(track: Trajectory, estimates: FilterRun) -> Trajectory:
     first, last = estimates.time[0], estimates.time[-1]
     kept = (track.time >= first - 1e-6) & (track.time <= last + 1e-6)
     return Trajectory(time=track.time[kept], pose=track.pose[kept])
 
 
-def _draw_view(axes: Axes, experiment: Experiment, estimates: FilterRun) -> list[Artist]:
-    scene, measured = _scene(experiment), _cut(experiment.trajectory, estimates)
-    shape, pusher = scene.bodies[0].shape, _pusher(experiment, estimates)
+def _draw_view(
+    axes: Axes, scene: Scene, pusher: FloatArray, measured: Trajectory, estimates: FilterRun
+) -> list[Artist]:
     handles = top_view.add_fixels(axes, scene)
     style = top_view.solid(tint(palette.PUSHER, 0.45), palette.PUSHER, 0.8, zorder=1.9)
-    outlines = [placed(scene.pushers[0].shape.outline, pusher.pose[-1])]
+    outlines = [placed(scene.pushers[0].shape.outline, pusher)]
     handles += top_view.add_outlines(axes, outlines, label="pusher, end", **style)
-    what = "measured" if experiment.real else "recorded"
-    handles += _outlines(axes, shape, measured, estimates, what)
+    what = "measured" if estimates.experiment.real else "recorded"
+    handles += _outlines(axes, scene.bodies[0].shape, measured, estimates, what)
     way = measured.pose[:, :2].T * top_view.MM.factor
     (line,) = axes.plot(*way, color=palette.INK, linewidth=1.0, zorder=3.4,
                         label=f"{what}, trajectory")  # fmt: skip

@@ -11,7 +11,7 @@ import numpy as np
 from fixel.drawing import chart, palette
 from fixel.drawing.chart import Chart, Mark
 from fixel.drawing.top_view import closed_line, plain_view
-from fixel.drawing.view import UNITS, unit_for
+from fixel.drawing.view import UNITS, evenly, unit_for
 from fixel.errors import InvalidInput
 from fixel.model import Goal, Scene, placed
 from fixel.simulation import BatchResult
@@ -104,7 +104,7 @@ def _scene(axes: Axes, ends: OutcomePoses) -> None:
         outline = outline_at(pusher.pose, pusher.shape.outline)
         axes.fill(*outline, color=chart.tint(palette.PUSHER, 0.5), label="pusher, at the start")
     axes.plot(*outline_at(body.pose), "--", color=palette.INK, linewidth=0.8, label="start")
-    chosen = np.unique(np.linspace(0, len(ends.end) - 1, OUTLINES).round().astype(int))
+    chosen = evenly(len(ends.end), OUTLINES)
     for k in range(len(ends.share)):
         name = f"{ends.names[k] if ends.names else f'outcome {k + 1}'}: {ends.share[k]:.0%}"
         if len(ends.share) == 1 and not ends.names:

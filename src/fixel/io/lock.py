@@ -26,7 +26,7 @@ _UNSUPPORTED: Final = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOS
 
 
 class Owner(NamedTuple):
-    """Process that owns a lock."""
+    """Process that owns a lock, or works for a job."""
 
     host: str
     pid: int
@@ -104,16 +104,17 @@ def holder(path: Path) -> Owner | None:
     finally:
         os.close(descriptor)
     if locked is None:
-        owner = _read_owner(_substitute_of(path))
+        owner = read_owner(_substitute_of(path))
         return owner if owner and not _gone(owner) else None
     return None if locked else _owner(path)
 
 
 def _owner(path: Path) -> Owner:
-    return _read_owner(_substitute_of(path)) or _read_owner(path) or UNKNOWN
+    return read_owner(_substitute_of(path)) or read_owner(path) or UNKNOWN
 
 
-def _read_owner(path: Path) -> Owner | None:
+def read_owner(path: Path) -> Owner | None:
+    """Load the process that a file names; None without such a file."""
     try:
         content = json.loads(path.read_bytes())
         return Owner(str(content["host"]), int(content["pid"]))
@@ -153,7 +154,7 @@ def _substitute_of(path: Path) -> Path:
 def _substitute(path: Path) -> Path | None:
     """Create a file with the name of this process, unless a living process has created one."""
     held = _substitute_of(path)
-    owner = _read_owner(held)
+    owner = read_owner(held)
     if owner is not None and _gone(owner):
         held.unlink(missing_ok=True)
     try:

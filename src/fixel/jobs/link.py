@@ -24,20 +24,13 @@ from typing import Any, Final, NamedTuple
 
 from fixel.errors import JobRefused, unknown_name
 from fixel.io.atomic import write_whole
+from fixel.io.lock import Owner, read_owner
 
 LOOPBACK: Final = "lo"
 # Clocks of nodes may differ by hours, so a certificate is valid from one day ago.
 _VALID_FROM: Final = datetime.timedelta(days=-1)
 _VALID_UNTIL: Final = datetime.timedelta(days=365)
 _CRC_BYTES: Final = 4
-
-
-class WorkerLink(NamedTuple):
-    """Worker that has joined."""
-
-    name: str
-    host: str
-    pid: int
 
 
 class Late(NamedTuple):
@@ -111,13 +104,9 @@ def record_joined(folder: Path, name: str, host: str) -> None:
     write_whole(folder / "workers" / f"{name}.json", json.dumps({"host": host, "pid": os.getpid()}))
 
 
-def joined(folder: Path, name: str) -> WorkerLink | None:
+def joined(folder: Path, name: str) -> Owner | None:
     """Load a worker that has joined, now or earlier; None if it has not."""
-    try:
-        said = json.loads((folder / "workers" / f"{name}.json").read_text())
-        return WorkerLink(name, str(said["host"]), int(said["pid"]))
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
+    return read_owner(folder / "workers" / f"{name}.json")
 
 
 def record_refusal(folder: Path, name: str, reason: str) -> None:

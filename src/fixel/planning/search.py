@@ -13,7 +13,7 @@ from typing import Final, NamedTuple, TypeVar, final
 import numpy as np
 from scipy.special import expit
 
-from fixel.calibration.study import run_study
+from fixel.calibration.study import relayed, run_study
 from fixel.errors import InvalidInput
 from fixel.model import Scene
 from fixel.model.goals import AllOf, PoseRegion
@@ -27,7 +27,7 @@ from fixel.planning.candidates import (
     spread_pushes,
 )
 from fixel.planning.pushes import FreePushes
-from fixel.planning.race import SIZES, RaceResult, RaceRound, race_rounds
+from fixel.planning.race import SIZES, RaceRequest, RaceRound, race_rounds
 from fixel.planning.rollout import CARRIED_OUT, WORST_MARGIN, PlannedMotions, PlanSimulator
 from fixel.planning.simplified import simplified
 from fixel.planning.success import SuccessProbability
@@ -274,18 +274,15 @@ class PlanSearch:
             self.best = turn.success
             self._show("race")
 
+        def ask(wanted: RaceRequest) -> Rounds[FloatArray]:
+            own, rows = [plans[int(k)] for k in wanted.plans], wanted.scenarios
+            return self._ask(own, RACE_STAGE, int(rows[0]), int(rows[-1]) + 1)
+
         rounds = race_rounds(
             len(plans), worlds=self.scenarios(RACE_STAGE).world,
             finalists=FINALISTS, budget=int((SHARES[1] - SHARES[0]) * self.rollouts), report=show,
         )  # fmt: skip
-        try:
-            wanted = next(rounds)
-            while True:
-                own, rows = [plans[int(k)] for k in wanted.plans], wanted.scenarios
-                margins = yield from self._ask(own, RACE_STAGE, int(rows[0]), int(rows[-1]) + 1)
-                wanted = rounds.send(margins)
-        except StopIteration as end:
-            found: RaceResult = end.value
+        found = yield from relayed(rounds, ask)
         return [plans[int(k)] for k in found.plans]
 
     def _refined(self, plans: Numbers) -> Rounds[Numbers]:

@@ -40,8 +40,7 @@ def row(*numbers: float) -> FloatArray:
 
 def box(width: float, height: float) -> Polygon:
     """Rectangle about the origin of its frame [m]."""
-    x, y = 0.5 * width, 0.5 * height
-    return Polygon(np.array([[-x, -y], [x, -y], [x, y], [-x, y]]))
+    return Polygon.rectangle(width, height)
 
 
 Layout = Literal["slip", "seated"]

@@ -9,7 +9,7 @@ from collections import defaultdict, deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from queue import SimpleQueue
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,11 +35,6 @@ REMEMBERED = 32  # rollouts of a case whose times count
 GIVE_UP = 10  # lost programs in a row, without an answer between them, that end the work
 PER_PASS = 256  # rollouts whose poses are held at once
 SAMPLES = 100  # where no output interval is given: an engine's own steps are not known
-
-
-class _Rollout(NamedTuple):
-    pose: FloatArray | None  # (n, 3) in the frame of the scene's body
-    reason: str
 
 
 @final
@@ -174,7 +169,7 @@ class EngineEnsemble:
         free: SimpleQueue[Program] = SimpleQueue()
         for program in self._programs:
             free.put(program)
-        done: SimpleQueue[tuple[int, _Rollout | BaseException]] = SimpleQueue()
+        done: SimpleQueue[tuple[int, tuple[FloatArray | None, str] | BaseException]] = SimpleQueue()
 
         def work(k: int) -> None:
             program = free.get()
@@ -199,10 +194,11 @@ class EngineEnsemble:
                     k, answer = awaited(done)
                     if isinstance(answer, BaseException):
                         raise answer
-                    status[k] = codes.ENGINE_FAILED if answer.reason else codes.CONVERGED
-                    reasons[k] = answer.reason and f"{self.info.name}: {answer.reason}"
-                    if answer.pose is not None:
-                        poses[k] = answer.pose
+                    pose, reason = answer
+                    status[k] = codes.ENGINE_FAILED if reason else codes.CONVERGED
+                    reasons[k] = reason and f"{self.info.name}: {reason}"
+                    if pose is not None:
+                        poses[k] = pose
                 if good := sorted(poses):
                     use(np.array(good), self._padded([poses[k] for k in good]))
         except BaseException:
@@ -215,8 +211,8 @@ class EngineEnsemble:
 
     def _rollout(
         self, program: Program, case: int, values: Mapping[str, float], fixels: FloatArray | None
-    ) -> _Rollout:
-        """Simulate a case once, and check the answer."""
+    ) -> tuple[FloatArray | None, str]:
+        """Simulate a case once; return the checked poses (n, 3) of the body, or None and why."""
         task, frames = task_of(
             self.cases[case].scene,
             self.cases[case].times,
@@ -227,7 +223,7 @@ class EngineEnsemble:
         answer, reason = self._answer(program, case, plain(task))
         reason = reason or fault(task, answer)
         pose = None if reason else frames.scene_poses(np.array(answer, np.float64))
-        return _Rollout(pose, reason)
+        return pose, reason
 
     def _answer(self, program: Program, case: int, task: Any) -> tuple[Any, str]:
         """Return the poses of one rollout, or the reason why there are none."""

@@ -13,7 +13,7 @@ from typing import Final, Literal, get_args
 from pydantic import Field
 
 from fixel.errors import JobRefused, NotStored
-from fixel.io.lock import Owner, is_running
+from fixel.io.lock import UNKNOWN, Owner, is_running
 from fixel.jobs import folder as files
 from fixel.jobs import link
 from fixel.web.values import Answer
@@ -117,8 +117,7 @@ def _worker_names(folder: Path) -> list[str]:
 
 def _worker(folder: Path, name: str, owner: Owner | None) -> Worker:
     refused = folder / "workers" / f"{name}.refused"
-    joined = link.joined(folder, name)
-    host, pid = (joined.host, joined.pid) if joined else ("", 0)
+    host, pid = link.joined(folder, name) or UNKNOWN
     if refused.is_file():
         state: WorkerState = "refused"
         reason = refused.read_text(errors="replace")
