@@ -10,7 +10,7 @@ from tests.fixtures import refused
 import fixel
 from fixel import Belief, FreePushes, InvalidInput, PoseRegion, Seated, StartError
 from fixel.drawing.planning import looks_chart
-from fixel.planning.corrections import CorrectionTable, likelihoods
+from fixel.planning.corrections import Correction, CorrectionTable, likelihoods
 from fixel.planning.looks import Policy, looks_of
 from fixel.planning.plan import search_of
 from fixel.planning.pushes import scene_of_push
@@ -194,6 +194,26 @@ def test_parts_near_a_tight_goal_are_refined_by_pushes_shorter_than_those_of_a_p
     assert sum(met(own.simulator, end) for end in ends) >= 12  # 3 by the pushes of the table
     shortest = own.simulator.choice.bounds(own.simulator.scene)[0][2]
     assert (found.numbers[found.refined, 2] < shortest).any()
+
+
+def test_only_runs_of_a_correction_are_simulated_and_not_its_planned_end(policy):
+    """A correction needs the end of a push in its worlds only: 32 rollouts for one push of 32."""
+    simulator, numbers = replace(policy.simulator, rollouts=0), policy.table.numbers[:5]
+    seen = pushed_square().bodies[0].pose + np.random.default_rng(2).normal(0.0, mm, (5, 3))
+    case = seen, np.ones((5, 32)), np.repeat(seen[:, None], 32, axis=1)
+    none = np.zeros((5, 1))
+    tried = Correction(none.astype(int), none, none, numbers[:, None], none.astype(bool))
+    found = policy.table._tried(simulator, case, tried, 32)
+    assert simulator.rollouts == 5 * 32
+    planned = simulator.planned(numbers[:, None], seen)
+    for own, other in zip(simulator.single(numbers, seen), planned, strict=True):
+        if isinstance(own, np.ndarray):
+            np.testing.assert_array_equal(own, other)
+    worlds = policy.table.worlds.rows(np.tile(np.arange(32), 5))
+    misfit = policy.table.draws[1] / np.array([1.0, 1.0, policy.table.arm])
+    worlds = worlds._replace(misfit=np.tile(misfit, (5, 1)))
+    met = simulator.margins(simulator.run(planned, np.repeat(np.arange(5), 32), worlds)) >= 0.0
+    np.testing.assert_allclose(found.probability[:, 0], met.reshape(5, 32).mean(axis=1))
 
 
 def test_refined_pushes_stay_near_those_of_the_table(policy):

@@ -208,9 +208,7 @@ class CorrectionTable:
         """Simulate pushes (n, m) among the fixels, in the most likely worlds."""
         (seen, weight, start), (n, m) = case, pushes.row.shape
         likely = np.argsort(-weight, axis=1, kind="stable")[:, :worlds]
-        planned = simulator.planned(
-            pushes.numbers.reshape(n * m, 1, -1), np.repeat(seen, m, axis=0)
-        )
+        planned = simulator.single(pushes.numbers.reshape(n * m, -1), np.repeat(seen, m, axis=0))
         which = np.repeat(np.arange(n * m), worlds)
         world = np.repeat(likely, m, axis=0).reshape(-1)
         error = np.take_along_axis(start - seen[:, None], likely[..., None], axis=1)
@@ -283,8 +281,9 @@ class CorrectionTable:
         scenarios = scenarios._replace(rest=np.zeros((scenarios.n, 3)), drift=np.zeros((1, 3)))
         best, least = numbers, np.full((n, t), np.inf)
         for _ in range(ITERATIONS):
-            trial = (numbers[:, :, None] + steps).reshape(-1, 1, d)
-            runs = alone.run(alone.planned(trial), np.arange(len(trial)), scenarios)
+            trial = (numbers[:, :, None] + steps).reshape(-1, d)
+            planned = alone.single(trial, np.zeros((len(trial), 3)))
+            runs = alone.run(planned, np.arange(len(trial)), scenarios)
             off = wanted[:, :, None] - runs.pose[:, -1].reshape(n, t, d + 1, 3)
             off[..., 2] = self.arm * wrapped(off[..., 2])
             size = np.linalg.norm(off[:, :, 0], axis=-1)

@@ -168,7 +168,7 @@ class Policy:
                     start=pose[own] - seen[own],
                     rest=drawn.rest, drift=drawn.drift, misfit=drawn.misfit,
                 )  # fmt: skip
-                planned = self.simulator.planned(found.numbers[own][:, None], seen[own])
+                planned = self.simulator.single(found.numbers[own], seen[own])
                 runs = self.simulator.run(planned, np.arange(len(own)), mine)
                 pose[own], failure[own] = runs.pose[:, -1], runs.failure
                 after = np.where(planned.collides, WORST_MARGIN, self.simulator.margins(runs))

@@ -124,30 +124,39 @@ class PlanSimulator:
         pose = np.tile(self.scene.bodies[0].pose, (m, 1)) if start is None else np.array(start)
         if k == 0:
             return _at_rest(pose, len(self.scene.bodies) - 1)
-        others = self.others(m)
-        begun, paths, poses, before = [], [], [], []
-        fixels: FloatArray | None = None
+        others, singles, poses = self.others(m), [], []
         failure, force = np.zeros(m, np.int64), np.zeros(m)
-        stalled, hit = np.zeros(m, bool), np.zeros(m, bool)
         for push in range(k):
-            motions = self.choice.motions(self.scene, numbers[:, push], pose)
-            fixels = motions.fixels
-            begun.append(motions.start)
-            before.append(others)
-            paths.append(motions.path)
-            if self.scene.fixels:
-                tool, way = self.scene.pushers[0].shape, swept(motions.path)
-                hit |= fixel_overlap(self.scene, tool, way, fixels) > 0.0
+            own = self.single(numbers[:, push], pose, others)
+            start, path = own.start[:, 0], own.path[:, 0]
             track, failed, stalled, peak, others = self._push(
-                motions.start, motions.path, fixels, None, motions.start, others
+                start, path, own.fixels, None, start, others
             )
             failure = np.where(failure == CARRIED_OUT, failed, failure)
             force = np.maximum(force, peak)
+            singles.append(own)
             poses.append(track)
             pose = track[:, -1]
-        nominal = Runs(np.concatenate(poses, axis=1), failure, stalled, force, fixels)
-        starts, ways, befores = (np.stack(own, axis=1) for own in (begun, paths, before))
-        return PlannedMotions(starts, ways, fixels, befores, nominal, hit)
+        nominal = Runs(np.concatenate(poses, axis=1), failure, stalled, force, own.fixels)
+        starts, paths, befores = (
+            np.concatenate([getattr(own, name) for own in singles], axis=1)
+            for name in ("start", "path", "others")
+        )
+        hit = np.any([own.collides for own in singles], axis=0)
+        return PlannedMotions(starts, paths, own.fixels, befores, nominal, hit)
+
+    def single(
+        self, numbers: FloatArray, start: FloatArray, others: FloatArray | None = None
+    ) -> PlannedMotions:
+        """Return the motions of single pushes (m, d) of parts at `start` (m, 3), not simulated."""
+        scene, motions = self.scene, self.choice.motions(self.scene, numbers, start)
+        others = self.others(len(numbers)) if others is None else others
+        tool, way = scene.pushers[0].shape, swept(motions.path)
+        return _at_rest(motions.start, others.shape[1])._replace(
+            start=motions.start[:, None], path=motions.path[:, None], fixels=motions.fixels,
+            others=others[:, None],
+            collides=fixel_overlap(scene, tool, way, motions.fixels) > 0.0,
+        )  # fmt: skip
 
     def run(
         self, plans: PlannedMotions, which: IntArray, scenarios: Scenarios, first: int = 0
