@@ -139,15 +139,13 @@ def eight_push_plan() -> Plan:
 
     Offsets 1 to 8 are the tests. The part rests on the three points of the paper's first estimate.
     """
-    half = np.array([0.5 * PART_WIDTH, 0.5 * PART_LENGTH])
-    probe = 0.5 * PROBE_SIDE * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
-    farther = float(half[1] - half[0])  # a rotated part is deeper along the motion
+    farther = 0.5 * (PART_LENGTH - PART_WIDTH)  # a rotated part is deeper along the motion
     pushes = [(test > LONG, -probe_offset(test)) for test in range(1, len(PLACES) + 1)]
     rows = tuple((farther, y, 0.5 * pi) if turned else (0.0, y, 0.0) for turned, y in pushes)
     return Plan(
         name="eight-push",
         rig=SamplingRig(
-            head=Polygon(probe),
+            head=Polygon.rectangle(PROBE_SIDE, PROBE_SIDE),
             speed=PROBE_SPEED,
             travel=PROBE_TRAVEL,
             force_limit=None,
@@ -161,7 +159,7 @@ def eight_push_plan() -> Plan:
         shapes=(
             PlannedShape(
                 name="part",
-                outline=Polygon(half * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])),
+                outline=Polygon.rectangle(PART_WIDTH, PART_LENGTH),
                 mass=PART_MASS,
                 support=SupportPoints(points=np.array(SUPPORT), friction=MU_PLANE),
                 zone_start=PROBE_TRAVEL + 2.0 * PART_LENGTH,
