@@ -9,7 +9,7 @@ import numpy as np
 
 from fixel.drawing import palette, top_view
 from fixel.drawing.chart import tint
-from fixel.filtering.recorded import FilterRun
+from fixel.filtering.recorded import FilterRun, during
 from fixel.model import Experiment, Scene, Shape, Trajectory, placed, wrapped
 from fixel.typing import FloatArray
 
@@ -39,7 +39,8 @@ def filter_figure(estimates: FilterRun) -> Figure:
     scene = experiment.scene
     assert scene is not None  # both are required by filters
     assert experiment.pusher is not None
-    measured, pusher = (_cut(own, estimates) for own in (experiment.trajectory, experiment.pusher))
+    span = estimates.time[0], estimates.time[-1]
+    measured, pusher = during(experiment.trajectory, span), during(experiment.pusher, span)
     corners = top_view.swept_points(scene.pushers[0].shape, pusher.pose)
     for track in (measured, estimates.trajectory):
         corners += top_view.swept_points(scene.bodies[0].shape, track.pose)
@@ -61,12 +62,6 @@ def filter_figure(estimates: FilterRun) -> Figure:
         handles.append(Patch(facecolor=palette.INK, label="fixel in contact"))
         handles.append(Patch(facecolor=palette.TOUCHED, label="contact, estimated"))
     return top_view.finish_page(page, handles, f"{experiment.key}, filtered", experiment)
-
-
-def _cut(track: Trajectory, estimates: FilterRun) -> Trajectory:
-    first, last = estimates.time[0], estimates.time[-1]
-    kept = (track.time >= first - 1e-6) & (track.time <= last + 1e-6)
-    return Trajectory(time=track.time[kept], pose=track.pose[kept])
 
 
 def _draw_view(

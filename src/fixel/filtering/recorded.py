@@ -272,12 +272,14 @@ def _rms(values: FloatArray) -> float:
 
 def _within_run(experiment: Experiment, frames: list[FilterFrame]) -> tuple[Trajectory, Trajectory]:
     """Measured paths of the object and the pusher while the filter ran."""
-    first, last = frames[0].time - SAME_INSTANT, frames[-1].time + SAME_INSTANT
-    found = []
-    for track in (experiment.trajectory, _pusher(experiment)):
-        kept = (track.time >= first) & (track.time <= last)
-        found.append(Trajectory(time=track.time[kept], pose=track.pose[kept]))
-    return found[0], found[1]
+    span = frames[0].time, frames[-1].time
+    return during(experiment.trajectory, span), during(_pusher(experiment), span)
+
+
+def during(track: Trajectory, interval: tuple[float, float]) -> Trajectory:
+    """Return the part of a measured path within an interval [s]."""
+    kept = _within(track.time, interval)
+    return Trajectory(time=track.time[kept], pose=track.pose[kept])
 
 
 def _gathered(estimates: list[FilterEstimate], **rest: object) -> FilterRun:
