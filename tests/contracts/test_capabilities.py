@@ -295,6 +295,9 @@ def test_hints_have_the_name_of_the_door():
     assert named(deaf, CAPABILITIES["filter"].labels()).hint == "filter without: tactile off"
     bold = InvalidInput("looks", found=1, expected="2", hint="or plan with untrusted=True")
     assert named(bold, CAPABILITIES["plan"].flags()).hint == "or plan with --untrusted"
+    mixed = InvalidInput("surface", found=2, expected="1", hint="select where=surface=plywood")
+    flags = CAPABILITIES["table-check"].flags()
+    assert named(mixed, flags).hint == "select --where surface=plywood"
 
 
 @pytest.fixture(scope="module")

@@ -115,7 +115,9 @@ def faults():
 
 def width_fault(page):
     wide = page.evaluate("document.documentElement.scrollWidth > innerWidth + 1")
-    return ["wider than the window"] if wide else []
+    cut = """[...document.querySelectorAll("input[type=number]")].filter((one) =>
+        one.scrollWidth > one.clientWidth + 1).map((one) => `the number ${one.value} is cut off`)"""
+    return [*(["wider than the window"] if wide else []), *page.evaluate(cut)]
 
 
 def unpacked(array):

@@ -154,3 +154,14 @@ def test_nor_on_live_pages(chromium, faults):
                 bad += [(path, one) for one in faults(page)]
             context.close()
     assert bad == []
+
+
+@pytest.mark.system
+def test_numbers_of_five_digits_fit_into_their_fields(browser_page, server):
+    for page, field, number in (
+        ("compare?experiment=1", "#value-mu_pusher", "0.22358"),
+        ("plan", "#angle_deg", "-126.63"),
+    ):
+        browser_page.goto(f"{server.home}{page}")
+        browser_page.fill(field, number)
+        assert width_fault(browser_page) == []

@@ -19,6 +19,7 @@ from tests.jobs.helpers import await_true
 from tests.processes import line_of
 
 from fixel.database.store import Store
+from fixel.errors import StoreRefused
 from fixel.web.palette import DARK, LIGHT, READABLE, ROLES, contrast_of, palette_css, readable
 from fixel.web.problems import OUR_MISTAKE
 from fixel.web.project import project_server
@@ -58,6 +59,19 @@ def test_what_is_not_there_is_a_document_below_api_and_a_page_elsewhere(bench):
     page = bench.client.get("/nothing")
     assert page.status_code == 404
     assert "Back to the first page" in page.text
+    page = bench.client.get("/experiments/999").text
+    assert page.count("fixel list shows all experiments") == 1
+
+
+def test_a_page_of_damaged_records_is_not_called_missing(bench, monkeypatch):
+    def fail(*_):
+        raise StoreRefused("experiment 1 is damaged", "list the errors: fixel db check")
+
+    monkeypatch.setattr(Store, "experiment", fail)
+    page = bench.client.get("/experiments/1")
+    assert page.status_code == 409
+    assert "experiment 1 is damaged" in page.text
+    assert "Page not found" not in page.text
 
 
 def test_a_mistake_of_ours_is_told_to_who_started_it(bench, monkeypatch, caplog):

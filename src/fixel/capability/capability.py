@@ -320,7 +320,7 @@ def named(error: InvalidInput, names: Mapping[str, str]) -> InvalidInput:
     name, space, rest = error.where.partition(" ")
     where, hint = f"{names.get(name, name)}{space}{rest}", error.hint
     if hint:
-        hint = re.sub(r"\b([a-z_]+)=(True|False)?", lambda found: _setting(found, names), hint)
+        hint = re.sub(r"(?<!=)\b([a-z_]+)=(True|False)?", lambda one: _setting(one, names), hint)
     return InvalidInput(where, found=error.found, expected=error.expected, hint=hint)
 
 

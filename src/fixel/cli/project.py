@@ -407,8 +407,7 @@ def _records(counts: Mapping[str, int]) -> list[str]:
 def _exported(answer: "ExportAnswer") -> list[str]:
     counts = dict(answer.counts)
     total = counts.pop("experiments")
-    about = [f"{counts.pop(what, 0)} {what}" for what in ("flagged", "simulated", "replaced")]
-    about = [text for text in about if not text.startswith("0 ")]
+    about = _records({what: counts.pop(what, 0) for what in ("flagged", "simulated", "replaced")})
     more = _records(counts)
     reasons = {
         "deleted": "deleted",

@@ -25,7 +25,7 @@ from fixel.errors import FixelError
 from fixel.web import security
 from fixel.web.live import LiveView
 from fixel.web.palette import palette_css
-from fixel.web.problems import OUR_MISTAKE, Refusal, answer, problem_of
+from fixel.web.problems import ABSENT, OUR_MISTAKE, Refusal, answer, problem_of
 from fixel.web.words import FILTERS
 
 HERE: Final = Path(str(files("fixel.web")))
@@ -218,7 +218,8 @@ def _answer_errors(app: FastAPI, render: Any) -> None:
     @app.exception_handler(FixelError)
     def refused(request: Request, error: FixelError) -> Response:
         problem = problem_of(error)
-        more = {"sentence": problem.sentence, "hint": problem.hint}
+        title = page.title if problem.status == ABSENT else "The page cannot be shown"
+        more = {"title": title, "sentence": problem.sentence, "hint": ""}  # the sentence has it
         return HTMLResponse(render(page, more, request.url.path), status_code=problem.status)
 
     @app.exception_handler(HTTPException)
