@@ -20,6 +20,7 @@ def performed(capsys, *arguments):
 
 
 @pytest.mark.system
+@pytest.mark.usefixtures("small_laboratory")
 def test_next_is_a_command_that_does_something(tmp_path, capsys):
     plan, lab = tmp_path / "few.yaml", tmp_path / "lab"
     plan.write_text(plan_text(short_plan()))
