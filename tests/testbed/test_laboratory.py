@@ -17,6 +17,7 @@ from fixel.testbed.emulators.laboratory import EmulatedLaboratory, Faults, small
 from fixel.testbed.imperfections import nominal_friction
 from fixel.testbed.recorder import Recorder
 from fixel.testbed.simulated import SimulatedTestbed
+from fixel.vision.render.bench import RenderedBench
 from fixel.workflows.acquisition.track import track_film
 
 SPEED, TRAVEL = 0.05, 0.02  # of the push
@@ -203,16 +204,36 @@ def test_a_picture_at_rest_shows_where_the_part_came_to_rest():
     anew._part, anew._head = lab._part, lab._head
     anew.drive = lab.drive
     (fresh,) = (next(frames) for frames in [anew.source.frames()])
-    assert np.abs(pictures[-1].pixels.astype(int) - fresh.pixels).mean() < 3.0
-    assert (np.abs(pictures[-1].pixels.astype(int) - fresh.pixels) > 25).sum() == 0
+    assert np.abs(pictures[-1].picture().astype(int) - fresh.picture()).mean() < 3.0
+    assert (np.abs(pictures[-1].picture().astype(int) - fresh.picture()) > 25).sum() == 0
+
+
+def test_pictures_are_rendered_when_they_are_looked_at_as_if_at_once(monkeypatch):
+    light, advance, rendered = RenderedBench.light, EmulatedLaboratory.advance, []
+
+    def counted(view, poses):
+        rendered.append(poses)
+        return light(view, poses)
+
+    def looked_at(lab):
+        (picture := advance(lab)).picture()
+        return picture
+
+    monkeypatch.setattr(RenderedBench, "light", counted)
+    later = pushed(laboratory(), 0.015)
+    assert rendered == []
+    monkeypatch.setattr(EmulatedLaboratory, "advance", looked_at)
+    for own, other in zip(pushed(laboratory(), 0.015)[::-1], later[::-1], strict=True):
+        assert own.size == other.picture().shape[1::-1]
+        assert (own.picture() == other.picture()).all()
 
 
 def test_same_seed_same_pictures():
     one, two, other = (pushed(laboratory(Faults(), seed=seed), 0.015) for seed in (3, 3, 4))
     assert len(one) == len(two)
     for a, b in zip(one, two, strict=True):
-        assert (a.pixels == b.pixels).all()
-    assert any((a.pixels != b.pixels).any() for a, b in zip(one, other, strict=False))
+        assert (a.picture() == b.picture()).all()
+    assert any((a.picture() != b.picture()).any() for a, b in zip(one, other, strict=False))
 
 
 def test_a_part_is_placed_roughly_and_then_corrected():
@@ -271,7 +292,7 @@ def test_a_hand_hides_the_part_in_the_first_push_of_a_row_only():
     bare = pushed(laboratory())
     changed = np.array(
         [
-            (np.abs(a.pixels.astype(int) - b.pixels) > 40).mean()
+            (np.abs(a.picture().astype(int) - b.picture()) > 40).mean()
             for a, b in zip(pictures, bare, strict=True)
         ]
     )
@@ -441,5 +462,5 @@ def test_a_push_of_two_axes_under_the_microscope():
     far, _ = pose_error(lab.moments[-1].part, end)
     assert far < 2e-5
     assert pose_error(planned.scene.bodies[0].pose, end)[0] > 3e-4
-    assert (np.abs(after.pixels.astype(int) - before.pixels) > 60).mean() > 0.01
+    assert (np.abs(after.picture().astype(int) - before.picture()) > 60).mean() > 0.01
     assert lab.moments[-1].bits == -1

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple, NoReturn, final
 
 from fixel.errors import FixelError, InvalidInput
 from fixel.formats.recording_video import REDUCED, brightness, decoded, jpeg_size, shrunk
-from fixel.vision.frame import Gray, Picture
+from fixel.vision.frame import Frame, Gray, Picture
 
 STALLED: Final = 3.0  # [s] without data after which a camera counts as unplugged
 ENDED: Final = "the camera sends no more pictures"
@@ -38,6 +38,7 @@ class CameraPicture:
     pixels: Picture | None = None  # pixels, in the order blue, green, red, where it arrived as such
     # Time of capture on the same clock [s], where the camera reports it.
     captured: float | None = None
+    rendered: Frame | None = None  # picture of an emulated camera, rendered when it is looked at
 
     @property
     def taken(self) -> float:
@@ -49,6 +50,8 @@ class CameraPicture:
         """Width and height [px]; None for an incomplete picture."""
         if self.jpeg is not None:
             return jpeg_size(self.jpeg)
+        if self.rendered is not None:
+            return self.rendered.size
         if self.pixels is None or self.pixels.ndim != 3:
             return None
         return self.pixels.shape[1], self.pixels.shape[0]
@@ -56,7 +59,8 @@ class CameraPicture:
     def picture(self) -> Picture:
         """Return the pixels (height, width, 3) uint8, decoded at the first call, or raise."""
         if self.pixels is None:
-            self.pixels = decoded(self.jpeg or b"")
+            own = self.rendered
+            self.pixels = decoded(self.jpeg or b"") if own is None else own.picture
         return self.pixels
 
     def small(self) -> Gray:
@@ -112,15 +116,15 @@ class FrameQueue:
     A short delay is caught up with. Where pictures stay late, because they arrive faster than they
     are written, the oldest are dropped, so that what is written is always recent.
 
-    The source is open. One that is not `live` waits for its reader and loses no picture. At most
-    `held` pictures wait.
+    The source is open. One that is not `live` waits for its reader, is one picture ahead, and loses
+    none. Of a live one, at most `held` pictures wait.
     """
 
     def __init__(self, source: FrameSource, *, live: bool, held: int = HELD) -> None:
         self._refused = self._given_up = 0  # by the reading thread, and by the writing one
         self._source = source
         self._live = live
-        self._waiting: queue.Queue[CameraPicture] = queue.Queue(held)
+        self._waiting: queue.Queue[CameraPicture] = queue.Queue(held if live else 1)
         self._ended = threading.Event()
         self._stop = threading.Event()
         self._late_since: float | None = None
@@ -196,15 +200,11 @@ class FrameQueue:
             self._ended.set()
 
     def _put(self, arrived: CameraPicture) -> None:
-        if self._live:
-            try:
-                self._waiting.put_nowait(arrived)
-            except queue.Full:
-                self._refused += 1
-            return
         while not self._stop.is_set():
             try:
-                self._waiting.put(arrived, timeout=0.1)
+                self._waiting.put(arrived, block=not self._live, timeout=0.1)
                 return
             except queue.Full:
-                continue
+                if self._live:
+                    self._refused += 1
+                    return

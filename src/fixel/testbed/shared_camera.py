@@ -110,7 +110,7 @@ class CameraView(FrameSource):
     def __init__(self, camera: SharedCamera) -> None:
         self.name = camera.source.name
         self._camera, self._torn_before = camera, camera.source.torn
-        self._waiting: queue.Queue[CameraPicture] = queue.Queue(HELD)
+        self._waiting: queue.Queue[CameraPicture] = queue.Queue(HELD if camera.stream.live else 1)
         self._closed = threading.Event()
 
     def open(self) -> Stream:

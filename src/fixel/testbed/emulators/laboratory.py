@@ -10,9 +10,10 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from typing import Annotated, Final, NamedTuple, final
 
 import numpy as np
@@ -29,6 +30,7 @@ from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testbed.tactile import TactileReading
 from fixel.typing import BoolArray, FloatArray
 from fixel.uncertainty.start_ensemble import Neighbour, remove_overlap
+from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
 from fixel.vision.render import MICROSCOPE, CameraEffects, film, looks_named
 from fixel.vision.render.bench import HAND, RenderedBench
@@ -100,7 +102,7 @@ class EmulatedLaboratory:
     >>> laboratory = EmulatedLaboratory(rig, truth=SimulatedTestbed(seed=3), seed=3)
     >>> laboratory.prepare(thesis_plan().experiments[0])
     >>> with laboratory.source as source:
-    ...     next(source.frames()).pixels.shape
+    ...     next(source.frames()).picture().shape
     (180, 320, 3)
     """
 
@@ -195,15 +197,14 @@ class EmulatedLaboratory:
         off = (far * math.cos(way), far * math.sin(way), random.uniform(-error[1], error[1]))
         self._part = self._beside(self._planned.scene.bodies[0].pose + np.array(off), ASIDE)
         self._twist, self._touches = np.zeros(3), np.zeros(len(self._scene.fixels), np.bool_)
-        self._still: FloatPicture | None = None  # light of a scene at rest
+        self._still: Callable[[], FloatPicture] | None = None  # light of a scene at rest
 
     def _beside(self, pose: FloatArray, most: float, *, head: bool = True) -> FloatArray:
         """Return a pose of the part moved out of fixels and head, if there is space nearby."""
-        scene = self._scene
-        there = [Neighbour(own.name, own.shape, own.pose) for own in scene.fixels]
+        there = [Neighbour(own.name, own.shape, own.pose) for own in self._scene.fixels]
         if head:
-            there.append(Neighbour("head", scene.pushers[0].shape, self._head))
-        return _outside(scene.bodies[0].shape, pose, there, most)
+            there.append(Neighbour("head", self._scene.pushers[0].shape, self._head))
+        return _outside(self._scene.bodies[0].shape, pose, there, most)
 
     # --- motion -----------------------------------------------------------------------------------
 
@@ -308,14 +309,14 @@ class EmulatedLaboratory:
         if lost:
             return None
         moving = any(np.ptp(track.pose, axis=0).max() > REST for track in tracks.values())
-        shown = self._still
-        if shown is None or moving or hidden:
-            shown = view.light(poses)
+        still = None if moving or hidden else self._still
+        shown = still or cache(partial(view.light, poses))
         self._still = None if moving or hidden else shown
-        factor = light(self._looks, np.array([middle]), self._seed)[0]
-        pixels = self._sensor.exposed(shown, factor, self._frame)
-        arrival = time.monotonic() if self.stream.live else stamp
-        return CameraPicture(arrival, pixels=pixels, captured=stamp)
+        tint, n = light(self._looks, np.array([middle]), self._seed)[0], self._frame
+        frame = Frame(stamp, size=view.size, colours=lambda: self._sensor.exposed(shown(), tint, n))
+        if self.stream.live:  # frames are lost meanwhile, as those of a slow camera
+            return CameraPicture(pixels=frame.picture, time=time.monotonic(), captured=stamp)
+        return CameraPicture(stamp, captured=stamp, rendered=frame)
 
     def _felt(self, random: np.random.Generator) -> int:
         """Return the tactile byte as reported, with false and missed contacts."""
@@ -363,8 +364,7 @@ class LaboratoryCamera(FrameSource):
                 # Frames that are due while one is rendered are lost, as those of a slow camera.
                 due = max(due + 1.0 / own.rate, own.clock())
                 self._stop.wait(due - own.clock())
-            picture = own.advance()
-            if picture is not None:
+            if (picture := own.advance()) is not None:
                 yield picture
         self.ended = "stopped"
 

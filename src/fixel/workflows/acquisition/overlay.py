@@ -158,7 +158,7 @@ def frames_of(
                 arrived = newer
             if arrived is not None:
                 with suppress(InvalidInput):  # a damaged one: the next arrives soon
-                    yield Frame(arrived.time, arrived.picture())
+                    yield arrived.rendered or Frame(arrived.time, arrived.picture())
                 missing = 0.0
             elif queue.over:
                 reason = queue.reason

@@ -541,7 +541,7 @@ class BenchLoop:
                 time.sleep(0.005)
                 return
             seen(frame)
-            self._report("moving", frame.picture)
+            self._report("moving", lambda: frame.picture)
             self._watch_page(by)
 
         with closing(frames):
