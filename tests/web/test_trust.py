@@ -1,7 +1,9 @@
 """Calibrations and the domain, asked for by a program."""
 
+import html
 import json
 import os
+import re
 import shutil
 import time
 from contextlib import ExitStack, closing
@@ -345,6 +347,8 @@ def test_a_map_for_every_threshold(bench, name):
     for below in ("threshold=0", "threshold=nan", "level=1"):
         assert bench.get(f"/domain/{name}?{below}", 422)
         assert 'role="alert"' in bench.client.get(f"/domain?{below}").text
+    text = html.unescape(bench.client.get("/domain?threshold=x").text)
+    assert re.search(r"threshold is 'x', but must be a valid number\s*<", text)
 
 
 def test_one_experiment_that_is_left_out_is_one(bench, name, project):

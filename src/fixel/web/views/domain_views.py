@@ -305,8 +305,8 @@ def shown_map(view: MapView, query: Mapping[str, str], folder: Path) -> dict[str
     except ValidationError as problem:
         first = problem.errors()[0]
         where = str(first["loc"][0])
-        expected = first["msg"].removeprefix("Input should be ")
-        raise InvalidInput(where, found=first["input"], expected=expected) from None
+        expected = first["msg"].removeprefix("Input should be ").partition(",")[0]
+        raise InvalidInput(where, found=repr(first["input"]), expected=expected) from None
     drawn = document(view, claim, folder)
     # The cell that was clicked now, or else before.
     group, _, cell = (query.get("cell") or query.get("picked") or "").partition(" ")
