@@ -47,6 +47,7 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
     "domain": ("domain", "run", "maps of the simulated laboratory, judged by new experiments"),
     "planning": ("planning", "run", "plans carried out in another model: stated and held success"),
     "sbc": ("sbc", "run", "posteriors of 300 data sets drawn from the prior"),
+    "policies": ("policies", "run", "plans with looks carried out: stated and held success"),
     "planning-statistics": (
         "planning_statistics",
         "run",
@@ -76,7 +77,7 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
 ONLY_WHEN_ASKED = {
     *("peers", "varied", "seated", "tracking", "arrival", "coverage", "misfit", "domain", "sbc"),
     *("new-parts", "next-rows", "camera", "other-camera", "web", "filter-coverage", "filter-wrong"),
-    *("planning", "planning-statistics", "push-t", "push-t-planner", "bench"),
+    *("planning", "policies", "planning-statistics", "push-t", "push-t-planner", "bench"),
 }
 
 

@@ -15,7 +15,7 @@ from benchmarks.figures import FULL, SMALL, Figure, at_least, at_most
 pytestmark = pytest.mark.system
 
 # Each is run by hand for its figures; here they would take the longest of all tests.
-SECONDS_LONG = ("compile", "coverage", "sbc", "camera", "web", "planning", "bench")
+SECONDS_LONG = ("compile", "coverage", "sbc", "camera", "web", "planning", "policies", "bench")
 
 
 @pytest.mark.parametrize("name", [n for n in command.SCENARIOS if n not in SECONDS_LONG])
