@@ -151,7 +151,7 @@ def test_a_damaged_journal_costs_what_is_damaged(tmp_path):
     path.write_bytes(data)
     said = []
     coordinate(folder, notify=said.append)
-    assert any("damaged in 1 places" in sentence for sentence in said)
+    assert any("damaged in 1 place;" in sentence for sentence in said)
     assert (folder / files.RESULT).read_bytes() == before
     assert blocks_written(folder) == 19  # the damaged one, and it once more
 
