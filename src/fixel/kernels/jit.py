@@ -39,7 +39,7 @@ from fixel.kernels.code_cache import (
     remove_sign,
     shown,
     sign_path,
-)  # fmt: skip
+)
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
