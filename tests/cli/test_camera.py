@@ -15,7 +15,7 @@ from fixel.vision.calibrate_lens import calibrate_lens
 from fixel.vision.camera import Camera
 from fixel.vision.lens import Lens
 from fixel.vision.marks import Corners, board_of
-from fixel.workflows.acquisition.camera.answer import CameraAnswer
+from fixel.workflows.acquisition.camera.report import CameraAnswer
 
 BOARD = "charuco:7x5:30mm:20mm"
 LENS = Lens(image_size=(480, 360), focal=(440, 444), centre=(244, 177), distortion=(-0.12, 0.05))
@@ -207,7 +207,7 @@ def test_a_picture_that_is_used_in_part_is_not_left_out():
     views[5] = views[5]._replace(corners=Corners(views[5].corners.places, pixels))
     found = calibrate_lens(views, coefficients=4)
     answer = CameraAnswer(camera=found.camera, calibration=found)
-    text = "\n".join(answer.blocks()[1])
+    text = "\n".join(answer.analysis().lines())
     assert "8 pictures used" in text
     assert "left out (" not in text
     assert "used in part (1):" in text

@@ -35,6 +35,7 @@ from fixel.jobs.folder import read_job
 from fixel.testing.pushes import example_parts
 from fixel.workflows import jobs
 from fixel.workflows.acquisition import FILM
+from fixel.workflows.acquisition.camera import CAMERA
 from fixel.workflows.analysis import load_analyses
 from fixel.workflows.bench.run import BENCH
 from fixel.workflows.calibration.stored import stored_calibration
@@ -86,11 +87,13 @@ def specimen(
 
 # A capability without a project whose options have every form.
 SPECIMEN = Capability(group="try", name="specimen", function=specimen)
-REGISTERED = pytest.mark.parametrize("capability", CAPABILITIES.values(), ids=[*CAPABILITIES])
 # Those whose commands perform more than one call of their function.
 PERFORMED = (BENCH, FILM)
+# Those whose commands print the report of one call.
+PRINTED = (*CAPABILITIES.values(), *CAMERA.values())
+REGISTERED = pytest.mark.parametrize("capability", PRINTED, ids=lambda own: own.name)
 EVERY = pytest.mark.parametrize(
-    "capability", [SPECIMEN, *PERFORMED, *CAPABILITIES.values()], ids=lambda own: own.name
+    "capability", [SPECIMEN, *PERFORMED, *PRINTED], ids=lambda own: own.name
 )
 HEAVY = {"numpy", "numba", "scipy", "matplotlib", "sqlalchemy", "pyarrow", "rich"}
 NAMES = st.text(ascii_lowercase + "_", min_size=1, max_size=9).filter(lambda n: n[0] != "_")
@@ -218,7 +221,10 @@ def test_every_door_makes_the_same_request(capability, data):
 @EVERY
 def test_defaults_are_those_of_the_signature(capability):
     values = {name: text for name, (text,) in required(capability).items()}
-    words = ["fixel", *capability.path, *values.values()]
+    words = ["fixel", *capability.path]
+    for name, text in values.items():
+        option = capability.options[name]
+        words += [text] if option.place else [option.flag, text]
     request = capability.request(values)
 
     assert parsed(capability, shlex.join(words)) == request
@@ -309,17 +315,17 @@ def helps():
         "for path in json.loads(sys.argv[1]):\n"
         "    with contextlib.redirect_stdout(io.StringIO()) as out:\n"
         "        with contextlib.suppress(SystemExit): app([*path, '--help'])\n"
-        f"    found[path[-1]] = out.getvalue(), sorted({HEAVY!r} & {{*sys.modules}})\n"
+        f"    found[' '.join(path)] = out.getvalue(), sorted({HEAVY!r} & {{*sys.modules}})\n"
         "print(json.dumps(found))"
     )
-    paths = json.dumps([own.path for own in CAPABILITIES.values()])
+    paths = json.dumps([own.path for own in PRINTED])
     words = [sys.executable, "-c", code, paths]
     return json.loads(subprocess.run(words, capture_output=True, text=True, check=True).stdout)
 
 
 @REGISTERED
 def test_help_loads_no_numerics(capability, helps):
-    text, heavy = helps[capability.path[-1]]
+    text, heavy = helps[" ".join(capability.path)]
     shown = [option for option in capability.shown.values() if not option.place]
     assert all(option.flag in text for option in shown)
     assert heavy == []
@@ -327,7 +333,7 @@ def test_help_loads_no_numerics(capability, helps):
 
 @REGISTERED
 def test_help_names_no_exception_of_python(capability, helps):
-    text, _ = helps[capability.path[-1]]
+    text, _ = helps[" ".join(capability.path)]
     assert not re.search(r"\bRaises?\b|\bis raised\b|InvalidInput|NotStored", text)
 
 

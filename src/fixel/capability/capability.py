@@ -53,8 +53,9 @@ class Capability:
         folder, reports results: `report_of(result)`, an `AnalysisReport`; `JSON`, names of what
         `--json` has besides numbers, or `content(done)`, its content of a `StoredAnswer`;
         `next_words(done)`, words of the next command or none; `draw(result, path)` if `plot` is
-        `"file"`; where a run can stop early, `failed(result)`; `add_files(result, folder)` for
-        files of the stored analysis; and `about()`, tables below the form of the page.
+        `"file"`; where a run can fail, `failed(result)`, and `EXIT`, the exit code if it is not 3;
+        `add_files(result, folder)` for files of the stored analysis; and `about()`, tables below
+        the form of the page.
     of : callable, optional
         Public function whose arguments are options too.
     leave_out : tuple of str
@@ -298,7 +299,7 @@ class Capability:
         own = f"{name}.{rest[0]}" if rest else name
         where = own if own in self.shown else " ".join([name, *rest[:1]])
         if kind == "missing":
-            pair = ("only one of them", "both, or neither") if rest else ("none", "a value")
+            pair = ("only one of them", "both, or neither") if rest else (None, "a value")
             return InvalidInput(where, found=pair[0], expected=pair[1])
         found, option = first["input"], self.shown.get(where)
         unit = option.door.unit if option else ""

@@ -148,8 +148,6 @@ class Option:
             return dict(pairs) if get_origin(self.kind) in (dict, Mapping) else tuple(pairs)
         if len(texts) > 1:
             raise InvalidInput(self.name, found=" and ".join(texts), expected="one value")
-        if self.door.unit:
-            return FACTORS[self.door.unit] * _number(self.name, texts[0])
         return _parsed(self, self.name, self.kind, texts[0])
 
     def texts(self, value: Any) -> list[str]:
@@ -158,11 +156,9 @@ class Option:
             return []
         if self.many:
             items = value.items() if isinstance(value, Mapping) else value
-            every = [_text(_item(self.kind), item) for item in items]
+            every = [_text(self, _item(self.kind), item) for item in items]
             return [",".join(every)] if every and self.door.commas else every
-        if self.door.unit:
-            return [repr(_preimage(value, FACTORS[self.door.unit]))]
-        return [_text(self.kind, value)]
+        return [_text(self, self.kind, value)]
 
 
 def options_of(function: Callable[..., Any], *, leave_out: Sequence[str] = ()) -> list[Option]:
@@ -267,7 +263,7 @@ def _parsed(option: Option, where: str, kind: Any, text: str) -> Any:
             raise InvalidInput(where, found=repr(text), expected=expected)
         return tuple(_number(where, end) for end in ends)
     if kind is float:
-        return _number(where, text)
+        return FACTORS.get(option.door.unit, 1.0) * _number(where, text)
     if get_origin(kind) in (Union, UnionType):
         return float(text) if _is_number(text) else text
     if kind is int and re.fullmatch(r"[-+]?\d+", text.strip()):
@@ -292,14 +288,16 @@ def _is_number(text: str) -> bool:
         return False
 
 
-def _text(kind: Any, value: Any) -> str:
+def _text(option: Option, kind: Any, value: Any) -> str:
     if get_origin(kind) in (dict, Mapping):
         name, own = value
-        return f"{name}={NONE if own is None else _text(_bare(get_args(kind)[1]), own)}"
+        return f"{name}={NONE if own is None else _text(option, _bare(get_args(kind)[1]), own)}"
     if get_origin(kind) is tuple:
         return ":".join(map(repr, value))
     if kind is bool:
         return _YES[0] if value else _YES[1]
+    if option.door.unit:
+        return repr(in_unit(value, option.door.unit))
     return repr(float(value)) if kind is float or isinstance(value, float) else str(value)
 
 

@@ -173,4 +173,4 @@ def _run(
         ),
     )
     if done.failed:
-        raise typer.Exit(NOT_SOLVED)
+        raise typer.Exit(getattr(present, "EXIT", NOT_SOLVED))

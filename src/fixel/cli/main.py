@@ -26,7 +26,6 @@ from typer.core import TyperGroup
 from fixel.capability.capability import Capability
 from fixel.cli import (
     bench,
-    camera,
     db,
     demo,
     devices,
@@ -50,6 +49,7 @@ from fixel.errors import (
     SolveFailed,
     machine_failure,
 )
+from fixel.workflows.acquisition.camera import CAMERA
 from fixel.workflows.capabilities import CAPABILITIES
 
 # Base class of Typer's errors for wrong options; it has no public name of its own.
@@ -91,7 +91,9 @@ SECTIONS: Final[Mapping[str, Mapping[str, Capability | Callable[..., None] | typ
     },
     "Bench": {
         "bench": bench.bench,
-        "camera": camera.app,
+        "camera": typer_commands(
+            "camera", CAMERA, "Calibrate, place and check a camera; print boards and tags."
+        ),
         "overlay": devices.overlay,
         "record": record.app,
         "track": record.track,

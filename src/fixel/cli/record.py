@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fixel.cli.camera import picture_size
 from fixel.cli.options import CAMERA, AsJson, ProjectFolder, option, required, with_options
 from fixel.cli.screen import command_line, command_of, notify, print_answer, wrote
 from fixel.errors import InvalidInput, counted
@@ -97,6 +96,7 @@ class RecordOptions:
     @property
     def plan(self) -> "RecordPlan":
         """Plan of the recording."""
+        from fixel.vision.frame import size_of
         from fixel.workflows.acquisition.record import RecordPlan
 
         if self.camera is None or self.out is None:
@@ -107,7 +107,7 @@ class RecordOptions:
         same = ("camera", "tactile", "rig", "scene", "rate", "codec", "until", "mode", "fast")
         return RecordPlan(
             folder=self.out,
-            size=picture_size(self.size),
+            size=size_of(self.size),
             limit=None if self.limit is None else duration(self.limit),
             **{name: getattr(self, name) for name in same},
         )

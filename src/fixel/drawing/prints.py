@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.io.atomic import refuse_ending
+from fixel.io.atomic import refuse_ending, refuse_unwritable, written_whole
 from fixel.typing import FloatArray
 from fixel.vision.frame import opencv
 from fixel.vision.marks import Board, Tag, dictionary_of
@@ -85,19 +85,21 @@ def tag_sheets(
 def save_sheets(sheets: Sequence[PrintSheet], path: str | Path) -> None:
     """Write sheets as a PDF, or a single one as a PNG with its resolution."""
     refuse_ending(path, PRINT_ENDINGS, "print")
-    images = [rastered(sheet) for sheet in sheets]
-    dots = PER_METRE * 0.0254
-    if Path(path).suffix.lower() == ".pdf":
-        images[0].save(path, "PDF", resolution=dots, save_all=True, append_images=images[1:])
-        return
-    if len(images) > 1:
+    refuse_unwritable(path)
+    as_pdf, dots = Path(path).suffix.lower() == ".pdf", PER_METRE * 0.0254
+    if len(sheets) > 1 and not as_pdf:
         raise InvalidInput(
             str(path),
-            found=f"{len(images)} sheets",
+            found=f"{len(sheets)} sheets",
             expected="one sheet, for a PNG",
             hint="write a .pdf",
         )
-    images[0].save(path, "PNG", dpi=(dots, dots))
+    images = [rastered(sheet) for sheet in sheets]
+    with written_whole(Path(path)) as file:
+        if as_pdf:
+            images[0].save(file, "PDF", resolution=dots, save_all=True, append_images=images[1:])
+        else:
+            images[0].save(file, "PNG", dpi=(dots, dots))
 
 
 def rastered(sheet: PrintSheet, per_metre: float = PER_METRE) -> Image:

@@ -18,7 +18,7 @@ from fixel.errors import InvalidInput
 from fixel.formats import records
 from fixel.formats.records import content
 from fixel.io.atomic import write_whole
-from fixel.io.document import document, yaml_text
+from fixel.io.document import document, read_document, yaml_text
 from fixel.vision.camera import Camera, MeasuredCamera
 from fixel.vision.lens import Lens
 from fixel.vision.marks import MarkedPart, Rig, Sticker, Tag
@@ -218,6 +218,24 @@ def markers_of(name_or_path: str | Path) -> tuple[str, dict[str, MarkedPart], tu
     return found["name"], found["parts"], tuple(found["plate"])
 
 
+def has_plate(file: Path) -> bool:
+    """Whether a rig file exists and has tags on its plate; its camera file is not read."""
+    if not file.is_file():
+        return False
+    raw = read_document(file)
+    return isinstance(raw, dict) and bool(raw.get("plate"))
+
+
+def camera_of(name: str) -> tuple[MeasuredCamera, Rig | None]:
+    """Load the camera of a camera file, or that of a rig with its rig."""
+    if name not in EXAMPLES:
+        raw = read_document(Path(name))
+        if not (isinstance(raw, dict) and "fixel_rig" in raw):
+            return load_camera(name), None
+    rig = rig_of(name)
+    return rig.measured or MeasuredCamera(lens=rig.camera.lens, camera=rig.camera), rig
+
+
 def load_rig(path: str | Path) -> Rig:
     """Load a rig file: YAML, or JSON if the name ends in `.json`."""
     with document(path, "rig file") as raw:
@@ -227,7 +245,7 @@ def load_rig(path: str | Path) -> Rig:
 def rig_from_dict(raw: Any, folder: Path | None = None) -> Rig:
     """Build a rig from the content of a rig file; camera files are searched in `folder`."""
     record = records.validated(RigRecord, raw, "rig")
-    measured = _camera_of(record.camera, folder)
+    measured = _camera_of_rig(record.camera, folder)
     rig: Rig = records.made(
         record,
         camera=measured.placed(),
@@ -255,7 +273,7 @@ def save_rig(rig: Rig, path: str | Path) -> None:
     write_whole(path, yaml_text(rig_dict(rig)))
 
 
-def _camera_of(raw: Any, folder: Path | None) -> MeasuredCamera:
+def _camera_of_rig(raw: Any, folder: Path | None) -> MeasuredCamera:
     if not isinstance(raw, str | dict):
         raise InvalidInput(
             "camera", found=raw, expected="a lens and a pose, or the name of a camera file"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,6 +70,21 @@ class LensCalibration:
     # Root mean square of residuals in held-out pictures [px], by number of distortion coefficients;
     # empty with fewer than `MIN_TO_HOLD_OUT` pictures, and where the number was given.
     unseen: Mapping[int, float] = field(default_factory=dict)
+
+    def summary(self) -> dict[str, Any]:
+        """Return plain values, ready for JSON."""
+        used = {one.name for one in self.used}
+        dropped = [{"name": one.name, "reason": one.reason} for one in self.dropped]
+        return {
+            "rms_px": self.rms,
+            "used": [
+                {"name": u.name, "corners": u.corners, "rms_px": u.rms, "tilt_rad": u.tilt}
+                for u in self.used
+            ],
+            "dropped": [one for one in dropped if one["name"] not in used],
+            "used_in_part": [one for one in dropped if one["name"] in used],
+            "left_out_rms_px": {str(n): rms for n, rms in self.unseen.items()},
+        }
 
 
 def find_boards(

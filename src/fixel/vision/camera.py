@@ -21,7 +21,7 @@ from fixel.model.fields import (
     vector,
 )
 from fixel.typing import FloatArray
-from fixel.vision.lens import FOCAL, Lens
+from fixel.vision.lens import BROWN, FISHEYE, FOCAL, Lens
 
 ORTHONORMAL = 1e-6
 # Parameters of the place: a small rotation about the camera's axes [rad], after the camera's own,
@@ -219,6 +219,26 @@ class MeasuredCamera(Comparable):
     def deviations(self) -> dict[str, float]:
         """Standard deviation of each measured parameter [px, -, rad or m]."""
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    def lines(self) -> list[str]:
+        """Resolution and parameters of a lens, and their standard deviations."""
+        lens, known = self.lens, self.deviations
+
+        def number(name: str, value: float, unit: str = " px") -> str:
+            spread = f" +- {known[name]:.2g}" if name in known else ""
+            return f"{name} {value:.6g}{spread}{unit}"
+
+        terms = [number("skew", lens.skew, "")] if lens.skew else []
+        terms += [
+            number(name, value, "")
+            for name, value in zip(FISHEYE if lens.fisheye else BROWN, lens.distortion, strict=True)
+            if value or name in known
+        ]
+        kind, (width, height) = "fisheye" if lens.fisheye else "lens", lens.image_size
+        pairs = ((("fx", "fy"), lens.focal), (("cx", "cy"), lens.centre))
+        rows = [", ".join(map(number, names, values.tolist())) for names, values in pairs]
+        rows += [", ".join(terms)] if terms else []
+        return [f"{kind} for pictures of {width} x {height} px", *(f"  {row}" for row in rows)]
 
     def placed(self) -> Camera:
         """Return the camera at its place; raise if it was not placed."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.errors import MissingExtra
+from fixel.errors import InvalidInput, MissingExtra
 
 Picture = NDArray[np.uint8]
 Gray = NDArray[np.uint8]
@@ -77,3 +78,13 @@ def opencv() -> Any:
     except ImportError:
         raise MissingExtra("a camera or a board", "opencv-python", extra="vision") from None
     return cv2
+
+
+def size_of(text: str | None) -> tuple[int, int] | None:
+    """Parse `1280x720` to width and height [px]."""
+    if text is None:
+        return None
+    found = re.fullmatch(r"([1-9]\d{0,4})[xX×]([1-9]\d{0,4})", text.strip())
+    if not found:
+        raise InvalidInput("size", found=repr(text), expected="WIDTHxHEIGHT, such as 1280x720")
+    return int(found[1]), int(found[2])

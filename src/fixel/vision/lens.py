@@ -214,6 +214,13 @@ class Lens(Comparable):
             )
         return np.where(found[..., None], xy, np.nan)
 
+    def round_trip(self, columns: int = 65, rows: int = 37) -> float:
+        """Largest error from pixels to directions and back, on a grid over the picture [px]."""
+        width, height = self.image_size
+        u, v = np.linspace(0, width - 1, columns), np.linspace(0, height - 1, rows)
+        pixels = np.stack(np.meshgrid(u, v), axis=-1)
+        return float(np.abs(self.pixel(self.direction(pixels)) - pixels).max())
+
     def _seen_angle(self, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Apparent angles (...) of a fisheye for angles off its axis [rad], and the derivative."""
         k1, k2, k3, k4 = self.distortion

@@ -268,6 +268,14 @@ class Board:
             )
 
     @property
+    def text(self) -> str:
+        """The board as it is typed on the command line."""
+        mm = f"{1e3 * self.square:g}mm"
+        if self.marker is None:
+            return f"checkerboard:{self.columns - 1}x{self.rows - 1}:{mm}"
+        return f"charuco:{self.columns}x{self.rows}:{mm}:{1e3 * self.marker:g}mm"
+
+    @property
     def size(self) -> tuple[float, float]:
         """Width and height of all squares [m]."""
         return self.columns * self.square, self.rows * self.square

@@ -13,11 +13,11 @@ from fixel.model.shape import placed
 from fixel.typing import BoolArray, FloatArray
 from fixel.vision.bundle import BundleFit, PointObservations, fit
 from fixel.vision.camera import PLACE, Camera, MeasuredCamera
-from fixel.vision.frame import Frame, Gray
+from fixel.vision.frame import Frame, Gray, Picture
 from fixel.vision.marks import Rig, Tag, mirrored
 from fixel.vision.plane_errors import place_covariance, radius95
 from fixel.vision.tracking.outline import MIN_SCATTER, fit_pose, window_of
-from fixel.vision.tracking.tags import read_tags, tag_corners, tag_edges, tag_points
+from fixel.vision.tracking.tags import find_tags, read_tags, tag_corners, tag_edges, tag_points
 
 MOVED: Final = 1.5  # [px] largest offset of tags on the plate
 CERTAIN: Final = 1.6  # times the radius of 95 %, four standard deviations
@@ -257,3 +257,13 @@ def _refuse_vague(camera: Camera, found: BundleFit, scatter: float) -> None:
             expected=f"tags far enough apart to determine them to {VAGUE * 1e3:.1f} mm",
             hint="put tags near all four corners of the picture, or calibrate the plate again",
         )
+
+
+def tags_off(rig: Rig, picture: Picture) -> dict[int, float]:
+    """Return the distances of the tags on the plate in a picture from their places [m]."""
+    off = {}
+    for index, pixels in find_tags(picture, rig.plate).items():
+        tag = rig.plate[index]
+        seen = rig.camera.on_plane(pixels, tag.height)
+        off[tag.id] = float(np.hypot(*(seen - tag_corners(tag)).T).max())
+    return off
