@@ -178,7 +178,7 @@ def test_errors_of_an_import_name_options_of_the_command(recording, capsys):
         ([], 'use --option split_by="push" if'),
         (["--option", "split_by=pushh"], "--option split_by is 'pushh'"),
         (["--option", "length_unit=ell"], "--option length_unit is 'ell'"),
-        (["--option", "split_by"], "--option is 'split_by'"),
+        (["--option", "split_by"], "--option split_by is 'split_by'"),
         (["--as", "sheet"], "--as is 'sheet'"),
     ):
         assert error in refusal(capsys, "import", recording, "--dry-run", *option)

@@ -10,7 +10,7 @@ import typer
 from fixel.capability.capability import Capability, named
 from fixel.capability.options import Option
 from fixel.cli.options import AsJson, ProjectFolder, require_folder, require_picture
-from fixel.cli.screen import command_of, paragraphs, print_answer, wrote
+from fixel.cli.screen import Answer, command_of, paragraphs, print_answer, wrote
 from fixel.errors import InvalidInput
 from fixel.progress import time_text
 
@@ -88,6 +88,25 @@ def typer_command(
     command.__annotations__ = {one.name: one.annotation for one in parameters}
     command.__doc__ = cleandoc(capability.function.__doc__ or "").partition("\n\nParameters\n")[0]
     return command
+
+
+def command(function: Callable[..., Answer]) -> Callable[..., None]:
+    """Return the command of a function whose answer is only printed.
+
+    Its arguments are those of the function of a `Capability`.
+    """
+    capability = Capability(name=function.__name__, function=function, plot="")
+
+    def perform(request: "BaseModel", folder: Path, as_json: bool) -> None:
+        from fixel.workflows.capabilities import project_for
+
+        place = project_for(capability, request, folder)
+        answer = function(*place, **capability.arguments(request))
+        print_answer(as_json, lambda: answer.content, lambda: answer.lines)
+        if answer.code:
+            raise typer.Exit(answer.code)
+
+    return typer_command(capability, perform)
 
 
 def _keyword(name: str, hint: Any, default: Any) -> Parameter:

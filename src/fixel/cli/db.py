@@ -2,19 +2,14 @@
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fixel.cli.options import (
-    AsJson,
-    ProjectFolder,
-    ProjectPlace,
-    project_at,
-    required,
-    with_options,
-)
-from fixel.cli.screen import command_of, paragraphs, print_answer
+from fixel.capability.options import Door
+from fixel.cli.capability import command
+from fixel.cli.options import ProjectPlace, project_at
+from fixel.cli.screen import Answer, command_of, paragraphs
 from fixel.errors import counted
 from fixel.table import Table, shortened
 
@@ -27,81 +22,60 @@ app = typer.Typer(help="Upgrade, back up or check the database of a project.", n
 
 
 @app.command("upgrade")
-def upgrade(
-    place: ProjectPlace = None, folder: ProjectFolder = Path(), as_json: AsJson = False
-) -> None:
+@command
+def upgrade(project: Path, place: ProjectPlace = None) -> Answer:
     """Upgrade the tables to the schema of this version.
 
     Nothing changes if they have it.
     """
-    from fixel.database.project import Project
-
-    project = project_at(place, folder)
-    versions = Project(project).upgrade()
-    print_answer(as_json, versions._asdict, lambda: _upgraded(versions, project))
+    own = project_at(place, project)
+    versions = own.upgrade()
+    return Answer(versions._asdict(), _upgraded(versions, own.folder))
 
 
 @app.command("backup")
-@with_options
+@command
 def backup(
-    *,
-    file: Path = required("Backup file to write."),
+    project: Path,
+    file: Annotated[Path, Door(meaning="Backup file to write.")],
     place: ProjectPlace = None,
-    folder: ProjectFolder = Path(),
-    as_json: AsJson = False,
-) -> None:
+) -> Answer:
     """Copy the database to a file, while other programs may use it."""
-    from fixel.database.project import Project
-
     verb = "replaced" if file.exists() else "wrote"
-    done = Project(project_at(place, folder)).backup(file)
-    print_answer(
-        as_json,
-        lambda: done._asdict() | {"file": str(done.file), "media": str(done.media)},
-        lambda: [
-            f"{verb} {done.file}: {done.size} bytes, sha256 {done.sha256}",
-            "The media files are not in it. They never change, so copy only the new ones:",
-            "",
-            f"Next: {shlex.join(['cp', '-rn', str(done.media), f'{done.file}.media'])}",
-        ],
-    )
+    done = project_at(place, project).backup(file)
+    lines = [
+        f"{verb} {done.file}: {done.size} bytes, sha256 {done.sha256}",
+        "The media files are not in it. They never change, so copy only the new ones:",
+        "",
+        f"Next: {shlex.join(['cp', '-rn', str(done.media), f'{done.file}.media'])}",
+    ]
+    return Answer(done._asdict() | {"file": str(done.file), "media": str(done.media)}, lines)
 
 
 @app.command("check")
-def check(
-    place: ProjectPlace = None, folder: ProjectFolder = Path(), as_json: AsJson = False
-) -> None:
+@command
+def check(project: Path, place: ProjectPlace = None) -> Answer:
     """Read everything that is stored and report errors.
 
     The exit code is 1 if there are any.
     """
-    from fixel.database.project import Project
-
-    project = project_at(place, folder)
-    found = Project(project).check()
-    print_answer(
-        as_json,
-        found.summary,
-        lambda: paragraphs(_contents(found), _troubles(found), [f"Next: {_next(found, project)}"]),
-    )
-    if found.troubles:
-        raise typer.Exit(1)
+    own = project_at(place, project)
+    found = own.check()
+    blocks = _contents(found), _troubles(found), [f"Next: {_next(found, own.folder)}"]
+    return Answer(found.summary(), paragraphs(*blocks), code=1 if found.troubles else 0)
 
 
 @app.command("diagram")
-@with_options
+@command
 def diagram(
-    *, file: Path = required("Chart to write: .png, .svg or .pdf."), as_json: AsJson = False
-) -> None:
+    file: Annotated[Path, Door(meaning="Chart to write: .png, .svg or .pdf.")],
+) -> Answer:
     """Draw the tables as an entity relationship diagram."""
     from fixel.workflows.project import maintenance
 
     names = maintenance.diagram(file)
-    print_answer(
-        as_json,
-        lambda: {"file": str(file), "tables": names},
-        lambda: [f"wrote {file}: {len(names)} tables", "Next: fixel db --help"],
-    )
+    lines = [f"wrote {file}: {len(names)} tables", "Next: fixel db --help"]
+    return Answer({"file": str(file), "tables": names}, lines)
 
 
 def _upgraded(versions: "SchemaVersions", project: Path) -> list[str]:

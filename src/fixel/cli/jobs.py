@@ -1,21 +1,14 @@
 """`fixel jobs` and `fixel trust`: work that takes long, and programs that files may name."""
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from fixel.cli.options import (
-    AsJson,
-    ProjectFolder,
-    argument,
-    option,
-    project_at,
-    required,
-    with_options,
-)
-from fixel.cli.screen import command_of, job_bar, notify, print_answer
+from fixel.capability.options import Door
+from fixel.cli.capability import command
+from fixel.cli.options import one_place
+from fixel.cli.screen import Answer, command_of, job_bar, notify
 from fixel.errors import Interrupted, InvalidInput, plain
 from fixel.progress import time_text
 from fixel.table import Table
@@ -27,99 +20,104 @@ app = typer.Typer(
     help="Run, stop and resume jobs on this machine or on a cluster.", no_args_is_help=True
 )
 
-JobFolder = Annotated[Path, typer.Argument(help="Folder of the job.", metavar="FOLDER")]
+JobFolder = Annotated[Path, Door(metavar="FOLDER", meaning="Folder of the job.")]
 
 
-@dataclass(frozen=True, kw_only=True)
-class PlaceOptions:
-    """Options of `fixel jobs submit` and `resume`: where and how a job runs."""
-
-    site: Path | None = option(
-        None, "Site file of the cluster on which the workers run; see fixel jobs site."
-    )
-    workers: int | None = option(
-        None,
-        "Number of worker processes; 0 computes in this process.",
-        min=0,
-        metavar="N",
-        show_default="0, or that of the last run",
-    )
-    detach: bool = option(False, "Run in the background and return at once.", "--detach")
-    coordinator: str = option(
-        "here", "Place where the coordinator of the job runs: here or slurm.", metavar="PLACE"
-    )
-
-
-@app.command("submit")
-@with_options
-def submit(*, folder: JobFolder, options: PlaceOptions, as_json: AsJson = False) -> None:
-    """Run a prepared job; resume it if it was interrupted."""
-    _run(folder, options, as_json)
-
-
-@app.command("resume")
-@with_options
-def resume(
-    *,
+@command
+def submit(
     folder: JobFolder,
-    options: PlaceOptions,
-    accept_version: bool = option(
-        False,
-        "Resume a job that another version of fixel began; the last digits may differ.",
-        "--accept-version",
-    ),
-    as_json: AsJson = False,
-) -> None:
-    """Resume a job that was stopped, cancelled or lost.
+    *,
+    site: Path | None = None,
+    workers: Annotated[
+        int | None, Door(least=0, metavar="N", usual="0, or that of the last run")
+    ] = None,
+    detach: Annotated[bool, Door(flag="--detach")] = False,
+    coordinator: Annotated[Literal["here", "slurm"], Door(metavar="PLACE")] = "here",
+    accept_version: Annotated[bool, Door(flag="--accept-version")] = False,
+) -> Answer:
+    """Run a prepared job; resume it if it was interrupted.
 
-    By default, the last settings are used.
+    Parameters
+    ----------
+    site : Path, optional
+        Site file of the cluster on which the workers run; see fixel jobs site.
+    workers : int, optional
+        Number of worker processes; 0 computes in this process.
+    detach : bool
+        Run in the background and return at once.
+    coordinator : str
+        Place where the coordinator of the job runs: here or slurm.
+    accept_version : bool
+        Resume a job that another version of fixel began; the last digits may differ.
     """
-    _run(folder, options, as_json, accept_version)
+    from fixel.jobs.coordinator import interrupt_on_termination
+    from fixel.jobs.site import load_site
+    from fixel.workflows import jobs
+
+    done = jobs.status_of(folder)
+    if done.state == "done":
+        return _status(done)
+    own = None if site is None else load_site(site)
+    jobs.arrange(folder, workers=workers, site=own, accept_version=accept_version)
+    if coordinator == "slurm":
+        jobs.run_on_slurm(folder)
+        return _status(jobs.status_of(folder))
+    if detach:
+        return _status(jobs.run_detached(folder))
+    interrupt_on_termination()
+    try:
+        return _status(jobs.run_here(folder, job_bar(), notify))
+    except KeyboardInterrupt:
+        resume = command_of("jobs", "resume", folder)
+        raise Interrupted(hint=f"finished chunks are stored. Resume with: {resume}") from None
+
+
+RESUME = """Resume a job that was stopped, cancelled or lost.
+
+By default, the last settings are used."""
+app.command("submit")(submit)
+app.command("resume", help=RESUME)(submit)
 
 
 @app.command("status")
-@with_options
+@command
 def status(
-    *,
-    folders: list[Path] | None = argument(
-        None,
-        "Folders of jobs or of projects.",
-        metavar="[FOLDER]...",
-        show_default="the current folder",
-    ),
-    project: ProjectFolder = Path(),
-    as_json: AsJson = False,
-) -> None:
-    """Show the progress of jobs, and which of them are running."""
+    project: Path,
+    folders: Annotated[tuple[Path, ...], Door(metavar="FOLDER", usual="the current folder")] = (),
+) -> Answer:
+    """Show the progress of jobs, and which of them are running.
+
+    Parameters
+    ----------
+    folders : tuple of Path
+        Folders of jobs or of projects.
+    """
     from fixel.workflows import jobs
 
     found = []
-    if folders and project != Path():
-        project_at(folders[0], project)
+    if folders:
+        one_place(folders[0], project)
     for folder in folders or [project]:
         is_job = (folder / "job.json").exists() or not folder.is_dir()
         found += [jobs.status_of(folder)] if is_job else jobs.jobs_in(folder)
-    print_answer(
-        as_json, lambda: {"jobs": [job.summary() for job in found]}, lambda: _listed(found)
-    )
+    return Answer({"jobs": [job.summary() for job in found]}, _listed(found))
 
 
 @app.command("cancel")
-def cancel(folder: JobFolder, as_json: AsJson = False) -> None:
+@command
+def cancel(folder: JobFolder) -> Answer:
     """Stop a job and its workers; finished chunks stay stored."""
     from fixel.workflows import jobs
 
-    _print_status(jobs.cancel(folder), as_json)
+    return _status(jobs.cancel(folder))
 
 
 @app.command("logs")
-@with_options
 def logs(
-    *,
-    folder: JobFolder,
-    follow: bool = option(
-        False, "Print new lines of the log until the job ends.", "--follow", "-f"
-    ),
+    folder: Annotated[Path, typer.Argument(help="Folder of the job.", metavar="FOLDER")],
+    follow: Annotated[
+        bool, typer.Option("--follow", "-f", help="Print new lines of the log until the job ends.")
+    ] = False,
 ) -> None:
     """Print the log of a job."""
     from fixel.workflows import jobs
@@ -137,69 +135,27 @@ def site() -> None:
 
 
 @app.command("pack")
-@with_options
-def pack(
-    *, folder: JobFolder, file: Path = required("Zip file to write."), as_json: AsJson = False
-) -> None:
+@command
+def pack(folder: JobFolder, file: Annotated[Path, Door(meaning="Zip file to write.")]) -> Answer:
     """Pack a job with its results into one file, to copy it."""
     from fixel.workflows import jobs
 
     size = jobs.pack(folder, file)
-    print_answer(
-        as_json,
-        lambda: {"file": str(file), "bytes": size},
-        lambda: [
-            f"wrote {file}: {size} bytes",
-            f"Next: {command_of('jobs', 'unpack', file, f'{file.stem}-job')}",
-        ],
-    )
+    unpacking = command_of("jobs", "unpack", file, f"{file.stem}-job")
+    lines = [f"wrote {file}: {size} bytes", f"Next: {unpacking}"]
+    return Answer({"file": str(file), "bytes": size}, lines)
 
 
 @app.command("unpack")
-@with_options
+@command
 def unpack(
-    *,
-    file: Path = required("Zip file of a packed job."),
-    folder: Path = required("New folder for the job.", metavar="FOLDER"),
-    as_json: AsJson = False,
-) -> None:
+    file: Annotated[Path, Door(meaning="Zip file of a packed job.")],
+    folder: Annotated[Path, Door(metavar="FOLDER", meaning="New folder for the job.")],
+) -> Answer:
     """Unpack a job into a new folder."""
     from fixel.workflows import jobs
 
-    _print_status(jobs.unpack(file, folder), as_json)
-
-
-def _run(folder: Path, options: PlaceOptions, as_json: bool, accept_version: bool = False) -> None:
-    from fixel.jobs.coordinator import interrupt_on_termination
-    from fixel.jobs.site import load_site
-    from fixel.workflows import jobs
-
-    place, site = options.coordinator, options.site
-    if place not in ("here", "slurm"):
-        raise InvalidInput("--coordinator", found=repr(place), expected="here or slurm")
-    done = jobs.status_of(folder)
-    if done.state != "done":
-        jobs.arrange(
-            folder,
-            workers=options.workers,
-            site=None if site is None else load_site(site),
-            accept_version=accept_version,
-        )
-        if place == "slurm":
-            jobs.run_on_slurm(folder)
-            done = jobs.status_of(folder)
-        elif options.detach:
-            done = jobs.run_detached(folder)
-        else:
-            interrupt_on_termination()
-            try:
-                done = jobs.run_here(folder, job_bar(), None if as_json else notify)
-            except KeyboardInterrupt:
-                resume = command_of("jobs", "resume", folder)
-                raise Interrupted(
-                    hint=f"finished chunks are stored. Resume with: {resume}"
-                ) from None
-    _print_status(done, as_json)
+    return _status(jobs.unpack(file, folder))
 
 
 def _listed(found: "list[JobStatus]") -> list[str]:
@@ -243,38 +199,40 @@ def _advice(job: "JobStatus") -> list[str]:
     return [f"Next: {command_of('jobs', *after.get(job.state, ('logs', '-f', folder)))}"]
 
 
-def _print_status(job: "JobStatus", as_json: bool) -> None:
+def _status(job: "JobStatus") -> Answer:
     reason = f": {job.reason}" if job.reason else ""
     failed = f", {job.failed} of them failed" if job.failed else ""
     done = f"{job.done} of {_total(job)} chunks{failed}" if job.total else job.text
-    where = [f"the result is in {Path(job.folder) / 'result'}"]
-    print_answer(
-        as_json,
-        job.summary,
-        lambda: [
-            f"{job.folder} is {job.state}{reason}" + (f"; {done}" if done else ""),
-            *(where if job.state == "done" else _advice(job)),
-        ],
-    )
+    lines = [
+        f"{job.folder} is {job.state}{reason}" + (f"; {done}" if done else ""),
+        *(
+            [f"the result is in {Path(job.folder) / 'result'}"]
+            if job.state == "done"
+            else _advice(job)
+        ),
+    ]
+    return Answer(job.summary(), lines)
 
 
-@with_options
+@command
 def trust(
+    program: Annotated[str | None, Door(metavar="PROGRAM")] = None,
     *,
-    program: str | None = argument(
-        None,
-        "Path of a program, with its arguments as after --engine, or folder of a project; the list "
-        "is printed without it.",
-        show_default=False,
-    ),
-    remove: bool = option(False, "Remove the program from the list.", "--remove"),
-    as_json: AsJson = False,
-) -> None:
+    remove: Annotated[bool, Door(flag="--remove")] = False,
+) -> Answer:
     """Allow files to run a program, or a project to lead elsewhere.
 
     A calibration by a program of your own then works in later commands, until the program changes.
     Trust only what you have read or made: the program can do everything that you can. A project may
     name a server for its database, and have links to other folders.
+
+    Parameters
+    ----------
+    program : str, optional
+        Path of a program, with its arguments as after --engine, or folder of a project; the list is
+        printed without it.
+    remove : bool
+        Remove the program from the list.
     """
     from fixel.database.project import SETTINGS
     from fixel.database.stored_content import trust_place
@@ -294,8 +252,5 @@ def trust(
     else:
         add = trust_place if Path(program, SETTINGS).is_file() else trust_program
         title, entries = "Added:", [add(program)]
-    print_answer(
-        as_json,
-        lambda: {"entries": [entry.content for entry in entries]},
-        lambda: [title, *(f"  {line}" for entry in entries for line in entry.lines)],
-    )
+    lines = [title, *(f"  {line}" for entry in entries for line in entry.lines)]
+    return Answer({"entries": [entry.content for entry in entries]}, lines)

@@ -5,11 +5,15 @@ from dataclasses import MISSING, Field, field, fields, is_dataclass
 from functools import wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import Annotated, Any, Final, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar, get_type_hints
 
 import typer
 
+from fixel.capability.options import Door
 from fixel.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from fixel.database.project import Project
 
 T = TypeVar("T")
 _INFO: Final = "typer"  # key in the metadata of a dataclass field
@@ -20,9 +24,7 @@ ProjectFolder = Annotated[
         "--project", "-p", help="Folder of the project.", metavar="FOLDER", show_default="here"
     ),
 ]
-ProjectPlace = Annotated[
-    Path | None, typer.Argument(help="Same as --project.", metavar="[PROJECT]", show_default=False)
-]
+ProjectPlace = Annotated[Path | None, Door(metavar="PROJECT", meaning="Same as --project.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the answer as one JSON object.")]
 CAMERA: Final = typer.Option(
     help="Camera (0, /dev/video0, http://...), video file or folder of a recording.",
@@ -101,12 +103,18 @@ def _parameter(name: str, hint: Any, default: Any) -> Parameter:
     return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=hint)
 
 
-def project_at(place: Path | None, folder: Path) -> Path:
-    """Return the folder of the project, given as an argument or with --project."""
+def project_at(place: Path | None, folder: Path) -> "Project":
+    """Return the project in a folder, given as an argument or with --project."""
+    from fixel.database.project import Project
+
+    return Project(one_place(place, folder))
+
+
+def one_place(place: Path | None, folder: Path) -> Path:
+    """Return a folder, given as an argument or with --project."""
     if place is not None and folder != Path():
-        raise InvalidInput(
-            "--project", found=f"{folder} and the argument {place}", expected="one of them"
-        )
+        found = f"{folder} and the argument {place}"
+        raise InvalidInput("--project", found=found, expected="one of them")
     return folder if place is None else place
 
 

@@ -4,29 +4,21 @@ import shlex
 from collections.abc import Mapping, Sequence
 from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import typer
+from typing import TYPE_CHECKING, Annotated, Any
 
 from fixel.capability.capability import named
-from fixel.cli.options import (
-    AsJson,
-    ProjectFolder,
-    argument,
-    option,
-    project_at,
-    required,
-    with_options,
-)
-from fixel.cli.screen import command_line, command_of, notify, print_answer, project_words, wrote
-from fixel.errors import InvalidInput, counted, plain
+from fixel.capability.options import Door
+from fixel.capability.usual import Dataset, Flagged, Where
+from fixel.cli.capability import command
+from fixel.cli.options import project_at
+from fixel.cli.screen import Answer, command_line, command_of, notify, project_words, wrote
+from fixel.errors import InvalidInput, counted
 from fixel.progress import show_progress, time_text
 from fixel.table import Column, Table, shortened
 
 if TYPE_CHECKING:
     from fixel.database.browsing import ExperimentPage
-    from fixel.database.project import AddSummary
-    from fixel.datasets import ImportPlan
+    from fixel.database.project import AddSummary, Project
     from fixel.model.selection import ExperimentRow
     from fixel.workflows.model_export.run import ModelExport
     from fixel.workflows.project.export import ExportAnswer
@@ -35,67 +27,68 @@ MAX_ROWS = 30
 SEE_EXPORT = "fixel export --help"
 
 
-@with_options
+@command
 def new(
+    folder: Annotated[Path, Door(metavar="FOLDER", meaning="Folder of the new project.")],
     *,
-    folder: Path = required("Folder of the new project.", metavar="FOLDER"),
-    database: str | None = option(
-        None,
-        "Database of a server, instead of a file: postgresql+psycopg://USER@HOST/NAME.",
-        metavar="URL",
-    ),
-    as_json: AsJson = False,
-) -> None:
-    """Create a project folder with settings, database and media."""
+    database: Annotated[str | None, Door(metavar="URL")] = None,
+) -> Answer:
+    """Create a project folder with settings, database and media.
+
+    Parameters
+    ----------
+    database : str, optional
+        Database of a server, instead of a file: postgresql+psycopg://USER@HOST/NAME.
+    """
     from fixel.database.project import Project
 
     name = Project.create(folder, database=database).settings.name
-    print_answer(
-        as_json,
-        lambda: {"folder": str(folder), "name": name},
-        lambda: [
-            f"created project {name} in {folder}",
-            "Import recorded experiments with fixel import SOURCE, or try simulated ones:",
-            f"Next: {command_of('testbed', 'run', '--limit', 30, '--project', folder)}",
-        ],
-    )
+    lines = [
+        f"created project {name} in {folder}",
+        "Import recorded experiments with fixel import SOURCE, or try simulated ones:",
+        f"Next: {command_of('testbed', 'run', '--limit', 30, '--project', folder)}",
+    ]
+    return Answer({"folder": str(folder), "name": name}, lines)
 
 
-@with_options
+@command
 def import_(
+    project: Path,
+    source: Annotated[Path, Door(metavar="SOURCE", meaning="File or folder to import.")],
     *,
-    source: Path = required("File or folder to import.", metavar="SOURCE"),
-    folder: ProjectFolder = Path(),
-    importer: str | None = option(
-        None, "Name of the importer; by default it is recognised.", "--as", metavar="NAME"
-    ),
-    option: list[str] | None = option(
-        None,
-        "Option of the importer, such as split_by=push; may be repeated. A wrong name lists all.",
-        "--option",
-        metavar="NAME=VALUE",
-    ),
-    scene: Path | None = option(
-        None,
-        "Scene file for a CSV table, with object, pusher and fixels. Without one, a template is "
-        "written next to the table.",
-        metavar="FILE",
-    ),
-    dry_run: bool = option(False, "Print how the source is read; import nothing.", "--dry-run"),
-    as_json: AsJson = False,
-) -> None:
-    """Import recorded experiments, and skip stored ones."""
+    format: Annotated[str | None, Door(flag="--as", metavar="NAME")] = None,
+    option: Annotated[Mapping[str, str] | None, Door(metavar="NAME=VALUE")] = None,
+    scene: Path | None = None,
+    dry_run: Annotated[bool, Door(flag="--dry-run")] = False,
+) -> Answer:
+    """Import recorded experiments, and skip stored ones.
+
+    Parameters
+    ----------
+    format : str, optional
+        Name of the importer; by default it is recognised.
+    option : mapping of str to str, optional
+        Option of the importer, such as split_by=push; may be repeated. A wrong name lists all.
+    scene : Path, optional
+        Scene file for a CSV table, with object, pusher and fixels. Without one, a template is
+        written next to the table.
+    dry_run : bool
+        Print how the source is read; import nothing.
+    """
     from fixel.database.project import Project
+    from fixel.datasets import plan_import
     from fixel.workflows.project.importing import write_template
 
-    if source.suffix.lower() == ".zip" and importer is None:
+    if source.suffix.lower() == ".zip" and format is None:
         if unused := "scene" if scene else "option" if option else "":
-            raise InvalidInput(f"--{unused}", found="a bundle", expected="a table or a dataset")
-        _import_bundle(source, folder, dry_run, as_json)
-        return
-    if not dry_run:
-        project = Project(folder)
-    plan = _planned(source, importer, scene, dict(map(_pair, option or ())))
+            raise InvalidInput(unused, found="a bundle", expected="a table or a dataset")
+        return _import_bundle(Project(project), source, dry_run)
+    own = None if dry_run else Project(project)
+    try:
+        plan = plan_import(source, format, scene=scene, options=option)
+    except InvalidInput as error:
+        flags = {name: f"--option {name}" for name in ("split_by", "object_name")}
+        raise named(error, flags) from None
     content: dict[str, Any] = {
         "importer": plan.importer,
         "source": str(source),
@@ -105,36 +98,20 @@ def import_(
     experiments = counted(plan.n_experiments, "experiment")
     lines = [f"{source}: {experiments}, read as {plan.importer}"]
     lines += [f"  {sentence}" for sentence in plan.understood]
-    if dry_run:
+    if own is None:
         content["experiments"] = sum(1 for _ in plan)
         content["skipped"] = list(plan.skipped)
         following = f"Next: {command_line(without='--dry-run')}"
-        print_answer(as_json, lambda: content, lambda: [*lines, *_skipped(plan.skipped), following])
-        return
-    if not as_json:
-        typer.echo(plain("\n".join(lines)))
-    done = project.add(plan)
+        return Answer(content, [*lines, *_skipped(plan.skipped), following])
+    done = own.add(plan)
     content["skipped"] = list(plan.skipped)
-    template = write_template(plan, project.folder)
+    template = write_template(plan, own.folder)
     if template is not None:
         content |= {
             "template": str(template),
             "next": f"{command_line()} --scene {shlex.quote(str(template))}",
         }
-    print_imported(done, content, as_json, folder)
-
-
-def _planned(
-    source: Path, importer: str | None, scene: Path | None, options: dict[str, str]
-) -> "ImportPlan":
-    """Plan the import of a source; errors name the options of the command."""
-    from fixel.datasets import plan_import
-
-    flags = {name: f"--option {name}" for name in ("split_by", "object_name")}
-    try:
-        return plan_import(source, importer, scene=scene, options=options)
-    except InvalidInput as error:
-        raise named(error, flags | {"format": "--as", "option": "--option"}) from None
+    return imported(done, content, own.folder, lines)
 
 
 def _skipped(names: Sequence[str]) -> list[str]:
@@ -143,35 +120,25 @@ def _skipped(names: Sequence[str]) -> list[str]:
     return [f"skipped {len(names)}:", *lines] if names else []
 
 
-def _pair(text: str) -> tuple[str, str]:
-    name, equals, value = text.partition("=")
-    if not equals or not name:
-        raise InvalidInput("--option", found=repr(text), expected="NAME=VALUE")
-    return name, value
-
-
-def _import_bundle(source: Path, folder: Path, dry_run: bool, as_json: bool) -> None:
+def _import_bundle(project: "Project", source: Path, dry_run: bool) -> Answer:
     """Import the bundle that another project exported."""
-    from fixel.database.project import Project
     from fixel.workflows.project.export import import_zip
 
     with show_progress(stage="importing") as report:
-        counts = import_zip(Project(folder), source, report, dry_run=dry_run)
+        counts = import_zip(project, source, report, dry_run=dry_run)
     n, found = counts.get("known"), ", ".join(_records({**counts, "known": 0})) or "nothing"
     found += f"; {n} {'was' if n == 1 else 'were'} already stored" if n else ""
     verb = "contains" if dry_run else "added"
-    following = command_line("--dry-run") if dry_run else command_of("list", project=folder)
-    print_answer(
-        as_json,
-        lambda: {"source": str(source), "dry_run": dry_run, **counts},
-        lambda: [f"{source}: {verb} {found}", f"Next: {following}"],
-    )
+    listing = command_of("list", project=project.folder)
+    following = command_line("--dry-run") if dry_run else listing
+    content = {"source": str(source), "dry_run": dry_run, **counts}
+    return Answer(content, [f"{source}: {verb} {found}", f"Next: {following}"])
 
 
-def print_imported(
-    done: "AddSummary", content: dict[str, Any], as_json: bool, folder: Path
-) -> None:
-    """Print how many experiments were stored; `content` is more for the JSON answer."""
+def imported(
+    done: "AddSummary", content: dict[str, Any], folder: Path, before: Sequence[str] = ()
+) -> Answer:
+    """Answer how many experiments were stored; `content` is more for JSON, `before` for people."""
     time = time_text(done.wall_time_s)
     time += f", {done.known} were already stored" if done.known else ""
     lines = [
@@ -189,60 +156,59 @@ def print_imported(
             f"{done.faulty} of them have faults in their data; list them with fixel list --all"
         )
     following = content.get("next", command_of("list", project=folder))
-    print_answer(as_json, lambda: content | done._asdict(), lambda: [*lines, f"Next: {following}"])
+    return Answer(content | done._asdict(), [*before, *lines, f"Next: {following}"])
 
 
-@with_options
+@command
 def list_(
+    project: "Project",
     *,
-    folder: ProjectFolder = Path(),
-    dataset: str | None = option(None, "Select only experiments of this dataset.", metavar="NAME"),
-    name: str | None = option(
-        None, "Select names that match this pattern; * matches any text.", metavar="PATTERN"
-    ),
-    real: bool | None = option(
-        None, "Select only real or only simulated experiments.", "--real/--simulated"
-    ),
-    where: list[str] | None = option(
-        None,
-        'Select experiments that match, such as "surface=abs error>5 real"; may be repeated.',
-        metavar="FILTER",
-    ),
-    flag: str | None = option(None, "Select only experiments with this flag.", metavar="NAME"),
-    flagged: bool = option(False, "Include experiments whose data have faults.", "--all"),
-    deleted: bool = option(False, "Select only deleted experiments.", "--deleted"),
-    limit: int = option(MAX_ROWS, "Maximum number of rows.", min=1),
-    as_json: AsJson = False,
-) -> None:
-    """List experiments."""
-    from fixel.database.project import Project
+    dataset: Dataset = "",
+    name: Annotated[str, Door(metavar="PATTERN")] = "",
+    real: Annotated[bool | None, Door(flag="--real/--simulated")] = None,
+    where: Where = (),
+    flag: Annotated[str, Door(metavar="NAME")] = "",
+    flagged: Flagged = False,
+    deleted: Annotated[bool, Door(flag="--deleted")] = False,
+    limit: Annotated[int, Door(least=1)] = MAX_ROWS,
+) -> Answer:
+    """List experiments.
+
+    Parameters
+    ----------
+    name : str
+        Select names that match this pattern; * matches any text.
+    real : bool, optional
+        Select only real or only simulated experiments.
+    flag : str
+        Select only experiments with this flag.
+    deleted : bool
+        Select only deleted experiments.
+    limit : int
+        Maximum number of rows.
+    """
     from fixel.model.selection import parse_filter
     from fixel.workflows.project.importing import list_experiments
 
-    project = Project(folder)
     marks = {"real": real is True, "simulated": real is False, "deleted": deleted}
     query = parse_filter(
-        *(where or ()),
-        dataset=dataset,
-        name=name,
-        flags=() if flag is None else (flag,),
+        *where,
+        dataset=dataset or None,
+        name=name or None,
+        flags=(flag,) if flag else (),
         marks=tuple(mark for mark, chosen in marks.items() if chosen),
         include_faulty=flagged,
         limit=limit,
     )
     listing = list_experiments(project, query)
-
-    def lines() -> list[str]:
-        with project.store() as store:
-            datasets, flags = store.datasets(), store.flags()
-        found = _listed(listing)
-        if datasets and not any((dataset, name, where, flag)):
-            found.append("datasets: " + ", ".join(f"{k} {n}" for k, n in datasets.items()))
-        if flags and not flag:
-            found.append("flags:    " + ", ".join(f"{k} {n}" for k, n in flags.items()))
-        return [*found, f"Next: {_next(listing, folder, deleted)}"]
-
-    print_answer(as_json, lambda: _content(listing), lines)
+    with project.store() as store:
+        datasets, flags = store.datasets(), store.flags()
+    lines = _listed(listing)
+    if datasets and not any((dataset, name, where, flag)):
+        lines.append("datasets: " + ", ".join(f"{k} {n}" for k, n in datasets.items()))
+    if flags and not flag:
+        lines.append("flags:    " + ", ".join(f"{k} {n}" for k, n in flags.items()))
+    return Answer(_content(listing), [*lines, f"Next: {_next(listing, project.folder, deleted)}"])
 
 
 def _next(listing: "ExperimentPage", folder: Path, deleted: bool) -> str:
@@ -290,79 +256,70 @@ def _content(listing: "ExperimentPage") -> dict[str, Any]:
     return {"experiments": experiments, "total": listing.total, "left_out": listing.left_out}
 
 
-@with_options
+@command
 def export(
+    project: Path,
+    paths: Annotated[tuple[Path, ...], Door(metavar="[PROJECT|SCENE] TARGET")],
     *,
-    paths: list[Path] = required(
-        "TARGET: .zip file that another project can import; with --parquet, --lerobot or --to, a "
-        "new folder. PROJECT: same as --project. SCENE: scene file, with --to.",
-        metavar="[PROJECT|SCENE] TARGET",
-        show_default=False,
-    ),
-    folder: ProjectFolder = Path(),
-    dataset: str | None = option(None, "Select only experiments of this dataset.", metavar="NAME"),
-    parquet: bool = option(False, "Write two Parquet tables: experiments and frames.", "--parquet"),
-    lerobot: bool = option(False, "Write a LeRobot dataset of version 3.0.", "--lerobot"),
-    fps: int | None = option(
-        None,
-        "Frame rate of the LeRobot dataset [Hz]; by default that of most experiments.",
-        metavar="HZ",
-    ),
-    to: str | None = option(
-        None,
-        "Write a model for another engine: mujoco, drake, pymunk or box2d, with choices as in "
-        "mujoco:step=0.001; or urdf. Or write a recording: mcap or rerun.",
-        metavar="ENGINE",
-    ),
-    calibration: int | None = option(
-        None,
-        "Stored calibration whose first experiment is written, with --to.",
-        metavar="ID",
-        show_default="the newest for several experiments",
-    ),
-    scenes: int | None = option(
-        None, "Number of scenes compared with those of the engine, with --to; 100 by default."
-    ),
-    seed: int | None = option(None, "Seed of the random numbers, with --to; 0 by default.", min=0),
-    as_json: AsJson = False,
-) -> None:
-    """Export experiments, or a scene as a model for an engine."""
-    from fixel.database.project import Project
+    dataset: Dataset = "",
+    parquet: Annotated[bool, Door(flag="--parquet")] = False,
+    lerobot: Annotated[bool, Door(flag="--lerobot")] = False,
+    fps: Annotated[int | None, Door(metavar="HZ")] = None,
+    to: Annotated[str | None, Door(metavar="ENGINE")] = None,
+    calibration: Annotated[
+        int | None, Door(metavar="ID", usual="the newest for several experiments")
+    ] = None,
+    scenes: int | None = None,
+    seed: Annotated[int | None, Door(least=0)] = None,
+) -> Answer:
+    """Export experiments, or a scene as a model for an engine.
 
+    Parameters
+    ----------
+    paths : tuple of Path
+        TARGET: .zip file that another project can import; with --parquet, --lerobot or --to, a new
+        folder. PROJECT: same as --project. SCENE: scene file, with --to.
+    parquet : bool
+        Write two Parquet tables: experiments and frames.
+    lerobot : bool
+        Write a LeRobot dataset of version 3.0.
+    fps : int, optional
+        Frame rate of the LeRobot dataset [Hz]; by default that of most experiments.
+    to : str, optional
+        Write a model for another engine: mujoco, drake, pymunk or box2d, with choices as in
+        mujoco:step=0.001; or urdf. Or write a recording: mcap or rerun.
+    calibration : int, optional
+        Stored calibration whose first experiment is written, with --to.
+    scenes : int, optional
+        Number of scenes compared with those of the engine, with --to; 100 by default.
+    seed : int, optional
+        Seed of the random numbers, with --to; 0 by default.
+    """
     *places, target = paths
     if len(places) > 1:
         raise InvalidInput("TARGET", found=f"{len(paths)} paths", expected="[PROJECT] TARGET")
     place = places[0] if places else None
-    for_model: dict[str, Any] = {"calibration": calibration, "scenes": scenes, "seed": seed}
-    _check_export(to, parquet, lerobot, for_model, dataset=dataset, fps=fps)
+    for_model = {"calibration": calibration, "scenes": scenes, "seed": seed}
+    others = {"dataset": dataset, "fps": fps, "parquet": parquet, "lerobot": lerobot}
+    if parquet and lerobot:
+        raise InvalidInput("parquet", found="--parquet and --lerobot", expected="one of them")
+    for name, value in (for_model if to is None else others).items():
+        if value is not None and value is not False and value != "":
+            found = "no --to" if to is None else "--to too"
+            raise InvalidInput(name, found=found, expected="options of one kind of export")
     if to is not None:
         from fixel.workflows.model_export.run import export_model
 
-        what = place if place and not place.is_dir() else Project(project_at(place, folder))
-        model = export_model(
-            what, target, to=to, progress=not as_json,
-            **{name: value for name, value in for_model.items() if value is not None},
-        )  # fmt: skip
-        print_answer(as_json, model.summary, lambda: _exported_model(model))
-        return
+        what = place if place and not place.is_dir() else project_at(place, project)
+        given: Any = {name: value for name, value in for_model.items() if value is not None}
+        model = export_model(what, target, to=to, **given)
+        return Answer(model.summary(), _exported_model(model))
     kind = "parquet" if parquet else "lerobot" if lerobot else "bundle"
-    project = Project(project_at(place, folder))
-    answer = project.export(target, format=kind, dataset=dataset, fps=fps)
-    check = command_of("import", target, "--dry-run", project=project.folder)
+    source = project_at(place, project)
+    answer = source.export(target, format=kind, dataset=dataset or None, fps=fps)
+    check = command_of("import", target, "--dry-run", project=source.folder)
     following = check if kind == "bundle" else SEE_EXPORT
-    print_answer(as_json, answer.summary, lambda: [*_exported(answer), f"Next: {following}"])
-
-
-def _check_export(
-    to: str | None, parquet: bool, lerobot: bool, for_model: Mapping[str, object], **given: object
-) -> None:
-    """Raise for options that the chosen kind of export does not use."""
-    if parquet and lerobot:
-        raise InvalidInput("--parquet", found="--parquet and --lerobot", expected="one of them")
-    for name, value in {**given, **for_model, "parquet": parquet, "lerobot": lerobot}.items():
-        if value is not None and value is not False and (name in for_model) == (to is None):
-            found = "no --to" if to is None else "--to too"
-            raise InvalidInput(f"--{name}", found=found, expected="options of one kind of export")
+    return Answer(answer.summary(), [*_exported(answer), f"Next: {following}"])
 
 
 def _exported_model(answer: "ModelExport") -> list[str]:
@@ -421,37 +378,38 @@ def _exported(answer: "ExportAnswer") -> list[str]:
     ]
 
 
-@with_options
+@command
 def data(
+    url: Annotated[str | None, Door(metavar="URL", meaning="URL of a file to download.")] = None,
     *,
-    url: str | None = argument(None, "URL of a file to download.", metavar="[URL]"),
-    output: Path | None = option(
-        None, "File or folder to write.", "--output", "-o", metavar="FOLDER", show_default="data"
-    ),
-    sha256: str | None = option(None, "Expected SHA-256 checksum.", "--sha256", metavar="DIGITS"),
-    as_json: AsJson = False,
-) -> None:
-    """List public datasets; with a URL, download a file."""
+    output: Annotated[Path | None, Door(also=("-o",), metavar="FOLDER", usual="data")] = None,
+    sha256: Annotated[str | None, Door(metavar="DIGITS")] = None,
+) -> Answer:
+    """List public datasets; with a URL, download a file.
+
+    Parameters
+    ----------
+    output : Path, optional
+        File or folder to write.
+    sha256 : str, optional
+        Expected SHA-256 checksum.
+    """
     from fixel.workflows.project.importing import datasets, fetch
 
     if url is None:
         if unused := "output" if output else "sha256" if sha256 else "":
-            raise InvalidInput(f"--{unused}", found="no URL", expected="the URL of a file")
+            raise InvalidInput(unused, found="no URL", expected="the URL of a file")
         known = datasets()
-        print_answer(as_json, lambda: {"datasets": known}, lambda: _datasets(known))
-        return
+        return Answer({"datasets": known}, _datasets(known))
     found = fetch(url, output or Path("data"), sha256)
     size = found.n_byte
-    if sha256 is None and not as_json:
+    if sha256 is None:
         notify("No checksum was given; compare this one with that of the publisher.")
-    print_answer(
-        as_json,
-        lambda: {"file": str(found.file), "sha256": found.sha256, "bytes": size},
-        lambda: [
-            f"downloaded {found.file}, {size / 1e6:.3g} MB, sha256 {found.sha256}",
-            f"Next: {command_of('import', found.file, '--dry-run')}",
-        ],
-    )
+    lines = [
+        f"downloaded {found.file}, {size / 1e6:.3g} MB, sha256 {found.sha256}",
+        f"Next: {command_of('import', found.file, '--dry-run')}",
+    ]
+    return Answer({"file": str(found.file), "sha256": found.sha256, "bytes": size}, lines)
 
 
 def _datasets(known: list[dict[str, str]]) -> list[str]:

@@ -6,7 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import typer
 
@@ -17,6 +17,14 @@ if TYPE_CHECKING:
 
 JOB_BAR = 24  # [characters]
 BETWEEN_LINES_S = 30.0  # [s] where the progress of a job goes into a file
+
+
+class Answer(NamedTuple):
+    """Answer of a command: content for `--json`, lines of text, and exit code."""
+
+    content: Mapping[str, Any]
+    lines: Iterable[str]
+    code: int = 0
 
 
 def print_answer(

@@ -7,7 +7,7 @@ import tempfile
 from html import escape
 from pathlib import Path
 
-from fixel.cli.options import AsJson, ProjectFolder, ProjectPlace, option, project_at, with_options
+from fixel.cli.options import AsJson, ProjectFolder, argument, option, project_at, with_options
 from fixel.cli.screen import notify
 from fixel.errors import InvalidInput, plain
 
@@ -17,7 +17,9 @@ LOOPBACK = ("127.0.0.1", "::1", "localhost")
 @with_options
 def serve(
     *,
-    place: ProjectPlace = None,
+    place: Path | None = argument(
+        None, "Same as --project.", metavar="[PROJECT]", show_default=False
+    ),
     folder: ProjectFolder = Path(),
     port: int | None = option(None, "Port to listen on; by default any free one.", min=1),
     host: str = option(
@@ -41,11 +43,10 @@ def serve(
             hint="the connection is not encrypted, so others on the network could read the token "
             "in the link; to accept that, add --allow-others",
         )
-    from fixel.database.project import Project
     from fixel.web.context import ProjectContext
     from fixel.web.project import project_server
 
-    context = ProjectContext(Project(project_at(place, folder)))
+    context = ProjectContext(project_at(place, folder))
     server = project_server(context, port=port, host=host).start()
     door = None
     try:

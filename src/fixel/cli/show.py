@@ -3,58 +3,55 @@
 import sys
 from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
 
-from fixel.cli.options import (
-    AsJson,
-    ProjectFolder,
-    argument,
-    option,
-    require_picture,
-    required,
-    with_options,
-)
-from fixel.cli.screen import command_line, command_of, notify, paragraphs, print_answer, wrote
+from fixel.capability.options import Door
+from fixel.capability.usual import CalibrationId, EngineName
+from fixel.cli.capability import command
+from fixel.cli.options import require_picture
+from fixel.cli.screen import Answer, command_line, command_of, notify, paragraphs, wrote
 from fixel.errors import NotStored, counted
 from fixel.table import Column, Table, shortened
 from fixel.workflows.sentences import origin_of
 
 if TYPE_CHECKING:
+    from fixel.database.project import Project
     from fixel.model import Experiment
     from fixel.workflows.report.write import Report
 
 MAX_ROWS = 20
 
 
-@with_options
+@command
 def show(
+    project: "Project",
+    experiment: Annotated[str, Door(metavar="EXPERIMENT")],
     *,
-    key: str = required(
-        "Experiment: its id, its name, or DATASET/NAME.", metavar="EXPERIMENT", show_default=False
-    ),
-    project: ProjectFolder = Path(),
-    plot: Path | None = option(None, "Draw the experiment: .png, .svg or .pdf."),
-    as_json: AsJson = False,
-) -> None:
-    """Show an experiment: scene, data, faults and provenance."""
-    from fixel.database.project import Project
+    plot: Annotated[Path | None, Door(writes=True)] = None,
+) -> Answer:
+    """Show an experiment: scene, data, faults and provenance.
+
+    Parameters
+    ----------
+    experiment : str
+        Experiment: its id, its name, or DATASET/NAME.
+    plot : Path, optional
+        Draw the experiment: .png, .svg or .pdf.
+    """
     from fixel.workflows.project.compare import summary
 
     require_picture(plot)
-    with Project(project).store() as store:
-        number = store.find(key)
-        experiment = store.experiment(number)
+    with project.store() as store:
+        number = store.find(experiment)
+        found = store.experiment(number)
     if plot is not None:
         from fixel.drawing.chart import save_figure
         from fixel.drawing.experiment import experiment_figure
 
-        save_figure(lambda: experiment_figure(experiment), plot)
+        save_figure(lambda: experiment_figure(found), plot)
     files = {} if plot is None else {"plot": str(plot)}
-    print_answer(
-        as_json,
-        lambda: {"id": number, **summary(experiment), "files": files},
-        lambda: _show_lines(number, experiment, project, plot),
-    )
+    content = {"id": number, **summary(found), "files": files}
+    return Answer(content, _show_lines(number, found, project.folder, plot))
 
 
 def _show_lines(
@@ -144,52 +141,34 @@ def _next_show(experiment: "Experiment", project: Path, plot: Path | None) -> st
     return command_of("list", project=project)
 
 
-def _permitted(name: str | None) -> str | None:
-    """Permit the program that the user names as an engine."""
-    from fixel.simulation.trust import permit
-
-    permit(name)
-    return name
-
-
-@with_options
+@command
 def report(
+    project: "Project",
     *,
-    folder: ProjectFolder = Path(),
-    out: Path = option(
-        Path("report"), "Folder of the report; created if missing.", metavar="FOLDER"
-    ),
-    calibration: int | None = option(
-        None,
-        "Id of the calibration.",
-        metavar="ID",
-        show_default="the newest for several experiments",
-    ),
-    engine: str | None = option(
-        None,
-        "Use the newest calibration by this engine, such as mujoco.",
-        callback=_permitted,
-        metavar="NAME",
-        show_default=False,
-    ),
-    title: str = option("", "Title of the report.", metavar="TEXT"),
-    as_json: AsJson = False,
-) -> None:
+    out: Annotated[Path, Door(metavar="FOLDER")] = Path("report"),
+    calibration: CalibrationId = None,
+    engine: EngineName = "",
+    title: str = "",
+) -> Answer:
     """Write a report on a calibration, with errors and verdicts.
 
     The page needs no network. Next to it: every figure as PDF, and a bibliography.
-    """
-    from fixel.database.project import Project
 
-    done = Project(folder).report(
-        out,
-        calibration=calibration,
-        engine=engine or "",
-        title=title,
-        command=command_line(),
-        notify=notify if sys.stderr.isatty() else None,
-    )
-    print_answer(as_json, done.summary, lambda: _lines(done))
+    Parameters
+    ----------
+    out : Path
+        Folder of the report; created if missing.
+    calibration : int, optional
+        Id of the calibration; by default the newest for several experiments.
+    engine : str
+        Use the newest calibration by this engine, such as mujoco.
+    title : str
+        Title of the report.
+    """
+    options: Any = {"calibration": calibration, "engine": engine, "title": title}
+    tell = notify if sys.stderr.isatty() else None
+    done = project.report(out, **options, command=command_line(), notify=tell)
+    return Answer(done.summary(), _lines(done))
 
 
 def _lines(done: "Report") -> list[str]:
@@ -209,42 +188,32 @@ def _lines(done: "Report") -> list[str]:
     ]
 
 
-@with_options
-def calibrations(
-    *,
-    number: int | None = argument(
-        None, "Id of a calibration to show; all are listed without it.", metavar="ID"
-    ),
-    folder: ProjectFolder = Path(),
-    as_json: AsJson = False,
-) -> None:
-    """List stored calibrations, or show the estimates of one."""
-    from fixel.database.project import Project
+@command
+def calibrations(project: "Project", calibration: CalibrationId = None) -> Answer:
+    """List stored calibrations, or show the estimates of one.
+
+    Parameters
+    ----------
+    calibration : int, optional
+        Id of a calibration to show; all are listed without it.
+    """
     from fixel.workflows.calibration.stored import list_calibrations, stored_calibration
 
-    project = Project(folder)
-    if number is None:
+    if calibration is None:
         listed = list_calibrations(project)
         if not listed.rows:
             raise NotStored("calibration", hint="make one with: fixel calibrate")
-        last = listed.rows[0][0]
-        print_answer(
-            as_json,
-            lambda: {"calibrations": listed.records()},
-            lambda: [*listed.lines(), f"Next: {command_of('calibrations', last, project=folder)}"],
-        )
-        return
-    fit = stored_calibration(project, number)
-    print_answer(
-        as_json,
-        lambda: {
-            "calibration": number,
-            "estimates": [own.stored() for own in fit.estimates.values()],
-            "parameters": dict(fit),
-            "rms_error_mm": 1e3 * fit.rms_error,
-            "experiments": list(fit.keys_of_experiments),
-            **fit.analysis.texts(),
-            **{own: getattr(fit, own) for own in ("status", "evaluations", "command", "call")},
-        },
-        lambda: [repr(fit), *([f"Repeat it: {fit.command}"] if fit.command else [])],
-    )
+        following = command_of("calibrations", listed.rows[0][0], project=project.folder)
+        lines = [*listed.lines(), f"Next: {following}"]
+        return Answer({"calibrations": listed.records()}, lines)
+    fit = stored_calibration(project, calibration)
+    content = {
+        "calibration": calibration,
+        "estimates": [own.stored() for own in fit.estimates.values()],
+        "parameters": dict(fit),
+        "rms_error_mm": 1e3 * fit.rms_error,
+        "experiments": list(fit.keys_of_experiments),
+        **fit.analysis.texts(),
+        **{own: getattr(fit, own) for own in ("status", "evaluations", "command", "call")},
+    }
+    return Answer(content, [repr(fit), *([f"Repeat it: {fit.command}"] if fit.command else [])])

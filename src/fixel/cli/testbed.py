@@ -1,21 +1,24 @@
 """`fixel testbed run`, `film` and `serve`: experiments on a simulated testbed, and their films."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fixel.cli.capability import typer_command
-from fixel.cli.options import AsJson, ProjectFolder, Seed, argument, option, required, with_options
-from fixel.cli.project import print_imported
-from fixel.cli.screen import command_of, print_answer, wrote
+from fixel.capability.options import Door
+from fixel.capability.usual import Seed, Threads
+from fixel.cli.capability import command, typer_command
+from fixel.cli.options import AsJson, option, required, with_options
+from fixel.cli.project import imported
+from fixel.cli.screen import Answer, command_of, print_answer, wrote
 from fixel.progress import show_progress
 from fixel.table import Column, Table, shortened
-from fixel.workflows.acquisition import FILM
+from fixel.workflows.acquisition import FILM, Count
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
+    from fixel.database.project import Project
     from fixel.workflows.acquisition.film import FilmResult
 
 MAX_ROWS = 20
@@ -26,39 +29,37 @@ app = typer.Typer(
 
 
 @app.command("run")
-@with_options
+@command
 def run_plan(
+    project: "Project",
+    plan: Annotated[Path | None, Door(metavar="PLAN")] = None,
     *,
-    plan: Path | None = argument(
-        None, "Plan file; by default the 420 experiments of the thesis.", metavar="[PLAN]"
-    ),
-    folder: ProjectFolder = Path(),
     seed: Seed = 1,
-    uneven_table: float = option(
-        0.0, "Standard deviation of the logarithm of loads by place; 0 for a flat table.", min=0.0
-    ),
-    limit: int | None = option(None, "Maximum number of experiments.", min=1, metavar="COUNT"),
-    threads: int | None = option(None, "Number of threads; all cores by default.", min=1),
-    as_json: AsJson = False,
-) -> None:
+    uneven_table: Annotated[float, Door(least=0.0)] = 0.0,
+    limit: Count = None,
+    threads: Threads = None,
+) -> Answer:
     """Perform a plan on the simulated testbed, with noise.
 
     The drive has ripple, and the plate is uneven.
+
+    Parameters
+    ----------
+    plan : Path, optional
+        Plan file; by default the 420 experiments of the thesis.
+    uneven_table : float
+        Standard deviation of the logarithm of loads by place; 0 for a flat table.
+    limit : int, optional
+        Maximum number of experiments.
+    threads : int, optional
+        Number of threads; all cores by default.
     """
-    from fixel.database.project import Project
     from fixel.workflows.project.importing import run_testbed
 
+    options: Any = {"seed": seed, "uneven_table": uneven_table, "limit": limit, "threads": threads}
     with show_progress(stage="performing") as report:
-        done = run_testbed(
-            Project(folder),
-            plan,
-            seed=seed,
-            uneven_table=uneven_table,
-            limit=limit,
-            threads=threads,
-            progress=report,
-        )
-    print_imported(done, {"seed": seed}, as_json, folder)
+        done = run_testbed(project, plan, **options, progress=report)
+    return imported(done, {"seed": seed}, project.folder)
 
 
 def _film(request: "BaseModel", folder: Path, as_json: bool) -> None:

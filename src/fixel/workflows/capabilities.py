@@ -7,6 +7,7 @@ import json
 import time
 from collections.abc import Mapping
 from dataclasses import replace
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -62,20 +63,34 @@ def run(
     `plot` is a folder or file for figures. What the function refuses, and a program that the user
     has not permitted, raises `InvalidInput`.
     """
-    from fixel.database.project import SETTINGS, Project
     from fixel.simulation.trust import check_named
 
     check_named(*capability.programs(request))
     begun = time.monotonic()
+    place = project_for(capability, request, folder)
+    project: Any = place[0] if place else None
+    result = capability.function(*place, **capability.arguments(request), progress=progress)
+    return report_result(capability, request, project, result, time.monotonic() - begun, plot)
+
+
+def project_for(
+    capability: Capability, request: BaseModel, folder: Path
+) -> tuple[()] | tuple[Project | Path | None]:
+    """Return the first arguments of a function: the project in a folder, or the folder, or none.
+
+    The project is None in a folder without one, for a request that needs none.
+    """
+    from fixel.database.project import SETTINGS, Project
+
+    if not capability.on_project:
+        return ()
+    if signature(capability.function).parameters["project"].annotation in (Path, "Path"):
+        return (folder,)
     needed = capability.needs_project or folder != Path() or (folder / SETTINGS).is_file()
     if capability.in_project is not None:
         needed = capability.in_project(request)
     needed = needed or (capability.on_table and getattr(request, TABLE.name) is not None)
-    project = Project(folder) if capability.on_project and needed else None
-    project = project and _on_table(project, capability, request)
-    place = (project,) if capability.on_project else ()
-    result = capability.function(*place, **capability.arguments(request), progress=progress)
-    return report_result(capability, request, project, result, time.monotonic() - begun, plot)
+    return (_on_table(Project(folder), capability, request) if needed else None,)
 
 
 def call(project: Project, name: str, /, *, progress: ProgressOption = None, **options: Any) -> Any:

@@ -134,7 +134,7 @@ def fetch(url: str, folder: Path, sha256: str | None = None) -> DownloadedFile:
 
     name = _name(url)
     if sha256 is not None and not re.fullmatch(r"[0-9a-fA-F]{64}", sha256):
-        raise InvalidInput("--sha256", found=sha256, expected="64 hexadecimal digits")
+        raise InvalidInput("sha256", found=sha256, expected="64 hexadecimal digits")
     pooch.get_logger().setLevel("ERROR")  # fixel gives the warnings itself
     wanted = None if sha256 is None else f"sha256:{sha256.lower()}"
     try:
