@@ -19,6 +19,7 @@ from fixel.testing.scenes import micro_push
 IN_PROJECTS = {
     "import", "list", "show", "compare", "filter", "export", "calibrate", "domain",
     "domain growth", "sensitivity", "uncertainty", "report", "serve", "overlay", "track",
+    "calibrations", "plan check", "plan held", "plan next", "plan run",
     "testbed run", "testbed film", "jobs status", "db upgrade", "db backup", "db check",
 }  # fmt: skip
 

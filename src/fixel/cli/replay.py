@@ -1,10 +1,13 @@
 """`fixel replay`: recorded pushes, simulated."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
-from fixel.cli.options import AsJson, option, require_picture, required, with_options
-from fixel.cli.screen import command_of, print_answer
+from fixel.capability.options import Door
+from fixel.cli.capability import command
+from fixel.cli.options import require_picture
+from fixel.cli.screen import Answer, command_of
 from fixel.progress import show_progress
 from fixel.table import Table
 
@@ -14,53 +17,49 @@ if TYPE_CHECKING:
 Record = dict[str, Any]
 
 
-@with_options
+@command
 def replay(
+    dataset: Annotated[Path, Door(metavar="DATASET")],
     *,
-    dataset: Path = required(
-        "Folder of the dataset.",
-        metavar="DATASET",
-        exists=True,
-        file_okay=False,
-        show_default=False,
-    ),
-    select: list[str] | None = option(
-        None, "Select records whose COLUMN has this VALUE; may be repeated.", metavar="COLUMN=VALUE"
-    ),
-    limit: int | None = option(
-        None,
-        "Maximum number of records, spread evenly over those selected.",
-        min=1,
-        metavar="COUNT",
-    ),
-    set_: list[str] | None = option(
-        None,
-        "Change one nominal value, e.g. mu_pusher=0.2; may be repeated.",
-        "--set",
-        metavar="NAME=VALUE",
-    ),
-    motion: Literal["dynamic", "quasistatic", "first-order"] | None = option(
-        None, "Motion model; by default that of the dataset.", show_default=False
-    ),
-    window: float = option(
-        2.0,
-        "Length of the windows of long runs [s]; 0 replays whole runs.",
-        min=0.0,
-        metavar="SECONDS",
-    ),
-    everything: bool = option(False, "Include records of doubtful quality.", "--all"),
-    as_json: AsJson = False,
-    plot: Path | None = option(None, "Draw measured and simulated motion: .png, .svg or .pdf."),
-) -> None:
-    """Replay recorded pushes and report the simulation's errors."""
+    select: Annotated[tuple[str, ...], Door(metavar="COLUMN=VALUE")] = (),
+    limit: Annotated[int | None, Door(least=1, metavar="COUNT")] = None,
+    settings: Annotated[
+        Mapping[str, float] | None, Door(flag="--set", metavar="NAME=VALUE")
+    ] = None,
+    motion: Literal["dynamic", "quasistatic", "first-order"] | None = None,
+    window: Annotated[float, Door(least=0.0, metavar="SECONDS")] = 2.0,
+    everything: Annotated[bool, Door(flag="--all")] = False,
+    plot: Annotated[Path | None, Door(writes=True)] = None,
+) -> Answer:
+    """Replay recorded pushes and report the simulation's errors.
+
+    Parameters
+    ----------
+    dataset : Path
+        Folder of the dataset.
+    select : tuple of str
+        Select records whose COLUMN has this VALUE; may be repeated.
+    limit : int, optional
+        Maximum number of records, spread evenly over those selected.
+    settings : mapping of str to float, optional
+        Change one nominal value, e.g. mu_pusher=0.2; may be repeated.
+    motion : str, optional
+        Motion model; by default that of the dataset.
+    window : float
+        Length of the windows of long runs [s]; 0 replays whole runs.
+    everything : bool
+        Include records of doubtful quality.
+    plot : Path, optional
+        Draw measured and simulated motion: .png, .svg or .pdf.
+    """
     from fixel.replay import ReplayRequest, replay_dataset
-    from fixel.replay.base import columns_and_values, names_and_numbers
+    from fixel.replay.base import columns_and_values
 
     require_picture(plot)
     request = ReplayRequest(
-        select=columns_and_values(select or ()),
+        select=columns_and_values(select),
         limit=limit,
-        settings=names_and_numbers(set_ or ()),
+        settings=settings or {},
         motion=motion,
         everything=everything,
         window=window,
@@ -71,7 +70,7 @@ def replay(
         from fixel.drawing.chart import save_figure
 
         save_figure(answer.figure, plot)
-    print_answer(as_json, answer.summary, lambda: _replay_lines(answer, dataset, plot))
+    return Answer(answer.summary(), _replay_lines(answer, dataset, plot))
 
 
 # Columns of the tables: heading, name of the value in a row, and its format.

@@ -115,7 +115,7 @@ def template(
     """
     n_points = settings["support_points"]
     if n_points != int(n_points):
-        raise InvalidInput("--set support_points", found=n_points, expected="a whole number")
+        raise InvalidInput("settings support_points", found=n_points, expected="a whole number")
     support = UniformPressure(friction=settings["mu_support"], n_points=int(n_points))
     return Scene(
         bodies=(replace(body, name="object", pose=np.zeros(3), support=support),),
@@ -139,21 +139,12 @@ def columns_and_values(pairs: Iterable[str]) -> dict[str, tuple[str, ...]]:
     """Parse `["shape=rect1", "shape=hex"]` to a mapping from column to requested values."""
     wanted: dict[str, tuple[str, ...]] = {}
     for pair in pairs:
-        name, value = _cut(pair, "--select", "COLUMN=VALUE, as in shape=rect1")
+        name, _, value = (part.strip() for part in pair.partition("="))
+        if not (name and value):
+            expected = "COLUMN=VALUE, as in shape=rect1"
+            raise InvalidInput("select", found=repr(pair), expected=expected)
         wanted[name] = (*wanted.get(name, ()), value)
     return wanted
-
-
-def names_and_numbers(pairs: Iterable[str]) -> dict[str, float]:
-    """Parse `["mu_pusher=0.2"]` to a mapping from name to number."""
-    values: dict[str, float] = {}
-    for pair in pairs:
-        name, text = _cut(pair, "--set", "NAME=VALUE, as in mu_pusher=0.2")
-        try:
-            values[name] = float(text)
-        except ValueError:
-            raise InvalidInput(f"--set {name}", found=repr(text), expected="a number") from None
-    return values
 
 
 def matching(
@@ -162,24 +153,24 @@ def matching(
     """Mask (n,) of the matching records; raise if a column or a value occurs in none of them."""
     fits = np.ones(n, dtype=bool)
     for name, values in wanted.items():
-        check_name("--select", name, columns)
+        check_name("select", name, columns)
         cells = [str(cell) for cell in columns[name]]
         for value in values:
             if not any(_same(cell, value) for cell in set(cells)):
-                raise unknown_name(f"--select {name}", value, sorted(set(cells)))
+                raise unknown_name(f"select {name}", value, sorted(set(cells)))
         chosen = {cell for cell in set(cells) if any(_same(cell, value) for value in values)}
         fits &= np.array([cell in chosen for cell in cells], dtype=bool)
     if not fits.any():
         found = ", ".join(f"{name}={'|'.join(values)}" for name, values in wanted.items())
         expected = "values that occur together in at least one record"
-        raise InvalidInput("--select", found=found, expected=expected)
+        raise InvalidInput("select", found=found, expected=expected)
     return fits
 
 
 def only_doubtful(what: str) -> InvalidInput:
     """Return the error for a selection in which all pushes or windows are doubtful."""
     found = f"only {what} of doubtful quality"
-    return InvalidInput("--select", found=found, expected="others", hint="try --all")
+    return InvalidInput("select", found=found, expected="others", hint="try everything=True")
 
 
 def spread(n: int, limit: int | None) -> NDArray[np.intp]:
@@ -192,15 +183,8 @@ def spread(n: int, limit: int | None) -> NDArray[np.intp]:
 def settings_from(nominal: Mapping[str, float], given: Mapping[str, float]) -> dict[str, float]:
     """Replace nominal values by given ones; raise for unknown names."""
     for name in given:
-        check_name("--set", name, nominal)
+        check_name("settings", name, nominal)
     return {**nominal, **given}
-
-
-def _cut(pair: str, option: str, expected: str) -> tuple[str, str]:
-    name, mark, value = pair.partition("=")
-    if not mark or not name.strip() or not value.strip():
-        raise InvalidInput(option, found=repr(pair), expected=expected)
-    return name.strip(), value.strip()
 
 
 def _same(cell: str, value: str) -> bool:

@@ -98,7 +98,7 @@ class RunReplay(AbstractReplay):
         self.settings = settings_from(NOMINAL, request.settings)
         if not 0.0 <= request.window < np.inf:
             raise InvalidInput(
-                "--window", found=request.window, expected="seconds, or 0 for whole runs"
+                "window", found=request.window, expected="seconds, or 0 for whole runs"
             )
         columns: dict[str, Sequence[object]] = {
             "run": [run.name for run in runs],

@@ -69,7 +69,7 @@ class TrialReplay(AbstractReplay):
         chosen = [trial for trial, wanted in zip(complete, fits[:n], strict=True) if wanted]
         if not chosen:
             raise InvalidInput(
-                "--select experiment_id",
+                "select experiment_id",
                 found="a trial without actuator path and fixel positions",
                 expected="a complete trial: " + ", ".join(names[:n]),
             )
