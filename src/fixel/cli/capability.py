@@ -10,7 +10,7 @@ import typer
 from fixel.capability.capability import Capability, named
 from fixel.capability.options import Option
 from fixel.cli.options import AsJson, ProjectFolder, require_folder, require_picture
-from fixel.cli.screen import Answer, command_of, paragraphs, print_answer, wrote
+from fixel.cli.screen import CommandAnswer, command_of, paragraphs, print_answer, wrote
 from fixel.errors import InvalidInput
 from fixel.progress import time_text
 
@@ -90,7 +90,7 @@ def typer_command(
     return command
 
 
-def command(function: Callable[..., Answer]) -> Callable[..., None]:
+def command(function: Callable[..., CommandAnswer]) -> Callable[..., None]:
     """Return the command of a function whose answer is only printed.
 
     Its arguments are those of the function of a `Capability`.

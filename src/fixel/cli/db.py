@@ -9,7 +9,7 @@ import typer
 from fixel.capability.options import Door
 from fixel.cli.capability import command
 from fixel.cli.options import ProjectPlace, project_at
-from fixel.cli.screen import Answer, command_of, paragraphs
+from fixel.cli.screen import CommandAnswer, command_of, paragraphs
 from fixel.errors import counted
 from fixel.table import Table, shortened
 
@@ -23,14 +23,14 @@ app = typer.Typer(help="Upgrade, back up or check the database of a project.", n
 
 @app.command("upgrade")
 @command
-def upgrade(project: Path, place: ProjectPlace = None) -> Answer:
+def upgrade(project: Path, place: ProjectPlace = None) -> CommandAnswer:
     """Upgrade the tables to the schema of this version.
 
     Nothing changes if they have it.
     """
     own = project_at(place, project)
     versions = own.upgrade()
-    return Answer(versions._asdict(), _upgraded(versions, own.folder))
+    return CommandAnswer(versions._asdict(), _upgraded(versions, own.folder))
 
 
 @app.command("backup")
@@ -39,7 +39,7 @@ def backup(
     project: Path,
     file: Annotated[Path, Door(meaning="Backup file to write.")],
     place: ProjectPlace = None,
-) -> Answer:
+) -> CommandAnswer:
     """Copy the database to a file, while other programs may use it."""
     verb = "replaced" if file.exists() else "wrote"
     done = project_at(place, project).backup(file)
@@ -49,12 +49,12 @@ def backup(
         "",
         f"Next: {shlex.join(['cp', '-rn', str(done.media), f'{done.file}.media'])}",
     ]
-    return Answer(done._asdict() | {"file": str(done.file), "media": str(done.media)}, lines)
+    return CommandAnswer(done._asdict() | {"file": str(done.file), "media": str(done.media)}, lines)
 
 
 @app.command("check")
 @command
-def check(project: Path, place: ProjectPlace = None) -> Answer:
+def check(project: Path, place: ProjectPlace = None) -> CommandAnswer:
     """Read everything that is stored and report errors.
 
     The exit code is 1 if there are any.
@@ -62,20 +62,20 @@ def check(project: Path, place: ProjectPlace = None) -> Answer:
     own = project_at(place, project)
     found = own.check()
     blocks = _contents(found), _troubles(found), [f"Next: {_next(found, own.folder)}"]
-    return Answer(found.summary(), paragraphs(*blocks), code=1 if found.troubles else 0)
+    return CommandAnswer(found.summary(), paragraphs(*blocks), code=1 if found.troubles else 0)
 
 
 @app.command("diagram")
 @command
 def diagram(
     file: Annotated[Path, Door(meaning="Chart to write: .png, .svg or .pdf.")],
-) -> Answer:
+) -> CommandAnswer:
     """Draw the tables as an entity relationship diagram."""
     from fixel.workflows.project import maintenance
 
     names = maintenance.diagram(file)
     lines = [f"wrote {file}: {len(names)} tables", "Next: fixel db --help"]
-    return Answer({"file": str(file), "tables": names}, lines)
+    return CommandAnswer({"file": str(file), "tables": names}, lines)
 
 
 def _upgraded(versions: "SchemaVersions", project: Path) -> list[str]:

@@ -8,7 +8,7 @@ import typer
 from fixel.capability.options import Door
 from fixel.cli.capability import command
 from fixel.cli.options import one_place
-from fixel.cli.screen import Answer, command_of, job_bar, notify
+from fixel.cli.screen import CommandAnswer, command_of, job_bar, notify
 from fixel.errors import Interrupted, InvalidInput, plain
 from fixel.progress import time_text
 from fixel.table import Table
@@ -34,7 +34,7 @@ def submit(
     detach: Annotated[bool, Door(flag="--detach")] = False,
     coordinator: Annotated[Literal["here", "slurm"], Door(metavar="PLACE")] = "here",
     accept_version: Annotated[bool, Door(flag="--accept-version")] = False,
-) -> Answer:
+) -> CommandAnswer:
     """Run a prepared job; resume it if it was interrupted.
 
     Parameters
@@ -84,7 +84,7 @@ app.command("resume", help=RESUME)(submit)
 def status(
     project: Path,
     folders: Annotated[tuple[Path, ...], Door(metavar="FOLDER", usual="the current folder")] = (),
-) -> Answer:
+) -> CommandAnswer:
     """Show the progress of jobs, and which of them are running.
 
     Parameters
@@ -100,12 +100,12 @@ def status(
     for folder in folders or [project]:
         is_job = (folder / "job.json").exists() or not folder.is_dir()
         found += [jobs.status_of(folder)] if is_job else jobs.jobs_in(folder)
-    return Answer({"jobs": [job.summary() for job in found]}, _listed(found))
+    return CommandAnswer({"jobs": [job.summary() for job in found]}, _listed(found))
 
 
 @app.command("cancel")
 @command
-def cancel(folder: JobFolder) -> Answer:
+def cancel(folder: JobFolder) -> CommandAnswer:
     """Stop a job and its workers; finished chunks stay stored."""
     from fixel.workflows import jobs
 
@@ -136,14 +136,16 @@ def site() -> None:
 
 @app.command("pack")
 @command
-def pack(folder: JobFolder, file: Annotated[Path, Door(meaning="Zip file to write.")]) -> Answer:
+def pack(
+    folder: JobFolder, file: Annotated[Path, Door(meaning="Zip file to write.")]
+) -> CommandAnswer:
     """Pack a job with its results into one file, to copy it."""
     from fixel.workflows import jobs
 
     size = jobs.pack(folder, file)
     unpacking = command_of("jobs", "unpack", file, f"{file.stem}-job")
     lines = [f"wrote {file}: {size} bytes", f"Next: {unpacking}"]
-    return Answer({"file": str(file), "bytes": size}, lines)
+    return CommandAnswer({"file": str(file), "bytes": size}, lines)
 
 
 @app.command("unpack")
@@ -151,7 +153,7 @@ def pack(folder: JobFolder, file: Annotated[Path, Door(meaning="Zip file to writ
 def unpack(
     file: Annotated[Path, Door(meaning="Zip file of a packed job.")],
     folder: Annotated[Path, Door(metavar="FOLDER", meaning="New folder for the job.")],
-) -> Answer:
+) -> CommandAnswer:
     """Unpack a job into a new folder."""
     from fixel.workflows import jobs
 
@@ -199,7 +201,7 @@ def _advice(job: "JobStatus") -> list[str]:
     return [f"Next: {command_of('jobs', *after.get(job.state, ('logs', '-f', folder)))}"]
 
 
-def _status(job: "JobStatus") -> Answer:
+def _status(job: "JobStatus") -> CommandAnswer:
     reason = f": {job.reason}" if job.reason else ""
     failed = f", {job.failed} of them failed" if job.failed else ""
     done = f"{job.done} of {_total(job)} chunks{failed}" if job.total else job.text
@@ -211,7 +213,7 @@ def _status(job: "JobStatus") -> Answer:
             else _advice(job)
         ),
     ]
-    return Answer(job.summary(), lines)
+    return CommandAnswer(job.summary(), lines)
 
 
 @command
@@ -219,7 +221,7 @@ def trust(
     program: Annotated[str | None, Door(metavar="PROGRAM")] = None,
     *,
     remove: Annotated[bool, Door(flag="--remove")] = False,
-) -> Answer:
+) -> CommandAnswer:
     """Allow files to run a program, or a project to lead elsewhere.
 
     A calibration by a program of your own then works in later commands, until the program changes.
@@ -253,4 +255,4 @@ def trust(
         add = trust_place if Path(program, SETTINGS).is_file() else trust_program
         title, entries = "Added:", [add(program)]
     lines = [title, *(f"  {line}" for entry in entries for line in entry.lines)]
-    return Answer({"entries": [entry.content for entry in entries]}, lines)
+    return CommandAnswer({"entries": [entry.content for entry in entries]}, lines)

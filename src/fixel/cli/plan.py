@@ -12,14 +12,14 @@ from fixel.capability.options import Door
 from fixel.capability.usual import CalibrationId, EngineName, Seed
 from fixel.cli.capability import command, typer_command
 from fixel.cli.options import require_folder
-from fixel.cli.screen import Answer, command_of, notify, paragraphs, wrote
+from fixel.cli.screen import CommandAnswer, command_of, notify, paragraphs, wrote
 from fixel.errors import InvalidInput
 from fixel.workflows.planning.run import ENDING, PLAN
 
 if TYPE_CHECKING:
     from fixel.database.project import Project
+    from fixel.planning.trials import Trials
     from fixel.typing import FloatArray
-    from fixel.workflows.acquisition.record import RecordPlan
 
 FIND: Final = "find"
 TESTBED: Final = "testbed"
@@ -59,7 +59,7 @@ def check(
     *,
     waypoints: Annotated[Path | None, Door(writes=True)] = None,
     plot: Annotated[Path | None, Door(metavar="FOLDER", writes=True)] = None,
-) -> Answer:
+) -> CommandAnswer:
     """Compute the success probability of a plan; count its trials.
 
     The probability is that under the present calibration.
@@ -97,7 +97,7 @@ def check(
         "sentences": [*words[0], *words[1], *checked.sentences],
         "files": [str(file) for file in files],
     }
-    return Answer(content, paragraphs(*words, checked.sentences, wrote(files)))
+    return CommandAnswer(content, paragraphs(*words, checked.sentences, wrote(files)))
 
 
 @app.command("held")
@@ -109,7 +109,7 @@ def held(
     position: Annotated[float, Door(unit="mm", above=0.0)] = 3e-3,
     angle: Annotated[float, Door(unit="deg", above=0.0)] = math.radians(3.0),
     seed: Seed = 0,
-) -> Answer:
+) -> CommandAnswer:
     """Compare stated with observed success on left-out experiments.
 
     Parameters
@@ -125,7 +125,7 @@ def held(
     from fixel.workflows.planning.execute import stored_held_success
 
     found = stored_held_success(project, calibration, position=position, angle=angle, seed=seed)
-    return Answer(analysis_of("plan", found).texts() | found.to_dict(), [str(found)])
+    return CommandAnswer(analysis_of("plan", found).texts() | found.to_dict(), [str(found)])
 
 
 @app.command("next")
@@ -137,8 +137,8 @@ def next_(
     seen: Annotated[tuple[str, ...], Door(metavar="X,Y,ANGLE")],
     done: Annotated[int, Door(least=0)] = 0,
     out: Annotated[Path | None, Door(also=("--save",), usual="PLAN-next.plan", writes=True)] = None,
-    rollouts: Annotated[int, Door(least=1000)] = 12_000,
-) -> Answer:
+    rollouts: Annotated[int, Door(least=1000, meaning="Number of simulated pushes.")] = 12_000,
+) -> CommandAnswer:
     """Choose the next push from a seen pose.
 
     A plan with looks chooses at once. Other plans are made again, with the pushes that are left.
@@ -152,8 +152,6 @@ def next_(
         Number of pushes that were carried out.
     out : Path, optional
         Write the new plan to this file.
-    rollouts : int
-        Number of simulated pushes.
     """
     from fixel.model.fields import pose_of
     from fixel.workflows.planning.execute import next_plan, next_step
@@ -163,13 +161,13 @@ def next_(
     poses = [pose_of(text, "seen") for text in seen]
     step = next_step(plan, poses, done)
     if step is not None:
-        return Answer(step.numbers, [step.sentence])
+        return CommandAnswer(step.numbers, [step.sentence])
     found = next_plan(project, plan, poses[0], done=done, rollouts=rollouts)
     target = out or plan.with_name(f"{plan.stem}-next{ENDING}")
     save_plan(found, target)
     analysis = analysis_of(found)
     after = command_of("plan", "run", target, project=_folder(project))
-    return Answer(
+    return CommandAnswer(
         {"met": False, **analysis.numbers, **analysis.texts(), "files": [str(target)]},
         paragraphs(analysis.lines(), wrote([target]), [f"Next: {after}"]),
     )
@@ -185,14 +183,19 @@ def run(
     port: Annotated[str | None, Door(metavar="PORT")] = None,
     start: Pose = None,
     end: Pose = None,
-    camera: Annotated[str | None, Door(metavar="SOURCE")] = None,
+    camera: Annotated[
+        str | None,
+        Door(
+            metavar="SOURCE", meaning="Camera to record with, as for fixel record; by default none."
+        ),
+    ] = None,
     out: Annotated[Path | None, Door(metavar="FOLDER")] = None,
     rig: Annotated[str | None, Door(metavar="RIG")] = None,
     by: Annotated[str, Door(metavar="NAME")] = "",
     trials: Annotated[int, Door(least=1, also=("-n",))] = 1,
     engine: EngineName = "",
     seed: Seed = 1,
-) -> Answer:
+) -> CommandAnswer:
     """Carry out a plan and add the trial.
 
     Ctrl-C, an alarm, or a start that was not planned stops the drive.
@@ -207,8 +210,6 @@ def run(
         Pose of the part before: x,y,angle [mm, mm, deg]; by default a prompt.
     end : str, optional
         Pose of the part after: x,y,angle [mm, mm, deg]; by default a prompt.
-    camera : str, optional
-        Camera to record with, as for fixel record; by default none.
     out : Path, optional
         New folder for the recording.
     rig : str, optional
@@ -222,19 +223,25 @@ def run(
         added.
     """
     from fixel.workflows.acquisition.devices import chosen_actuator
-    from fixel.workflows.analysis import analysis_of
+    from fixel.workflows.acquisition.record import RecordPlan
     from fixel.workflows.planning.execute import present_belief, run_on_drive, run_on_testbed
     from fixel.workflows.planning.request import load_plan
 
-    of_drive = {"port": port, "start": start, "end": end, "camera": camera, "out": out, "rig": rig}
-    _check_unused(driver, of_drive | {"by": by}, {"trials": trials > 1, "engine": engine})
+    filming = {"--camera, --out or --rig": camera or out or rig}
+    of_drive = {"port": port, "start": start, "end": end, **filming, "by": by}
+    _check_unused(driver, of_drive, {"trials": trials > 1, "engine": engine})
+    if camera is None and (out is not None or rig is not None):
+        raise InvalidInput("--camera", found=None, expected="the camera for --out and --rig")
+    if camera is not None and out is None:
+        raise InvalidInput("--out", found=None, expected="a new folder for the recording")
+    recording = RecordPlan(camera=camera, folder=out, rig=rig) if camera and out else None
     found = load_plan(plan).found
     if engine:
         own, stated = found.plan.success_in(engine, trials, seed=seed), found.plan.success.mean
         content = {"engine": engine, "trials": trials, "held": own.value}
         content |= {"low": own.low, "high": own.high, "stated": stated}
         line = f"Held in {engine}: {own}; stated success probability {stated:.4f}"
-        return Answer(content, [line])
+        return CommandAnswer(content, [line])
     again = command_of("plan", "check", plan, project=_folder(project))
     if present_belief(project, found)[1] != found.calibration:
         notify(f"The calibration has changed since: {again}")
@@ -247,16 +254,23 @@ def run(
             seen=_asked_poses(start, end),
             notify=notify,
             by=by,
-            recording=_recording(camera, out, rig),
+            recording=recording,
             project=None if project is None else project.folder,
         )
+    return _trials(done, again)
+
+
+def _trials(done: "Trials", again: str) -> CommandAnswer:
+    """Report the trials of a plan, and the command that checks it."""
+    from fixel.workflows.analysis import analysis_of
+
     last = done.trials[-1]
     content = {
         "met": last.met, "failure": last.failure, "trials": done.n, "successes": done.successes,
         "stated": done.mean, "least": done.stated, "refuted": done.refuted,
         **analysis_of("plan", done).texts(),
     }  # fmt: skip
-    return Answer(content, [*str(done).splitlines(), f"Next: {again}"])
+    return CommandAnswer(content, [*str(done).splitlines(), f"Next: {again}"])
 
 
 def _check_unused(
@@ -281,19 +295,6 @@ def _asked_poses(*given: str | None) -> Callable[[str], "FloatArray"]:
         return pose_of(text or typer.prompt("Seen pose [mm, mm, deg]"), "seen pose")
 
     return seen
-
-
-def _recording(camera: str | None, out: Path | None, rig: str | None) -> "RecordPlan | None":
-    """Return the recording to make while the drive moves."""
-    from fixel.workflows.acquisition.record import RecordPlan
-
-    if camera is None:
-        if out is None and rig is None:
-            return None
-        raise InvalidInput("camera", found=None, expected="the camera for --out and --rig")
-    if out is None:
-        raise InvalidInput("out", found=None, expected="a new folder for the recording")
-    return RecordPlan(camera=camera, folder=out, rig=rig)
 
 
 def _folder(project: "Project | None") -> Path:

@@ -11,7 +11,7 @@ from fixel.capability.options import Door
 from fixel.capability.usual import Dataset, Flagged, Where
 from fixel.cli.capability import command
 from fixel.cli.options import project_at
-from fixel.cli.screen import Answer, command_line, command_of, notify, project_words, wrote
+from fixel.cli.screen import CommandAnswer, command_line, command_of, notify, project_words, wrote
 from fixel.errors import InvalidInput, counted
 from fixel.progress import show_progress, time_text
 from fixel.table import Column, Table, shortened
@@ -32,7 +32,7 @@ def new(
     folder: Annotated[Path, Door(metavar="FOLDER", meaning="Folder of the new project.")],
     *,
     database: Annotated[str | None, Door(metavar="URL")] = None,
-) -> Answer:
+) -> CommandAnswer:
     """Create a project folder with settings, database and media.
 
     Parameters
@@ -48,7 +48,7 @@ def new(
         "Import recorded experiments with fixel import SOURCE, or try simulated ones:",
         f"Next: {command_of('testbed', 'run', '--limit', 30, '--project', folder)}",
     ]
-    return Answer({"folder": str(folder), "name": name}, lines)
+    return CommandAnswer({"folder": str(folder), "name": name}, lines)
 
 
 @command
@@ -60,7 +60,7 @@ def import_(
     option: Annotated[Mapping[str, str] | None, Door(metavar="NAME=VALUE")] = None,
     scene: Path | None = None,
     dry_run: Annotated[bool, Door(flag="--dry-run")] = False,
-) -> Answer:
+) -> CommandAnswer:
     """Import recorded experiments, and skip stored ones.
 
     Parameters
@@ -102,7 +102,7 @@ def import_(
         content["experiments"] = sum(1 for _ in plan)
         content["skipped"] = list(plan.skipped)
         following = f"Next: {command_line(without='--dry-run')}"
-        return Answer(content, [*lines, *_skipped(plan.skipped), following])
+        return CommandAnswer(content, [*lines, *_skipped(plan.skipped), following])
     done = own.add(plan)
     content["skipped"] = list(plan.skipped)
     template = write_template(plan, own.folder)
@@ -120,7 +120,7 @@ def _skipped(names: Sequence[str]) -> list[str]:
     return [f"skipped {len(names)}:", *lines] if names else []
 
 
-def _import_bundle(project: "Project", source: Path, dry_run: bool) -> Answer:
+def _import_bundle(project: "Project", source: Path, dry_run: bool) -> CommandAnswer:
     """Import the bundle that another project exported."""
     from fixel.workflows.project.export import import_zip
 
@@ -132,13 +132,13 @@ def _import_bundle(project: "Project", source: Path, dry_run: bool) -> Answer:
     listing = command_of("list", project=project.folder)
     following = command_line("--dry-run") if dry_run else listing
     content = {"source": str(source), "dry_run": dry_run, **counts}
-    return Answer(content, [f"{source}: {verb} {found}", f"Next: {following}"])
+    return CommandAnswer(content, [f"{source}: {verb} {found}", f"Next: {following}"])
 
 
 def imported(
     done: "AddSummary", content: dict[str, Any], folder: Path, before: Sequence[str] = ()
-) -> Answer:
-    """Answer how many experiments were stored; `content` is more for JSON, `before` for people."""
+) -> CommandAnswer:
+    """Report how many were stored; `content` is more for JSON, `before` for people."""
     time = time_text(done.wall_time_s)
     time += f", {done.known} were already stored" if done.known else ""
     lines = [
@@ -156,7 +156,7 @@ def imported(
             f"{done.faulty} of them have faults in their data; list them with fixel list --all"
         )
     following = content.get("next", command_of("list", project=folder))
-    return Answer(content | done._asdict(), [*before, *lines, f"Next: {following}"])
+    return CommandAnswer(content | done._asdict(), [*before, *lines, f"Next: {following}"])
 
 
 @command
@@ -171,7 +171,7 @@ def list_(
     flagged: Flagged = False,
     deleted: Annotated[bool, Door(flag="--deleted")] = False,
     limit: Annotated[int, Door(least=1)] = MAX_ROWS,
-) -> Answer:
+) -> CommandAnswer:
     """List experiments.
 
     Parameters
@@ -208,7 +208,9 @@ def list_(
         lines.append("datasets: " + ", ".join(f"{k} {n}" for k, n in datasets.items()))
     if flags and not flag:
         lines.append("flags:    " + ", ".join(f"{k} {n}" for k, n in flags.items()))
-    return Answer(_content(listing), [*lines, f"Next: {_next(listing, project.folder, deleted)}"])
+    return CommandAnswer(
+        _content(listing), [*lines, f"Next: {_next(listing, project.folder, deleted)}"]
+    )
 
 
 def _next(listing: "ExperimentPage", folder: Path, deleted: bool) -> str:
@@ -271,7 +273,7 @@ def export(
     ] = None,
     scenes: int | None = None,
     seed: Annotated[int | None, Door(least=0)] = None,
-) -> Answer:
+) -> CommandAnswer:
     """Export experiments, or a scene as a model for an engine.
 
     Parameters
@@ -313,13 +315,13 @@ def export(
         what = place if place and not place.is_dir() else project_at(place, project)
         given: Any = {name: value for name, value in for_model.items() if value is not None}
         model = export_model(what, target, to=to, **given)
-        return Answer(model.summary(), _exported_model(model))
+        return CommandAnswer(model.summary(), _exported_model(model))
     kind = "parquet" if parquet else "lerobot" if lerobot else "bundle"
     source = project_at(place, project)
     answer = source.export(target, format=kind, dataset=dataset or None, fps=fps)
     check = command_of("import", target, "--dry-run", project=source.folder)
     following = check if kind == "bundle" else SEE_EXPORT
-    return Answer(answer.summary(), [*_exported(answer), f"Next: {following}"])
+    return CommandAnswer(answer.summary(), [*_exported(answer), f"Next: {following}"])
 
 
 def _exported_model(answer: "ModelExport") -> list[str]:
@@ -384,7 +386,7 @@ def data(
     *,
     output: Annotated[Path | None, Door(also=("-o",), metavar="FOLDER", usual="data")] = None,
     sha256: Annotated[str | None, Door(metavar="DIGITS")] = None,
-) -> Answer:
+) -> CommandAnswer:
     """List public datasets; with a URL, download a file.
 
     Parameters
@@ -400,7 +402,7 @@ def data(
         if unused := "output" if output else "sha256" if sha256 else "":
             raise InvalidInput(unused, found="no URL", expected="the URL of a file")
         known = datasets()
-        return Answer({"datasets": known}, _datasets(known))
+        return CommandAnswer({"datasets": known}, _datasets(known))
     found = fetch(url, output or Path("data"), sha256)
     size = found.n_byte
     if sha256 is None:
@@ -409,7 +411,7 @@ def data(
         f"downloaded {found.file}, {size / 1e6:.3g} MB, sha256 {found.sha256}",
         f"Next: {command_of('import', found.file, '--dry-run')}",
     ]
-    return Answer({"file": str(found.file), "sha256": found.sha256, "bytes": size}, lines)
+    return CommandAnswer({"file": str(found.file), "sha256": found.sha256, "bytes": size}, lines)
 
 
 def _datasets(known: list[dict[str, str]]) -> list[str]:

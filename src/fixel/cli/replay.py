@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 from fixel.capability.options import Door
 from fixel.cli.capability import command
 from fixel.cli.options import require_picture
-from fixel.cli.screen import Answer, command_of
+from fixel.cli.screen import CommandAnswer, command_of
 from fixel.progress import show_progress
 from fixel.table import Table
 
@@ -30,7 +30,7 @@ def replay(
     window: Annotated[float, Door(least=0.0, metavar="SECONDS")] = 2.0,
     everything: Annotated[bool, Door(flag="--all")] = False,
     plot: Annotated[Path | None, Door(writes=True)] = None,
-) -> Answer:
+) -> CommandAnswer:
     """Replay recorded pushes and report the simulation's errors.
 
     Parameters
@@ -70,7 +70,7 @@ def replay(
         from fixel.drawing.chart import save_figure
 
         save_figure(answer.figure, plot)
-    return Answer(answer.summary(), _replay_lines(answer, dataset, plot))
+    return CommandAnswer(answer.summary(), _replay_lines(answer, dataset, plot))
 
 
 # Columns of the tables: heading, name of the value in a row, and its format.

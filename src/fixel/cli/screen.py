@@ -19,7 +19,7 @@ JOB_BAR = 24  # [characters]
 BETWEEN_LINES_S = 30.0  # [s] where the progress of a job goes into a file
 
 
-class Answer(NamedTuple):
+class CommandAnswer(NamedTuple):
     """Answer of a command: content for `--json`, lines of text, and exit code."""
 
     content: Mapping[str, Any]

@@ -9,7 +9,7 @@ from fixel.capability.options import Door
 from fixel.capability.usual import CalibrationId, EngineName
 from fixel.cli.capability import command
 from fixel.cli.options import require_picture
-from fixel.cli.screen import Answer, command_line, command_of, notify, paragraphs, wrote
+from fixel.cli.screen import CommandAnswer, command_line, command_of, notify, paragraphs, wrote
 from fixel.errors import NotStored, counted
 from fixel.table import Column, Table, shortened
 from fixel.workflows.sentences import origin_of
@@ -28,7 +28,7 @@ def show(
     experiment: Annotated[str, Door(metavar="EXPERIMENT")],
     *,
     plot: Annotated[Path | None, Door(writes=True)] = None,
-) -> Answer:
+) -> CommandAnswer:
     """Show an experiment: scene, data, faults and provenance.
 
     Parameters
@@ -51,7 +51,7 @@ def show(
         save_figure(lambda: experiment_figure(found), plot)
     files = {} if plot is None else {"plot": str(plot)}
     content = {"id": number, **summary(found), "files": files}
-    return Answer(content, _show_lines(number, found, project.folder, plot))
+    return CommandAnswer(content, _show_lines(number, found, project.folder, plot))
 
 
 def _show_lines(
@@ -149,7 +149,7 @@ def report(
     calibration: CalibrationId = None,
     engine: EngineName = "",
     title: str = "",
-) -> Answer:
+) -> CommandAnswer:
     """Write a report on a calibration, with errors and verdicts.
 
     The page needs no network. Next to it: every figure as PDF, and a bibliography.
@@ -168,7 +168,7 @@ def report(
     options: Any = {"calibration": calibration, "engine": engine, "title": title}
     tell = notify if sys.stderr.isatty() else None
     done = project.report(out, **options, command=command_line(), notify=tell)
-    return Answer(done.summary(), _lines(done))
+    return CommandAnswer(done.summary(), _lines(done))
 
 
 def _lines(done: "Report") -> list[str]:
@@ -189,7 +189,7 @@ def _lines(done: "Report") -> list[str]:
 
 
 @command
-def calibrations(project: "Project", calibration: CalibrationId = None) -> Answer:
+def calibrations(project: "Project", calibration: CalibrationId = None) -> CommandAnswer:
     """List stored calibrations, or show the estimates of one.
 
     Parameters
@@ -205,7 +205,7 @@ def calibrations(project: "Project", calibration: CalibrationId = None) -> Answe
             raise NotStored("calibration", hint="make one with: fixel calibrate")
         following = command_of("calibrations", listed.rows[0][0], project=project.folder)
         lines = [*listed.lines(), f"Next: {following}"]
-        return Answer({"calibrations": listed.records()}, lines)
+        return CommandAnswer({"calibrations": listed.records()}, lines)
     fit = stored_calibration(project, calibration)
     content = {
         "calibration": calibration,
@@ -216,4 +216,6 @@ def calibrations(project: "Project", calibration: CalibrationId = None) -> Answe
         **fit.analysis.texts(),
         **{own: getattr(fit, own) for own in ("status", "evaluations", "command", "call")},
     }
-    return Answer(content, [repr(fit), *([f"Repeat it: {fit.command}"] if fit.command else [])])
+    return CommandAnswer(
+        content, [repr(fit), *([f"Repeat it: {fit.command}"] if fit.command else [])]
+    )

@@ -10,7 +10,7 @@ from fixel.capability.usual import Seed, Threads
 from fixel.cli.capability import command, typer_command
 from fixel.cli.options import AsJson, option, required, with_options
 from fixel.cli.project import imported
-from fixel.cli.screen import Answer, command_of, print_answer, wrote
+from fixel.cli.screen import CommandAnswer, command_of, print_answer, wrote
 from fixel.progress import show_progress
 from fixel.table import Column, Table, shortened
 from fixel.workflows.acquisition import FILM, Count
@@ -38,7 +38,7 @@ def run_plan(
     uneven_table: Annotated[float, Door(least=0.0)] = 0.0,
     limit: Count = None,
     threads: Threads = None,
-) -> Answer:
+) -> CommandAnswer:
     """Perform a plan on the simulated testbed, with noise.
 
     The drive has ripple, and the plate is uneven.
