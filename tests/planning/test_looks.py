@@ -10,6 +10,7 @@ from tests.fixtures import refused
 import fixel
 from fixel import Belief, FreePushes, InvalidInput, PoseRegion, Seated, StartError
 from fixel.drawing.planning import looks_chart
+from fixel.model import Disk, Fixel
 from fixel.planning.corrections import Correction, CorrectionTable, likelihoods
 from fixel.planning.looks import Policy, looks_of
 from fixel.planning.plan import search_of
@@ -214,6 +215,25 @@ def test_only_runs_of_a_correction_are_simulated_and_not_its_planned_end(policy)
     worlds = worlds._replace(misfit=np.tile(misfit, (5, 1)))
     met = simulator.margins(simulator.run(planned, np.repeat(np.arange(5), 32), worlds)) >= 0.0
     np.testing.assert_allclose(found.probability[:, 0], met.reshape(5, 32).mean(axis=1))
+
+
+def test_no_push_among_fixels_is_simulated_twice_in_the_same_worlds(policy, monkeypatch):
+    fixel_far_away = Fixel("far", Disk(5 * mm), pose=(0.3, 0.0, 0.0), friction=0.2)
+    scene = replace(policy.simulator.scene, fixels=(fixel_far_away,))
+    simulated, tried = [], CorrectionTable._tried
+
+    def recorded(table, simulator, case, pushes, worlds):
+        simulated.extend((worlds, *own) for own in pushes.numbers[0].tolist())
+        return tried(table, simulator, case, pushes, worlds)
+
+    monkeypatch.setattr(CorrectionTable, "_tried", recorded)
+    seen = pushed_square().bodies[0].pose[None] + np.array([1 * mm, 2 * mm, 0.05])
+    case = seen, np.ones((1, 32)), np.repeat(seen[:, None], 32, axis=1)
+    found = replace(policy, simulator=replace(policy.simulator, scene=scene))._chosen(*case)
+    assert found.refined.all()
+    assert len(simulated) == len(set(simulated)) > 20
+    alone = policy._chosen(*case)  # the fixel is out of reach
+    assert (found.numbers == alone.numbers).all()
 
 
 def test_refined_pushes_stay_near_those_of_the_table(policy):

@@ -181,14 +181,18 @@ class CorrectionTable:
         ends = ends.reshape(len(seen), many, WORLDS, 3)
         scores = self._scores(simulator, ends, weight[:, None])
         pushes = Correction(near, *scores, self.numbers[near], np.zeros(near.shape, bool))
-        if simulator.scene.fixels or simulator.choice.obstacles:
+        alone = not (simulator.scene.fixels or simulator.choice.obstacles)
+        if not alone:
             pushes = self._tried(simulator, case, pushes.best(TRIED), TRIED_WORLDS)
         best = pushes.best(1).at((slice(None), 0))
         low = np.flatnonzero(np.maximum(rest[1][:, 0], best.probability) < ENOUGH)
         if refined and len(low):
             own: SeenParts = (seen[low], weight[low], start[low])
             first = near[low, :: many // len(towards)]  # nearest to each aim
-            best.put(low, self._refined(simulator, own, pushes.at(low), first, towards))
+            parents = pushes.at(low).best(PARENTS)
+            if alone:  # else they have been simulated
+                parents = self._tried(simulator, own, parents, TRIED_WORLDS)
+            best.put(low, self._refined(simulator, own, parents, first, towards))
         stays = rest[0][:, 0] >= best.score
         best.row[stays], best.probability[stays] = -1, rest[1][stays, 0]
         return best
@@ -226,15 +230,15 @@ class CorrectionTable:
         self,
         simulator: PlanSimulator,
         case: SeenParts,
-        pushes: Correction,
+        first: Correction,
         near: IntArray,
         towards: FloatArray,
     ) -> Correction:
         """Return the best push (n,) of an evolution strategy that ends where it is enough.
 
-        Parents are given pushes (n, m), and those of the table, `near` (n, t), moved to the aims
-        (t, 3). Where no push meets the goal, the first parents stay: before a slot, the
-        distance from the goal misleads.
+        Parents are the first pushes (n, m), which have been simulated, and those of the table,
+        `near` (n, t), moved to the aims (t, 3). Where no push meets the goal, the first parents
+        stay: before a slot, the distance from the goal misleads.
 
         Source
         ------
@@ -244,7 +248,7 @@ class CorrectionTable:
         span, rng = high - low, np.random.default_rng([self.seed, 13])
         none, moved = np.zeros(near.shape), self._aimed(simulator, case, near, towards)
         aimed = Correction(near, none, none, moved, (moved != self.numbers[near]).any(axis=2))
-        own = self._tried(simulator, case, aimed.joined(pushes.best(PARENTS)), TRIED_WORLDS)
+        own = self._tried(simulator, case, aimed, TRIED_WORLDS).joined(first)
         found = own.best(PARENTS, by="probability")
         parents = np.arange(CHILDREN) % found.row.shape[1]
         for _ in range(GENERATIONS):
@@ -259,9 +263,8 @@ class CorrectionTable:
             mine: SeenParts = tuple(x[busy] for x in case)
             own = self._tried(simulator, mine, own, TRIED_WORLDS)
             found.put(busy, found.at(busy).joined(own).best(PARENTS, by="probability"))
-        last = self._tried(
-            simulator, case, found.at((slice(None), [0])).joined(pushes.best(1)), WORLDS
-        )
+        best, begun = (own.at((slice(None), [0])) for own in (found, first))
+        last = self._tried(simulator, case, best.joined(begun), WORLDS)
         return last.best(1).at((slice(None), 0))
 
     def _aimed(
