@@ -15,7 +15,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from fixel.calibration.objective import ANGLE_SCALE, Comparer
+from fixel.calibration.honest import MM
+from fixel.calibration.objective import Comparer
 from fixel.errors import InvalidInput
 from fixel.model.records import Estimate
 from fixel.typing import BoolArray, FloatArray
@@ -24,7 +25,6 @@ STEP: Final = 0.1  # of the differences [scales]
 INSTANTS: Final = 27  # poses of an experiment that are compared
 # Independent observations that an experiment counts for: errors of a motion are much alike.
 OBSERVATIONS: Final = 3.0
-MM: Final = np.array([1e3, 1e3, 1e3 * ANGLE_SCALE])
 
 
 class LinearFit(NamedTuple):
@@ -103,7 +103,9 @@ def linear_fit(comparer: Comparer, point: FloatArray) -> LinearFit:
     low, high = space.low, space.high
     step = STEP * space.scale
     up, down = np.minimum(point + step, high), np.maximum(point - step, low)
-    probes = np.vstack((point[None], *(np.vstack(pair) for pair in _moved(point, up, down))))
+    probes = np.tile(point, (1 + 2 * len(point), 1))
+    np.fill_diagonal(probes[1::2], up)
+    np.fill_diagonal(probes[2::2], down)
     n = len(comparer.targets)
     which = np.repeat(np.arange(n), len(probes))
     found, converged, _ = comparer.differences(which, np.tile(probes, (n, 1)))
@@ -138,15 +140,3 @@ def draw_joint(
     inside = centre + scale * ndtri(left + (right - left) * share)
     found = np.where(even, low + (high - low) * share, inside)
     return np.asarray(np.clip(found, low, high))
-
-
-def _moved(
-    point: FloatArray, up: FloatArray, down: FloatArray
-) -> list[tuple[FloatArray, FloatArray]]:
-    """Return the points on both sides of `point` for each parameter."""
-    pairs = []
-    for k in range(len(point)):
-        plus, minus = point.copy(), point.copy()
-        plus[k], minus[k] = up[k], down[k]
-        pairs.append((plus, minus))
-    return pairs

@@ -27,7 +27,7 @@ from fixel.calibration.contacts import (
     contacts_of,
     gaps_and_normals,
 )
-from fixel.calibration.target import Target, target_of
+from fixel.calibration.target import NUMBERING, TRUTH, Target, target_of
 from fixel.errors import some_of
 from fixel.model import Disk, Experiment, Scene
 from fixel.model.fields import Comparable, frozen, instance, settle
@@ -41,8 +41,6 @@ DATASET: Final = "dataset"
 # Conditions that identify what errors depend on; every one of their values counts.
 IDENTITY: Final = (*PARTS, *SURFACES, DATASET)
 TRAVEL_LENGTH: Final = "travel"
-_OWN: Final = ("experiment", "repetition", "step")
-_TRUTH: Final = "truth_"
 # Experiments with one value below which it counts as unseen: one or two pushes are no evidence.
 MIN_EXPERIMENTS: Final = 3
 MAX_NAMES: Final = 5  # values that a sentence lists
@@ -285,8 +283,8 @@ def _labels(target: Target, names: Sequence[str]) -> dict[str, str]:
     return {
         name: f"{value:g}" if isinstance(value, float) else str(value)
         for name, value in with_dataset(target).conditions.items()
-        if name not in _OWN
-        and not name.startswith(_TRUTH)
+        if name not in NUMBERING
+        and not name.startswith(TRUTH)
         and (isinstance(value, str) or name in (*IDENTITY, *names))
     }
 

@@ -124,7 +124,9 @@ def clock_start(experiment: Experiment, scene: Scene) -> float:
 
 # Conditions that may differ between repetitions of an experiment.
 _OWN: Final = ("experiment", "repetition")
-_TRUTH: Final = "truth_"
+# Conditions that number experiments.
+NUMBERING: Final = (*_OWN, "step")
+TRUTH: Final = "truth_"  # prefix of conditions that no real laboratory could know
 
 
 def same_configuration(target: Target) -> str:
@@ -134,7 +136,7 @@ def same_configuration(target: Target) -> str:
     kept = {
         name: value
         for name, value in target.conditions.items()
-        if name not in _OWN and not name.startswith(_TRUTH)
+        if name not in _OWN and not name.startswith(TRUTH)
     }
     return repr(sorted(kept.items()))
 

@@ -11,7 +11,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from fixel.calibration.contacts import CONTACT_ANGLE
-from fixel.calibration.target import Target
+from fixel.calibration.target import NUMBERING, TRUTH, Target
 from fixel.domain.evidence import HeldOutErrors, Value
 from fixel.errors import InvalidInput, check_name
 from fixel.model import wrapped
@@ -21,8 +21,6 @@ from fixel.units import displayed, split_unit
 
 PUSH: Final = "push_angle_rad"
 TRAVEL: Final = "travel_m"
-_HIDDEN: Final = ("experiment", "repetition", "step")
-_TRUTH: Final = "truth_"
 
 
 def coordinates_of(target: Target) -> dict[str, Value]:
@@ -35,7 +33,7 @@ def coordinates_of(target: Target) -> dict[str, Value]:
     found: dict[str, Value] = {
         name: value
         for name, value in target.conditions.items()
-        if name not in _HIDDEN and not name.startswith(_TRUTH)
+        if name not in NUMBERING and not name.startswith(TRUTH)
     }
     for name, number in _geometry(target).items():
         found.setdefault(name, number)
@@ -55,15 +53,12 @@ def _geometry(target: Target) -> dict[str, float]:
     found = {TRAVEL: float(np.hypot(*way))}
     if np.hypot(*arm) > 0.0:
         bearing = math.atan2(float(arm[1]), float(arm[0])) - float(body.pose[2])
-        found[CONTACT_ANGLE] = _short(bearing)
+        found[CONTACT_ANGLE] = float(wrapped(bearing))
         if found[TRAVEL] > 0.0:
             heading = math.atan2(float(way[1]), float(way[0]))
-            found[PUSH] = _short(heading - math.atan2(-float(arm[1]), -float(arm[0])))
+            back = math.atan2(-float(arm[1]), -float(arm[0]))
+            found[PUSH] = float(wrapped(heading - back))
     return found
-
-
-def _short(angle: float) -> float:
-    return float(wrapped(np.array([angle]))[0])
 
 
 def refuse_missing(

@@ -29,7 +29,7 @@ from fixel.model import Scene
 from fixel.model.fields import floats, whole
 from fixel.simulation.motion import AbstractMotionModel, motion_model, named_part
 from fixel.simulation.pack import PackedBatch, pack, stack
-from fixel.simulation.record import empty_record, shape_poses
+from fixel.simulation.record import empty_record, hold_last, shape_poses
 from fixel.simulation.result import BatchResult
 from fixel.simulation.simulate import (
     CONTACTS_PER_BODY,
@@ -258,7 +258,7 @@ def _unpack(
     parameters: Mapping[str, FloatArray] | None = None,
 ) -> BatchResult:
     units = packed.units
-    _hold_last(record)
+    hold_last(record, record.pose, record.drive)
     return BatchResult(
         scene=scene,
         parameters={} if parameters is None else parameters,
@@ -289,15 +289,6 @@ def _last_contacts(scene: Scene, record: BatchRecord) -> BoolArray:
     touching = np.zeros((n, n_moving, len(scene.names)), dtype=np.bool_)
     touching[run, pair[:, 0], pair[:, 1]] = True
     return touching
-
-
-def _hold_last(record: BatchRecord) -> None:
-    """Repeat the last pose of rollouts that stopped early in the samples they did not reach."""
-    n_sample = record.time.shape[1]
-    for r in np.nonzero(record.count[:, SAMPLES] < n_sample)[0]:
-        last = max(record.count[r, SAMPLES] - 1, 0)
-        for array in (record.pose, record.drive):
-            array[r, last:] = array[r, last]
 
 
 def _simulate_scenes(

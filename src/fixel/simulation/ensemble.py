@@ -21,7 +21,7 @@ from fixel.model import Pusher, Scene
 from fixel.model.scene import check_push
 from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
 from fixel.simulation.pack import PackedBatch, Template, fastest_motion, pusher_path, stack
-from fixel.simulation.record import empty_record, shape_poses
+from fixel.simulation.record import empty_record, hold_last, shape_poses
 from fixel.simulation.rollouts import INFEASIBLE, EnsembleOutcome, RolloutCase
 from fixel.simulation.simulate import check_compiled, method_of
 from fixel.simulation.solver import AbstractSolver, Newton
@@ -93,7 +93,6 @@ class Ensemble:
         *,
         motion: AbstractMotionModel | None = None,
         stepper: AbstractStepper | None = None,
-        solver: AbstractSolver | None = None,
         threads: int | None = None,
     ) -> Ensemble:
         """Return an ensemble of pushes of one scene with one pusher, without a scene for each.
@@ -105,7 +104,7 @@ class Ensemble:
         share = np.arange(1, n_sample + 1) / n_sample
         times = path[:, -1, :1] * share
         case = RolloutCase(scene, times[0])
-        own = cls([case], motion, stepper, solver, threads, several=True)
+        own = cls([case], motion, stepper, threads=threads, several=True)
         own._group = np.zeros(len(start), np.int64)
         own._start = start.reshape(len(start), -1, 3)
         own._duration, own._times = times[:, -1], times
@@ -335,8 +334,5 @@ def _padded(track: FloatArray, n: int) -> FloatArray:
 def _tracks(packed: PackedBatch, record: BatchRecord) -> FloatArray:
     """Poses (n, n_sample, n_free, 3) of free bodies; the last repeated after an early stop."""
     pose = shape_poses(packed, record.pose)[:, :, : len(packed.com)]
-    written = record.count[:, SAMPLES]
-    n_sample = pose.shape[1]
-    for r in np.flatnonzero(written < n_sample):
-        pose[r, written[r] :] = pose[r, max(written[r] - 1, 0)]
+    hold_last(record, pose)
     return pose

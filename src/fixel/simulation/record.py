@@ -7,7 +7,7 @@ import functools
 import numpy as np
 
 from fixel.kernels import batch as kernel
-from fixel.kernels.arrays import DURATION, N_TOTAL, BatchRecord, StepMethod
+from fixel.kernels.arrays import DURATION, N_TOTAL, SAMPLES, BatchRecord, StepMethod
 from fixel.simulation.pack import RECENT_SCENES, PackedBatch, Units
 from fixel.simulation.threads import rollout_in_threads
 from fixel.simulation.vary import composed, inverted
@@ -99,6 +99,15 @@ def shape_poses(packed: PackedBatch, pose: FloatArray) -> FloatArray:
         frame = inverted(packed.outline)[:, None, None]
         free[:] = composed(free, frame if out.ndim == 4 else frame[0, 0])
     return np.asarray(out)
+
+
+def hold_last(record: BatchRecord, *arrays: FloatArray) -> None:
+    """Repeat the last sample of rollouts that stopped early in arrays (n, n_sample, ...)."""
+    written = record.count[:, SAMPLES]
+    for r in np.flatnonzero(written < record.time.shape[1]):
+        last = max(written[r] - 1, 0)
+        for array in arrays:
+            array[r, last:] = array[r, last]
 
 
 def ends_of(

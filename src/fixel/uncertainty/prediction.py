@@ -325,7 +325,7 @@ def levels_of(poses: FloatArray, pose: FloatArray) -> tuple[float, float]:
     others = _distances(poses[:, :2], centre, spread)
     own = float(_distances(pose[None, :2], centre, spread)[0])
     middle = float(np.median(poses[:, 2]))
-    away = abs(float(wrapped(np.array([pose[2] - middle]))[0]))
+    away = abs(float(wrapped(pose[2] - middle)))
     turned = np.abs(poses[:, 2] - middle)
     return float(np.mean(others < own)), float(np.mean(turned < away))
 
