@@ -107,12 +107,8 @@ def _entropy(chance: FloatArray) -> FloatArray:
 
 def _reason(cells: Cells, verdict: CellVerdict, inside: list[int], c: int) -> str:
     if verdict.colour != DOUBTFUL:
-        nominal = c == cells.nominal
-        return (
-            "no experiment at the nominal"
-            if nominal
-            else ("no experiment in this cell, which touches D")
-        )
+        where = "at the nominal" if c == cells.nominal else "in this cell, which touches D"
+        return f"no experiment {where}"
     touches = any(c in edge and (set(edge) & set(inside)) for edge in cells.edges)
     return f"doubtful{' and next to D' if touches else ''}: {verdict.reason}"
 

@@ -145,24 +145,19 @@ def _set_apart(scene: Scene, columns: dict[str, FloatArray], error: StartError) 
     """Move starts out of the neighbours that they may reach; return why some have no room."""
     shape, poses, neighbours = _placed(scene, columns)
     reach = error.reach
-    most = ROOM * float(np.hypot(*reach[:2]) + reach[2] * _radius(shape))
-    radius = _radius(shape)
+    most = ROOM * float(np.hypot(*reach[:2]) + reach[2] * shape.radius)
     middle = poses[:, :2].mean(axis=0)
     wander = float(np.hypot(*(poses[:, :2] - middle).T).max()) + most
     near = [
         other
         for other in neighbours
         if other.moved is not None
-        or np.hypot(*(other.pose[:2] - middle)) < radius + _radius(other.shape) + wander
+        or np.hypot(*(other.pose[:2] - middle)) < shape.radius + other.shape.radius + wander
     ]
     moved, refused = remove_overlap(shape, poses, near, most)
     columns["start_x"] += (moved - poses)[:, 0]
     columns["start_y"] += (moved - poses)[:, 1]
     return refused
-
-
-def _radius(shape: Shape) -> float:
-    return float(shape.radius)
 
 
 def _simulated(
