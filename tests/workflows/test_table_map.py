@@ -54,12 +54,16 @@ def pushes():
 
 
 @pytest.fixture(scope="module")
-def table(pushes):
+def fitted(pushes):
+    return fixel.table_map(pushes[:-1], progress=False)
+
+
+@pytest.fixture(scope="module")
+def table(fitted):
     """Map with the hills themselves instead of what was fitted, seen in a circle of 250 mm."""
     y, x = np.meshgrid(*2 * [np.arange(-6, 7) * 0.05], indexing="ij")
     spread = np.diag(np.where(np.hypot(x, y) < 0.25, 0.1, 1.0).ravel())
-    found = fixel.table_map(pushes[:-1], progress=False)
-    return replace(found, load_map=HILLS, spread=spread, weight=1.0)
+    return replace(fitted, load_map=HILLS, spread=spread, weight=1.0)
 
 
 @pytest.fixture
@@ -264,15 +268,13 @@ def test_a_scene_file_is_not_put_on_the_table(lab, pushes, file, tmp_path):
 # --- the map itself -------------------------------------------------------------------------------
 
 
-def test_a_map_of_a_project_is_that_of_its_experiments(lab, pushes, tmp_path):
+def test_a_map_of_a_project_is_that_of_its_experiments(lab, fitted, tmp_path):
     file, charts = tmp_path / "map.fixel", tmp_path / "charts"
     words = ["table", "map", "--where", "surface=board", "--out", str(file), "--plot", str(charts)]
     answer = CliRunner().invoke(app, [*words, "--project", str(lab.folder), "--json"])
     found, printed = fixel.load(file), json.loads(answer.stdout)
 
-    assert np.array_equal(
-        found.load_map.log_load, fixel.table_map(pushes[:-1], progress=False).load_map.log_load
-    )
+    assert np.array_equal(found.load_map.log_load, fitted.load_map.log_load)
     assert (printed["weight"], printed["parts"]) == (found.weight, ["part-1", "part-2"])
     mean, low, high = printed["change_of_errors"]["side"]["position_m"]
     side = found.judgement
@@ -289,16 +291,17 @@ def test_a_map_of_a_project_is_that_of_its_experiments(lab, pushes, tmp_path):
 
 
 def test_the_command_names_the_next_one(lab, table, tmp_path):
-    for out, said in (
-        (None, "table map --where surface=board --out table.fixel"),
-        (tmp_path / "m", f"calibrate --where surface=board --table {tmp_path / 'm'}"),
+    capability, where = CAPABILITIES["table-map"], ("surface=board",)
+    done = answer(lab, "table-map", where=where)
+    helps = done._replace(result=done.result._replace(table=table))
+    saved = helps._replace(request=capability.request({"where": where, "out": tmp_path / "m"}))
+    for helpful, said in (
+        (helps, "table map --where surface=board --out table.fixel"),
+        (saved, f"calibrate --where surface=board --table {tmp_path / 'm'}"),
     ):
-        done = answer(lab, "table-map", where=("surface=board",), out=out)
-        helps = done._replace(result=done.result._replace(table=table))
-        words = CAPABILITIES["table-map"].present.next_words(helps)
-        assert " ".join(map(str, words)) == said
+        assert " ".join(map(str, capability.present.next_words(helpful))) == said
     without = helps._replace(result=done.result._replace(table=replace(table, weight=0.0)))
-    assert CAPABILITIES["table-map"].present.next_words(without) == []
+    assert capability.present.next_words(without) == []
 
 
 def test_the_figure_shows_nodes_and_pushes(table, pushes):
