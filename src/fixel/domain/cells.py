@@ -321,6 +321,22 @@ class Cells:
                         found.append((k, other))
         return found
 
+    def grid(self, across: int, up: int | None) -> IntArray:
+        """Return cells (n_row, n_column) over one axis or two, in rows from below.
+
+        On the other axes they are at the nominal.
+        """
+        number = {index: c for c, index in enumerate(self.index)}
+        n_up = 1 if up is None else len(self.axes[up])
+        found = np.zeros((n_up, len(self.axes[across])), np.int64)
+        for row, column in np.ndindex(*found.shape):
+            index = list(self.index[self.nominal])
+            index[across] = column
+            if up is not None:
+                index[up] = row
+            found[row, column] = number[tuple(index)]
+        return found
+
     def component(self, inside: Sequence[bool]) -> list[int]:
         """Return the cells inside that are connected to the nominal; none if that is outside."""
         touching: dict[int, list[int]] = {k: [] for k in range(len(self))}

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from fixel.domain.cells import CellAxis, Cells
+from fixel.domain.cells import CellAxis
 from fixel.domain.claim import CellVerdict, Claim
 from fixel.domain.domain import DomainMap
 from fixel.domain.push_bound import ErrorBound
@@ -50,7 +50,7 @@ def map_chart(
     The claim holds in blue cells. Columns are along the axis `across`, rows along `up`; without
     that, the cells through the nominal are drawn.
     """
-    grid, axes, groups = _grid(domain.cells, across, up), domain.cells.axes, domain.groups
+    grid, axes, groups = domain.cells.grid(across, up), domain.cells.axes, domain.groups
     (n_up, n_across), shown = grid.shape, groups[:MAX_PANELS]
     ticks, up_ticks = _ticks(axes[across]), [""] if up is None else _ticks(axes[up])
     columns = min(len(shown), _most_columns(n_up, n_across))
@@ -91,20 +91,6 @@ def map_chart(
         fill=fill,
         data=_map_table(domain, claim, verdicts),
     )
-
-
-def _grid(cells: Cells, across: int, up: int | None) -> IntArray:
-    """Cells (n_row, n_column) to draw, in rows from below."""
-    number = {index: c for c, index in enumerate(cells.index)}
-    n_up = 1 if up is None else len(cells.axes[up])
-    found = np.zeros((n_up, len(cells.axes[across])), np.int64)
-    for row, column in np.ndindex(*found.shape):
-        index = list(cells.index[cells.nominal])
-        index[across] = column
-        if up is not None:
-            index[up] = row
-        found[row, column] = number[tuple(index)]
-    return found
 
 
 def _map_table(domain: DomainMap, claim: Claim, verdicts: list[list[CellVerdict]]) -> Table:

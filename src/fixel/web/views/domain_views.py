@@ -273,19 +273,12 @@ def _points(domain: DomainMap, claim: Claim) -> dict[tuple[str, int], list[MapPo
 def _panels(cells: Cells) -> list[DomainPanel]:
     """One strip per axis through the nominal if experiments differ along one at a time; else one
     grid."""
-    number = {index: c for c, index in enumerate(cells.index)}
     if not cells.is_strips:
         across, up = cells.axes
-        grid = [[number[i, j] for i in range(len(across))] for j in range(len(up))]
-        return [DomainPanel(across=_ticks(across), up=_ticks(up), rows=grid)]
-    centre = cells.index[cells.nominal]
-    strips = [
-        [number[(*centre[:a], k, *centre[a + 1 :])] for k in range(len(axis))]
-        for a, axis in enumerate(cells.axes)
-    ]
+        return [DomainPanel(across=_ticks(across), up=_ticks(up), rows=cells.grid(0, 1).tolist())]
     return [
-        DomainPanel(across=_ticks(axis), up=None, rows=[strip])
-        for axis, strip in zip(cells.axes, strips, strict=True)
+        DomainPanel(across=_ticks(axis), up=None, rows=cells.grid(a, None).tolist())
+        for a, axis in enumerate(cells.axes)
     ]
 
 
