@@ -62,6 +62,12 @@ def test_the_project_is_named_alike_everywhere():
         assert [sorted(p.opts) for p in options] == [["--project", "-p"]], name
 
 
+def test_every_option_has_a_meaning():
+    for name, command in commands(typer.main.get_command(app)):
+        for option in command.params:
+            assert (option.help or "").endswith("."), (name, option.name)
+
+
 def test_the_tolerance_of_a_part_is_named_alike_everywhere():
     known = dict(commands(typer.main.get_command(app)))
     options = {name: {word for p in known[name].params for word in p.opts} for name in known}

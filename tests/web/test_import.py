@@ -43,6 +43,13 @@ def test_what_cannot_be_is_refused_in_a_sentence(bench):
         assert "sentence" in bench.post("/import", asked, 422)
 
 
+def test_a_table_of_several_pushes_is_left_to_the_command(bench):
+    header, *rows = TABLE.strip().splitlines()
+    twice = "\n".join([f"{header},push", *(f"{row},{push}" for push in "ab" for row in rows)])
+    refused = bench.post("/import", {"name": "a.csv", "table": twice}, 422)
+    assert 'use fixel import TABLE --option split_by="push" if' in str(refused)
+
+
 @pytest.mark.system
 def test_files_dropped_on_the_page_are_imported(browser_page, server):
     page = browser_page

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 from fastapi import APIRouter
 from pydantic import AfterValidator, Field
 
+from fixel.capability.capability import named
+from fixel.errors import InvalidInput
 from fixel.model import Flag
 from fixel.web.context import Context
 from fixel.web.values import Answer, Id, RequestBody, Text, storable
@@ -119,14 +121,13 @@ def undelete_notes(context: Context, wanted: MarkRequest) -> ChangedRecords:
 
 @router.post("/import", summary="Import a CSV table with its scene", tags=["experiments"])
 def import_table(context: Context, wanted: TableRequest) -> TableResult:
-    plan, template, done = import_texts(
-        context.store,
-        wanted.name,
-        wanted.table,
-        wanted.scene,
-        angle_unit=wanted.angle_unit,
-        dry_run=wanted.dry_run,
-    )
+    options: Any = {"angle_unit": wanted.angle_unit, "dry_run": wanted.dry_run}
+    try:
+        plan, template, done = import_texts(
+            context.store, wanted.name, wanted.table, wanted.scene, **options
+        )
+    except InvalidInput as error:  # the page imports one experiment
+        raise named(error, {"split_by": "fixel import TABLE --option split_by"}) from None
     return TableResult(
         understood=list(plan.understood),
         has_scene=template is None,
