@@ -227,9 +227,9 @@ def run(
     from fixel.workflows.planning.execute import present_belief, run_on_drive, run_on_testbed
     from fixel.workflows.planning.request import load_plan
 
-    filming = {"--camera, --out or --rig": camera or out or rig}
-    of_drive = {"port": port, "start": start, "end": end, **filming, "by": by}
-    _check_unused(driver, of_drive, {"trials": trials > 1, "engine": engine})
+    filming = {"--camera": camera, "--out": out, "--rig": rig}
+    of_drive = {"--port": port, "--start": start, "--end": end, **filming, "--by": by}
+    _check_unused(driver, of_drive, {"--trials": trials > 1, "--engine": engine})
     if camera is None and (out is not None or rig is not None):
         raise InvalidInput("--camera", found=None, expected="the camera for --out and --rig")
     if camera is not None and out is None:
