@@ -230,10 +230,10 @@ def run(
     filming = {"--camera": camera, "--out": out, "--rig": rig}
     of_drive = {"--port": port, "--start": start, "--end": end, **filming, "--by": by}
     _check_unused(driver, of_drive, {"--trials": trials > 1, "--engine": engine})
-    if camera is None and (out is not None or rig is not None):
-        raise InvalidInput("--camera", found=None, expected="the camera for --out and --rig")
-    if camera is not None and out is None:
-        raise InvalidInput("--out", found=None, expected="a new folder for the recording")
+    if any(filming.values()) and (camera is None or out is None):
+        missing = next(name for name, given in filming.items() if given is None)
+        expected = "both to record: --camera SOURCE --out FOLDER"
+        raise InvalidInput(missing, found=None, expected=expected)
     recording = RecordPlan(camera=camera, folder=out, rig=rig) if camera and out else None
     found = load_plan(plan).found
     if engine:
