@@ -41,7 +41,7 @@ def test_next_is_a_command_that_does_something(tmp_path, capsys):
     assert [row[0] for row in rows][:1] == ["mu_support"]
 
 
-def test_trouble_is_printed_once_without_a_terminal(capsys, monkeypatch):
+def test_rows_and_trouble_are_printed_once_without_a_terminal(capsys, monkeypatch):
     now = [100.0]
     monkeypatch.setattr(bench, "time", SimpleNamespace(monotonic=lambda: now[0]))
     usual = {"number": 1, "rows": 2, "row": "a", "phase": "trouble", "problems": [], "checks": []}
@@ -64,7 +64,9 @@ def test_trouble_is_printed_once_without_a_terminal(capsys, monkeypatch):
     reports(0.1, phase="placing")
     reports(bench.PATIENCE + 5.0, **placing)
     reports(bench.PATIENCE + 5.0, phase="placing", checks=[away])
-    lines = capsys.readouterr().err.splitlines()
+    reports(0.1, number=2, row="b")
+    first, *lines, second = capsys.readouterr().err.splitlines()
+    assert (first, second) == ("row 1/2 a", "row 2/2 b")
     assert lines == [f"trouble: no {own}" for own in ("camera", "camera", "drive")] + [
         "trouble: disk: full"
     ]

@@ -85,24 +85,26 @@ def _take(session: "BenchSession", key: str) -> None:
 def _reporter(session: "BenchSession") -> Callable[[], None]:
     """Return a function that prints the status over the last one.
 
-    Without a terminal, it prints trouble, and checks that fail for `PATIENCE`.
+    Without a terminal, it prints each new row, trouble, and checks that fail for `PATIENCE`.
     """
-    terminal, last, since, printed = sys.stderr.isatty(), "", 0.0, ""
+    terminal, row, last, since, printed = sys.stderr.isatty(), "", "", 0.0, ""
 
     def show() -> None:
-        nonlocal last, since, printed
+        nonlocal row, last, since, printed
         if not (report := json.loads(session.view.report)):
             return
         checks = report["checks"] if report["phase"] == "placing" else ()
         words = [f"{own['name']}: {own['words']}" for own in checks if not own["passed"]]
         words = report["problems"] or words
+        before, row = row, f"row {report['number']}/{report['rows']} {report['row']}"
         if terminal:
-            row = f"row {report['number']}/{report['rows']} {report['row']}"
             line = plain(f"{row}: {report['phase']} {'; '.join(words)}")
             if line != last:
                 print(f"\r{line:<{len(last)}}", end="", file=sys.stderr, flush=True)
             last = line
             return
+        if row != before:
+            notify(row)
         line = "; ".join(own for own in words if not own.startswith("in place"))
         if line != last:
             last, since = line, time.monotonic()

@@ -532,8 +532,8 @@ class Calibration(Result, Mapping[str, float]):
         share = float(errors[found].sum() / errors[np.isfinite(errors)].sum())
         robust = self.request.error.name == Robust.name
         return [
-            f"{len(found)} of {len(errors)} experiments are outliers, with {100 * share:.0f} % of"
-            f" the summed error: {some_of(named, MAX_OUTLIERS)}"
+            f"{counted(len(found), 'outlier')} among {len(errors)} experiments, with"
+            f" {100 * share:.0f} % of the summed error: {some_of(named, MAX_OUTLIERS)}"
             + ("" if robust else f"; the error {Robust.name} reduces their weight")
         ]
 

@@ -55,7 +55,7 @@ def propose_pushes(
     number : int
         Number of pushes to propose.
     chosen : bool
-        Whether the part's pushes so far were proposed by this command.
+        Whether the part's pushes so far were proposed in this way.
     contacts : int
         Number of contacts around the outline.
     travel : float, optional
