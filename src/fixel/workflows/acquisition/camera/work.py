@@ -27,9 +27,9 @@ from fixel.vision.marks import Rig, Tag, board_of
 from fixel.vision.place_camera import Placement, place_by_board, place_by_tags
 from fixel.vision.plane_errors import PlaceAccuracy, mm, verdict
 from fixel.vision.tracking.checks import moved_limit, tags_off
+from fixel.workflows.acquisition.camera import USUAL_BOARD
 from fixel.workflows.acquisition.camera.report import CameraAnswer, PrintAnswer
 
-BOARD: Final = "charuco:7x5:30mm:22mm"
 CAMERA_ENDINGS: Final = (".yaml", ".yml")
 MOVED: Final = 5e-4  # [m] allowed offset of a plate tag, in addition to the camera's errors
 ROUND_TRIP: Final = 1e-6  # [px]
@@ -39,7 +39,7 @@ MAX_TAGS = 500
 def calibrated(asked: Any, progress: ProgressOption) -> CameraAnswer:
     """Calibrate a lens from pictures of a board, and save the camera."""
     if asked.board is None:
-        expected = f"the board in the pictures: {BOARD} or checkerboard:9x6:25mm"
+        expected = f"the board in the pictures: {USUAL_BOARD} or checkerboard:9x6:25mm"
         hint = "to print one: fixel camera board"
         raise InvalidInput("board", found=None, expected=expected, hint=hint)
     wanted = board_of(asked.board)
@@ -204,7 +204,7 @@ def _moved(rig: Rig, tags: dict[int, float]) -> list[str]:
 
 def printed_board(asked: Any) -> PrintAnswer:
     """Save a board as a PDF or PNG."""
-    board = board_of(asked.board or BOARD)
+    board = board_of(asked.board or USUAL_BOARD)
     save_sheets((board_sheet(board, board.text, asked.paper),), asked.out)
     return PrintAnswer(asked.out, 1, board.text)
 
