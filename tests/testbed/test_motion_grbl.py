@@ -268,8 +268,7 @@ ENDS = {
 
 
 @pytest.mark.parametrize(("happens", "why"), ENDS.values(), ids=ENDS)
-def test_whatever_ends_a_move_early_is_told(controller, drive, happens, why, monkeypatch):
-    monkeypatch.setattr("fixel.testbed.grbl_link.SILENCE", 0.3)
+def test_whatever_ends_a_move_early_is_told(controller, drive, happens, why):
     drive.move(by=0.05, speed=0.03, wait=False)
     moves(controller)
     happens(controller)

@@ -233,10 +233,10 @@ class Capability:
         words: list[str] = []
         for name, texts in self.texts(request).items():
             option = self.shown[name]
+            if texts == usual[name]:
+                continue
             if option.place:
                 words += texts
-            elif texts == usual[name]:
-                continue
             elif option.kind is bool:
                 words.append(option.flag_words.split("/")[texts == ["no"]])
             else:

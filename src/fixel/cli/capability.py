@@ -122,12 +122,10 @@ def _parameter(option: Option) -> Parameter:
     kind: Any = list[str] if several else str
     default = (usual or None) if several else usual[0] if usual else None
     if option.place:
-        argument = typer.Argument(
-            metavar=option.metavar, show_default=option.door.usual or False, help=said
-        )
+        argument = typer.Argument(metavar=option.metavar, show_default=shown, help=said)
         if option.required:
             return _keyword(name, Annotated[kind, argument], Parameter.empty)
-        return _keyword(name, Annotated[kind | None, argument], None)
+        return _keyword(name, Annotated[kind | None, argument], default)
     words = (option.flag_words, *option.door.also)
     if option.kind is bool:
         flag = typer.Option(*words, show_default=option.default is not None, help=said)

@@ -147,6 +147,7 @@ class GrblLink:
                 with self.changed:
                     for line in self._lines(arrived):
                         self._hear(line)
+                    self._miss_controller()
                     self._feed()
             except (OSError, TypeError) as problem:  # TypeError: closed while pyserial reads
                 self._lose(problem)
@@ -156,15 +157,15 @@ class GrblLink:
         if now - self._asked > ASKING:
             self._asked = now
             self._port.write(grbl.STATUS)
+
+    def _miss_controller(self) -> None:
+        """Report silence, after everything that arrived was read: this thread may be late itself."""
         # A command such as homing may occupy the controller, and has its own timeout; an unanswered
         # line of a move has none.
-        heard = max(self.reported, self._accepted)
-        if now - heard > SILENCE and self._answers is None:
-            with self.changed:
-                self.trouble = self.trouble or (
-                    f"the controller has not responded for {SILENCE:.3g} s"
-                )
-                self.changed.notify_all()
+        silent = time.monotonic() - max(self.reported, self._accepted) > SILENCE
+        if silent and self._answers is None:
+            self.trouble = self.trouble or f"the controller has not responded for {SILENCE:.3g} s"
+            self.changed.notify_all()
 
     def _lines(self, arrived: bytes) -> list[str]:
         *whole, self._partial = (self._partial + arrived).split(b"\n")

@@ -219,7 +219,7 @@ MIN_OTHERS: Final = 3  # tags of another dictionary that may be found by chance
 MIN_CORNERS: Final = 8  # of one picture; a pose has six parameters, a corner two coordinates
 DICTIONARIES: Final = {"4x4": 50, "5x5": 100, "6x6": 250}  # number of tags of each
 UNITS: Final = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
-SHAPE: Final = (
+BOARD_SHAPE: Final = (
     "charuco:7x5:30mm:22mm (squares, size, size of tags) or checkerboard:9x6:25mm (inner corners, "
     "size of squares)"
 )
@@ -433,7 +433,7 @@ def board_of(text: str) -> Board:
     counts = re.fullmatch(r"(\d{1,3})x(\d{1,3})", parts[0]) if parts else None
     wanted = {"charuco": (3, 4), "checkerboard": (2,)}.get(kind, ())
     if not counts or len(parts) not in wanted:
-        raise InvalidInput("board", found=repr(text), expected=SHAPE)
+        raise InvalidInput("board", found=repr(text), expected=BOARD_SHAPE)
     across, down = (int(count) for count in counts.groups())
     if kind == "checkerboard":
         return Board(columns=across + 1, rows=down + 1, square=_length(parts[1]))

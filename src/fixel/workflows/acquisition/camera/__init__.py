@@ -175,7 +175,7 @@ def check_camera(
 
 
 def print_board(
-    board: Annotated[str, Door(metavar="BOARD", usual=USUAL_BOARD)] = "",
+    board: Annotated[str, Door(metavar="BOARD")] = USUAL_BOARD,
     *,
     out: Printed = Path("board.pdf"),
     paper: Paper = "a4",

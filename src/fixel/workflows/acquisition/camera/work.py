@@ -23,11 +23,10 @@ from fixel.progress import ProgressOption, show_progress
 from fixel.vision.calibrate_lens import calibrate_lens, find_boards
 from fixel.vision.camera import MeasuredCamera
 from fixel.vision.frame import Picture, size_of
-from fixel.vision.marks import Rig, Tag, board_of
+from fixel.vision.marks import BOARD_SHAPE, Rig, Tag, board_of
 from fixel.vision.place_camera import Placement, place_by_board, place_by_tags
 from fixel.vision.plane_errors import PlaceAccuracy, mm, verdict
 from fixel.vision.tracking.checks import moved_limit, tags_off
-from fixel.workflows.acquisition.camera import USUAL_BOARD
 from fixel.workflows.acquisition.camera.report import CameraAnswer, PrintAnswer
 
 CAMERA_ENDINGS: Final = (".yaml", ".yml")
@@ -39,9 +38,8 @@ MAX_TAGS = 500
 def calibrated(asked: Any, progress: ProgressOption) -> CameraAnswer:
     """Calibrate a lens from pictures of a board, and save the camera."""
     if asked.board is None:
-        expected = f"the board in the pictures: {USUAL_BOARD} or checkerboard:9x6:25mm"
         hint = "to print one: fixel camera board"
-        raise InvalidInput("board", found=None, expected=expected, hint=hint)
+        raise InvalidInput("board", found=None, expected=BOARD_SHAPE, hint=hint)
     wanted = board_of(asked.board)
     require_file(asked.out, CAMERA_ENDINGS, "camera")
     files = files_of(asked.pictures)
@@ -204,7 +202,7 @@ def _moved(rig: Rig, tags: dict[int, float]) -> list[str]:
 
 def printed_board(asked: Any) -> PrintAnswer:
     """Save a board as a PDF or PNG."""
-    board = board_of(asked.board or USUAL_BOARD)
+    board = board_of(asked.board)
     save_sheets((board_sheet(board, board.text, asked.paper),), asked.out)
     return PrintAnswer(asked.out, 1, board.text)
 
