@@ -3,14 +3,15 @@
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fixel.capability.options import Door
+from fixel.cli.capability import command
 from fixel.cli.main import run
-from fixel.cli.options import AsJson, option, with_options
 from fixel.cli.replay import cell
-from fixel.cli.screen import print_answer
+from fixel.cli.screen import CommandAnswer
 from fixel.errors import InvalidInput
 from fixel.progress import show_progress, time_text
 from fixel.replay.base import Row
@@ -23,45 +24,39 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
 
 @app.command()
-@with_options
+@command
 def reproduce_published(
     *,
-    data: Path | None = option(
-        None,
-        "Folder of the datasets; those of the ASME paper and thesis-grasps need none.",
-        metavar="FOLDER",
-        exists=True,
-        file_okay=False,
-        show_default=False,
-    ),
-    only: str = option(
-        "mit",
-        "Part of the benchmark: mit, error-bounds, new-sides, new-parts, table-maps, learned-sides,"
-        " coverage, plans, repeated-plans, rates, engines, cmu-tripod, rpi-141, repeats,"
-        " asme-table-1, asme-figure-11, asme-assembly or thesis-grasps.",
-        metavar="PART",
-    ),
-    protocol: list[str] | None = option(
-        None,
-        "calibrated, learned, averaged, few, unregistered or new-shape; may be repeated. All where"
-        " left out. Or joint: the time one calibration of 1000 pushes takes.",
-        metavar="NAME",
-        show_default=False,
-    ),
-    seeds: int = option(3, "Random splits, 60 % for training.", min=1, metavar="COUNT"),
-    folds: int = option(
-        0, "Instead: number of folds, every push held out once.", min=0, metavar="COUNT"
-    ),
-    quick: bool = option(False, "A few plates and pushes, to see that it works.", "--quick"),
-    out: Path | None = option(
-        None,
-        "Folder for tables, a picture and finished fits; the same command goes on there.",
-        metavar="FOLDER",
-        file_okay=False,
-    ),
-    as_json: AsJson = False,
-) -> None:
-    """Calibrate on some recorded pushes and report how far others end from where they should."""
+    data: Annotated[Path | None, Door(metavar="FOLDER")] = None,
+    only: Annotated[str, Door(metavar="PART")] = "mit",
+    protocol: Annotated[tuple[str, ...], Door(metavar="NAME")] = (),
+    seeds: Annotated[int, Door(least=1, metavar="COUNT")] = 3,
+    folds: Annotated[int, Door(least=0, metavar="COUNT")] = 0,
+    quick: Annotated[bool, Door(flag="--quick")] = False,
+    out: Annotated[Path | None, Door(metavar="FOLDER")] = None,
+) -> CommandAnswer:
+    """Calibrate on some recorded pushes and report how far others end from where they should.
+
+    Parameters
+    ----------
+    data : Path, optional
+        Folder of the datasets; those of the ASME paper and thesis-grasps need none.
+    only : str
+        Part of the benchmark: mit, error-bounds, new-sides, new-parts, table-maps, learned-sides,
+        coverage, plans, repeated-plans, rates, engines, cmu-tripod, rpi-141, repeats, asme-table-1,
+        asme-figure-11, asme-assembly or thesis-grasps.
+    protocol : tuple of str
+        calibrated, learned, averaged, few, unregistered or new-shape; may be repeated. All where
+        left out. Or joint: the time one calibration of 1000 pushes takes.
+    seeds : int
+        Random splits, 60 % for training.
+    folds : int
+        Instead: number of folds, every push held out once.
+    quick : bool
+        A few plates and pushes, to see that it works.
+    out : Path, optional
+        Folder for tables, a picture and finished fits; the same command goes on there.
+    """
     from reproductions.run import (
         PROTOCOLS,
         REPRODUCTIONS,
@@ -75,29 +70,27 @@ def reproduce_published(
     if only in REPRODUCTIONS:
         with show_progress() as show:
             found = reproduce(only, data, out=out, progress=show, quick=quick)
-        print_answer(as_json, found.summary, lambda: [*found.conclusions, *note])
-        return
+        return CommandAnswer(found.summary(), [*found.conclusions, *note])
     data = _require_data(data)
-    if protocol == ["joint"]:
+    if protocol == ("joint",):
         timed = joint_real(data, only)
-        print_answer(as_json, lambda: timed, lambda: _timed(timed))
-        return
+        return CommandAnswer(timed, _timed(timed))
     request = BenchmarkRequest(
-        protocols=tuple(protocol or PROTOCOLS),
+        protocols=protocol or tuple(PROTOCOLS),
         seeds=1 if quick else seeds,
         folds=0 if quick else folds,
         quick=quick,
     )
     with show_progress() as show:
         answer = benchmark_real(data, request, part=only, out=out, progress=show)
-    print_answer(as_json, answer.summary, lambda: [*_benchmark_lines(answer, data, out), *note])
+    return CommandAnswer(answer.summary(), [*_benchmark_lines(answer, data, out), *note])
 
 
 def _require_data(data: Path | None) -> Path:
-    if data is None:
+    if data is None or not data.is_dir():
         raise InvalidInput(
-            "--data",
-            found="nothing",
+            "data",
+            found=None if data is None else f"no folder {data}",
             expected="the folder of the datasets",
             hint="fixel data lists them",
         )

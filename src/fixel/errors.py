@@ -74,7 +74,7 @@ FULL: Final = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))  # no space
 _NUMBER: Final = r"[-+]?[\d.]+(e[-+]?\d+)?"
 _VALUE: Final = re.compile(
     r"""(['"])(\\.|(?!\1).)*\1|"""
-    rf"{_NUMBER}( to {_NUMBER})?( ?([cm]?m|deg|rad|s|kg|px|MB|[cm]?m/s|%))?",
+    rf"{_NUMBER}( to {_NUMBER})?( ?([cm]?m|deg|m?rad|m?s|kg|px|MB|[cm]?m/s|%))?",
     re.DOTALL,
 )
 

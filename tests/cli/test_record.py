@@ -77,6 +77,8 @@ def test_what_broke_off_is_checked_and_repaired(capsys, tmp_path):
 
 @pytest.mark.parametrize(("arguments", "complaint"), [
     ([], "--camera"),
+    (["--camera", "FILM"], "--out is missing"),
+    (["--camera", "FILM", "--out", "OUT", "--rate", "0.5"], "--rate is 0.5, but must be at least"),
     (["--camera", "FILM", "--out", "OUT", "--size", "640x480"], "found pictures of 160 x 120"),
     (["--camera", "FILM", "--out", "OUT", "--size", "big"], "must be WIDTHxHEIGHT"),
     (["--camera", "FILM", "--out", "OUT", "--rig", "thesis-tags"], "fixel needs 1280 x 720"),

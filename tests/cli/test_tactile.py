@@ -78,5 +78,10 @@ def test_the_port_of_a_controller_is_refused_and_left_in_order(capsys):
     assert "motion controller" in err
 
 
+def test_a_limit_has_the_unit_of_its_option(capsys):
+    err = refusal(capsys, "tactile", "check", "--deadline", 0.05)
+    assert "--deadline is 0.05 ms, but must be at least 0.1" in err
+
+
 def test_without_a_port(capsys):
     assert "the port of the tactile board" in refusal(capsys, "tactile", "check")

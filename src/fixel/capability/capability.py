@@ -57,7 +57,7 @@ class Capability:
         `add_files(result, folder)` for files of the stored analysis; and `about()`, tables below
         the form of the page.
     of : callable, optional
-        Public function whose arguments are options too.
+        Function or dataclass whose arguments are options too.
     leave_out : tuple of str
         Arguments of `of` that only Python has.
     plot : str
@@ -132,9 +132,9 @@ class Capability:
     @cached_property
     def options(self) -> dict[str, Option]:
         """Options by name; those that are typed without a flag come first."""
-        own = options_of(self.function, leave_out=("project", "progress"))
+        own = options_of(self.function, leave_out=("project", "progress", "as_json"))
         first = sum(one.place for one in own)
-        known = ("progress", *self.leave_out, *(one.name for one in own))
+        known = ("project", "progress", *self.leave_out, *(one.name for one in own))
         others = [] if self.of is None else options_of(self.of, leave_out=known)
         others = [replace(one, place=False) for one in others]
         last = [TABLE] if self.on_table else []
@@ -303,12 +303,14 @@ class Capability:
             return InvalidInput(where, found=pair[0], expected=pair[1])
         found, option = first["input"], self.shown.get(where)
         unit = option.door.unit if option else ""
+        factor, limits = FACTORS.get(unit, 1.0), first.get("ctx", {})
         if isinstance(found, str):
             found = repr(found)
-        elif isinstance(found, float) and FACTORS.get(unit, 1.0) != 1.0:
-            found = f"{found / FACTORS[unit]:.6g} {unit}"
+        elif isinstance(found, float) and factor != 1.0:
+            found = f"{found / factor:.6g} {unit}"
+            limits = {name: limit / factor for name, limit in limits.items()}
         phrase = _PHRASES.get(kind, first["msg"].removeprefix("Input should be "))
-        phrase = phrase.format(**first.get("ctx", {})).replace("valid ", "")
+        phrase = phrase.format(**limits).replace("valid ", "")
         return InvalidInput(where, found=found, expected=phrase)
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import inspect
 import math
 import re
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, is_dataclass
+from dataclasses import dataclass, field, is_dataclass, replace
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin
@@ -16,7 +17,7 @@ from fixel.errors import InvalidInput, unknown_name
 
 # SI units in one unit that a door shows; the product is the value of the option.
 FACTORS: Final[Mapping[str, float]] = {
-    "mm": 1e-3, "mm/s": 1e-3, "mrad": 1e-3, "deg": math.pi / 180.0, "s": 1.0, "N": 1.0
+    "mm": 1e-3, "mm/s": 1e-3, "mrad": 1e-3, "ms": 1e-3, "deg": math.pi / 180.0, "s": 1.0, "N": 1.0
 }  # fmt: skip
 NONE: Final = "none"  # text of None in a mapping
 _METAVARS: Final = {int: "INTEGER", float: "FLOAT", str: "TEXT", Path: "FILE"}
@@ -162,31 +163,25 @@ class Option:
 
 
 def options_of(function: Callable[..., Any], *, leave_out: Sequence[str] = ()) -> list[Option]:
-    """Read the options of a function: its parameters, and the fields of those that are groups.
+    """Read the options of a function or a dataclass: its parameters, some of which are groups.
 
-    The function has annotations and a docstring in NumPy layout.
+    It has annotations and a docstring in NumPy layout.
     """
     said, found = meanings(function.__doc__), []
+    scope = vars(sys.modules[function.__module__])
     for name, own in inspect.signature(function).parameters.items():
         if name in leave_out or own.kind is own.VAR_KEYWORD:
             continue
-        hint = own.annotation
-        hint = eval(hint, function.__globals__) if isinstance(hint, str) else hint
+        hint = eval(own.annotation, scope) if isinstance(own.annotation, str) else own.annotation
         required = own.default is inspect.Parameter.empty
         plain = door_of(hint).plain or hint
         if plain is not hint:
             plain = Annotated[(plain, *hint.__metadata__)]
         default = None if required else own.default
-        found.append(
-            Option(
-                name=name,
-                plain=plain,
-                default=default,
-                meaning=said.get(name) or door_of(hint).meaning,
-                required=required,
-                place=own.kind is own.POSITIONAL_OR_KEYWORD,
-            )
-        )
+        meaning = said.get(name) or door_of(hint).meaning
+        place = own.kind is own.POSITIONAL_OR_KEYWORD
+        option = Option(name=name, plain=plain, default=default, meaning=meaning, place=place)
+        found.append(replace(option, required=required))
     return found
 
 

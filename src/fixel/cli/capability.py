@@ -1,7 +1,7 @@
 """Commands of capabilities, made of their options."""
 
 from collections.abc import Callable, Mapping
-from inspect import Parameter, Signature, cleandoc
+from inspect import Parameter, Signature, cleandoc, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -90,18 +90,30 @@ def typer_command(
     return command
 
 
-def command(function: Callable[..., CommandAnswer]) -> Callable[..., None]:
+def command(
+    function: Callable[..., CommandAnswer | None],
+    *,
+    of: Callable[..., Any] | None = None,
+    leave_out: tuple[str, ...] = (),
+) -> Callable[..., None]:
     """Return the command of a function whose answer is only printed.
 
-    Its arguments are those of the function of a `Capability`.
+    The arguments are those of a `Capability`. A function that prints while it works gets `as_json`,
+    and returns None.
     """
-    capability = Capability(name=function.__name__, function=function, plot="")
+    capability = Capability(
+        name=function.__name__, function=function, of=of, leave_out=leave_out, plot=""
+    )
+    prints = "as_json" in signature(function).parameters
 
     def perform(request: "BaseModel", folder: Path, as_json: bool) -> None:
         from fixel.workflows.capabilities import project_for
 
         place = project_for(capability, request, folder)
-        answer = function(*place, **capability.arguments(request))
+        own = {"as_json": as_json} if prints else {}
+        answer = function(*place, **capability.arguments(request), **own)
+        if answer is None:
+            return
         print_answer(as_json, lambda: answer.content, lambda: answer.lines)
         if answer.code:
             raise typer.Exit(answer.code)
@@ -127,6 +139,7 @@ def _parameter(option: Option) -> Parameter:
             return _keyword(name, Annotated[kind, argument], Parameter.empty)
         return _keyword(name, Annotated[kind | None, argument], default)
     words = (option.flag_words, *option.door.also)
+    said = f"Required. {said}" if option.required else said
     if option.kind is bool:
         flag = typer.Option(*words, show_default=option.default is not None, help=said)
         return _keyword(name, Annotated[bool | None, flag], option.default)

@@ -4,13 +4,13 @@ import shlex
 import time
 from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fixel.cli.capability import NOT_SOLVED
-from fixel.cli.options import AsJson, option, with_options
-from fixel.cli.screen import notify, print_answer
+from fixel.capability.options import Door
+from fixel.cli.capability import NOT_SOLVED, command
+from fixel.cli.screen import CommandAnswer, notify
 from fixel.errors import InvalidInput
 from fixel.progress import show_progress, time_text
 
@@ -26,29 +26,34 @@ CAMERA = "camera"
 WRONG = 1  # exit code where a claim is wrong
 
 
-@with_options
+@command
 def demo(
     *,
-    out: Path = option(
-        Path("fixel-demo"), "Folder for the figures; created if missing.", metavar="FOLDER"
-    ),
-    seed: int = option(1, "Seed of the laboratory: another one has other true values.", min=0),
-    misfit: bool = option(
-        False, "Show what happens in a laboratory that the model does not fit.", "--misfit"
-    ),
-    quick: bool = option(False, "Simulate a grasp only.", "--quick"),
-    camera: bool = option(
-        False,
-        "Film simulated pushes instead, record the films from a network camera, track, "
-        "calibrate, and compare with the truth. This takes minutes; the same command resumes it.",
-        "--camera",
-    ),
-    as_json: AsJson = False,
-) -> None:
+    out: Annotated[Path, Door(metavar="FOLDER")] = Path("fixel-demo"),
+    seed: Annotated[int, Door(least=0)] = 1,
+    misfit: Annotated[bool, Door(flag="--misfit")] = False,
+    quick: Annotated[bool, Door(flag="--quick")] = False,
+    camera: Annotated[bool, Door(flag="--camera")] = False,
+    as_json: bool,
+) -> CommandAnswer:
     """Calibrate a table of pushes, and plan a push that works.
 
     The laboratory is simulated, so that every claim is compared with the truth. The exit code is 1
     if one is wrong.
+
+    Parameters
+    ----------
+    out : Path
+        Folder for the figures; created if missing.
+    seed : int
+        Seed of the laboratory: another one has other true values.
+    misfit : bool
+        Show what happens in a laboratory that the model does not fit.
+    quick : bool
+        Simulate a grasp only.
+    camera : bool
+        Film simulated pushes instead, record the films from a network camera, track, calibrate, and
+        compare with the truth. This takes minutes; the same command resumes it.
     """
     begin = time.monotonic()
 
@@ -62,7 +67,7 @@ def demo(
 
         with show_progress(stage="filming") as report:
             tour = run_camera_tour(out / CAMERA, notify=tell, progress=report)
-        return typer.echo("\n".join(_camera_lines(tour)))
+        return CommandAnswer({}, _camera_lines(tour))
     if misfit:
         from fixel.workflows.demo.laboratory_demo import run_tour
 
@@ -71,9 +76,13 @@ def demo(
             "rough plate.\nSo the calibration must report a misfit, and where it can still be "
             "trusted.\n"
         )
-        return typer.echo("\n".join(_laboratory_lines(run_tour(out / "misfit", notify=tell))))
+        return CommandAnswer({}, _laboratory_lines(run_tour(out / "misfit", notify=tell)))
     if quick:
-        return _grasp(out)
+        from fixel.workflows.demo.scene_demo import run_demo
+
+        result = run_demo(out)
+        code = 0 if result.simulation.converged else NOT_SOLVED
+        return CommandAnswer({}, _scene_lines(result), code)
     from fixel.workflows.demo.story_demo import tell_story
 
     steps = []
@@ -83,13 +92,9 @@ def demo(
             typer.echo("\n".join(_step_lines(number, step)))
     claims = [claim for step in steps for claim in step.claims]
     wrong = sum(not claim.right for claim in claims)
-    print_answer(
-        as_json,
-        lambda: {"seed": seed, "claims": [claim._asdict() for claim in claims], "wrong": wrong},
-        lambda: _last_lines(len(claims), wrong, time.monotonic() - begin),
-    )
-    if wrong:
-        raise typer.Exit(WRONG)
+    content = {"seed": seed, "claims": [claim._asdict() for claim in claims], "wrong": wrong}
+    lines = _last_lines(len(claims), wrong, time.monotonic() - begin)
+    return CommandAnswer(content, lines, WRONG if wrong else 0)
 
 
 def _step_lines(number: int, step: "DemoStep") -> list[str]:
@@ -113,16 +118,6 @@ def _last_lines(n: int, wrong: int, seconds: float) -> list[str]:
         "  fixel demo --misfit",
         "  fixel demo --quick",
     ]
-
-
-def _grasp(out: Path) -> None:
-    """Simulate and film the grasp."""
-    from fixel.workflows.demo.scene_demo import run_demo
-
-    result = run_demo(out)
-    typer.echo("\n".join(_scene_lines(result)))
-    if not result.simulation.converged:
-        raise typer.Exit(NOT_SOLVED)
 
 
 def _camera_lines(tour: "CameraTour") -> list[str]:
@@ -191,17 +186,17 @@ def _scene_lines(result: "Demo") -> list[str]:
     ]
 
 
-def doctor(as_json: AsJson = False) -> None:
+@command
+def doctor() -> CommandAnswer:
     """Check this installation and report how to repair it."""
     from fixel.workflows.diagnostics import examine
 
     found = examine()
-    print_answer(as_json, found.summary, lambda: _lines(found))
-    if not found.passed:
-        raise typer.Exit(1)
+    return CommandAnswer(found.summary(), _lines(found), 0 if found.passed else 1)
 
 
-def compile_(as_json: AsJson = False) -> None:
+@command
+def compile_(*, as_json: bool) -> CommandAnswer:
     """Compile all numerical code now: for images and slow machines.
 
     Two processes take some minutes. Without it, the first simulation starts the compilation.
@@ -222,9 +217,7 @@ def compile_(as_json: AsJson = False) -> None:
     ]
     end = "Next: fixel doctor" if failed else "Next: fixel demo"
     lines += ["", f"{size / 1e6:.1f} MB in {folder}", end]
-    print_answer(as_json, lambda: content, lambda: lines)
-    if failed:
-        raise typer.Exit(1)
+    return CommandAnswer(content, lines, 1 if failed else 0)
 
 
 def _lines(found: "Diagnosis") -> list[str]:

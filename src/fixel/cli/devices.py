@@ -2,80 +2,100 @@
 
 import json
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from itertools import islice
-from math import degrees, radians
+from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fixel.cli.options import CAMERA, AsJson, ProjectFolder, argument, option, with_options
-from fixel.cli.screen import command_line, command_of, notify, paragraphs, print_answer, wrote
+from fixel.capability.options import Door
+from fixel.cli.capability import command
+from fixel.cli.screen import CommandAnswer, command_line, command_of, notify, paragraphs, wrote
 from fixel.errors import InvalidInput
 from fixel.progress import show_progress, time_text
 from fixel.table import Table
+from fixel.workflows.acquisition import Camera
 
 if TYPE_CHECKING:
     from fixel.testbed.frame_source import FrameSource
-    from fixel.testbed.serial_port import PortSeen
     from fixel.testbed.tactile import TactileReader, TactileReading
-    from fixel.vision.marks import Rig
     from fixel.workflows.acquisition.devices import ActuatorAnswer, TactileCheck
-    from fixel.workflows.acquisition.overlay import Look, Overlay, Tolerance
+    from fixel.workflows.acquisition.overlay import Look, Overlay
 
 tactile = typer.Typer(
     help="Check and watch the board of the fixels' contact sensors.", no_args_is_help=True
 )
 
-Port = Annotated[
+
+BoardPort = Annotated[
+    str | None, Door(metavar="PORT", meaning="Serial port of the board: /dev/ttyACM0, COM4.")
+]
+DrivePort = Annotated[
     str | None,
-    typer.Option(
-        help="Serial port of the board: /dev/ttyACM0, COM4.", metavar="PORT", show_default=False
+    Door(metavar="PORT", meaning="Serial port of the controller: /dev/ttyUSB0, COM5."),
+]
+Driver = Annotated[str, Door(metavar="DRIVER", meaning="Kind of drive: grbl, manual or simulated.")]
+Axes = Annotated[
+    str,
+    Door(
+        metavar="AXES",
+        meaning="Axes of the controller: X, Y, Z, A, or several such as XY.",
     ),
 ]
+DEAD_MAN = "0.5, or longer if the acceleration of the controller requires it"
 
 
-@tactile.command("ports")
-def ports(as_json: AsJson = False) -> None:
-    """List the serial ports of this computer."""
-    from fixel.testbed.serial_port import found_ports
+def _ports(following: str) -> Callable[..., None]:
+    """Return the command that lists serial ports, and proposes another one."""
 
-    _print_ports(found_ports(), as_json, "fixel tactile check --port")
+    @command
+    def ports() -> CommandAnswer:
+        """List the serial ports of this computer."""
+        from fixel.testbed.serial_port import found_ports
+
+        found = found_ports()
+        rows = [(port.port, port.description, port.in_use_by or "no program") for port in found]
+        lines = [
+            "No serial ports. Plug the device in, then list again; on Linux, dmesg shows its port."
+        ]
+        if found:
+            lines = [*Table(("port", "device", "in use by"), rows, left=3).lines(), ""]
+            lines.append(f"Next: fixel {following} --port {found[0].port}")
+        return CommandAnswer({"ports": [port._asdict() for port in found]}, lines)
+
+    return ports
 
 
-def _print_ports(found: "list[PortSeen]", as_json: bool, follow: str) -> None:
-    """Print ports as a table or as JSON, and the next command."""
-    rows = [(port.port, port.description, port.in_use_by or "no program") for port in found]
-    lines = [
-        "No serial ports. Plug the device in, then list again; on Linux, dmesg shows its port."
-    ]
-    if found:
-        lines = [*Table(("port", "device", "in use by"), rows, left=3).lines(), ""]
-        lines.append(f"Next: {follow} {found[0].port}")
-    print_answer(as_json, lambda: {"ports": [port._asdict() for port in found]}, lambda: lines)
+tactile.command("ports")(_ports("tactile check"))
 
 
 @tactile.command("check")
-@with_options
+@command
 def check(
     *,
-    port: Port = None,
-    readings: int = option(300, "Number of readings.", min=1),
-    deadline: float = option(15.0, "Latest time of an answer [ms].", min=0.1, metavar="MS"),
-    as_json: AsJson = False,
-) -> None:
+    port: BoardPort = None,
+    readings: Annotated[int, Door(least=1)] = 300,
+    deadline: Annotated[float, Door(flag="--deadline", unit="ms", least=1e-4)] = 0.015,
+) -> CommandAnswer:
     """Request many readings of the board and check each.
 
     The exit code is 1 if one is missing, late or damaged.
+
+    Parameters
+    ----------
+    readings : int
+        Number of readings.
+    deadline : float
+        Latest time of an answer [s].
     """
     from fixel.workflows.acquisition.devices import check_tactile
 
     with show_progress(stage="reading") as report:
-        found = check_tactile(port, readings=readings, deadline=1e-3 * deadline, progress=report)
-    print_answer(as_json, found.summary, lambda: _check_lines(found))
-    if not found.passed:
-        raise typer.Exit(1)
+        found = check_tactile(port, readings=readings, deadline=deadline, progress=report)
+    return CommandAnswer(found.summary(), _check_lines(found), code=0 if found.passed else 1)
 
 
 def _check_lines(found: "TactileCheck") -> list[str]:
@@ -104,29 +124,34 @@ def _check_lines(found: "TactileCheck") -> list[str]:
 
 
 @tactile.command("watch")
-@with_options
+@command
 def watch(
     *,
-    port: Port = None,
-    duration: float | None = option(None, "Duration [s].", min=0.0, show_default="until Ctrl-C"),
-    rate: float = option(30.0, "Readings per second [Hz].", min=0.1),
-    threshold: int | None = option(
-        None, "Threshold of all three sensors, from 0 to 1023.", min=0, max=1023
-    ),
-    as_json: AsJson = False,
+    port: BoardPort = None,
+    duration: Annotated[float | None, Door(least=0.0, usual="until Ctrl-C")] = None,
+    rate: Annotated[float, Door(least=0.1)] = 30.0,
+    threshold: Annotated[int | None, Door(least=0, most=1023)] = None,
+    as_json: bool,
 ) -> None:
     """Show the readings of the board live.
 
     With --json, it prints one line per reading.
+
+    Parameters
+    ----------
+    duration : float, optional
+        Duration [s].
+    rate : float
+        Readings per second [Hz].
+    threshold : int, optional
+        Threshold of all three sensors, from 0 to 1023.
     """
     from fixel.workflows.acquisition.devices import watch_tactile
 
-    thresholds = None if threshold is None else (threshold,) * 3
+    options: Any = {"rate": rate, "duration": duration, "threshold": threshold}
     live = sys.stdout.isatty() and not as_json
     last = ""
-    for reader, reading in watch_tactile(
-        port, interval=1.0 / rate, duration=duration, thresholds=thresholds
-    ):
+    for reader, reading in watch_tactile(port, **options):
         content = {
             "bits": reading.bits,
             "time_s": reading.time,
@@ -169,81 +194,59 @@ def _line(reader: "TactileReader", reading: "TactileReading") -> str:
 
 actuator = typer.Typer(help="Home, move and stop the drive of the pusher.", no_args_is_help=True)
 
-DrivePort = Annotated[
-    str | None,
-    typer.Option(
-        help="Serial port of the controller: /dev/ttyUSB0, COM5.",
-        metavar="PORT",
-        show_default=False,
-    ),
-]
-Driver = Annotated[
-    str, typer.Option(help="Kind of drive: grbl, manual or simulated.", metavar="DRIVER")
-]
-Axes = Annotated[
-    str,
-    typer.Option(help="Axes of the controller: X, Y, Z, A, or several such as XY.", metavar="AXES"),
-]
-
-
-@actuator.command("ports")
-def actuator_ports(as_json: AsJson = False) -> None:
-    """List the serial ports of this computer."""
-    from fixel.testbed.serial_port import found_ports
-
-    _print_ports(found_ports(), as_json, "fixel actuator where --port")
+actuator.command("ports")(_ports("actuator where"))
 
 
 @actuator.command("home")
-def home(
-    port: DrivePort = None, driver: Driver = "grbl", axes: Axes = "X", as_json: AsJson = False
-) -> None:
+@command
+def home(*, port: DrivePort = None, driver: Driver = "grbl", axes: Axes = "X") -> CommandAnswer:
     """Home the drive: move it to its end switch and set its position."""
     from fixel.workflows.acquisition.devices import chosen_actuator, home_actuator
 
     drive = chosen_actuator(driver, port, axes=axes, notify=notify)
-    _print_position(home_actuator(drive), as_json, port, axes)
+    return _position(home_actuator(drive), port, axes)
 
 
 @actuator.command("move")
-@with_options
+@command
 def move(
     *,
     port: DrivePort = None,
-    to: str | None = option(
-        None,
-        "Target position; with --axes XY one for each, such as 40,10 [mm].",
-        metavar="MM",
-        show_default=False,
-    ),
-    by: str | None = option(
-        None, "Distance to move, instead of --to [mm].", metavar="MM", show_default=False
-    ),
+    to: Annotated[str | None, Door(metavar="MM")] = None,
+    by: Annotated[str | None, Door(metavar="MM")] = None,
     axes: Axes = "X",
-    speed: float = option(13.5, "Speed [mm/s].", metavar="MM/S"),
+    speed: Annotated[float, Door(flag="--speed", unit="mm/s", metavar="MM/S")] = 0.0135,
     driver: Driver = "grbl",
-    dead_man: float | None = option(
-        None,
-        "Time after which the drive stops if this program no longer answers [s].",
-        metavar="S",
-        show_default="0.5, or longer if the acceleration of the controller requires it",
-    ),
-    unlock: bool = option(False, "Clear an alarm first, without homing.", "--unlock"),
-    as_json: AsJson = False,
-) -> None:
-    """Move the drive. Any key, Ctrl-C, or `fixel actuator stop` elsewhere stops it at once."""
+    dead_man: Annotated[float | None, Door(metavar="S", usual=DEAD_MAN)] = None,
+    unlock: Annotated[bool, Door(flag="--unlock")] = False,
+) -> CommandAnswer:
+    """Move the drive. Any key, Ctrl-C, or `fixel actuator stop` elsewhere stops it at once.
+
+    Parameters
+    ----------
+    to : str, optional
+        Target position; with --axes XY one for each, such as 40,10 [mm].
+    by : str, optional
+        Distance to move, instead of --to [mm].
+    speed : float
+        Speed [mm/s].
+    dead_man : float, optional
+        Time after which the drive stops if this program no longer answers [s].
+    unlock : bool
+        Clear an alarm first, without homing.
+    """
     from fixel.workflows.acquisition.devices import chosen_actuator, move_actuator
 
     if sys.stdin.isatty() and driver == "grbl":
         notify("Any key stops the drive.")
     answer = move_actuator(
         chosen_actuator(driver, port, axes=axes, notify=notify, dead_man=dead_man),
-        to=_metres(to, "--to", len(axes)),
-        by=_metres(by, "--by", len(axes)),
-        speed=1e-3 * speed,
+        to=_metres(to, "to", len(axes)),
+        by=_metres(by, "by", len(axes)),
+        speed=speed,
         unlock=unlock,
     )
-    _print_position(answer, as_json, port, axes)
+    return _position(answer, port, axes)
 
 
 def _metres(text: str | None, where: str, n_axes: int) -> float | tuple[float, ...] | None:
@@ -259,7 +262,8 @@ def _metres(text: str | None, where: str, n_axes: int) -> float | tuple[float, .
 
 
 @actuator.command("stop")
-def stop(port: DrivePort = None, as_json: AsJson = False) -> None:
+@command
+def stop(*, port: DrivePort = None) -> CommandAnswer:
     """Stop every drive of your programs, or only that at a port.
 
     The position is lost: home the drive before you move it again.
@@ -267,28 +271,23 @@ def stop(port: DrivePort = None, as_json: AsJson = False) -> None:
     from fixel.testbed.emergency import stop_actuators
 
     stopped = stop_actuators(port)
-    print_answer(
-        as_json,
-        lambda: {"stopped": stopped},
-        lambda: [
-            *(f"stopped the drive at {one}" for one in stopped),
-            f"Next: fixel actuator home --port {stopped[0]}",
-        ],
-    )
+    following = f"Next: fixel actuator home --port {stopped[0]}"
+    lines = [*(f"stopped the drive at {one}" for one in stopped), following]
+    return CommandAnswer({"stopped": stopped}, lines)
 
 
 @actuator.command("where")
-def where(
-    port: DrivePort = None, driver: Driver = "grbl", axes: Axes = "X", as_json: AsJson = False
-) -> None:
+@command
+def where(*, port: DrivePort = None, driver: Driver = "grbl", axes: Axes = "X") -> CommandAnswer:
     """Show the position of the drive without moving it."""
     from fixel.workflows.acquisition.devices import chosen_actuator, where_is_actuator
 
     drive = chosen_actuator(driver, port, axes=axes, notify=notify)
-    _print_position(where_is_actuator(drive), as_json, port, axes)
+    return _position(where_is_actuator(drive), port, axes)
 
 
-def _print_position(answer: "ActuatorAnswer", as_json: bool, port: str | None, axes: str) -> None:
+def _position(answer: "ActuatorAnswer", port: str | None, axes: str) -> CommandAnswer:
+    """Report the position of the drive, and the next command for it."""
     low, high = answer.reach_m
     state = f", {answer.state}" if answer.state else ""
     if not answer.zero_known:
@@ -298,119 +297,81 @@ def _print_position(answer: "ActuatorAnswer", as_json: bool, port: str | None, a
     place = ", ".join(f"{1e3 * each:.3f}" for each in answer.place_m)
     within = f" of {1e3 * low:.4g} to {1e3 * high:.4g} mm" if len(axes) == 1 else ""
     again = f"move --by {','.join(['10'] * len(axes))}"
-    print_answer(
-        as_json,
-        answer._asdict,
-        lambda: [
-            f"{answer.driver}: at {place} mm{within}{state}",
-            f"Next: fixel actuator {'home' if answer.state == 'Alarm' else again} {at}",
-        ],
-    )
+    following = f"Next: fixel actuator {'home' if answer.state == 'Alarm' else again} {at}"
+    lines = [f"{answer.driver}: at {place} mm{within}{state}", following]
+    return CommandAnswer(answer._asdict(), lines)
 
 
 NOT_IN_PLACE = 4
 WAKING = 5  # pictures that are skipped: a camera that was just switched on sends dark ones
-RigName = Annotated[
-    str,
-    typer.Option(
-        help="Rig file with camera and markers, or name of an example rig.", metavar="RIG"
-    ),
-]
-PagePort = Annotated[
-    int | None,
-    typer.Option(
-        help="Port of the page; it is served to this machine only.",
-        min=1,
-        max=65535,
-        show_default="any free one",
-    ),
-]
 
 
-@with_options
+@command
 def overlay(
+    project: Path,
+    scene: Annotated[Path | None, Door(metavar="SCENE")] = None,
     *,
-    rig: RigName,
-    scene: Path | None = argument(
-        None,
-        "Scene file, YAML or JSON.",
-        metavar="SCENE",
-        exists=True,
-        dir_okay=False,
-        show_default=False,
-    ),
-    camera: Annotated[str, CAMERA] = "0",
-    experiment: str | None = option(
-        None, "Stored experiment, instead of a scene file.", metavar="KEY"
-    ),
-    project: ProjectFolder = Path(),
-    anchor: str = option(
-        "", "Part to anchor at: all poses move so that it is where it is seen.", metavar="NAME"
-    ),
-    tolerance_mm: float | None = option(
-        None, "Largest allowed position error of a part [mm].", show_default="the rig's"
-    ),
-    tolerance_deg: float | None = option(
-        None, "Largest allowed angle error of a part [deg].", show_default="the rig's"
-    ),
-    port: PagePort = None,
-    once: bool = option(
-        False,
-        "Check once and write a picture; exit code 0 if all parts are in place, 4 if not.",
-        "--once",
-    ),
-    output: Path = option(Path("overlay.png"), "Picture to write with --once: .png."),
-    as_json: AsJson = False,
-) -> None:
-    """Show planned poses on the live picture, and their errors."""
+    rig: Annotated[str, Door(metavar="RIG")],
+    camera: Camera = "0",
+    experiment: Annotated[str | None, Door(metavar="KEY")] = None,
+    anchor: Annotated[str, Door(metavar="NAME")] = "",
+    tolerance: Annotated[float | None, Door(unit="mm", above=0.0, usual="the rig's")] = None,
+    tolerance_angle: Annotated[
+        float | None, Door(flag="--tolerance-deg", unit="deg", above=0.0, usual="the rig's")
+    ] = None,
+    port: Annotated[int | None, Door(least=1, most=65535, usual="any free one")] = None,
+    once: Annotated[bool, Door(flag="--once")] = False,
+    output: Annotated[Path, Door(writes=True)] = Path("overlay.png"),
+    as_json: bool,
+) -> CommandAnswer:
+    """Show planned poses on the live picture, and their errors.
+
+    Parameters
+    ----------
+    scene : Path, optional
+        Scene file, YAML or JSON.
+    rig : str
+        Rig file with camera and markers, or name of an example rig.
+    experiment : str, optional
+        Stored experiment, instead of a scene file.
+    anchor : str
+        Part to anchor at: all poses move so that it is where it is seen.
+    tolerance : float, optional
+        Largest allowed position error of a part [m].
+    tolerance_angle : float, optional
+        Largest allowed angle error of a part [rad].
+    port : int, optional
+        Port of the page; it is served to this machine only.
+    once : bool
+        Check once and write a picture; exit code 0 if all parts are in place, 4 if not.
+    output : Path
+        Picture to write with --once: .png.
+    """
     from fixel.drawing.chart import require_file
     from fixel.formats.rig_file import rig_of
-    from fixel.workflows.acquisition.overlay import Overlay, scene_of
+    from fixel.testbed.open_source import source_of
+    from fixel.workflows.acquisition.overlay import Overlay, Tolerance, scene_of
 
     picture = output if once else None
     require_file(picture, (".png",))
     bench = rig_of(rig)
     placed = scene_of(scene, experiment, project)
-    tolerance = _tolerance(bench, tolerance_mm, tolerance_deg)
-    looks = Overlay(bench, placed, tolerance, anchor=anchor)
+    limits = Tolerance(
+        distance=tolerance or bench.position_tolerance,
+        angle=tolerance_angle or bench.angle_tolerance,
+    )
+    looks = Overlay(bench, placed, limits, anchor=anchor)
     heading = f"{experiment or (scene.name if scene else '')} on {bench.name}"
-    look = _look(looks, camera, picture, heading, port, show=not as_json)
-    setting = ["--camera", camera, "--rig", rig] + (["--scene", str(scene)] if scene else [])
-    files = {"picture": str(output)} if once else {}
-    print_answer(
-        as_json, lambda: {**look.summary(), "files": files}, lambda: _lines(look, setting, picture)
-    )
-    if once and not look.placed:
-        raise typer.Exit(NOT_IN_PLACE)
-
-
-def _tolerance(bench: "Rig", mm: float | None, deg: float | None) -> "Tolerance":
-    """Return the tolerance; where none is given, that of the rig."""
-    from fixel.workflows.acquisition.overlay import Tolerance
-
-    return Tolerance(
-        distance=bench.position_tolerance if mm is None else 1e-3 * mm,
-        angle=bench.angle_tolerance if deg is None else radians(deg),
-    )
-
-
-def _look(
-    looks: "Overlay",
-    camera: str,
-    picture: Path | None,
-    heading: str,
-    port: int | None,
-    *,
-    show: bool,
-) -> "Look":
-    """Look once and write a picture, or show the overlay in a browser."""
-    from fixel.testbed.open_source import source_of
-
-    size, once = looks.rig.camera.lens.image_size, picture is not None
+    size = bench.camera.lens.image_size
     with source_of(camera, size=size, as_fast_as_possible=once) as source:
         if picture is not None:
-            return _once(looks, source, picture)
-        return _live(looks, source, heading, port, show=show)
+            look = _once(looks, source, picture)
+        else:
+            look = _live(looks, source, heading, port, show=not as_json)
+    setting = ["--camera", camera, "--rig", rig] + (["--scene", str(scene)] if scene else [])
+    content = look.summary() | {"files": {"picture": str(output)} if once else {}}
+    code = NOT_IN_PLACE if once and not look.placed else 0
+    return CommandAnswer(content, _lines(look, setting, picture), code)
 
 
 def _lines(look: "Look", setting: list[str], picture: Path | None) -> list[str]:

@@ -222,8 +222,8 @@ def run(
         Other simulator, such as pymunk: what is unknown is drawn for every trial, and none is
         added.
     """
+    from fixel.workflows.acquisition import RecordPlan
     from fixel.workflows.acquisition.devices import chosen_actuator
-    from fixel.workflows.acquisition.record import RecordPlan
     from fixel.workflows.planning.execute import present_belief, run_on_drive, run_on_testbed
     from fixel.workflows.planning.request import load_plan
 

@@ -6,25 +6,27 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fixel.cli.options import CAMERA, AsJson, ProjectFolder, option, required, with_options
-from fixel.cli.screen import command_line, command_of, notify, print_answer, wrote
+from fixel.capability.options import Door
+from fixel.cli.capability import command
+from fixel.cli.options import FilmPath
+from fixel.cli.screen import CommandAnswer, command_line, command_of, notify, wrote
 from fixel.errors import InvalidInput, counted
 from fixel.progress import show_progress
 from fixel.table import Column, Table
+from fixel.workflows.acquisition import RecordPlan
 
 if TYPE_CHECKING:
     from fixel.formats.recording import Recording
     from fixel.testbed.frame_source import CameraPicture
     from fixel.testbed.recorder import RecordingStatus, RecordingSummary
     from fixel.web.live_pages import RecordPreview
-    from fixel.workflows.acquisition.record import RecordPlan
     from fixel.workflows.acquisition.track import TrackAnswer
 
 UNITS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
@@ -36,120 +38,61 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-Folder = Annotated[
-    Path, typer.Argument(help="Folder of the recording.", metavar="FOLDER", exists=True)
-]
-
-
-@dataclass(frozen=True, kw_only=True)
-class RecordOptions:
-    """Options of `fixel record`."""
-
-    camera: Annotated[str | None, CAMERA] = None
-    out: Path | None = option(None, "New folder for the recording.", metavar="FOLDER")
-    tactile: str | None = option(
-        None,
-        "Serial port of the tactile board; 'film' for the readings of a played recording.",
-        metavar="PORT",
-        show_default="none",
-    )
-    rig: str | None = option(
-        None, "Rig, by name or file; the pictures must have the size of its camera.", metavar="RIG"
-    )
-    scene: Path | None = option(
-        None,
-        "Scene file of the experiment, stored with the recording.",
-        metavar="FILE",
-        exists=True,
-        dir_okay=False,
-    )
-    size: str | None = option(
-        None, "Picture size to request from the camera; without --rig only.", metavar="WIDTHxHEIGHT"
-    )
-    rate: float = option(30.0, "Frame rate to request from the camera [frames/s].", min=1.0)
-    codec: str = option(
-        "auto",
-        "Codec. as-it-comes: JPEG of the camera, bit for bit; near: JPEG of high quality; exact: "
-        "lossless, 5 times the size of near; auto: as-it-comes if the camera sends JPEG, "
-        "else near.",
-        metavar="NAME",
-    )
-    until: str = option(
-        "key",
-        "End of the recording. key: Enter or Ctrl-C; limit: after --limit; seated: contact mode "
-        "of --mode, or at rest.",
-        metavar="WHEN",
-    )
-    mode: str | None = option(
-        None,
-        "Contact mode that counts as seated, one digit per fixel 1, 2, 3, such as 010.",
-        metavar="DIGITS",
-    )
-    limit: str | None = option(None, "Longest duration, such as 15s or 10min.", metavar="DURATION")
-    preview: bool = option(False, "Show the recording live in the browser.", "--preview")
-    fast: bool = option(
-        False,
-        "Play a file as fast as it can be read; time stamps stay those of the file.",
-        "--fast",
-    )
-
-    @property
-    def plan(self) -> "RecordPlan":
-        """Plan of the recording."""
-        from fixel.vision.frame import size_of
-        from fixel.workflows.acquisition.record import RecordPlan
-
-        if self.camera is None or self.out is None:
-            missing = "--camera" if self.camera is None else "--out"
-            raise InvalidInput(
-                missing, found=None, expected="both: fixel record --camera SOURCE --out FOLDER"
-            )
-        same = ("camera", "tactile", "rig", "scene", "rate", "codec", "until", "mode", "fast")
-        return RecordPlan(
-            folder=self.out,
-            size=size_of(self.size),
-            limit=None if self.limit is None else duration(self.limit),
-            **{name: getattr(self, name) for name in same},
-        )
+Folder = Annotated[Path, Door(metavar="FOLDER", meaning="Folder of the recording.")]
 
 
 @app.callback()
-@with_options
-def record(*, context: typer.Context, options: RecordOptions, as_json: AsJson = False) -> None:
-    """Record frames, each with a reading of the contact sensors."""
-    if context.invoked_subcommand is not None:
-        return
+@partial(command, of=RecordPlan)
+def record(
+    *, preview: Annotated[bool, Door(flag="--preview")] = False, **options: Any
+) -> CommandAnswer:
+    """Record frames, each with a reading of the contact sensors.
+
+    Parameters
+    ----------
+    preview : bool
+        Show the recording live in the browser.
+    """
+    from fixel.vision.frame import size_of
     from fixel.workflows.acquisition.record import record as record_experiment
-    from fixel.workflows.acquisition.record import summary
 
-    plan = options.plan
-    with stop_on_request() as wish, _shown(plan, options.preview, wish) as watch:
+    options["size"], options["limit"] = size_of(options["size"]), duration(options["limit"])
+    plan = RecordPlan(**options)
+    with stop_on_request() as wish, _shown(plan, preview, wish) as watch:
         done = record_experiment(plan, stop=wish, watch=watch)
-    print_answer(as_json, lambda: summary(done), lambda: _lines(done))
-    if done.early:
-        raise typer.Exit(1)
+    content = done._asdict() | {"folder": str(done.folder), "problems": list(done.problems)}
+    content["duration_s"], content["rate_per_s"] = content.pop("seconds"), done.rate
+    return CommandAnswer(content, _lines(done), code=1 if done.early else 0)
 
 
-@app.command()
-def check(folder: Folder, as_json: AsJson = False) -> None:
+@app.command("check")
+@command
+def check(folder: Folder) -> CommandAnswer:
     """Check every frame of a recording, and report missing ones."""
-    _check(folder, as_json, repair=False)
+    from fixel.formats.recording import open_recording
+
+    return _checked(open_recording(folder))
 
 
-@app.command()
-def repair(folder: Folder, as_json: AsJson = False) -> None:
+@app.command("repair")
+@command
+def repair(folder: Folder) -> CommandAnswer:
     """Remove incomplete last frames of an interrupted recording.
 
     The recording is then marked as ended.
     """
-    _check(folder, as_json, repair=True)
+    from fixel.formats.recording import repair_recording
+
+    return _checked(repair_recording(folder))
 
 
-def duration(text: str) -> float:
+def duration(text: str | None) -> float | None:
     """Parse a duration such as `15s`, `10min`, `1.5 h` or `15` to seconds."""
+    if text is None:
+        return None
     match = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*(s|min|h|)\s*", text)
     if match is None:
-        raise InvalidInput("--limit", found=repr(text), expected="a duration: 15s, 10min, 1h")
+        raise InvalidInput("limit", found=repr(text), expected="a duration: 15s, 10min, 1h")
     return float(match[1]) * UNITS[match[2]]
 
 
@@ -213,29 +156,34 @@ def _after(folder: Path) -> str:
     return track if (folder / RIG_FILE).is_file() else f"{track} --rig RIG, with your rig for RIG"
 
 
-def _check(folder: Path, as_json: bool, *, repair: bool) -> None:
-    from fixel.formats.recording import open_recording, repair_recording
-    from fixel.workflows.acquisition.record import check_summary
-
-    recording = (repair_recording if repair else open_recording)(folder)
-    print_answer(as_json, lambda: check_summary(recording), lambda: _check_lines(recording))
-
-
-def _check_lines(recording: "Recording") -> list[str]:
-    width, height = recording.header.size
-    readings = int((recording.readings >= 0).sum())
+def _checked(recording: "Recording") -> CommandAnswer:
+    header, end = recording.header, recording.end
+    content = {
+        "folder": str(recording.folder),
+        "complete": recording.complete,
+        "frames": recording.n_frames,
+        "duration_s": float(recording.time[-1] - recording.time[0]),
+        "readings": int((recording.readings >= 0).sum()),
+        "size_px": list(header.size),
+        "codec": header.codec,
+        "rig": header.rig,
+        "source": header.source,
+        "started": header.started,
+        "reason": "" if end is None else end.reason,
+        "problems": list(recording.problems),
+    }
+    width, height = header.size
     lines = [
-        f"{recording.folder}: {recording.n_frames} frames in "
-        f"{recording.time[-1] - recording.time[0]:.3f} s, {readings} readings, "
-        f"{width} x {height} pixels, {recording.header.codec}",
+        f"{recording.folder}: {recording.n_frames} frames in {content['duration_s']:.3f} s, "
+        f"{content['readings']} readings, {width} x {height} pixels, {header.codec}",
         "every frame matches its row",
     ]
-    if recording.end is not None:
-        lines.append(f"ended: {recording.end.reason}")
+    if end is not None:
+        lines.append(f"ended: {end.reason}")
     lines += [f"problem: {problem}" for problem in recording.problems]
-    if recording.complete:
-        return [*lines, _after(recording.folder)]
-    return [*lines, f"Next: {command_of('record', 'repair', recording.folder)}"]
+    repair = f"Next: {command_of('record', 'repair', recording.folder)}"
+    lines.append(_after(recording.folder) if recording.complete else repair)
+    return CommandAnswer(content, lines)
 
 
 class StopWish:
@@ -277,58 +225,57 @@ def _wait_for_enter(wish: StopWish) -> None:
 MAX_FLAGS = 8
 
 
-@with_options
+@command
 def track(
+    project: Path,
+    source: FilmPath,
     *,
-    source: Path = required("Video file or folder of a recording.", metavar="FILM"),
-    rig: str = option(
-        "",
-        "Rig file or name of an example rig: thesis-tags, thesis-stickers, microscope.",
-        metavar="RIG",
-        show_default="rig.yaml next to the film",
-    ),
-    scene: Path | None = option(
-        None,
-        "Scene file of the planned experiment.",
-        metavar="FILE",
-        show_default="scene.yaml next to the film",
-    ),
-    method: str = option(
-        "auto", "Tracking method: auto, tags, stickers or silhouette.", metavar="METHOD"
-    ),
-    folder: ProjectFolder = Path(),
-    dataset: str = option("bench", "Dataset of the experiment.", metavar="NAME"),
-    name: str = option("", "Name of the experiment.", metavar="NAME", show_default="the film's"),
-    register: bool = option(
-        False, "Estimate the camera pose again from the tags on the plate.", "--register"
-    ),
-    dry_run: bool = option(False, "Track only; store nothing.", "--dry-run"),
-    overlay: Path | None = option(None, "Write the film with the measured outlines: .mp4 or .mkv."),
-    sheet: Path | None = option(
-        None, "Write a picture of a few frames with the measured outlines: .png."
-    ),
-    plot: Path | None = option(None, "Draw poses, residuals and gaps: .png, .svg or .pdf."),
-    as_json: AsJson = False,
-) -> None:
-    """Track a film or recording and store it as an experiment."""
+    rig: Annotated[str, Door(metavar="RIG", usual="rig.yaml next to the film")] = "",
+    scene: Annotated[Path | None, Door(usual="scene.yaml next to the film")] = None,
+    method: Annotated[str, Door(metavar="METHOD")] = "auto",
+    dataset: Annotated[str, Door(metavar="NAME")] = "bench",
+    name: Annotated[str, Door(metavar="NAME", usual="the film's")] = "",
+    place_camera: Annotated[bool, Door(flag="--register")] = False,  # pydantic has a `register`
+    dry_run: Annotated[bool, Door(flag="--dry-run")] = False,
+    overlay: Path | None = None,
+    sheet: Path | None = None,
+    plot: Path | None = None,
+) -> CommandAnswer:
+    """Track a film or recording and store it as an experiment.
+
+    Parameters
+    ----------
+    rig : str
+        Rig file or name of an example rig: thesis-tags, thesis-stickers, microscope.
+    scene : Path, optional
+        Scene file of the planned experiment.
+    method : str
+        Tracking method: auto, tags, stickers or silhouette.
+    dataset : str
+        Dataset of the experiment.
+    name : str
+        Name of the experiment.
+    place_camera : bool
+        Estimate the camera pose again from the tags on the plate.
+    dry_run : bool
+        Track only; store nothing.
+    overlay : Path, optional
+        Write the film with the measured outlines: .mp4 or .mkv.
+    sheet : Path, optional
+        Write a picture of a few frames with the measured outlines: .png.
+    plot : Path, optional
+        Draw poses, residuals and gaps: .png, .svg or .pdf.
+    """
     from fixel.workflows.acquisition.track import track_film
 
+    options: Any = {"dataset": dataset, "name": name, "overlay": overlay, "sheet": sheet}
+    options |= {"rig": rig, "scene": scene, "method": method, "plot": plot}
+    place = None if dry_run else project
     with show_progress(stage="tracking") as report:
         answer = track_film(
-            source,
-            rig=rig,
-            scene=scene,
-            method=method,
-            register=register,
-            project=None if dry_run else folder,
-            dataset=dataset,
-            name=name,
-            overlay=overlay,
-            sheet=sheet,
-            plot=plot,
-            progress=report,
+            source, **options, register=place_camera, project=place, progress=report
         )
-    print_answer(as_json, answer.summary, lambda: _track_lines(answer, folder))
+    return CommandAnswer(answer.summary(), _track_lines(answer, project))
 
 
 def _track_lines(answer: "TrackAnswer", folder: Path) -> list[str]:

@@ -6,38 +6,46 @@ import sys
 import tempfile
 from html import escape
 from pathlib import Path
+from typing import Annotated
 
-from fixel.cli.options import AsJson, ProjectFolder, argument, option, project_at, with_options
+from fixel.capability.options import Door
+from fixel.cli.capability import command
+from fixel.cli.options import ProjectPlace, project_at
 from fixel.cli.screen import notify
 from fixel.errors import InvalidInput, plain
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
 
-@with_options
+@command
 def serve(
+    project: Path,
+    place: ProjectPlace = None,
     *,
-    place: Path | None = argument(
-        None, "Same as --project.", metavar="[PROJECT]", show_default=False
-    ),
-    folder: ProjectFolder = Path(),
-    port: int | None = option(None, "Port to listen on; by default any free one.", min=1),
-    host: str = option(
-        "127.0.0.1", "Address to listen on; others than this machine's own need --allow-others."
-    ),
-    allow_others: bool = option(
-        False, "Accept connections from other machines that have the link.", "--allow-others"
-    ),
-    open_: bool = option(True, "Open the link in a browser.", "--open/--no-open"),
-    as_json: AsJson = False,
+    port: Annotated[int | None, Door(least=1)] = None,
+    host: str = "127.0.0.1",
+    allow_others: Annotated[bool, Door(flag="--allow-others")] = False,
+    open_: Annotated[bool, Door(flag="--open/--no-open")] = True,
+    as_json: bool,
 ) -> None:
     """Show a project in a browser.
 
     Pages list experiments, simulations, calibrations and domains.
+
+    Parameters
+    ----------
+    port : int, optional
+        Port to listen on; by default any free one.
+    host : str
+        Address to listen on; others than this machine's own need --allow-others.
+    allow_others : bool
+        Accept connections from other machines that have the link.
+    open_ : bool
+        Open the link in a browser.
     """
     if host not in LOOPBACK and not allow_others:
         raise InvalidInput(
-            "--host",
+            "host",
             found=host,
             expected="an address of this machine only: 127.0.0.1",
             hint="the connection is not encrypted, so others on the network could read the token "
@@ -46,7 +54,7 @@ def serve(
     from fixel.web.context import ProjectContext
     from fixel.web.project import project_server
 
-    context = ProjectContext(project_at(place, folder))
+    context = ProjectContext(project_at(place, project))
     server = project_server(context, port=port, host=host).start()
     door = None
     try:

@@ -8,7 +8,7 @@ import typer
 from fixel.capability.options import Door
 from fixel.capability.usual import Seed, Threads
 from fixel.cli.capability import command, typer_command
-from fixel.cli.options import AsJson, option, required, with_options
+from fixel.cli.options import FilmPath
 from fixel.cli.project import imported
 from fixel.cli.screen import CommandAnswer, command_of, print_answer, wrote
 from fixel.progress import show_progress
@@ -94,25 +94,34 @@ def _content(one: "FilmResult") -> dict[str, object]:
 
 
 @app.command("serve")
-@with_options
+@command
 def serve(
+    film: FilmPath,
     *,
-    film: Path = required("Video file or folder of a recording.", metavar="FILM", exists=True),
-    port: int = option(0, "Port to listen on; 0 for any free one.", min=0, max=65535),
-    loop: bool = option(False, "Repeat the film endlessly.", "--loop"),
-    as_json: AsJson = False,
+    port: Annotated[int, Door(least=0, most=65535)] = 0,
+    loop: Annotated[bool, Door(flag="--loop")] = False,
+    as_json: bool,
 ) -> None:
-    """Serve a film on this machine like a network camera, until Ctrl-C."""
+    """Serve a film on this machine like a network camera, until Ctrl-C.
+
+    Parameters
+    ----------
+    port : int
+        Port to listen on; 0 for any free one.
+    loop : bool
+        Repeat the film endlessly.
+    """
     from fixel.testbed.file_source import LoopbackCamera
 
     with LoopbackCamera(film, port=port, loop=loop) as camera:
         width, height = camera.stream.size
+        record = command_of("record", "--camera", camera.url, "--out", "recording")
         print_answer(
             as_json,
             lambda: {"url": camera.url, "size_px": [width, height]},
             lambda: [
                 f"serving {film}, {width} x {height} pixels, at {camera.url}",
-                f"Next: {command_of('record', '--camera', camera.url, '--out', 'recording')}",
+                f"Next: {record}",
             ],
         )
         camera.wait()

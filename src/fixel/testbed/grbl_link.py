@@ -159,7 +159,7 @@ class GrblLink:
             self._port.write(grbl.STATUS)
 
     def _miss_controller(self) -> None:
-        """Report silence, after everything that arrived was read: this thread may be late itself."""
+        """Report silence after everything that arrived was read: this thread may be late itself."""
         # A command such as homing may occupy the controller, and has its own timeout; an unanswered
         # line of a move has none.
         silent = time.monotonic() - max(self.reported, self._accepted) > SILENCE

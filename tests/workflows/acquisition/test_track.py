@@ -231,7 +231,7 @@ def test_a_fixel_that_does_not_stand_still_is_told_of():
 
 def test_files_that_are_missing_are_named(film, tmp_path):
     (tmp_path / "rig.yaml").unlink()
-    with pytest.raises(InvalidInput, match="--rig"):
+    with pytest.raises(InvalidInput, match=r"^rig: found no rig\.yaml next to the film"):
         track_film(film)
     with pytest.raises(InvalidInput, match="a folder without a recording"):
         track_film(tmp_path, rig="thesis-tags")

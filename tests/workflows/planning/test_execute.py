@@ -23,8 +23,7 @@ from fixel.testbed.motion_grbl import GrblActuator
 from fixel.testbed.simulated import SimulatedTestbed, repeat_pushes
 from fixel.testing.scenes import pushed_square
 from fixel.units import deg, mm
-from fixel.workflows.acquisition import film_experiments
-from fixel.workflows.acquisition.record import RecordPlan
+from fixel.workflows.acquisition import RecordPlan, film_experiments
 from fixel.workflows.planning.execute import (
     check_plan,
     present_belief,

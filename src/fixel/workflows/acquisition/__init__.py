@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final, final
 
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door
 from fixel.capability.usual import Seed
+from fixel.errors import InvalidInput, unknown_name
 
 if TYPE_CHECKING:
     from fixel.typing import ProgressCallback
@@ -17,6 +20,80 @@ if TYPE_CHECKING:
 SOURCES: Final = Door(plain=tuple[str, ...], metavar="[EXPERIMENT|SCENE.yaml|PLAN.yaml]...")
 Count = Annotated[int | None, Door(least=1, metavar="COUNT")]
 Rest = Annotated[float, Door(least=0.0)]
+
+Camera = Annotated[
+    str,
+    Door(
+        metavar="SOURCE",
+        meaning="Camera (0, /dev/video0, http://...), video file or folder of a recording.",
+    ),
+]
+ENDS: Final = ("key", "limit", "seated")
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordPlan:
+    """Source, destination and end of a recording.
+
+    Attributes
+    ----------
+    folder : Path
+        New folder for the recording.
+    tactile : str, optional
+        Serial port of the tactile board; 'film' for the readings of a played recording, or
+        film:FOLDER for those of another one.
+    rig : str, optional
+        Rig, by name or file; the pictures must have the size of its camera.
+    scene : Path, optional
+        Scene file of the experiment, stored with the recording.
+    size : tuple of int, optional
+        Picture size to request from the camera; without --rig only.
+    rate : float
+        Frame rate to request from the camera [frames/s].
+    codec : str
+        Codec. as-it-comes: JPEG of the camera, bit for bit; near: JPEG of high quality; exact:
+        lossless, 5 times the size of near; auto: as-it-comes if the camera sends JPEG, else near.
+    until : str
+        End of the recording. key: Enter or Ctrl-C; limit: after --limit; seated: contact mode of
+        --mode, or at rest.
+    mode : str, optional
+        Contact mode that counts as seated, one digit per fixel 1, 2, 3, such as 010.
+    limit : float, optional
+        Longest duration, such as 15s or 10min.
+    fast : bool
+        Play a file as fast as it can be read; time stamps stay those of the file.
+    """
+
+    camera: Camera
+    folder: Annotated[Path, Door(flag="--out", metavar="FOLDER")]
+    tactile: Annotated[str | None, Door(metavar="PORT", usual="none")] = None
+    rig: Annotated[str | None, Door(metavar="RIG")] = None
+    scene: Path | None = None
+    size: Annotated[tuple[int, int] | None, Door(plain=str | None, metavar="WIDTHxHEIGHT")] = None
+    rate: Annotated[float, Door(least=1.0)] = 30.0
+    codec: Annotated[str, Door(metavar="NAME")] = "auto"
+    until: Annotated[str, Door(metavar="WHEN")] = "key"
+    mode: Annotated[str | None, Door(metavar="DIGITS")] = None
+    limit: Annotated[float | None, Door(plain=str | None, metavar="DURATION")] = None  # [s]
+    fast: Annotated[bool, Door(flag="--fast")] = False
+
+    def __post_init__(self) -> None:
+        from fixel.formats.recording import CODECS, is_recording
+
+        for name, known in ("codec", ("auto", *CODECS)), ("until", ENDS):
+            if getattr(self, name) not in known:
+                raise unknown_name(name, getattr(self, name), known)
+        if self.until == "limit" and self.limit is None:
+            raise InvalidInput("limit", found=None, expected="a duration such as 15s")
+        if self.limit is not None and not (isfinite(self.limit) and self.limit > 0.0):
+            raise InvalidInput("limit", found=f"{self.limit} s", expected="more than 0 s")
+        if self.mode is not None and (self.until != "seated" or self.tactile is None):
+            expected = "used with --until seated and --tactile"
+            raise InvalidInput("mode", found=repr(self.mode), expected=expected)
+        if self.folder.exists():
+            what = "a recording" if is_recording(self.folder) else "an existing file or folder"
+            raise InvalidInput(str(self.folder), found=what, expected="a new folder")
 
 
 def film_experiments(

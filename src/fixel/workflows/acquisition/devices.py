@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fixel.errors import InvalidInput, unknown_name
-from fixel.testbed.motion import SPEED, AbstractActuator, ManualActuator, SimulatedActuator
+from fixel.testbed.motion import AbstractActuator, ManualActuator, SimulatedActuator
 from fixel.testbed.motion_grbl import GrblActuator
-from fixel.testbed.tactile import DEADLINE, TactileReader, TactileReading
+from fixel.testbed.tactile import TactileReader, TactileReading
 from fixel.typing import Notify, ProgressCallback
 
 
@@ -44,12 +44,12 @@ def chosen_actuator(
         return GrblActuator(port, axes=axes, keys=keys, dead_man=dead_man)
     if driver == ManualActuator.name:
         if len(axes) > 1:
-            raise InvalidInput("--axes", found=axes, expected="one axis with --driver manual")
+            raise InvalidInput("axes", found=axes, expected="one axis with --driver manual")
         return ManualActuator(notify=notify, ask=_asking(notify))
     if driver == SimulatedActuator.name:
         return SimulatedActuator(n_axes=len(axes))
     drivers = (GrblActuator, ManualActuator, SimulatedActuator)
-    raise unknown_name("--driver", driver, (member.name for member in drivers))
+    raise unknown_name("driver", driver, (member.name for member in drivers))
 
 
 def _asking(notify: Notify) -> Callable[[str], str]:
@@ -72,7 +72,7 @@ def move_actuator(
     *,
     to: float | tuple[float, ...] | None,
     by: float | tuple[float, ...] | None,
-    speed: float = SPEED,
+    speed: float,
     unlock: bool = False,
 ) -> ActuatorAnswer:
     """Move the drive and return when it has arrived [m, m/s]; several numbers are for its axes."""
@@ -111,10 +111,6 @@ def _done(actuator: AbstractActuator, command: Callable[[], None]) -> ActuatorAn
         )
 
 
-FRAME: Final = 1.0 / 30.0  # [s]
-READINGS: Final = 300
-
-
 class TactileCheck(NamedTuple):
     """Result of checking a tactile board."""
 
@@ -143,8 +139,8 @@ class TactileCheck(NamedTuple):
 def check_tactile(
     port: str | None,
     *,
-    readings: int = READINGS,
-    deadline: float = DEADLINE,
+    readings: int,
+    deadline: float,
     progress: ProgressCallback | None = None,
 ) -> TactileCheck:
     """Request a number of readings as fast as possible and count the answers."""
@@ -171,12 +167,12 @@ def check_tactile(
 def watch_tactile(
     port: str | None,
     *,
-    interval: float = FRAME,
+    rate: float,
     duration: float | None = None,
-    thresholds: tuple[int, int, int] | None = None,
+    threshold: int | None = None,
 ) -> Iterator[tuple[TactileReader, TactileReading]]:
-    """Yield one reading per interval until the duration is over or the caller stops; reconnect
-    after a pulled plug."""
+    """Yield readings until the time is over or the caller stops; reconnect after a pulled plug."""
+    thresholds = None if threshold is None else (threshold,) * 3
     with TactileReader(port, thresholds=thresholds) as reader:
         start = due = time.monotonic()
         while duration is None or due - start < duration:
@@ -184,5 +180,5 @@ def watch_tactile(
             if not reader.connected:
                 time.sleep(0.5)
                 reader.reconnect()
-            due = max(due + interval, time.monotonic())
+            due = max(due + 1.0 / rate, time.monotonic())
             time.sleep(max(0.0, due - time.monotonic()))

@@ -143,7 +143,12 @@ def _render(
         save_rig(rig, folder / RIG_FILE)
         save_scene(subject.planned, folder / SCENE_FILE)
         write_truth(subject, truth, looks, request.seed, lead, folder)
-        _write_frames(frames, truth, writers, progress)
+        for k, frame in enumerate(frames):
+            reading = int(truth.reading[k])
+            for write in writers:
+                write(frame, None if reading < 0 else reading, frame.time)
+            if progress is not None:
+                progress(k + 1, len(times))
     things: list[Body | Pusher] = [*subject.scene.bodies, *subject.scene.pushers]
     marked = [name for name, part in rig.parts.items() if part.marks]
     unmarked = tuple(own.name for own in things if own.name not in marked)
@@ -156,18 +161,6 @@ def _render(
         video=video,
         unmarked=unmarked if looks.lighting == "above" else (),
     )
-
-
-def _write_frames(
-    frames: Iterator[Frame], truth: Truth, writers: list[Write], progress: ProgressCallback | None
-) -> None:
-    total = len(truth.time)
-    for k, frame in enumerate(frames):
-        reading = int(truth.reading[k])
-        for write in writers:
-            write(frame, None if reading < 0 else reading, frame.time)
-        if progress is not None:
-            progress(k + 1, total)
 
 
 class Truth(NamedTuple):

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, final
 
-from fixel.errors import InvalidInput, unknown_name
-from fixel.formats.recording import CODECS, RIG_FILE, SCENE_FILE, Recording, is_recording
+from fixel.errors import InvalidInput
+from fixel.formats.recording import RIG_FILE, SCENE_FILE
 from fixel.formats.recording_video import warm_up
 from fixel.formats.rig_file import rig_of, save_rig
 from fixel.formats.scene_file import load_scene
@@ -18,45 +15,7 @@ from fixel.testbed.frame_source import Stream
 from fixel.testbed.open_source import check_size, source_of
 from fixel.testbed.recorder import Recorder, RecordingSummary, Seating, Stop, TouchReader, Watch
 from fixel.vision.marks import Rig
-
-ENDS: Final = ("key", "limit", "seated")
-CHOICES: Final = ("auto", *CODECS)
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecordPlan:
-    """Source, destination and end of a recording."""
-
-    camera: str  # see `source_of`
-    folder: Path  # folder to create
-    # Port of the tactile board; `film`, or `film:FOLDER`, for the readings of a recording.
-    tactile: str | None = None
-    rig: str | None = None  # name or file of a rig; pictures must have the size of its camera
-    scene: Path | None = None  # scene file of what lies on the plate; copied into the recording
-    # Picture size requested from the camera if there is no rig [px].
-    size: tuple[int, int] | None = None
-    rate: float = 30.0  # frame rate requested from the camera [frames/s]
-    codec: str = "auto"  # one of `CHOICES`; `auto` stores JPEG unchanged and pixels as `near`
-    until: str = "key"  # one of `ENDS`; a key ends the recording in any case
-    mode: str | None = None  # digits of fixels 1, 2, 3 that count as seated: `"010"`
-    limit: float | None = None  # maximum duration [s]
-    fast: bool = False  # whether a file is played as fast as it can be read
-
-    def __post_init__(self) -> None:
-        for option, value, known in ("--codec", self.codec, CHOICES), ("--until", self.until, ENDS):
-            if value not in known:
-                raise unknown_name(option, value, known)
-        if self.until == "limit" and self.limit is None:
-            raise InvalidInput("--limit", found=None, expected="a duration such as 15s")
-        if self.limit is not None and not (math.isfinite(self.limit) and self.limit > 0.0):
-            raise InvalidInput("--limit", found=f"{self.limit} s", expected="more than 0 s")
-        if self.mode is not None and (self.until != "seated" or self.tactile is None):
-            expected = "used with --until seated and --tactile"
-            raise InvalidInput("--mode", found=repr(self.mode), expected=expected)
-        if self.folder.exists():
-            what = "a recording" if is_recording(self.folder) else "an existing file or folder"
-            raise InvalidInput(str(self.folder), found=what, expected="a new folder")
+from fixel.workflows.acquisition import RecordPlan
 
 
 def record(
@@ -110,40 +69,11 @@ def codec_for(choice: str, stream: Stream) -> str:
     Raise `InvalidInput` for `as-it-comes` with a camera that sends no JPEG.
     """
     if choice == "as-it-comes" and not stream.jpeg:
-        raise InvalidInput(
-            "--codec",
-            found=repr(choice),
-            expected="near or exact, since this source does not send JPEG",
-        )
+        expected = "near or exact, since this source does not send JPEG"
+        raise InvalidInput("codec", found=repr(choice), expected=expected)
     if choice != "auto":
         return choice
     return "as-it-comes" if stream.jpeg else "near"
-
-
-def summary(done: RecordingSummary) -> dict[str, Any]:
-    """Return the summary of a recording as plain values."""
-    known = done._asdict() | {"folder": str(done.folder), "problems": list(done.problems)}
-    known["duration_s"], known["rate_per_s"] = known.pop("seconds"), done.rate
-    return known
-
-
-def check_summary(recording: Recording) -> dict[str, Any]:
-    """Return the findings about a recording as plain values."""
-    header, end = recording.header, recording.end
-    return {
-        "folder": str(recording.folder),
-        "complete": recording.complete,
-        "frames": recording.n_frames,
-        "duration_s": float(recording.time[-1] - recording.time[0]),
-        "readings": int((recording.readings >= 0).sum()),
-        "size_px": list(header.size),
-        "codec": header.codec,
-        "rig": header.rig,
-        "source": header.source,
-        "started": header.started,
-        "reason": "" if end is None else end.reason,
-        "problems": list(recording.problems),
-    }
 
 
 def _seating(plan: RecordPlan, rig: Rig | None) -> Seating:
@@ -152,9 +82,8 @@ def _seating(plan: RecordPlan, rig: Rig | None) -> Seating:
         return Seating()
     n = 3 if rig is None else len(rig.tactile)
     if len(plan.mode) != n or set(plan.mode) - {"0", "1"}:
-        raise InvalidInput(
-            "--mode", found=plan.mode, expected=f"a digit 0 or 1 for each of {n} fixels"
-        )
+        expected = f"a digit 0 or 1 for each of {n} fixels"
+        raise InvalidInput("mode", found=plan.mode, expected=expected)
     if rig is None:
         return Seating(int(plan.mode, 2))  # the thesis: the byte is the mode
     digits = dict(zip(sorted(rig.tactile), plan.mode, strict=True))

@@ -111,20 +111,16 @@ def track_film(
 ) -> TrackAnswer:
     """Track a film, a video file or the folder of a recording, and store it as an experiment.
 
-    Rig and scene are by default `rig.yaml` and `scene.yaml` next to the film, and the name is that
-    of the film. The method is `auto`, `tags`, `stickers` or `silhouette`. With `register`, the
-    camera's place is determined again, from the tags on the plate. Without a project, nothing is
-    stored. `overlay` is a video of the film with the measured outlines, `sheet` a picture of a few
-    of its frames (`.png`), `plot` a figure of poses, residuals and gaps against time. `progress` is
-    called as `progress(done, total)`.
+    The arguments are options of `fixel track`; `register` estimates the camera pose again. Without
+    a project, nothing is stored. `progress` is called as `progress(done, total)`.
     """
     wanted = {"overlay": overlay, "sheet": sheet, "plot": plot}
     files = {kind: path for kind, path in wanted.items() if path is not None}
     _check_files(files)
     opened = None if project is None else Project(project)
     film = open_film(source)
-    marked = rig_of(rig or _beside(source, RIG_FILE, "--rig"))
-    planned = load_scene(scene or _beside(source, SCENE_FILE, "--scene")).scene
+    marked = rig_of(rig or _beside(source, RIG_FILE, "rig"))
+    planned = load_scene(scene or _beside(source, SCENE_FILE, "scene")).scene
     tracked = track(
         film.frames(),
         marked,
@@ -193,11 +189,13 @@ def open_film(source: Path) -> Film:
     )
 
 
-def _beside(source: Path, name: str, option: str) -> Path:
+def _beside(source: Path, name: str, argument: str) -> Path:
     folder = source if source.is_dir() else source.parent
     if not (folder / name).is_file():
         raise InvalidInput(
-            option, found=f"no {name} next to the film", expected=f"that file, or {option} FILE"
+            argument,
+            found=f"no {name} next to the film",
+            expected="that file, or another",
         )
     return folder / name
 

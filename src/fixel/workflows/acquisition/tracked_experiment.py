@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Final, NamedTuple
@@ -169,24 +170,16 @@ def _scene(
             if (pose != start).any():
                 moved.append(float(np.hypot(*(pose - start)[:2])))
         bodies.append(replace(body, pose=pose))
-    return replace(
-        scene,
-        bodies=tuple(bodies),
-        pushers=pushers,
-        fixels=fixels,
-        duration=float(trajectory.time[-1]),
-    )
+    end = float(trajectory.time[-1])
+    return replace(scene, bodies=tuple(bodies), pushers=pushers, fixels=fixels, duration=end)
 
 
 def _driven(pusher: Pusher, measured: Trajectory) -> Pusher:
     """Return a pusher on its measured path; its head does not turn, so its angle is constant."""
     angle = np.full(len(measured.time), float(np.median(np.unwrap(measured.pose[:, 2]))))
     path = np.column_stack((measured.time, measured.pose[:, :2], angle))
-    return replace(
-        pusher,
-        drive=PathDrive(waypoints=path, force_limit=pusher.drive.force_limit),
-        pose=path[0, 1:],
-    )
+    drive = PathDrive(waypoints=path, force_limit=pusher.drive.force_limit)
+    return replace(pusher, drive=drive, pose=path[0, 1:])
 
 
 def _check_single_push(found: tuple[str, ActuatorMotion] | None) -> None:
@@ -261,9 +254,8 @@ def _flags(
     remarks: tuple[str, ...],
 ) -> Iterator[Flag]:
     if track.good.mean() < MAX_GAPS:
-        yield Flag(
-            "object-lost", f"{track.name} was tracked in {track.good.mean():.0%} of the frames"
-        )
+        share = f"{track.good.mean():.0%}"
+        yield Flag("object-lost", f"{track.name} was tracked in {share} of the frames")
     for part in tracked.parts.values():
         if part.gaps:
             longest = max(part.gaps, key=lambda gap: gap[1] - gap[0])
@@ -285,10 +277,8 @@ def _flags(
         yield remark("fixels-as-planned", ", ".join(sorted(missing)) + " was not visible")
     for fixel in tracked.fixels:
         if fixel.scatter > RESTLESS:
-            detail = (
-                f"its positions scatter by {fixel.scatter * 1e3:.2f} mm; it may have been "
-                "hit or hidden"
-            )
+            scatter = f"its positions scatter by {fixel.scatter * 1e3:.2f} mm"
+            detail = f"{scatter}; it may have been hit or hidden"
             yield remark(f"{_plain(fixel.name)}-restless", detail)
     off = float(np.hypot(*(track.trajectory.pose[0] - scene.bodies[0].pose)[:2]))
     if off > MISPLACED:
@@ -299,9 +289,7 @@ def _flags(
 
 
 def _plain(name: str) -> str:
-    return (
-        "".join(c if c.isalnum() and c.isascii() else "-" for c in name.lower()).strip("-") or "p"
-    )
+    return re.sub("[^a-z0-9]", "-", name.lower()).strip("-") or "p"
 
 
 def _shifted(trajectory: Trajectory, zero: float) -> Trajectory:

@@ -29,9 +29,9 @@ from fixel.testbed.frame_source import CameraPicture
 from fixel.testbed.recorder import RecordingStatus, RecordingSummary
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.typing import Notify, ProgressCallback
-from fixel.workflows.acquisition import film_experiments
+from fixel.workflows.acquisition import RecordPlan, film_experiments
 from fixel.workflows.acquisition.film import ARRAYS
-from fixel.workflows.acquisition.record import RecordPlan, record
+from fixel.workflows.acquisition.record import record
 from fixel.workflows.acquisition.track import TrackAnswer, track_film
 from fixel.workflows.analysis import Analysis, store_analysis
 from fixel.workflows.capabilities import call

@@ -33,7 +33,8 @@ from fixel.progress import show_progress
 from fixel.testbed.motion import AbstractActuator
 from fixel.testbed.simulated import RepeatedPushes, SimulatedTestbed, repeat_pushes
 from fixel.typing import FloatArray, Notify
-from fixel.workflows.acquisition.record import RecordPlan, record
+from fixel.workflows.acquisition import RecordPlan
+from fixel.workflows.acquisition.record import record
 from fixel.workflows.acquisition.track import track_film
 from fixel.workflows.calibration.calibration import Calibration
 from fixel.workflows.calibration.run import calibrate
