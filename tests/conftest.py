@@ -11,9 +11,11 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -184,6 +186,42 @@ def nothing_awaits_the_disk() -> None:
         return made
 
     engine._sqlite = opened
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_migration() -> None:
+    """Run the migrations of an empty SQLite file once in a process: other new projects repeat their
+    statements. Tests of databases run the migrations each time.
+    """
+    from fixel.database import engine, schema
+
+    upgrade, lock = schema.upgrade, threading.Lock()
+
+    @functools.cache
+    def statements() -> list[str]:
+        made = engine.open_engine("sqlite://")
+        with engine.writing(made) as connection:
+            upgrade(connection)
+            raw = connection.connection.dbapi_connection
+            found = raw.execute("SELECT sql FROM sqlite_master WHERE sql NOT NULL ORDER BY rowid")
+            done = [sql for (sql,) in found]
+            done.append(f"INSERT INTO alembic_version VALUES ('{schema.newest()}')")
+        made.dispose()
+        return done
+
+    def upgraded(connection: Any, version: str = "head") -> None:
+        usual = version == "head" and connection.dialect.name == "sqlite"
+        tested = "tests/database/" in os.environ.get("PYTEST_CURRENT_TEST", "")
+        raw = connection.connection.dbapi_connection
+        if tested or not usual or raw.execute("SELECT 1 FROM sqlite_master").fetchone():
+            upgrade(connection, version)
+            return
+        with lock:  # two threads may create the first two projects
+            repeated = statements()
+        for statement in repeated:
+            raw.execute(statement)
+
+    schema.upgrade = upgraded
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -5,6 +5,7 @@ import json
 
 import pytest
 from tests.cli.shell import fixel, json_of, output, refusal
+from tests.jobs.helpers import await_true
 
 from fixel.testbed.emulators.grbl import EmulatedGrbl
 
@@ -56,7 +57,7 @@ def test_a_locked_controller_is_unlocked_when_asked(capsys, controller):
 def test_stop_writes_to_the_port_that_is_named(capsys, controller):
     answer = json_of(capsys, "actuator", "stop", "--port", controller.port)
     assert answer == {"stopped": [controller.port]}
-    controller.wait_for("reset")
+    await_true(lambda: "reset" in [event.what for event in controller.events])
 
 
 @pytest.mark.parametrize("device", ["actuator", "tactile"])

@@ -54,12 +54,12 @@ def kill(pid, how=signal.SIGKILL):
     return True
 
 
-def await_true(condition, what="what a test expects", patience_s=PATIENCE_S):
+def await_true(condition, what="what a test expects", patience_s=PATIENCE_S, pause_s=0.02):
     """Wait until something holds."""
     deadline = time.monotonic() + patience_s
     while not (held := condition()):
         assert time.monotonic() < deadline, f"waited {patience_s} s for {what}"
-        time.sleep(0.02)
+        time.sleep(pause_s)
     return held
 
 

@@ -15,6 +15,7 @@ import tty
 from contextlib import contextmanager, nullcontext
 
 import pytest
+from tests.jobs.helpers import await_true
 from tests.processes import line_of
 
 from fixel.errors import DeviceFailed
@@ -147,7 +148,7 @@ def test_one_port_that_is_gone_does_not_save_the_others_and_is_told(tmp_path):
 
         with pytest.raises(DeviceFailed, match=f"ttyGONE.*stopped: {controller.port}"):
             stop_actuators(None)
-        controller.wait_for("reset")
+        await_true(lambda: "reset" in [event.what for event in controller.events])
 
 
 def guard_of(source: str, tmp_path, monkeypatch) -> None:

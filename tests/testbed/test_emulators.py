@@ -17,7 +17,7 @@ def test_a_controller_whose_program_reads_nothing_can_be_ended():
         os.write(port, 100 * b"?")
     ending = threading.Thread(target=controller.close, daemon=True)
     ending.start()
-    ending.join(5.0)
+    ending.join(60.0)
     os.close(port)
 
     assert not ending.is_alive()

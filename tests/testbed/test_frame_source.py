@@ -24,7 +24,7 @@ from fixel.formats.video_file import VideoWriter
 from fixel.testbed.file_source import FileSource, LoopbackCamera, PlayedTactile
 from fixel.testbed.frame_source import FrameQueue, Stream
 from fixel.testbed.open_source import DeviceSource, UrlSource, check_size, source_of
-from fixel.testbed.recorder import Recorder
+from fixel.testbed.recorder import Recorder, RecordingStatus
 from fixel.vision.frame import Frame
 
 JPEG = jpeg_of(picture(0))
@@ -130,13 +130,16 @@ def test_a_film_goes_round_the_loop_bit_by_bit(tmp_path: Path) -> None:
 
 
 def test_a_pulled_network_camera_ends_the_recording(tmp_path: Path) -> None:
-    folder = film(tmp_path / "film", n=500)
-    camera = LoopbackCamera(folder).start()
-    pull = threading.Timer(0.3, camera.stop)
-    pull.start()
-    done = record(UrlSource(camera.url), tmp_path / "r")
+    camera = LoopbackCamera(film(tmp_path / "film"), loop=True).start()  # it would not end
+    pull = threading.Thread(target=camera.stop)
+
+    def pulls(_: object, status: RecordingStatus) -> None:
+        if status.frames > 5 and pull.ident is None:
+            pull.start()
+
+    done = record(UrlSource(camera.url), tmp_path / "r", watch=pulls)
     pull.join()
-    assert 5 < done.frames < 500
+    assert done.frames > 5
     assert done.reason.startswith("the camera")
     assert open_recording(tmp_path / "r").complete
 
@@ -145,7 +148,7 @@ def test_a_camera_that_was_never_started_can_be_stopped(tmp_path: Path) -> None:
     camera = LoopbackCamera(film(tmp_path / "film"))
     stopping = threading.Thread(target=camera.stop, daemon=True)
     stopping.start()
-    stopping.join(5.0)
+    stopping.join(60.0)
     assert not stopping.is_alive()
 
 
@@ -156,7 +159,7 @@ def answering(*parts: bytes, hold: bool = False, drip: bool = False) -> Iterator
     Then it hangs up; or holds the line for a while, or drips a byte now and then.
     """
     server = socket.create_server(("127.0.0.1", 0))
-    server.settimeout(5.0)  # closing it would not wake who waits for a visitor that never comes
+    server.settimeout(60.0)  # closing it would not wake who waits for a visitor that never comes
     done = threading.Event()
     heard: list[bytes] = []
 
@@ -166,12 +169,12 @@ def answering(*parts: bytes, hold: bool = False, drip: bool = False) -> Iterator
         except OSError:
             return
         with talk:
-            talk.settimeout(5.0)
+            talk.settimeout(60.0)
             heard.append(talk.recv(65536))
             for part in parts:
                 talk.sendall(part)
             if hold:
-                done.wait(5.0)
+                done.wait(60.0)
             with suppress(OSError):
                 while drip and not done.wait(0.05):
                     talk.sendall(b"x")
@@ -239,23 +242,23 @@ def test_what_is_no_camera_is_refused(answer: bytes, sentence: str) -> None:
 
 def test_a_camera_that_falls_silent_says_so() -> None:
     with answering(HEAD % b"x", PART, hold=True) as url:
-        source = UrlSource(url, patience=0.2)
+        source = UrlSource(url, patience=2.0)
         source.open()
         assert len(list(source.frames())) == 1
-    assert source.ended == "the camera has sent nothing for 0.2 s"
+    assert source.ended == "the camera has sent nothing for 2 s"
 
 
 @pytest.mark.parametrize(
     ("parts", "way", "patience", "sentence"),
     [
         ((), "hold", 0.2, "no data within 0.2 s"),
-        ((LONG,), "drip", 0.6, "no whole picture within 1.2 s"),
+        ((LONG,), "drip", 3.0, "no whole picture within 6 s"),
     ],
 )
 def test_a_camera_that_says_nothing_or_drips_is_refused(
     monkeypatch: pytest.MonkeyPatch, parts: tuple[bytes], way: str, patience: float, sentence: str
 ) -> None:
-    monkeypatch.setattr("fixel.testbed.open_source.OPENS_WITHIN", 1.2)
+    monkeypatch.setattr("fixel.testbed.open_source.OPENS_WITHIN", 0.2)
     with (
         answering(HEAD % b"x", *parts, **{way: True}) as url,
         pytest.raises(InvalidInput, match=re.escape(sentence)),
@@ -267,7 +270,7 @@ def test_a_camera_that_drips_ends_the_recording(tmp_path: Path) -> None:
     with answering(HEAD % b"x", PART, LONG, drip=True) as url:
         began = time.monotonic()
         done = record(UrlSource(url), tmp_path / "r", patience=0.3)
-    assert time.monotonic() - began < 3.0
+    assert time.monotonic() - began < 60.0  # the picture would take over an hour
     assert (done.frames, done.reason) == (1, "the camera has sent nothing for 0.3 s")
 
 

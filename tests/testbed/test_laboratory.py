@@ -3,6 +3,7 @@
 import threading
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -388,16 +389,22 @@ def test_a_stopped_drive_stops_the_head():
     assert (lab.moments[-1].head == lab.moments[-2].head).all()
 
 
-def test_in_real_time_frames_come_at_their_rate():
+def test_in_real_time_frames_come_at_their_rate(monkeypatch):
+    """On a clock of the test, which only waiting advances."""
+    now = [1e3]
+    clock = SimpleNamespace(monotonic=lambda: now[0])
+    monkeypatch.setattr("fixel.testbed.emulators.laboratory.time", clock)
     lab = laboratory(pace=1.0)
     source = lab.source
+    monkeypatch.setattr(
+        source._stop, "wait", lambda seconds: now.append(now.pop() + max(0.0, seconds))
+    )
     assert source.open().live
     frames = source.frames()
-    began = time.monotonic()
     times = [next(frames).captured for _ in range(20)]
-    assert time.monotonic() - began == pytest.approx(20 / 30.0, abs=0.3)
-    assert abs(time.monotonic() - times[-1]) < 0.3
-    assert lab.clock() == pytest.approx(time.monotonic(), abs=0.1)
+    assert now[0] - 1e3 == pytest.approx(20 / 30.0)
+    assert abs(now[0] - times[-1]) < 0.1
+    assert lab.clock() == now[0]
     source.close()
     assert list(frames) == []
     assert source.ended

@@ -2,6 +2,7 @@ import math
 import threading
 import time
 from contextlib import contextmanager
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from fixel.testbed import grbl_lines as grbl
 from fixel.testbed.emulators import grbl as emulated_grbl
 from fixel.testbed.emulators.grbl import EmulatedGrbl
 from fixel.testbed.motion_grbl import GrblActuator
+from fixel.testing.actuator_contract import once_moving
 
 from .boards import stranger
 
@@ -43,10 +45,7 @@ def drive(controller):
 
 def moves(controller: EmulatedGrbl, beyond: float = 0.0) -> None:
     """Return when it does, and is beyond a place [mm]."""
-    until = time.monotonic() + 5.0
-    while controller.speed < 5.0 or controller.place < beyond:
-        assert time.monotonic() < until
-        time.sleep(0.001)
+    await_true(lambda: controller.speed >= 5.0 and controller.place >= beyond, pause_s=0.001)
 
 
 # --- moves ----------------------------------------------------------------------------------------
@@ -206,25 +205,25 @@ def report_nothing_at_home(controller: EmulatedGrbl) -> None:
 
 @pytest.mark.parametrize("happens", ["a stop", "a timeout"])
 def test_homing_ends_at_once(happens, monkeypatch):
-    with driven(homing=True, start=100.0) as (controller, drive):
+    with driven(homing=True, start=900.0, travel=1000.0) as (controller, drive):
         report_nothing_at_home(controller)
         if happens == "a timeout":
             monkeypatch.setattr("fixel.testbed.motion_grbl.HOMING_TIME", 0.3)
         else:
-            stop = threading.Timer(0.3, drive.stop)
+            begins = partial(await_true, lambda: controller.place < 899.0)
+            stop = threading.Thread(target=lambda: (begins(), drive.stop()))
             stop.start()
         with pytest.raises(DeviceFailed, match="homing failed"):
             drive.home()
-        controller.wait_for("alarm 6")
-        assert controller.place > 80.0
+        await_true(lambda: "alarm 6" in [event.what for event in controller.events])
+        assert controller.place > 720.0
 
 
 def test_a_move_that_another_thread_stops_keeps_its_zero():
     with driven({"reach": (0.0, 1.0)}, acceleration=200.0, travel=1000.0) as (_, drive):
         drive.set_zero()
         for _ in range(6):
-            stop = threading.Timer(0.1, drive.stop)
-            stop.start()
+            stop = once_moving(drive, drive.stop)
             with pytest.raises(DeviceFailed, match="stop was requested"):
                 drive.move(to=0.9, speed=0.04)
             stop.join()
@@ -292,8 +291,7 @@ def test_after_a_hold_nothing_is_left_that_a_button_would_continue(controller, d
     assert controller.place == there
 
 
-def test_after_a_lost_answer_the_drive_can_be_moved_on(controller, drive, monkeypatch):
-    monkeypatch.setattr("fixel.testbed.grbl_link.SILENCE", 0.3)
+def test_after_a_lost_answer_the_drive_can_be_moved_on(controller, drive):
     lose_an_answer(controller)
     with pytest.raises(DeviceFailed, match="lost"):
         drive.move(by=0.005, speed=0.03)
@@ -425,8 +423,7 @@ def test_a_stop_in_a_line_over_two_axes_keeps_the_place():
         drive.go([0.02, 0.03], speed=0.04)
         drive.aim([0.02, 0.03], [0.6, 0.8])
         drive.move(to=0.08, speed=0.04, wait=False)
-        time.sleep(0.4)
-        assert controller.speed == pytest.approx(40.0)
+        await_true(lambda: controller.speed == pytest.approx(40.0), pause_s=0.001)
         drive.stop()
 
         assert drive.state == "Idle"
@@ -562,8 +559,7 @@ def test_axes_that_no_controller_has_are_refused(axes):
         pytest.param(lambda heard: b"", "no answer", id="silence"),
     ],
 )
-def test_a_port_of_something_else_is_refused_with_what_it_said(says, found, monkeypatch):
-    monkeypatch.setattr("fixel.testbed.grbl_link.PATIENCE", 0.03)
+def test_a_port_of_something_else_is_refused_with_what_it_said(says, found):
     with stranger(says) as port, pytest.raises(InvalidInput, match=found):
         GrblActuator(port).connect()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import socket
@@ -167,10 +168,8 @@ def _run(call: Callable[[], None], record: BatchRecord) -> None:
     once, though, where another thread waits for it and sets the flag that the code looks at.
     """
     global _rolling, _next_fd
-    if (
-        threading.current_thread() is not threading.main_thread()
-        or _handler(signal.SIGINT) is not signal.default_int_handler
-    ):
+    is_main = threading.current_thread() is threading.main_thread()
+    if not is_main or _handler(signal.SIGINT) is not signal.default_int_handler:
         call()
         return
     given = record.total.copy()
@@ -195,17 +194,18 @@ def _watched() -> socket.socket:
     if _sender is None:
         receiver, _sender = socket.socketpair()
         _sender.setblocking(False)
+        atexit.register(_sender.close)
         threading.Thread(target=_watch, args=(receiver,), daemon=True, name="fixel").start()
     return _sender
 
 
 def _watch(receiver: socket.socket) -> None:
-    while number := receiver.recv(1):
-        record, following = _rolling, _next_fd
-        if number[0] == signal.SIGINT and record is not None:
-            record.total[:, STOP] = 1.0
-        if following >= 0:
-            with suppress(OSError):
+    with receiver:
+        while number := receiver.recv(1):
+            record, following = _rolling, _next_fd
+            if number[0] == signal.SIGINT and record is not None:
+                record.total[:, STOP] = 1.0
+            with suppress(OSError):  # also without a following one, -1
                 os.write(following, number)
 
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 ASKING: Final = 0.04  # [s] between two status requests
 TURN: Final = 0.01  # [s] longest time between two checks of the thread for lines to send
+LATE: Final = 0.05  # [s] most that one turn of the thread counts as listening
 SILENCE: Final = 1.0  # [s] without a status report after which the controller counts as gone
 ANSWER: Final = 2.0  # [s] timeout of a command that takes no time
 BOOT_TIME: Final = 3.0  # [s] in which an Arduino restarts after its port was opened
@@ -43,6 +44,9 @@ class GrblLink:
         self.changed = threading.Condition(threading.RLock())
         self.status: GrblStatus | None = None  # last report
         self.reported = time.monotonic()  # arrival of the last report, on `time.monotonic` [s]
+        # How long the thread has listened [s]: `time.monotonic` without the time for which a busy
+        # computer suspended it. All times to wait for the controller are counted by it.
+        self.listened = self._heard = 0.0
         # Whether the last report was requested after the last line was accepted.
         self.current = False
         # Why a move cannot continue: an alarm, a reset, a refused line, a lost connection.
@@ -76,7 +80,7 @@ class GrblLink:
             self._answers, self._verdict, self.trouble = [], "", ""
             self._send(line)
             try:
-                self.changed.wait_for(lambda: self._verdict or self.trouble, patience)
+                self._await(lambda: self._verdict or self.trouble, patience)
             finally:
                 answers, self._answers = self._answers, None
             if self._verdict == "ok":
@@ -89,13 +93,17 @@ class GrblLink:
         """Whether a command such as homing is not answered yet."""
         return self._answers is not None
 
+    def _await(self, condition: Callable[[], object], patience: float) -> None:
+        """Wait for a condition, or until the thread has listened for a time [s] or has ended."""
+        until = self.listened + patience
+        while not (condition() or self.lost or self._ended or self.listened >= until):
+            self.changed.wait(0.05)
+
     def fresh_status(self, patience: float = SILENCE) -> GrblStatus:
         """Wait for a report that was requested after the call, or raise `DeviceFailed`."""
         with self.changed:
             called = time.monotonic()
-            while not self.lost and (self.status is None or self.reported < called):
-                if not self.changed.wait(max(0.0, called + patience - time.monotonic())):
-                    break
+            self._await(lambda: self.status is not None and self.reported >= called, patience)
             if self.status is None or self.reported < called:
                 raise DeviceFailed(self.trouble or f"no status report in {patience:.3g} s")
             return self.status
@@ -112,11 +120,10 @@ class GrblLink:
     def reset(self, patience: float = 1.0) -> None:
         """Clear the controller's queue by a reset, and return when it has restarted."""
         with self.changed:
-            before, until = self.resets, time.monotonic() + patience
+            before = self.resets
             self._resetting = True
             self.at_once(grbl.RESET)
-            while self.resets == before and time.monotonic() < until and not self.lost:
-                self.changed.wait(0.05)
+            self._await(lambda: self.resets != before, patience)
             self._resetting = False
             self._unanswered.clear()
             if not self.lost:
@@ -139,12 +146,15 @@ class GrblLink:
 
     def _converse(self) -> None:
         self._port.timeout = TURN
+        now = time.monotonic()
         while not self._ended and not self.lost:
             try:
                 self._ask()
                 arrived = self._port.read(1)
                 arrived += self._port.read(self._port.in_waiting) if arrived else b""
+                before, now = now, time.monotonic()
                 with self.changed:
+                    self.listened += min(now - before, LATE)
                     for line in self._lines(arrived):
                         self._hear(line)
                     self._miss_controller()
@@ -159,27 +169,25 @@ class GrblLink:
             self._port.write(grbl.STATUS)
 
     def _miss_controller(self) -> None:
-        """Report silence after everything that arrived was read: this thread may be late itself."""
+        """Report silence, after everything that arrived was read."""
         # A command such as homing may occupy the controller, and has its own timeout; an unanswered
         # line of a move has none.
-        silent = time.monotonic() - max(self.reported, self._accepted) > SILENCE
-        if silent and self._answers is None:
+        if self.listened - self._heard > SILENCE and self._answers is None:
             self.trouble = self.trouble or f"the controller has not responded for {SILENCE:.3g} s"
             self.changed.notify_all()
 
     def _lines(self, arrived: bytes) -> list[str]:
         *whole, self._partial = (self._partial + arrived).split(b"\n")
-        lines = [line.decode("ascii", "replace").strip() for line in whole]
-        return [line for line in lines if line]
+        return [text for line in whole if (text := line.decode("ascii", "replace").strip())]
 
     def _hear(self, line: str) -> None:
         status = grbl.status_of(line)
-        if status is not None and self._damaged(status):
-            return
         if status is not None:
+            if self.status is not None and 0 < self.status.n_axis != status.n_axis:
+                return  # damaged: it lacks the position of an axis that the previous one had
             self.offset = status.offset or self.offset
             self.current = self._asked > self._accepted
-            self.status, self.reported = status, time.monotonic()
+            self.status, self.reported, self._heard = status, time.monotonic(), self.listened
             self._miss_answers()
         elif line == "ok":
             self._accept("ok")
@@ -201,22 +209,18 @@ class GrblLink:
             self._answers.append(line)
         self.changed.notify_all()
 
-    def _damaged(self, status: GrblStatus) -> bool:
-        """Whether a report lacks the position of an axis that the previous one had."""
-        return self.status is not None and 0 < self.status.n_axis != status.n_axis
-
     def _miss_answers(self) -> None:
         """Report a lost answer: a controller at rest answered every line unless one was damaged."""
         owes = self._unanswered and self._answers is None
         at_rest = self.status is not None and self.status.state == "Idle"
-        if owes and at_rest and self.reported - self._sent > SILENCE:
+        if owes and at_rest and self.listened - self._sent > SILENCE:
             self._unanswered.clear()
             self.trouble = self.trouble or "a reply of the controller was lost"
 
     def _accept(self, verdict: str) -> None:
         if self._unanswered:
             self._unanswered.popleft()
-        self._accepted = time.monotonic()
+        self._accepted, self._heard = time.monotonic(), self.listened
         self.current = False
         if self._answers is not None and not self._unanswered:
             self._verdict = verdict
@@ -233,7 +237,7 @@ class GrblLink:
     def _send(self, line: str) -> None:
         data = line.encode("ascii") + b"\n"
         self._unanswered.append(len(data))
-        self._sent = time.monotonic()
+        self._sent = self.listened
         self.current = False
         try:
             self._port.write(data)

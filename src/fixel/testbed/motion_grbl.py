@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import sys
 import threading
-import time
 from typing import ClassVar, Final, Self, final
 
 import numpy as np
@@ -368,7 +367,7 @@ class GrblActuator(motion.AbstractActuator):
         elif status is not None and self._target is not None and link.idle():
             goal = self._way.at(self._target)
             off = float(np.linalg.norm(self._coordinates(status) - goal))
-            now = time.monotonic()
+            now = link.listened
             self._at_rest_since = self._at_rest_since or now
             if self._sent_to == self._target and off <= 2e3 * motion.NEAR:
                 self._target = None
@@ -406,9 +405,9 @@ class GrblActuator(motion.AbstractActuator):
     def _wait_for_rest(self, link: GrblLink) -> None:
         """Wait until the drive has slowed down: an earlier reset would lose its position."""
         slowing = min((of_axis.acceleration for of_axis in self._settings), default=10.0)
-        until = time.monotonic() + 0.3 + 1.5 * self._speed / slowing
+        until = link.listened + 0.3 + 1.5 * self._speed / slowing
         with contextlib.suppress(DeviceFailed):
-            while time.monotonic() < until:
+            while link.listened < until:
                 status = link.fresh_status(0.3)
                 if status.state in ("Alarm", "Idle") or status[:2] == ("Hold", 0):
                     return

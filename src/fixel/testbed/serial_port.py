@@ -131,9 +131,10 @@ def arriving(port: Serial, until: float) -> bytes:
 def arrived_within(port: Serial, patience: float, end: bytes | None = None) -> bytes:
     """Return what arrives within a time [s], or until `end` has arrived."""
     until, heard = time.monotonic() + patience, b""
-    while (end is None or end not in heard) and time.monotonic() < until:
+    while True:  # at least once, since this thread may be late
         heard += arriving(port, until)
-    return heard
+        if (end is not None and end in heard) or time.monotonic() >= until:
+            return heard
 
 
 def refusal(

@@ -121,7 +121,7 @@ class CameraView(FrameSource):
         """Add a picture; one of a camera that does not wait for its reader is lost if many wait."""
         live = self._camera.stream.live
         self.torn = self._camera.source.torn - self._torn_before
-        while not self._closed.is_set():
+        while not (self._closed.is_set() or self._camera.reason):
             try:
                 self._waiting.put(picture, block=not live, timeout=GLANCE)
                 return

@@ -178,8 +178,9 @@ def shake_hands(link: Serial, port: str, settle: float | None) -> tuple[int, Ide
         link.write(question)
         finder = FrameFinder()
         answer = b""
-        until = time.monotonic() + PATIENCE
-        while time.monotonic() < until:
+        until, late = time.monotonic() + PATIENCE, False
+        while not late:
+            late = time.monotonic() >= until  # reads then what arrived while this thread was late
             arrived = arriving(link, until)
             answer += arrived
             for frame in finder.add(arrived):

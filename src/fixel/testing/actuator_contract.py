@@ -15,7 +15,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -24,6 +24,7 @@ from fixel.errors import DeviceFailed, InvalidInput
 from fixel.testbed.motion import AbstractActuator
 
 SPEED = 0.05  # [m/s]
+SLOW = 0.01  # [m/s] of a move of 10 s, which a stop comes in time for, also on a busy machine
 EXACT = 5e-5  # [m]
 
 
@@ -35,6 +36,20 @@ def aimed(drive: AbstractActuator, angle: float) -> None:
     way = np.resize([np.cos(angle), np.sin(angle)], drive.n_axes)
     drive.go(origin, speed=SPEED)
     drive.aim(origin, way / np.linalg.norm(way))
+
+
+def once_moving(drive: AbstractActuator, act: Callable[[], object]) -> threading.Thread:
+    """Return a thread that calls a function 50 ms after the drive has begun to move."""
+
+    def watch() -> None:
+        while not drive.moving:
+            time.sleep(0.005)
+        time.sleep(0.05)
+        act()
+
+    thread = threading.Thread(target=watch, daemon=True)
+    thread.start()
+    return thread
 
 
 class ActuatorContract:
@@ -84,18 +99,10 @@ class ActuatorContract:
 
     @pytest.mark.parametrize(
         "asked",
-        [
-            {},
-            {"to": 0.001, "by": 0.001},
-            {"to": 1.0},
-            {"to": -0.01},
-            {"by": -1.0},
-            {"to": float("nan")},
-            {"to": 0.001, "speed": 0.0},
-            {"to": 0.001, "speed": -1.0},
-            {"to": 0.001, "speed": float("inf")},
-        ],
-    )
+        [{}, {"to": 0.001, "by": 0.001}, {"to": 1.0}, {"to": -0.01}, {"by": -1.0},
+         {"to": float("nan")}, {"to": 0.001, "speed": 0.0}, {"to": 0.001, "speed": -1.0},
+         {"to": 0.001, "speed": float("inf")}],
+    )  # fmt: skip
     def test_refuses_what_cannot_be(self, ready: AbstractActuator, asked: dict[str, float]) -> None:
         before = ready.position()
         with pytest.raises(InvalidInput):
@@ -104,14 +111,14 @@ class ActuatorContract:
         assert ready.position() == pytest.approx(before, abs=EXACT)
 
     def test_does_one_thing_at_a_time(self, ready: AbstractActuator) -> None:
-        ready.move(to=0.1, speed=SPEED, wait=False)
+        ready.move(to=0.1, speed=SLOW, wait=False)
         assert ready.moving
         with pytest.raises(DeviceFailed, match="already moving"):
             ready.move(to=0.002, speed=SPEED)
         ready.stop()
 
     def test_stops_on_the_way_and_goes_on_from_there(self, ready: AbstractActuator) -> None:
-        ready.move(to=0.1, speed=SPEED, wait=False)
+        ready.move(to=0.1, speed=SLOW, wait=False)
         time.sleep(0.05)
         ready.stop()
         there = ready.position()
@@ -126,29 +133,27 @@ class ActuatorContract:
 
     def test_stopping_twice_or_at_rest_harms_nothing(self, ready: AbstractActuator) -> None:
         ready.stop()
-        ready.move(to=0.1, speed=SPEED, wait=False)
+        ready.move(to=0.1, speed=SLOW, wait=False)
         ready.stop()
         ready.stop()
         assert not ready.moving
 
     def test_may_be_stopped_from_another_thread(self, ready: AbstractActuator) -> None:
-        other = threading.Timer(0.05, ready.stop)
-        other.start()
+        other = once_moving(ready, ready.stop)
         with pytest.raises(DeviceFailed, match="stop"):
-            ready.move(to=0.1, speed=SPEED)
+            ready.move(to=0.1, speed=SLOW)
         other.join()
         assert ready.position() < 0.09
 
     def test_ctrl_c_stops_it(self, ready: AbstractActuator) -> None:
-        pressed = threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT))
-        pressed.start()
+        pressed = once_moving(ready, lambda: os.kill(os.getpid(), signal.SIGINT))
         with pytest.raises(KeyboardInterrupt):
-            ready.move(to=0.1, speed=SPEED)
+            ready.move(to=0.1, speed=SLOW)
         pressed.join()
         assert not ready.moving
 
     def test_leaving_the_context_stops_it(self, ready: AbstractActuator) -> None:
-        ready.move(to=0.1, speed=SPEED, wait=False)
+        ready.move(to=0.1, speed=SLOW, wait=False)
         ready.disconnect()
         assert not ready.moving
         assert not ready.connected
@@ -173,7 +178,7 @@ class ActuatorContract:
 
     def test_stops_on_a_line_without_leaving_it(self, ready: AbstractActuator) -> None:
         aimed(ready, 0.6)
-        ready.move(to=0.05, speed=SPEED, wait=False)
+        ready.move(to=0.05, speed=SLOW, wait=False)
         time.sleep(0.05)
         ready.stop()
         there = ready.position()

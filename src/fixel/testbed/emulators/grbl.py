@@ -199,16 +199,6 @@ class EmulatedGrbl:
         gone = self._gone / blocks[0].speed if blocks else 0.0
         return sum(block.length / block.speed for block in blocks) - gone
 
-    def wait_for(self, what: str, patience: float = 5.0) -> GrblEvent:
-        """Wait for an event of a given name; return the first one."""
-        until = time.monotonic() + patience
-        while time.monotonic() < until:
-            found = next((event for event in self.events if event.what == what), None)
-            if found:
-                return found
-            time.sleep(0.001)
-        raise TimeoutError(f"no {what!r} among {[event.what for event in self.events]}")
-
     def unplug(self) -> None:
         """Remove the port; the drive completes its queued moves."""
         self._do(self._unplug)
@@ -264,7 +254,7 @@ class EmulatedGrbl:
             self._listen()
             now = time.monotonic()
             # A loaded computer may suspend this thread; a drive would not catch up in one leap.
-            left = min(now - last, 0.25) * self._rate
+            left = min(now - last, 0.05) * self._rate
             last = now
             while left > 0.0:
                 self._move(min(SUBSTEP, left))

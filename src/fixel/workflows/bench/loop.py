@@ -205,7 +205,7 @@ class BenchLoop:
                 if self._in_trouble():
                     continue
                 frames = frames or self._frames()
-                self._turn(frames)
+                self._tried(partial(self._turn, frames))
                 self._stop_reason = ""
                 self._pushing.set()
                 # A stop before has removed the wish; one from now on stops the drive.
