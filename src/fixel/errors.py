@@ -115,6 +115,8 @@ class InvalidInput(FixelError, ValueError):
         self.where = where
         if isinstance(found, OSError) and found.errno in FULL:
             expected, hint = "free space on the disk", None
+        if isinstance(found, FileNotFoundError):
+            found = "no such file or folder"
         if isinstance(found, Exception):
             found = f"an error ({os_reason(found) if isinstance(found, OSError) else found})"
         is_long = isinstance(found, str) and len(found) > _MAX_FOUND

@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 
 import pytest
 from typer.testing import CliRunner
@@ -10,9 +11,11 @@ from fixel.cli.main import run
 
 
 def exit_code(*arguments):
-    """Exit code of a command."""
-    with pytest.raises(SystemExit) as end:
-        run([str(argument) for argument in arguments])
+    """Exit code of a command, which sets `sys.argv` while it runs."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sys.argv", sys.argv)
+        with pytest.raises(SystemExit) as end:
+            run([str(argument) for argument in arguments])
     return end.value.code or 0
 
 

@@ -32,6 +32,18 @@ def test_a_failure_exits_1(quick, capsys):
     assert "FAIL  broken" in capsys.readouterr().out
 
 
+def test_it_prints_at_once_that_code_cannot_be_stored(quick, capsys, monkeypatch, tmp_path):
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(diagnostics, "cache_folder", lambda: f"{tmp_path}/file/cache")
+
+    def compiled(*_):
+        assert "Every process compiles all code again" in capsys.readouterr().err
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(diagnostics, "get_ready", compiled)
+    assert call("doctor") == 130
+
+
 def test_json(quick, capsys):
     call("doctor", "--json")
     answer = json.loads(capsys.readouterr().out)

@@ -10,7 +10,9 @@ from typer.testing import CliRunner
 
 import fixel
 from fixel.cli import main
+from fixel.cli.capability import typer_command
 from fixel.errors import DatasetMissing, Interrupted, InvalidInput, SolveFailed
+from fixel.workflows.capabilities import CAPABILITIES
 
 GROUP = typer.main.get_command(main.app)
 COMMANDS = [command.name for command in main.app.registered_commands if command.name]
@@ -81,6 +83,16 @@ def test_an_interrupted_command_shows_how_to_continue(capsys, monkeypatch):
     monkeypatch.setitem(main.COMMANDS, "doctor", stopped)
     sentence = "stopped; the same request continues"
     assert shell.fixel(capsys, "doctor") == (130, "", f"fixel: {sentence}\n")
+
+
+def test_an_interrupted_plan_names_the_flag_that_continues_it(capsys, monkeypatch):
+    def stopped(*_):
+        raise Interrupted(None, "with store=FOLDER the same request continues")
+
+    command = typer_command(CAPABILITIES["plan"], stopped)
+    monkeypatch.setitem(main.COMMANDS, "doctor", command)
+    sentence = "fixel: stopped; with --store FOLDER the same request continues\n"
+    assert shell.fixel(capsys, "doctor", "goal.yaml") == (130, "", sentence)
 
 
 def test_ctrl_c_while_modules_load_ends_with_a_sentence():

@@ -78,6 +78,14 @@ def test_a_plan_is_checked_run_and_written_for_other_robots(capsys, plan, tmp_pa
     assert "5 trials" in output(capsys, "plan", "check", plan)
 
 
+def test_a_plan_or_an_engine_that_does_not_exist_is_named(capsys, plan):
+    err = refusal(capsys, "plan", "run", plan, "--engine", "nope")
+    assert "--engine is 'nope', but must be one of" in err
+    assert "pymunk" in err
+    err = refusal(capsys, "plan", "check", "nope.plan")
+    assert err.startswith("fixel: nope.plan: found no such file or folder, but fixel needs")
+
+
 @pytest.mark.parametrize("words", [("check",), ("run", "-n", 3), ("next", "--seen", "2,0,1")])
 def test_json_has_every_number_of_the_text(capsys, plan, tmp_path, words):
     verb, *more = words

@@ -91,6 +91,24 @@ def test_import_list_and_import_again(lab, recording, capsys):
     assert "Next: fixel show csv/run-7" in out
 
 
+def test_it_is_printed_how_a_table_is_read_before_it_is_stored(recording, lab, capsys, monkeypatch):
+    def full(*_: object) -> None:
+        raise StoreRefused("no space")
+
+    monkeypatch.setattr("fixel.database.project.Project.add", full)
+    code, out, err = fixel(capsys, "import", recording, "--project", lab)
+    assert (code, "no space" in err) == (1, True)
+    assert "1 experiment, read as csv" in out
+    assert fixel(capsys, "import", recording, "--project", lab, "--json")[1].startswith('{"error"')
+
+
+def test_an_export_of_nothing_or_to_nothing_is_refused(lab, capsys, tmp_path):
+    err = refusal(capsys, "export", "--dataset", "nope", tmp_path / "a.zip", "--project", lab)
+    assert "there is no experiment of dataset 'nope'" in err
+    err = refusal(capsys, "export", tmp_path / "a", "--project", lab)
+    assert "found a name without an ending, but fixel needs a bundle file: .zip" in err
+
+
 def test_a_dry_run_needs_no_project(recording, capsys):
     assert "1 experiment, read as csv" in output(capsys, "import", recording, "--dry-run")
 

@@ -75,6 +75,17 @@ def test_what_broke_off_is_checked_and_repaired(capsys, tmp_path):
     assert "damaged row" in refusal(capsys, "record", "check", folder)
 
 
+@pytest.mark.parametrize("verb", ["check", "repair"])
+def test_a_folder_without_a_recording_is_named(capsys, tmp_path, verb):
+    needs = "but fixel needs a folder written by `fixel record`"
+    (tmp_path / "empty").mkdir()
+    for name, found in (("nowhere", "no such folder"), ("empty", "no recording.json")):
+        folder = tmp_path / name
+        assert f"fixel: {folder}: found {found}, {needs}\n" == refusal(
+            capsys, "record", verb, folder
+        )
+
+
 @pytest.mark.parametrize(("arguments", "complaint"), [
     ([], "--camera"),
     (["--camera", "FILM"], "--out is missing"),

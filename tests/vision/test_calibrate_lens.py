@@ -49,6 +49,12 @@ def test_charuco_pictures_recover_the_lens(pictures):
     assert found.camera.seen.sum() == sum(used.corners for used in found.used)
 
 
+def test_the_same_pictures_give_the_same_bits(pictures):
+    views, _ = find_boards(pictures, CHARUCO)
+    focal = [calibrate_lens(views).camera.lens.focal.tobytes() for _ in range(3)]
+    assert len(set(focal)) == 1
+
+
 @pytest.mark.system
 def test_checkerboard_pictures_recover_the_lens():
     studio = Studio(LENS, CHECKERS)

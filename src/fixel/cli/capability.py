@@ -11,7 +11,7 @@ from fixel.capability.capability import Capability, named
 from fixel.capability.options import Option
 from fixel.cli.options import AsJson, ProjectFolder, require_folder, require_picture
 from fixel.cli.screen import CommandAnswer, command_of, paragraphs, print_answer, wrote
-from fixel.errors import InvalidInput
+from fixel.errors import Interrupted, InvalidInput
 from fixel.progress import time_text
 
 if TYPE_CHECKING:
@@ -74,6 +74,9 @@ def typer_command(
                 _run(capability, request, project, plot, as_json)
         except InvalidInput as error:
             raise named(error, capability.flags() | {"project": "--project"}) from None
+        except Interrupted as stop:
+            stop.hint = named(InvalidInput("", hint=stop.hint), capability.flags()).hint or ""
+            raise
 
     parameters = [_parameter(option) for option in capability.shown.values()]
     parameters.append(_keyword("context", typer.Context, Parameter.empty))

@@ -12,7 +12,7 @@ from fixel.capability.usual import Dataset, Flagged, Where
 from fixel.cli.capability import command
 from fixel.cli.options import project_at
 from fixel.cli.screen import CommandAnswer, command_line, command_of, notify, project_words, wrote
-from fixel.errors import InvalidInput, counted
+from fixel.errors import InvalidInput, counted, plain
 from fixel.progress import show_progress, time_text
 from fixel.table import Column, Table, shortened
 
@@ -60,6 +60,7 @@ def import_(
     option: Annotated[Mapping[str, str] | None, Door(metavar="NAME=VALUE")] = None,
     scene: Path | None = None,
     dry_run: Annotated[bool, Door(flag="--dry-run")] = False,
+    as_json: bool,
 ) -> CommandAnswer:
     """Import recorded experiments, and skip stored ones.
 
@@ -103,6 +104,8 @@ def import_(
         content["skipped"] = list(plan.skipped)
         following = f"Next: {command_line(without='--dry-run')}"
         return CommandAnswer(content, [*lines, *_skipped(plan.skipped), following])
+    if not as_json:  # before the import, which may take long
+        print(plain("\n".join(lines)), flush=True)
     done = own.add(plan)
     content["skipped"] = list(plan.skipped)
     template = write_template(plan, own.folder)
@@ -111,7 +114,7 @@ def import_(
             "template": str(template),
             "next": f"{command_line()} --scene {shlex.quote(str(template))}",
         }
-    return imported(done, content, own.folder, lines)
+    return imported(done, content, own.folder)
 
 
 def _skipped(names: Sequence[str]) -> list[str]:
@@ -135,10 +138,8 @@ def _import_bundle(project: "Project", source: Path, dry_run: bool) -> CommandAn
     return CommandAnswer(content, [f"{source}: {verb} {found}", f"Next: {following}"])
 
 
-def imported(
-    done: "AddSummary", content: dict[str, Any], folder: Path, before: Sequence[str] = ()
-) -> CommandAnswer:
-    """Report how many were stored; `content` is more for JSON, `before` for people."""
+def imported(done: "AddSummary", content: dict[str, Any], folder: Path) -> CommandAnswer:
+    """Report how many were stored; `content` is more for JSON."""
     time = time_text(done.wall_time_s)
     time += f", {done.known} were already stored" if done.known else ""
     lines = [
@@ -156,7 +157,7 @@ def imported(
             f"{done.faulty} of them have faults in their data; list them with fixel list --all"
         )
     following = content.get("next", command_of("list", project=folder))
-    return CommandAnswer(content | done._asdict(), [*before, *lines, f"Next: {following}"])
+    return CommandAnswer(content | done._asdict(), [*lines, f"Next: {following}"])
 
 
 @command

@@ -181,6 +181,7 @@ def _checked(folder: Path) -> tuple[RecordingRows, int, int]:
 
     Return the rows, the number of those whose pictures match, and that of pictures in the video.
     """
+    read_header(folder)  # raises in a folder without a recording
     rows = read_rows(folder / ROWS)
     matched = seen = 0
     for seen, packet in enumerate(packets(folder / VIDEO), 1):

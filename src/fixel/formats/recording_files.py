@@ -95,9 +95,8 @@ def read_header(folder: Path) -> RecordingHeader:
     """Load `recording.json`; raise `InvalidInput` if it is missing or invalid."""
     content = _read(folder / HEADER)
     if content is None:
-        raise InvalidInput(
-            str(folder), found=f"no {HEADER}", expected="a folder written by `fixel record`"
-        )
+        found = f"no {HEADER}" if folder.is_dir() else "no such folder"
+        raise InvalidInput(str(folder), found=found, expected="a folder written by `fixel record`")
     version = content.get("version")
     if version != VERSION:
         raise InvalidInput(

@@ -48,7 +48,7 @@ def refuse_ending(path: str | Path, endings: Sequence[str], what: str) -> None:
     """Raise `InvalidInput` for a file name whose ending is not one of `endings`."""
     ending = Path(path).suffix
     if ending.lower() not in endings:
-        found = f"the ending {ending!r}" if ending else "no ending"
+        found = f"the ending {ending!r}" if ending else "a name without an ending"
         raise InvalidInput(str(path), found=found, expected=f"a {what} file: " + ", ".join(endings))
 
 

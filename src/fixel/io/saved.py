@@ -23,7 +23,7 @@ from typing import Any, Final, Literal, Union, final, get_args, get_origin, get_
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.errors import FixelError, InvalidInput, os_reason
+from fixel.errors import FixelError, InvalidInput
 from fixel.io.array_bytes import KINDS, RATIO, SMALL, array_of
 from fixel.io.atomic import written_whole
 from fixel.registry import offers
@@ -123,7 +123,7 @@ def load(path: str | Path) -> Any:
             result = _Decoder(file).made(head["content"])
         repr(result)  # parts that do not fit together are found here, not by the caller
     except OSError as problem:
-        raise _refused(path, f"an error ({os_reason(problem)})") from None
+        raise _refused(path, problem) from None
     except FixelError as problem:
         if isinstance(problem, InvalidInput) and problem.where == str(path):
             raise
@@ -133,7 +133,7 @@ def load(path: str | Path) -> Any:
     return result
 
 
-def _refused(path: Path, found: str, hint: str | None = None) -> InvalidInput:
+def _refused(path: Path, found: object, hint: str | None = None) -> InvalidInput:
     return InvalidInput(str(path), found=found, expected="a result saved by fixel", hint=hint)
 
 

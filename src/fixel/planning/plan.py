@@ -347,7 +347,11 @@ class PushPlan(Result):
         if self.looks is not None:
             raise InvalidInput("plan", found="looks", expected="a plan without looks")
         permit(engine)
-        simulator = replace(self, motion=motion_model(engine)).simulator(threads)
+        try:
+            motion = motion_model(engine)
+        except InvalidInput as problem:
+            raise problem.at("engine") from None
+        simulator = replace(self, motion=motion).simulator(threads)
         found = simulator.run(self.planned(), np.zeros(runs, np.int64), self.draw(runs, seed))
         met = simulator.margins(found) >= 0.0
         return Probability.of(int(met.sum()), runs)

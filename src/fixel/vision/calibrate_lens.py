@@ -300,6 +300,8 @@ def _fitted(
         flags |= cv2.CALIB_FIX_K2
     if len(names) < 5:
         flags |= cv2.CALIB_FIX_K1
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)  # several add their sums in any order, which changes the last digits
     try:
         _, matrix, distortion, turns, shifts = cv2.calibrateCamera(
             solid, pixels, size, None, None, flags=flags
@@ -310,6 +312,8 @@ def _fitted(
             found=f"boards that no lens fits ({problem.err})",
             expected="pictures of the board given with --board",
         ) from None
+    finally:
+        cv2.setNumThreads(threads)
     k1, k2 = distortion.ravel()[:2]
     lens = Lens(
         image_size=size,

@@ -16,7 +16,7 @@ from typing import Any, final
 import numpy as np
 
 from fixel.errors import MissingExtra, os_reason
-from fixel.kernels.code_cache import cache_folder
+from fixel.kernels.code_cache import cache_folder, print_once
 from fixel.simulation import (
     GaussSeidel,
     Lemke,
@@ -68,10 +68,13 @@ class Diagnosis:
 def examine() -> Diagnosis:
     """Collect versions, cores and the cache of compiled kernels, and run the self-test."""
     start = time.perf_counter()
+    stored = _cache_check()
+    if not stored.passed:
+        print_once(f"Every process compiles all code again, which takes minutes: {stored.detail}")
     warm = not engine_is_cold()
     get_ready(scenes.sliding_block())
     get_ready(scenes.grasp(support_directions=8), Lemke())
-    checks = [_cache_check(), _film_check(), _bench_check(), *self_test()]
+    checks = [stored, _film_check(), _bench_check(), *self_test()]
     cache = {"folder": cache_folder(), "bytes": cache_size(), "warm": warm}
     return Diagnosis(versions(), machine(), cache, checks, time.perf_counter() - start)
 

@@ -52,7 +52,7 @@ COLUMNS: Final = (
     ListColumn("duration", "Time", "duration", "s"),
     ListColumn("before", "Error", "before", "mm",
                "Error before calibration, of the newest stored simulation with nominal values"),
-    ListColumn("after", "calibrated", "after", "mm",
+    ListColumn("after", "Calibrated", "after", "mm",
                "Error after calibration, of the newest calibration of this experiment"),
     ListColumn("marks", "Flags", "flags"),
 )  # fmt: skip

@@ -140,7 +140,7 @@ def plan(
             )  # fmt: skip
             return conduct(search, plan_rounds(search, untrusted=untrusted), answers)
         except KeyboardInterrupt:
-            where = "" if store else "with a store "
+            where = "" if store else "with store=FOLDER "
             raise Interrupted(None, f"{where}the same request continues") from None
 
 

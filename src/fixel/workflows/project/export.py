@@ -168,7 +168,7 @@ def _bundled(
 
 def _refuse_none(n: int, dataset: str | None) -> None:
     if not n:
-        what = "experiments" if dataset is None else f"experiments of dataset {dataset!r}"
+        what = "experiment" if dataset is None else f"experiment of dataset {dataset!r}"
         raise NotStored(what, hint=LIST_EXPERIMENTS)
 
 
