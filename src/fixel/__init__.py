@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     )
     from fixel.filtering.recorded import FilterRun as FilterRun
     from fixel.formats import load_scene as load_scene
-    from fixel.io import load as load
+    from fixel.io.saved import load as load
     from fixel.model import (
         AllOf as AllOf,
         AnyOf as AnyOf,
@@ -138,7 +138,7 @@ _NAMES = {
     "fixel.errors": "FixelError Interrupted InvalidInput MissingExtra SolveFailed StoreRefused",
     "fixel.filtering.recorded": "FilterRun",
     "fixel.formats": "load_scene",
-    "fixel.io": "load",
+    "fixel.io.saved": "load",
     "fixel.model": "AllOf AnyOf Beyond Body Contact Disk Ellipsoid Exit Experiment Fixel ForceAbove"
     " Goal Inside LineDrive LoadMap NoSupport PairFriction Parameters PathDrive Plane"
     " PlannedExperiment Polygon Pose PoseRegion Pusher Scene Seated SupportPoints Trajectory"

@@ -95,7 +95,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "read_outline": "fixel.formats.outline_file:read_outline",
         "plot": "fixel.drawing.chart:plot",
         "player": "fixel.web.views.notebook_player:player_of_simulation",
-        "save": "fixel.io:save",
+        "save": "fixel.io.saved:save",
         "prepare": "fixel.workflows.capabilities:prepare",
         "prepare_in": "fixel.workflows.capabilities:prepare_in",
         "request_of": "fixel.workflows.capabilities:request_of",

@@ -2,6 +2,8 @@
 
 import io
 import json
+import subprocess
+import sys
 
 import pytest
 from tests.cli.shell import fixel, json_of, output, refusal
@@ -58,6 +60,20 @@ def test_stop_writes_to_the_port_that_is_named(capsys, controller):
     answer = json_of(capsys, "actuator", "stop", "--port", controller.port)
     assert answer == {"stopped": [controller.port]}
     await_true(lambda: "reset" in [event.what for event in controller.events])
+
+
+def test_a_stop_waits_for_neither_numerics_nor_a_database():
+    code = (
+        "import sys\n"
+        "from fixel.cli.main import run\n"
+        "sys.argv = ['fixel', 'actuator', 'stop', '--port', '/dev/none']\n"
+        "try:\n"
+        "    run()\n"
+        "finally:\n"
+        "    print({'numpy', 'sqlalchemy'} & set(sys.modules))"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (ended.stdout, "/dev/none" in ended.stderr) == ("set()\n", True)
 
 
 @pytest.mark.parametrize("device", ["actuator", "tactile"])

@@ -37,8 +37,8 @@ from fixel.database.project import Project
 from fixel.errors import FixelError, InvalidInput
 from fixel.formats.goal_file import load_goal
 from fixel.formats.plan_file import load_plan, plan_text
-from fixel.io import save
 from fixel.io.array_bytes import ResultCache
+from fixel.io.saved import save
 from fixel.jobs.site import TEMPLATE, load_site
 from fixel.kernels.code_cache import cache_folder
 from fixel.sampling import thesis_plan

@@ -26,7 +26,7 @@ from fixel import (
     Scene,
     Seated,
 )
-from fixel.io import load, save
+from fixel.io.saved import load, save
 from fixel.model import BodyTrack, Probability
 from fixel.model.goal_checks import check_goal
 from fixel.model.goals import MIN_MARGIN

@@ -11,9 +11,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fixel.capability.options import Door
+from fixel.capability.options import Door, door_of
 from fixel.cli.capability import command
-from fixel.cli.screen import CommandAnswer, command_line, command_of, notify, paragraphs, wrote
+from fixel.cli.options import AsJson
+from fixel.cli.screen import (
+    CommandAnswer,
+    command_line,
+    command_of,
+    notify,
+    paragraphs,
+    print_answer,
+    wrote,
+)
 from fixel.errors import InvalidInput
 from fixel.progress import show_progress, time_text
 from fixel.table import Table
@@ -261,9 +270,14 @@ def _metres(text: str | None, where: str, n_axes: int) -> float | tuple[float, .
     raise InvalidInput(where, found=repr(text), expected=expected)
 
 
+# Not by `command`, which imports what checks requests: a stop must not wait for that.
 @actuator.command("stop")
-@command
-def stop(*, port: DrivePort = None) -> CommandAnswer:
+def stop(
+    port: Annotated[
+        str | None, typer.Option(help=door_of(DrivePort).meaning, metavar="PORT")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
     """Stop every drive of your programs, or only that at a port.
 
     The position is lost: home the drive before you move it again.
@@ -271,9 +285,9 @@ def stop(*, port: DrivePort = None) -> CommandAnswer:
     from fixel.testbed.emergency import stop_actuators
 
     stopped = stop_actuators(port)
-    following = f"Next: fixel actuator home --port {stopped[0]}"
-    lines = [*(f"stopped the drive at {one}" for one in stopped), following]
-    return CommandAnswer({"stopped": stopped}, lines)
+    lines = [f"stopped the drive at {one}" for one in stopped]
+    lines.append(f"Next: fixel actuator home --port {stopped[0]}")
+    print_answer(as_json, lambda: {"stopped": stopped}, lambda: lines)
 
 
 @actuator.command("where")

@@ -80,10 +80,10 @@ def project_for(
 
     The project is None in a folder without one, for a request that needs none.
     """
-    from fixel.database.project import SETTINGS, Project
-
     if not capability.on_project:
         return ()
+    from fixel.database.project import SETTINGS, Project
+
     if signature(capability.function).parameters["project"].annotation in (Path, "Path"):
         return (folder,)
     needed = capability.needs_project or folder != Path() or (folder / SETTINGS).is_file()

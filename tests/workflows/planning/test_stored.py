@@ -12,7 +12,7 @@ from tests.fixtures import project_of
 
 import fixel
 from fixel.errors import InvalidInput
-from fixel.io import save
+from fixel.io.saved import save
 from fixel.planning.trials import PlanTrial
 from fixel.testing.pushes import example_pushes
 from fixel.testing.scenes import pushed_square

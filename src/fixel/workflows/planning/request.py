@@ -21,10 +21,10 @@ from fixel.errors import InvalidInput
 from fixel.formats.goal_file import GoalFile, goal_file_from_dict, load_goal
 from fixel.formats.scene_file import load_scene
 from fixel.formats.trials_file import append_trials, read_trials, write_trials
-from fixel.io import load, save
 from fixel.io.array_bytes import array_of
 from fixel.io.atomic import usable
 from fixel.io.journal import Journal
+from fixel.io.saved import load, save
 from fixel.model import Experiment, Scene
 from fixel.model.goal_checks import check_goal
 from fixel.model.goals import Goal
