@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.metadata import version as version_of
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -68,6 +68,6 @@ class Drake(AbstractPhysicsEngine):
 
     def simulate(self, task: PlainTask) -> FloatArray:
         with TemporaryDirectory() as folder:  # meshes have to be files
-            for name, text in sdf(task, self).items():
+            for name, text in sdf(task, asdict(self)).items():
                 Path(folder, name).write_text(text, "utf-8")
             return np.array(run_drake.simulate(model_of(self, task), Path(folder)))

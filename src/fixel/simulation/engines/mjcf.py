@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib.resources import files
 from string import Template
-from typing import Final, Protocol
+from typing import Any, Final
 
 from fixel.simulation.engines.solids import FOOT, HEAVY, footed, solids
 from fixel.simulation.engines.task import PlainOutline, PlainTask
@@ -19,29 +19,8 @@ _JOINTS: Final = (
 _MODEL: Final = Template(files(__package__).joinpath("mujoco.xml").read_text("utf-8"))
 
 
-class ContactSettings(Protocol):
-    """Settings of MuJoCo, as fields of `MuJoCo`."""
-
-    @property
-    def step(self) -> float: ...
-    @property
-    def timeconst(self) -> float: ...
-    @property
-    def dmin(self) -> float: ...
-    @property
-    def dmax(self) -> float: ...
-    @property
-    def width(self) -> float: ...
-    @property
-    def impratio(self) -> float: ...
-    @property
-    def torsion(self) -> float: ...
-    @property
-    def noslip(self) -> int: ...
-
-
-def mjcf(task: PlainTask, settings: ContactSettings) -> str:
-    """Return the model of a task as MJCF.
+def mjcf(task: PlainTask, choices: Mapping[str, Any]) -> str:
+    """Return the model of a task as MJCF, with the fields of `MuJoCo` by name.
 
     The body moves on two slides and a hinge; its weight is on its feet. Only the named pairs touch,
     each with its own coefficient.
@@ -50,7 +29,7 @@ def mjcf(task: PlainTask, settings: ContactSettings) -> str:
     numbers = range(len(feet.masses))
     body = list(_geoms("object", task.body.outline, meshes))
     pairs = [
-        _pair("floor", f"foot{k}", friction, friction * arm + settings.torsion, settings)
+        _pair("floor", f"foot{k}", friction, friction * arm + choices["torsion"], choices)
         for k, friction, arm in zip(
             numbers, feet.friction.tolist(), feet.arms.tolist(), strict=True
         )
@@ -62,16 +41,14 @@ def mjcf(task: PlainTask, settings: ContactSettings) -> str:
         fixels.append(
             f'<body pos="{x!r} {y!r} {FOOT}" euler="0 0 {theta!r}">{"".join(geoms)}</body>'
         )
-        pairs += _all_pairs(body, geoms, fixel.friction, settings)
+        pairs += _all_pairs(body, geoms, fixel.friction, choices)
     pusher: list[str] = []
     if task.pusher is not None:
         pusher = list(_geoms("pusher", task.pusher.outline, meshes))
-        pairs += _all_pairs(body, pusher, task.pusher.friction, settings)
+        pairs += _all_pairs(body, pusher, task.pusher.friction, choices)
     return _MODEL.substitute(
-        step=settings.step,
+        choices,
         gravity=task.gravity,
-        impratio=settings.impratio,
-        noslip=settings.noslip,
         joints=_JOINTS,
         foot=FOOT,
         mass=feet.mass,
@@ -100,21 +77,24 @@ def _foot(k: int, at: list[float], mass: float, inertia: float) -> str:
 
 
 def _all_pairs(
-    body: list[str], others: list[str], friction: float, settings: ContactSettings
+    body: list[str], others: list[str], friction: float, choices: Mapping[str, Any]
 ) -> list[str]:
     return [
-        _pair(one, other, friction, 0.0, settings)
+        _pair(one, other, friction, 0.0, choices)
         for one in _names(body)
         for other in _names(others)
     ]
 
 
-def _pair(one: str, other: str, friction: float, torsion: float, settings: ContactSettings) -> str:
+def _pair(one: str, other: str, friction: float, torsion: float, choices: Mapping[str, Any]) -> str:
     size = 4 if torsion > 0.0 else 3
+    timeconst, dmin, dmax, width = (
+        choices[name] for name in ("timeconst", "dmin", "dmax", "width")
+    )
     return (
         f'<pair geom1="{one}" geom2="{other}" condim="{size}" '
-        f'friction="{friction!r} {friction!r} {torsion!r} 0 0" solref="{settings.timeconst!r} 1" '
-        f'solimp="{settings.dmin!r} {settings.dmax!r} {settings.width!r} 0.5 2"/>'
+        f'friction="{friction!r} {friction!r} {torsion!r} 0 0" solref="{timeconst!r} 1" '
+        f'solimp="{dmin!r} {dmax!r} {width!r} 0.5 2"/>'
     )
 
 

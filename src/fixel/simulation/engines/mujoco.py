@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import ClassVar, final
 
 import mujoco
@@ -65,5 +65,5 @@ class MuJoCo(AbstractPhysicsEngine):
         return drive_refusal(task)
 
     def simulate(self, task: PlainTask) -> FloatArray:
-        physics = mujoco.MjModel.from_xml_string(mjcf(task, self))
+        physics = mujoco.MjModel.from_xml_string(mjcf(task, asdict(self)))
         return np.array(run_mujoco.poses_of(model_of(self, task), physics))

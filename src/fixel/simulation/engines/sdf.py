@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 
@@ -36,25 +36,15 @@ _APART: Final[Mapping[str, Sequence[str]]] = {
 }
 
 
-class SdfSettings(Protocol):
-    """Settings of contacts in Drake, as fields of `Drake`."""
-
-    @property
-    def stiffness(self) -> float: ...
-    @property
-    def dissipation(self) -> float: ...
-    @property
-    def relaxation(self) -> float: ...
-
-
-def sdf(task: PlainTask, settings: SdfSettings) -> Mapping[str, str]:
+def sdf(task: PlainTask, choices: Mapping[str, Any]) -> Mapping[str, str]:
     """Return the model of a task: ``model.sdf`` and the meshes that it needs, by file name.
 
-    The body moves in the plane z = 0, above the floor by the radius of its feet, which slide
-    vertically and have its weight. Drake combines two coefficients by their harmonic mean: those of
-    floor and body are 1, those of others their `harmonic_partner`.
+    `choices` are the fields of `Drake` by name. The body moves in the plane z = 0, above the floor
+    by the radius of its feet, which slide vertically and have its weight. Drake combines two
+    coefficients by their harmonic mean: those of floor and body are 1, those of others their
+    `harmonic_partner`.
     """
-    model, own, pusher = _SdfModel(settings), task.body, task.pusher
+    model, own, pusher = _SdfModel(choices), task.body, task.pusher
     ground = model.collision("floor", _FLOOR, 1.0, _pose(0.0, 0.0, z=TOUCH - FOOT - HEIGHT / 2))
     model.link("floor", ["floor"], [ground])
     model.parts.append(_weld("world", "floor"))
@@ -82,15 +72,16 @@ def sdf(task: PlainTask, settings: SdfSettings) -> Mapping[str, str]:
 class _SdfModel:
     """Parts of a model in the order of its file, its meshes, and its links by group."""
 
-    def __init__(self, settings: SdfSettings) -> None:
+    def __init__(self, choices: Mapping[str, Any]) -> None:
         self.parts: list[str] = []
         self.meshes: dict[str, str] = {}
         self.groups: dict[str, list[str]] = {group: [] for group in _APART}
         self._contact = (
-            f"<drake:point_contact_stiffness>{settings.stiffness!r}</drake:point_contact_stiffness>"
-            f"<drake:hunt_crossley_dissipation>{settings.dissipation!r}"
+            f"<drake:point_contact_stiffness>{choices['stiffness']!r}"
+            "</drake:point_contact_stiffness>"
+            f"<drake:hunt_crossley_dissipation>{choices['dissipation']!r}"
             "</drake:hunt_crossley_dissipation>"
-            f"<drake:relaxation_time>{settings.relaxation!r}</drake:relaxation_time>"
+            f"<drake:relaxation_time>{choices['relaxation']!r}</drake:relaxation_time>"
         )
 
     def body(

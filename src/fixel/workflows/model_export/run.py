@@ -39,8 +39,8 @@ from fixel.workflows.model_export.source import Exportable, ModelSource, SourceC
 TARGETS: Final = ("mujoco", "drake", "pymunk", "box2d", "urdf", *WRITERS)
 FORMAT: Final = "fixel-model-1"
 # Files of engines that read models, by name.
-MODELS: Final[Mapping[str, Callable[[PlainTask, Any], Mapping[str, str]]]] = {
-    "mujoco": lambda task, engine: {"model.xml": mjcf(task, engine)},
+MODELS: Final[Mapping[str, Callable[[PlainTask, Mapping[str, Any]], Mapping[str, str]]]] = {
+    "mujoco": lambda task, choices: {"model.xml": mjcf(task, choices)},
     "drake": sdf,
 }
 # Fields of an estimate in a card.
@@ -205,7 +205,7 @@ def _model(engine: AbstractPhysicsEngine, case: SourceCase) -> _ModelFiles:
     del document["values"]
     contents = {"model.json": json.dumps(document, indent=1, allow_nan=False) + "\n"}
     if engine.name in MODELS:
-        contents |= MODELS[engine.name](task, engine)
+        contents |= MODELS[engine.name](task, asdict(engine))
     contents |= {"run.py": _script(f"run_{engine.name}"), "drive.py": _script("drive")}
     lost = [
         f"{name}, a parameter of another engine"
