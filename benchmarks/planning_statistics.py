@@ -9,8 +9,9 @@ import numpy as np
 from scipy.stats import binom
 
 from benchmarks.figures import Figure, Size, at_least, at_most
+from fixel.calibration.study import run_study
 from fixel.planning.causes import Explanation
-from fixel.planning.race import Evaluate, RaceResult, race
+from fixel.planning.race import RaceRequest, RaceResult, race_rounds
 from fixel.planning.success import SuccessProbability
 from fixel.planning.trials import evidence_against
 from fixel.typing import FloatArray
@@ -72,11 +73,12 @@ def _races(n_problems: int, n_plans: int) -> list[Figure]:
         for seed in range(n_problems):
             margins = problem(kind, n_plans, seed)
             seen, true = margins[:, :N], np.mean(margins[:, N:] >= 0.0, axis=1)
-            found = race(_lookup(seen), n_plans)
+            found = run_study(race_rounds(n_plans), _lookup(seen))
+            best = found.plans[0]
             rate = np.mean(seen >= 0.0, axis=1)
-            same.append(rate[found.best] >= rate.max() - 0.002)
-            share.append(found.rollouts / seen.size)
-            loss.append(true.max() - true[found.best])
+            same.append(rate[best] >= rate.max() - 0.002)
+            share.append(found.rounds[-1].rollouts / seen.size)
+            loss.append(true.max() - true[best])
             for n, losses in uniform.items():
                 losses.append(true.max() - true[np.argmax(np.mean(seen[:, :n] >= 0.0, axis=1))])
         # The fewest scenarios for each plan with which a uniform race loses no more.
@@ -96,8 +98,8 @@ def _races(n_problems: int, n_plans: int) -> list[Figure]:
     return figures
 
 
-def _lookup(margins: FloatArray) -> Evaluate:
-    return lambda plans, scenarios: margins[np.ix_(plans, scenarios)]
+def _lookup(margins: FloatArray) -> Callable[[RaceRequest], FloatArray]:
+    return lambda wanted: margins[np.ix_(*wanted)]
 
 
 # --- success probabilities -----------------------------------------------------------------------
@@ -109,7 +111,7 @@ def _selection_bias(n_problems: int) -> list[Figure]:
     own, fresh, divided = [], [], []
     for _ in range(n_problems):
         found = _flat_race(rng)
-        own.append(float(found.success[found.best]))
+        own.append(float(found.success[found.plans[0]]))
         fresh.append(SuccessProbability.of(_flat(rng, FRESH)).low > 0.8)
         divided.append(SuccessProbability.of(_flat(rng, (64, 64))).least > 0.8)
     return [
@@ -124,7 +126,7 @@ def _flat(rng: np.random.Generator, shape: int | tuple[int, ...]) -> FloatArray:
 
 
 def _flat_race(rng: np.random.Generator) -> RaceResult:
-    return race(lambda plans, scenarios: _flat(rng, (len(plans), len(scenarios))), 256)
+    return run_study(race_rounds(256), lambda wanted: _flat(rng, (*map(len, wanted),)))
 
 
 def _worst_draws(n_problems: int) -> list[Figure]:

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 from scipy.stats import binomtest
+from tests.races import race
 
 from fixel.errors import InvalidInput
-from fixel.planning.race import _sign_test, race, race_rounds
+from fixel.planning.race import _sign_test, race_rounds
 
 N = 1024
 
@@ -39,8 +40,8 @@ def test_race_finds_the_plan_of_a_uniform_race_with_a_tenth_of_its_rollouts(kind
         margins = problem(kind, 512, seed)
         rate = np.mean(margins >= 0.0, axis=1)
         found = race(lookup(margins), 512)
-        same.append(rate[found.best] >= rate.max() - 0.002)
-        rollouts.append(found.rollouts)
+        same.append(rate[found.plans[0]] >= rate.max() - 0.002)
+        rollouts.append(found.rounds[-1].rollouts)
     assert np.mean(same) == 1.0
     assert np.mean(rollouts) <= 512 * N / 10
 
@@ -85,9 +86,9 @@ def test_race_compares_plans_by_their_worst_draws():
     rng = np.random.default_rng(1)
     steady = np.where(rng.random(N) < 0.85, 1.0, -1.0)
     margins = np.stack([np.where(bad, -1.0, 1.0), steady, np.full(N, -0.5)])
-    assert race(lookup(margins), 3).best == 0
+    assert race(lookup(margins), 3).plans[0] == 0
     found = race(lookup(margins), 3, worlds=worlds)
-    assert found.best == 1
+    assert found.plans[0] == 1
     rates = (margins[1] >= 0.0).reshape(16, 64).mean(axis=0)
     assert found.score[0] == pytest.approx(np.sort(rates)[:6].mean())
 
@@ -97,15 +98,15 @@ def test_race_reports_its_best_plan_after_every_round_and_respects_its_budget():
     reports = []
     found = race(lookup(margins), 100, budget=2000, report=reports.append)
     assert tuple(reports) == found.rounds
-    assert found.rollouts <= 2000
+    assert reports[-1].rollouts <= 2000
     assert reports[-1].n_scenarios < N
     assert found.met.max() == reports[-1].n_scenarios
-    assert found.rollouts == found.met.sum()
+    assert reports[-1].rollouts == found.met.sum()
 
 
 def test_race_of_one_plan():
     found = race(lambda plans, scenarios: np.ones((len(plans), len(scenarios))), 1)
-    assert found.best == 0
+    assert found.plans[0] == 0
 
 
 @pytest.mark.parametrize(("options", "where"), [

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import betainc
 
-from fixel.calibration.study import run_study
 from fixel.errors import InvalidInput
 from fixel.model.fields import whole
 from fixel.planning.success import WORST, finite_margins
@@ -29,8 +28,6 @@ MIN_RUNS: Final = 4  # runs of each parameter draw from which plans are ranked b
 # Share of the draws that count then. Their mean rate has less noise than a quantile of few runs,
 # and plans chosen by it have the higher 5 % quantile.
 WORST_DRAWS: Final = 0.1
-
-Evaluate = Callable[[IntArray, IntArray], ArrayLike]
 
 
 class RaceRequest(NamedTuple):
@@ -59,41 +56,6 @@ class RaceResult(NamedTuple):
     success: FloatArray  # (n_plans,) success rate of every plan in the scenarios it met
     met: IntArray  # (n_plans,) number of scenarios that every plan met
     rounds: tuple[RaceRound, ...]
-
-    @property
-    def best(self) -> int:
-        """Index of the best plan."""
-        return int(self.plans[0])
-
-    @property
-    def rollouts(self) -> int:
-        """Number of rollouts."""
-        return self.rounds[-1].rollouts
-
-
-def race(evaluate: Evaluate, n_plans: int, **options: Any) -> RaceResult:
-    """Find the plan with the highest success rate, with few rollouts.
-
-    Parameters
-    ----------
-    evaluate : callable
-        Function `evaluate(plans, scenarios)` of (m,) and (k,) int64 indices that returns the
-        margins (m, k) of these plans in these scenarios, in units of the goal's tolerance.
-    **options
-        Options of `race_rounds`.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> rng = np.random.default_rng(0)
-    >>> scenario = rng.normal(0.0, 1.0, 1024)  # one unknown, which all plans meet alike
-    >>> middle = np.linspace(-3.0, 3.0, 101)  # middle of each plan's successes
-    >>> margins = 2.0 - np.abs(middle[:, None] - scenario)
-    >>> found = race(lambda plans, scenarios: margins[np.ix_(plans, scenarios)], 101)
-    >>> found.best, found.rollouts
-    (51, 9728)
-    """
-    return run_study(race_rounds(n_plans, **options), lambda wanted: evaluate(*wanted))
 
 
 def race_rounds(
