@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time as clock
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any, Final, NamedTuple, final
@@ -25,7 +25,7 @@ from fixel.model.fields import whole
 from fixel.model.space import ParameterSpace
 from fixel.results import Result, Summary
 from fixel.table import Column, Table
-from fixel.typing import FloatArray, IntArray
+from fixel.typing import FloatArray, IntArray, ProgressCallback
 from fixel.uncertainty.batched_sampler import Batched, BatchedSampler
 from fixel.uncertainty.discrepancy import LABEL, ModelError
 
@@ -58,15 +58,6 @@ MIN_MODE: Final = 0.01
 MIN_BACK: Final = 1000
 # Shortest time between two calls of the progress callback [s].
 BETWEEN: Final = 0.2
-
-
-class SamplerProgress(NamedTuple):
-    """Progress of a run."""
-
-    evaluations: int
-    per_second: float
-    remaining: float  # remaining evidence, as the logarithm of a factor
-    share: float  # approximate share of the work done
 
 
 class Evidence(NamedTuple):
@@ -284,7 +275,7 @@ class NestedSampling:
         log_likelihood: Batched,
         prior: Any,
         seed: int = 0,
-        progress: Callable[[SamplerProgress], None] | None = None,
+        progress: ProgressCallback | None = None,
     ) -> Posterior:
         """Return samples of the posterior, bit for bit the same for the same seed.
 
@@ -312,8 +303,7 @@ class NestedSampling:
         evidence = float(merged.logz[-1])
         information = _information(weights, merged.logl, evidence)
         live = self._live(len(prior.labels)) * len(runs)
-        if progress is not None:
-            progress(SamplerProgress(count.evaluations, count.rate, 0.0, 1.0))
+        count.show(1000)
         return Posterior(
             labels=prior.labels,
             units=prior.units,
@@ -393,34 +383,34 @@ class NestedSampling:
 
 
 class _Count:
-    """Counter of evaluated points that reports the progress of a run."""
+    """Counter of evaluated points that reports the progress of a run in thousandths."""
 
-    def __init__(self, progress: Callable[[SamplerProgress], None] | None) -> None:
+    def __init__(self, progress: ProgressCallback | None) -> None:
         self._progress = progress
-        self.evaluations = 0
-        self._begun = self._told = clock.monotonic()
+        self.evaluations = self._done = 0
+        self._told = clock.monotonic()
         self._most = 1.0
 
     def __call__(self, n: int) -> None:
         self.evaluations += n
 
-    @property
-    def rate(self) -> float:
-        """Evaluated points per second."""
-        return self.evaluations / max(clock.monotonic() - self._begun, 1e-9)
-
     def left(self, remaining: float) -> None:
+        """Report the remaining evidence, as the logarithm of a factor."""
         now = clock.monotonic()
-        if self._progress is None or now - self._told < BETWEEN:
+        if now - self._told < BETWEEN:
             return
         self._told = now
         finite = min(remaining, 1e6)
         self._most = max(self._most, finite)
         span = math.log1p(self._most / REMAINING)
         share = 1.0 - math.log1p(max(finite - REMAINING, 0.0) / REMAINING) / span
-        self._progress(
-            SamplerProgress(self.evaluations, self.rate, finite, min(max(share, 0.0), 1.0))
-        )
+        self.show(min(round(1000.0 * min(max(share, 0.0), 1.0)), 999))
+
+    def show(self, done: int) -> None:
+        """Report progress that never decreases."""
+        self._done = max(self._done, done)
+        if self._progress is not None:
+            self._progress(self._done, 1000, f"{self.evaluations} points")
 
 
 def equal_weight(weights: FloatArray, count: int, rng: np.random.Generator) -> IntArray:

@@ -26,7 +26,7 @@ from fixel.typing import FloatArray
 from fixel.uncertainty.discrepancy import ModelError
 from fixel.uncertainty.likelihood import LogLikelihood, camera_noise
 from fixel.uncertainty.near_optimal import NearOptimal, near_optimal, rise_of
-from fixel.uncertainty.posterior import NestedSampling, Posterior, SamplerProgress
+from fixel.uncertainty.posterior import NestedSampling, Posterior
 from fixel.uncertainty.prediction import Prediction
 from fixel.uncertainty.repetition import predict_repetition
 from fixel.workflows.calibration.stored import (
@@ -130,14 +130,7 @@ def sample(
         point = np.asarray(fit(rough, residuals).point)
         known = noise or stated or _noise(comparer, members, point, own is not None)
         likelihood = LogLikelihood(comparer, members, known, own)
-        done = 0
-
-        def show(now: SamplerProgress) -> None:
-            nonlocal done
-            done = max(done, min(round(1000.0 * now.share), 1000 if now.remaining == 0.0 else 999))
-            report(done, 1000, f"{now.evaluations} points")
-
-        found = NestedSampling(samples=samples).sample(likelihood, likelihood.prior, seed, show)
+        found = NestedSampling(samples=samples).sample(likelihood, likelihood.prior, seed, report)
     used = comparer.targets[:n_used]
     return replace(
         found,
