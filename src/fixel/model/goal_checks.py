@@ -54,7 +54,9 @@ def check_goal(goal: goals.Goal, scene: Scene, field: Polygon | None = None) -> 
     for clause in goal.clauses:
         if not _possible([clause], scene):
             raise _impossible(clause, scene)
-        if field is not None and not _possible([clause, _Field(field, clause)], scene):
+        if field is not None and not _possible(
+            [clause, goals.Inside(field, body=clause.body)], scene
+        ):
             raise InvalidInput(
                 "goal",
                 found=f"{clause}, which is outside the field",
@@ -116,15 +118,6 @@ def _check_fixels_clear(clause: goals.PoseRegion, body: Body, scene: Scene) -> N
 # --- positions that clauses allow -----------------------------------------------------------------
 
 
-class _Field(goals.Clause):
-    """Condition that the body of another clause is inside the field."""
-
-    __slots__ = ("body", "region", "tolerance")
-
-    def __init__(self, field: Polygon, clause: goals.Clause) -> None:
-        self.body, self.region, self.tolerance = clause.body, field, None
-
-
 def _possible(clauses: list[goals.Clause], scene: Scene) -> bool:
     """Return whether some pose of each body may meet all of its clauses."""
     for body in scene.bodies:
@@ -154,7 +147,7 @@ def _positions(clause: goals.Clause, scene: Scene, body: Body, angle: float) -> 
         fixels = [fixel for fixel in scene.fixels if fixel.name in clause.fixels]
         discs = [_disc(fixel.pose[:2], slack + fixel.shape.radius) for fixel in fixels]
         return shapely.intersection_all(discs)
-    if isinstance(clause, goals.Inside | goals.Exit | _Field):
+    if isinstance(clause, goals.Inside | goals.Exit):
         slack += goals.tolerance_of(clause.tolerance, body)
         return _half_planes(goals.hull_lines(clause.region), _outline(body, angle), slack)
     if isinstance(clause, goals.Beyond):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
@@ -27,15 +27,12 @@ MIN_EFFECTIVE: Final = 32.0  # runs near the seen pose that count
 WIDEST: Final = 0.5  # standard deviations of the runs by which the likelihood may be made wider
 
 
-class SeenBelief(NamedTuple):
-    """Belief after a pose was seen."""
-
-    belief: Belief
-    note: str  # why the parameters are as before; empty where they were narrowed
-
-
-def belief_after(plan: PushPlan, seen: FloatArray, done: int, error: StartError) -> SeenBelief:
+def belief_after(
+    plan: PushPlan, seen: FloatArray, done: int, error: StartError
+) -> tuple[Belief, str]:
     """Return the belief for the rest of a plan, from the pose seen after some of its pushes.
+
+    The second value is why the parameters are as before; empty where they were narrowed.
 
     After `done` pushes the part was seen at a pose (3,) [m, m, rad], with an error. Simulated runs
     are weighted by the likelihood of that pose, a normal distribution with the error of the pose,
@@ -44,7 +41,7 @@ def belief_after(plan: PushPlan, seen: FloatArray, done: int, error: StartError)
     """
     start = replace(plan.belief, start=error)
     if done == 0:
-        return SeenBelief(start, "")
+        return start, ""
     scenarios = plan.belief.scenarios(plan.scene, worlds=WORLDS, runs=1, seed=plan.seed + FRESH)
     begun = replace(plan, start=plan.start[:done], path=plan.path[:done])
     runs = begun.run(scenarios, samples=1)
@@ -52,9 +49,7 @@ def belief_after(plan: PushPlan, seen: FloatArray, done: int, error: StartError)
     off = pose_difference(poses, seen)
     weight = _weights(off, error.deviation, runs.failure == 0)
     if weight is None:
-        return SeenBelief(
-            start, "the seen pose is unlike the planned runs; parameters stay as uncertain"
-        )
+        return start, "the seen pose is unlike the planned runs; parameters stay as uncertain"
     # Systematic resampling: each run as often as its weight says, up to one.
     places = (np.arange(SETS) + 0.5) / SETS
     rows = np.searchsorted(np.cumsum(weight) / weight.sum(), places)
@@ -68,7 +63,7 @@ def belief_after(plan: PushPlan, seen: FloatArray, done: int, error: StartError)
     # A model has an error of its own, which a seen pose does not lessen.
     field = "sets" if plan.belief.is_calibrated else "parameters"
     new: dict[str, Any] = {field: tuple(sets), "run_to_run": scatter}
-    return SeenBelief(replace(start, **new), "")
+    return replace(start, **new), ""
 
 
 def _weights(off: FloatArray, deviation: FloatArray, good: BoolArray) -> FloatArray | None:
@@ -103,16 +98,16 @@ def plan_again(
     if left < 1:
         expected = f"less than {len(plan.pushes)}, the plan's pushes"
         raise InvalidInput("done", found=done, expected=expected)
-    told = belief_after(plan, seen, done, error)
+    belief, note = belief_after(plan, seen, done, error)
     choose, body = plan.choose, plan.scene.bodies[0]
     search = search_of(
         replace(plan.scene, bodies=(replace(body, pose=np.asarray(seen)),)),
         plan.goal,
         replace(choose, most=left) if isinstance(choose, FreePushes) else choose,
-        told.belief, rollouts=rollouts, seed=plan.seed, motion=plan.motion, stepper=plan.stepper,
+        belief, rollouts=rollouts, seed=plan.seed, motion=plan.motion, stepper=plan.stepper,
         first=[plan.pushes[done:]], report=report,
     )  # fmt: skip
-    return conduct(search, plan_rounds(search, untrusted=untrusted), {}), told.note
+    return conduct(search, plan_rounds(search, untrusted=untrusted), {}), note
 
 
 def is_met(plan: PushPlan, seen: FloatArray) -> bool:

@@ -14,7 +14,8 @@ import numpy as np
 from scipy.special import betainc, betaincinv, betaln
 
 from fixel.errors import InvalidInput, counted
-from fixel.model.fields import name_of, settle
+from fixel.model.bodies import POSE
+from fixel.model.fields import name_of, settle, vector
 from fixel.model.probability import Probability
 from fixel.planning.success import WORST, probability_text
 from fixel.results import Result, Summary
@@ -78,7 +79,7 @@ class PlanTrial:
         for where in ("start", "end"):
             pose = getattr(self, where)
             if pose is not None:
-                settle(self, **{where: _pose(pose, where)})
+                settle(self, **{where: tuple(vector(pose, where, POSE).tolist())})
 
 
 @final
@@ -320,16 +321,6 @@ def _mixture(stated: float, n: np.ndarray, failures: np.ndarray) -> FloatArray:
     likelihood = betaln(a + good, b + failures) + below - norm
     nominal = good * math.log(stated) + failures * math.log1p(-stated)
     return np.asarray(np.exp(np.minimum(likelihood - nominal, 700.0)))
-
-
-def _pose(value: object, where: str) -> PoseTuple:
-    try:
-        x, y, theta = (float(one) for one in value)  # type: ignore[attr-defined]
-    except (TypeError, ValueError):
-        raise InvalidInput(where, found=value, expected="three numbers [m, m, rad]") from None
-    if not all(map(math.isfinite, (x, y, theta))):
-        raise InvalidInput(where, found=value, expected="three finite numbers [m, m, rad]")
-    return x, y, theta
 
 
 def _check_time(text: object) -> None:

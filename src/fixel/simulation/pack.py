@@ -23,7 +23,6 @@ from fixel.kernels import codes
 from fixel.kernels.arrays import Batch, Model
 from fixel.model import (
     Body,
-    Disk,
     Ellipsoid,
     Fixel,
     LineDrive,
@@ -34,7 +33,7 @@ from fixel.model import (
     rotated,
     support_points,
 )
-from fixel.simulation.geometry import contact_outline, contact_pieces
+from fixel.simulation.geometry import contact_outline, pack_shapes
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import STEPPERS, AbstractStepper, Adaptive
 from fixel.simulation.vary import AS_IT_IS, Elements, Variation, VariedScene, composed, vary
@@ -230,21 +229,16 @@ class _Same:
 def _pieces(key: _Same, com: tuple[tuple[float, float], ...]) -> Pieces:
     """Return the pieces of shapes with these origins in their own frames, one after another."""
     shapes: tuple[Shape, ...] = key.objects
-    pieces = [contact_pieces(contact_outline(shape)) for shape in shapes]
-    body = np.repeat(np.arange(len(shapes)), [len(own) for own in pieces])
-    corners = [piece for own in pieces for piece, _ in own]
-    count = [len(piece) for piece in corners]
-    start = np.concatenate(([0], np.cumsum(count)))
-    vertex = np.concatenate(corners) - np.repeat(np.array(com)[body], count, axis=0)
+    packed = pack_shapes(map(contact_outline, shapes))
+    start, radius = packed.piece_start, packed.piece_radius
+    count = np.diff(start)
+    body = np.repeat(np.arange(len(shapes)), np.diff(packed.shape_start))
+    vertex = packed.vertex - np.repeat(np.array(com)[body], count, axis=0)
     low = np.minimum.reduceat(vertex, start[:-1])
     centre = 0.5 * (low + np.maximum.reduceat(vertex, start[:-1]))
     away = vertex - np.repeat(centre, count, axis=0)
-    rounding = [shape.radius if isinstance(shape, Disk) else 0.0 for shape in shapes]
-    radius = np.array(rounding)[body]
     reach = np.maximum.reduceat(np.hypot(away[:, 0], away[:, 1]), start[:-1]) + radius
-    real = np.concatenate([outline for own in pieces for _, outline in own])
-    bound = np.column_stack((centre, reach))
-    return Pieces(body, start, bound, radius, vertex, real.astype(np.int64))
+    return Pieces(body, start, np.column_stack((centre, reach)), radius, vertex, packed.edge_real)
 
 
 def pair_tables(scene: Scene) -> tuple[FloatArray, FloatArray]:
