@@ -115,12 +115,9 @@ def _refuse_datasets(seated: dict[_Seat, list[ExperimentRow]]) -> None:
     for seat, found in seated.items():
         names = sorted({summary.dataset for summary in found})
         if len(names) > 1:
-            raise InvalidInput(
-                "experiments",
-                found=f"{' and '.join(names)} at {seat.name}",
-                expected="one data set",
-                hint=f"choose one: --dataset {names[0]}",
-            )
+            several = f"{' and '.join(names)} at {seat.name}"
+            hint = f"choose one: --dataset {names[0]}"
+            raise InvalidInput("experiments", found=several, expected="one data set", hint=hint)
 
 
 def _read(store: Store, first: dict[_Seat, ExperimentRow], warnings: list[str]) -> GrowthSamples:

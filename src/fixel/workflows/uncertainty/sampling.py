@@ -89,11 +89,8 @@ def selected(project: Project, asked: Any) -> SampledExperiments:
         ids = _ids(store, asked.experiments, one)
         held = list(dict.fromkeys(store.find(key) for key in asked.held_out))
         if set(ids) & set(held):
-            raise InvalidInput(
-                "held_out",
-                found="an experiment from which the posterior is computed",
-                expected="others",
-            )
+            found = "an experiment from which the posterior is computed"
+            raise InvalidInput("held_out", found=found, expected="others")
         experiments = [store.experiment(number) for number in (*ids, *held)]
         compared = one or _newest(store, ids[0])
     targets = [target_of(experiment) for experiment in experiments]
