@@ -13,10 +13,9 @@ import re
 import sqlite3
 
 import pytest
+from tests.cli.shell import refusal
 from tests.web.bench import filled
 
-from fixel.cli.serve import serve
-from fixel.errors import InvalidInput
 from fixel.web import security
 from fixel.web.live import LiveView
 from fixel.web.live_pages import overlay_page
@@ -251,9 +250,8 @@ def test_the_token_is_in_no_log(caplog):
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.0.4", "127.0.0.2", "example.org", ""])
-def test_other_machines_only_where_that_is_said(project, host):
-    with pytest.raises(InvalidInput, match="--allow-others"):
-        serve(place=project, host=host, allow_others=False)
+def test_other_machines_only_where_that_is_said(project, host, capsys):
+    assert "--allow-others" in refusal(capsys, "serve", project, "--host", host)
 
 
 # --- what is sent -----------------------------------------------------------------------------

@@ -148,7 +148,11 @@ def _trial(row: list[str], number: int, where: str) -> PlanTrial:
     poses: dict[str, Any] = {}
     for pose in POSES:
         texts = [values[f"{pose}_{name}"] for name in COORDINATES]
-        poses[pose] = tuple(texts) if any(texts) else None
+        try:
+            poses[pose] = tuple(map(float, texts)) if any(texts) else None
+        except ValueError:
+            expected = "three numbers [m, m, rad]"
+            raise InvalidInput(f"{where}, {pose}", found=texts, expected=expected) from None
     met, failure = values["met"] == "yes", values["failure"]
     try:
         return PlanTrial(values["time"], met, failure, by=values["by"], **poses)
