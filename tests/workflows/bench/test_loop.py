@@ -17,7 +17,7 @@ from tests.fixtures import short_plan
 from tests.jobs.helpers import await_true as until
 
 from fixel.database.project import Project
-from fixel.errors import JobRefused, StoreRefused
+from fixel.errors import DeviceFailed, JobRefused, StoreRefused
 from fixel.formats.plan_file import plan_text
 from fixel.formats.recording import VIDEO, open_recording
 from fixel.sampling import eight_push_plan, thesis_plan
@@ -202,6 +202,27 @@ def test_a_push_that_was_asked_for_before_does_not_begin_after(after, bench):
         until(lambda: after == "end" or len(hand.statuses) > n + 5)
         assert not loop.campaign.attempts
         assert "moving" not in {status["phase"] for status in hand.statuses}
+
+
+def test_a_push_that_was_asked_for_before_an_error_does_not_begin_after(bench, monkeypatch):
+    with operated(bench) as (loop, hand):
+        hand.place()
+        turn, failed = loop._turn, []
+
+        def failing(frames):
+            if loop._wants_push and not failed:
+                failed.append(True)
+                raise DeviceFailed("no status report")
+            turn(frames)
+
+        monkeypatch.setattr(loop, "_turn", failing)
+        loop.ask("push")
+        until(lambda: failed and hand.now()["phase"] == "trouble")
+        loop.ask("again")
+        until(lambda: hand.now()["phase"] == "placing")
+        n = len(hand.statuses)
+        until(lambda: len(hand.statuses) > n + 5)
+        assert not loop.campaign.attempts
 
 
 def test_an_interruption_stops_the_head_on_its_way(bench):

@@ -258,7 +258,7 @@ class BenchLoop:
             do()
         except FixelError as problem:
             words = f"{problem}. No recording is lost. Remove the cause, then try again (key a)"
-            self._trouble = self._trouble or words
+            self._trouble, self._wants_push = self._trouble or words, ""  # no push later, either
 
     def _turn(self, frames: Iterator[Frame]) -> None:
         """Look at one picture for the present row, which is chosen if there is none."""
