@@ -97,16 +97,13 @@ def command(
     function: Callable[..., CommandAnswer | None],
     *,
     of: Callable[..., Any] | None = None,
-    leave_out: tuple[str, ...] = (),
 ) -> Callable[..., None]:
     """Return the command of a function whose answer is only printed.
 
     The arguments are those of a `Capability`. A function that prints while it works gets `as_json`,
     and returns None.
     """
-    capability = Capability(
-        name=function.__name__, function=function, of=of, leave_out=leave_out, plot=""
-    )
+    capability = Capability(name=function.__name__, function=function, of=of, plot="")
     prints = "as_json" in signature(function).parameters
 
     def perform(request: "BaseModel", folder: Path, as_json: bool) -> None:

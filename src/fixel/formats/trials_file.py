@@ -21,6 +21,7 @@ from typing import Any, Final
 from fixel.errors import InvalidInput
 from fixel.io.atomic import WRITABLE, read_bounded, usable, write_whole
 from fixel.io.lock import FileLock
+from fixel.model.bodies import POSE
 from fixel.planning.trials import PlanTrial, Trials
 
 FORMAT: Final = 1
@@ -151,7 +152,7 @@ def _trial(row: list[str], number: int, where: str) -> PlanTrial:
         try:
             poses[pose] = tuple(map(float, texts)) if any(texts) else None
         except ValueError:
-            expected = "three numbers [m, m, rad]"
+            expected = f"3 numbers: {POSE}"
             raise InvalidInput(f"{where}, {pose}", found=texts, expected=expected) from None
     met, failure = values["met"] == "yes", values["failure"]
     try:

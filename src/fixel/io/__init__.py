@@ -6,8 +6,7 @@ from typing import Any
 def __getattr__(name: str) -> Any:
     if name not in ("load", "save"):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from fixel.io import (
-        saved,
-    )  # late: this imports NumPy, which a stop of a drive must not wait for
+    # Late: it imports NumPy, which the stop of a drive, a reader of locks, must not wait for.
+    from fixel.io import saved
 
     return getattr(saved, name)
