@@ -33,6 +33,7 @@ _PHRASES: Final = {
     "int_from_float": "an integer",
     "float_parsing": "a number",
     "tuple_type": "a list",
+    "too_long": "a list of {max_length}",
 }
 
 
@@ -297,6 +298,9 @@ class Capability:
         if name not in self.options:
             return unknown_name(f"option of {self.name}", name, tuple(self.options))
         own = f"{name}.{rest[0]}" if rest else name
+        if kind == "unexpected_keyword_argument":
+            known = [k.partition(".")[2] for k in self.shown if k.startswith(f"{name}.")]
+            return unknown_name(name, rest[0], known)
         where = own if own in self.shown else " ".join([name, *rest[:1]])
         if kind == "missing":
             pair = ("only one of them", "both, or neither") if rest else (None, "a value")
