@@ -250,6 +250,14 @@ def test_blocks_that_unpack_to_millions_are_rejected(tmp_path, monkeypatch):
     refused(Polygon.from_file, dxf(tmp_path / "bomb.dxf", draw), match="at most 1000")
 
 
+def test_a_star_of_many_lines_takes_no_memory(tmp_path, monkeypatch):
+    monkeypatch.setattr("fixel.formats.outline_file.MAX_PAIRS", 1000)
+    star = "".join(f"M50 40L{10 + 0.5 * k} 10" for k in range(60))
+    path = svg(tmp_path / "star.svg", f'<path d="{star}"/>')
+
+    refused(Polygon.from_file, path, match="1770 pairs of ends that meet")
+
+
 @pytest.mark.parametrize("radius", [1e9, 1e300, float("nan")])
 def test_giant_curves_are_rejected(tmp_path, radius):
     path = dxf(tmp_path / "giant.dxf", lambda s, d: s.add_circle((0, 0), radius))

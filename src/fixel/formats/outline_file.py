@@ -38,6 +38,7 @@ COARSEST: Final = 1e-4  # [m] tolerance by default
 SHARE: Final = 0.004  # and of a small part, as a share of its size: 24 corners of a disk
 MAX_BYTES, MAX_CURVES, MAX_RINGS, MAX_TRIANGLES = 100_000_000, 20_000, 500, 500_000
 MAX_STEPS: Final = 4096  # of one curve
+MAX_PAIRS: Final = 2_000_000  # of ends that meet
 
 # They would print what they skip in a damaged file, with tracebacks and text of that file.
 for _parser in ("ezdxf", "trimesh"):
@@ -175,7 +176,10 @@ def _joined(pieces: list[FloatArray], where: str, tolerance: float) -> list[Floa
     if not pieces:
         return []
     ends = np.array([end for piece in pieces for end in (piece[0], piece[-1])])
-    pairs = cKDTree(ends).query_pairs(tolerance, output_type="ndarray")
+    tree = cKDTree(ends)
+    met_ends = int(tree.count_neighbors(tree, tolerance) - len(ends)) // 2
+    _refuse_more(where, met_ends, MAX_PAIRS, "pairs of ends that meet")
+    pairs = tree.query_pairs(tolerance, output_type="ndarray")
     links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(ends), len(ends)))
     place = connected_components(links, directed=False)[1]
     met = ends[np.unique(place, return_index=True)[1]][place].reshape(-1, 2, 2)
