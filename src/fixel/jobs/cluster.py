@@ -15,7 +15,6 @@ from typing import Any, Final, NamedTuple, final
 from fixel.jobs import link
 from fixel.jobs.engine import OTHER_VERSION, run_chunk
 from fixel.jobs.functions import stamp
-from fixel.jobs.scheduler import CONFIG
 from fixel.jobs.work import Answer, Chunk, unframed
 
 MAX_STRANGE: Final = 20  # lost answers in a row, although no worker died
@@ -195,7 +194,7 @@ class Cluster:
     def _connect(self) -> None:
         import dask
 
-        dask.config.set(CONFIG)
+        dask.config.set(link.CONFIG)
         kind = _client_class()
         _quieten()
         address = self._first_line()

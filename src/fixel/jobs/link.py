@@ -16,6 +16,7 @@ import os
 import shutil
 import socket
 import sys
+import threading
 import zlib
 from collections.abc import Iterator
 from importlib.util import find_spec
@@ -27,10 +28,20 @@ from fixel.io.atomic import write_whole
 from fixel.io.lock import Owner, read_owner
 
 LOOPBACK: Final = "lo"
+REFUSED: Final = 3  # exit code of a worker of another fixel
 # Clocks of nodes may differ by hours, so a certificate is valid from one day ago.
 _VALID_FROM: Final = datetime.timedelta(days=-1)
 _VALID_UNTIL: Final = datetime.timedelta(days=365)
 _CRC_BYTES: Final = 4
+# Deaths of workers are reported at once: the coordinator counts them itself and tries again.
+CONFIG: Final = {
+    "distributed.scheduler.allowed-failures": 0,
+    "distributed.scheduler.worker-saturation": 1.0,
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+    "distributed.scheduler.work-stealing": False,
+    "distributed.admin.tick.limit": "1h",  # no warnings of long pauses
+}
 
 
 class Late(NamedTuple):
@@ -63,6 +74,17 @@ def listening(interface: str) -> dict[str, Any]:
     if interface not in known:
         raise unknown_name("interface", interface, known)
     return {"interface": interface}
+
+
+def end_with_parent() -> None:
+    """End this process at once when the other end of its standard input closes."""
+
+    def watch() -> None:
+        while sys.stdin.buffer.read(1):
+            pass
+        os._exit(0)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 # --- connection ---------------------------------------------------------------------------------

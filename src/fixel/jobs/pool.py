@@ -25,7 +25,6 @@ from fixel.errors import InvalidInput, JobRefused
 from fixel.jobs import link
 from fixel.jobs.functions import stamp
 from fixel.jobs.site import Site, check_site
-from fixel.jobs.worker import REFUSED
 
 MAX_STILLBORN: Final = 3  # workers in a row that end before they have joined
 MAX_LOCAL, MAX_A_CORE = 64, 8  # worker processes of a machine, the larger limit of both
@@ -113,7 +112,7 @@ class LocalPool(AbstractPool):
         if link.joined(self._folder, name):
             self._stillborn = 0
             return
-        if process.returncode == REFUSED:
+        if process.returncode == link.REFUSED:
             return  # the engine reads the reason that the worker has stored
         self._stillborn += 1
         if self._stillborn >= MAX_STILLBORN:

@@ -9,23 +9,10 @@ from __future__ import annotations
 import argparse
 import asyncio
 import inspect
-import os
-import sys
-import threading
 from pathlib import Path
 from typing import Any
 
-from fixel.jobs.link import listening, security
-
-# Deaths of workers are reported at once: the coordinator counts them itself and tries again.
-CONFIG = {
-    "distributed.scheduler.allowed-failures": 0,
-    "distributed.scheduler.worker-saturation": 1.0,
-    "distributed.scheduler.http.routes": [],
-    "distributed.worker.http.routes": [],
-    "distributed.scheduler.work-stealing": False,
-    "distributed.admin.tick.limit": "1h",  # no warnings of long pauses
-}
+from fixel.jobs.link import CONFIG, end_with_parent, listening, security
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -72,17 +59,6 @@ def _scheduler(given: argparse.Namespace) -> Any:
         dashboard=False,
         **listening(given.interface),
     )
-
-
-def end_with_parent() -> None:
-    """End this process at once when the other end of its standard input closes."""
-
-    def watch() -> None:
-        while sys.stdin.buffer.read(1):
-            pass
-        os._exit(0)
-
-    threading.Thread(target=watch, daemon=True).start()
 
 
 if __name__ == "__main__":

@@ -20,9 +20,7 @@ from typing import Any, Final
 
 from fixel.jobs import engine, link
 from fixel.jobs.functions import THREADS, stamp
-from fixel.jobs.scheduler import CONFIG, end_with_parent
 
-REFUSED: Final = 3  # exit code
 GRACE_S: Final = 20.0  # [s] for a running chunk when the worker has to end; SLURM gives 30
 CONNECT_S: Final = 10.0
 
@@ -31,7 +29,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Work until SIGTERM, the end of the lifetime, or too long without a scheduler."""
     given = _parser().parse_args(arguments)
     if given.watch_parent:
-        end_with_parent()
+        link.end_with_parent()
     if stamp() != given.stamp:
         return _refuse(given)
     if given.threads:
@@ -80,7 +78,7 @@ def _refuse(given: argparse.Namespace) -> int:
     )
     print(reason, flush=True)
     link.record_refusal(given.folder, given.name, reason)
-    return REFUSED
+    return link.REFUSED
 
 
 async def _serve(given: argparse.Namespace, address: str, until: float) -> tuple[bool, bool]:
@@ -138,7 +136,7 @@ def _worker(given: argparse.Namespace, address: str) -> Any:
     import dask
     from distributed import Worker
 
-    dask.config.set(CONFIG | {"distributed.comm.timeouts.connect": f"{CONNECT_S} s"})
+    dask.config.set(link.CONFIG | {"distributed.comm.timeouts.connect": f"{CONNECT_S} s"})
 
     class QuietWorker(Worker):
         """Dask's worker without a web server, which could be attacked."""
