@@ -25,8 +25,7 @@ from tests.fixtures import project_of
 from typer.testing import CliRunner
 
 from fixel.capability.capability import Capability, named
-from fixel.capability.options import FACTORS, Door, _bare
-from fixel.capability.usual import Level, Motion, Names, NoiseOption, Seed
+from fixel.capability.options import FACTORS, Door, Level, Motion, Names, NoiseOption, Seed, _bare
 from fixel.cli.capability import texts_of, typer_command
 from fixel.cli.main import app
 from fixel.database.project import Project

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fixel.drawing import calibration, palette
-from fixel.drawing.chart import add_banner, display_unit, draw_chart, log_scale, positive
+from fixel.drawing.chart import add_banner, display_unit, log_scale, positive
 from fixel.drawing.overlay import OverlayMotions, Track, overlay_chart
 from fixel.drawing.profiles import parameters_chart, profiles_chart
 from fixel.drawing.searches import SearchPanel, search_chart, starts_chart
@@ -147,7 +147,7 @@ CHARTS = {
 
 @pytest.mark.parametrize("chart", CHARTS.values(), ids=CHARTS)
 def test_everything_can_be_drawn(chart, tmp_path):
-    draw_chart(chart, tmp_path / "one.png", banner="SIMULATED by a test")
+    chart.save(tmp_path / "one.png", banner="SIMULATED by a test")
     assert (tmp_path / "one.png").read_bytes().startswith(b"\x89PNG")
     table = chart.table()
     assert len(set(table.head)) == len(table.head)
@@ -173,9 +173,9 @@ def test_the_profile_shows_the_value_and_interval_of_the_table():
 def test_the_same_numbers_give_the_same_file(ending, tmp_path, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")
     one, two = tmp_path / f"one.{ending}", tmp_path / f"two.{ending}"
-    draw_chart(profile(), one)
+    profile().save(one)
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "100000")
-    draw_chart(profile(), two)
+    profile().save(two)
     starts = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml"}
     assert one.read_bytes().startswith(starts[ending])
     assert ending == "svg" or one.read_bytes() == two.read_bytes()
@@ -185,7 +185,7 @@ def test_the_same_numbers_give_the_same_file(ending, tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", ["one", "one.bmp", "one.jpg"])
 def test_other_endings_are_refused(name, tmp_path):
     with pytest.raises(InvalidInput, match=r"\.pdf, \.png, \.svg"):
-        draw_chart(search([1.0]), tmp_path / name)
+        search([1.0]).save(tmp_path / name)
     assert not list(tmp_path.iterdir())
 
 

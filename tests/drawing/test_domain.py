@@ -11,7 +11,6 @@ from tests.drawing.collisions import collisions
 from fixel.domain.cells import CellAxis, Cells
 from fixel.domain.claim import CellVerdict, Claim
 from fixel.drawing import palette
-from fixel.drawing.chart import draw_chart
 from fixel.drawing.domain import FILLS, map_chart, size_chart
 
 CLAIM = Claim(threshold=2.0)
@@ -54,7 +53,7 @@ def test_every_cell_of_every_panel_is_drawn(tmp_path, rows, columns, panels):
     for axes in shown:
         squares = [p for p in axes.patches if isinstance(p, Rectangle)]
         assert len(squares) == rows * columns
-    draw_chart(chart, tmp_path / "map.png", banner="SIMULATED")
+    chart.save(tmp_path / "map.png", banner="SIMULATED")
     assert (tmp_path / "map.png").stat().st_size > 5000
 
 
@@ -84,7 +83,7 @@ def test_sizes_against_thresholds(tmp_path):
         curve=lambda claim, thresholds: sizes,
     )
     chart = size_chart(domain, CLAIM)
-    draw_chart(chart, tmp_path / "size.png")
+    chart.save(tmp_path / "size.png")
     table = chart.table()
     assert table.head == ("threshold_mm", "cells_square", "cells_pentagon")
     assert len(table.rows) == 12

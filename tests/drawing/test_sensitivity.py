@@ -9,7 +9,6 @@ from tests.drawing.collisions import collisions
 from tests.uncertainty.forks import fork, grid
 
 from fixel.drawing import palette
-from fixel.drawing.chart import draw_chart
 from fixel.drawing.sensitivity import OutcomePoses, ends_chart, indices_chart
 from fixel.uncertainty.indices import Factor, Indices
 
@@ -39,7 +38,7 @@ def a_push():
 @pytest.mark.parametrize("make", [ensemble_chart, a_push])
 def test_a_picture_is_drawn_and_has_its_numbers(make, tmp_path):
     chart, file = make(), tmp_path / "one.png"
-    draw_chart(chart, file, banner="SIMULATED by a test")
+    chart.save(file, banner="SIMULATED by a test")
     assert file.read_bytes().startswith(b"\x89PNG")
     table = chart.table()
     assert table.rows

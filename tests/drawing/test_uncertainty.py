@@ -8,7 +8,6 @@ import pytest
 from tests.drawing.collisions import collisions
 
 from fixel.drawing import palette
-from fixel.drawing.chart import draw_chart
 from fixel.drawing.uncertainty import bands_chart, corner_chart, coverage_chart, final_pose_chart
 from fixel.uncertainty.discrepancy import LABEL
 from fixel.uncertainty.prediction import Band, CoverageCurve, Ellipse, EndBounds
@@ -66,7 +65,7 @@ def _curve():
     (_curve(), ("bounds", "level", "held", "true_levels_from", "true_levels_to", "outcomes"), 6),
 ])  # fmt: skip
 def test_a_picture_and_its_table(chart, columns, rows, tmp_path):
-    draw_chart(chart, tmp_path / "a.png", tmp_path / "a.pdf", banner="SIMULATED")
+    chart.save(tmp_path / "a.png", tmp_path / "a.pdf", banner="SIMULATED")
     assert (tmp_path / "a.png").stat().st_size > 5_000
     table = chart.table()
     assert table.head == columns
@@ -75,7 +74,7 @@ def test_a_picture_and_its_table(chart, columns, rows, tmp_path):
 
 def test_bands_have_their_ends_in_the_table(tmp_path):
     chart = _bands()
-    draw_chart(chart, tmp_path / "b.png")
+    chart.save(tmp_path / "b.png")
     table = chart.table()
     assert table.head[:4] == ("time_s", "measured_x_m", "measured_y_m", "measured_theta_rad")
     assert "high_90_theta_rad" in table.head

@@ -12,7 +12,7 @@ from tests.datasets import push_files, recordings
 from typer.testing import CliRunner
 
 from fixel.cli import main
-from fixel.cli.options import require_picture
+from fixel.cli.screen import require_picture
 from fixel.errors import DatasetMissing, InvalidInput
 from fixel.replay import Replay, ReplayRequest, replay_dataset
 from fixel.replay.base import columns_and_values, spread

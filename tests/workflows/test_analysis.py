@@ -9,8 +9,7 @@ import pytest
 from fixel.database.project import Project
 from fixel.drawing.calibration import seconds_chart
 from fixel.table import Table
-from fixel.workflows.analysis import CONTENT, Analysis, load_analyses, store_analysis
-from fixel.workflows.figures import Picture
+from fixel.workflows.analysis import CONTENT, Analysis, Picture, load_analyses, store_analysis
 
 
 @pytest.fixture

@@ -15,7 +15,6 @@ from typing import IO, Any, ClassVar, Final, final
 
 import numpy as np
 
-from fixel.calibration import mads_child
 from fixel.calibration.optimiser import AbstractOptimiser, Count, Feasible, Search, SearchBox, Size
 from fixel.errors import InvalidInput, require
 from fixel.model.fields import check_fields
@@ -129,7 +128,7 @@ class _Nomad:
     """NOMAD in a process of its own."""
 
     def __init__(self, problem: dict[str, Any]) -> None:
-        child = str(Path(mads_child.__file__))
+        child = str(Path(__file__).with_name("mads_child.py"))
         self._process = subprocess.Popen(
             [sys.executable, "-P", child],
             stdin=subprocess.PIPE,

@@ -16,8 +16,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
-from fixel.capability.options import FACTORS, Option, is_group, members, options_of
-from fixel.capability.usual import TABLE
+from fixel.capability.options import FACTORS, TABLE, Option, is_group, members, options_of
 from fixel.errors import InvalidInput, unknown_name
 
 if TYPE_CHECKING:

@@ -9,8 +9,17 @@ import typer
 
 from fixel.capability.capability import Capability, named
 from fixel.capability.options import Option
-from fixel.cli.options import AsJson, ProjectFolder, require_folder, require_picture
-from fixel.cli.screen import CommandAnswer, command_of, paragraphs, print_answer, wrote
+from fixel.cli.screen import (
+    AsJson,
+    CommandAnswer,
+    ProjectFolder,
+    command_of,
+    paragraphs,
+    print_answer,
+    require_folder,
+    require_picture,
+    wrote,
+)
 from fixel.errors import Interrupted, InvalidInput
 from fixel.progress import time_text
 

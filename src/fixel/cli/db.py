@@ -8,8 +8,7 @@ import typer
 
 from fixel.capability.options import Door
 from fixel.cli.capability import command
-from fixel.cli.options import ProjectPlace, project_at
-from fixel.cli.screen import CommandAnswer, command_of, paragraphs
+from fixel.cli.screen import CommandAnswer, ProjectPlace, command_of, paragraphs, project_at
 from fixel.errors import counted
 from fixel.table import Table, shortened
 

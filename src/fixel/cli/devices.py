@@ -13,8 +13,8 @@ import typer
 
 from fixel.capability.options import Door, door_of
 from fixel.cli.capability import command
-from fixel.cli.options import AsJson
 from fixel.cli.screen import (
+    AsJson,
     CommandAnswer,
     command_line,
     command_of,

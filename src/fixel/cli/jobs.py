@@ -7,8 +7,7 @@ import typer
 
 from fixel.capability.options import Door
 from fixel.cli.capability import command
-from fixel.cli.options import one_place
-from fixel.cli.screen import CommandAnswer, command_of, job_bar, notify
+from fixel.cli.screen import CommandAnswer, command_of, job_bar, notify, one_place
 from fixel.errors import Interrupted, InvalidInput, plain
 from fixel.progress import time_text
 from fixel.table import Table

@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 from typer.core import TyperGroup
 
-from fixel.capability.options import Door
-from fixel.capability.usual import CalibrationId, EngineName, Seed
+from fixel.capability.options import CalibrationId, Door, EngineName, Seed
 from fixel.cli.capability import command, typer_command
-from fixel.cli.options import require_folder
-from fixel.cli.screen import CommandAnswer, command_of, notify, paragraphs, wrote
+from fixel.cli.screen import CommandAnswer, command_of, notify, paragraphs, require_folder, wrote
 from fixel.errors import InvalidInput
 from fixel.workflows.planning.run import ENDING, PLAN
 
@@ -72,7 +70,7 @@ def check(
         Folder for charts as PNG and PDF, and for their data.
     """
     from fixel.io.atomic import write_whole
-    from fixel.workflows.figures import write_pictures
+    from fixel.workflows.analysis import write_pictures
     from fixel.workflows.planning.execute import check_plan
     from fixel.workflows.planning.report import pictures_of, waypoints_text
 

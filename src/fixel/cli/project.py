@@ -7,11 +7,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from fixel.capability.capability import named
-from fixel.capability.options import Door
-from fixel.capability.usual import Dataset, Flagged, Where
+from fixel.capability.options import Dataset, Door, Flagged, Where
 from fixel.cli.capability import command
-from fixel.cli.options import project_at
-from fixel.cli.screen import CommandAnswer, command_line, command_of, notify, project_words, wrote
+from fixel.cli.screen import (
+    CommandAnswer,
+    command_line,
+    command_of,
+    notify,
+    project_at,
+    project_words,
+    wrote,
+)
 from fixel.errors import InvalidInput, counted, plain
 from fixel.progress import show_progress, time_text
 from fixel.table import Column, Table, shortened

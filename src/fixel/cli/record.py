@@ -15,8 +15,7 @@ import typer
 
 from fixel.capability.options import Door
 from fixel.cli.capability import command
-from fixel.cli.options import FilmPath
-from fixel.cli.screen import CommandAnswer, command_line, command_of, notify, wrote
+from fixel.cli.screen import CommandAnswer, FilmPath, command_line, command_of, notify, wrote
 from fixel.errors import InvalidInput, counted
 from fixel.progress import show_progress
 from fixel.table import Column, Table

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from fixel.capability.options import Door
 from fixel.cli.capability import command
-from fixel.cli.options import require_picture
-from fixel.cli.screen import CommandAnswer, command_of
+from fixel.cli.screen import CommandAnswer, command_of, require_picture
 from fixel.progress import show_progress
 from fixel.table import Table
 

@@ -1,4 +1,4 @@
-"""Output of the commands: answers as text or JSON, sentences, commands, progress."""
+"""Shared parts of commands: options, answers as text or JSON, sentences, progress."""
 
 import json
 import shlex
@@ -6,17 +6,29 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from fixel.errors import plain
+from fixel.capability.options import Door
+from fixel.errors import InvalidInput, plain
 
 if TYPE_CHECKING:
+    from fixel.database.project import Project
     from fixel.jobs.work import JobProgress
 
 JOB_BAR = 24  # [characters]
 BETWEEN_LINES_S = 30.0  # [s] where the progress of a job goes into a file
+
+ProjectFolder = Annotated[
+    Path,
+    typer.Option(
+        "--project", "-p", help="Folder of the project.", metavar="FOLDER", show_default="here"
+    ),
+]
+ProjectPlace = Annotated[Path | None, Door(metavar="PROJECT", meaning="Same as --project.")]
+FilmPath = Annotated[Path, Door(metavar="FILM", meaning="Video file or folder of a recording.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the answer as one JSON object.")]
 
 
 class CommandAnswer(NamedTuple):
@@ -95,3 +107,35 @@ def _bar(progress: "JobProgress") -> str:
     full = int(JOB_BAR * (progress.share or 0.0))
     bar = f"[{'#' * full}{'.' * (JOB_BAR - full)}]"
     return f"{bar}  {plain(progress.text)}"
+
+
+def project_at(place: Path | None, folder: Path) -> "Project":
+    """Return the project in a folder, given as an argument or with --project."""
+    from fixel.database.project import Project
+
+    return Project(one_place(place, folder))
+
+
+def one_place(place: Path | None, folder: Path) -> Path:
+    """Return a folder, given as an argument or with --project."""
+    if place is not None and folder != Path():
+        found = f"{folder} and the argument {place}"
+        raise InvalidInput("--project", found=found, expected="one of them")
+    return folder if place is None else place
+
+
+def require_folder(folder: Path | None) -> None:
+    """Reject a place where no folder for pictures can be made, before any work."""
+    if folder is not None:
+        from fixel.workflows.analysis import new_folder
+
+        with new_folder(folder):
+            pass
+
+
+def require_picture(file: Path | None) -> None:
+    """Reject an invalid or unwritable file for a picture before any work."""
+    if file is not None:
+        from fixel.drawing.chart import require_file
+
+        require_file(file)

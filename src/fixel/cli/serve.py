@@ -10,8 +10,7 @@ from typing import Annotated
 
 from fixel.capability.options import Door
 from fixel.cli.capability import command
-from fixel.cli.options import ProjectPlace, project_at
-from fixel.cli.screen import notify
+from fixel.cli.screen import ProjectPlace, notify, project_at
 from fixel.errors import InvalidInput, plain
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")

@@ -5,11 +5,17 @@ from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from fixel.capability.options import Door
-from fixel.capability.usual import CalibrationId, EngineName
+from fixel.capability.options import CalibrationId, Door, EngineName
 from fixel.cli.capability import command
-from fixel.cli.options import require_picture
-from fixel.cli.screen import CommandAnswer, command_line, command_of, notify, paragraphs, wrote
+from fixel.cli.screen import (
+    CommandAnswer,
+    command_line,
+    command_of,
+    notify,
+    paragraphs,
+    require_picture,
+    wrote,
+)
 from fixel.errors import NotStored, counted
 from fixel.table import Column, Table, shortened
 from fixel.workflows.sentences import origin_of

@@ -5,12 +5,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fixel.capability.options import Door
-from fixel.capability.usual import Seed, Threads
+from fixel.capability.options import Door, Seed, Threads
 from fixel.cli.capability import command, typer_command
-from fixel.cli.options import FilmPath
 from fixel.cli.project import imported
-from fixel.cli.screen import CommandAnswer, command_of, print_answer, wrote
+from fixel.cli.screen import CommandAnswer, FilmPath, command_of, print_answer, wrote
 from fixel.progress import show_progress
 from fixel.table import Column, Table, shortened
 from fixel.workflows.acquisition import FILM, Count

@@ -72,6 +72,20 @@ class Chart:
         """Return all data that the figure shows, in SI units."""
         return self.data
 
+    def save(self, *paths: str | Path, banner: str = "") -> None:
+        """Draw the chart and save it to files (`.pdf`, `.svg` or `.png`).
+
+        The banner is at the top, for simulated experiments. Another ending raises `InvalidInput`.
+        """
+
+        def make() -> Figure:
+            figure = self.figure()
+            if banner:
+                add_banner(figure, banner)
+            return figure
+
+        save_figure(make, *paths)
+
 
 def panel(
     *marks: Mark,
@@ -141,21 +155,6 @@ def plot(draw: Callable[..., Any], found: Any, ax: Axes | None, options: dict[st
         return made.figure() if isinstance(made, Chart) else made
 
     return plot_axes(figure, ax)
-
-
-def draw_chart(chart: Chart, *paths: str | Path, banner: str = "") -> None:
-    """Draw a chart and save it to files (`.pdf`, `.svg` or `.png`).
-
-    The banner is at the top, for simulated experiments. Another ending raises `InvalidInput`.
-    """
-
-    def make() -> Figure:
-        figure = chart.figure()
-        if banner:
-            add_banner(figure, banner)
-        return figure
-
-    save_figure(make, *paths)
 
 
 def save_figure(make: Callable[[], Figure], *paths: str | Path) -> None:

@@ -22,8 +22,7 @@ from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
 from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.discrepancy import LABEL
 from fixel.uncertainty.posterior import Posterior
-from fixel.uncertainty.predictive import EndError, PredictiveModel
-from fixel.uncertainty.push import CalibratedModel
+from fixel.uncertainty.predictive import CalibratedModel, EndError, PredictiveModel
 from fixel.uncertainty.run_to_run import RunToRun
 from fixel.uncertainty.starts import StartError, even_points
 

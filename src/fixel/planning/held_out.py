@@ -27,7 +27,7 @@ from fixel.results import Result, Summary
 from fixel.simulation.vary import composed, inverted
 from fixel.table import Column, Table
 from fixel.typing import BoolArray, FloatArray
-from fixel.uncertainty.push import CalibratedModel
+from fixel.uncertainty.predictive import CalibratedModel
 from fixel.uncertainty.run_to_run import learn_run_to_run, rest_at
 from fixel.uncertainty.start_ensemble import simulate_starts
 from fixel.units import deg, mm

@@ -296,10 +296,9 @@ class Simulator:
             found = _unpacked(scene, packed, record, duration, times)
             found |= {"wall_time_s": seconds, "method": dict(self._described)}
             if accuracy:
-                from fixel.simulation.accuracy import confirm  # late: few runs need it
-
+                sure = import_module("fixel.simulation.accuracy")  # late: few runs need it
                 ends = [found["pose"][body.name][-1] for body in scene.bodies]
-                found["accuracy"] = confirm(
+                found["accuracy"] = sure.confirm(
                     packed, self._method, np.array([ends]), record.status, threads=1
                 )[0]
             if derivatives:

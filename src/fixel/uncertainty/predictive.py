@@ -22,11 +22,11 @@ import numpy as np
 
 from fixel.calibration.objective import Comparer
 from fixel.calibration.target import Target
+from fixel.model.records import Estimate
 from fixel.model.space import ParameterSpace
 from fixel.model.trajectory import pose_error
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.typing import FloatArray, IntArray
-from fixel.uncertainty.push import CalibratedModel
 
 SHRINK: Final = 0.7  # distance of samples from the calibrated values, relative to the intervals
 POWER: Final = 0.1  # of the likelihood of a recorded push, by the sum of squares of all ends
@@ -81,6 +81,18 @@ class Predictive:
         """Return n parameter sets, (n,) each by name; each point comes as often as another."""
         rows = np.random.default_rng(seed).permutation(len(self.points))
         return self.space.columns(self.points[np.resize(rows, n)], conditions)
+
+
+@runtime_checkable
+class CalibratedModel(Protocol):
+    """Calibrated parameters with the motion model that they belong to; `Calibration` is one."""
+
+    @property
+    def motion(self) -> AbstractMotionModel: ...
+    @property
+    def estimates(self) -> Mapping[str, Estimate]: ...
+    def values_for(self, /, **conditions: str | float) -> dict[str, float]: ...
+    def samples(self, n: int, seed: int, **conditions: str | float) -> dict[str, FloatArray]: ...
 
 
 @runtime_checkable

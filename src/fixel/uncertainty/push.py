@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from os import PathLike
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 from fixel.calibration.target import target_of
 from fixel.model import Experiment, Parameters, Scene
@@ -15,18 +15,7 @@ from fixel.simulation.motion import AbstractMotionModel, motion_model
 from fixel.simulation.simulate import SceneWithMethod, scene_file
 from fixel.simulation.stepper import AbstractStepper
 from fixel.typing import FloatArray
-
-
-@runtime_checkable
-class CalibratedModel(Protocol):
-    """Calibrated parameters with the motion model that they belong to; `Calibration` is one."""
-
-    @property
-    def motion(self) -> AbstractMotionModel: ...
-    @property
-    def estimates(self) -> Mapping[str, Estimate]: ...
-    def values_for(self, /, **conditions: str | float) -> dict[str, float]: ...
-    def samples(self, n: int, seed: int, **conditions: str | float) -> dict[str, FloatArray]: ...
+from fixel.uncertainty.predictive import CalibratedModel
 
 
 class Push(NamedTuple):

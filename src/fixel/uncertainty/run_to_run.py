@@ -27,7 +27,7 @@ from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
 from fixel.simulation.rollouts import ensemble_of
 from fixel.simulation.stepper import AbstractStepper
 from fixel.typing import FloatArray, IntArray
-from fixel.uncertainty.push import CalibratedModel
+from fixel.uncertainty.predictive import CalibratedModel
 
 # Scatter of real pushes: rounded medians of the 14 plates and surfaces of the MIT push dataset.
 START, CENTRE, FRICTION = 0.001, 0.12, 0.25

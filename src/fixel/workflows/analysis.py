@@ -11,36 +11,35 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple, Protocol
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, InstanceOf, PlainSerializer
+from pydantic import BaseModel, BeforeValidator, Field, InstanceOf, PlainSerializer
 
 from fixel.capability.capability import Capability
 from fixel.database.project import ANALYSES, Project, analysis_name
 from fixel.errors import FixelError, NotStored
 from fixel.io.array_bytes import arrays_of, bytes_of
-from fixel.io.atomic import write_whole
+from fixel.io.atomic import usable, write_whole
 from fixel.io.damaged_files import each_readable, readable
 from fixel.io.document import plain_numbers
+from fixel.model import Experiment
 from fixel.results import Result
 from fixel.simulation.trust import repeatable
 from fixel.table import Table
 from fixel.typing import FloatArray
-from fixel.workflows.figures import ENDINGS, Picture, new_folder, write_picture
 
 CONTENT: Final = "analysis.json"
 ARRAYS: Final = "arrays.npz"
+ENDINGS: Final = ("png", "pdf", "csv")
+MAX_BANNER: Final = 80  # characters of a banner that fit across a chart one column wide
 
 
-class _StoredFigure(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class _TextTable(_StoredFigure):
+class _TextTable(BaseModel, extra="forbid", frozen=True):
     title: str
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
@@ -61,7 +60,7 @@ StoredTable = Annotated[
 ]
 
 
-class AnalysisFigure(_StoredFigure):
+class AnalysisFigure(BaseModel, extra="forbid", frozen=True):
     """Figure of an analysis."""
 
     # Name of its files, without ending; never a path, as a bundle may come from elsewhere.
@@ -69,7 +68,7 @@ class AnalysisFigure(_StoredFigure):
     caption: str
 
 
-class Analysis(_StoredFigure):
+class Analysis(BaseModel, extra="forbid", frozen=True):
     """Result of one analysis of a project."""
 
     kind: str
@@ -129,6 +128,22 @@ def analysis_of(kind: str, result: Result, **more: Any) -> Analysis:
         "notes": tuple(said.notes),
     }
     return Analysis(kind=kind, **(texts | more))
+
+
+class DrawnTable(Protocol):
+    """Table with its drawing; `fixel.drawing.chart.Chart` is one."""
+
+    def save(self, *paths: str | Path, banner: str = "") -> None: ...
+    def table(self) -> Table: ...
+
+
+class Picture(NamedTuple):
+    """Chart with the name, banner and caption of its files."""
+
+    name: str  # name of the files, without ending
+    chart: DrawnTable
+    banner: str = ""  # text across the top, for experiments that no camera has seen
+    caption: str = ""  # a sentence on what the chart shows
 
 
 class AnalysisReport(NamedTuple):
@@ -263,3 +278,50 @@ def find_analysis(project: Project, name: str, kind: str = "") -> StoredAnalysis
 def _kept(path: Path) -> StoredAnalysis:
     with readable(path, f"delete the folder {path.parent} and run the analysis again"):
         return StoredAnalysis(path.parent, Analysis.model_validate_json(path.read_bytes()))
+
+
+# --- files of charts ----------------------------------------------------------------------------
+
+
+def banner_of(banners: Sequence[str]) -> str:
+    """Combine the banners of several experiments into one; those of real ones are empty."""
+    some = [banner for banner in banners if banner]
+    if len(some) in (0, len(banners)):
+        joined = " and ".join(dict.fromkeys(some))
+        return joined if len(joined) <= MAX_BANNER else f"SIMULATED: all {len(some)} experiments"
+    return f"{len(some)} of {len(banners)} experiments SIMULATED"
+
+
+def banner_over(experiments: Iterable[Experiment]) -> str:
+    """Return the banner over charts of experiments; empty if all are real."""
+    return banner_of(
+        ["" if one.real else f"SIMULATED by {one.simulated_by}" for one in experiments]
+    )
+
+
+@contextmanager
+def new_folder(folder: Path) -> Iterator[None]:
+    """Create a folder for the files of the block; remove it if the block writes none."""
+    missing = [own for own in (folder, *folder.parents) if not own.exists()]
+    with usable(folder, "a folder to write to"):
+        folder.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    finally:
+        with suppress(OSError):  # it is not empty
+            for own in missing:
+                own.rmdir()
+
+
+def write_picture(folder: Path, picture: Picture) -> list[Path]:
+    """Write the files of a picture, replacing those of the same names; return their paths."""
+    paths = [folder / f"{picture.name}.{ending}" for ending in ENDINGS]
+    picture.chart.save(*paths[:2], banner=picture.banner)
+    write_whole(paths[2], picture.chart.table().csv())
+    return paths
+
+
+def write_pictures(folder: Path, pictures: Iterable[Picture]) -> list[Path]:
+    """Write the files of pictures into a folder, which is created if missing."""
+    with new_folder(folder):
+        return [path for picture in pictures for path in write_picture(folder, picture)]

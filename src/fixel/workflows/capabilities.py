@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from fixel.capability.capability import Capability
-from fixel.capability.usual import TABLE
+from fixel.capability.options import TABLE
 from fixel.errors import InvalidInput, JobRefused
 from fixel.jobs.functions import callable_by_jobs, stamp
 from fixel.workflows.calibration.run import CALIBRATE
@@ -142,8 +142,7 @@ def report_result(
     The call took `seconds`, unless the report has another time. `plot` is a folder or file for
     figures.
     """
-    from fixel.workflows.analysis import StoredAnswer, store_analysis
-    from fixel.workflows.figures import write_pictures
+    from fixel.workflows.analysis import StoredAnswer, store_analysis, write_pictures
 
     present = capability.present
     report = present.report_of(result)

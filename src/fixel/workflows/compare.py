@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 from fixel.capability.capability import Capability
-from fixel.capability.options import Door
-from fixel.capability.usual import CalibrationId, Motion, Save
+from fixel.capability.options import CalibrationId, Door, Motion, Save
 from fixel.errors import InvalidInput
 from fixel.table import Column, Table
 

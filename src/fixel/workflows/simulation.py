@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 
 from fixel.capability.capability import Capability
-from fixel.capability.options import Door
-from fixel.capability.usual import Motion
+from fixel.capability.options import Door, Motion
 
 if TYPE_CHECKING:
     from fixel.formats import SceneFile

@@ -7,8 +7,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from fixel.capability.capability import Capability
-from fixel.capability.options import Door
-from fixel.capability.usual import Flagged, Level, Seed, Where
+from fixel.capability.options import Door, Flagged, Level, Seed, Where
 
 if TYPE_CHECKING:
     from fixel.database.project import Project
@@ -117,8 +116,7 @@ def check_stored(
 def report_of(check: TableCheck) -> AnalysisReport:
     """Return verdict, tables, notes, figure and numbers of a checked table."""
     from fixel.drawing.parts import table_chart
-    from fixel.workflows.analysis import AnalysisReport, analysis_of
-    from fixel.workflows.figures import Picture
+    from fixel.workflows.analysis import AnalysisReport, Picture, analysis_of
 
     names = ("name", "position_m", "angle_rad", "within", "pairs")
     effects = [dict(zip(names, own, strict=True)) for own in check.effects]

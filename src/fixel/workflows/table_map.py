@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, final
 
 from fixel.capability.capability import Capability
-from fixel.capability.options import Door
-from fixel.capability.usual import TABLE, Dataset, Flagged, Threads, Where
+from fixel.capability.options import TABLE, Dataset, Door, Flagged, Threads, Where
 from fixel.errors import InvalidInput, counted
 
 if TYPE_CHECKING:
@@ -190,8 +189,7 @@ class StoredMap(NamedTuple):
 def report_of(found: StoredMap) -> AnalysisReport:
     """Return headline, tables, notes, figure and numbers of a map."""
     from fixel.drawing.parts import map_chart
-    from fixel.workflows.analysis import AnalysisReport, analysis_of
-    from fixel.workflows.figures import Picture
+    from fixel.workflows.analysis import AnalysisReport, Picture, analysis_of
 
     table, names = found.table, ("position_m", "angle_rad")
     gains = {  # mean of the changes of errors, and its interval

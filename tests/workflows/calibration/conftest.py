@@ -3,7 +3,7 @@
 import pytest
 from PIL import Image
 
-from fixel.workflows import figures
+from fixel.drawing.chart import Chart
 
 
 @pytest.fixture
@@ -14,4 +14,4 @@ def blank(monkeypatch):
         Image.new("RGB", (9, 9)).save(paths[0], dpi=(60, 60))
         paths[1].write_bytes(b"%PDF")
 
-    monkeypatch.setattr(figures, "draw_chart", save)
+    monkeypatch.setattr(Chart, "save", save)

@@ -21,9 +21,8 @@ from fixel.sampling.published import thesis_plan
 from fixel.table import Table
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing.scenes import pushed_square
-from fixel.workflows.analysis import Analysis, store_analysis
+from fixel.workflows.analysis import Analysis, Picture, store_analysis
 from fixel.workflows.calibration.stored import load_values, stored_calibration
-from fixel.workflows.figures import Picture
 from fixel.workflows.report.sections import calibration_warnings
 from fixel.workflows.report.write import bibtex, known_works, line, works
 

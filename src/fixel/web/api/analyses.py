@@ -26,7 +26,7 @@ maps = APIRouter(prefix="/domain", tags=["domain"])
 plans = APIRouter(prefix="/plan", tags=["planning"])
 
 
-class AnalysisSummary(Analysis):
+class AnalysisSummary(Analysis, frozen=True):
     """A kept analysis, without its numbers."""
 
     name: str

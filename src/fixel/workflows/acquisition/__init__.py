@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, final
 
 from fixel.capability.capability import Capability
-from fixel.capability.options import Door
-from fixel.capability.usual import Seed
+from fixel.capability.options import Door, Seed
 from fixel.errors import InvalidInput, unknown_name
 
 if TYPE_CHECKING:

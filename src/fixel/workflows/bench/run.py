@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from fixel.capability.capability import Capability
-from fixel.capability.options import Door
-from fixel.capability.usual import Fit, Seed
+from fixel.capability.options import Door, Fit, Seed
 
 if TYPE_CHECKING:
     from fixel.database.project import Project

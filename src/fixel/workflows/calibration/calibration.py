@@ -46,14 +46,13 @@ from fixel.simulation.motion import AbstractMotionModel
 from fixel.table import Column, Table, shortened
 from fixel.typing import FloatArray
 from fixel.uncertainty.predictive import LEAST, POOL, REGION, Predictive, predictive_of
-from fixel.workflows.analysis import Analysis
+from fixel.workflows.analysis import Analysis, write_pictures
 from fixel.workflows.calibration.parameter_options import call_of, enlarged_command
 from fixel.workflows.calibration.plan import CalibrationPlan, outcome_of
 from fixel.workflows.calibration.request import CalibrationRequest
-from fixel.workflows.figures import write_pictures
 
 if TYPE_CHECKING:
-    from fixel.simulation import Simulation
+    from fixel.simulation.result import Simulation
 
 # Share of a parameter's range by which the best fit and the value to quote visibly differ.
 VISIBLE: Final = 0.005
@@ -401,7 +400,7 @@ class Calibration(Result, Mapping[str, float]):
         **options
             Options of `fixel.simulate`, such as `duration`.
         """
-        from fixel.simulation import simulate
+        from fixel.simulation.simulate import simulate
 
         scene, values = (
             (of, self.values_for())

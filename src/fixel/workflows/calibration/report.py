@@ -34,9 +34,8 @@ from fixel.model import Parameters, placed
 from fixel.simulation import Simulation, simulate
 from fixel.table import Table
 from fixel.typing import FloatArray
-from fixel.workflows.analysis import AnalysisReport, StoredAnswer
+from fixel.workflows.analysis import AnalysisReport, Picture, StoredAnswer, banner_of
 from fixel.workflows.calibration.calibration import Calibration, Calibrations
-from fixel.workflows.figures import Picture, banner_of
 
 JSON: Final = ("pictures",)  # what `--json` has besides numbers
 SAMPLES: Final = 200  # minimum number of samples of a simulation

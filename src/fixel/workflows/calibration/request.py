@@ -30,8 +30,7 @@ from fixel.io.damaged_files import readable
 from fixel.model.fields import name_of
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.registry import offered
-from fixel.simulation import AbstractMotionModel
-from fixel.simulation.motion import motion_model
+from fixel.simulation.motion import AbstractMotionModel, motion_model
 from fixel.simulation.rollouts import RolloutCase
 from fixel.typing import FloatArray
 

@@ -9,8 +9,17 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from fixel.capability.capability import Capability
-from fixel.capability.options import Door
-from fixel.capability.usual import Dataset, Fit, Flagged, Level, NoiseOption, Seed, Threads, Where
+from fixel.capability.options import (
+    Dataset,
+    Door,
+    Fit,
+    Flagged,
+    Level,
+    NoiseOption,
+    Seed,
+    Threads,
+    Where,
+)
 
 if TYPE_CHECKING:
     from os import PathLike

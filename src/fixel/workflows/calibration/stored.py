@@ -32,9 +32,8 @@ from fixel.model import Experiment, LoadMap, Parameters, Provenance, Scene
 from fixel.model.parameters import is_parameter
 from fixel.model.records import CalibrationRecord, Evaluations, Member
 from fixel.model.space import ParameterSpace, Unknown, meets, split_label
-from fixel.simulation import AbstractMotionModel
 from fixel.simulation.engine_names import EngineName
-from fixel.simulation.motion import motion_model
+from fixel.simulation.motion import AbstractMotionModel, motion_model
 from fixel.simulation.trust import repeatable
 from fixel.table import Column, Table
 from fixel.typing import FloatArray

@@ -33,10 +33,9 @@ from fixel.workflows.acquisition import RecordPlan, film_experiments
 from fixel.workflows.acquisition.film import ARRAYS
 from fixel.workflows.acquisition.record import record
 from fixel.workflows.acquisition.track import TrackAnswer, track_film
-from fixel.workflows.analysis import Analysis, store_analysis
+from fixel.workflows.analysis import Analysis, Picture, store_analysis
 from fixel.workflows.capabilities import call
 from fixel.workflows.demo.laboratory_demo import own_folder, true_mean
-from fixel.workflows.figures import Picture
 from fixel.workflows.report.write import Report
 
 # From the plan of the thesis: straight on, off the middle, turned; pushes from several sides

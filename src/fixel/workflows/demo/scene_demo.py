@@ -16,7 +16,7 @@ from fixel.io.atomic import write_whole
 from fixel.model import LineDrive, placed
 from fixel.simulation import Simulation
 from fixel.typing import FloatArray
-from fixel.workflows.figures import new_folder
+from fixel.workflows.analysis import new_folder
 from fixel.workflows.simulation import Outputs, simulate_file
 
 EXAMPLE = "grasp"

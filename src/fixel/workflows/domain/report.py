@@ -14,10 +14,9 @@ from fixel.domain.next_experiment import Proposal
 from fixel.domain.surface import NAMES
 from fixel.drawing.domain import map_chart, size_chart
 from fixel.table import Table
-from fixel.workflows.analysis import Analysis, AnalysisReport, StoredAnswer
+from fixel.workflows.analysis import Analysis, AnalysisReport, Picture, StoredAnswer
 from fixel.workflows.domain.mapping import DomainAnswer, arrays_of, claimed
 from fixel.workflows.domain.run import DOMAIN
-from fixel.workflows.figures import Picture
 from fixel.workflows.sentences import sentences
 
 

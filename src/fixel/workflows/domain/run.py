@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from fixel.capability import usual
+from fixel.capability import options as usual
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door
 

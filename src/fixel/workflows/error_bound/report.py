@@ -19,11 +19,10 @@ from fixel.drawing.domain import bound_chart
 from fixel.errors import InvalidInput, counted
 from fixel.progress import Reporter
 from fixel.typing import FloatArray, IntArray
-from fixel.workflows.analysis import Analysis, AnalysisReport, StoredAnswer
+from fixel.workflows.analysis import Analysis, AnalysisReport, Picture, StoredAnswer
 from fixel.workflows.calibration.execution import select_experiments
 from fixel.workflows.domain.evidence import FOLDER, mark_of
 from fixel.workflows.domain.fits import ProjectRequest, fit_store, stored_model
-from fixel.workflows.figures import Picture
 
 JSON: Final = ("folder", "pictures")  # what `--json` has besides numbers
 # Largest number of fits with groups left out; more groups are left out several at a time.

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from fixel.capability import usual
+from fixel.capability import options as usual
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door
 

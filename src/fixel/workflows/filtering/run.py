@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from fixel.capability.capability import Capability
-from fixel.capability.options import Door
-from fixel.capability.usual import MotionName, Seed
+from fixel.capability.options import Door, MotionName, Seed
 
 if TYPE_CHECKING:
     from fixel.database.project import Project

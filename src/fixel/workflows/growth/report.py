@@ -16,8 +16,7 @@ from fixel.drawing.growth import axis_chart, error_matrix, growth_matrix, growth
 from fixel.errors import counted
 from fixel.table import Table
 from fixel.typing import FloatArray
-from fixel.workflows.analysis import Analysis, AnalysisReport, StoredAnswer
-from fixel.workflows.figures import Picture
+from fixel.workflows.analysis import Analysis, AnalysisReport, Picture, StoredAnswer
 from fixel.workflows.growth.explore import Exploration
 from fixel.workflows.sentences import sentences
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 from fixel.capability.capability import Capability
-from fixel.capability.options import Door
-from fixel.capability.usual import Dataset
+from fixel.capability.options import Dataset, Door
 
 if TYPE_CHECKING:
     from fixel.database.project import Project

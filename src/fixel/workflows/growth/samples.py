@@ -11,7 +11,7 @@ from fixel.database.store import Store
 from fixel.domain.growth import AXES, NOMINAL, AxisPlace, ExperimentGroup
 from fixel.errors import InvalidInput, counted, some_of
 from fixel.model.selection import Bound, ExperimentQuery, ExperimentRow
-from fixel.workflows.figures import banner_of
+from fixel.workflows.analysis import banner_of
 
 OFFSETS: Final = {"x": "offset_x_m", "y": "offset_y_m", "theta": "offset_theta_rad"}
 

@@ -27,8 +27,7 @@ from fixel.parts.next_pushes import NextPushes, push_candidates
 from fixel.sampling import FixelLayout, Plan, PlannedShape, SamplingRig
 from fixel.sampling.offsets import Offset, OffsetList
 from fixel.sampling.plan import object_pose
-from fixel.workflows.analysis import Analysis, AnalysisReport
-from fixel.workflows.figures import Picture, banner_over
+from fixel.workflows.analysis import Analysis, AnalysisReport, Picture, banner_over
 
 if TYPE_CHECKING:
     from fixel.workflows.analysis import StoredAnswer

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 from fixel.capability.capability import Capability
-from fixel.capability.options import Door
-from fixel.capability.usual import Seed, Where
+from fixel.capability.options import Door, Seed, Where
 
 if TYPE_CHECKING:
     from fixel.database.project import Project

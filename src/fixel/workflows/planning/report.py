@@ -11,8 +11,7 @@ from fixel.drawing.planning import capture_chart, causes_chart, looks_chart, pat
 from fixel.io.atomic import written_whole
 from fixel.io.document import yaml_text
 from fixel.planning.plan import PushPlan
-from fixel.workflows.analysis import Analysis, AnalysisReport
-from fixel.workflows.figures import Picture
+from fixel.workflows.analysis import Analysis, AnalysisReport, Picture
 from fixel.workflows.planning.request import FoundPlan, PlanAnswer, save_plan
 
 if TYPE_CHECKING:

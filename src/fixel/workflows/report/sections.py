@@ -21,9 +21,9 @@ from fixel.errors import some_of
 from fixel.model.selection import ExperimentQuery, ExperimentRow
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
+from fixel.workflows.analysis import write_picture
 from fixel.workflows.calibration.calibration import Calibration, Calibrations
 from fixel.workflows.calibration.report import pictures_of
-from fixel.workflows.figures import write_picture
 from fixel.workflows.sentences import sentences
 
 # Factor of the median error beyond which an experiment is named in a warning.

@@ -25,7 +25,7 @@ from fixel.registry import offers
 from fixel.results import Result
 from fixel.simulation.trust import repeatable
 from fixel.typing import Notify
-from fixel.workflows.analysis import StoredAnalysis, load_analyses
+from fixel.workflows.analysis import ENDINGS, StoredAnalysis, load_analyses, new_folder
 from fixel.workflows.calibration.calibration import Calibration
 from fixel.workflows.calibration.stored import (
     CalibratedValues,
@@ -33,7 +33,6 @@ from fixel.workflows.calibration.stored import (
     stored_calibration,
     stored_in_run,
 )
-from fixel.workflows.figures import ENDINGS, new_folder
 from fixel.workflows.report.sections import (
     Content,
     Figure,

@@ -30,12 +30,13 @@ from fixel.uncertainty.starts import StartError
 from fixel.workflows.analysis import (
     Analysis,
     AnalysisReport,
+    Picture,
     StoredAnalysis,
     StoredAnswer,
+    banner_over,
     store_analysis,
 )
 from fixel.workflows.calibration.stored import CalibratedValues, load_values, newest_calibration
-from fixel.workflows.figures import Picture, banner_over
 from fixel.workflows.sentences import rounded, sentences
 
 JSON: Final = ("folder", "files")  # what `--json` has besides numbers

@@ -9,8 +9,7 @@ from os import PathLike
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from fixel.capability.capability import Capability
-from fixel.capability.options import Door
-from fixel.capability.usual import Seed, Threads
+from fixel.capability.options import Door, Seed, Threads
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:

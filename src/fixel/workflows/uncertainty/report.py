@@ -31,12 +31,13 @@ from fixel.uncertainty.repetition import PARTS
 from fixel.workflows.analysis import (
     Analysis,
     AnalysisReport,
+    Picture,
     StoredAnalysis,
     StoredAnswer,
+    banner_over,
     store_analysis,
 )
 from fixel.workflows.calibration.stored import CalibratedValues, misfit_of
-from fixel.workflows.figures import Picture, banner_over
 from fixel.workflows.sentences import rounded, sentences
 from fixel.workflows.uncertainty.sampling import ExperimentPrediction, Uncertainty, predicted_by
 

@@ -6,8 +6,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from fixel.capability.capability import Capability
-from fixel.capability.options import Door
-from fixel.capability.usual import CalibrationId, Motion, NoiseOption, Seed, Threads
+from fixel.capability.options import CalibrationId, Door, Motion, NoiseOption, Seed, Threads
 
 if TYPE_CHECKING:
     from fixel.calibration.usual_parameters import Space

@@ -8,7 +8,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
-from fixel.drawing.chart import draw_chart, require_file
+from fixel.drawing.chart import require_file
 from fixel.drawing.prints import board_sheet, save_sheets, tag_sheets
 from fixel.drawing.tracking import camera_error_chart
 from fixel.errors import InvalidInput, check_name
@@ -143,7 +143,7 @@ def _accuracy(
     verdicts = tuple(verdict(measured, height) for height in heights)
     if plot is not None and verdicts:
         errors, size = verdicts[0].errors, measured.lens.image_size
-        draw_chart(camera_error_chart(errors, size, measured.seen), plot)
+        camera_error_chart(errors, size, measured.seen).save(plot)
     return verdicts
 
 

@@ -6,7 +6,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from fixel.drawing.chart import add_banner
-from fixel.workflows.figures import banner_of
+from fixel.workflows.analysis import banner_of
 
 FILM = "SIMULATED by fixel testbed film of %03d-square-collinear-tight-nominal, seed 1"
 
