@@ -138,8 +138,7 @@ def test_friction_at_a_fixel_that_is_not_touched_is_not_excited():
     free = replace(experiment, scene=scene, effective=(0.0, 5.0))
     comparer = Comparer([target_of(free)], _space(), motion=QuasiStatic())
     found = assess(comparer, [0], comparer.space.nominal, noise=CAMERA)
-    verdict = next(v for v in found.estimates if v.label == "mu_fixel")
-    assert verdict.verdict == "not excited"
+    assert next(v for v in found.estimates if v.label == "mu_fixel").verdict == "not excited"
 
 
 def test_intervals_are_wider_when_the_model_is_wrong_by_more_than_the_noise():

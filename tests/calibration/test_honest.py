@@ -149,12 +149,10 @@ def test_one_experiment_gives_wider_intervals_than_seven():
 
 def test_disagreement_of_the_fits_widens_and_few_experiments_do_too():
     mixed = MixedStudyFit(np.array([0.3]), np.array([0.03]), np.array([9.0]), 9)
-    apart = Honest.of(mixed, [np.array([0.26]), np.array([0.34])])
-    assert apart.sd == pytest.approx(0.05)
+    assert Honest.of(mixed, [np.array([0.26]), np.array([0.34])]).sd == pytest.approx(0.05)
     unknown = Honest.of(mixed, [np.array([0.26]), np.array([0.34])], known_noise=False)
     assert unknown.sd == pytest.approx(np.sqrt(0.03**2 + 2 * 0.04**2))
-    few = Honest.of(mixed._replace(effective=np.array([1.2])), [mixed.value])
-    assert few.freedom == 1.5
+    assert Honest.of(mixed._replace(effective=np.array([1.2])), [mixed.value]).freedom == 1.5
     normal = Honest.of(mixed._replace(effective=np.array([1e9])), [mixed.value])
     np.testing.assert_allclose(normal.ends(0.95)[1], 0.3 + 1.959964 * 0.03, rtol=1e-6)
 

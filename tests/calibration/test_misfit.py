@@ -81,8 +81,7 @@ def test_short_experiments_have_a_small_share_of_the_squared_residuals():
 
 
 def test_of_one_experiment_the_variation_between_experiments_cannot_be_seen():
-    found = misfit_of(_residuals(5.0, n=1), ["a"], NOISE)
-    assert "only one experiment" in found.sentences[1]
+    assert "only one experiment" in misfit_of(_residuals(5.0, n=1), ["a"], NOISE).sentences[1]
 
 
 def test_residuals_are_compared_with_the_noise_of_the_start_as_well():

@@ -61,8 +61,7 @@ def test_first_simplex_steps_one_scale_away_from_bounds():
         np.array([[0, 0, 0], [0.1, 0, 0], [0, -0.1, 0], [0, 0, 0.1]])
     )
     # A step wider than the box ends at the farther bound.
-    wider = stepped_simplex(area, 20.0)
-    assert wider[1:].diagonal() == pytest.approx([1.0, 0.0, 0.5])
+    assert stepped_simplex(area, 20.0)[1:].diagonal() == pytest.approx([1.0, 0.0, 0.5])
 
 
 def test_size_is_the_mean_distance_from_the_centre_in_scales():

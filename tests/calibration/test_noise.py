@@ -104,8 +104,7 @@ def test_known_noise_is_believed_until_the_fit_is_too_bad():
     bad = dispersion_of(noise, deviance=800.0, count=400, unknowns=4)
     assert bad.value == pytest.approx(800.0 / 96.0)
     assert bad.source == "residuals"
-    better = dispersion_of(noise, deviance=10.0, count=400, unknowns=4)
-    assert better.value == 4.0
+    assert dispersion_of(noise, deviance=10.0, count=400, unknowns=4).value == 4.0
     fitted = Noise(position_m=1e-3, angle_rad=0.01, source="residuals")
     assert dispersion_of(fitted, 10.0, 400, 4) == estimated_dispersion(10.0, 400, 4)
 

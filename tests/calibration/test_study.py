@@ -137,14 +137,12 @@ def test_a_subset_without_the_odd_one_does_better():
     best = run_study(best_subset(range(5), LIKED, errors, total), bowls)
     assert best.members.sum() < everyone.members.sum()
     assert 3 not in best.used
-    again = run_study(best_subset(range(5), LIKED, errors, total), bowls)
-    assert again.used == best.used
+    assert run_study(best_subset(range(5), LIKED, errors, total), bowls).used == best.used
 
 
 def test_the_best_stored_one_has_the_smallest_largest_error():
     stored = np.array([[0.25, 0.42], [0.6, 0.6], [0.9, 0.9]])
-    best = run_study(minimax_of_stored(range(5), stored), bowls)
-    assert best.used == (1,)
+    assert run_study(minimax_of_stored(range(5), stored), bowls).used == (1,)
 
 
 def test_a_member_that_cannot_be_simulated_spoils_the_point_with_its_reason():

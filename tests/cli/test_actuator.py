@@ -27,8 +27,7 @@ def test_a_day_with_a_controller(capsys, controller):
     assert "Alarm" in out
     assert "Next: fixel actuator home" in out
 
-    homed = json_of(capsys, "actuator", "home", *port)
-    assert homed["position_m"] == pytest.approx(0.001)
+    assert json_of(capsys, "actuator", "home", *port)["position_m"] == pytest.approx(0.001)
 
     moved = json_of(capsys, "actuator", "move", *port, "--to", 6, "--speed", 40)
     assert moved["state"] == "Idle"

@@ -81,8 +81,7 @@ def test_the_next_command_is_the_worst_under_what_it_was_calibrated_with(capsys,
 
 def test_a_campaign_lists_every_experiment_once(capsys, project):
     out = output(capsys, "calibrate", "-p", project, "--mode", "campaign", *QUICK)
-    listed = [line for line in out.splitlines() if line.startswith("testbed/")]
-    assert len(listed) == 3
+    assert len([line for line in out.splitlines() if line.startswith("testbed/")]) == 3
 
 
 @pytest.mark.parametrize(("arguments", "said"), [

@@ -82,8 +82,7 @@ def test_check_of_a_placed_camera(capsys, placed, folder):
 def test_a_rig_with_this_camera(capsys, placed, tmp_path):
     shutil.copy(placed, tmp_path / "camera.yaml")
     (tmp_path / "rig.yaml").write_text("fixel_rig: 1\nname: mine\ncamera: camera.yaml\n")
-    text = output(capsys, "camera", "check", tmp_path / "rig.yaml")
-    assert "Accuracy of positions" in text
+    assert "Accuracy of positions" in output(capsys, "camera", "check", tmp_path / "rig.yaml")
 
 
 def test_check_refuses_another_size(capsys, tmp_path):
@@ -128,8 +127,7 @@ def test_import_and_export(capsys, tmp_path):
 
 
 def test_prints(capsys, tmp_path):
-    text = output(capsys, "camera", "board", "--out", tmp_path / "board.pdf")
-    assert "calibrate" in text
+    assert "calibrate" in output(capsys, "camera", "board", "--out", tmp_path / "board.pdf")
     answer = json_of(capsys, "camera", "tags", "thesis-tags", "--out", tmp_path / "tags.pdf")
     assert answer["tags"] == 6
     assert (tmp_path / "tags.pdf").read_bytes().startswith(b"%PDF")

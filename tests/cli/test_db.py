@@ -8,10 +8,11 @@ from functools import partial
 import numpy as np
 import pytest
 from tests.cli.shell import invoked
+from tests.fixtures import refused
 
 from fixel.cli import db
 from fixel.database.project import VARIABLE, Project
-from fixel.errors import InvalidInput, StoreRefused
+from fixel.errors import StoreRefused
 from fixel.model import Experiment, Provenance, Trajectory
 
 
@@ -128,8 +129,7 @@ def test_a_backup_reads_back_while_another_process_writes(folder, tmp_path):
 def test_a_backup_takes_the_place_of_the_one_before(folder, tmp_path):
     copy = tmp_path / "copy.db"
     copy.write_bytes(b"notes")
-    with pytest.raises(InvalidInput, match="a new name, or an earlier backup"):
-        call("backup", copy, folder)
+    refused(call, "backup", copy, folder, match="a new name, or an earlier backup")
     assert copy.read_bytes() == b"notes"
 
     copy.unlink()
@@ -142,14 +142,12 @@ def test_a_backup_takes_the_place_of_the_one_before(folder, tmp_path):
 
 
 def test_a_backup_onto_itself(folder):
-    with pytest.raises(InvalidInput, match="found the database itself"):
-        call("backup", folder / "experiments.db", folder)
+    refused(call, "backup", folder / "experiments.db", folder, match="found the database itself")
     assert call("check", folder)[0] == 0
 
 
 def test_a_backup_into_no_folder(folder, tmp_path):
-    with pytest.raises(InvalidInput, match="found no folder"):
-        call("backup", tmp_path / "no" / "copy.db", folder)
+    refused(call, "backup", tmp_path / "no" / "copy.db", folder, match="found no folder")
 
 
 def test_a_backup_of_a_server(folder, tmp_path, monkeypatch):

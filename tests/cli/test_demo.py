@@ -26,8 +26,7 @@ def test_the_suggested_commands_work(tmp_path, capsys, monkeypatch):
     lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
     commands = [line.split()[1:] for line in lines if line.startswith("fixel simulate")]
     commands = [c for c in commands if c[-1] != "options."]
-    codes = [call(*command) for command in commands]
-    assert codes == [3, 0]
+    assert [call(*command) for command in commands] == [3, 0]
     assert (tmp_path / "slippery.png").exists()
 
 

@@ -27,8 +27,7 @@ def test_a_healthy_machine_exits_0_on_one_screen(quick, capsys):
 
 def test_a_failure_exits_1(quick, capsys):
     quick["broken"] = lambda: (False, "wrong", None)
-    code = call("doctor")
-    assert code == 1
+    assert call("doctor") == 1
     assert "FAIL  broken" in capsys.readouterr().out
 
 

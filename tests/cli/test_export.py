@@ -117,8 +117,7 @@ def test_lerobot(project, capsys, tmp_path):
     ]  # fmt: skip
     assert [e["is_real"] for e in episodes] == [True, False, True]
     assert episodes[0]["stats/timestamp/max"] == pytest.approx([1.0])
-    stats = json.loads((root / "meta/stats.json").read_text())
-    assert stats["index"]["max"] == [77.0]
+    assert json.loads((root / "meta/stats.json").read_text())["index"]["max"] == [77.0]
     tasks = pq.read_table(root / "meta/tasks.parquet")
     assert tasks.to_pydict() == {"task_index": [0], "task": ["push object"]}
     assert json.loads(tasks.schema.metadata[b"pandas"])["index_columns"] == ["task"]

@@ -118,8 +118,7 @@ def test_a_plan_on_the_simulated_testbed(lab, capsys):
     assert done["new"] == 3
     assert json_of(capsys, "testbed", "run", "-p", lab, "--limit", "3", "--seed", "5")["known"] == 3
     assert "--seed" in refusal(capsys, "testbed", "run", "-p", lab, "--seed", "-1")
-    out = output(capsys, "list", "--project", lab)
-    assert out.count("SIMULATED") == 3
+    assert output(capsys, "list", "--project", lab).count("SIMULATED") == 3
     assert json_of(capsys, "list", "--project", lab, "--real")["total"] == 0
     found = json_of(capsys, "list", "--project", lab, "--where", "shape=square", "--limit", "2")
     assert found["total"] == 3
@@ -222,8 +221,7 @@ def test_simulations_of_the_publisher_are_stored_and_compared(lab, tmp_path, cap
     assert found["position_rms_m"] == pytest.approx(0.003)
     assert found["final_angle_rad"] == pytest.approx(0.0, abs=1e-9)
     assert found["error_mm2"] == pytest.approx(9.0)
-    out = output(capsys, "compare", "9", "--project", lab)
-    assert "the publisher of the data" in out
+    assert "the publisher of the data" in output(capsys, "compare", "9", "--project", lab)
     with Project(lab).store() as store:
         assert [
             store.simulations(number) for number in store.experiment_ids(ALL_EXPERIMENTS)

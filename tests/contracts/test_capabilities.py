@@ -440,8 +440,7 @@ def test_a_job_of_a_calibration_stores_what_a_run_here_does(project, tmp_path):
     request = capability.request(SHORT["calibrate"])
     other = Project(shutil.copytree(project.folder, tmp_path / "other"))
     done, shown = run(capability, request, project.folder, progress=False), []
-    folder = prepare(capability, request, other)
-    assert jobs.run_here(folder, shown.append).state == "done"
+    assert jobs.run_here(prepare(capability, request, other), shown.append).state == "done"
 
     (mine,), (theirs,) = (done.result.ids, list(other.calibrations)[-1:])
     ours, own = stored_calibration(project, mine), stored_calibration(other, theirs)

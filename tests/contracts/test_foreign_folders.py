@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.fixtures import calibration_record, project_of
+from tests.fixtures import calibration_record, project_of, refused
 from tests.jobs.helpers import await_true
 from typer.testing import CliRunner
 
@@ -113,8 +113,7 @@ def test_a_job_with_a_link_is_refused(name: str, tmp_path: Path) -> None:
         lambda: jobs.cancel(job),
     ]
     for step in steps:
-        with pytest.raises(InvalidInput, match="found a link"):
-            step()
+        refused(step, match="found a link")
     assert jobs.readable_status(job).state == "unreadable"
     assert [*precious.iterdir()] == [thesis]
     assert thesis.read_text() == "ten pages"
@@ -146,12 +145,10 @@ def test_a_job_writes_no_file_outside_its_project(tmp_path: Path) -> None:
     mine.write_text("mine")
     capability = CAPABILITIES["table-map"]
     request = capability.request({"out": mine})
-    with pytest.raises(InvalidInput, match="in the folder of the project"):
-        prepare(capability, request, project)
+    refused(prepare, capability, request, project, match="in the folder of the project")
     job = project.folder / "jobs" / "foreign"
     prepare_in(job, capability, request, {})  # as a stranger could
-    with pytest.raises(InvalidInput, match="in the folder of the project"):
-        jobs.run_here(job)
+    refused(jobs.run_here, job, match="in the folder of the project")
     assert mine.read_text() == "mine"
     inside = capability.request({"out": project.folder / "own.fixel"})
     assert prepare(capability, inside, project).is_dir()
@@ -202,13 +199,11 @@ def test_a_project_with_links_to_elsewhere_is_opened_only_if_it_is_trusted(
     for target in (there, other):
         path.unlink()
         path.symlink_to(target)
-        with pytest.raises(InvalidInput, match=f"leads to {target}, by the link {name}"):
-            Project(lab)
+        refused(Project, lab, match=f"leads to {target}, by the link {name}")
         assert CliRunner().invoke(app, ["trust", str(lab)]).exit_code == 0
         Project(lab)
     assert CliRunner().invoke(app, ["trust", str(lab), "--remove"]).exit_code == 0
-    with pytest.raises(InvalidInput, match=r"run: fixel trust"):
-        Project(lab)
+    refused(Project, lab, match=r"run: fixel trust")
 
 
 def test_a_server_of_foreign_settings_is_not_contacted(
@@ -232,8 +227,7 @@ def test_a_server_of_foreign_settings_is_not_contacted(
     monkeypatch.setenv("FIXEL_DATABASE", "sqlite:///mine.db")  # the server is not used
     Project(lab)
     monkeypatch.delenv("FIXEL_DATABASE")
-    with pytest.raises(InvalidInput, match="name/other"):
-        Project(lab)
+    refused(Project, lab, match="name/other")
 
 
 # --- commands -------------------------------------------------------------------------------------

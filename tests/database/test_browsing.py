@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests.database.records import simulation
-from tests.fixtures import bare_experiment, calibration_record
+from tests.fixtures import bare_experiment, calibration_record, refused
 
-from fixel.errors import InvalidInput, NotStored
+from fixel.errors import NotStored
 from fixel.model import Flag, Trajectory
 from fixel.model.selection import Bound, ExperimentQuery
 from fixel.workflows.project.filters import coverage, view_of, vocabulary
@@ -101,8 +101,7 @@ def test_an_act_is_done_whole_or_not_at_all(pushes):
     assert pushes.experiment_ids(view_of("is:flagged")) == [3]
     assert pushes.experiment_ids(view_of("is:deleted")) == []
     assert pushes.notes(1) == []
-    with pytest.raises(InvalidInput, match="characters"):
-        pushes.annotate([1], "  ")
+    refused(pushes.annotate, [1], "  ", match="characters")
 
 
 def test_what_there_is_to_filter_by(pushes):
@@ -110,8 +109,7 @@ def test_what_there_is_to_filter_by(pushes):
     assert found.conditions["surface"].texts == {"abs": 2, "plywood": 2}
     assert found.conditions["surface"].total == 5
     assert (found.conditions["speed_m_s"].low, found.conditions["speed_m_s"].high) == (0.01, 0.05)
-    seen = coverage(pushes, view_of(), "speed_m_s", "end_x_m")
-    assert seen.number == np.eye(5).tolist()
+    assert coverage(pushes, view_of(), "speed_m_s", "end_x_m").number == np.eye(5).tolist()
 
 
 def test_coverage_counts_what_is_at_the_same_place(pushes):
@@ -132,8 +130,7 @@ def test_names_that_no_condition_has_are_refused(pushes):
             ExperimentQuery(sort=name),
             ExperimentQuery(bounds=(Bound(name, "=", "x"),)),
         ):
-            with pytest.raises(InvalidInput, match="column"):
-                pushes.experiments(query)
+            refused(pushes.experiments, query, match="column")
 
 
 def test_a_small_turn_across_half_a_turn_is_small(store):

@@ -9,11 +9,11 @@ import time
 import pytest
 import sqlalchemy as sa
 from tests.database.records import HERE, experiment, path, simulation
-from tests.fixtures import calibration_record
+from tests.fixtures import calibration_record, refused
 
 from fixel.database import tables
 from fixel.database.store import Store
-from fixel.errors import InvalidInput, NotStored, StoreRefused
+from fixel.errors import NotStored, StoreRefused
 from fixel.model import Experiment, Flag, Parameters, Provenance, records
 from fixel.model.selection import Bound, ExperimentQuery
 
@@ -126,8 +126,7 @@ def test_found_by_id_and_name(store):
     stored(store, experiment("two"))
     with pytest.raises(NotStored, match="2 have that name"):
         store.find("two")
-    with pytest.raises(InvalidInput, match="too large for"):
-        store.find(str(10**30))
+    refused(store.find, str(10**30), match="too large for")
     with pytest.raises(NotStored, match="fixel list"):
         store.find("lab/three")
     with pytest.raises(NotStored, match="experiment 99"):
@@ -175,8 +174,7 @@ def test_videos_are_kept_by_content(store, tmp_path):
     with_film, without = stored(store, experiment("1", video=name), experiment("2"))
     assert store.video(with_film).read_bytes() == b"frames"
     assert store.video(without) is None
-    with pytest.raises(InvalidInput, match="a file to read"):
-        store.add_video(tmp_path / "none.mkv")
+    refused(store.add_video, tmp_path / "none.mkv", match="a file to read")
 
 
 def test_what_killed_programs_left_unfinished_is_removed_after_a_day(store, tmp_path):

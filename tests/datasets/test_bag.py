@@ -124,8 +124,7 @@ def check(experiment, times=TIME, tip=True):
     assert np.ptp(turn) < 1e-6  # unwrapped over half a turn
     assert np.cos(turn) == pytest.approx(1.0)
     if tip:
-        found = experiment.pusher.pose[:, :2]
-        assert found == pytest.approx(tip_at(times), abs=1e-6)
+        assert experiment.pusher.pose[:, :2] == pytest.approx(tip_at(times), abs=1e-6)
 
 
 ROLES = {"part": "/part", "pusher": "/tip"}

@@ -9,9 +9,10 @@ from dataclasses import replace
 
 import pytest
 from tests.datasets import push_files, recordings
+from tests.fixtures import refused
 
 from fixel import read_experiments
-from fixel.errors import DatasetMissing, InvalidInput
+from fixel.errors import DatasetMissing
 from fixel.model import Provenance
 
 SEEDS = range(3)
@@ -226,8 +227,7 @@ def test_experiments_of_an_own_table_are_left_out_one_by_one(tmp_path):
 def test_a_table_with_damage_in_most_experiments_is_refused(tmp_path):
     file = tmp_path / "own.csv"
     _write(file, [*_pushes(dict.fromkeys(range(3), "x"))])
-    with pytest.raises(InvalidInput, match="push p0"):
-        read_experiments(file, split_by="push", progress=False)
+    refused(read_experiments, file, split_by="push", progress=False, match="push p0")
 
 
 def test_angles_in_a_doubtful_unit_are_refused_for_the_whole_table(tmp_path):
@@ -235,8 +235,7 @@ def test_angles_in_a_doubtful_unit_are_refused_for_the_whole_table(tmp_path):
     for push in range(4):  # the last turns by 30 in a second, so all are in degrees
         lines += [f"p{push},{0.1 * k},{k},0,{3 * k * (push == 3)}" for k in range(11)]
     _write(file := tmp_path / "own.csv", lines)
-    with pytest.raises(InvalidInput, match="angle_unit"):
-        read_experiments(file, split_by="push", progress=False)
+    refused(read_experiments, file, split_by="push", progress=False, match="angle_unit")
 
 
 def test_a_missing_file_is_named_before_the_importers():

@@ -115,8 +115,7 @@ def test_an_experiment_prints_what_matters(pushes):
     page = push._repr_html_()
     assert "<svg" in page
     assert len(page) < 50_000
-    no_scene = replace(push, scene=None)
-    assert "no scene: it can be drawn, but not simulated" in repr(no_scene)
+    assert "no scene: it can be drawn, but not simulated" in repr(replace(push, scene=None))
 
 
 def test_tables_have_si_units_and_conditions(pushes):

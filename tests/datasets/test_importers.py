@@ -189,8 +189,7 @@ def test_a_single_push(tmp_path):
     assert push.conditions["speed_m_s"] == pytest.approx(0.1)
     assert push.conditions["push_angle_rad"] == -0.349
     assert push.scene is not None
-    force = push.channel("force")
-    assert force.columns == ("fx_n", "fy_n", "torque_nm")
+    assert push.channel("force").columns == ("fx_n", "fy_n", "torque_nm")
 
 
 def test_a_single_push_of_an_unknown_shape_has_no_scene(tmp_path):
@@ -258,8 +257,7 @@ def test_pushes_on_known_supports(tmp_path):
     points, patch = imported(recordings.cmu_tripod(tmp_path))
     assert points.trajectory.time == pytest.approx([0.0, 0.59])
     assert points.pusher.pose[0] == pytest.approx([0.447, 0.0, 0.2])
-    force = points.channel("force")
-    assert force.values[0].tolist() == [4.0, -0.5]
+    assert points.channel("force").values[0].tolist() == [4.0, -0.5]
     assert flags(points) == ["joined-sessions", "no-pose-during-push"]
     assert flags(patch) == ["joined-sessions", "no-pose-during-push", "tip-gap"]
     assert isinstance(points.scene.bodies[0].support, SupportPoints)
@@ -279,5 +277,4 @@ def test_two_finger_pushes(tmp_path):
     assert flags(points) == ["no-mass", "no-support", "pusher-offset", "tracking-lost"]
     assert "no-support" not in flags(ridge)
     assert "5 of 39" in points.flags[3].detail
-    action = points.channel("action")
-    assert action.values[[0, -1], 0].tolist() == [1.0, 2.0]
+    assert points.channel("action").values[[0, -1], 0].tolist() == [1.0, 2.0]

@@ -59,8 +59,7 @@ def test_a_trial_is_read_in_si(tmp_path):
     assert trial.scene.bodies[0].inertia == pytest.approx(120e-6)
     assert trial.scene.fixels[1].pose[:2].tolist() == [-0.06, -0.09]
     assert trial.pusher.pose[0, :2].tolist() == [0.0, 0.042]
-    tactile = trial.channel("tactile")
-    assert tactile.values[-1].tolist() == [0.0, 1.0, 0.0]
+    assert trial.channel("tactile").values[-1].tolist() == [0.0, 1.0, 0.0]
     assert lab.time[0] == pytest.approx(1 / 30)
     assert lab_simulation(folder, 8) is None
 

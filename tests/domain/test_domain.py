@@ -66,8 +66,7 @@ def test_counting_decides_where_members_are_enough():
     good = np.full(11 * claim.needed, 0.9)
     domain = mapped(line(good, repetitions=claim.needed))
     assert {colour for own in colours(domain, claim) for colour in own} == {TRUSTED}
-    sure = domain.confidence(claim)
-    assert sure == pytest.approx(np.full((1, 11), 1.0 - 0.9**29))
+    assert domain.confidence(claim) == pytest.approx(np.full((1, 11), 1.0 - 0.9**29))
     bad = good.copy()
     bad[: claim.needed // 4] = 5.0  # a quarter of the first cell
     assert colours(mapped(line(bad, repetitions=claim.needed)), claim)[0][0] == NOT_TRUSTED
@@ -97,8 +96,7 @@ def test_a_failed_simulation_is_above_every_threshold():
     errors = np.full(11, 0.5)
     errors[4] = np.inf
     claim = Claim(threshold=50.0)
-    own = colours(mapped(line(errors)), claim)[0]
-    assert own[4] in (NOT_TRUSTED, DOUBTFUL)
+    assert colours(mapped(line(errors)), claim)[0][4] in (NOT_TRUSTED, DOUBTFUL)
     assert np.isinf(mapped(line(errors)).statistic(0.9)[0, 4])
 
 

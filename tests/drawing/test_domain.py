@@ -51,8 +51,7 @@ def test_every_cell_of_every_panel_is_drawn(tmp_path, rows, columns, panels):
     shown = [axes for axes in chart.figure().axes if axes.get_visible()]
     assert len(shown) == panels
     for axes in shown:
-        squares = [p for p in axes.patches if isinstance(p, Rectangle)]
-        assert len(squares) == rows * columns
+        assert len([p for p in axes.patches if isinstance(p, Rectangle)]) == rows * columns
     chart.save(tmp_path / "map.png", banner="SIMULATED")
     assert (tmp_path / "map.png").stat().st_size > 5000
 

@@ -88,9 +88,7 @@ def test_nothing_is_drawn_between_two_poses():
         view = axes_of(experiment_figure(experiment))["view"]
         return sum(len(c.get_paths()) for c in view.collections if isinstance(c, PolyCollection))
 
-    bare = replace(REAL, pusher=None)
-
-    assert outlines(bare) > outlines(TWO_POSES) == len(SCENE.fixels) + 2
+    assert outlines(replace(REAL, pusher=None)) > outlines(TWO_POSES) == len(SCENE.fixels) + 2
 
 
 def test_the_strip_is_filled_while_a_fixel_is_touched():

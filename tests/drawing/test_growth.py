@@ -68,7 +68,5 @@ def test_edges_lie_on_the_drawn_average():
 def test_the_table_has_layouts_and_averages():
     table = axis_chart([_study()], 4.0, "mm^2").table()
     assert len(table.rows) == 33
-    b = next(row for row in table.rows if row[5:7] == ("b", -5))
-    assert b[7:] == (None, 0.5, None)
-    average = next(row for row in table.rows if row[5:7] == ("average", 2))
-    assert average[7:] == (4.0, 0.5, 3.5)
+    assert next(row for row in table.rows if row[5:7] == ("b", -5))[7:] == (None, 0.5, None)
+    assert next(row for row in table.rows if row[5:7] == ("average", 2))[7:] == (4.0, 0.5, 3.5)

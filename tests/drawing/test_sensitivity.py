@@ -68,5 +68,4 @@ def test_numbers_of_a_fan_do_not_collide(size, turn):
 def test_errors_have_the_unit_of_their_size(size, unit):
     errors = size * np.array([[1.0, 0.5, 0.0], [-0.5, 1.0, 0.0], [0.2, -0.3, 0.0]])
     chart = ends_chart(OutcomePoses(fork(), errors, errors, np.zeros(3), np.zeros(3, int), [1.0]))
-    labels = [axes.get_xlabel() for axes in chart.figure().axes]
-    assert f"start error, x [{unit}]" in labels
+    assert f"start error, x [{unit}]" in [axes.get_xlabel() for axes in chart.figure().axes]

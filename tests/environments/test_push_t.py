@@ -13,12 +13,12 @@ import shapely
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from PIL import Image
 from tests.environments.record_push_t import PICTURES, actions
+from tests.fixtures import refused
 
 import fixel.environments  # noqa: F401
 from fixel.environments.loops import coverage
 from fixel.environments.push_t import GOAL, PIECES, PushTVectorEnv, placed_pieces
 from fixel.environments.push_t_planner import PushTPlanner
-from fixel.errors import InvalidInput
 
 HERE = Path(__file__).parent
 MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP)
@@ -202,8 +202,7 @@ def test_a_mask_resets_some_environments():
     for _ in range(3):
         *_, cut, _ = env.step(after[:, :2])
     assert cut.all()
-    with pytest.raises(InvalidInput, match="call reset"):
-        env.step(after[:, :2])
+    refused(env.step, after[:, :2], match="call reset")
 
 
 @pytest.mark.parametrize(
@@ -221,25 +220,19 @@ def test_a_mask_resets_some_environments():
     ],
 )
 def test_bad_arguments_are_refused(wrong, where):
-    with pytest.raises(InvalidInput, match=where):
-        PushTVectorEnv(**{"num_envs": 1, **wrong})
+    refused(PushTVectorEnv, match=where, **{"num_envs": 1, **wrong})
 
 
 def test_bad_actions_and_states_are_refused():
     env = PushTVectorEnv(2)
-    with pytest.raises(InvalidInput, match="call reset"):
-        env.step(np.zeros((2, 2)))
+    refused(env.step, np.zeros((2, 2)), match="call reset")
     env.reset(seed=0)
     for actions_given in (np.zeros(2), np.full((2, 2), np.nan)):
-        with pytest.raises(InvalidInput, match="actions"):
-            env.step(actions_given)
+        refused(env.step, actions_given, match="actions")
     for options in ({"reset_to_state": [1.0, 2.0]}, {"reset_to_state": [np.inf] * 5}):
-        with pytest.raises(InvalidInput, match="reset_to_state"):
-            env.reset(options=options)
-    with pytest.raises(InvalidInput, match="reset_mask"):
-        env.reset(options={"reset_mask": np.zeros(2, bool)})
-    with pytest.raises(InvalidInput, match="seed"):
-        env.reset(seed=[1])
+        refused(env.reset, options=options, match="reset_to_state")
+    refused(env.reset, options={"reset_mask": np.zeros(2, bool)}, match="reset_mask")
+    refused(env.reset, seed=[1], match="seed")
 
 
 @pytest.mark.system

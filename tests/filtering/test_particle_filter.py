@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 
 from fixel.errors import InvalidInput
 from fixel.filtering.particle_filter import ParticleFilter
@@ -194,8 +195,7 @@ def test_first_order_motion_and_rigid_drives():
     ],
 )
 def test_impossible_options_are_refused(options, sentence):
-    with pytest.raises(InvalidInput, match=sentence):
-        ParticleFilter(**options)
+    refused(ParticleFilter, match=sentence, **options)
 
 
 @pytest.mark.parametrize(
@@ -219,8 +219,7 @@ def test_impossible_options_are_refused(options, sentence):
     ],
 )
 def test_scenes_that_do_not_fit_are_refused(scene, options, sentence):
-    with pytest.raises(InvalidInput, match=sentence):
-        start_filter(options, scene)
+    refused(start_filter, options, scene, match=sentence)
 
 
 @pytest.mark.parametrize(

@@ -80,8 +80,7 @@ def test_pictures_that_come_as_jpeg_stay_as_they_are(tmp_path):
 def test_wherever_either_file_is_cut_the_rest_is_read(tmp_path, codec):
     folder = tmp_path / "r"
     write(folder, codec, end=False)
-    whole = open_recording(folder)
-    assert whole.n_frames == N
+    assert open_recording(folder).n_frames == N
     rows, video = (folder / ROWS).read_bytes(), (folder / VIDEO).read_bytes()
     lines = rows.splitlines(keepends=True)
     ends = [int(line.split(b",")[5]) for line in lines[1:]]

@@ -5,6 +5,7 @@ import shutil
 import signal
 
 import pytest
+from tests.fixtures import refused
 from tests.jobs.chaos import KINDS, storm, storm_at_random
 from tests.jobs.helpers import LOCAL_2, await_true, blocks_written, kill, names_in, processes, start
 from tests.jobs.kinds import THESIS, assert_as_undisturbed, toy_job
@@ -25,13 +26,11 @@ OPTIONS = {"rounds": 3, "chunks": 6}
 def test_a_job_in_one_process(tmp_path):
     folder = toy_job(tmp_path / "job", **OPTIONS)
     seen, said = [], []
-    status = coordinate(folder, progress=seen.append, notify=said.append)
-    assert status.state == "done"
+    assert coordinate(folder, progress=seen.append, notify=said.append).state == "done"
     assert said == ["preparing", "running", "collecting", "done"]
     assert seen[-1].done == seen[-1].total == 18
     assert_as_undisturbed(folder, **OPTIONS)
-    log = (folder / "log.txt").read_text().splitlines()
-    assert [line.split()[1] for line in log] == said
+    assert [line.split()[1] for line in (folder / "log.txt").read_text().splitlines()] == said
 
 
 def test_killed_in_one_process_it_goes_on_to_the_same_bits(tmp_path):
@@ -200,22 +199,19 @@ def test_what_a_crash_left_before_there_was_a_job_is_in_nobodys_way(tmp_path, le
 
 def test_inputs_alone_are_somebodys_own(tmp_path):
     (tmp_path / "job" / "inputs").mkdir(parents=True)
-    with pytest.raises(InvalidInput, match="fixel needs a new folder"):
-        prepare_job(tmp_path / "job", maker=MAKER)
+    refused(prepare_job, tmp_path / "job", maker=MAKER, match="fixel needs a new folder")
 
 
 def test_a_folder_is_prepared_whole_or_not_at_all(tmp_path):
     for maker in ("os:system", "toy:nothing"):
-        with pytest.raises(InvalidInput, match="function of a job"):
-            prepare_job(tmp_path / "job", maker=maker)
+        refused(prepare_job, tmp_path / "job", maker=maker, match="function of a job")
     for name in ("../up", "", ".hidden", "a/b"):
         with pytest.raises(InvalidInput, match="fixel needs a plain file name"):
             prepare_job(tmp_path / "job", maker=MAKER, inputs={name: b""})
     assert not (tmp_path / "job" / "job.json").exists()
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "file").touch()
-    with pytest.raises(InvalidInput, match="fixel needs a new folder"):
-        prepare_job(tmp_path / "other", maker=MAKER)
+    refused(prepare_job, tmp_path / "other", maker=MAKER, match="fixel needs a new folder")
     prepare_job(tmp_path / "job", maker=MAKER, inputs={"copy": tmp_path / "other" / "file"})
     assert sorted(p.name for p in (tmp_path / "job").iterdir()) == [
         "inputs", "job.json", "journal.lock", "state.json",
@@ -235,8 +231,7 @@ def test_a_folder_that_another_process_prepares_is_left_alone(tmp_path, monkeypa
     job = prepare_job(folder, maker=MAKER, inputs={"one": tmp_path / "file"})
     assert files.inputs_digest(folder / "inputs") == job.inputs_sha256
     assert files.read_job(folder) == job
-    with pytest.raises(InvalidInput, match="fixel needs a new folder"):
-        prepare_job(folder, maker=MAKER)
+    refused(prepare_job, folder, maker=MAKER, match="fixel needs a new folder")
 
 
 @pytest.mark.parametrize(
@@ -252,5 +247,4 @@ def test_files_that_say_what_they_should_not(tmp_path, file, change):
     folder = toy_job(tmp_path / "job", RunSettings(), **OPTIONS)
     content = json.loads((folder / file).read_text())
     (folder / file).write_text(json.dumps(content | change))
-    with pytest.raises(InvalidInput, match=file):
-        coordinate(folder)
+    refused(coordinate, folder, match=file)

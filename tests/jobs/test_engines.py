@@ -9,9 +9,10 @@ import sys
 import time
 
 import pytest
+from tests.fixtures import refused
 from tests.jobs.helpers import await_true, kill, processes
 
-from fixel.errors import InvalidInput, JobRefused
+from fixel.errors import JobRefused
 from fixel.jobs import cluster, link
 from fixel.jobs.engine import OTHER_VERSION, LocalEngine, run_chunk
 from fixel.jobs.functions import stamp
@@ -77,8 +78,7 @@ def test_the_contract_of_engines(folder, kind):
 @pytest.mark.parametrize("size", [0, 1_000_000])
 def test_a_number_of_workers_that_no_machine_has_is_refused(folder, size):
     """The number may come from a foreign folder, and each worker is a process."""
-    with pytest.raises(InvalidInput, match="on this machine"):
-        LocalPool(folder, size)
+    refused(LocalPool, folder, size, match="on this machine")
 
 
 def test_all_talk_is_encrypted_and_on_loopback(folder):
@@ -271,11 +271,9 @@ def test_a_client_that_was_not_closed_is_not_waited_for():
 
 def test_interfaces_are_named_ones():
     assert link.listening("lo") == {"host": "127.0.0.1"}
-    with pytest.raises(InvalidInput, match="is 'nowhere0', but must be one of"):
-        link.listening("nowhere0")
+    refused(link.listening, "nowhere0", match="is 'nowhere0', but must be one of")
 
 
 def test_a_pool_of_none_is_refused(folder):
-    with pytest.raises(InvalidInput, match="workers is 0"):
-        LocalPool(folder, 0)
+    refused(LocalPool, folder, 0, match="workers is 0")
     assert sys.executable

@@ -72,8 +72,7 @@ def two_at_work(folder, coordinator):
 
 def test_a_job(folder):
     seen = []
-    status = jobs.run_here(folder, seen.append)
-    assert status.state == "done"
+    assert jobs.run_here(folder, seen.append).state == "done"
     assert max(progress.workers for progress in seen) == 2
     assert_as_undisturbed(folder, **OPTIONS)
     await_true(lambda: not on_slurm(folder), "SLURM to end the workers")

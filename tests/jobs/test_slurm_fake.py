@@ -5,9 +5,10 @@ import time
 from importlib.util import find_spec
 
 import pytest
+from tests.fixtures import refused
 from tests.jobs.fake_slurm import VARIABLE, FakeSlurm
 
-from fixel.errors import InvalidInput, JobRefused
+from fixel.errors import JobRefused
 from fixel.jobs import link
 from fixel.jobs import pool as slurm
 from fixel.jobs.pool import SlurmPool, require_slurm
@@ -117,8 +118,7 @@ def test_the_script_says_what_the_template_says(fake, folder, said, monkeypatch,
         memory="5 GB",
         **LINES,
     )
-    with pytest.raises(InvalidInput, match="lines in the folder of the job"):
-        pool.keep()
+    refused(pool.keep, match="lines in the folder of the job")
     trust_site(Site(**LINES))  # as `fixel jobs submit --site` does
     steps(pool, 5)
     script = fake["jobs"]["101"]["script"].splitlines()
@@ -283,8 +283,7 @@ def test_an_end_that_cannot_cancel_says_so(fake, pool, said):
 
 def test_without_slurm_it_says_where_to_run(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(InvalidInput, match="found no command sbatch"):
-        require_slurm()
+    refused(require_slurm, match="found no command sbatch")
     with pytest.raises(slurm.SlurmError, match="sbatch is not installed"):
         slurm.submit(tmp_path / "script")
 

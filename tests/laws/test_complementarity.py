@@ -23,5 +23,4 @@ def test_a_body_that_turns_almost_freely_is_solved() -> None:
     """Three supports at corners of their friction polygons, which one of them has to leave.
 
     The impulses are right within 1e-8 long before the body turns to where that one may."""
-    failed = np.full(1, -1, np.int64)
-    assert solve_many(688_846, 1, codes.NEWTON, 0, failed, np.zeros(4)) == 0
+    assert solve_many(688_846, 1, codes.NEWTON, 0, np.full(1, -1, np.int64), np.zeros(4)) == 0

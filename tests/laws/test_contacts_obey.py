@@ -106,5 +106,4 @@ def test_three_bodies_before_a_plate_are_solved_without_inertia():
         contact_friction=(PairFriction(pair=("*", "*"), friction=0.01863),),
         duration=0.5,
     )
-    run = simulate(scene, motion=QuasiStatic(), stepper=StewartTrinkle(step=0.005))
-    assert run.converged
+    assert simulate(scene, motion=QuasiStatic(), stepper=StewartTrinkle(step=0.005)).converged

@@ -95,8 +95,7 @@ def test_a_measured_path_of_hundreds_of_frames_costs_a_few_steps_a_frame():
     time = np.linspace(0.0, 4.0, 401)
     path = np.zeros((401, 4))
     path[:, 0], path[:, 1] = time, 0.01 * time
-    straight = simulate(_pushed(path), motion=QuasiStatic())
-    assert straight.steps < 100
+    assert simulate(_pushed(path), motion=QuasiStatic()).steps < 100
     path[1:, 1:3] += np.random.default_rng(3).normal(0.0, 2e-5, (400, 2))
     scene = _pushed(path)
     noisy = simulate(scene, motion=QuasiStatic())

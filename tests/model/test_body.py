@@ -97,13 +97,11 @@ def test_a_path_that_cannot_be_driven_is_refused(waypoints, where, words):
 
 
 def test_half_a_turn_between_samples_is_fine():
-    drive = PathDrive(waypoints=[[0, 0, 0, 0], [1, 0, 0, pi]])
-    assert drive.waypoints[-1, 3] == pi
+    assert PathDrive(waypoints=[[0, 0, 0, 0], [1, 0, 0, pi]]).waypoints[-1, 3] == pi
 
 
 def test_a_friction_map_is_bilinear_and_constant_beyond_its_border():
     grid = FrictionMap(origin=(1, 2), cell=(2, 1), factor=[[1, 2, 3], [3, 4, 5]])
     at = grid.at([[1, 2], [2, 2], [1, 2.5], [3, 2.5], [-9, -9], [99, 99], [5, 3]])
     np.testing.assert_allclose(at, [1, 1.5, 2, 3, 1, 5, 5])
-    one = FrictionMap(origin=(0, 0), cell=(1, 1), factor=[[2.0]])
-    assert one.at((5, 5)) == 2.0
+    assert FrictionMap(origin=(0, 0), cell=(1, 1), factor=[[2.0]]).at((5, 5)) == 2.0

@@ -188,8 +188,7 @@ def test_events_count_at_any_time():
         (ForceAbove(2.0), True),
         (ForceAbove(4.0), False),
     ):
-        goal = AllOf(there, never=event)
-        assert goal.met(SCENE, track).tolist() == [not happens], event
+        assert AllOf(there, never=event).met(SCENE, track).tolist() == [not happens], event
         assert there.met(SCENE, track).all()
     refused(ForceAbove(1.0).margin, SCENE, BodyTrack(way[None]), match="no forces")
 

@@ -82,8 +82,7 @@ def test_saved_and_loaded_it_predicts_the_same(model, new, tmp_path):
 def test_the_store_continues_and_gives_the_same(tmp_path):
     parts = example_parts(3, 6)
     first = fixel.part_model(parts, store=tmp_path, progress=False)
-    kept = sorted(path.name for path in tmp_path.iterdir())
-    assert len(kept) == 3
+    assert len(sorted(path.name for path in tmp_path.iterdir())) == 3
     assert fixel.part_model(parts, store=tmp_path, progress=False) == first
 
 

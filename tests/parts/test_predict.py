@@ -23,8 +23,7 @@ def test_parameters_and_ends_are_those_of_the_distribution(model):
     push = example_parts(1, 1, seed=9)[0]
     found = predict(push.scene, model, samples=200, model_error=False, seed=3, progress=False)
     prior = model.distribution("", "")
-    friction = found.parameters["mu_pusher"]
-    assert np.mean(friction) == pytest.approx(prior.mean[0], abs=0.03)
+    assert np.mean(found.parameters["mu_pusher"]) == pytest.approx(prior.mean[0], abs=0.03)
     exact = model.at(push.scene).pose
     np.testing.assert_allclose(found.nominal[-1][:2], exact[:2], atol=0.5e-3)
     assert len(np.unique(found.ends[:, 0])) > 100

@@ -43,8 +43,7 @@ def test_what_belongs_to_a_surface_is_learned_from_its_parts_only():
     assert wood[BEND] == pytest.approx(-1.5, abs=0.2)
     assert steel[BEND] == pytest.approx(0.0, abs=0.2)
     assert steel[SHIFT] - wood[SHIFT] == pytest.approx(2e-3, abs=4e-4)
-    unknown = learned_prior(rows, "felt", 1.0).mean
-    assert unknown[BEND] == pytest.approx(-0.75, abs=0.2)
+    assert learned_prior(rows, "felt", 1.0).mean[BEND] == pytest.approx(-0.75, abs=0.2)
 
 
 def test_signs_that_mean_nothing_on_another_part_stay_centred():

@@ -133,8 +133,7 @@ def test_friction_and_shift_of_other_parts_are_corrected_towards_the_truth(pushe
     wrong = {f"part-{k}": {"mu_pusher": 0.45, "pressure_xy": 0.5} for k in (1, 2, 3)}
     table = fixel.table_map(pushes, wrong, progress=False)
     assert table.weight > 0.0
-    shift = np.array([table.pusher[name] for name in wrong])
-    assert (shift[:, 0] < 0.0).all()
+    assert (np.array([table.pusher[name] for name in wrong])[:, 0] < 0.0).all()
     values = np.arange(float(len(NAMES)))
     fits = tuple(PartValues(name, on, values) for on in ("board", "desk") for name in wrong)
     model = SimpleModel(fits=fits)

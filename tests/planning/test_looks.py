@@ -113,8 +113,7 @@ def test_entries_of_the_table_are_pushes_of_their_length():
         )
         end = fixel.simulate(single, values, motion="quasistatic")["part"].pose[-1]
         # Within the tolerances of the stepper.
-        off = np.abs(table.moved[row, world] - end)
-        assert (off < (3e-5, 3e-5, 5e-4)).all()
+        assert (np.abs(table.moved[row, world] - end) < (3e-5, 3e-5, 5e-4)).all()
 
 
 @pytest.mark.system

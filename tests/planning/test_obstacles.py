@@ -49,8 +49,7 @@ def test_a_plan_goes_round_what_the_tool_would_touch(free):
     plan = fixel.plan(pushed_square(), GOAL, choose, rollouts=4_000, progress=False)
     assert plan.success.mean == 1.0
     assert not any(own.intersects(region) for own in motion(plan, 0))
-    legend = plan.plot().figure.legends[0]
-    assert "obstacle" in [own.get_text() for own in legend.get_texts()]
+    assert "obstacle" in [own.get_text() for own in plan.plot().figure.legends[0].get_texts()]
 
 
 def test_the_part_may_not_touch_it_on_its_way():

@@ -33,8 +33,7 @@ def test_the_centre_of_mass_decides_where_a_part_rests():
     part = _body(square, centre_of_mass=(0.5, 0.2))
     assert PushFunction.of(square).symmetry == 4
     assert PushFunction.of(part).symmetry == 1
-    plan = orienting_plan(part)
-    assert len(np.unique(plan.ends(np.linspace(0, 6, 100)).round(9))) == 1
+    assert len(np.unique(orienting_plan(part).ends(np.linspace(0, 6, 100)).round(9))) == 1
 
 
 def test_turning_the_outline_turns_directions_and_leaves_rotations():
@@ -73,8 +72,7 @@ def test_outlines_with_many_corners_take_a_second_at_most():
     plan = orienting_plan(rough)
     assert process_time() - begin < 2.0
     assert 10 < plan.pushes <= 40
-    ends = plan.ends(np.linspace(0, tau, 1000))
-    assert ends == pytest.approx(np.full(1000, plan.angle))
+    assert plan.ends(np.linspace(0, tau, 1000)) == pytest.approx(np.full(1000, plan.angle))
 
 
 @pytest.mark.parametrize(("build", "part", "options", "message"), [

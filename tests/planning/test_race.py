@@ -105,8 +105,7 @@ def test_race_reports_its_best_plan_after_every_round_and_respects_its_budget():
 
 
 def test_race_of_one_plan():
-    found = race(lambda plans, scenarios: np.ones((len(plans), len(scenarios))), 1)
-    assert found.plans[0] == 0
+    assert race(lambda plans, scenarios: np.ones((len(plans), len(scenarios))), 1).plans[0] == 0
 
 
 @pytest.mark.parametrize(("options", "where"), [

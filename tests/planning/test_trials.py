@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from scipy.stats import beta, binom, norm
+from tests.fixtures import refused
 
-from fixel.errors import InvalidInput
 from fixel.planning.trials import PlanTrial, Trials, _fixed_test, evidence_against, prior_counts
 
 NOW = "2026-11-22T21:00:00+00:00"
@@ -131,11 +131,9 @@ def test_trials_are_saved_and_loaded(tmp_path):
     ({"by": "a\nb"}, "by"),
 ])  # fmt: skip
 def test_impossible_trials_are_rejected(values, where):
-    with pytest.raises(InvalidInput, match=where):
-        PlanTrial(**({"time": NOW, "met": True} | values))
+    refused(PlanTrial, match=where, **{"time": NOW, "met": True} | values)
 
 
 @pytest.mark.parametrize("values", [{"stated": 1.0}, {"stated": -0.1}, {"mean": 0.8}, {"plan": ""}])
 def test_impossible_probabilities_are_rejected(values):
-    with pytest.raises(InvalidInput):
-        Trials(**({"plan": "a1", "stated": 0.9, "mean": 0.95} | values))
+    refused(Trials, **{"plan": "a1", "stated": 0.9, "mean": 0.95} | values)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from tests.datasets import push_files, recordings
+from tests.fixtures import refused
 from typer.testing import CliRunner
 
 from fixel.cli import main
@@ -114,8 +115,7 @@ def test_wrong_choices_are_refused(
 
 @pytest.mark.parametrize("pair", ["shape", "=hex", "shape="])
 def test_pairs_need_both_sides(pair: str) -> None:
-    with pytest.raises(InvalidInput, match="COLUMN=VALUE"):
-        columns_and_values([pair])
+    refused(columns_and_values, [pair], match="COLUMN=VALUE")
 
 
 def test_a_trial_pushed_straight_follows_the_actuator(tmp_path: Path) -> None:
@@ -221,10 +221,8 @@ def test_command_refuses_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 def test_pictures_are_refused_before_the_work(tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput, match="a picture file"):
-        require_picture(tmp_path / "replay.gif")
-    with pytest.raises(InvalidInput, match="no folder"):
-        require_picture(tmp_path / "nowhere" / "replay.png")
+    refused(require_picture, tmp_path / "replay.gif", match="a picture file")
+    refused(require_picture, tmp_path / "nowhere" / "replay.png", match="no folder")
 
 
 def test_an_unknown_folder_says_what_was_looked_for(tmp_path: Path) -> None:

@@ -73,8 +73,7 @@ def test_quick_run_states_looks_from_few_runs(monkeypatch):
     monkeypatch.setattr(assembly, "policy_of", lambda search, plans, trusted: ((), None))
     monkeypatch.setattr(assembly, "looks_of", looks_of)
     options = RunOptions(folder=Path(), progress=lambda done, total, note="": None, quick=True)
-    found = assembly.run(options)
-    assert found.tables["assembly"][0]["look_1um"] == rate.mean
+    assert assembly.run(options).tables["assembly"][0]["look_1um"] == rate.mean
     assert len(sizes) == 2
     assert sum(sizes) < 50
 

@@ -79,8 +79,7 @@ def test_the_part_leaves_tables_and_a_picture(tmp_path):
         assert len(list(csv.DictReader(stream))) == 6
     assert len(list((out / "fits").iterdir())) == 2
 
-    again = reproduce("error-bounds", tmp_path, out=out, quick=True)
-    assert again.tables == answer.tables
+    assert reproduce("error-bounds", tmp_path, out=out, quick=True).tables == answer.tables
 
 
 def test_rates_are_shares_of_motion_and_size(tmp_path):

@@ -5,8 +5,7 @@ import sys
 import numpy as np
 import pytest
 from reproductions.residual_process import NINETY, ResidualProcess
-
-from fixel.errors import InvalidInput
+from tests.fixtures import refused
 
 pytest.importorskip("sklearn")
 
@@ -116,12 +115,10 @@ def test_few_examples_do_not_reach_the_next_side():
 def test_too_few_or_broken_examples_are_refused(n):
     features, residuals = made_up(n, 5)
     residuals[0] = np.nan
-    with pytest.raises(InvalidInput, match="fixel needs finite ones"):
-        ResidualProcess(features, residuals, features)
+    refused(ResidualProcess, features, residuals, features, match="fixel needs finite ones")
 
 
 def test_without_scikit_learn_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "sklearn", None)
     features, residuals = made_up(20, 6)
-    with pytest.raises(InvalidInput, match=r'pip install "fixel\[learn\]"'):
-        ResidualProcess(features, residuals, features)
+    refused(ResidualProcess, features, residuals, features, match=r'pip install "fixel\[learn\]"')

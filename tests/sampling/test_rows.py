@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 
 from fixel.errors import InvalidInput
 from fixel.model import Disk, Fixel, LineDrive, PathDrive, PlannedExperiment, Polygon, Scene
@@ -161,15 +162,12 @@ def test_other_scenes_are_refused():
         fixels=(Fixel(name="peg", shape=Disk(0.005), pose=(1.0, 0.0, 0.0), friction=0.2),),
         duration=1.0,
     )
-    with pytest.raises(InvalidInput, match="one free body and one pusher"):
-        row_scene(two, {})
-    with pytest.raises(InvalidInput, match=r"fixel-9_x_m: .* fixel needs one of"):
-        row_scene(PUSH, {"fixel-9_x_m": 0.1})
+    refused(row_scene, two, {}, match="one free body and one pusher")
+    refused(row_scene, PUSH, {"fixel-9_x_m": 0.1}, match=r"fixel-9_x_m: .* fixel needs one of")
     endless = replace(PUSH.pushers[0], drive=LineDrive(speed=0.02))
     with pytest.raises(InvalidInput, match=r"drive: found inf mm at 20 mm/s"):
         row_scene(replace(PUSH, pushers=(endless,), duration=None), {})
-    with pytest.raises(InvalidInput, match="overlap"):
-        row_scene(PUSH, {"x_m": 0.05})
+    refused(row_scene, PUSH, {"x_m": 0.05}, match="overlap")
     assert PlannedExperiment(name="a", scene=row_scene(micro_push(), {})).scene
 
 

@@ -176,8 +176,7 @@ def test_runs_meet_a_goal_where_single_simulations_do():
         ]
         assert runs.meets(Seated(name)).tolist() == own
     failed = replace(runs, status=np.array(["non_finite", "jammed"]))
-    met = runs.meets(Seated("fixel-1"))
-    assert met.all()
+    assert runs.meets(Seated("fixel-1")).all()
     assert failed.meets(Seated("fixel-1")).tolist() == [False, True]
     refused(runs.meets, Seated("fixel-9"), match="fixel-9")
 

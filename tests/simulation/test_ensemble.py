@@ -72,8 +72,7 @@ def test_bits_depend_on_neither_company_order_nor_threads():
 
 
 def test_scenes_that_differ_in_start_and_path_share_a_template():
-    ensemble = Ensemble(_cases())
-    assert len(ensemble._templates) == 3
+    assert len(Ensemble(_cases())._templates) == 3
 
 
 def test_every_batch_is_laid_out_alike():

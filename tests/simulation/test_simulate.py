@@ -335,8 +335,7 @@ def test_a_simulator_of_a_template_takes_its_path_from_the_run():
     pusher = whole.pushers[0]
     simulator = Simulator(replace(whole, pushers=replace(pusher, drive=None)))
     path = [(0.0, *pusher.pose), (2.0, -0.015, 0.02, 0.0)]
-    run = simulator.run(waypoints=path)
-    assert run.converged
+    assert simulator.run(waypoints=path).converged
     refused(simulator.run, match="template")
 
 

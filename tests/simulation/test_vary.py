@@ -190,8 +190,7 @@ def test_a_parameter_without_a_meaning_is_refused(support, values, found):
 
 def test_a_flat_table_changes_no_bit():
     scene = _scene(SupportPoints(points=NET, friction=0.3))
-    flat = dict.fromkeys(TABLE_NAMES, 0.0)
-    assert (_end(scene, **flat) == _end(scene)).all()
+    assert (_end(scene, **dict.fromkeys(TABLE_NAMES, 0.0)) == _end(scene)).all()
 
 
 def test_a_table_spreads_even_pressure_too():

@@ -80,8 +80,7 @@ def test_a_file_may_begin_anew(tmp_path: Path) -> None:
 def test_a_loop_of_one_picture_waits_between_two_and_one_of_none_ends(tmp_path: Path) -> None:
     source = FileSource(film(tmp_path / "one", n=1), loop=True)
     source.open()
-    times = [arrived.taken for arrived in islice(source.frames(), 4)]
-    assert np.diff(times).min() > 0.01
+    assert np.diff([arrived.taken for arrived in islice(source.frames(), 4)]).min() > 0.01
     with RecordingWriter(tmp_path / "none", RecordingHeader(size=SIZE)) as writer:
         writer.write_jpeg(0.0, b"torn")
     source = FileSource(tmp_path / "none", loop=True)
@@ -353,8 +352,7 @@ def test_a_webcam_hands_on_its_jpeg() -> None:
     webcam = Webcam()
     source = DeviceSource("0", size=SIZE, rate=30.0, capture=lambda device: webcam)
     assert source.open() == Stream(SIZE, 30.0, True, True)
-    frames = list(source.frames())
-    assert [arrived.jpeg for arrived in frames] == [JPEG] * 5
+    assert [arrived.jpeg for arrived in list(source.frames())] == [JPEG] * 5
     assert webcam.settings[cv2.CAP_PROP_FRAME_WIDTH] == SIZE[0]
     assert source.ended == "the camera sends no more pictures"
     assert webcam.released

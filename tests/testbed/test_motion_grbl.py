@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 from tests.jobs.helpers import await_true
 
 from fixel.errors import DeviceFailed, InvalidInput
@@ -86,16 +87,13 @@ def test_a_slow_drive_gets_a_longer_queue():
     with driven(acceleration=10.0) as (_, drive):
         assert drive._queue_for(13.5) > 0.9
         drive.dead_man = 0.5
-        with pytest.raises(InvalidInput, match=r"increase the acceleration"):
-            drive.move(by=0.01, speed=0.0135)
+        refused(drive.move, by=0.01, speed=0.0135, match=r"increase the acceleration")
         drive.dead_man = None
-        with pytest.raises(InvalidInput, match=r"\$120"):
-            drive.move(by=0.01, speed=0.05)
+        refused(drive.move, by=0.01, speed=0.05, match=r"\$120")
 
 
 def test_a_speed_beyond_the_controllers_is_refused_not_cut(drive):
-    with pytest.raises(InvalidInput, match=r"at most 50 mm/s"):
-        drive.move(by=0.01, speed=0.06)
+    refused(drive.move, by=0.01, speed=0.06, match=r"at most 50 mm/s")
 
 
 def test_a_stop_that_comes_before_the_move_prevents_it(controller, drive, monkeypatch):
@@ -379,8 +377,7 @@ def test_a_restart_is_recognised_by_its_greeting(firmware):
 def test_an_axis_that_the_controller_lacks_is_refused():
     with EmulatedGrbl(firmware="FluidNC", axes=1) as controller:
         drive = GrblActuator(controller.port, axis="Y", guard=False)
-        with pytest.raises(InvalidInput, match="is 'Y', but must be an axis of the controller: X"):
-            drive.connect()
+        refused(drive.connect, match="is 'Y', but must be an axis of the controller: X")
         assert not drive.connected
 
 
@@ -471,8 +468,7 @@ def test_every_axis_has_its_own_travel_speed_and_acceleration(firmware, axes, us
         drive.aim([1e-3 * home] * len(used), [share] * len(used))
         limit, shortest = min(fastest[k] for k in numbers) / share, min(travel[k] for k in numbers)
         assert drive.reach[1] == pytest.approx(1e-3 * (shortest - home) / share)
-        with pytest.raises(InvalidInput, match=f"at most {limit:.4g} mm/s"):
-            drive.move(by=0.001, speed=1.02e-3 * limit)
+        refused(drive.move, by=0.001, speed=1.02e-3 * limit, match=f"at most {limit:.4g} mm/s")
         drive.move(by=0.003, speed=0.99e-3 * limit)
 
         there = {k: 1.0 + 3.0 * share for k in numbers}
@@ -502,8 +498,7 @@ def test_the_axis_that_is_too_slow_is_named():
     with driven({"axes": "XY"}, axes=2, acceleration=(500.0, 5.0)) as (controller, drive):
         drive.check(to=0.1, speed=0.04)
         drive.aim([0.0, 0.0], [0.6, 0.8])
-        with pytest.raises(InvalidInput, match=r"acceleration of 6\.25 mm/s\^2 \(\$121\)"):
-            drive.check(to=0.1, speed=0.04)
+        refused(drive.check, to=0.1, speed=0.04, match=r"acceleration of 6\.25 mm/s\^2 \(\$121\)")
         assert controller.lines[-1].startswith("$")
 
 
@@ -519,8 +514,7 @@ def test_a_check_finds_what_a_move_would_find_and_moves_nothing():
         before = controller.places
 
         drive.check(to=0.05)
-        with pytest.raises(InvalidInput, match="from -10 to 50 mm"):
-            drive.check(to=0.051)
+        refused(drive.check, to=0.051, match="from -10 to 50 mm")
         with pytest.raises(DeviceFailed, match=r"19\.00 mm off the line"):
             drive.move(to=0.05)
 
@@ -542,8 +536,7 @@ def test_homing_of_an_axis_follows_the_masks_of_its_passes():
 
 @pytest.mark.parametrize("axes", ["", "XX", "XQ", "xy", "X Y"])
 def test_axes_that_no_controller_has_are_refused(axes):
-    with pytest.raises(InvalidInput, match="axes"):
-        GrblActuator("/dev/null", axes=axes)
+    refused(GrblActuator, "/dev/null", axes=axes, match="axes")
 
 
 # --- the wrong port -------------------------------------------------------------------------------

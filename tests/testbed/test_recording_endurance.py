@@ -93,8 +93,7 @@ def kills(tmp_path: Path, n: int, size: tuple[int, int], longest: float) -> list
 
 
 def test_a_recording_that_is_killed_is_read_up_to_then(tmp_path: Path) -> None:
-    found = kills(tmp_path, 3, (320, 240), 0.3)
-    assert max(one.missing for one in found) < LATEST
+    assert max(one.missing for one in kills(tmp_path, 3, (320, 240), 0.3)) < LATEST
 
 
 @pytest.mark.soak

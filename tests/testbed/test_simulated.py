@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 
 from fixel.errors import InvalidInput
 from fixel.model import (
@@ -306,8 +307,7 @@ def test_progress_is_told_and_a_run_can_be_left():
     ],
 )
 def test_refuses_a_bench_that_cannot_be(changes, words):
-    with pytest.raises(InvalidInput, match=words):
-        SimulatedTestbed(**changes)
+    refused(SimulatedTestbed, match=words, **changes)
 
 
 def test_refuses_plans_it_cannot_run():
@@ -322,10 +322,8 @@ def test_refuses_plans_it_cannot_run():
         ([alone], "0 pushers"),
         ([replace(item, conditions={"truth_x_m": 1.0})], "truth_x_m"),
     ):
-        with pytest.raises(InvalidInput, match=words):
-            BENCH.run(plan)
-    with pytest.raises(InvalidInput, match="threads"):
-        BENCH.run(PLAN, threads=0)
+        refused(BENCH.run, plan, match=words)
+    refused(BENCH.run, PLAN, threads=0, match="threads")
 
 
 def test_refuses_a_centre_of_pressure_nothing_can_carry():

@@ -6,6 +6,7 @@ import time
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 from tests.jobs.helpers import await_true
 
 from fixel.errors import InvalidInput
@@ -95,8 +96,7 @@ def test_thresholds_that_get_lost_after_a_restart_are_a_problem(mega, reader, mo
 def test_thresholds_that_an_old_board_cannot_take_leave_the_port_free():
     with old_board() as port:
         reader = TactileReader(port, thresholds=(1, 2, 3))
-        with pytest.raises(InvalidInput, match="upload firmware/tactile"):
-            reader.connect()
+        refused(reader.connect, match="upload firmware/tactile")
 
         assert not reader.connected
         TactileReader(port).connect().disconnect()
@@ -109,16 +109,14 @@ def test_a_board_that_goes_away_while_it_is_greeted_is_refused(monkeypatch):
     monkeypatch.setattr("fixel.testbed.tactile.shake_hands", gone)
     with old_board() as port:
         reader = TactileReader(port)
-        with pytest.raises(InvalidInput, match="was disconnected"):
-            reader.connect()
+        refused(reader.connect, match="was disconnected")
         assert not reader.reconnect()
         assert "connect it" in reader.trouble
 
 
 @pytest.mark.parametrize("thresholds", [(1, 2), (1, 2, 1024), (1.5, 2, 3)])
 def test_thresholds_that_cannot_be_are_refused(thresholds):
-    with pytest.raises(InvalidInput, match="from 0 to 1023"):
-        TactileReader("/dev/null", thresholds=thresholds)
+    refused(TactileReader, "/dev/null", thresholds=thresholds, match="from 0 to 1023")
 
 
 # --- faults ---------------------------------------------------------------------------------------
@@ -200,8 +198,7 @@ def test_an_old_board_is_recognised():
         reading = reader.read()
 
         assert (reader.protocol, reading.bits, reading.device_time) == (1, 5, None)
-        with pytest.raises(InvalidInput, match="upload firmware/tactile"):
-            reader.set_thresholds((1, 2, 3))
+        refused(reader.set_thresholds, (1, 2, 3), match="upload firmware/tactile")
 
 
 def test_an_old_board_that_answers_late_does_not_shift_the_readings():
@@ -317,5 +314,4 @@ def test_the_byte_is_the_contact_mode_of_the_thesis():
 
 def test_another_wiring():
     assert contact_mode(0b001, ("blue", "red", "green")) == "100"
-    with pytest.raises(InvalidInput, match="each once"):
-        contact_mode(1, ("blue", "blue", "green"))
+    refused(contact_mode, 1, ("blue", "blue", "green"), match="each once")

@@ -30,8 +30,7 @@ def test_a_right_posterior_passes():
 
 @pytest.mark.parametrize(("width", "shift"), [(0.6, 0.0), (1.6, 0.0), (1.0, 0.3)])
 def test_one_too_sure_too_shy_or_aside_does_not(width, shift):
-    found = conjugate(width, shift)
-    assert found.uniformity[0] < 0.01
+    assert conjugate(width, shift).uniformity[0] < 0.01
 
 
 def test_a_posterior_too_sure_holds_too_few():

@@ -123,8 +123,7 @@ def storm(folder, kills, seed, first=1):
 
 
 def _whole(folder, notes, flags, deletions, simulations):
-    found = Project(folder).check()
-    assert found.troubles == ()
+    assert Project(folder).check().troubles == ()
     file = f"file:{folder / 'experiments.db'}?mode=ro"
     with contextlib.closing(sqlite3.connect(file, uri=True)) as records:
         for column, table, writer in (("text", "note", notes), ("name", "flag", flags)):

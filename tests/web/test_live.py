@@ -88,8 +88,7 @@ def test_showing_from_another_thread_wakes_who_waits():
         show.start()
         return await view.after(0, patience=5.0)
 
-    shot = asyncio.run(watch())
-    assert shot.report == '{"n": 1}'
+    assert asyncio.run(watch()).report == '{"n": 1}'
 
 
 def test_a_status_alone_keeps_the_picture():

@@ -170,8 +170,7 @@ def test_a_real_browser_and_a_hostile_page(browser_page, server):
     with neighbour() as other:
         hostile = browser_page.context.new_page()
         hostile.goto(f"http://127.0.0.1:{other.server_port}/innocent")
-        read = hostile.evaluate(ATTACKS, f"http://127.0.0.1:{server.port}/")
-        assert set(read) == {""}
+        assert set(hostile.evaluate(ATTACKS, f"http://127.0.0.1:{server.port}/")) == {""}
         # Also where it writes paths into its own address, as a page may.
         for path in ("/experiments", "/static/", "/x/y/z"):
             hostile.evaluate("path => history.pushState(null, '', path)", path)

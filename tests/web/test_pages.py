@@ -145,8 +145,7 @@ def test_pages_fetch_nothing_from_elsewhere(bench):
 
 
 def test_names_of_people_are_escaped(bench):
-    page = bench.client().get("/record").text
-    assert "pushes/&lt;141&gt;" in page
+    assert "pushes/&lt;141&gt;" in bench.client().get("/record").text
     assert "square &amp; three fixels" in bench.client().get("/overlay").text
 
 

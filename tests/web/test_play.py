@@ -120,8 +120,7 @@ def test_far_too_large_values_have_an_answer_all_the_same(bench):
 
 def test_scenes_come_from_examples_experiments_and_files(bench):
     names = [one["name"] for one in bench.get("/scenes/examples")]
-    scene = bench.get(f"/scenes/examples/{names[0]}")["scene"]
-    assert scene["bodies"]
+    assert bench.get(f"/scenes/examples/{names[0]}")["scene"]["bodies"]
     own = bench.get("/experiments/1/scene")["scene"]
     assert own["fixels"]
     text = bench.post("/scenes/write", {"scene": own})["text"]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from tests.closed_form import SIDE, push
 from tests.datasets.recordings import table_file
+from tests.fixtures import refused
 
 import fixel
 from fixel.errors import DatasetMissing, InvalidInput
@@ -104,8 +105,7 @@ def test_columns_and_units_are_chosen_where_the_header_does_not_say():
 def test_units_that_contradict_the_header_are_refused():
     table = columns(0.01)
     contradiction = r"column x_m \(push p0\): found the unit m .* but mm was given"
-    with pytest.raises(InvalidInput, match=contradiction):
-        read(table, units={"length": "mm"})
+    refused(read, table, units={"length": "mm"}, match=contradiction)
     agreed = read(table, units={"length": "m", "time": "s", "angle": "rad"})
     assert agreed[0].trajectory.pose == pytest.approx(read(table)[0].trajectory.pose)
 
@@ -172,17 +172,14 @@ def test_what_cannot_be_right_is_refused(change, options, complaint):
         if factor is not None:
             table[name] = [factor * value for value in column]
     given = {"split_by": "push", "scene": template(), "progress": False} | options
-    with pytest.raises(InvalidInput, match=complaint):
-        read_experiments(table, **given)
+    refused(read_experiments, table, match=complaint, **given)
 
 
 def test_sources_that_are_none(tmp_path):
     with pytest.raises(DatasetMissing, match="no such file"):
         read_experiments(tmp_path / "nothing.csv")
-    with pytest.raises(InvalidInput, match="found the type int, but fixel needs a file"):
-        read_experiments(3)
-    with pytest.raises(InvalidInput, match="of equal length"):
-        read_experiments({"time_s": [0.0], "x_m": [0.0, 1.0]})
+    refused(read_experiments, 3, match="found the type int, but fixel needs a file")
+    refused(read_experiments, {"time_s": [0.0], "x_m": [0.0, 1.0]}, match="of equal length")
 
 
 def test_several_files_and_a_limit(tmp_path):

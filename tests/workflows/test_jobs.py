@@ -4,6 +4,7 @@ import os
 import zipfile
 
 import pytest
+from tests.fixtures import refused
 from tests.jobs.helpers import await_true, names_in, processes, start
 from tests.jobs.kinds import assert_as_undisturbed, toy_job
 
@@ -93,8 +94,7 @@ def test_jobs_of_a_project(tmp_path):
     for name in ("one", "two"):
         toy_job(tmp_path / "jobs" / name, **OPTIONS)
     (tmp_path / "jobs" / "no job").mkdir()
-    found = {job.folder.rsplit(os.sep, 1)[1] for job in jobs.jobs_in(tmp_path)}
-    assert found == {"one", "two"}
+    assert {job.folder.rsplit(os.sep, 1)[1] for job in jobs.jobs_in(tmp_path)} == {"one", "two"}
 
 
 @pytest.mark.system
@@ -110,8 +110,7 @@ def test_packed_half_way_and_unpacked_elsewhere_it_goes_on(tmp_path):
     with zipfile.ZipFile(tmp_path / "job.zip") as archive:
         assert not [name for name in archive.namelist() if "key" in name or "lock" in name]
     copy = tmp_path / "elsewhere" / "copy"
-    status = jobs.unpack(tmp_path / "job.zip", copy)
-    assert status.kept == len(names_in(folder)) > 3
+    assert jobs.unpack(tmp_path / "job.zip", copy).kept == len(names_in(folder)) > 3
     assert jobs.run_here(copy).state == "done"
     assert_as_undisturbed(copy, **SLOW)
 
@@ -133,16 +132,14 @@ def test_a_zip_that_is_no_packed_job(tmp_path, names):
     with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
         for name in names:
             archive.writestr(name, "{}")
-    with pytest.raises(InvalidInput, match="fixel needs a packed job"):
-        jobs.unpack(tmp_path / "a.zip", tmp_path / "copy")
+    refused(jobs.unpack, tmp_path / "a.zip", tmp_path / "copy", match="fixel needs a packed job")
     assert not (tmp_path / "copy").exists()
 
 
 def test_a_file_that_is_no_zip(tmp_path):
     (tmp_path / "a.zip").write_text("no zip")
     for file in ("a.zip", "absent.zip"):
-        with pytest.raises(InvalidInput, match="fixel needs a packed job"):
-            jobs.unpack(tmp_path / file, tmp_path / "copy")
+        refused(jobs.unpack, tmp_path / file, tmp_path / "copy", match="fixel needs a packed job")
 
 
 @pytest.mark.system

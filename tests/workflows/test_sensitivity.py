@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests.filtering.recordings import push
-from tests.fixtures import calibration_record, project_of
+from tests.fixtures import calibration_record, project_of, refused
 from tests.uncertainty.forks import fork
 from typer.testing import CliRunner
 
@@ -53,8 +53,7 @@ def test_wrong_input_is_refused():
         sensitivity(micro_push(1), ASME, samples=20, **QUIET)
     with pytest.raises(InvalidInput, match="motion"):
         sensitivity(micro_push(1), ASME, motion="slow", **QUIET)
-    with pytest.raises(InvalidInput, match="a scene file or an Experiment"):
-        sensitivity(42, ASME, **QUIET)
+    refused(sensitivity, 42, ASME, match="a scene file or an Experiment", **QUIET)
     with pytest.raises(InvalidInput, match="mu_pusher"):
         sensitivity(micro_push(1), ASME, {"mu_pushr": 0.2}, **QUIET)
     with pytest.raises(InvalidInput, match=r"vary\.mu_pusher is 'x', .*2 numbers: low, high"):
@@ -72,8 +71,7 @@ def test_a_project_stores_a_sensitivity_and_refuses_what_no_command_stores(tmp_p
     assert push["flag"] == found.flag
     assert lab.add(found).folder == kept.folder
     assert lab.add(sensitivity(micro_push(2), ASME, samples=50, **QUIET)).folder != kept.folder
-    with pytest.raises(InvalidInput, match=r"Prediction, which projects do not store.*\.save"):
-        lab.add(found.prediction)
+    refused(lab.add, found.prediction, match=r"Prediction, which projects do not store.*\.save")
 
 
 # --- the command ----------------------------------------------------------------------------------

@@ -201,8 +201,7 @@ def test_a_stored_calibration_keeps_the_table(lab, file):
     point = np.repeat(fit.found.point[None], 6, axis=0)
     assert comparer.errors(np.arange(6), point).error.tolist() == fit.found.errors.tolist()
     assert f"--table {file}" in fit.command
-    words = CAPABILITIES["calibrate"].present.next_words(done)
-    assert words[-2:] == ["--table", str(file)]
+    assert CAPABILITIES["calibrate"].present.next_words(done)[-2:] == ["--table", str(file)]
     # The same values on a flat table are another matter.
     compared = answer(lab, "compare", experiment="part-1-01", calibration=number)
     assert "was made with the map of a table" in compared.analysis.warnings[0]

@@ -119,8 +119,7 @@ class TestPlate:
         return replace(rig, camera=moved)
 
     def test_in_place_it_is_tracked(self, painter):
-        tracked = track([painter.frame(0.0)], painter.rig)
-        assert tracked.remarks == ()
+        assert track([painter.frame(0.0)], painter.rig).remarks == ()
 
     def test_a_camera_that_was_moved_is_refused(self, painter):
         frame = painter.frame(0.0)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 
 from fixel.errors import InvalidInput
 from fixel.web.views import scene_editor
@@ -40,9 +41,7 @@ def test_many_corners_points_and_waypoints_are_refused():
         "polygon": (0.05 * np.column_stack((np.cos(angle), np.sin(angle)))).tolist()
     }
     scene["fixels"], scene["pushers"] = [], []
-    with pytest.raises(InvalidInput, match="corners in all"):
-        scene_editor.check_scene(scene)
+    refused(scene_editor.check_scene, scene, match="corners in all")
     scene = scene_editor.example("grasp")
     scene["bodies"][0]["support"] = {"uniform": {"friction": 0.2, "n_points": 5000}}
-    with pytest.raises(InvalidInput, match="support points in all"):
-        scene_editor.check_scene(scene)
+    refused(scene_editor.check_scene, scene, match="support points in all")

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 from tests.vision.rendered import small_rig
 
 from fixel.database.project import Project
@@ -140,10 +141,8 @@ def test_a_microscope_films_what_lies_under_it(tmp_path):
 
 def test_what_cannot_be_filmed_is_refused_before_any_work(tmp_path, rig, scene):
     (tmp_path / "there").mkdir()
-    with pytest.raises(InvalidInput, match="nothing to film"):
-        film_experiments([], out=tmp_path / "x", rig=rig)
-    with pytest.raises(InvalidInput, match="an existing folder"):
-        film_experiments([scene], out=tmp_path / "there", rig=rig)
+    refused(film_experiments, [], out=tmp_path / "x", rig=rig, match="nothing to film")
+    refused(film_experiments, [scene], out=tmp_path / "there", rig=rig, match="an existing folder")
     with pytest.raises(InvalidInput, match="microscope or microscope-clean for a microscope"):
         film_experiments([scene], out=tmp_path / "x", rig=rig, looks="microscope")
     with pytest.raises(InvalidInput, match="2 films, but fixel needs one"):

@@ -149,8 +149,7 @@ def test_a_mirrored_picture():
 
 def test_a_picture_turned_by_half_a_turn():
     turned = np.ascontiguousarray(plate_picture(RIG, AT_HOME)[::-1, ::-1])
-    look = Overlay(RIG, SCENE, TOLERANCE).look(frame(turned))
-    assert look.state == "trouble"
+    assert Overlay(RIG, SCENE, TOLERANCE).look(frame(turned)).state == "trouble"
 
 
 def test_a_rig_that_knows_none_of_the_parts():
@@ -169,8 +168,7 @@ def test_the_rig_says_how_well_to_place():
 def test_digits_are_those_of_the_tolerance(mm, words):
     fine = Tolerance(distance=1e-3 * mm, angle=1.0)
     picture = plate_picture(RIG, AT_HOME | {"object": (0.116, -0.01, 0.35)})
-    look = Overlay(RIG, SCENE, fine).look(frame(picture))
-    assert re.search(words, look.sentence)
+    assert re.search(words, Overlay(RIG, SCENE, fine).look(frame(picture)).sentence)
 
 
 @pytest.mark.parametrize("poses", [AT_HOME, AT_HOME | {"object": (0.12, 0.0, 0.3)}, {}])
@@ -297,8 +295,7 @@ def test_the_anchor_stays_where_it_was_seen_last():
     assert not hidden.placed
     assert overlay.scene == before
     assert hidden.parts[0].within
-    back = overlay.look(frame(plate_picture(RIG, AT_HOME), 0.6))
-    assert back.placed
+    assert overlay.look(frame(plate_picture(RIG, AT_HOME), 0.6)).placed
 
 
 def test_an_anchor_must_be_measurable():

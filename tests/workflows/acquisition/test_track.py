@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 
 from fixel.database.project import Project
-from fixel.errors import InvalidInput
 from fixel.formats.recording import RecordingHeader, RecordingWriter
 from fixel.formats.rig_file import save_rig
 from fixel.formats.scene_file import SceneFile, save_scene
@@ -96,8 +96,7 @@ def test_outlines_of_a_registered_camera_lie_on_the_parts(tmp_path):
     save_scene(SceneFile(scene=scene()), tmp_path / "scene.yaml")
     with VideoWriter(tmp_path / "push.mp4", (320, 240)) as writer:
         writer.write(painter.frame(0.0))
-    with pytest.raises(InvalidInput, match="was moved"):
-        track_film(tmp_path / "push.mp4")
+    refused(track_film, tmp_path / "push.mp4", match="was moved")
     answer = track_film(tmp_path / "push.mp4", register=True)
     assert answer.experiment.conditions["camera"] == "registered again"
     (frame,) = answer.film.frames()
@@ -231,7 +230,5 @@ def test_a_fixel_that_does_not_stand_still_is_told_of():
 
 def test_files_that_are_missing_are_named(film, tmp_path):
     (tmp_path / "rig.yaml").unlink()
-    with pytest.raises(InvalidInput, match=r"^rig: found no rig\.yaml next to the film"):
-        track_film(film)
-    with pytest.raises(InvalidInput, match="a folder without a recording"):
-        track_film(tmp_path, rig="thesis-tags")
+    refused(track_film, film, match=r"^rig: found no rig\.yaml next to the film")
+    refused(track_film, tmp_path, rig="thesis-tags", match="a folder without a recording")

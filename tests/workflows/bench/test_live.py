@@ -39,5 +39,4 @@ def test_a_row_is_chosen_among_those_that_are_left():
 
 
 def test_the_last_row_leaves_nothing_ahead():
-    found = estimated(left=[])
-    assert found.table.rows[0][3] == "-"
+    assert estimated(left=[]).table.rows[0][3] == "-"

@@ -57,8 +57,7 @@ def test_misfit_is_said_before_anything_else(found):
     with project.store() as store:
         told = load_detail(project, store, done.ids[-1])
     assert calibration_warnings(done.joint)[0] == misfit[0] == told.misfit[0]
-    summary = json.loads(json.dumps(done.summary()))["found"][-1]
-    assert summary["misfit"] == [*misfit]
+    assert json.loads(json.dumps(done.summary()))["found"][-1]["misfit"] == [*misfit]
 
 
 def test_the_check_of_predictions_is_one_sentence_wherever_one_looks(found):

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests import calibrating as run
-from tests.fixtures import project_of
+from tests.fixtures import project_of, refused
 
 from fixel.calibration import search
 from fixel.calibration.objective import outliers
@@ -125,8 +125,7 @@ def test_the_box_that_was_searched_is_found_again_and_outlives_its_job(project, 
     assert space.values(space.nominal) == {**one.record.parameters}
     shared = Estimate(label="mu_pusher[shape=square]", unit="-", value=0.2)
     parted = replace(earlier, record=replace(earlier.record, estimates=(shared,)))
-    with pytest.raises(InvalidInput, match="no bounds of mu_pusher"):
-        searched_space(project, parted, scenes)
+    refused(searched_space, project, parted, scenes, match="no bounds of mu_pusher")
 
 
 def test_verdicts_and_what_they_stand_on(project, chosen):
@@ -158,8 +157,7 @@ def test_the_same_command_continues_and_then_has_nothing_to_do(project, chosen, 
     assert run.prepare(project, chosen, request) == folder
     run.run(folder)
     resumed = run.collect(project, folder, "test", {})
-    again = run.collect(project, folder, "test", {})
-    assert again.ids == resumed.ids
+    assert run.collect(project, folder, "test", {}).ids == resumed.ids
 
     other = Project.create(project.folder.parent / "other")
     elsewhere = run.prepare(other, chosen, request)
@@ -407,8 +405,7 @@ def test_a_space_file(tmp_path):
 def test_space_files_that_cannot_be(tmp_path, content, said):
     file = tmp_path / "space.yaml"
     file.write_text(content)
-    with pytest.raises(InvalidInput, match=said):
-        read_space(file)
+    refused(read_space, file, match=said)
 
 
 def test_the_command_for_the_same_calibration_says_all_of_it(chosen):

@@ -6,6 +6,7 @@ from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 
 from fixel.errors import InvalidInput
 from fixel.formats.recording import RecordingHeader, RecordingWriter
@@ -50,8 +51,7 @@ def test_the_table_compares_both_estimates_with_the_truth() -> None:
 
 
 def test_a_folder_that_is_there_is_left_alone(tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput, match="an existing file or folder"):
-        run_camera_tour(tmp_path)
+    refused(run_camera_tour, tmp_path, match="an existing file or folder")
 
 
 @pytest.mark.slow
@@ -116,8 +116,7 @@ def test_a_run_that_cannot_be_tracked_ends_in_a_sentence_and_goes_on_later(
         run_camera_tour(folder, pushes=(0,))
     assert "continue" in str(refusal.value.hint)
     assert bench.recorded == 2
-    with pytest.raises(InvalidInput, match="a tour of other pushes"):
-        run_camera_tour(folder, pushes=(12,))
+    refused(run_camera_tour, folder, pushes=(12,), match="a tour of other pushes")
     monkeypatch.setattr(camera_demo, "true_twin", reached)
     with pytest.raises(Reached):
         run_camera_tour(folder, pushes=(0,))

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 
 import fixel
-from fixel.errors import InvalidInput
 from fixel.testing.pushes import TRUTH, example_pushes
 from fixel.testing.scenes import grasp
 from fixel.workflows.domain import fits
@@ -68,8 +68,7 @@ def test_coverage_has_an_interval_and_is_printed(found):
     assert own.low <= own.value <= own.high
     assert own.n <= 14
     assert own.high >= 0.8
-    text = repr(found)
-    assert "holds for 90 % of new pushes (held out, 2 folds, 14 experiments)" in text
+    assert "holds for 90 % of new pushes (held out, 2 folds, 14 experiments)" in repr(found)
     assert len(found.to_dict()["position_bound"]) == 14
 
 
@@ -90,25 +89,20 @@ def test_groups_have_bounds_of_their_own(pushes, tmp_path):
     own = error_bound(pushes, SPACE, groups=["side"], folds=2, store=tmp_path, **QUIET)
     assert own.at(pushes[0]).verdict == "bounded"
     assert own.at(pushes[0].scene, side="below").verdict == "no data"
-    with pytest.raises(InvalidInput, match="side"):
-        own.at(pushes[0].scene)
+    refused(own.at, pushes[0].scene, match="side")
     own.save(tmp_path / "bound")
     assert fixel.load(tmp_path / "bound") == own
 
 
 def test_too_few_experiments_are_refused_before_any_fit(pushes):
-    with pytest.raises(InvalidInput, match="9 at least"):
-        error_bound(pushes[:8], SPACE, **QUIET)
-    with pytest.raises(InvalidInput, match="level"):
-        error_bound(pushes, SPACE, level=1.0, **QUIET)
-    with pytest.raises(InvalidInput, match="surface"):
-        error_bound(pushes, SPACE, groups=["surface"], **QUIET)
+    refused(error_bound, pushes[:8], SPACE, match="9 at least", **QUIET)
+    refused(error_bound, pushes, SPACE, level=1.0, match="level", **QUIET)
+    refused(error_bound, pushes, SPACE, groups=["surface"], match="surface", **QUIET)
 
 
 @pytest.mark.parametrize("function", [fixel.error_bound, fixel.map_domain])
 def test_a_program_that_a_call_names_is_permitted(function, pushes, monkeypatch):
     named = []
     monkeypatch.setattr(fits, "permit", named.append)
-    with pytest.raises(InvalidInput):
-        function(pushes, SPACE, motion="./no-engine", **QUIET)
+    refused(function, pushes, SPACE, motion="./no-engine", **QUIET)
     assert named == ["./no-engine"]

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import binomtest
-from tests.fixtures import project_of
+from tests.fixtures import project_of, refused
 
 import fixel
 from fixel.calibration.objective import Comparer
@@ -110,14 +110,12 @@ def test_wrong_input_is_refused_before_any_fit(pushes, monkeypatch):
         ({"level": 1.5}, "level"),
         ({"facets": ["surface"]}, "surface"),
     ):
-        with pytest.raises(InvalidInput, match=match):
-            map_domain(pushes, SPACE, **options, **QUIET)
+        refused(map_domain, pushes, SPACE, match=match, **options, **QUIET)
     with pytest.raises(InvalidInput, match="no scene"):
         map_domain([replace(pushes[0], scene=None)], SPACE, **QUIET)
     with pytest.raises(InvalidInput, match="needs experiments that differ in a condition"):
         map_domain(pushes[:1], SPACE, **QUIET)
-    with pytest.raises(InvalidInput, match="mu_pusher"):
-        fixel.map_domain(pushes, ["mu_pushr"], **QUIET)
+    refused(fixel.map_domain, pushes, ["mu_pushr"], match="mu_pusher", **QUIET)
 
 
 def test_a_project_stores_a_map_with_its_evidence(pushes, found, tmp_path, monkeypatch):
@@ -152,8 +150,7 @@ def test_another_call_on_the_same_folder_is_refused_with_the_difference(pushes, 
         ((pushes[:6], SPACE), {"motion": "quasistatic"}, "another motion: dynamic"),
     )
     for given, options, match in others:
-        with pytest.raises(InvalidInput, match=match):
-            map_domain(*given, **{**call, **options})
+        refused(map_domain, *given, match=match, **{**call, **options})
     with pytest.raises(InvalidInput, match="other experiments"):
         fixel.error_bound(pushes, SPACE, folds=2, store=tmp_path / "fits", **QUIET)
 
@@ -170,8 +167,7 @@ def test_a_push_without_a_condition_is_refused_with_the_call_that_works(pushes, 
     assert "a push without side" in str(problem.value)
     call = str(problem.value).split("as in ")[1]
     assert call == ".at(scene, side='right')"
-    own = eval("found" + call, {"found": found, "scene": pushes[0].scene})
-    assert own.nearby == 5
+    assert eval("found" + call, {"found": found, "scene": pushes[0].scene}).nearby == 5
 
 
 def test_the_call_that_works_keeps_what_was_given(pushes):

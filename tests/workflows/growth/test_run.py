@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 from tests.laboratories import campaign
 from tests.workflows.growing import (
     NAMES,
@@ -208,8 +209,7 @@ def test_experiments_that_lack_one_are_named(tmp_path, experiments, points, erro
     project, _ = project_with(tmp_path / "lab", experiments[:20], points[:20], errors[:20])
     with project.store() as store:
         store.add_experiment(experiments[20])
-        with pytest.raises(InvalidInput, match=f"1 of 21 experiments: {experiments[20].key}"):
-            explored(store)
+        refused(explored, store, match=f"1 of 21 experiments: {experiments[20].key}")
 
 
 @pytest.mark.parametrize(
@@ -222,8 +222,7 @@ def test_members_of_another_method_are_named(tmp_path, experiments, points, erro
         number = store.add_experiment(experiments[20]).id
         values = dict(zip(NAMES, points[20].tolist(), strict=True))
         store.add_calibration(record([number], values, [1.0], **change))
-        with pytest.raises(InvalidInput, match=rf"(?s)20 of 21.*1 of 21.*{experiments[20].key}"):
-            explored(store)
+        refused(explored, store, match=rf"(?s)20 of 21.*1 of 21.*{experiments[20].key}")
 
 
 def test_of_two_whole_methods_the_newest_or_the_one_asked_for(lab, points, errors):
@@ -253,8 +252,7 @@ def test_two_data_sets_at_one_place_are_refused(lab, experiments):
     project, _ = lab
     with project.store() as store:
         store.add_experiment(replace(experiments[3], dataset="other"))
-        with pytest.raises(InvalidInput, match="--dataset other"):
-            explored(store)
+        refused(explored, store, match="--dataset other")
 
 
 @pytest.mark.parametrize(
@@ -274,8 +272,7 @@ def test_thresholds_are_errors_or_distances(text, unit, value):
 
 @pytest.mark.parametrize("text", ["much", "-1", "nan", "2 cm", "1e999"])
 def test_what_is_no_threshold_is_refused(text):
-    with pytest.raises(InvalidInput, match="limit"):
-        threshold_in(text, "mm^2")
+    refused(threshold_in, text, "mm^2", match="limit")
 
 
 def test_places_cover_the_plan(experiments):

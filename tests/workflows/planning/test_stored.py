@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.fixtures import project_of
+from tests.fixtures import project_of, refused
 
 import fixel
 from fixel.errors import InvalidInput
@@ -99,17 +99,14 @@ def test_damaged_foreign_and_newer_files_are_refused_by_name(tmp_path: Path):
         bad.write_bytes(bytes(content))
         assert outcome(bad) in (found_plan().plan, str(bad))  # some bytes have no meaning
     save(fixel.Disk(0.005), bad)
-    with pytest.raises(InvalidInput, match="a saved Disk, but fixel needs a plan file"):
-        load_plan(bad)
+    refused(load_plan, bad, match="a saved Disk, but fixel needs a plan file")
     with zipfile.ZipFile(path) as old, zipfile.ZipFile(bad, "w") as new:
         for name in old.namelist():
             head = json.loads(old.read(name)) if name == "result.json" else None
             content = old.read(name) if head is None else json.dumps(head | {"format": 99})
             new.writestr(name, content)
-    with pytest.raises(InvalidInput, match="install a newer one"):
-        load_plan(bad)
-    with pytest.raises(InvalidInput, match=r"none\.plan"):
-        load_plan(tmp_path / "none.plan")
+    refused(load_plan, bad, match="install a newer one")
+    refused(load_plan, tmp_path / "none.plan", match=r"none\.plan")
 
 
 def test_trials_are_added_next_to_the_plan(tmp_path: Path):
@@ -132,16 +129,14 @@ def test_damaged_trials_are_refused(tmp_path: Path):
     add_trials(path, file, trial(0))
     where = trials_path(path)
     where.write_text(where.read_text().replace("21:00:00", "21:99:00"))
-    with pytest.raises(InvalidInput, match="line 3, time"):
-        load_trials(path, file)
+    refused(load_trials, path, file, match="line 3, time")
 
 
 def test_trials_of_another_plan_are_refused(tmp_path: Path):
     path = tmp_path / "a.plan"
     add_trials(path, save_plan(found_plan(), path), trial(0))
     other = save_plan(FoundPlan(plan=rig_plan(), request=PlanRequest(goal={})), path)
-    with pytest.raises(InvalidInput, match=f"fixel needs trials of the plan {other.id}"):
-        load_trials(path, other)
+    refused(load_trials, path, other, match=f"fixel needs trials of the plan {other.id}")
 
 
 def test_the_scene_of_a_named_experiment_replaces_that_of_the_goal_file(tmp_path: Path):

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 
 import fixel
-from fixel.errors import InvalidInput
 from fixel.workflows.project.comparison import compare
 
 
@@ -62,8 +62,7 @@ def test_experiments_without_a_scene_are_skipped_or_refused(pushes):
     assert "no scene" in found.skipped[0]
     assert "skipped 1" in repr(compare([bare, *pushes[1:3]], progress=False))
     for experiments in (bare, [bare, bare], []):
-        with pytest.raises(InvalidInput, match="scene"):
-            compare(experiments, progress=False)
+        refused(compare, experiments, progress=False, match="scene")
 
 
 @pytest.mark.parametrize(
@@ -76,8 +75,7 @@ def test_experiments_without_a_scene_are_skipped_or_refused(pushes):
     ],
 )
 def test_what_cannot_be_simulated_is_refused(pushes, models, motion, complaint):
-    with pytest.raises(InvalidInput, match=complaint):
-        compare(pushes[:2], models, motion=motion, progress=False)
+    refused(compare, pushes[:2], models, motion=motion, progress=False, match=complaint)
 
 
 def test_plots(found, pushes):
@@ -89,8 +87,7 @@ def test_plots(found, pushes):
     assert ax.lines[1].get_ydata()[-1] == 100.0
     assert len(found.plot(experiment=pushes[3].key)) == 3
     assert len(compare(pushes[0], progress=False).plot()) == 3
-    with pytest.raises(InvalidInput, match="experiment is 'nowhere'"):
-        found.plot(experiment="nowhere")
+    refused(found.plot, experiment="nowhere", match="experiment is 'nowhere'")
     pyplot.close("all")
 
 
