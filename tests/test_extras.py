@@ -73,15 +73,12 @@ def indices_cases(run, folder):
     return {"indices": lambda: sobol_indices(lambda points: points, factors, ["y"])}
 
 
-@pytest.mark.parametrize(
-    ("package", "extra", "cases"),
-    [
-        ("pyarrow", "parquet", parquet_cases),
-        ("av", "video", video_cases),
-        ("dynesty", "infer", posterior_cases),
-        ("SALib", "infer", indices_cases),
-    ],
-)
+@pytest.mark.parametrize(("package", "extra", "cases"), [
+    ("pyarrow", "parquet", parquet_cases),
+    ("av", "video", video_cases),
+    ("dynesty", "infer", posterior_cases),
+    ("SALib", "infer", indices_cases),
+])  # fmt: skip
 def test_what_needs_an_extra_names_it(package, extra, cases, run, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)
     before = None

@@ -46,15 +46,10 @@ def test_long_text_is_cut_and_says_how_much_is_missing() -> None:
     assert lines[-2] == "  ... and 979 more"
 
 
-@pytest.mark.parametrize(
-    "summary",
-    [
-        Summary("x" * 1000, notes=["word " * 500] * 80),
-        Summary(
-            "h", [Table(("a" * 300, "b"), [("w" * 400, k) for k in range(99)])] * 40, ["n"] * 9
-        ),
-    ],
-)
+@pytest.mark.parametrize("summary", [
+    Summary("x" * 1000, notes=["word " * 500] * 80),
+    Summary("h", [Table(("a" * 300, "b"), [("w" * 400, k) for k in range(99)])] * 40, ["n"] * 9),
+])  # fmt: skip
 def test_text_and_html_stay_within_their_limits(summary: Summary) -> None:
     lines = summary.text().splitlines()
 

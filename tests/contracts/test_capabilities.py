@@ -260,22 +260,12 @@ def test_refusals_have_the_name_of_the_door(capability):
             capability.from_json(text)
 
 
-@pytest.mark.parametrize(
-    ("name", "values", "sentence"),
-    [
-        (
-            "sensitivity",
-            {"start_error": {"plce": 1e-3}},
-            "start_error is 'plce', but must be one of place, angle, uniform; "
-            "did you mean 'place'?",
-        ),
-        (
-            "filter",
-            {"experiment": "push-1", "priors": {"mu_pusher": [0.0, 0.5, 1.0]}},
-            "priors mu_pusher is [0.0, 0.5, 1.0], but must be a list of 2",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("name", "values", "sentence"), [
+    ("sensitivity", {"start_error": {"plce": 1e-3}},
+     "start_error is 'plce', but must be one of place, angle, uniform; " "did you mean 'place'?"),
+    ("filter", {"experiment": "push-1", "priors": {"mu_pusher": [0.0, 0.5, 1.0]}},
+     "priors mu_pusher is [0.0, 0.5, 1.0], but must be a list of 2"),
+])  # fmt: skip
 def test_wrong_groups_and_lists_are_refused_in_own_words(name, values, sentence):
     with pytest.raises(InvalidInput) as problem:
         CAPABILITIES[name].from_json(json.dumps(values))
@@ -283,18 +273,15 @@ def test_wrong_groups_and_lists_are_refused_in_own_words(name, values, sentence)
     assert str(problem.value) == sentence
 
 
-@pytest.mark.parametrize(
-    ("words", "where", "expected"),
-    [
-        ("--noise-mm 1", "--noise-mrad", "both, or neither"),
-        ("--level 1", "--level", "less than 1"),
-        ("--number 101", "-n|--number", "at most 100"),
-        ("-n 4 --number 5", "--number", "one value"),
-        ("--motion dynamic --engine mujoco", "--motion", "one value"),
-        ("--speed-mm-s -4", "--speed-mm-s", "at least 0"),
-        ("--solver nweton", "--solver", "newton"),
-    ],
-)
+@pytest.mark.parametrize(("words", "where", "expected"), [
+    ("--noise-mm 1", "--noise-mrad", "both, or neither"),
+    ("--level 1", "--level", "less than 1"),
+    ("--number 101", "-n|--number", "at most 100"),
+    ("-n 4 --number 5", "--number", "one value"),
+    ("--motion dynamic --engine mujoco", "--motion", "one value"),
+    ("--speed-mm-s -4", "--speed-mm-s", "at least 0"),
+    ("--solver nweton", "--solver", "newton"),
+])  # fmt: skip
 def test_options_are_refused_by_the_name_of_the_flag(words, where, expected):
     with pytest.raises(InvalidInput) as problem:
         parsed(SPECIMEN, f"fixel try specimen scene.yaml {words}")

@@ -82,19 +82,9 @@ def test_no_process_imports_a_module_of_the_folder_that_it_starts_in(
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="links need a permission there")
-@pytest.mark.parametrize(
-    "name",
-    [
-        "log.txt",
-        "journal",
-        "journal.lock",
-        "result",
-        "inputs/a",
-        "late",
-        "workers",
-        "workers/x.log",
-    ],
-)
+@pytest.mark.parametrize("name", [
+    "log.txt", "journal", "journal.lock", "result", "inputs/a", "late", "workers", "workers/x.log",
+])  # fmt: skip
 def test_a_job_with_a_link_is_refused(name: str, tmp_path: Path) -> None:
     """A run would write, empty or delete what the link leads to, and a packed job would have it."""
     job, precious = job_in(tmp_path / "job"), tmp_path / "own"
@@ -157,18 +147,11 @@ def test_a_job_writes_no_file_outside_its_project(tmp_path: Path) -> None:
 # --- settings of a project ------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "url",
-    [
-        "sqlite:///file:{outside}?uri=true",
-        "sqlite:///file:..%2foutside.db?uri=true",
-        "sqlite:///experiments.db?uri=true",
-        "sqlite:///%2e%2e/outside.db",
-        "sqlite://@/{outside}",
-        "duckdb:///{outside}",
-        "mysql://host/name",
-    ],
-)
+@pytest.mark.parametrize("url", [
+    "sqlite:///file:{outside}?uri=true", "sqlite:///file:..%2foutside.db?uri=true",
+    "sqlite:///experiments.db?uri=true", "sqlite:///%2e%2e/outside.db", "sqlite://@/{outside}",
+    "duckdb:///{outside}", "mysql://host/name",
+])  # fmt: skip
 def test_settings_name_no_file_outside_by_another_spelling(
     url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -233,24 +216,18 @@ def test_a_server_of_foreign_settings_is_not_contacted(
 # --- commands -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("stored", "shown"),
-    [
-        ("fixel domain --project 'a b' --fit 2", "fixel domain --project 'a b' --fit 2"),
-        (
-            "fixel compare 1 --engine mujoco:step=0.001",
-            "fixel compare 1 --engine mujoco:step=0.001",
-        ),
-        ("fixel domain; rm x", "fixel 'domain;' rm x"),
-        ("fixel list $(rm x)", "fixel list '$(rm' 'x)'"),
-        ("fixel calibrate --site a --site b --name c", "fixel calibrate --name c"),
-        ("rm x", ""),
-        ("fixel trust ./mine", ""),
-        ("fixel compare 1 --engine /bin/sh:-c,ls", ""),
-        ("fixel compare 1 --motion=/bin/sh", ""),
-        ("fixel 'list", ""),
-    ],
-)
+@pytest.mark.parametrize(("stored", "shown"), [
+    ("fixel domain --project 'a b' --fit 2", "fixel domain --project 'a b' --fit 2"),
+    ("fixel compare 1 --engine mujoco:step=0.001", "fixel compare 1 --engine mujoco:step=0.001"),
+    ("fixel domain; rm x", "fixel 'domain;' rm x"),
+    ("fixel list $(rm x)", "fixel list '$(rm' 'x)'"),
+    ("fixel calibrate --site a --site b --name c", "fixel calibrate --name c"),
+    ("rm x", ""),
+    ("fixel trust ./mine", ""),
+    ("fixel compare 1 --engine /bin/sh:-c,ls", ""),
+    ("fixel compare 1 --motion=/bin/sh", ""),
+    ("fixel 'list", ""),
+])  # fmt: skip
 def test_a_stored_command_that_a_user_may_paste_runs_nothing_else(
     stored: str, shown: str, tmp_path: Path
 ) -> None:

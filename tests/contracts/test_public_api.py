@@ -292,22 +292,14 @@ def rewritten(path: Path, change: Callable[[dict[str, Any]], None]) -> Path:
     return path
 
 
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        (lambda head: head.update(format=2, fixel="9.0.0"), r"fixel 9\.0\.0 in format 2.*newer"),
-        (
-            lambda head: head["content"].update({"class": "os:system"}),
-            "is 'system', but must be one",
-        ),
-        (
-            lambda head: head["content"].update({"class": "fixel:simulate"}),
-            "is 'simulate', but must be one",
-        ),
-        (lambda head: head["content"]["items"].append(["new", 1]), "another kind of file"),
-        (lambda head: head.pop("format"), "another kind of file"),
-    ],
-)
+@pytest.mark.parametrize(("change", "reason"), [
+    (lambda head: head.update(format=2, fixel="9.0.0"), r"fixel 9\.0\.0 in format 2.*newer"),
+    (lambda head: head["content"].update({"class": "os:system"}), "is 'system', but must be one"),
+    (lambda head: head["content"].update({"class": "fixel:simulate"}),
+     "is 'simulate', but must be one"),
+    (lambda head: head["content"]["items"].append(["new", 1]), "another kind of file"),
+    (lambda head: head.pop("format"), "another kind of file"),
+])  # fmt: skip
 def test_other_saved_files_are_refused_in_one_sentence(
     tmp_path: Path, change: Callable[[dict[str, Any]], None], reason: str
 ) -> None:
@@ -438,38 +430,35 @@ def test_polygons_about_their_origin() -> None:
         refused(call)
 
 
-@pytest.mark.parametrize(
-    ("where", "call"),
-    [
-        ("start", lambda p: fixel.calibrate(p, {"mu_pusher": (0, 1)}, start={"mu_pushr": 0.3})),
-        ("mu_pusher.nominal", lambda p: fixel.calibrate(p, ["mu_pusher"], start={"mu_pusher": 7})),
-        ("noise of poses", lambda p: fixel.calibrate(p, ["mu_pusher"], noise=0.0002)),
-        ("experiments", lambda p: fixel.calibrate(p[0], ["mu_pusher"])),
-        ("experiments", lambda _: fixel.compare(5)),
-        ("experiment", lambda p: fixel.filter(p)),
-        ("seed", lambda p: fixel.posterior(p[0], ["mu_pusher"], seed=-1)),
-        ("noise of poses", lambda p: fixel.posterior(p[0], ["mu_pusher"], noise=0.001)),
-        ("seed", lambda p: fixel.table_check(p, seed=-1)),
-        ("threshold", lambda p: fixel.map_domain(p, threshold="3")),
-        ("what", lambda _: fixel.report(3)),
-        ("goal", lambda p: fixel.simulate(p[0].scene, duration=0.1).meets(3)),
-        ("goal", lambda p: fixel.simulate_batch(p[0].scene, {"mass": [1]}, duration=0.1).meets(3)),
-        ("trials", lambda _: fixel.run_on_testbed("push.plan", trials="a")),
-        ("max_contacts", lambda p: fixel.Simulator(p[0].scene, max_contacts="a")),
-        ("mu_pusher", lambda p: fixel.simulate_batch(p[0].scene, {"mu_pusher": [0.1, "a"]})),
-        ("parameters[0]", lambda p: fixel.simulate_batch(p[0].scene, [3])),
-        ("times", lambda p: fixel.simulate_batch(p[0].scene, times="a")),
-        ("stepper", lambda p: fixel.simulate(p[0].scene, stepper=0.01)),
-        ("duration", lambda p: fixel.simulate(p[0].scene, duration="3")),
-        ("parameters", lambda p: fixel.simulate(p[0].scene, ["mu_pusher"])),
-        ("variations", lambda p: fixel.simulate_batch(p[0].scene, {"mu_pusher": []})),
-        ("threads", lambda p: fixel.simulate_batch(p[0].scene, {"mass": [1, 2]}, threads="2")),
-        ("choose.length", lambda _: fixel.FreePushes(length=0.05)),
-        ("choose.fixels", lambda _: fixel.RigPushes(fixels=3)),
-        ("bodies", lambda _: fixel.Scene(3)),
-        ("Adaptive.tolerance", lambda _: fixel.Adaptive(tolerance="a")),
-    ],
-)
+@pytest.mark.parametrize(("where", "call"), [
+    ("start", lambda p: fixel.calibrate(p, {"mu_pusher": (0, 1)}, start={"mu_pushr": 0.3})),
+    ("mu_pusher.nominal", lambda p: fixel.calibrate(p, ["mu_pusher"], start={"mu_pusher": 7})),
+    ("noise of poses", lambda p: fixel.calibrate(p, ["mu_pusher"], noise=0.0002)),
+    ("experiments", lambda p: fixel.calibrate(p[0], ["mu_pusher"])),
+    ("experiments", lambda _: fixel.compare(5)),
+    ("experiment", lambda p: fixel.filter(p)),
+    ("seed", lambda p: fixel.posterior(p[0], ["mu_pusher"], seed=-1)),
+    ("noise of poses", lambda p: fixel.posterior(p[0], ["mu_pusher"], noise=0.001)),
+    ("seed", lambda p: fixel.table_check(p, seed=-1)),
+    ("threshold", lambda p: fixel.map_domain(p, threshold="3")),
+    ("what", lambda _: fixel.report(3)),
+    ("goal", lambda p: fixel.simulate(p[0].scene, duration=0.1).meets(3)),
+    ("goal", lambda p: fixel.simulate_batch(p[0].scene, {"mass": [1]}, duration=0.1).meets(3)),
+    ("trials", lambda _: fixel.run_on_testbed("push.plan", trials="a")),
+    ("max_contacts", lambda p: fixel.Simulator(p[0].scene, max_contacts="a")),
+    ("mu_pusher", lambda p: fixel.simulate_batch(p[0].scene, {"mu_pusher": [0.1, "a"]})),
+    ("parameters[0]", lambda p: fixel.simulate_batch(p[0].scene, [3])),
+    ("times", lambda p: fixel.simulate_batch(p[0].scene, times="a")),
+    ("stepper", lambda p: fixel.simulate(p[0].scene, stepper=0.01)),
+    ("duration", lambda p: fixel.simulate(p[0].scene, duration="3")),
+    ("parameters", lambda p: fixel.simulate(p[0].scene, ["mu_pusher"])),
+    ("variations", lambda p: fixel.simulate_batch(p[0].scene, {"mu_pusher": []})),
+    ("threads", lambda p: fixel.simulate_batch(p[0].scene, {"mass": [1, 2]}, threads="2")),
+    ("choose.length", lambda _: fixel.FreePushes(length=0.05)),
+    ("choose.fixels", lambda _: fixel.RigPushes(fixels=3)),
+    ("bodies", lambda _: fixel.Scene(3)),
+    ("Adaptive.tolerance", lambda _: fixel.Adaptive(tolerance="a")),
+])  # fmt: skip
 def test_values_of_another_kind_are_refused_by_name(where, call):
     with pytest.raises(fixel.InvalidInput) as refused:
         call(fixel.datasets.example()[:2])

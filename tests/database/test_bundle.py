@@ -271,18 +271,15 @@ def test_numbers_that_pack_too_well_are_stored(store, tmp_path):
     assert import_bundle(tmp_path / "a.zip", store)["known"] == 1
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "../evil",
-        "/etc/passwd",
-        "C:\\evil",
-        "media/../../x",
-        "setup.py",
-        f"media/00/{'1' * 64}",
-        "x/",
-    ],
-)
+@pytest.mark.parametrize("name", [
+    "../evil",
+    "/etc/passwd",
+    "C:\\evil",
+    "media/../../x",
+    "setup.py",
+    f"media/00/{'1' * 64}",
+    "x/",
+])  # fmt: skip
 def test_names_that_are_no_members(bundle, name):
     path, store = bundle
     write(path, members_of(path) | {name: b"x"})
@@ -366,37 +363,34 @@ def test_another_version(bundle):
     refused(path, store, "before the first release.*export it again")
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        "DELETE FROM series",
-        "UPDATE series SET n_row = n_row + 1",
-        "UPDATE series SET columns = '[1]'",
-        "UPDATE series SET media_sha256 = '../../x', data = NULL",
-        f"UPDATE series SET media_sha256 = '{'0' * 64}', data = NULL",
-        "UPDATE experiment SET is_real = 0",
-        "UPDATE experiment SET is_real = 7",
-        "UPDATE experiment SET contact_mode = 'x'",
-        """UPDATE experiment SET scene = '{"bodies": []}'""",
-        """UPDATE experiment SET conditions = '{"a": [1]}'""",
-        f"UPDATE experiment SET conditions = '{'[' * 100_000}'",
-        f"UPDATE experiment SET seed = {2**70}",
-        "UPDATE experiment SET video_sha256 = '../../x'",
-        f"UPDATE experiment SET video_sha256 = '{'0' * 64}'",
-        "UPDATE experiment SET name = ''",
-        f"UPDATE experiment SET name = '{'x' * 500}'",
-        "UPDATE experiment SET duration_s = 'long'",
-        "UPDATE experiment SET effective_start_s = 2.0",
-        "ALTER TABLE experiment ADD COLUMN n TEXT",
-        "ALTER TABLE experiment DROP COLUMN n_frame",
-        "ALTER TABLE experiment ADD COLUMN n AS (1)",
-        "DROP TABLE filter_run",
-        "CREATE VIEW evil AS SELECT 1",
-        "CREATE VIRTUAL TABLE evil USING fts5(a)",
-        "INSERT INTO flag VALUES (1, 1, 'Not a name', '', 0, '2026', NULL)",
-        "INSERT INTO flag VALUES (1, 7, 'late', '', 0, '2026', NULL)",
-    ],
-)
+@pytest.mark.parametrize("change", [
+    "DELETE FROM series",
+    "UPDATE series SET n_row = n_row + 1",
+    "UPDATE series SET columns = '[1]'",
+    "UPDATE series SET media_sha256 = '../../x', data = NULL",
+    f"UPDATE series SET media_sha256 = '{'0' * 64}', data = NULL",
+    "UPDATE experiment SET is_real = 0",
+    "UPDATE experiment SET is_real = 7",
+    "UPDATE experiment SET contact_mode = 'x'",
+    """UPDATE experiment SET scene = '{"bodies": []}'""",
+    """UPDATE experiment SET conditions = '{"a": [1]}'""",
+    f"UPDATE experiment SET conditions = '{'[' * 100_000}'",
+    f"UPDATE experiment SET seed = {2**70}",
+    "UPDATE experiment SET video_sha256 = '../../x'",
+    f"UPDATE experiment SET video_sha256 = '{'0' * 64}'",
+    "UPDATE experiment SET name = ''",
+    f"UPDATE experiment SET name = '{'x' * 500}'",
+    "UPDATE experiment SET duration_s = 'long'",
+    "UPDATE experiment SET effective_start_s = 2.0",
+    "ALTER TABLE experiment ADD COLUMN n TEXT",
+    "ALTER TABLE experiment DROP COLUMN n_frame",
+    "ALTER TABLE experiment ADD COLUMN n AS (1)",
+    "DROP TABLE filter_run",
+    "CREATE VIEW evil AS SELECT 1",
+    "CREATE VIRTUAL TABLE evil USING fts5(a)",
+    "INSERT INTO flag VALUES (1, 1, 'Not a name', '', 0, '2026', NULL)",
+    "INSERT INTO flag VALUES (1, 7, 'late', '', 0, '2026', NULL)",
+])  # fmt: skip
 def test_records_that_cannot_be(bundle, change):
     path, store = bundle
     write(path, edited(path, "PRAGMA foreign_keys = OFF", change))

@@ -83,35 +83,16 @@ def test_what_a_killed_writer_left_is_no_trouble(folder):
     assert Project(folder).check().troubles == ()
 
 
-@pytest.mark.parametrize(
-    ("table", "statement", "where", "sentence"),
-    [
-        (
-            "series",
-            "UPDATE series SET n_row = 3 WHERE owner_id = 2 AND place = 1",
-            "experiment 2, series 'channel force'",
-            "has 32 bytes instead of 48",
-        ),
-        (
-            "series",
-            "UPDATE series SET owner_id = 77 WHERE owner_id = 2 AND place = 1",
-            "experiment 77, series 'channel force'",
-            "its record is missing",
-        ),
-        (
-            "series",
-            "DELETE FROM series WHERE owner_id = 2 AND place = 0",
-            "experiment 2",
-            "the trajectory of its object is incomplete",
-        ),
-        (
-            "experiment",
-            "UPDATE experiment SET n_frame = 7 WHERE id = 3",
-            "experiment 3",
-            "the trajectory of its object is incomplete",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("table", "statement", "where", "sentence"), [
+    ("series", "UPDATE series SET n_row = 3 WHERE owner_id = 2 AND place = 1",
+     "experiment 2, series 'channel force'", "has 32 bytes instead of 48"),
+    ("series", "UPDATE series SET owner_id = 77 WHERE owner_id = 2 AND place = 1",
+     "experiment 77, series 'channel force'", "its record is missing"),
+    ("series", "DELETE FROM series WHERE owner_id = 2 AND place = 0", "experiment 2",
+     "the trajectory of its object is incomplete"),
+    ("experiment", "UPDATE experiment SET n_frame = 7 WHERE id = 3", "experiment 3",
+     "the trajectory of its object is incomplete"),
+])  # fmt: skip
 def test_rows_that_were_changed(store, folder, table, statement, where, sentence):
     spoil(store, table, statement)
     assert Project(folder).check().troubles[0][:2] == (where, sentence)

@@ -97,16 +97,13 @@ def test_texts_equal_numbers_typed_like_them(filled):
         assert sorted(same + other) == all_ids
 
 
-@pytest.mark.parametrize(
-    ("text", "complaint"),
-    [
-        ("error>large", "filter: error is 'large', but must be a number"),
-        ("speed_m_s>fast", "filter: speed_m_s is 'fast', but must be a number"),
-        ("is:reel", "one of clean, faulty"),
-        ('surface="abs', "a quote that does not end"),
-        ("x" * 1001, "1001 characters"),
-    ],
-)
+@pytest.mark.parametrize(("text", "complaint"), [
+    ("error>large", "filter: error is 'large', but must be a number"),
+    ("speed_m_s>fast", "filter: speed_m_s is 'fast', but must be a number"),
+    ("is:reel", "one of clean, faulty"),
+    ('surface="abs', "a quote that does not end"),
+    ("x" * 1001, "1001 characters"),
+])  # fmt: skip
 def test_filters_without_a_meaning_are_refused(text, complaint):
     refused(parse_filter, text, match=complaint)
 

@@ -92,17 +92,14 @@ def test_code_is_copied_without_prompts_and_outputs_are_not(page):
     assert page.evaluate("window.copied").startswith("from fixel.model import Disk")
 
 
-@pytest.mark.parametrize(
-    ("name", "target"),
-    [
-        ("tutorials/first_push", "../reference/api/fixel.Polygon.html#fixel.Polygon.rectangle"),
-        ("tutorials/trust", "../reference/api/fixel.map_domain.html#fixel.map_domain"),
-        ("how-to/plan", "../reference/api/fixel.FreePushes.html#fixel.FreePushes"),
-        ("reference/api/fixel.Simulation", "https://numpy.org/doc/stable/"),
-        ("reference/api/fixel.Simulation", "../../_modules/fixel/simulation/result.html"),
-        ("tutorials/plan", "plan.ipynb"),
-    ],
-)
+@pytest.mark.parametrize(("name", "target"), [
+    ("tutorials/first_push", "../reference/api/fixel.Polygon.html#fixel.Polygon.rectangle"),
+    ("tutorials/trust", "../reference/api/fixel.map_domain.html#fixel.map_domain"),
+    ("how-to/plan", "../reference/api/fixel.FreePushes.html#fixel.FreePushes"),
+    ("reference/api/fixel.Simulation", "https://numpy.org/doc/stable/"),
+    ("reference/api/fixel.Simulation", "../../_modules/fixel/simulation/result.html"),
+    ("tutorials/plan", "plan.ipynb"),
+])  # fmt: skip
 def test_page_links_to(page, name, target):
     page.goto(f"file://{SITE}/{name}.html")
     assert page.locator(f"article a[href*='{target}']").count() > 0

@@ -122,16 +122,12 @@ def test_environments_in_two_threads_do_not_disturb_each_other(kind):
         assert all((run(k) == x).all() for k, x in enumerate(pool.map(run, range(2))))
 
 
-@pytest.mark.parametrize(
-    "env",
-    [
-        PushTVectorEnv(32, world="nominal"),
-        PushVectorEnv(32),
-        PushVectorEnv(32, scene=push_scene(fixel.Disk(0.003)), goal=(0.5, 0.0, 0.0)),
-        GraspVectorEnv(32, start=(0.3, 0.3, 1.0), max_episode_steps=20),
-    ],
-    ids=["PushT", "Push", "small", "Grasp"],
-)
+@pytest.mark.parametrize("env", [
+    PushTVectorEnv(32, world="nominal"),
+    PushVectorEnv(32),
+    PushVectorEnv(32, scene=push_scene(fixel.Disk(0.003)), goal=(0.5, 0.0, 0.0)),
+    GraspVectorEnv(32, start=(0.3, 0.3, 1.0), max_episode_steps=20),
+], ids=["PushT", "Push", "small", "Grasp"])  # fmt: skip
 def test_observations_are_in_their_space(env):
     seen, _ = env.reset(seed=0)
     rng = np.random.default_rng(0)

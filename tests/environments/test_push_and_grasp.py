@@ -138,20 +138,17 @@ def test_a_head_put_down_on_the_part_moves_nothing():
     assert seen[0, 0] == pytest.approx(before[0, 0] - 0.03)
 
 
-@pytest.mark.parametrize(
-    ("kind", "wrong", "where"),
-    [
-        (PushVectorEnv, {"scene": grasp_scene()}, "one round pusher"),
-        (PushVectorEnv, {"reward": "half"}, "reward"),
-        (PushVectorEnv, {"symmetry": 0}, "symmetry"),
-        (PushVectorEnv, {"position": -1.0}, "position"),
-        (PushVectorEnv, {"goal": (0.0, 0.0)}, "goal"),
-        (PushVectorEnv, {"parameters": {"mu_pusher": 0.2}}, "parameters"),
-        (GraspVectorEnv, {"scene": pushed_square()}, "force limit"),
-        (GraspVectorEnv, {"start": (1.0, 0.0)}, "start"),
-        (GraspVectorEnv, {"goal": "seated"}, "goal"),
-    ],
-)
+@pytest.mark.parametrize(("kind", "wrong", "where"), [
+    (PushVectorEnv, {"scene": grasp_scene()}, "one round pusher"),
+    (PushVectorEnv, {"reward": "half"}, "reward"),
+    (PushVectorEnv, {"symmetry": 0}, "symmetry"),
+    (PushVectorEnv, {"position": -1.0}, "position"),
+    (PushVectorEnv, {"goal": (0.0, 0.0)}, "goal"),
+    (PushVectorEnv, {"parameters": {"mu_pusher": 0.2}}, "parameters"),
+    (GraspVectorEnv, {"scene": pushed_square()}, "force limit"),
+    (GraspVectorEnv, {"start": (1.0, 0.0)}, "start"),
+    (GraspVectorEnv, {"goal": "seated"}, "goal"),
+])  # fmt: skip
 def test_bad_arguments_are_refused(kind, wrong, where):
     with pytest.raises(InvalidInput, match=where):
         kind(1, **wrong)

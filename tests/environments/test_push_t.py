@@ -205,20 +205,17 @@ def test_a_mask_resets_some_environments():
     refused(env.step, after[:, :2], match="call reset")
 
 
-@pytest.mark.parametrize(
-    ("wrong", "where"),
-    [
-        ({"obs_type": "stat"}, "obs_type"),
-        ({"world": "real"}, "world"),
-        ({"seeds": "1"}, "seeds"),
-        ({"damping": 0.5}, "damping"),
-        ({"render_mode": "human"}, "render_mode"),
-        ({"num_envs": 0}, "num_envs"),
-        ({"observation_width": 0}, "picture"),
-        ({"parameters": {"mu_pusher": 0.2}}, "parameters"),
-        ({"world": "posterior", "parameters": {"mu_pushr": 0.2}}, "mu_pushr"),
-    ],
-)
+@pytest.mark.parametrize(("wrong", "where"), [
+    ({"obs_type": "stat"}, "obs_type"),
+    ({"world": "real"}, "world"),
+    ({"seeds": "1"}, "seeds"),
+    ({"damping": 0.5}, "damping"),
+    ({"render_mode": "human"}, "render_mode"),
+    ({"num_envs": 0}, "num_envs"),
+    ({"observation_width": 0}, "picture"),
+    ({"parameters": {"mu_pusher": 0.2}}, "parameters"),
+    ({"world": "posterior", "parameters": {"mu_pushr": 0.2}}, "mu_pushr"),
+])  # fmt: skip
 def test_bad_arguments_are_refused(wrong, where):
     refused(PushTVectorEnv, match=where, **{"num_envs": 1, **wrong})
 

@@ -177,63 +177,46 @@ def test_first_order_motion_and_rigid_drives():
     assert finite(running.step(FilterFrame(1 / 30, HEAD, START)))
 
 
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [
-        ({"n_particles": 1}, "n_particles is 1, but must be a whole number of at least 2"),
-        ({"n_particles": 2.5}, "n_particles"),
-        ({"threads": 0}, "threads"),
-        ({"priors": {"mu_pushr": (0.1, 1.0)}}, "did you mean 'mu_pusher'"),
-        ({"priors": {"start_x": (0.1, 1.0)}}, "particles cannot have"),
-        ({"priors": {"mu_pusher": (1.0, 0.1)}}, "the lower one first"),
-        ({"priors": {"mu_pusher": (0.1,)}}, "two numbers"),
-        ({"priors": {"mu_pusher": (-0.1, 1.0)}}, "at least 0"),
-        ({"position_deviation": 0.0}, "position_deviation"),
-        ({"contact_reliability": 1.0}, "between 0 and 1"),
-        ({"motion": Dynamic()}, "particles have no velocities"),
-        ({"force_limit": -1.0}, "force_limit"),
-    ],
-)
+@pytest.mark.parametrize(("options", "sentence"), [
+    ({"n_particles": 1}, "n_particles is 1, but must be a whole number of at least 2"),
+    ({"n_particles": 2.5}, "n_particles"),
+    ({"threads": 0}, "threads"),
+    ({"priors": {"mu_pushr": (0.1, 1.0)}}, "did you mean 'mu_pusher'"),
+    ({"priors": {"start_x": (0.1, 1.0)}}, "particles cannot have"),
+    ({"priors": {"mu_pusher": (1.0, 0.1)}}, "the lower one first"),
+    ({"priors": {"mu_pusher": (0.1,)}}, "two numbers"),
+    ({"priors": {"mu_pusher": (-0.1, 1.0)}}, "at least 0"),
+    ({"position_deviation": 0.0}, "position_deviation"),
+    ({"contact_reliability": 1.0}, "between 0 and 1"),
+    ({"motion": Dynamic()}, "particles have no velocities"),
+    ({"force_limit": -1.0}, "force_limit"),
+])  # fmt: skip
 def test_impossible_options_are_refused(options, sentence):
     refused(ParticleFilter, match=sentence, **options)
 
 
-@pytest.mark.parametrize(
-    ("scene", "options", "sentence"),
-    [
-        (heap(3), FEW, "3 free bodies and 1 pushers"),
-        (sliding_block(), FEW, "1 free bodies and 0 pushers"),
-        (SCENE.bodies[0], FEW, "a Scene or an Experiment"),
-        (
-            Scene(bodies=SCENE.bodies, pushers=SCENE.pushers, duration=1.0),
-            replace(FEW, priors={"mu_fixel": (0.1, 0.2)}),
-            "no fixels",
-        ),
-        (
-            replace(
-                SCENE, bodies=(replace(SCENE.bodies[0], support=Ellipsoid(force=0.5, torque=0.02)),)
-            ),
-            replace(FEW, priors={"mu_support": (0.1, 0.2)}),
-            "ellipsoidal",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("scene", "options", "sentence"), [
+    (heap(3), FEW, "3 free bodies and 1 pushers"),
+    (sliding_block(), FEW, "1 free bodies and 0 pushers"),
+    (SCENE.bodies[0], FEW, "a Scene or an Experiment"),
+    (Scene(bodies=SCENE.bodies, pushers=SCENE.pushers, duration=1.0),
+     replace(FEW, priors={"mu_fixel": (0.1, 0.2)}), "no fixels"),
+    (replace(SCENE, bodies=(replace(SCENE.bodies[0], support=Ellipsoid(force=0.5, torque=0.02)),)),
+     replace(FEW, priors={"mu_support": (0.1, 0.2)}), "ellipsoidal"),
+])  # fmt: skip
 def test_scenes_that_do_not_fit_are_refused(scene, options, sentence):
     refused(start_filter, options, scene, match=sentence)
 
 
-@pytest.mark.parametrize(
-    ("frame", "sentence"),
-    [
-        (FilterFrame(0.0, HEAD), "a time after 0 s"),
-        (FilterFrame(np.nan, HEAD), "a time after"),
-        (FilterFrame(0.1, HEAD[:2]), "frame.pusher"),
-        (FilterFrame(0.1, HEAD * np.nan), "frame.pusher"),
-        (FilterFrame(0.1, HEAD, START * np.inf), "frame.seen"),
-        (FilterFrame(0.1, HEAD, None, [1.0]), "3 readings, one per fixel"),
-        (FilterFrame(0.1, HEAD, None, [1.0, 0.5, 0.0]), "each 0, 1 or NaN"),
-    ],
-)
+@pytest.mark.parametrize(("frame", "sentence"), [
+    (FilterFrame(0.0, HEAD), "a time after 0 s"),
+    (FilterFrame(np.nan, HEAD), "a time after"),
+    (FilterFrame(0.1, HEAD[:2]), "frame.pusher"),
+    (FilterFrame(0.1, HEAD * np.nan), "frame.pusher"),
+    (FilterFrame(0.1, HEAD, START * np.inf), "frame.seen"),
+    (FilterFrame(0.1, HEAD, None, [1.0]), "3 readings, one per fixel"),
+    (FilterFrame(0.1, HEAD, None, [1.0, 0.5, 0.0]), "each 0, 1 or NaN"),
+])  # fmt: skip
 def test_impossible_frames_are_refused(frame, sentence):
     with pytest.raises(InvalidInput, match=sentence):
         start_filter(FEW, SCENE).step(frame)

@@ -107,18 +107,15 @@ def test_progress_is_told_and_the_camera_is_enough(experiment):
     assert not found.uses_tactile
 
 
-@pytest.mark.parametrize(
-    ("change", "occlusion", "sentence"),
-    [
-        ({"scene": None, "contact_mode": ""}, None, "no scene"),
-        ({"pusher": None}, None, "no measured path of the pusher"),
-        ({}, (8.0, 9.0), "within the recording, 0 to 7 s"),
-        ({}, (-1.0, 2.0), "within the recording"),
-        ({}, (3.0, 2.0), "is 3 to 2 s"),
-        ({}, (2.0, float("nan")), "within the recording"),
-        ({"effective": (50.0, 60.0)}, None, "0 measured instants"),
-    ],
-)
+@pytest.mark.parametrize(("change", "occlusion", "sentence"), [
+    ({"scene": None, "contact_mode": ""}, None, "no scene"),
+    ({"pusher": None}, None, "no measured path of the pusher"),
+    ({}, (8.0, 9.0), "within the recording, 0 to 7 s"),
+    ({}, (-1.0, 2.0), "within the recording"),
+    ({}, (3.0, 2.0), "is 3 to 2 s"),
+    ({}, (2.0, float("nan")), "within the recording"),
+    ({"effective": (50.0, 60.0)}, None, "0 measured instants"),
+])  # fmt: skip
 def test_what_cannot_be_filtered_is_refused(experiment, change, occlusion, sentence):
     with pytest.raises(InvalidInput, match=sentence):
         run_filter(replace(experiment, **change), SOME, occlusion=occlusion)

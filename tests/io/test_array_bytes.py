@@ -37,20 +37,17 @@ def test_arrays_come_back_bit_for_bit() -> None:
         assert found[name].tobytes() == array.tobytes()
 
 
-@pytest.mark.parametrize(
-    "data",
-    [
-        with_header(shape=(10**14,)),
-        with_header(shape=(2,)),
-        with_header(shape=(-1,)),
-        with_header(descr="|O", shape=(1,)),
-        with_header(descr="<M8[s]"),
-        with_header()[:40],
-        with_header() + b"more",
-        b"\x93NUMPY",
-        b"",
-    ],
-)
+@pytest.mark.parametrize("data", [
+    with_header(shape=(10**14,)),
+    with_header(shape=(2,)),
+    with_header(shape=(-1,)),
+    with_header(descr="|O", shape=(1,)),
+    with_header(descr="<M8[s]"),
+    with_header()[:40],
+    with_header() + b"more",
+    b"\x93NUMPY",
+    b"",
+])  # fmt: skip
 def test_a_header_of_another_size_is_refused(data: bytes) -> None:
     with pytest.raises(ValueError, match="array"):
         array_of(data)

@@ -234,15 +234,12 @@ def test_a_folder_that_another_process_prepares_is_left_alone(tmp_path, monkeypa
     refused(prepare_job, folder, maker=MAKER, match="fixel needs a new folder")
 
 
-@pytest.mark.parametrize(
-    ("file", "change"),
-    [
-        ("job.json", {"surprise": 1}),
-        ("job.json", {"label": "fixel-$(touch x)"}),
-        ("run.json", {"workers": -1}),
-        ("run.json", {"site": {"queue": "a b"}}),
-    ],
-)
+@pytest.mark.parametrize(("file", "change"), [
+    ("job.json", {"surprise": 1}),
+    ("job.json", {"label": "fixel-$(touch x)"}),
+    ("run.json", {"workers": -1}),
+    ("run.json", {"site": {"queue": "a b"}}),
+])  # fmt: skip
 def test_files_that_say_what_they_should_not(tmp_path, file, change):
     folder = toy_job(tmp_path / "job", RunSettings(), **OPTIONS)
     content = json.loads((folder / file).read_text())

@@ -49,26 +49,21 @@ def test_a_worker_ends_before_its_time(walltime, seconds, lifetime):
     assert (site.walltime_s, site.lifetime_s) == (seconds, lifetime)
 
 
-@pytest.mark.parametrize(
-    ("content", "complaint"),
-    [
-        ({"walltime": "soon"}, "walltime is 'soon', but must be HH:MM:SS"),
-        ({"walltime": 3600}, "walltime is 3600, but must be a string"),
-        ({"walltime": "00:00:01"}, "must be at least 00:00:10"),
-        (
-            {"wall_time": "01:00:00"},
-            "wall_time: found an unknown key, but fixel needs one of scheduler",
-        ),
-        ({"memory": "much"}, "memory is 'much', but must be a size such as 4 GB"),
-        ({"cores": 0}, "cores is 0"),
-        ({"max_jobs": -1}, "max_jobs is -1"),
-        ({"queue": "a\n#SBATCH --uid=0"}, "queue is 'a.*', but must be one line"),
-        ({"prologue": ["a\nb"]}, "prologue.0 is 'a.*b', but must be one line"),
-        ({"directives": "--x"}, "directives is '--x', but must be a list"),
-        ({"scheduler": "pbs"}, "scheduler is 'pbs', but must be 'slurm'"),
-        ([], "needs a dictionary"),
-    ],
-)
+@pytest.mark.parametrize(("content", "complaint"), [
+    ({"walltime": "soon"}, "walltime is 'soon', but must be HH:MM:SS"),
+    ({"walltime": 3600}, "walltime is 3600, but must be a string"),
+    ({"walltime": "00:00:01"}, "must be at least 00:00:10"),
+    ({"wall_time": "01:00:00"},
+     "wall_time: found an unknown key, but fixel needs one of scheduler"),
+    ({"memory": "much"}, "memory is 'much', but must be a size such as 4 GB"),
+    ({"cores": 0}, "cores is 0"),
+    ({"max_jobs": -1}, "max_jobs is -1"),
+    ({"queue": "a\n#SBATCH --uid=0"}, "queue is 'a.*', but must be one line"),
+    ({"prologue": ["a\nb"]}, "prologue.0 is 'a.*b', but must be one line"),
+    ({"directives": "--x"}, "directives is '--x', but must be a list"),
+    ({"scheduler": "pbs"}, "scheduler is 'pbs', but must be 'slurm'"),
+    ([], "needs a dictionary"),
+])  # fmt: skip
 def test_what_a_site_may_not_say(content, complaint):
     with pytest.raises(InvalidInput, match=complaint):
         site_of(content, "site.yaml")

@@ -70,15 +70,12 @@ def join(folder, number):
     link.record_joined(folder, f"slurm-{number}", "node")
 
 
-@pytest.mark.parametrize(
-    "plan",
-    [
-        [],
-        [f"lie {TIMED_OUT}"],  # accepted all the same
-        ["say 101;cluster"],
-        ["say sbatch: lua: welcome\n101"],
-    ],
-)
+@pytest.mark.parametrize("plan", [
+    [],
+    [f"lie {TIMED_OUT}"],  # accepted all the same
+    ["say 101;cluster"],
+    ["say sbatch: lua: welcome\n101"],
+])  # fmt: skip
 def test_as_many_as_wanted_and_no_more(fake, pool, plan):
     fake.set(plan=plan)
     steps(pool, 8)

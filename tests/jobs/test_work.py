@@ -122,28 +122,25 @@ def test_what_a_chunk_function_may_answer(inputs):
     assert answer_of(ends, inputs, b"").reason.startswith("SystemExit: 3 (test_work.py, line")
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "os:system",
-        "toy:os",
-        "toy:MAKER",
-        "toy:callable_by_jobs",  # defined elsewhere
-        "toy:no_such",
-        "toy:evaluate:evaluate",
-        "toy",
-        "calibration:InvalidInput",
-        "../os:system",
-        "fixel.testing.toy_work:evaluate",  # a path, not a name
-        "fixel.database.arrays:fetch",  # public, and not meant for jobs
-        "fixel.datasets.reading:plan_import",
-        "fixel.jobs.folder:prepare",
-        "fixel.cli.main:run",
-        "fixel.workflows.domain.work:domain_work",
-        "fixel.io.atomic:refuse_unwritable",
-        "",
-    ],
-)
+@pytest.mark.parametrize("name", [
+    "os:system",
+    "toy:os",
+    "toy:MAKER",
+    "toy:callable_by_jobs",  # defined elsewhere
+    "toy:no_such",
+    "toy:evaluate:evaluate",
+    "toy",
+    "calibration:InvalidInput",
+    "../os:system",
+    "fixel.testing.toy_work:evaluate",  # a path, not a name
+    "fixel.database.arrays:fetch",  # public, and not meant for jobs
+    "fixel.datasets.reading:plan_import",
+    "fixel.jobs.folder:prepare",
+    "fixel.cli.main:run",
+    "fixel.workflows.domain.work:domain_work",
+    "fixel.io.atomic:refuse_unwritable",
+    "",
+])  # fmt: skip
 def test_only_functions_marked_for_jobs_are_called_by_name(name):
     with pytest.raises(InvalidInput, match="function of a job"):
         named_function(name)

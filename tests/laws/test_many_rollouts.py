@@ -8,15 +8,12 @@ from fixel.testing.scenes import grasp
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("motion", "layout"),
-    [
-        (Dynamic(), "slip"),
-        (Dynamic(), "seated"),
-        (QuasiStatic(), "slip"),
-        (QuasiStatic(), "seated"),
-    ],
-)
+@pytest.mark.parametrize(("motion", "layout"), [
+    (Dynamic(), "slip"),
+    (Dynamic(), "seated"),
+    (QuasiStatic(), "slip"),
+    (QuasiStatic(), "seated"),
+])  # fmt: skip
 def test_ten_thousand_grasps(motion, layout):
     rng = np.random.default_rng(7)
     n = 10_000

@@ -154,13 +154,10 @@ def test_shifts_of_the_start_and_of_the_path():
     assert np.linalg.norm(slope["outline_x"] - slope["x"]) > 0.01
 
 
-@pytest.mark.parametrize(
-    ("scene", "name"),
-    [
-        (free_push(SUPPORT), "anisotropy_xy"),  # friction that depends on the direction of slip
-        (seated_grasp(578), "x"),  # whose modes alternate
-    ],
-)
+@pytest.mark.parametrize(("scene", "name"), [
+    (free_push(SUPPORT), "anisotropy_xy"),  # friction that depends on the direction of slip
+    (seated_grasp(578), "x"),  # whose modes alternate
+])  # fmt: skip
 def test_what_modes_do_not_describe_has_no_derivative(scene, name):
     push = simulate(scene, motion="quasistatic", derivatives=[name])
     assert push.derivatives == {}
@@ -257,21 +254,14 @@ def test_agrees_with_a_tight_stepper_where_pegs_seat_the_part():
     assert max(errors) < 0.01
 
 
-@pytest.mark.parametrize(
-    ("layout", "start", "radius", "angle", "frictions", "known"),
-    [
-        (
-            "seated", (0.10395168901937467, -0.00296119810777981, 0.06400052599753381),
-            0.020208661538774104, 4.687664734881332, (0.2710038627336632, 0.23411577999818295),
-            {"y": (0.0, -83.590646), "mu_pusher": (0.0, 1.120898)},
-        ),
-        (
-            "slip", (0.10996780442700164, -0.01027957273037199, 0.27083859900845386),
-            0.04236896069294342, 4.41086257594126, (0.08934793030213359, 0.11273223929012872),
-            {"y": (0.28372332, 1.21105109), "theta": (-3.688421e-4, -1.574374e-3)},
-        ),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("layout", "start", "radius", "angle", "frictions", "known"), [
+    ("seated", (0.10395168901937467, -0.00296119810777981, 0.06400052599753381),
+     0.020208661538774104, 4.687664734881332, (0.2710038627336632, 0.23411577999818295),
+     {"y": (0.0, -83.590646), "mu_pusher": (0.0, 1.120898)}),
+    ("slip", (0.10996780442700164, -0.01027957273037199, 0.27083859900845386), 0.04236896069294342,
+     4.41086257594126, (0.08934793030213359, 0.11273223929012872),
+     {"y": (0.28372332, 1.21105109), "theta": (-3.688421e-4, -1.574374e-3)}),
+])  # fmt: skip
 def test_starts_that_move_the_end_far(layout, start, radius, angle, frictions, known):
     """The known values are differences of an integration by DOP853 that enumerates modes."""
     scene = grasp(layout)

@@ -93,13 +93,10 @@ def test_the_goal_names_the_part():
             match="conditions on block and part")  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        ({"choose": FreePushes(keep=["blok"])}, "did you mean 'block'"),
-        ({"looks": 1}, "2 free bodies"),
-    ],
-)
+@pytest.mark.parametrize(("options", "text"), [
+    ({"choose": FreePushes(keep=["blok"])}, "did you mean 'block'"),
+    ({"looks": 1}, "2 free bodies"),
+])  # fmt: skip
 def test_what_several_parts_do_not_allow_is_refused(options, text):
     refused(fixel.plan, scene(), goal(), rollouts=1000, progress=False, match=text, **options)
 

@@ -94,16 +94,13 @@ def test_selection_limit_and_settings(tmp_path: Path) -> None:
     assert spread(10, 3).tolist() == [0, 3, 6]
 
 
-@pytest.mark.parametrize(
-    ("options", "complaint"),
-    [
-        ({"select": columns_and_values(["shap=hex"])}, "did you mean 'shape'"),
-        ({"select": columns_and_values(["shape=hex"])}, "is 'hex', but must be one of block"),
-        ({"settings": {"mu_pushr": 0.1}}, "did you mean 'mu_pusher'"),
-        ({"settings": {"support_points": 16.5}}, "a whole number"),
-        ({"settings": {"mu_pusher": -1.0}}, "at least 0"),
-    ],
-)
+@pytest.mark.parametrize(("options", "complaint"), [
+    ({"select": columns_and_values(["shap=hex"])}, "did you mean 'shape'"),
+    ({"select": columns_and_values(["shape=hex"])}, "is 'hex', but must be one of block"),
+    ({"settings": {"mu_pushr": 0.1}}, "did you mean 'mu_pusher'"),
+    ({"settings": {"support_points": 16.5}}, "a whole number"),
+    ({"settings": {"mu_pusher": -1.0}}, "at least 0"),
+])  # fmt: skip
 def test_wrong_choices_are_refused(
     options: dict[str, object], complaint: str, tmp_path: Path
 ) -> None:
@@ -191,15 +188,12 @@ def test_command_prints_a_plain_table_and_the_next_step(dataset: str, tmp_path: 
     assert "\x1b" not in result.stdout
 
 
-@pytest.mark.parametrize(
-    ("words", "where"),
-    [
-        (("--set", "mu_pusher=low"), "--set mu_pusher is 'low', but must be a number"),
-        (("--set", "mu_pushr=0.1"), "--set is 'mu_pushr'"),
-        (("--select", "shape=hex"), "--select shape is 'hex'"),
-        (("--window", "-1"), "--window is -1.0, but must be at least 0"),
-    ],
-)
+@pytest.mark.parametrize(("words", "where"), [
+    (("--set", "mu_pusher=low"), "--set mu_pusher is 'low', but must be a number"),
+    (("--set", "mu_pushr=0.1"), "--set is 'mu_pushr'"),
+    (("--select", "shape=hex"), "--select shape is 'hex'"),
+    (("--window", "-1"), "--window is -1.0, but must be at least 0"),
+])  # fmt: skip
 def test_command_names_its_flags(
     words: tuple[str, ...], where: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

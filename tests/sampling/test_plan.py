@@ -84,36 +84,33 @@ def test_low_discrepancy_is_lower_than_that_of_random_numbers():
     assert max(discrepancy("sobol"), discrepancy("halton")) < 0.5 * discrepancy("uniform")
 
 
-@pytest.mark.parametrize(
-    ("build", "where"),
-    [
-        (lambda: OffsetAxis(name="z", step=1.0, first=1, last=2), r"axis\.name"),
-        (lambda: OffsetAxis(name="x", step=0.0, first=1, last=2), r"axis\.step"),
-        (lambda: OffsetAxis(name="x", step=1.0, first=2, last=1), r"axis\.last"),
-        (lambda: OffsetAxis(name="x", step=1.0, first=1, last=10**9), r"axis\.last"),
-        (lambda: Grid(x=()), r"grid\.x"),
-        (lambda: Grid(x=(nan,)), r"grid\.x"),
-        (lambda: Grid(x=(0.0,) * 1000, y=(0.0,) * 1000), "at most 100000"),
-        (lambda: OffsetList(()), "at least one"),
-        (lambda: OffsetList(((0.0, 0.0, inf),)), r"list\[0\]"),
-        (lambda: OffsetSample(count=0), "at least one point"),
-        (lambda: OffsetSample(count=4, method="dice"), r"sample\.method"),
-        (lambda: OffsetSample(count=4, y=(0.1, -0.1)), r"sample\.y"),
-        (lambda: RegularPolygon(sides=2, side=0.1), r"regular\.sides"),
-        (lambda: RegularPolygon(sides=5, side=-0.1), r"regular\.side"),
-        (lambda: FixelLayout(name="a", pegs=((0.5, 1.1),)), r"pegs\[0\]"),
-        (lambda: FixelLayout(name="a", pegs=((0.5, nan),)), r"pegs\[0\]"),
-        (lambda: FixelLayout(name="a", pegs=((0.5, 0.5),) * 101), "at most 100"),
-        (lambda: FixelLayout(name="a", pegs=(), number=0), r"number is 0"),
-        (lambda: FixelLayout(name="a/b", pegs=((0.5, 0.5),)), r"layout\.name"),
-        (lambda: replace(SMALL, name=""), r"plan\.name"),
-        (lambda: replace(SMALL, repetitions=0), "repetitions"),
-        (lambda: replace(SMALL, repetitions=10**6), "at most 100000"),
-        (lambda: replace(SMALL, schemes=()), "offsets"),
-        (lambda: replace(SMALL, layouts=SMALL.layouts * 2), r"layouts\[1\]\.name"),
-        (lambda: replace(SMALL.rig, speed=0.0), r"rig\.speed"),
-    ],
-)
+@pytest.mark.parametrize(("build", "where"), [
+    (lambda: OffsetAxis(name="z", step=1.0, first=1, last=2), r"axis\.name"),
+    (lambda: OffsetAxis(name="x", step=0.0, first=1, last=2), r"axis\.step"),
+    (lambda: OffsetAxis(name="x", step=1.0, first=2, last=1), r"axis\.last"),
+    (lambda: OffsetAxis(name="x", step=1.0, first=1, last=10**9), r"axis\.last"),
+    (lambda: Grid(x=()), r"grid\.x"),
+    (lambda: Grid(x=(nan,)), r"grid\.x"),
+    (lambda: Grid(x=(0.0,) * 1000, y=(0.0,) * 1000), "at most 100000"),
+    (lambda: OffsetList(()), "at least one"),
+    (lambda: OffsetList(((0.0, 0.0, inf),)), r"list\[0\]"),
+    (lambda: OffsetSample(count=0), "at least one point"),
+    (lambda: OffsetSample(count=4, method="dice"), r"sample\.method"),
+    (lambda: OffsetSample(count=4, y=(0.1, -0.1)), r"sample\.y"),
+    (lambda: RegularPolygon(sides=2, side=0.1), r"regular\.sides"),
+    (lambda: RegularPolygon(sides=5, side=-0.1), r"regular\.side"),
+    (lambda: FixelLayout(name="a", pegs=((0.5, 1.1),)), r"pegs\[0\]"),
+    (lambda: FixelLayout(name="a", pegs=((0.5, nan),)), r"pegs\[0\]"),
+    (lambda: FixelLayout(name="a", pegs=((0.5, 0.5),) * 101), "at most 100"),
+    (lambda: FixelLayout(name="a", pegs=(), number=0), r"number is 0"),
+    (lambda: FixelLayout(name="a/b", pegs=((0.5, 0.5),)), r"layout\.name"),
+    (lambda: replace(SMALL, name=""), r"plan\.name"),
+    (lambda: replace(SMALL, repetitions=0), "repetitions"),
+    (lambda: replace(SMALL, repetitions=10**6), "at most 100000"),
+    (lambda: replace(SMALL, schemes=()), "offsets"),
+    (lambda: replace(SMALL, layouts=SMALL.layouts * 2), r"layouts\[1\]\.name"),
+    (lambda: replace(SMALL.rig, speed=0.0), r"rig\.speed"),
+])  # fmt: skip
 def test_what_cannot_be_is_refused(build, where):
     with pytest.raises(InvalidInput, match=where):
         build()
@@ -174,26 +171,18 @@ def test_an_overlap_is_reported_and_left_out():
     assert plan.total == 2
 
 
-@pytest.mark.parametrize(
-    ("changes", "problem"),
-    [
-        (
-            {"schemes": (OffsetList(((0.0, 0.2, 0.0),)),)},
-            "the head passes the object without contact",
-        ),
-        (
-            {"layouts": (FixelLayout(name="far", pegs=((0.99, 0.0), (0.99, 1.0))),)},
-            "the object cannot reach a fixel: the distance",
-        ),
-        (  # a peg in the gap between the head and the object
-            {
-                "shapes": (replace(SMALL.shapes[0], zone_start=0.03),),
-                "layouts": (FixelLayout(name="blocked", pegs=((0.0, 0.5), (1.0, 0.5))),),
-            },
-            "the head collides with fixel-1",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("changes", "problem"), [
+    ({"schemes": (OffsetList(((0.0, 0.2, 0.0),)),)}, "the head passes the object without contact"),
+    ({"layouts": (FixelLayout(name="far", pegs=((0.99, 0.0), (0.99, 1.0))),)},
+     "the object cannot reach a fixel: the distance"),
+    (  # a peg in the gap between the head and the object
+        {
+            "shapes": (replace(SMALL.shapes[0], zone_start=0.03),),
+            "layouts": (FixelLayout(name="blocked", pegs=((0.0, 0.5), (1.0, 0.5))),),
+        },
+        "the head collides with fixel-1",
+    ),
+])  # fmt: skip
 def test_an_experiment_that_cannot_work_is_reported(changes, problem):
     assert any(sentence.startswith(problem) for sentence in sentences(**changes))
 

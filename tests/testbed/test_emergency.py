@@ -75,18 +75,14 @@ def time_to_rest(controller: EmulatedGrbl, since: float, patience: float = 3.0) 
     return took
 
 
-@pytest.mark.parametrize(
-    ("then", "sent", "within"),
-    [
-        (BUSY, {"program": signal.SIGINT}, AT_ONCE),
-        (BLOCKED, {"program": signal.SIGINT}, AT_ONCE),
-        (WAITING, {"program": signal.SIGINT}, AT_ONCE),
-        (BUSY, {"program": signal.SIGKILL}, AT_ONCE),
-        (BUSY, {"guard": signal.SIGKILL, "program": signal.SIGKILL}, DEAD_MAN + AT_ONCE),
-        (WAITING, {"program": signal.SIGSTOP}, DEAD_MAN + AT_ONCE),
-    ],
-    ids=["busy", "blocked", "waiting", "killed", "killed with its guard", "hung"],
-)
+@pytest.mark.parametrize(("then", "sent", "within"), [
+    (BUSY, {"program": signal.SIGINT}, AT_ONCE),
+    (BLOCKED, {"program": signal.SIGINT}, AT_ONCE),
+    (WAITING, {"program": signal.SIGINT}, AT_ONCE),
+    (BUSY, {"program": signal.SIGKILL}, AT_ONCE),
+    (BUSY, {"guard": signal.SIGKILL, "program": signal.SIGKILL}, DEAD_MAN + AT_ONCE),
+    (WAITING, {"program": signal.SIGSTOP}, DEAD_MAN + AT_ONCE),
+], ids=["busy", "blocked", "waiting", "killed", "killed with its guard", "hung"])  # fmt: skip
 def test_a_signal_leaves_no_moving_drive_whatever_the_program_does(then, sent, within):
     with program(then) as (controller, running, guard):
         since = time.monotonic()

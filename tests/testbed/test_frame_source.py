@@ -194,15 +194,11 @@ LONG = b"--x\r\nContent-Length: 100000\r\n\r\n"
 HEAD = b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=%s\r\n\r\n"
 
 
-@pytest.mark.parametrize(
-    ("head", "part"),
-    [
-        (HEAD % b"x", b"--x\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n%b\r\n"),
-        (HEAD % b'"--x"', b"--x\r\ncontent-length:%d\r\n\r\n%b"),
-        (HEAD % b"--x", b"--x\r\nContent-Length: %d\r\n\r\n%b\r\n"),
-    ],
-    ids=["usual", "quoted", "dashes"],
-)
+@pytest.mark.parametrize(("head", "part"), [
+    (HEAD % b"x", b"--x\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n%b\r\n"),
+    (HEAD % b'"--x"', b"--x\r\ncontent-length:%d\r\n\r\n%b"),
+    (HEAD % b"--x", b"--x\r\nContent-Length: %d\r\n\r\n%b\r\n"),
+], ids=["usual", "quoted", "dashes"])  # fmt: skip
 def test_dialects_of_network_cameras(head: bytes, part: bytes) -> None:
     with answering(head, *[part % (len(JPEG), JPEG)] * 3) as url:
         source = UrlSource(url)
@@ -218,22 +214,17 @@ def test_parts_without_a_length(tmp_path: Path) -> None:
         assert [arrived.jpeg for arrived in source.frames()][:2] == [JPEG] * 2
 
 
-@pytest.mark.parametrize(
-    ("answer", "sentence"),
-    [
-        (b"HTTP/1.0 401 Unauthorized\r\n\r\n", r"401 Unauthorized.*NAME:PASSWORD"),
-        (
-            b"HTTP/1.0 200 OK\r\nContent-Type: text/html\r\n\r\n<html>",
-            "text/html, but fixel needs multi",
-        ),
-        (b"SSH-2.0-OpenSSH_9.2\r\n", "a camera that answers"),
-        (b"", "a camera that answers"),
-        (HEAD % b"x", "the camera ended the stream"),
-        (HEAD % b"x" + b"\x00\xff garbage" * 999, "the camera ended the stream"),
-        (HEAD % b"x" + b"--x\r\nContent-Length: 3\r\n\r\nabc\r\n" * 20, "not JPEG pictures"),
-        (HEAD % b"x" + b"--x\r\nContent-Length: 999\r\n\r\nabc", "the camera ended the stream"),
-    ],
-)
+@pytest.mark.parametrize(("answer", "sentence"), [
+    (b"HTTP/1.0 401 Unauthorized\r\n\r\n", r"401 Unauthorized.*NAME:PASSWORD"),
+    (b"HTTP/1.0 200 OK\r\nContent-Type: text/html\r\n\r\n<html>",
+     "text/html, but fixel needs multi"),
+    (b"SSH-2.0-OpenSSH_9.2\r\n", "a camera that answers"),
+    (b"", "a camera that answers"),
+    (HEAD % b"x", "the camera ended the stream"),
+    (HEAD % b"x" + b"\x00\xff garbage" * 999, "the camera ended the stream"),
+    (HEAD % b"x" + b"--x\r\nContent-Length: 3\r\n\r\nabc\r\n" * 20, "not JPEG pictures"),
+    (HEAD % b"x" + b"--x\r\nContent-Length: 999\r\n\r\nabc", "the camera ended the stream"),
+])  # fmt: skip
 def test_what_is_no_camera_is_refused(answer: bytes, sentence: str) -> None:
     with answering(answer) as url, pytest.raises(InvalidInput, match=sentence):
         UrlSource(url).open()
@@ -247,13 +238,10 @@ def test_a_camera_that_falls_silent_says_so() -> None:
     assert source.ended == "the camera has sent nothing for 2 s"
 
 
-@pytest.mark.parametrize(
-    ("parts", "way", "patience", "sentence"),
-    [
-        ((), "hold", 0.2, "no data within 0.2 s"),
-        ((LONG,), "drip", 3.0, "no whole picture within 6 s"),
-    ],
-)
+@pytest.mark.parametrize(("parts", "way", "patience", "sentence"), [
+    ((), "hold", 0.2, "no data within 0.2 s"),
+    ((LONG,), "drip", 3.0, "no whole picture within 6 s"),
+])  # fmt: skip
 def test_a_camera_that_says_nothing_or_drips_is_refused(
     monkeypatch: pytest.MonkeyPatch, parts: tuple[bytes], way: str, patience: float, sentence: str
 ) -> None:
@@ -282,17 +270,9 @@ def test_passwords_stay_out_of_records() -> None:
     assert b"Authorization: Basic bWU6c2UgY3JldA==" in answering.heard[0]  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize(
-    "url",
-    [
-        "rtsp://cam/1",
-        "http://",
-        "ftp://cam/video",
-        "http://cam:x/",
-        "http://cam:99999/",
-        "http://[",
-    ],
-)
+@pytest.mark.parametrize("url", [
+    "rtsp://cam/1", "http://", "ftp://cam/video", "http://cam:x/", "http://cam:99999/", "http://[",
+])  # fmt: skip
 def test_other_addresses_are_refused(url: str) -> None:
     with pytest.raises(InvalidInput, match="http://"):
         source_of(url)

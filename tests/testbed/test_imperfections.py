@@ -72,16 +72,12 @@ def test_friction_is_read_from_any_support():
     assert nominal_friction(body(NoSupport()), 9.81) is None
 
 
-@pytest.mark.parametrize(
-    "support",
-    [
-        Tripod(radius=0.04, friction=0.25),
-        SupportPoints(points=[[0.0, 0.0], [0.01, 0.0]], friction=[0.1, 0.3]),
-        UniformPressure(friction=0.2),
-        Ellipsoid(force=0.5, torque=0.01),
-    ],
-    ids=lambda support: type(support).__name__,
-)
+@pytest.mark.parametrize("support", [
+    Tripod(radius=0.04, friction=0.25),
+    SupportPoints(points=[[0.0, 0.0], [0.01, 0.0]], friction=[0.1, 0.3]),
+    UniformPressure(friction=0.2),
+    Ellipsoid(force=0.5, torque=0.01),
+], ids=lambda support: type(support).__name__)  # fmt: skip
 def test_a_support_as_planned_has_its_true_friction(support):
     rougher = planned_support(support, 1.5)
     before, after = (nominal_friction(body(x), 9.81) for x in (support, rougher))

@@ -419,17 +419,14 @@ def test_a_smaller_rig_sees_the_same_places():
     assert 0.5 * (big + 0.5) - 0.5 == pytest.approx(small, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("build", "options"),
-    [
-        (EmulatedLaboratory, {"pace": 2.0}),
-        (EmulatedLaboratory, {"rate": 0.0}),
-        (Faults, {"dropped": 1.5}),
-        (Faults, {"jitter": -1.0}),
-        (Faults, {"placement": (-1.0, 0.0)}),
-        (Faults, {"hand": 0.0}),
-    ],
-)
+@pytest.mark.parametrize(("build", "options"), [
+    (EmulatedLaboratory, {"pace": 2.0}),
+    (EmulatedLaboratory, {"rate": 0.0}),
+    (Faults, {"dropped": 1.5}),
+    (Faults, {"jitter": -1.0}),
+    (Faults, {"placement": (-1.0, 0.0)}),
+    (Faults, {"hand": 0.0}),
+])  # fmt: skip
 def test_bad_options_and_faults_are_refused(build, options):
     with pytest.raises(InvalidInput, match=next(iter(options))):
         build(**options) if build is Faults else build(SMALL, truth=TRUTH, **options)

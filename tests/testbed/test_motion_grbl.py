@@ -434,20 +434,17 @@ def test_a_stop_in_a_line_over_two_axes_keeps_the_place():
         assert controller.places == pytest.approx(further, abs=3e-3)
 
 
-@pytest.mark.parametrize(
-    ("firmware", "axes", "used"),
-    [
-        ("GRBL", 2, "XY"),
-        ("grblHAL", 4, "XYZ"),
-        ("FluidNC", 3, "YX"),
-        ("GRBL", 4, "X"),
-        ("FluidNC", 1, "X"),
-        *(
-            pytest.param(*rest, marks=pytest.mark.system)
-            for rest in (("GRBL", 4, "XZ"), ("FluidNC", 4, "XYZA"))
-        ),
-    ],
-)
+@pytest.mark.parametrize(("firmware", "axes", "used"), [
+    ("GRBL", 2, "XY"),
+    ("grblHAL", 4, "XYZ"),
+    ("FluidNC", 3, "YX"),
+    ("GRBL", 4, "X"),
+    ("FluidNC", 1, "X"),
+    *(
+        pytest.param(*rest, marks=pytest.mark.system)
+        for rest in (("GRBL", 4, "XZ"), ("FluidNC", 4, "XYZA"))
+    ),
+])  # fmt: skip
 def test_every_axis_has_its_own_travel_speed_and_acceleration(firmware, axes, used):
     travel, fastest = (80.0, 60.0, 40.0, 30.0)[:axes], (50.0, 20.0, 10.0, 15.0)[:axes]
     with (
@@ -542,16 +539,13 @@ def test_axes_that_no_controller_has_are_refused(axes):
 # --- the wrong port -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("says", "found"),
-    [
-        pytest.param(lambda heard: heard, "echo of every byte", id="echo"),
-        pytest.param(lambda heard: b"\x05" * len(heard), "the tactile board", id="tactile board"),
-        pytest.param(lambda heard: b"ERROR\r\n", '"ERROR"', id="modem"),
-        pytest.param(lambda heard: b"\x80\x91\xf0" * 4, "80 91 f0", id="garbage"),
-        pytest.param(lambda heard: b"", "no answer", id="silence"),
-    ],
-)
+@pytest.mark.parametrize(("says", "found"), [
+    pytest.param(lambda heard: heard, "echo of every byte", id="echo"),
+    pytest.param(lambda heard: b"\x05" * len(heard), "the tactile board", id="tactile board"),
+    pytest.param(lambda heard: b"ERROR\r\n", '"ERROR"', id="modem"),
+    pytest.param(lambda heard: b"\x80\x91\xf0" * 4, "80 91 f0", id="garbage"),
+    pytest.param(lambda heard: b"", "no answer", id="silence"),
+])  # fmt: skip
 def test_a_port_of_something_else_is_refused_with_what_it_said(says, found):
     with stranger(says) as port, pytest.raises(InvalidInput, match=found):
         GrblActuator(port).connect()
@@ -573,17 +567,14 @@ def test_an_emulated_controller_takes_no_file_away(tmp_path, monkeypatch):
 # --- lines ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("line", "state", "place"),
-    [
-        ("<Idle|MPos:1.000,2.000,3.000|FS:0,0>", ("Idle", None), (1.0, 2.0, 3.0)),
-        ("<Hold:0|MPos:-1.5,0.0,0.0|Bf:15,128|FS:0,0|WCO:1,2,3>", ("Hold", 0), (-1.5, 0.0, 0.0)),
-        ("<Run,MPos:1.0,2.0,3.0,WPos:4.0,5.0,6.0>", ("Run", None), (1.0, 2.0, 3.0)),
-        ("<Idle|MPos:-1.500|FS:0,0>", ("Idle", None), (-1.5,)),
-        ("<Alarm:11|MPos:1.0,2.0|Bf:100,1023|FS:0,0,0|Pn:P>", ("Alarm", 11), (1.0, 2.0)),
-        ("<Idle|MPos:1.0,2.0,3.0,4.0|FS:0,0|WCO:0,0,0,0>", ("Idle", None), (1.0, 2.0, 3.0, 4.0)),
-    ],
-)
+@pytest.mark.parametrize(("line", "state", "place"), [
+    ("<Idle|MPos:1.000,2.000,3.000|FS:0,0>", ("Idle", None), (1.0, 2.0, 3.0)),
+    ("<Hold:0|MPos:-1.5,0.0,0.0|Bf:15,128|FS:0,0|WCO:1,2,3>", ("Hold", 0), (-1.5, 0.0, 0.0)),
+    ("<Run,MPos:1.0,2.0,3.0,WPos:4.0,5.0,6.0>", ("Run", None), (1.0, 2.0, 3.0)),
+    ("<Idle|MPos:-1.500|FS:0,0>", ("Idle", None), (-1.5,)),
+    ("<Alarm:11|MPos:1.0,2.0|Bf:100,1023|FS:0,0,0|Pn:P>", ("Alarm", 11), (1.0, 2.0)),
+    ("<Idle|MPos:1.0,2.0,3.0,4.0|FS:0,0|WCO:0,0,0,0>", ("Idle", None), (1.0, 2.0, 3.0, 4.0)),
+])  # fmt: skip
 def test_status_reports_of_both_versions(line, state, place):
     status = grbl.status_of(line)
 
@@ -600,15 +591,12 @@ def test_anything_else_is_no_report(line):
     assert grbl.status_of(line) is None
 
 
-@pytest.mark.parametrize(
-    ("more", "coordinate_at_10_mm"),
-    [
-        (["$22=1", "$23=0"], -10.0),
-        (["$22=1", "$23=1"], -140.0),
-        (["$22=1", "$23=1", "[OPT:VZ,15,128]"], 10.0),
-        (["$22=0"], 10.0),
-    ],
-)
+@pytest.mark.parametrize(("more", "coordinate_at_10_mm"), [
+    (["$22=1", "$23=0"], -10.0),
+    (["$22=1", "$23=1"], -140.0),
+    (["$22=1", "$23=1", "[OPT:VZ,15,128]"], 10.0),
+    (["$22=0"], 10.0),
+])  # fmt: skip
 def test_machine_coordinates_follow_where_the_controller_homes(more, coordinate_at_10_mm):
     settings = grbl.settings_of(["$110=600", "$120=10", "$130=150", *more], "X")
 
@@ -694,14 +682,11 @@ def test_homing_that_is_off_in_a_mask_or_a_cycle_is_off():
         assert settings.coordinate(0.010) == pytest.approx(10.0)
 
 
-@pytest.mark.parametrize(
-    ("damage", "found"),
-    [
-        (("$111=1500.000", "$111=fast"), r"\$111=fast"),
-        (("$131=90.000", "$131=nan"), r"\$131=nan"),
-        (("$121=100.000", ""), r"no setting \$121"),
-    ],
-)
+@pytest.mark.parametrize(("damage", "found"), [
+    (("$111=1500.000", "$111=fast"), r"\$111=fast"),
+    (("$131=90.000", "$131=nan"), r"\$131=nan"),
+    (("$121=100.000", ""), r"no setting \$121"),
+])  # fmt: skip
 def test_a_needed_setting_that_is_no_number_is_named(damage, found):
     with pytest.raises(
         InvalidInput, match=f"the controller: found {found}, but fixel needs a number"

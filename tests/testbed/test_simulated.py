@@ -292,20 +292,17 @@ def test_progress_is_told_and_a_run_can_be_left():
     assert list(BENCH.run([])) == []
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"seed": -1}, "testbed.seed"),
-        ({"support_cells": 3}, "support_cells"),
-        ({"pusher_friction": 0.0}, "pusher_friction"),
-        ({"dropped_frames": 1.5}, "dropped_frames"),
-        ({"position_noise": -1e-3}, "position_noise"),
-        ({"frame_rate": 0.0}, "frame_rate.*Hz"),
-        ({"stall_force": 0.0}, "stall_force.*N"),
-        ({"centre_of_pressure": (1.0,)}, "centre_of_pressure"),
-        ({"dataset": ""}, "dataset"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "words"), [
+    ({"seed": -1}, "testbed.seed"),
+    ({"support_cells": 3}, "support_cells"),
+    ({"pusher_friction": 0.0}, "pusher_friction"),
+    ({"dropped_frames": 1.5}, "dropped_frames"),
+    ({"position_noise": -1e-3}, "position_noise"),
+    ({"frame_rate": 0.0}, "frame_rate.*Hz"),
+    ({"stall_force": 0.0}, "stall_force.*N"),
+    ({"centre_of_pressure": (1.0,)}, "centre_of_pressure"),
+    ({"dataset": ""}, "dataset"),
+])  # fmt: skip
 def test_refuses_a_bench_that_cannot_be(changes, words):
     refused(SimulatedTestbed, match=words, **changes)
 

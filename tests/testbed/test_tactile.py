@@ -122,17 +122,14 @@ def test_thresholds_that_cannot_be_are_refused(thresholds):
 # --- faults ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("fault", "counted"),
-    [
-        ("garble 1", {"garbled": 1, "missing": 0}),
-        ("garble 18", {"garbled": 1, "missing": 0}),
-        ("drop 1", {"garbled": 1, "missing": 0}),
-        ("drop 18", {"garbled": 0, "missing": 1}),
-        ("lose 1", {"garbled": 1, "missing": 0}),
-        ("lose 5", {"garbled": 0, "missing": 1}),
-    ],
-)
+@pytest.mark.parametrize(("fault", "counted"), [
+    ("garble 1", {"garbled": 1, "missing": 0}),
+    ("garble 18", {"garbled": 1, "missing": 0}),
+    ("drop 1", {"garbled": 1, "missing": 0}),
+    ("drop 18", {"garbled": 0, "missing": 1}),
+    ("lose 1", {"garbled": 1, "missing": 0}),
+    ("lose 5", {"garbled": 0, "missing": 1}),
+])  # fmt: skip
 def test_a_damaged_answer_is_counted_and_the_next_one_is_right(mega, reader, fault, counted):
     mega.touch(6)
     reader.deadline = 0.05
@@ -246,19 +243,16 @@ def test_an_old_board_that_says_too_much_is_noticed():
 # --- the wrong port -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("says", "found"),
-    [
-        pytest.param(lambda heard: heard, "echo of every byte", id="echo"),
-        pytest.param(
-            lambda heard: b"\r\nGrbl 1.1h ['$' for help]\r\n", "a motion controller", id="grbl"
-        ),
-        pytest.param(lambda heard: b"login: ", '"login:"', id="console"),
-        pytest.param(lambda heard: b"\x80\x91\xf0" * 4, "80 91 f0", id="garbage"),
-        pytest.param(lambda heard: bytes(len(heard) + 1), "00 00 00", id="one byte too many"),
-        pytest.param(lambda heard: b"", "no answer", id="silence"),
-    ],
-)
+@pytest.mark.parametrize(("says", "found"), [
+    pytest.param(lambda heard: heard, "echo of every byte", id="echo"),
+    pytest.param(
+        lambda heard: b"\r\nGrbl 1.1h ['$' for help]\r\n", "a motion controller", id="grbl"
+    ),
+    pytest.param(lambda heard: b"login: ", '"login:"', id="console"),
+    pytest.param(lambda heard: b"\x80\x91\xf0" * 4, "80 91 f0", id="garbage"),
+    pytest.param(lambda heard: bytes(len(heard) + 1), "00 00 00", id="one byte too many"),
+    pytest.param(lambda heard: b"", "no answer", id="silence"),
+])  # fmt: skip
 def test_a_port_of_something_else_is_refused_with_what_it_said(says, found, monkeypatch):
     monkeypatch.setattr("fixel.testbed.tactile_protocol.PATIENCE", 0.03)
     with stranger(says) as port, pytest.raises(InvalidInput, match=found):
@@ -275,15 +269,12 @@ def test_a_board_of_the_future_is_refused():
         TactileReader(port).connect()
 
 
-@pytest.mark.parametrize(
-    ("port", "found"),
-    [
-        (None, r"ports here|no serial port"),
-        ("/dev/ttyNOSUCH", "found no port"),
-        ("/dev/null", "found no serial port"),
-        ("/", "found no serial port"),
-    ],
-)
+@pytest.mark.parametrize(("port", "found"), [
+    (None, r"ports here|no serial port"),
+    ("/dev/ttyNOSUCH", "found no port"),
+    ("/dev/null", "found no serial port"),
+    ("/", "found no serial port"),
+])  # fmt: skip
 def test_what_is_no_port_is_refused(port, found):
     with pytest.raises(InvalidInput, match=found):
         TactileReader(port).connect()

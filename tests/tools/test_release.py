@@ -61,17 +61,14 @@ def test_the_container_runs_without_rights_and_installs_pinned_packages() -> Non
     assert "--require-hashes -r /src/requirements/core.txt" in "\n".join(lines)
 
 
-@pytest.mark.parametrize(
-    ("expression", "free"),
-    [
-        ("MIT", True),
-        ("BSD-2-Clause AND Apache-2.0 WITH LLVM-exception", True),
-        ("GPL-3.0-only OR MIT", True),
-        ("LGPL-3.0-only", False),
-        ("MIT AND GPL-2.0-only", False),
-        ("", False),
-    ],
-)
+@pytest.mark.parametrize(("expression", "free"), [
+    ("MIT", True),
+    ("BSD-2-Clause AND Apache-2.0 WITH LLVM-exception", True),
+    ("GPL-3.0-only OR MIT", True),
+    ("LGPL-3.0-only", False),
+    ("MIT AND GPL-2.0-only", False),
+    ("", False),
+])  # fmt: skip
 def test_a_free_licence(expression: str, free: bool) -> None:
     assert is_free(expression) is free
 

@@ -49,19 +49,16 @@ def test_a_page_whose_experiments_have_been_deleted_is_the_last_one(bench, monke
     assert "21 to 30" in " ".join(after.split())
 
 
-@pytest.mark.parametrize(
-    ("sort", "of"),
-    [
-        ("moved", lambda row: row["moved_m"]),
-        ("turned", lambda row: row["turned_rad"]),
-        ("name", lambda row: row["name"]),
-        ("layout", lambda row: row["layout"]),
-        ("offset_y_m", lambda row: row["conditions"]["offset_y_m"]),
-        ("contacts", lambda row: row["contacts"]),
-        ("duration", lambda row: row["duration_s"]),
-        ("flags", lambda row: len(row["flags"])),
-    ],
-)
+@pytest.mark.parametrize(("sort", "of"), [
+    ("moved", lambda row: row["moved_m"]),
+    ("turned", lambda row: row["turned_rad"]),
+    ("name", lambda row: row["name"]),
+    ("layout", lambda row: row["layout"]),
+    ("offset_y_m", lambda row: row["conditions"]["offset_y_m"]),
+    ("contacts", lambda row: row["contacts"]),
+    ("duration", lambda row: row["duration_s"]),
+    ("flags", lambda row: len(row["flags"])),
+])  # fmt: skip
 def test_it_sorts_by_any_column(bench, sort, of):
     for descending in (False, True):
         rows = bench.get(f"{ADDRESS}?sort={sort}&descending={descending}")["experiments"]
@@ -77,20 +74,17 @@ def test_what_is_not_known_stands_last_either_way(bench):
         assert [row["before_mm"] for row in rows[:3]] == sorted(known, reverse=descending)
 
 
-@pytest.mark.parametrize(
-    ("query", "where"),
-    [
-        ("filter=is:odd", "filter: is:"),
-        ("filter=moved>far", "filter: moved"),
-        ('filter="open', "filter"),
-        ("sort=no%22name", "column"),
-        ("limit=0", "query.limit"),
-        ("limit=501", "query.limit"),
-        ("offset=-1", "query.offset"),
-        ("offset=99999999999999999999", "query.offset"),
-        ("limt=3", "query"),
-    ],
-)
+@pytest.mark.parametrize(("query", "where"), [
+    ("filter=is:odd", "filter: is:"),
+    ("filter=moved>far", "filter: moved"),
+    ('filter="open', "filter"),
+    ("sort=no%22name", "column"),
+    ("limit=0", "query.limit"),
+    ("limit=501", "query.limit"),
+    ("offset=-1", "query.offset"),
+    ("offset=99999999999999999999", "query.offset"),
+    ("limt=3", "query"),
+])  # fmt: skip
 def test_what_cannot_be_is_refused_with_the_place(bench, query, where):
     said = bench.get(f"{ADDRESS}?{query}", 422)
     assert said["where"] == where
@@ -238,22 +232,19 @@ def test_notes_and_back(bench):
     bench.post("/notes/delete", {"ids": made})
 
 
-@pytest.mark.parametrize(
-    ("path", "body", "status"),
-    [
-        ("flag", {"ids": [1], "name": "Not So"}, 422),
-        ("flag", {"ids": [], "name": "late"}, 422),
-        ("flag", {"ids": [1, 999], "name": "late"}, 404),
-        ("flag", {"ids": [2**31], "name": "late"}, 422),
-        ("flag", {"ids": [1], "name": "late", "detail": "a\x00b"}, 422),
-        ("flag", {"ids": [1], "name": "late", "odd": 1}, 422),
-        ("note", {"ids": [1], "text": "   "}, 422),
-        ("note", {"ids": [1], "text": "x" * 10_001}, 422),
-        ("note", {"ids": [1], "text": "\ud800"}, 422),
-        ("delete", {"ids": "all"}, 422),
-        ("delete", None, 422),
-    ],
-)
+@pytest.mark.parametrize(("path", "body", "status"), [
+    ("flag", {"ids": [1], "name": "Not So"}, 422),
+    ("flag", {"ids": [], "name": "late"}, 422),
+    ("flag", {"ids": [1, 999], "name": "late"}, 404),
+    ("flag", {"ids": [2**31], "name": "late"}, 422),
+    ("flag", {"ids": [1], "name": "late", "detail": "a\x00b"}, 422),
+    ("flag", {"ids": [1], "name": "late", "odd": 1}, 422),
+    ("note", {"ids": [1], "text": "   "}, 422),
+    ("note", {"ids": [1], "text": "x" * 10_001}, 422),
+    ("note", {"ids": [1], "text": "\ud800"}, 422),
+    ("delete", {"ids": "all"}, 422),
+    ("delete", None, 422),
+])  # fmt: skip
 def test_marks_that_cannot_be_change_nothing(bench, path, body, status):
     before = bench.get(ADDRESS)
     bench.post(f"{ADDRESS}/{path}", body, status)

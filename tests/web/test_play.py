@@ -32,18 +32,15 @@ def test_other_peoples_simulations_are_refused(bench):
     assert bench.get("/experiments/999/motion", 404)
 
 
-@pytest.mark.parametrize(
-    ("query", "told"),
-    [
-        ("set=pinned-1&set=nothing", "values of the scene"),
-        ("set=pinned-2%7Cdynamic%7Cmu_support%3D0.4", "set 2"),
-        ("pin=yes&mu_pusher=0.3", "mu_pusher=0.3"),
-        ("mu_pusher=x", "must be a number"),
-        ("mu_pusher=-1", "invalid"),
-        ("motion=/bin/true", "pages start no programs"),
-        ("adopt=nothing&drop=nothing", "adjusted"),
-    ],
-)
+@pytest.mark.parametrize(("query", "told"), [
+    ("set=pinned-1&set=nothing", "values of the scene"),
+    ("set=pinned-2%7Cdynamic%7Cmu_support%3D0.4", "set 2"),
+    ("pin=yes&mu_pusher=0.3", "mu_pusher=0.3"),
+    ("mu_pusher=x", "must be a number"),
+    ("mu_pusher=-1", "invalid"),
+    ("motion=/bin/true", "pages start no programs"),
+    ("adopt=nothing&drop=nothing", "adjusted"),
+])  # fmt: skip
 def test_an_address_of_a_comparison_holds_its_sets(bench, query, told):
     answer = bench.client.get(f"/compare?experiment=1&base=nominal&{query}")
     assert answer.status_code in (200, 422)
@@ -94,18 +91,15 @@ def test_nominal_simulations_are_kept_once(bench):
     store.delete([bare, stuck])
 
 
-@pytest.mark.parametrize(
-    ("body", "where"),
-    [
-        ({"parameters": {"mu_suport": 0.4}}, "parameters"),
-        ({"parameters": {"mu_support": -1.0}}, "mu_support"),
-        ({"parameters": {"tripod_radius": 0.0}}, "tripod_radius"),
-        ({"motion": "magic"}, "motion"),
-        ({"motion": "./a_program.py"}, "motion"),  # pages start no programs
-        ({"motion": "pymunk"}, "engine pymunk"),  # whose pusher has no force limit
-        ({"parameters": {"mu_support": "much"}}, "body.parameters.mu_support"),
-    ],
-)
+@pytest.mark.parametrize(("body", "where"), [
+    ({"parameters": {"mu_suport": 0.4}}, "parameters"),
+    ({"parameters": {"mu_support": -1.0}}, "mu_support"),
+    ({"parameters": {"tripod_radius": 0.0}}, "tripod_radius"),
+    ({"motion": "magic"}, "motion"),
+    ({"motion": "./a_program.py"}, "motion"),  # pages start no programs
+    ({"motion": "pymunk"}, "engine pymunk"),  # whose pusher has no force limit
+    ({"parameters": {"mu_support": "much"}}, "body.parameters.mu_support"),
+])  # fmt: skip
 def test_what_cannot_be_simulated_is_told_with_its_field(bench, body, where):
     assert bench.post("/experiments/1/comparison", body, 422)["where"] == where
 
@@ -151,23 +145,20 @@ def test_problems_of_a_scene_name_their_key(bench):
     assert refusal["where"] == "'object' and 'fixel-1'"
 
 
-@pytest.mark.parametrize(
-    "body",
-    [
-        '{"scene": {"bodies": [{"name": "\\ud800"}]}}',
-        '{"scene": {"\\ud800": 1}}',
-        '{"\\ud800": 1}',
-        '{"scene": {"duration": NaN}}',
-        '{"scene": {"duration": 1e999}}',
-        '{"scene": {"duration": 1' + 400 * "0" + "}}",
-        '{"scene": {"bodies": ' + 900 * "[" + 900 * "]" + "}}",
-        '{"scene": {"bodies": ' + 90_000 * "[" + 90_000 * "]" + "}}",
-        '{"scene": {"fixels": [{"name": "a", "shape": {"disk": true}}]}}',
-        '{"scene": []}',
-        "{",
-        "",
-    ],
-)
+@pytest.mark.parametrize("body", [
+    '{"scene": {"bodies": [{"name": "\\ud800"}]}}',
+    '{"scene": {"\\ud800": 1}}',
+    '{"\\ud800": 1}',
+    '{"scene": {"duration": NaN}}',
+    '{"scene": {"duration": 1e999}}',
+    '{"scene": {"duration": 1' + 400 * "0" + "}}",
+    '{"scene": {"bodies": ' + 900 * "[" + 900 * "]" + "}}",
+    '{"scene": {"bodies": ' + 90_000 * "[" + 90_000 * "]" + "}}",
+    '{"scene": {"fixels": [{"name": "a", "shape": {"disk": true}}]}}',
+    '{"scene": []}',
+    "{",
+    "",
+])  # fmt: skip
 def test_no_body_is_too_strange_for_an_answer(bench, body):
     for path in ("/scenes/check", "/simulate", "/scenes/write", "/experiments/1/comparison"):
         answer = bench.send(path, body)

@@ -169,35 +169,29 @@ def test_texts_of_people_are_shown_as_text(bench, begun):
     assert EVIL not in answer.text
 
 
-@pytest.mark.parametrize(
-    ("fields", "status"),
-    [
-        ({WORD_FIELD: "guess"}, 403),
-        ({WORD_FIELD: ""}, 403),
-        ({WORD_FIELD: "x" * 70_000}, 403),
-        ({"nonsense": "1"}, 422),
-        ({"experiment": ""}, 422),
-    ],
-)
+@pytest.mark.parametrize(("fields", "status"), [
+    ({WORD_FIELD: "guess"}, 403),
+    ({WORD_FIELD: ""}, 403),
+    ({WORD_FIELD: "x" * 70_000}, 403),
+    ({"nonsense": "1"}, 422),
+    ({"experiment": ""}, 422),
+])  # fmt: skip
 def test_forms_of_others_are_refused(fields, status, bench, begun):
     answer = bench.submit("/run/filter", **{"experiment": "push-1", **fields})
     assert answer.status_code == status
     assert begun == []
 
 
-@pytest.mark.parametrize(
-    ("headers", "status"),
-    [
-        ({"origin": "null", "sec-fetch-site": "same-origin"}, 303),
-        ({"origin": "null", "sec-fetch-site": "cross-site", **DOCUMENT}, 403),
-        ({"origin": "null", "sec-fetch-site": "none", **DOCUMENT}, 403),
-        ({"origin": "null"}, 403),
-        ({"origin": "http://127.0.0.1:9000", "sec-fetch-site": "same-site", **DOCUMENT}, 403),
-        ({"sec-fetch-site": "same-site", **DOCUMENT}, 403),
-        ({"sec-fetch-site": "cross-site", **DOCUMENT}, 403),
-        ({"authorization": "Bearer guess"}, 401),
-    ],
-)
+@pytest.mark.parametrize(("headers", "status"), [
+    ({"origin": "null", "sec-fetch-site": "same-origin"}, 303),
+    ({"origin": "null", "sec-fetch-site": "cross-site", **DOCUMENT}, 403),
+    ({"origin": "null", "sec-fetch-site": "none", **DOCUMENT}, 403),
+    ({"origin": "null"}, 403),
+    ({"origin": "http://127.0.0.1:9000", "sec-fetch-site": "same-site", **DOCUMENT}, 403),
+    ({"sec-fetch-site": "same-site", **DOCUMENT}, 403),
+    ({"sec-fetch-site": "cross-site", **DOCUMENT}, 403),
+    ({"authorization": "Bearer guess"}, 401),
+])  # fmt: skip
 def test_a_form_must_come_from_a_page_of_this_server(headers, status, bench, begun):
     client = bench.opened(follow_redirects=False)
     fields = {WORD_FIELD: bench.gate.word, "experiment": "push-1", "seed": "3"}
@@ -217,15 +211,12 @@ def test_programs_start_the_same_job(capability, bench, begun):
     assert capability.name in bench.get("/run")
 
 
-@pytest.mark.parametrize(
-    ("name", "more", "status"),
-    [
-        ("filter", {"seed": -1}, 422),
-        ("filter", {"nonsense": 1}, 422),
-        ("plan", {"goal": "/etc/passwd"}, 422),
-        ("nothing", {}, 404),
-    ],
-)
+@pytest.mark.parametrize(("name", "more", "status"), [
+    ("filter", {"seed": -1}, 422),
+    ("filter", {"nonsense": 1}, 422),
+    ("plan", {"goal": "/etc/passwd"}, 422),
+    ("nothing", {}, 404),
+])  # fmt: skip
 def test_requests_of_programs_are_refused(name, more, status, bench, begun):
     bench.post(f"/run/{name}", {"experiment": "push-1", **more}, status)
     assert begun == []

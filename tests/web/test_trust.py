@@ -258,16 +258,13 @@ SEEN = [
 
 
 @pytest.mark.parametrize("how", DAMAGE)
-@pytest.mark.parametrize(
-    "path",
-    [
-        "analyses/domain-*/analysis.json", "analyses/domain-*/arrays.npz",
-        "analyses/held-out/*/evidence.json", "jobs/first-*/inputs/request.json",
-        "jobs/first-*/inputs/targets.json", "jobs/first-*/inputs/about.json",
-        "jobs/first-*/inputs/poses.npz", "jobs/first-*/job.json", "jobs/first-*/state.json",
-        "jobs/first-*/run.json", "jobs/first-*/journal", "jobs/first-*/result",
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("path", [
+    "analyses/domain-*/analysis.json", "analyses/domain-*/arrays.npz",
+    "analyses/held-out/*/evidence.json", "jobs/first-*/inputs/request.json",
+    "jobs/first-*/inputs/targets.json", "jobs/first-*/inputs/about.json",
+    "jobs/first-*/inputs/poses.npz", "jobs/first-*/job.json", "jobs/first-*/state.json",
+    "jobs/first-*/run.json", "jobs/first-*/journal", "jobs/first-*/result",
+])  # fmt: skip
 def test_a_damaged_file_is_named_and_hides_nothing_else(folder, opened, path, how):
     (file,) = folder.glob(path)
     file.write_bytes(DAMAGE[how](file.read_bytes()))
@@ -284,21 +281,18 @@ def test_a_damaged_file_is_named_and_hides_nothing_else(folder, opened, path, ho
         assert any(file.name in text or "compute the map again" in text for text in texts)
 
 
-@pytest.mark.parametrize(
-    ("changes", "where"),
-    [
-        ({"fit": ["nonsense=0:1"]}, "nonsense"),
-        ({"fit": ["mu_pusher=1:0"]}, "mu_pusher"),
-        ({"fit": FIT * 2}, "mu_pusher"),
-        ({"name": "../../x"}, "name"),
-        ({"experiments": [], "where": ["shape=none"]}, "shape"),
-        ({"max_evaluations": 0}, "max_evaluations"),
-        ({"optimiser": "least-squares", "mode": "each"}, "least-squares"),
-        ({"space": "/etc/passwd"}, "space"),
-        ({"motion": "/bin/true"}, "engine"),
-        ({"colour": "red"}, "colour"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "where"), [
+    ({"fit": ["nonsense=0:1"]}, "nonsense"),
+    ({"fit": ["mu_pusher=1:0"]}, "mu_pusher"),
+    ({"fit": FIT * 2}, "mu_pusher"),
+    ({"name": "../../x"}, "name"),
+    ({"experiments": [], "where": ["shape=none"]}, "shape"),
+    ({"max_evaluations": 0}, "max_evaluations"),
+    ({"optimiser": "least-squares", "mode": "each"}, "least-squares"),
+    ({"space": "/etc/passwd"}, "space"),
+    ({"motion": "/bin/true"}, "engine"),
+    ({"colour": "red"}, "colour"),
+])  # fmt: skip
 def test_what_cannot_be_is_refused(bench, project, changes, where):
     before = sorted((project / "jobs").iterdir())
     body = {"experiments": ["6", "7"], "fit": FIT} | changes

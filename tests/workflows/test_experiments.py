@@ -147,24 +147,21 @@ def test_single_rows_are_skipped_and_named():
     assert "skipped 1: table/lost: one row" in repr(found)
 
 
-@pytest.mark.parametrize(
-    ("change", "options", "complaint"),
-    [
-        ({"time_s": None}, {}, "found the columns .*fixel needs a column for time"),
-        ({"x_m": 1e3, "y_m": 1e3, "tip_x_m": 1e3, "tip_y_m": 1e3}, {}, "x_mm is in millimetres"),
-        ({"theta_rad": 57.3}, {}, "units={'angle': 'deg'}"),
-        ({}, {"units": {"angles": "deg"}}, "did you mean 'angle'"),
-        ({}, {"units": {"angle": "grad"}}, "must be one of rad, mrad, deg"),
-        ({}, {"columns": {"theta": "thta_rad"}}, "did you mean 'theta_rad'"),
-        ({}, {"columns": {"pusher_xx": "tip_x_m"}}, "did you mean 'pusher_x'"),
-        ({}, {"split_by": "pushes"}, "did you mean 'push'"),
-        ({"tip_x_m": None, "tip_y_m": None}, {}, "'tip' without a drive, and a table without its"),
-        ({}, {"object_name": "prt"}, "fixel needs the object 'prt'"),
-        ({}, {"scene": 3}, "scene: found the type int"),
-        ({}, {"limit": 0}, "limit is 0"),
-        ({}, {"format": "cvs"}, "format is 'cvs'"),
-    ],
-)
+@pytest.mark.parametrize(("change", "options", "complaint"), [
+    ({"time_s": None}, {}, "found the columns .*fixel needs a column for time"),
+    ({"x_m": 1e3, "y_m": 1e3, "tip_x_m": 1e3, "tip_y_m": 1e3}, {}, "x_mm is in millimetres"),
+    ({"theta_rad": 57.3}, {}, "units={'angle': 'deg'}"),
+    ({}, {"units": {"angles": "deg"}}, "did you mean 'angle'"),
+    ({}, {"units": {"angle": "grad"}}, "must be one of rad, mrad, deg"),
+    ({}, {"columns": {"theta": "thta_rad"}}, "did you mean 'theta_rad'"),
+    ({}, {"columns": {"pusher_xx": "tip_x_m"}}, "did you mean 'pusher_x'"),
+    ({}, {"split_by": "pushes"}, "did you mean 'push'"),
+    ({"tip_x_m": None, "tip_y_m": None}, {}, "'tip' without a drive, and a table without its"),
+    ({}, {"object_name": "prt"}, "fixel needs the object 'prt'"),
+    ({}, {"scene": 3}, "scene: found the type int"),
+    ({}, {"limit": 0}, "limit is 0"),
+    ({}, {"format": "cvs"}, "format is 'cvs'"),
+])  # fmt: skip
 def test_what_cannot_be_right_is_refused(change, options, complaint):
     table = columns(0.01)
     for name, factor in change.items():

@@ -165,18 +165,15 @@ def test_a_filter_in_python_is_that_of_the_command(project):
         filter(experiment, motion="dynamic", progress=False)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (["bare"], "no scene: nobody knows where"),
-        (["push", "--occlude", "2"], "such as 2:4"),
-        (["push", "--occlude", "x:1"], "--occlude is 'x', but must be a number"),
-        (["push", "--prior", "mu_pusher"], "--prior mu_pusher"),
-        (["push", "--occlude", "8:9"], "within the recording, 0 to 3 s"),
-        (["push", "--prior", "mu_pushr=0.1:1"], "did you mean 'mu_pusher'"),
-        (["push", "--plot", "a.bmp"], "a picture file"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "sentence"), [
+    (["bare"], "no scene: nobody knows where"),
+    (["push", "--occlude", "2"], "such as 2:4"),
+    (["push", "--occlude", "x:1"], "--occlude is 'x', but must be a number"),
+    (["push", "--prior", "mu_pusher"], "--prior mu_pusher"),
+    (["push", "--occlude", "8:9"], "within the recording, 0 to 3 s"),
+    (["push", "--prior", "mu_pushr=0.1:1"], "did you mean 'mu_pusher'"),
+    (["push", "--plot", "a.bmp"], "a picture file"),
+])  # fmt: skip
 def test_bad_input_is_refused(project, arguments, sentence):
     result = call(project.folder, *arguments)
 

@@ -115,19 +115,16 @@ def test_packed_half_way_and_unpacked_elsewhere_it_goes_on(tmp_path):
     assert_as_undisturbed(copy, **SLOW)
 
 
-@pytest.mark.parametrize(
-    "names",
-    [
-        ["job.json", "../up"],
-        ["job.json", "/etc/file"],
-        ["job.json", "inputs/../../up"],
-        ["job.json", "inputs/a/b"],
-        ["job.json", "inputs/.hidden"],
-        ["job.json", "tls/key.pem"],
-        ["job.json", "inputs\\up"],
-        ["journal"],
-    ],
-)
+@pytest.mark.parametrize("names", [
+    ["job.json", "../up"],
+    ["job.json", "/etc/file"],
+    ["job.json", "inputs/../../up"],
+    ["job.json", "inputs/a/b"],
+    ["job.json", "inputs/.hidden"],
+    ["job.json", "tls/key.pem"],
+    ["job.json", "inputs\\up"],
+    ["journal"],
+])  # fmt: skip
 def test_a_zip_that_is_no_packed_job(tmp_path, names):
     with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
         for name in names:

@@ -174,31 +174,25 @@ def test_an_interval_is_that_of_the_surface_although_the_values_of_two_agree():
     assert found == ends
 
 
-@pytest.mark.parametrize(
-    ("words", "x", "theta", "kind"),
-    [
-        (("--preset", "asme"), 5e-6, math.radians(0.5), "uniform"),
-        (("--start-error-mm", "0.1", "--start-error-deg", "0", "--normal"), 1e-4, 0.0, "normal"),
-        (("--start-error-mm", "0.1", "--uniform"), 1e-4, math.radians(0.5), "uniform"),
-    ],
-)
+@pytest.mark.parametrize(("words", "x", "theta", "kind"), [
+    (("--preset", "asme"), 5e-6, math.radians(0.5), "uniform"),
+    (("--start-error-mm", "0.1", "--start-error-deg", "0", "--normal"), 1e-4, 0.0, "normal"),
+    (("--start-error-mm", "0.1", "--uniform"), 1e-4, math.radians(0.5), "uniform"),
+])  # fmt: skip
 def test_presets_and_sizes(file, words, x, theta, kind):
     error = json.loads(good(file, *words, "--samples", "60", "--json"))["start_error"]
     assert error == {"x_m": x, "y_m": x, "theta_rad": theta, "kind": kind}
 
 
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (("--preset", "asmee"), "asme"),
-        (("--preset", "asme", "--uniform"), "--preset: found a preset and a start"),
-        (("--set", "mu_pusher"), "--set mu_pusher"),
-        (("--set", "mu=1"), "mu"),
-        (("--vary", "mu_pusher=0.1"), "--vary mu_pusher"),
-        (("--start-error-mm", "-1", "--normal"), "start"),
-        (("--start-error-mm", "0.1"), "--uniform (they are half-widths) or --normal"),
-    ],
-)
+@pytest.mark.parametrize(("words", "sentence"), [
+    (("--preset", "asmee"), "asme"),
+    (("--preset", "asme", "--uniform"), "--preset: found a preset and a start"),
+    (("--set", "mu_pusher"), "--set mu_pusher"),
+    (("--set", "mu=1"), "mu"),
+    (("--vary", "mu_pusher=0.1"), "--vary mu_pusher"),
+    (("--start-error-mm", "-1", "--normal"), "start"),
+    (("--start-error-mm", "0.1"), "--uniform (they are half-widths) or --normal"),
+])  # fmt: skip
 def test_refusals(file, words, sentence):
     problem = call(file, *words).exception
     assert isinstance(problem, InvalidInput)

@@ -18,16 +18,13 @@ def test_every_example_is_read_and_told_in_a_sentence():
         assert scene_editor.example(name)["bodies"]
 
 
-@pytest.mark.parametrize(
-    ("change", "where"),
-    [
-        ({"duration": 1e5}, "duration"),
-        ({"step": 1e-6}, "step"),
-        ({"motion": "magic"}, "motion"),
-        ({"bodies": []}, "bodies"),
-        ({"surprise": 1}, "surprise"),
-    ],
-)
+@pytest.mark.parametrize(("change", "where"), [
+    ({"duration": 1e5}, "duration"),
+    ({"step": 1e-6}, "step"),
+    ({"motion": "magic"}, "motion"),
+    ({"bodies": []}, "bodies"),
+    ({"surprise": 1}, "surprise"),
+])  # fmt: skip
 def test_what_a_page_cannot_bear_is_refused_where_it_stands(change, where):
     with pytest.raises(InvalidInput) as refusal:
         scene_editor.check_scene(scene_editor.example("grasp") | change)

@@ -178,29 +178,23 @@ def test_a_repetition_does_not_remove_an_error_of_the_model():
     assert size[0] == size[2] == 0.0 < size[1]
 
 
-@pytest.mark.parametrize(
-    ("text", "wanted"),
-    [
-        ("mu_pusher=0.02", {"mu_pusher": 0.02}),
-        ("mu_pusher=2e-2, tripod_radius=1.5mm", {"mu_pusher": 0.02, "tripod_radius": 0.0015}),
-        ("friction_centre_x=500 um", {"friction_centre_x": 5e-4}),
-        ("registration_theta=1deg", {"registration_theta": np.pi / 180}),
-        ("mu_pusher[surface=abs]=.1", {"mu_pusher[surface=abs]": 0.1}),
-    ],
-)
+@pytest.mark.parametrize(("text", "wanted"), [
+    ("mu_pusher=0.02", {"mu_pusher": 0.02}),
+    ("mu_pusher=2e-2, tripod_radius=1.5mm", {"mu_pusher": 0.02, "tripod_radius": 0.0015}),
+    ("friction_centre_x=500 um", {"friction_centre_x": 5e-4}),
+    ("registration_theta=1deg", {"registration_theta": np.pi / 180}),
+    ("mu_pusher[surface=abs]=.1", {"mu_pusher[surface=abs]": 0.1}),
+])  # fmt: skip
 def test_wanted_widths_are_read(text, wanted):
     assert Until.parse(text).wanted == pytest.approx(wanted)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "", "mu_pusher", "mu_pusher=", "mu_pusher=0", "mu_pusher=-1", "mu_pusher=1mm",
-        "mu_pusher=1.2.3", "tripod_radius=1deg", "tripod_radius=nan", "friction=0.1",
-        "mu_pusher=0.02;tripod_radius=1mm", "mu_pusher=1e999", "=0.1", "mu_pushr=0.02",
-        "mu_pusher[surface=0.1", "mu_pusher=0.1,mu_pusher=0.2",
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("text", [
+    "", "mu_pusher", "mu_pusher=", "mu_pusher=0", "mu_pusher=-1", "mu_pusher=1mm",
+    "mu_pusher=1.2.3", "tripod_radius=1deg", "tripod_radius=nan", "friction=0.1",
+    "mu_pusher=0.02;tripod_radius=1mm", "mu_pusher=1e999", "=0.1", "mu_pushr=0.02",
+    "mu_pusher[surface=0.1", "mu_pusher=0.1,mu_pusher=0.2",
+])  # fmt: skip
 def test_wanted_widths_that_mean_nothing_are_refused_at_their_option(text):
     with pytest.raises(InvalidInput) as refusal:
         Until.parse(text)

@@ -106,18 +106,15 @@ def test_a_controller_that_does_not_home_waits_for_its_zero(folder, camera, cont
     assert controller.trace == []
 
 
-@pytest.mark.parametrize(
-    ("options", "where", "found"),
-    [
-        ({"rig": None}, "rig", "none"),
-        ({"rig": "no-such"}, "rig", "no file 'no-such'"),
-        ({"camera": "17"}, "/dev/video17", "no such device"),
-        ({"fit": ("mu_nonsense",)}, "mu_nonsense", ""),
-        ({"motion": "fast"}, "motion", "'fast'"),
-        ({"until": "mu_pusher=wide"}, "until", "'mu_pusher=wide'"),
-        ({"until": "mu_pusher=0.02", "fit": ("mu_support",)}, "until", "'mu_pusher'"),
-    ],
-)
+@pytest.mark.parametrize(("options", "where", "found"), [
+    ({"rig": None}, "rig", "none"),
+    ({"rig": "no-such"}, "rig", "no file 'no-such'"),
+    ({"camera": "17"}, "/dev/video17", "no such device"),
+    ({"fit": ("mu_nonsense",)}, "mu_nonsense", ""),
+    ({"motion": "fast"}, "motion", "'fast'"),
+    ({"until": "mu_pusher=wide"}, "until", "'mu_pusher=wide'"),
+    ({"until": "mu_pusher=0.02", "fit": ("mu_support",)}, "until", "'mu_pusher'"),
+])  # fmt: skip
 def test_what_is_missing_or_unknown_is_named(folder, options, where, found):
     error = refused(folder, **options)
     assert where in str(error)
@@ -125,18 +122,14 @@ def test_what_is_missing_or_unknown_is_named(folder, options, where, found):
     assert error.expected
 
 
-@pytest.mark.parametrize(
-    ("options", "where"),
-    [
-        ({"rig": "thesis-tags"}, "video.mjpg"),  # whose pictures are larger
-        ({"port": "/dev/ttyNone"}, "/dev/ttyNone"),
-        ({"tactile": "/dev/ttyNone"}, "tactile /dev/ttyNone"),
-        ({"driver": "servo"}, "driver"),
-        ({"axes": "XY"}, "drive_pose"),
-        ({"axes": "XY", "drive_pose": "500,0,0"}, "row 1-"),
-    ],
-    ids=lambda own: str(own) if isinstance(own, str) else None,
-)
+@pytest.mark.parametrize(("options", "where"), [
+    ({"rig": "thesis-tags"}, "video.mjpg"),  # whose pictures are larger
+    ({"port": "/dev/ttyNone"}, "/dev/ttyNone"),
+    ({"tactile": "/dev/ttyNone"}, "tactile /dev/ttyNone"),
+    ({"driver": "servo"}, "driver"),
+    ({"axes": "XY"}, "drive_pose"),
+    ({"axes": "XY", "drive_pose": "500,0,0"}, "row 1-"),
+], ids=lambda own: str(own) if isinstance(own, str) else None)  # fmt: skip
 def test_a_device_that_is_missing_or_another_one_is_named(
     folder, camera, controller, options, where
 ):

@@ -139,50 +139,42 @@ def test_plots_are_axes(fit, kind):
     pyplot.close("all")
 
 
-@pytest.mark.parametrize(
-    ("parameters", "said"),
-    [
-        (
-            {"mu_pusher": (1, 0)},
-            "mu_pusher: found bounds 1 to 0, but fixel needs the lower bound first",
-        ),
-        ({"tripod_radius_mm": (10, 60)}, "(10 * mm, 60 * mm)"),
-        ({"mu_pushr": (0, 1)}, "did you mean 'mu_pusher'?"),
-        ({"mu_fixel": (0, 1)}, "no fixel in any of the experiments"),
-        ({"ellipsoid_torque": (0.1, 1)}, "a body on Tripod"),
-        ({"mu_pusher[surface=steel]": (0, 1)}, "no experiment with mu_pusher[surface=steel]"),
-        ({"mu_pusher": fixel.Parameter(0, 1, by="surface")}, "no experiment with surface"),
-        ({"mu_pusher": "wide"}, "(low, high), a number to fix it"),
-        ({"mu_pusher": (0, math.nan)}, "mu_pusher.high"),
-        ({"mu_pusher": (0, 1, 2)}, "3 numbers, but fixel needs two bounds"),
-        ({"mu_pusher": 0.3}, "no parameter that is free"),
-        ({"support_1_x": (0, 0.1)}, "a body on Tripod"),
-        (3, "parameters: found the type int"),
-        ([3], "label is 3, but must be NAME or NAME[CONDITION=VALUE]"),
-    ],
-)
+@pytest.mark.parametrize(("parameters", "said"), [
+    ({"mu_pusher": (1, 0)},
+     "mu_pusher: found bounds 1 to 0, but fixel needs the lower bound first"),
+    ({"tripod_radius_mm": (10, 60)}, "(10 * mm, 60 * mm)"),
+    ({"mu_pushr": (0, 1)}, "did you mean 'mu_pusher'?"),
+    ({"mu_fixel": (0, 1)}, "no fixel in any of the experiments"),
+    ({"ellipsoid_torque": (0.1, 1)}, "a body on Tripod"),
+    ({"mu_pusher[surface=steel]": (0, 1)}, "no experiment with mu_pusher[surface=steel]"),
+    ({"mu_pusher": fixel.Parameter(0, 1, by="surface")}, "no experiment with surface"),
+    ({"mu_pusher": "wide"}, "(low, high), a number to fix it"),
+    ({"mu_pusher": (0, math.nan)}, "mu_pusher.high"),
+    ({"mu_pusher": (0, 1, 2)}, "3 numbers, but fixel needs two bounds"),
+    ({"mu_pusher": 0.3}, "no parameter that is free"),
+    ({"support_1_x": (0, 0.1)}, "a body on Tripod"),
+    (3, "parameters: found the type int"),
+    ([3], "label is 3, but must be NAME or NAME[CONDITION=VALUE]"),
+])  # fmt: skip
 def test_spaces_that_cannot_be_searched_are_refused(pushes, parameters, said):
     with pytest.raises(fixel.InvalidInput) as refused:
         fixel.calibrate(pushes[:1], parameters, **QUIET)
     assert said in str(refused.value)
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ({"error": "mean-sqare"}, "did you mean 'mean-square'"),
-        ({"motion": "dynamics"}, "did you mean 'dynamic'"),
-        ({"optimiser": "least-square"}, "did you mean 'least-squares'"),
-        ({"level": 95}, "level"),
-        ({"starts": 0}, "starts"),
-        ({"seed": -1}, "seed"),
-        ({"combine": "product"}, "combine"),
-        ({"max_evaluations": 0}, "max_evaluations"),
-        ({"budget": 0.0}, "budget"),
-        ({"workers": -1}, "workers is -1, but must be at least 0"),
-        ({"optimiser": {"name": "pattern-search", "delta": 1}}, "the option delta"),
-    ],
-)
+@pytest.mark.parametrize(("options", "said"), [
+    ({"error": "mean-sqare"}, "did you mean 'mean-square'"),
+    ({"motion": "dynamics"}, "did you mean 'dynamic'"),
+    ({"optimiser": "least-square"}, "did you mean 'least-squares'"),
+    ({"level": 95}, "level"),
+    ({"starts": 0}, "starts"),
+    ({"seed": -1}, "seed"),
+    ({"combine": "product"}, "combine"),
+    ({"max_evaluations": 0}, "max_evaluations"),
+    ({"budget": 0.0}, "budget"),
+    ({"workers": -1}, "workers is -1, but must be at least 0"),
+    ({"optimiser": {"name": "pattern-search", "delta": 1}}, "the option delta"),
+])  # fmt: skip
 def test_options_that_cannot_be_are_refused(pushes, options, said):
     with pytest.raises(fixel.InvalidInput) as refused:
         fixel.calibrate(pushes[:1], {"mu_pusher": (0, 1)}, **QUIET, **options)

@@ -303,18 +303,15 @@ def test_experiments_that_stand_out_are_the_strange_ones():
     assert outliers(np.array([1.0] * 10 + [np.inf]), "mm") == []
 
 
-@pytest.mark.parametrize(
-    ("mode", "combine", "error", "n", "expected"),
-    [
-        ("joint", "sum", "mean-square", 2, "least-squares"),
-        ("joint", "mean", "robust", 2, "least-squares"),
-        ("joint", "mean", "root-mean-square", 2, "pattern-search"),
-        ("joint", "largest", "mean-square", 2, "pattern-search"),
-        ("each", "sum", "mean-square", 2, "pattern-search"),
-        ("joint", "sum", "end-pose", 2, "pattern-search"),
-        ("joint", "sum", "mean-square", 1, "pattern-search"),
-    ],
-)
+@pytest.mark.parametrize(("mode", "combine", "error", "n", "expected"), [
+    ("joint", "sum", "mean-square", 2, "least-squares"),
+    ("joint", "mean", "robust", 2, "least-squares"),
+    ("joint", "mean", "root-mean-square", 2, "pattern-search"),
+    ("joint", "largest", "mean-square", 2, "pattern-search"),
+    ("each", "sum", "mean-square", 2, "pattern-search"),
+    ("joint", "sum", "end-pose", 2, "pattern-search"),
+    ("joint", "sum", "mean-square", 1, "pattern-search"),
+])  # fmt: skip
 def test_least_squares_is_the_usual_search_for_sums_of_squares(
     chosen, mode, combine, error, n, expected
 ):
@@ -390,18 +387,15 @@ def test_a_space_file(tmp_path):
     assert space.free[1].prior == pytest.approx(5e-3)
 
 
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        ("[1, 2]", "no parameters"),
-        ("mu_pusher: 3", "low, high, start"),
-        ("mu_pusher: {low: 0, high: 1}", "no start"),
-        ("mu_pusher: {low: , high: 1, start: 0.2}", "no low"),
-        ("mu_pusher: {low: 0, high: 1, start: 2}", "outside the bounds"),
-        ("mu_pusher: {low: 0, high: x, start: 0.2}", "'x'"),
-        ("mu_pushr: {low: 0, high: 1, start: 0.2}", "did you mean 'mu_pusher'"),
-    ],
-)
+@pytest.mark.parametrize(("content", "said"), [
+    ("[1, 2]", "no parameters"),
+    ("mu_pusher: 3", "low, high, start"),
+    ("mu_pusher: {low: 0, high: 1}", "no start"),
+    ("mu_pusher: {low: , high: 1, start: 0.2}", "no low"),
+    ("mu_pusher: {low: 0, high: 1, start: 2}", "outside the bounds"),
+    ("mu_pusher: {low: 0, high: x, start: 0.2}", "'x'"),
+    ("mu_pushr: {low: 0, high: 1, start: 0.2}", "did you mean 'mu_pusher'"),
+])  # fmt: skip
 def test_space_files_that_cannot_be(tmp_path, content, said):
     file = tmp_path / "space.yaml"
     file.write_text(content)

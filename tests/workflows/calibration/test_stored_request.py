@@ -246,14 +246,11 @@ def test_a_new_calibration_needs_a_level(fit):
         fit.request.model_copy(update={"level": None}).check()
 
 
-@pytest.mark.parametrize(
-    "damage",
-    [
-        {"request": {"level": "high"}},
-        {"result": {"place": 0}},
-        {"result": {"place": 0, "set": {"arrays": {}}, "nominal": [1.0, 1.0]}},
-    ],
-)
+@pytest.mark.parametrize("damage", [
+    {"request": {"level": "high"}},
+    {"result": {"place": 0}},
+    {"result": {"place": 0, "set": {"arrays": {}}, "nominal": [1.0, 1.0]}},
+])  # fmt: skip
 def test_a_damaged_record_is_a_sentence(project, fit, damage):
     with project.store() as store:
         record = store.calibration(fit.run.ids[0])

@@ -25,15 +25,12 @@ def estimate(value: float, low: float | None, high: float | None) -> Estimate:
     )
 
 
-@pytest.mark.parametrize(
-    ("low", "high", "true", "expected"),
-    [
-        (0.2, 0.4, 0.39, True),
-        (0.2, 0.4, 0.41, False),
-        (None, 0.4, 0.0, True),
-        (None, None, 9, True),
-    ],
-)
+@pytest.mark.parametrize(("low", "high", "true", "expected"), [
+    (0.2, 0.4, 0.39, True),
+    (0.2, 0.4, 0.41, False),
+    (None, 0.4, 0.0, True),
+    (None, None, 9, True),
+])  # fmt: skip
 def test_an_interval_without_an_end_holds_everything_on_that_side(
     low: float | None, high: float | None, true: float, expected: bool
 ) -> None:

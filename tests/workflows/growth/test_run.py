@@ -189,13 +189,10 @@ def test_the_analysis_is_kept_with_pictures_and_the_banner(lab):
 # --- refusals -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({}, r"(?s)21 of 21.*fixel calibrate --mode each"),
-        ({"conditions": {}}, "fixel testbed run"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "message"), [
+    ({}, r"(?s)21 of 21.*fixel calibrate --mode each"),
+    ({"conditions": {}}, "fixel testbed run"),
+])  # fmt: skip
 def test_experiments_that_are_no_calibrated_campaign_are_refused(
     tmp_path, experiments, changes, message
 ):
@@ -255,17 +252,14 @@ def test_two_data_sets_at_one_place_are_refused(lab, experiments):
         refused(explored, store, match="--dataset other")
 
 
-@pytest.mark.parametrize(
-    ("text", "unit", "value"),
-    [
-        ("", "mm^2", 5.0),
-        ("", "mm", np.sqrt(5.0)),
-        ("4", "mm", 4.0),
-        ("2.2mm", "mm^2", 4.84),
-        ("4 mm2", "mm", 2.0),
-        ("3mm^2", "mm^2", 3.0),
-    ],
-)
+@pytest.mark.parametrize(("text", "unit", "value"), [
+    ("", "mm^2", 5.0),
+    ("", "mm", np.sqrt(5.0)),
+    ("4", "mm", 4.0),
+    ("2.2mm", "mm^2", 4.84),
+    ("4 mm2", "mm", 2.0),
+    ("3mm^2", "mm^2", 3.0),
+])  # fmt: skip
 def test_thresholds_are_errors_or_distances(text, unit, value):
     assert threshold_in(text, unit) == pytest.approx(value)
 

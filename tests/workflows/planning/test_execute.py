@@ -191,13 +191,10 @@ def test_a_camera_records_the_move_and_sees_the_end(tmp_path: Path):
     assert open_recording(out).complete
 
 
-@pytest.mark.parametrize(
-    ("seen", "camera", "message"),
-    [
-        ("90,0,22.5", "none.mp4", "none.mp4"),
-        ("94,0,22.5", "", r"\+4\.00, \+0\.00 mm.*fixel plan next"),
-    ],
-)
+@pytest.mark.parametrize(("seen", "camera", "message"), [
+    ("90,0,22.5", "none.mp4", "none.mp4"),
+    ("94,0,22.5", "", r"\+4\.00, \+0\.00 mm.*fixel plan next"),
+])  # fmt: skip
 def test_no_camera_and_another_start_than_planned_do_not_move_the_drive(
     tmp_path: Path, seen: str, camera: str, message: str
 ):

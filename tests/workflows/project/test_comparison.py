@@ -65,15 +65,12 @@ def test_experiments_without_a_scene_are_skipped_or_refused(pushes):
         refused(compare, experiments, progress=False, match="scene")
 
 
-@pytest.mark.parametrize(
-    ("models", "motion", "complaint"),
-    [
-        ({"mu_pushr": 0.2}, None, "mu_pushr"),
-        (0.2, None, "models is 0.2"),
-        ({}, None, "models is {}"),
-        (None, "quasi", "motion is 'quasi'"),
-    ],
-)
+@pytest.mark.parametrize(("models", "motion", "complaint"), [
+    ({"mu_pushr": 0.2}, None, "mu_pushr"),
+    (0.2, None, "models is 0.2"),
+    ({}, None, "models is {}"),
+    (None, "quasi", "motion is 'quasi'"),
+])  # fmt: skip
 def test_what_cannot_be_simulated_is_refused(pushes, models, motion, complaint):
     refused(compare, pushes[:2], models, motion=motion, progress=False, match=complaint)
 

@@ -119,15 +119,12 @@ def _asked(folder, **changes):
     return run(UNCERTAINTY, request, folder, progress=False).result
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"held_out": ("push-1",)}, "held_out"),
-        ({"motion": "magic"}, "motion is 'magic'"),
-        ({"experiments": ()}, "found none"),
-        ({"experiments": ("nothing",)}, "nothing"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "words"), [
+    ({"held_out": ("push-1",)}, "held_out"),
+    ({"motion": "magic"}, "motion is 'magic'"),
+    ({"experiments": ()}, "found none"),
+    ({"experiments": ("nothing",)}, "nothing"),
+])  # fmt: skip
 def test_questions_that_make_no_sense_are_refused(folder, changes, words):
     with pytest.raises((InvalidInput, NotStored), match=words):
         _asked(folder, **changes)
