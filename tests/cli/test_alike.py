@@ -9,10 +9,11 @@ import sys
 import pytest
 import typer
 from tests.cli.shell import fixel, json_of, output, refusal
+from tests.fixtures import bare_experiment
 
 from fixel.cli.main import app
 from fixel.database.project import Project
-from fixel.model import Experiment, Provenance, Trajectory
+from fixel.model import Trajectory
 from fixel.testing.scenes import micro_push
 
 # Commands that look into a project.
@@ -36,12 +37,9 @@ def commands(group, before=()):
 def add(project, key, end, **more):
     """Store an experiment that ends at a pose."""
     dataset, name = key.split("/")
-    own = Experiment(
-        dataset=dataset, name=name, real=True, provenance=Provenance(version="0"),
-        trajectory=Trajectory(time=[0.0, 1.0], pose=[[0.0, 0.0, 0.0], end]), **more,
-    )  # fmt: skip
+    path = Trajectory(time=[0.0, 1.0], pose=[[0.0, 0.0, 0.0], end])
     with project.store() as store:
-        store.add_experiment(own)
+        store.add_experiment(bare_experiment(name, dataset=dataset, trajectory=path, **more))
 
 
 @pytest.fixture

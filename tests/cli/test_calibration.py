@@ -4,18 +4,14 @@ import json
 import shlex
 
 import pytest
-from tests.cli.shell import fixel, json_of, missing, output, refusal
-
-from fixel.cli.main import run
+from tests.cli.shell import exit_code, fixel, json_of, missing, output, refusal
 
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory):
     folder = tmp_path_factory.mktemp("lab") / "lab"
     for arguments in (["new", str(folder)], ["testbed", "run", "-p", str(folder), "--limit", "3"]):
-        with pytest.raises(SystemExit) as end:
-            run(arguments)
-        assert not end.value.code
+        assert exit_code(*arguments) == 0
     return folder
 
 

@@ -5,24 +5,13 @@ import shutil
 import sqlite3
 from functools import partial
 
-import numpy as np
 import pytest
 from tests.cli.shell import invoked
-from tests.fixtures import refused
+from tests.fixtures import bare_experiment, project_of, refused
 
 from fixel.cli import db
 from fixel.database.project import VARIABLE, Project
 from fixel.errors import StoreRefused
-from fixel.model import Experiment, Provenance, Trajectory
-
-
-def experiment(name):
-    time = np.linspace(0.0, 1.0, 5)
-    return Experiment(
-        dataset="lab", name=name, real=True, provenance=Provenance(version="0.1"),
-        trajectory=Trajectory(time=time, pose=np.column_stack((time, time, time))),
-    )  # fmt: skip
-
 
 call = partial(invoked, db.app)
 
@@ -30,11 +19,7 @@ call = partial(invoked, db.app)
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.delenv(VARIABLE, raising=False)
-    project = Project.create(tmp_path / "my lab")
-    with project.store() as store:
-        for name in "abc":
-            store.add_experiment(experiment(name))
-    return project.folder
+    return project_of(tmp_path / "my lab", map(bare_experiment, "abc")).folder
 
 
 def test_upgrade_that_has_nothing_to_do(folder):
@@ -110,9 +95,9 @@ def test_check_of_what_is_no_database(folder):
 def test_a_backup_reads_back_while_another_process_writes(folder, tmp_path):
     copy = tmp_path / "copy.db"
     with Project(folder).store() as store:
-        store.add_experiment(experiment("d"))  # still in the journal beside the database
+        store.add_experiment(bare_experiment("d"))  # still in the journal beside the database
         code, out = call("backup", copy, folder)
-        store.add_experiment(experiment("e"))
+        store.add_experiment(bare_experiment("e"))
     assert code == 0
     assert out.splitlines()[-1] == f"Next: cp -rn '{folder}/media' {copy}.media"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["copy.db", "my lab"]
@@ -123,7 +108,7 @@ def test_a_backup_reads_back_while_another_process_writes(folder, tmp_path):
     assert json.loads(call("check", folder, "--json")[1])["counts"]["experiment"] == 4
     with Project(folder).store() as store:
         assert [s.name for s in store.experiments().rows] == ["a", "b", "c", "d"]
-        assert store.add_experiment(experiment("f")).new
+        assert store.add_experiment(bare_experiment("f")).new
 
 
 def test_a_backup_takes_the_place_of_the_one_before(folder, tmp_path):

@@ -9,12 +9,13 @@ import pyarrow.parquet as pq
 import pytest
 import typer
 from tests.cli.shell import output
+from tests.fixtures import bare_experiment, project_of
 
 from fixel.cli.project import export
 from fixel.database.bundle import import_bundle
 from fixel.database.project import Project
 from fixel.errors import InvalidInput, NotStored, StoreRefused
-from fixel.model import Experiment, Flag, Provenance, Trajectory
+from fixel.model import Flag, Trajectory
 
 app = typer.Typer(add_completion=False)
 app.command()(export)
@@ -32,25 +33,12 @@ def path(n, rate=50.0):
 
 @pytest.fixture
 def project(tmp_path):
-    made = Project.create(tmp_path / "lab")
-    here = {"provenance": Provenance(version="0.1"), "dataset": "lab"}
-    with made.store() as store:
-        store.add_experiment(
-            Experiment(name="1", real=True, trajectory=path(51), pusher=path(51), **here)
-        )
-        store.add_experiment(
-            Experiment(
-                name="2", real=False, simulated_by="me", trajectory=path(26),
-                flags=[Flag("late", "by 2 s")], **here,
-            )
-        )  # fmt: skip
-        store.add_experiment(
-            Experiment(
-                name="141", real=True, trajectory=path(1), provenance=here["provenance"],
-                dataset="cmu-tripod",
-            )
-        )  # fmt: skip
-    return made
+    simulated = {"real": False, "simulated_by": "me", "flags": [Flag("late", "by 2 s")]}
+    return project_of(tmp_path / "lab", [
+        bare_experiment("1", dataset="lab", trajectory=path(51), pusher=path(51)),
+        bare_experiment("2", dataset="lab", trajectory=path(26), **simulated),
+        bare_experiment("141", dataset="cmu-tripod", trajectory=path(1)),
+    ])  # fmt: skip
 
 
 def test_a_bundle_is_written_and_said(project, capsys, tmp_path):

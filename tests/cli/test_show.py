@@ -5,14 +5,14 @@ import shlex
 
 import pytest
 import typer
-from tests.fixtures import project_of
+from tests.fixtures import bare_experiment, project_of
 from typer.testing import CliRunner
 
 from fixel import InvalidInput, Project, SimulatedTestbed, StoreRefused
 from fixel.cli.capability import typer_command
 from fixel.cli.show import show
 from fixel.errors import NotStored
-from fixel.model import Experiment, Flag, Parameters, PlannedExperiment, Provenance, Trajectory
+from fixel.model import Flag, Parameters, PlannedExperiment, Provenance, Trajectory
 from fixel.testing.scenes import grasp
 from fixel.workflows.capabilities import CAPABILITIES
 
@@ -20,10 +20,9 @@ app = typer.Typer()
 app.command("show")(show)
 app.command("compare")(typer_command(CAPABILITIES["compare"]))
 
-BARE = Experiment(
+BARE = bare_experiment(
+    "a 1",
     dataset="lab",
-    name="a 1",
-    real=True,
     provenance=Provenance(version="0", source="a.csv", sha256="ab" * 32),
     trajectory=Trajectory(time=[0.0, 2.0], pose=[[0.0, 0.0, 0.0], [0.03, 0.04, 0.5]]),
     conditions={"surface": "plywood", "speed_m_s": 0.02},

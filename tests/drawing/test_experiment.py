@@ -9,13 +9,14 @@ from matplotlib.collections import PolyCollection
 from matplotlib.text import Text
 from PIL import Image
 from tests.drawing.collisions import axes_of, check_page
+from tests.fixtures import bare_experiment
 
-from fixel import Experiment, InvalidInput, SimulatedTestbed, Trajectory
+from fixel import InvalidInput, SimulatedTestbed, Trajectory
 from fixel.drawing import palette
 from fixel.drawing.chart import save_figure
 from fixel.drawing.experiment import comparison_figure, experiment_figure
 from fixel.drawing.thumbnail import thumbnail
-from fixel.model import Channel, Provenance
+from fixel.model import Channel
 from fixel.sampling import thesis_plan
 from fixel.testing.scenes import grasp
 
@@ -28,9 +29,8 @@ ON = np.column_stack((TIME > 1.0, np.zeros(61), (TIME > 0.5) & (TIME < 0.6))).as
 TACTILE = Channel(
     name="tactile", time=TIME, columns=("fixel_1_bool", "fixel_2_bool", "fixel_3_bool"), values=ON
 )
-REAL = Experiment(
-    dataset="bench", name="1", real=True, provenance=Provenance(version="0"),
-    object_name=SCENE.bodies[0].name, trajectory=PATH,
+REAL = bare_experiment(
+    "1", dataset="bench", object_name=SCENE.bodies[0].name, trajectory=PATH,
     pusher=Trajectory(time=TIME, pose=SCENE.pushers[0].pose + TIME[:, None] * (0.03, 0.0, 0.0)),
     scene=SCENE, channels=(TACTILE,), contact_mode="100", effective=(0.5, 2.0),
 )  # fmt: skip

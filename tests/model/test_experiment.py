@@ -5,10 +5,10 @@ import math
 
 import numpy as np
 import pytest
-from tests.fixtures import refused
+from tests.fixtures import bare_experiment, refused
 
 from fixel.errors import InvalidInput
-from fixel.model import Channel, Experiment, Flag, PlannedExperiment, Provenance, Trajectory
+from fixel.model import Channel, Flag, PlannedExperiment, Trajectory
 from fixel.model.experiment import unit_of
 from fixel.testing.scenes import grasp
 
@@ -16,14 +16,7 @@ PATH = Trajectory(time=[0.0, 0.5, 1.0], pose=[[0, 0, 0], [1e-3, 0, 0], [2e-3, 0,
 
 
 def experiment(**more):
-    given = {
-        "dataset": "lab",
-        "name": "1",
-        "real": True,
-        "provenance": Provenance(version="1.0"),
-        "trajectory": PATH,
-    }
-    return Experiment(**(given | more))
+    return bare_experiment(**({"dataset": "lab", "name": "1", "trajectory": PATH} | more))
 
 
 def test_equal_by_content_and_hashable():

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.fixtures import bare_experiment
 
 from fixel.database.project import Project
 from fixel.formats.rig_file import rig_of, save_rig
-from fixel.model import Experiment, Provenance, Trajectory
+from fixel.model import Trajectory
 from fixel.testing.scenes import grasp
 from fixel.web.views.video import MAX_OUTLINES, outlines_in_video, rig_named
 
@@ -21,11 +22,9 @@ def experiment(rig="thesis-tags", n=3):
     scene = grasp("seated")
     time = np.arange(float(n))
     pose = np.column_stack((0.01 * time / n, 0.0 * time, 0.2 * time / n))
-    return Experiment(
+    return bare_experiment(
+        "1",
         dataset="bench",
-        name="1",
-        real=True,
-        provenance=Provenance(version="0"),
         trajectory=Trajectory(time=time, pose=pose),
         scene=scene,
         object_name=scene.bodies[0].name,
