@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from tests import laboratories
 from tests.equal_pushes import over_a_table
 from tests.filtering.recordings import push
-from tests.fixtures import project_of
+from tests.fixtures import project_of, refused
 from typer.testing import CliRunner
 
 from fixel.capability.capability import Capability, named
@@ -253,11 +253,9 @@ def test_refusals_have_the_name_of_the_door(capability):
         )
         assert (flag, label) == (number.flag, number.label)
     values = {name: text for name, (text,) in required(capability).items()}
-    with pytest.raises(InvalidInput, match="nonsense"):
-        capability.from_json(json.dumps({**values, "nonsense": 1}))
+    refused(capability.from_json, json.dumps({**values, "nonsense": 1}), match="nonsense")
     for text in ("", "{", "[]", "1", "null"):
-        with pytest.raises(InvalidInput, match="an object in JSON"):
-            capability.from_json(text)
+        refused(capability.from_json, text, match="an object in JSON")
 
 
 @pytest.mark.parametrize(("name", "values", "sentence"), [

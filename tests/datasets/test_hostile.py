@@ -10,7 +10,7 @@ from tests.datasets import push_files, recordings
 from tests.fixtures import refused
 
 from fixel.datasets import IMPORTERS, files
-from fixel.errors import FixelError, InvalidInput
+from fixel.errors import FixelError
 
 
 def _pushes(folder):
@@ -113,5 +113,4 @@ def test_parquet_that_unpacks_to_many_cells_is_refused_unread(tmp_path, monkeypa
 def test_json_nested_without_end_is_refused(tmp_path):
     path = tmp_path / f"{recordings.RECORD}.json"
     path.write_text('{"object_pose": ' + "[" * 100_000)
-    with pytest.raises(InvalidInput):
-        list(IMPORTERS["mit-push"].read(path).experiments())
+    refused(list, IMPORTERS["mit-push"].read(path).experiments())

@@ -11,9 +11,10 @@ import time
 from pathlib import Path
 
 import pytest
+from tests.fixtures import refused
 from tests.processes import line_of
 
-from fixel.errors import InvalidInput, JobRefused
+from fixel.errors import JobRefused
 from fixel.io import lock
 from fixel.io.journal import MAGIC, Journal, read_journal, writer_of
 from fixel.io.lock import FileLock, holder
@@ -44,8 +45,7 @@ def test_a_journal_of_marks_alone_is_refused_soon(tmp_path, monkeypatch):
     front = mark + struct.pack("<IQI", 4, 10_000, 0)
     path.write_bytes(MAGIC + mark + front * 5_000)
     monkeypatch.setattr("fixel.io.journal._pieces", lambda *place: read.append(place) or ())
-    with pytest.raises(InvalidInput, match="damage in all of it"):
-        list(read_journal(path))
+    refused(list, read_journal(path), match="damage in all of it")
     assert len(read) < 1100
 
 
@@ -98,8 +98,7 @@ def test_another_file_is_refused_and_left_alone(tmp_path):
     for content in (b"something", b"something much longer than a header is"):
         path = tmp_path / "notes"
         path.write_bytes(content)
-        with pytest.raises(InvalidInput, match="fixel needs a journal"):
-            Journal(path)
+        refused(Journal, path, match="fixel needs a journal")
         assert path.read_bytes() == content
 
 

@@ -129,9 +129,7 @@ def test_runs_that_jam_in_their_first_step_stay_at_the_start(motion):
     ({"duration": -1.0}, "duration", "-1.0", "greater than 0"),
 ])  # fmt: skip
 def test_what_does_not_fit_is_refused(options, where, found, expected):
-    with pytest.raises(InvalidInput) as refusal:
-        simulate_batch(grasp(), **options, **QUICK)
-    sentence = str(refusal.value)
+    sentence = str(refused(simulate_batch, grasp(), **options, **QUICK))
     assert sentence.startswith(where)
     assert found in sentence
     assert expected in sentence

@@ -15,6 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from tests.fixtures import refused
 from tests.testbed.films import SIZE, film, picture, record
 
 from fixel.errors import InvalidInput
@@ -274,15 +275,13 @@ def test_passwords_stay_out_of_records() -> None:
     "rtsp://cam/1", "http://", "ftp://cam/video", "http://cam:x/", "http://cam:99999/", "http://[",
 ])  # fmt: skip
 def test_other_addresses_are_refused(url: str) -> None:
-    with pytest.raises(InvalidInput, match="http://"):
-        source_of(url)
+    refused(source_of, url, match="http://")
 
 
 def test_nobody_there_is_refused() -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
-    with pytest.raises(InvalidInput, match="connection refused"):
-        UrlSource(f"http://127.0.0.1:{port}/").open()
+    refused(UrlSource(f"http://127.0.0.1:{port}/").open, match="connection refused")
 
 
 # --- cameras at this computer -----------------------------------------------------------------
@@ -382,23 +381,17 @@ def test_webcams_that_do_not_work_are_refused() -> None:
     with pytest.raises(InvalidInput, match="does not open"):
         DeviceSource("0", capture=lambda device: Webcam(opens=False)).open()
     webcam = Webcam(n=0)
-    with pytest.raises(InvalidInput, match="no pictures"):
-        DeviceSource("0", capture=lambda device: webcam).open()
+    refused(DeviceSource("0", capture=lambda device: webcam).open, match="no pictures")
     assert webcam.released
-    with pytest.raises(InvalidInput, match=r"/dev/video9: found no such device"):
-        source_of("/dev/video9").open()
-    with pytest.raises(InvalidInput, match=r"/dev/video7: found no such device"):
-        source_of("7").open()
+    refused(source_of("/dev/video9").open, match=r"/dev/video9: found no such device")
+    refused(source_of("7").open, match=r"/dev/video7: found no such device")
 
 
 def test_files_that_are_no_film_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput, match="no such file"):
-        source_of(str(tmp_path / "nothing.mp4")).open()
+    refused(source_of(str(tmp_path / "nothing.mp4")).open, match="no such file")
     (tmp_path / "text.mkv").write_text("no film")
-    with pytest.raises(InvalidInput, match="no video"):
-        source_of(str(tmp_path / "text.mkv")).open()
-    with pytest.raises(InvalidInput, match="a folder"):
-        source_of(str(tmp_path)).open()
+    refused(source_of(str(tmp_path / "text.mkv")).open, match="no video")
+    refused(source_of(str(tmp_path)).open, match="a folder")
 
 
 def test_another_size_than_the_rigs_is_refused() -> None:

@@ -552,8 +552,7 @@ def test_a_port_of_something_else_is_refused_with_what_it_said(says, found):
 
 
 def test_a_port_that_is_in_use_is_refused(controller, drive):
-    with pytest.raises(InvalidInput, match="in use by"):
-        GrblActuator(controller.port).connect()
+    refused(GrblActuator(controller.port).connect, match="in use by")
 
 
 def test_an_emulated_controller_takes_no_file_away(tmp_path, monkeypatch):

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 from tests.testbed.films import SIZE, Fixels, Pictures, picture, record
 
-from fixel.errors import InvalidInput
 from fixel.formats.recording import open_recording
 from fixel.formats.recording_video import jpeg_of
 from fixel.testbed import recorder as recorder_module
@@ -167,8 +167,7 @@ def test_a_picture_that_cannot_be_decoded_is_left_out_and_said(tmp_path: Path) -
 
 
 def test_a_source_that_ends_at_once_leaves_no_folder(tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput, match="no more pictures"):
-        record(Pictures(0), tmp_path / "r")
+    refused(record, Pictures(0), tmp_path / "r", match="no more pictures")
     assert not (tmp_path / "r").exists()
 
 
@@ -200,8 +199,7 @@ def test_gaps_are_told(tmp_path: Path) -> None:
 
 def test_a_minute_must_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recorder_module, "free_space", lambda folder: 40_000_000)
-    with pytest.raises(InvalidInput, match="40 MB free on its disk, but fixel needs"):
-        record(Pictures(9), tmp_path / "r")
+    refused(record, Pictures(9), tmp_path / "r", match="40 MB free on its disk, but fixel needs")
     assert not (tmp_path / "r").exists()
     assert record(Pictures(9), tmp_path / "r", limit=1.0).frames == 9
 
@@ -242,5 +240,4 @@ def test_a_read_only_folder_is_refused(tmp_path: Path) -> None:
     if os.geteuid() == 0:
         pytest.skip("the administrator may write anywhere")
     tmp_path.chmod(0o500)
-    with pytest.raises(InvalidInput, match="permission denied"):
-        record(Pictures(3), tmp_path / "r")
+    refused(record, Pictures(3), tmp_path / "r", match="permission denied")

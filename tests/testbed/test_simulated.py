@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from tests.fixtures import refused
 
-from fixel.errors import InvalidInput
 from fixel.model import (
     Disk,
     LineDrive,
@@ -325,8 +324,7 @@ def test_refuses_plans_it_cannot_run():
 
 def test_refuses_a_centre_of_pressure_nothing_can_carry():
     bench = replace(BENCH, centre_of_pressure=(0.05, 0.0))
-    with pytest.raises(InvalidInput, match=r"'push-0'.*centre_of_pressure.*5\d.* mm"):
-        list(bench.run(PLAN[:1]))
+    refused(list, bench.run(PLAN[:1]), match=r"'push-0'.*centre_of_pressure.*5\d.* mm")
 
 
 @pytest.mark.parametrize("lead_in", [0.05, 0.51])

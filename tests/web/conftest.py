@@ -100,6 +100,18 @@ def browser_page(chromium, server):
         yield page
 
 
+def page_fixture(path, selector):
+    """Return a fixture: the page of an address, once it shows what the selector finds."""
+
+    @pytest.fixture
+    def opened(browser_page, server):
+        browser_page.goto(server.home + path)
+        browser_page.wait_for_selector(selector)
+        return browser_page
+
+    return opened
+
+
 @pytest.fixture(scope="module")
 def faults():
     """Function that returns the faults of a page by the rules of axe, and of its width."""

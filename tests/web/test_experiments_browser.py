@@ -4,7 +4,7 @@ import re
 
 import pytest
 from tests.fixtures import bare_experiment
-from tests.web.conftest import SCRIPTS
+from tests.web.conftest import SCRIPTS, page_fixture
 
 from fixel.model import Flag, Provenance
 from fixel.workflows.project.filters import view_of
@@ -226,11 +226,7 @@ def test_a_long_table_has_pages(table, server):
 # --- one experiment -----------------------------------------------------------------------------
 
 
-@pytest.fixture
-def one(browser_page, server):
-    browser_page.goto(server.home + "experiments/1")
-    browser_page.wait_for_selector("#figures td")
-    return browser_page
+one = page_fixture("experiments/1", "#figures td")
 
 
 def test_an_experiment_has_its_simulation_a_player_and_neighbours(one):

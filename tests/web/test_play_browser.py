@@ -5,7 +5,7 @@ import os
 import signal
 
 import pytest
-from tests.web.conftest import width_fault
+from tests.web.conftest import page_fixture, width_fault
 
 from fixel.formats import load_scene
 from fixel.web.views import scene_editor
@@ -24,18 +24,8 @@ TRIP = """async ([id, steps]) => {
 }"""
 
 
-@pytest.fixture
-def compare(browser_page, server):
-    browser_page.goto(server.home + "compare?experiment=1")
-    browser_page.wait_for_selector("#sets svg")
-    return browser_page
-
-
-@pytest.fixture
-def simulate(browser_page, server):
-    browser_page.goto(server.home + "simulate")
-    browser_page.wait_for_selector("#simulate[data-simulated]")
-    return browser_page
+compare = page_fixture("compare?experiment=1", "#sets svg")
+simulate = page_fixture("simulate", "#simulate[data-simulated]")
 
 
 def player(page, expression, host="#player"):

@@ -4,6 +4,7 @@ import re
 
 import pytest
 from tests.laboratories import trusted_laboratory
+from tests.web.conftest import page_fixture
 from tests.web.test_play_browser import TRIP
 
 from fixel.database.project import Project
@@ -17,18 +18,8 @@ def project(tmp_path_factory):
     return trusted_laboratory(tmp_path_factory.mktemp("copy") / "my_lab")
 
 
-@pytest.fixture
-def domain(browser_page, server):
-    browser_page.goto(server.home + "domain")
-    browser_page.wait_for_selector("#panels td")
-    return browser_page
-
-
-@pytest.fixture
-def one(browser_page, server):
-    browser_page.goto(server.home + "calibrations/1")
-    browser_page.wait_for_selector("#calibration")
-    return browser_page
+domain = page_fixture("domain", "#panels td")
+one = page_fixture("calibrations/1", "#calibration")
 
 
 def evaluations(page):

@@ -74,11 +74,9 @@ def test_how_a_job_is_run_is_kept_for_the_next_time(tmp_path):
 def test_what_is_missing_is_said_before_anything_starts(tmp_path, monkeypatch):
     pytest.importorskip("distributed")
     folder = toy_job(tmp_path / "job", **OPTIONS)
-    with pytest.raises(InvalidInput, match="interface is 'nowhere0'"):
-        jobs.arrange(folder, site=Site(interface="nowhere0"))
+    refused(jobs.arrange, folder, site=Site(interface="nowhere0"), match="interface is 'nowhere0'")
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(InvalidInput, match="found no command sbatch"):
-        jobs.arrange(folder, site=Site())
+    refused(jobs.arrange, folder, site=Site(), match="found no command sbatch")
     with pytest.raises(
         InvalidInput, match="coordinator: found slurm, but fixel needs a site template"
     ):

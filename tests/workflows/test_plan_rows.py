@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests.filtering.recordings import push
-from tests.fixtures import project_of
+from tests.fixtures import project_of, refused
 
 from fixel.errors import InvalidInput
 from fixel.formats.plan_file import plan_text
@@ -58,8 +58,6 @@ def test_offsets_from_the_start_of_a_stored_experiment(project, tmp_path):
 )
 def test_experiments_that_are_no_start(key, found, project, tmp_path):
     path = table(tmp_path, f"name,experiment\na,{key or 'bare'}\n")
-    with pytest.raises(InvalidInput) as problem:
-        planned_rows(path, project if key else None)
-
-    assert problem.value.where.startswith("plan.csv, row 1, column experiment")
-    assert found in str(problem.value)
+    problem = refused(planned_rows, path, project if key else None)
+    assert problem.where.startswith("plan.csv, row 1, column experiment")
+    assert found in str(problem)

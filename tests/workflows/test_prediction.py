@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.fixtures import project_of
+from tests.fixtures import project_of, refused
 from tests.uncertainty import test_likelihood
 from tests.uncertainty.forks import fork
 
@@ -86,16 +86,12 @@ def test_every_run_has_the_parameters_of_a_sample(sampled):
 
 
 def test_what_is_certain_or_unknown_is_refused(sampled):
-    with pytest.raises(InvalidInput, match="uncertain input"):
-        predict(micro_push(1), **QUIET)
-    with pytest.raises(InvalidInput, match="model_error"):
-        predict(micro_push(1), start=ASME, model_error=True, **QUIET)
+    refused(predict, micro_push(1), match="uncertain input", **QUIET)
+    refused(predict, micro_push(1), start=ASME, model_error=True, match="model_error", **QUIET)
     with pytest.raises(InvalidInput, match="goal"):
         predict(micro_push(1), start=ASME, samples=9, **QUIET).probability(Seated("fixel-1"))
-    with pytest.raises(InvalidInput, match="samples"):
-        predict(micro_push(1), start=ASME, samples=1, **QUIET)
-    with pytest.raises(InvalidInput, match="model_error"):
-        predict(micro_push(1), start=ASME, model_error=-1.0, **QUIET)
+    refused(predict, micro_push(1), start=ASME, samples=1, match="samples", **QUIET)
+    refused(predict, micro_push(1), start=ASME, model_error=-1.0, match="model_error", **QUIET)
 
 
 def test_a_calibration_predicts_with_its_values_and_motion_model():
@@ -170,8 +166,7 @@ def test_a_seated_part_has_no_remainder_and_bits_do_not_depend_on_threads():
 def test_scatter_and_model_error_together_are_refused():
     with pytest.raises(InvalidInput, match="one of the two"):
         predict(pushed_square(), run_to_run=RunToRun(), model_error=1e-3)
-    with pytest.raises(InvalidInput, match="RunToRun"):
-        predict(pushed_square(), run_to_run="learned")
+    refused(predict, pushed_square(), run_to_run="learned", match="RunToRun")
 
 
 def test_the_error_of_the_model_is_as_far_on_as_the_motion_at_instants_before_its_end():

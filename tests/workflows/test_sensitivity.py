@@ -49,13 +49,10 @@ def test_reports_of_progress_end_at_the_number_of_starts():
 
 
 def test_wrong_input_is_refused():
-    with pytest.raises(InvalidInput, match="at least 50"):
-        sensitivity(micro_push(1), ASME, samples=20, **QUIET)
-    with pytest.raises(InvalidInput, match="motion"):
-        sensitivity(micro_push(1), ASME, motion="slow", **QUIET)
+    refused(sensitivity, micro_push(1), ASME, samples=20, match="at least 50", **QUIET)
+    refused(sensitivity, micro_push(1), ASME, motion="slow", match="motion", **QUIET)
     refused(sensitivity, 42, ASME, match="a scene file or an Experiment", **QUIET)
-    with pytest.raises(InvalidInput, match="mu_pusher"):
-        sensitivity(micro_push(1), ASME, {"mu_pushr": 0.2}, **QUIET)
+    refused(sensitivity, micro_push(1), ASME, {"mu_pushr": 0.2}, match="mu_pusher", **QUIET)
     with pytest.raises(InvalidInput, match=r"vary\.mu_pusher is 'x', .*2 numbers: low, high"):
         sensitivity(micro_push(1), ASME, vary={"mu_pusher": "x"}, indices=True, **QUIET)
 
@@ -201,8 +198,7 @@ def test_refusals(file, words, sentence):
 
 def test_a_job_reads_no_scene_files(folder, file):
     request = SENSITIVITY.request({"experiments": (str(file),)})
-    with pytest.raises(InvalidInput, match="experiments of the project"):
-        prepare(SENSITIVITY, request, Project(folder))
+    refused(prepare, SENSITIVITY, request, Project(folder), match="experiments of the project")
 
 
 def test_what_is_not_there(folder):

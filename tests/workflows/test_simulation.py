@@ -4,9 +4,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from tests.fixtures import refused
 
 import fixel
-from fixel.errors import InvalidInput
 from fixel.formats import SceneFile, load_scene, save_scene
 from fixel.simulation import Adaptive, StewartTrinkle
 from fixel.simulation.stepper import stepper_of
@@ -74,8 +74,7 @@ def test_impossible_files_are_refused_before_anything_is_simulated(scene, tmp_pa
         Outputs(trajectory=tmp_path / "a.txt"),
         Outputs(trajectory=tmp_path / "nowhere" / "a.csv"),
     ):
-        with pytest.raises(InvalidInput):
-            simulate_file(load_scene(scene), outputs)
+        refused(simulate_file, load_scene(scene), outputs)
 
 
 def test_settings_are_parameters_or_keys_of_the_scene(tmp_path):
@@ -92,8 +91,7 @@ def test_settings_are_parameters_or_keys_of_the_scene(tmp_path):
         "mu_pusher=low": "must be a number",
         "mu_pusher": "found no value",
     }.items():
-        with pytest.raises(InvalidInput, match=words):
-            simulate_scene(path, overrides=[setting])
+        refused(simulate_scene, path, overrides=[setting], match=words)
 
 
 def test_a_comparison_takes_the_settings_of_a_simulation(tmp_path):

@@ -8,8 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from tests.fixtures import refused
 
-from fixel.errors import InvalidInput, JobRefused
+from fixel.errors import JobRefused
 from fixel.sampling import eight_push_plan
 from fixel.workflows.bench.campaign import Campaign, campaigns
 
@@ -73,9 +74,9 @@ def test_skipped_rows_stay_skipped(tmp_path):
 def test_another_plan_under_the_same_name_is_refused(tmp_path):
     opened(tmp_path).close()
     slower = replace(ROWS[0], scene=replace(ROWS[0].scene, gravity=1.6))
-    with pytest.raises(InvalidInput, match="other rows than those") as refused:
-        Campaign(tmp_path / "bench" / "pushes", [slower, *ROWS[1:]])
-    assert "--name" in refused.value.hint
+    folder = tmp_path / "bench" / "pushes"
+    error = refused(Campaign, folder, [slower, *ROWS[1:]], match="other rows than those")
+    assert "--name" in error.hint
     opened(tmp_path).close()  # the refusal has let go of the journal
 
 

@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from tests.fixtures import refused
 
 import fixel
 from fixel.errors import InvalidInput
@@ -196,9 +197,7 @@ def test_wanted_widths_are_read(text, wanted):
     "mu_pusher[surface=0.1", "mu_pusher=0.1,mu_pusher=0.2",
 ])  # fmt: skip
 def test_wanted_widths_that_mean_nothing_are_refused_at_their_option(text):
-    with pytest.raises(InvalidInput) as refusal:
-        Until.parse(text)
-    assert refusal.value.where == "until"
+    assert refused(Until.parse, text).where == "until"
 
 
 def test_a_campaign_ends_when_all_are_as_narrow_as_wanted():

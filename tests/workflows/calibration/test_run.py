@@ -438,7 +438,6 @@ def test_experiments_that_cannot_be_compared(project, experiments):
         assert len(found.targets) == 4
         assert "no scene" in found.left_out["testbed/lost"]
         assert "no measured pose" in found.left_out["testbed/one"]
-        with pytest.raises(InvalidInput, match="no scene"):
-            run.select_experiments(store, ("lost",), ExperimentQuery())
+        refused(run.select_experiments, store, ("lost",), ExperimentQuery(), match="no scene")
         with pytest.raises(InvalidInput, match="must be one of testbed"):
             run.select_experiments(store, (), ExperimentQuery(dataset="nowhere"))

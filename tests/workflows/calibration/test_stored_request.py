@@ -9,7 +9,7 @@ import sys
 
 import numpy as np
 import pytest
-from tests.fixtures import project_of
+from tests.fixtures import project_of, refused
 
 import fixel
 from fixel.cli.main import run as run_command
@@ -17,7 +17,7 @@ from fixel.database.arrays import lost
 from fixel.database.bundle import export_bundle, import_bundle
 from fixel.database.project import Project
 from fixel.database.store import Store
-from fixel.errors import InvalidInput, StoreRefused
+from fixel.errors import StoreRefused
 from fixel.model.records import CalibrationRecord
 from fixel.model.space import Unknown
 from fixel.sampling.published import thesis_plan
@@ -222,8 +222,7 @@ def test_a_record_of_an_earlier_version_states_what_is_unknown(project, fit):
     assert found.request.starts == 2
     assert found["mu_pusher"] == fit["mu_pusher"]
     assert {e.level for e in found.estimates.values()} == {None}
-    with pytest.raises(InvalidInput, match="level"):
-        found.samples(3)
+    refused(found.samples, 3, match="level")
     with project.store() as store:
         page = load_detail(project, store, found.run.ids[0])
     assert page.level is None
@@ -242,8 +241,7 @@ def test_options_of_an_earlier_version_repeat_the_command(project, fit):
 
 
 def test_a_new_calibration_needs_a_level(fit):
-    with pytest.raises(InvalidInput, match="level"):
-        fit.request.model_copy(update={"level": None}).check()
+    refused(fit.request.model_copy(update={"level": None}).check, match="level")
 
 
 @pytest.mark.parametrize("damage", [

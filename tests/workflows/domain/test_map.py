@@ -111,8 +111,7 @@ def test_wrong_input_is_refused_before_any_fit(pushes, monkeypatch):
         ({"facets": ["surface"]}, "surface"),
     ):
         refused(map_domain, pushes, SPACE, match=match, **options, **QUIET)
-    with pytest.raises(InvalidInput, match="no scene"):
-        map_domain([replace(pushes[0], scene=None)], SPACE, **QUIET)
+    refused(map_domain, [replace(pushes[0], scene=None)], SPACE, match="no scene", **QUIET)
     with pytest.raises(InvalidInput, match="needs experiments that differ in a condition"):
         map_domain(pushes[:1], SPACE, **QUIET)
     refused(fixel.map_domain, pushes, ["mu_pushr"], match="mu_pusher", **QUIET)
@@ -162,10 +161,9 @@ def test_a_folder_of_a_calibration_is_refused(pushes, tmp_path):
 
 
 def test_a_push_without_a_condition_is_refused_with_the_call_that_works(pushes, found):
-    with pytest.raises(InvalidInput) as problem:
-        found.at(pushes[0].scene)
-    assert "a push without side" in str(problem.value)
-    call = str(problem.value).split("as in ")[1]
+    problem = str(refused(found.at, pushes[0].scene))
+    assert "a push without side" in problem
+    call = problem.split("as in ")[1]
     assert call == ".at(scene, side='right')"
     assert eval("found" + call, {"found": found, "scene": pushes[0].scene}).nearby == 5
 

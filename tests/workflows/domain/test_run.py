@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.fixtures import calibration_record, project_of
+from tests.fixtures import calibration_record, project_of, refused
 
 from fixel.calibration.objective import Comparer, Evaluation, MeanSquare, RootMeanSquare
 from fixel.calibration.target import targets_of
@@ -65,8 +65,7 @@ def test_parameters_of_an_experiment_are_found_without_it():
 
 def test_a_calibration_in_other_units_is_refused():
     targets = targets_of(SimulatedTestbed.ideal().run(planned(1)))
-    with pytest.raises(InvalidInput, match="mean-square or end-pose"):
-        model(targets, error=RootMeanSquare())
+    refused(model, targets, error=RootMeanSquare(), match="mean-square or end-pose")
 
 
 def test_a_start_that_some_group_cannot_have_is_refused_before_any_fit(tmp_path, monkeypatch):
@@ -101,16 +100,14 @@ def test_errors_beside_own_bests_are_refused_before_any_fit(tmp_path, monkeypatc
         raise AssertionError("held out before the refusal")
 
     monkeypatch.setattr("fixel.workflows.domain.evidence.held_out", never)
-    with pytest.raises(InvalidInput, match="calibrate them first"):
-        map_stored(project, relative=1.0)
+    refused(map_stored, project, relative=1.0, match="calibrate them first")
 
 
 def test_own_bests_under_another_model_say_nothing(tmp_path):
     project = project_of(tmp_path / "lab", SimulatedTestbed.ideal().run(planned(3)))
     with project.store() as store:
         targets = targets_of(store.experiment(k) for k in (1, 2, 3))
-        with pytest.raises(InvalidInput, match="calibrate them first"):
-            own_best(store, [1, 2, 3], model(targets))
+        refused(own_best, store, [1, 2, 3], model(targets), match="calibrate them first")
         for k, change in enumerate(({}, {"motion": "quasistatic"}, {"error.angle_scale": 0.05})):
             own = calibration_record({k + 1: 0.5}, {"mu_pusher": 0.2}, method=METHOD | change)
             store.add_calibration(own)

@@ -280,8 +280,7 @@ def test_bad_input_leaves_nothing(tmp_path: Path) -> None:
     refused(fixel.export_model, scene, target, to="gazebo", match="one of mujoco, drake")
     refused(fixel.export_model, scene, target, to="pymunk:stepp=1", match="choices of pymunk")
     refused(fixel.export_model, scene, target, to="pymunk==1.0", match="version")
-    with pytest.raises(InvalidInput, match="force limit"):
-        fixel.export_model(grasp(), target, to="mujoco")
+    refused(fixel.export_model, grasp(), target, to="mujoco", match="force limit")
     refused(fixel.export_model, scene, target, to="pymunk", scenes=-1, match="0 to 100000")
     with pytest.raises(InvalidInput, match="needs the project that has it"):
         fixel.export_model(scene, target, to="pymunk", calibration=1)
