@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from fixel.domain.error_bound import LEVEL, ConformalBound, Experience, constant_bound
+from fixel.domain.error_bound import LEVEL, ConformalBound, constant_bound
 from fixel.replay.base import Row
 from fixel.typing import BoolArray, FloatArray, IntArray
 from reproductions.charts.error_bounds import error_bounds_figure
@@ -179,7 +179,7 @@ def _counted(
         group[judging].tolist(),
         LEVEL,
         repeat,
-        also=Experience(table.features[train], error[train]),
+        also=(table.features[train], error[train]),
     )
     bound = bounds.quantiles(table.features[counting], group[counting].tolist(), LEVELS)
     by_group = np.full(len(counting), np.inf)

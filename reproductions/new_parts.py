@@ -259,10 +259,10 @@ def _baseline(
     """Return errors of even pressure and of the published simulator on all pushes of a plate."""
     pushes = PartPushes([target_of(own) for own in experiments])
     every = np.arange(len(pushes))
-    even = pushes.simulate(every, {"mu_pusher": np.full(len(every), NOMINAL["mu_pusher"])})
+    even, _ = pushes.simulate(every, {"mu_pusher": np.full(len(every), NOMINAL["mu_pusher"])})
     theirs = np.array([published[own.name] for own in experiments])
     row: Row = {"group": key}
-    for name, ends in (("even", even.pose), ("published", theirs)):
+    for name, ends in (("even", even), ("published", theirs)):
         own = np.nanmean(pushes.errors(every, ends), axis=0) * [1e3, DEGREE]
         row[f"{name}_mm"], row[f"{name}_deg"] = own.tolist()
     return row

@@ -27,7 +27,6 @@ from fixel.domain.error_bound import (
     LEVEL,
     TYPICAL,
     ConformalBound,
-    Experience,
     min_experiments,
 )
 from fixel.model import wrapped
@@ -210,7 +209,7 @@ def _beyond(
             features, errors = _rows(others, lambda own: own.new, column)
             found[plate] = ConformalBound.fit(
                 features, errors, _spread(others, lambda own: own.key[1], lambda own: own.new),
-                also=Experience(*_rows(first, lambda own: ~own.new, column)),
+                also=_rows(first, lambda own: ~own.new, column),
                 units=_spread(others, lambda own: own.unit, lambda own: own.new),
             )  # fmt: skip
         bench.advance(f"other plates than {plate}")
@@ -239,7 +238,7 @@ def _counted(
         bench.advance(f"bounds {k + 1}")
         if len(errors) < min_experiments(LEVEL):
             continue  # a quick look at few pushes
-        also = Experience(*_rows(use, lambda own: own.train, column))
+        also = _rows(use, lambda own: own.train, column)
         plain = ConformalBound.fit(features, errors, names, also=also)
         pushed = PushedContacts(contacts, names)
         for own in [own[k] for own in plates.values() if k < len(own)]:

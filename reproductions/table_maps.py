@@ -127,7 +127,7 @@ def _new_plate(
                     ends = taught.predict([own[k] for k in test.tolist()])
                 else:
                     given = {name: np.full(len(test), x) for name, x in values.items()}
-                    ends = pushes.simulate(test, given).pose
+                    ends = pushes.simulate(test, given)[0]
                 kept.append(pushes.errors(test, ends) * [1e3, DEGREE])
         before, with_map = (np.concatenate(kept) for kept in errors)
         found.append(PairedErrors(f"new plate, {count} pushes", key, before, with_map))
@@ -157,7 +157,7 @@ def _known_plates(
             pushes = PartPushes([target_of(one) for one in test])
             every = np.arange(len(test))
             given = {name: np.full(len(test), x) for name, x in table.values[key[1]].items()}
-            ends = [pushes.simulate(every, given).pose, table.predict(test)]
+            ends = [pushes.simulate(every, given)[0], table.predict(test)]
             before, with_map = (pushes.errors(every, end) * [1e3, DEGREE] for end in ends)
             found.append(PairedErrors(what, key, before, with_map))
             residuals[key][held[key]] = np.stack([_residual(pushes, end) for end in ends], axis=1)

@@ -7,7 +7,7 @@ import pytest
 from tests.fixtures import refused
 
 from fixel.domain import features as scales
-from fixel.domain.error_bound import ConformalBound, Experience, constant_bound, min_experiments
+from fixel.domain.error_bound import ConformalBound, constant_bound, min_experiments
 from fixel.errors import InvalidInput
 
 GROUPS = ("steel", "wood", "felt")
@@ -111,7 +111,7 @@ def test_levels_columns_and_labels_are_refused():
     promise = ConformalBound.fit(features, errors, groups, model="constant")
     refused(promise.bounds, features[:, :3], groups, match="3 columns")
     with pytest.raises(InvalidInput, match=r"also\.features"):
-        ConformalBound.fit(features, errors, also=Experience(features[:, :2], errors))
+        ConformalBound.fit(features, errors, also=(features[:, :2], errors))
 
 
 def test_nothing_is_promised_far_from_all_evidence():
@@ -163,7 +163,7 @@ def test_what_shapes_the_model_judges_nothing():
     features, errors, groups = made_up(300, 0)
     more, off, _ = made_up(300, 1)
     promise = ConformalBound.fit(
-        features, errors, groups, model="neighbours", also=Experience(more, 0.01 * off)
+        features, errors, groups, model="neighbours", also=(more, 0.01 * off)
     )
     new, real, where = made_up(900, 2)
     assert (real <= promise.bounds(new, where)).mean() > 0.86

@@ -104,5 +104,5 @@ def test_real_plates_never_seen_are_predicted_better_than_with_even_pressure(dat
     ends = np.array([tuple(own.pose) for own in model.predict(held)])
     pushes = PartPushes([target_of(own) for own in held])
     every = np.arange(len(held))
-    even = pushes.simulate(every, {"mu_pusher": np.full(len(held), 0.25)}).pose
+    even = pushes.simulate(every, {"mu_pusher": np.full(len(held), 0.25)})[0]
     assert pushes.errors(every, ends)[:, 0].mean() < pushes.errors(every, even)[:, 0].mean()

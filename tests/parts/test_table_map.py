@@ -124,8 +124,8 @@ def test_without_anything_of_its_own_a_part_is_predicted_as_its_scene_on_the_tab
     flat = PartPushes([target_of(push) for push in some])
     given = {name: np.full(len(some), x) for name, x in values.items()}
     every = np.arange(len(some))
-    np.testing.assert_allclose(uneven.simulate(every, given).pose, ends, atol=1e-9)
-    assert np.abs(flat.simulate(every, given).pose - ends).max() > 1e-4
+    np.testing.assert_allclose(uneven.simulate(every, given)[0], ends, atol=1e-9)
+    assert np.abs(flat.simulate(every, given)[0] - ends).max() > 1e-4
 
 
 def test_friction_and_shift_of_other_parts_are_corrected_towards_the_truth(pushes):

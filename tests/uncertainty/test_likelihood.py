@@ -162,8 +162,8 @@ def test_walks_have_the_variance_they_are_said_to_have():
     walks = draw_walks(share, np.full(4000, 2e-3), sides, np.random.default_rng(0))
     np.testing.assert_allclose(walks[:, -1].std(axis=0), 2e-3 / sides, rtol=0.05)
     np.testing.assert_allclose(walks[:, 4, 0].std(), 2e-3 * np.sqrt(0.5), rtol=0.05)
-    walk = walk_over(share)
-    again = walk.axes * walk.variance @ walk.axes.T
+    axes, variance = walk_over(share)
+    again = axes * variance @ axes.T
     np.testing.assert_allclose(again, np.minimum(share[:, None], share), atol=1e-12)
 
 

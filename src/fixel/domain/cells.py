@@ -339,19 +339,15 @@ class Cells:
 
     def component(self, inside: Sequence[bool]) -> list[int]:
         """Return the cells inside that are connected to the nominal; none if that is outside."""
-        touching: dict[int, list[int]] = {k: [] for k in range(len(self))}
-        for a, b in self.edges:
-            touching[a].append(b)
-            touching[b].append(a)
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
         if not inside[self.nominal]:
             return []
-        seen, todo = {self.nominal}, [self.nominal]
-        while todo:
-            for other in touching[todo.pop()]:
-                if inside[other] and other not in seen:
-                    seen.add(other)
-                    todo.append(other)
-        return sorted(seen)
+        both = np.array([(a, b) for a, b in self.edges if inside[a] and inside[b]], np.int64)
+        links = coo_array((np.ones(len(both)), both.reshape(-1, 2).T), (len(self), len(self)))
+        part = connected_components(links, directed=False)[1]
+        return [int(k) for k in np.flatnonzero(part == part[self.nominal])]
 
 
 def cells_of(

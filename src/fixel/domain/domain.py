@@ -15,6 +15,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from fixel.calibration.known_pushes import KnownPushes, push_target, texts_of, with_dataset
+from fixel.calibration.mixed import numbered
 from fixel.domain.cells import CellAxis, Cells, coordinates_of, label_of, refuse_missing
 from fixel.domain.claim import (
     COLOURS,
@@ -367,8 +368,7 @@ class DomainMap(Result):
 
     @cached_property
     def _group(self) -> IntArray:
-        number = {group: g for g, group in enumerate(self.groups)}
-        return np.array([number[name] for name in self.evidence.group])
+        return numbered(self.evidence.group)
 
     @cached_property
     def _without(self) -> list[tuple[IntArray, DomainMap]]:
@@ -511,8 +511,7 @@ def domain_map(
     groups = tuple(dict.fromkeys(evidence.group))
     place = cells.find(evidence)
     scores = evidence.scores(measure)
-    number = {group: g for g, group in enumerate(groups)}
-    group = np.array([number[name] for name in evidence.group])
+    group = numbered(evidence.group)
     usable = (place >= 0) & ~np.isnan(scores)
     if int(usable.sum()) < MIN_EXPERIMENTS:
         notes = next((note for note in evidence.notes if note), "")

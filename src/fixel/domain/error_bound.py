@@ -51,14 +51,6 @@ TINY: Final = 1e-300
 Labels = Sequence[Hashable]
 
 
-class Experience(NamedTuple):
-    """Features and errors for fitting the model of errors, but never for judging it, such as those
-    of the experiments of the calibration."""
-
-    features: FloatArray  # (n, f)
-    errors: FloatArray  # (n,)
-
-
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class ConformalBound:
@@ -92,7 +84,7 @@ class ConformalBound:
         level: float = LEVEL,
         seed: int = 0,
         *,
-        also: Experience | None = None,
+        also: tuple[ArrayLike, ArrayLike] | None = None,
         model: str | None = None,
         units: Labels | None = None,
         rule: str = GUARANTEED,
@@ -114,6 +106,9 @@ class ConformalBound:
             Probability of a bound, between 0 and 1, both excluded.
         seed : int
             Seed of the folds and trees.
+        also : ((k, f) array_like, (k,) array_like), optional
+            Features and errors for fitting the model of errors, but never for judging it, such as
+            those of the experiments of the calibration.
         model : str, optional
             Name of the model of errors; by default the best that is available.
         units : (n,) sequence, optional

@@ -10,6 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
@@ -121,7 +122,9 @@ def held_out(
         if len(test) and len(train):
             of = _asked(targets, model, apart, stepper, train, test)
             name = f"fold-{done}"
-            answer = finished(name, of, _FoldFit(comparer, train, test, apart.seed + k))
+            answer = finished(
+                name, of, partial(_fold_answer, comparer, train, test, apart.seed + k)
+            )
             error[test] = [math.inf if e is None else e for e in answer["error"]]
             points[f"{group or 'all'}, fold {k + 1}"] = answer["point"]
         elif len(test):
@@ -163,51 +166,44 @@ def _no_start(reasons: Sequence[str], of: str = "") -> InvalidInput:
     )
 
 
-class _FoldFit:
-    """Fit of one fold of one group: parameters from some experiments, errors of others."""
+def _fold_answer(comparer: Comparer, train: IntArray, test: IntArray, seed: int) -> dict[str, Any]:
+    """Fit one fold of one group: return parameters from some experiments, and errors of others."""
+    point = _fold_point(comparer, train, seed)
+    errors = comparer.errors(test, np.repeat(point[None], len(test), axis=0))
+    values = [float(e) if math.isfinite(e) else None for e in errors.error]
+    return {"point": point.tolist(), "error": values}
 
-    def __init__(self, comparer: Comparer, train: IntArray, test: IntArray, seed: int) -> None:
-        self.comparer, self.train, self.test, self.seed = comparer, train, test, seed
 
-    def __call__(self) -> dict[str, Any]:
-        point = self.point()
-        errors = self.comparer.errors(self.test, np.repeat(point[None], len(self.test), axis=0))
-        values = [float(e) if math.isfinite(e) else None for e in errors.error]
-        return {"point": point.tolist(), "error": values}
+def _fold_point(comparer: Comparer, train: IntArray, seed: int) -> FloatArray:
+    space = comparer.space
+    frames = Frames(comparer, _usable(comparer, train, seed))
+    scale = float(comparer.error.angle_scale)
+    noise = Noise(position_m=1e-3, angle_rad=1e-3 / scale)
+    # Every experiment counts alike, however long; residuals stay in millimetres.
+    weight = np.sqrt(frames.weights / frames.weights.mean())
+    residuals = frames.residuals(noise)
+    search = SQUARES.start(box_of(space), seed, None, NormalPrior.of(space))
+    return np.asarray(fit(search, lambda points: residuals(points) / weight).point)
 
-    def point(self) -> FloatArray:
-        space = self.comparer.space
-        members = self._learnt_from()
-        frames = Frames(self.comparer, members)
-        scale = float(self.comparer.error.angle_scale)
-        noise = Noise(position_m=1e-3, angle_rad=1e-3 / scale)
-        # Every experiment counts alike, however long; residuals stay in millimetres.
-        weight = np.sqrt(frames.weights / frames.weights.mean())
-        residuals = frames.residuals(noise)
-        search = SQUARES.start(box_of(space), self.seed, None, NormalPrior.of(space))
-        return np.asarray(fit(search, lambda points: residuals(points) / weight).point)
 
-    def _learnt_from(self) -> IntArray:
-        """Select training experiments at random, without those that cannot be simulated at the
-        start: a single failure would stop the whole fit."""
-        rng = np.random.default_rng(self.seed)
-        chosen = self.train
-        if len(chosen) > MAX_TRAINING:
-            chosen = np.sort(rng.choice(chosen, MAX_TRAINING, replace=False))
-        start = np.repeat(self.comparer.space.nominal[None], len(chosen), axis=0)
-        answer = self.comparer.errors(chosen, start)
-        good = chosen[np.isfinite(answer.error)]
-        if not len(good):
-            raise _no_start(answer.reasons)
-        return good
+def _usable(comparer: Comparer, train: IntArray, seed: int) -> IntArray:
+    """Select training experiments at random, without those that cannot be simulated at the start: a
+    single failure would stop the whole fit."""
+    if len(train) > MAX_TRAINING:
+        rng = np.random.default_rng(seed)
+        train = np.sort(rng.choice(train, MAX_TRAINING, replace=False))
+    answer = comparer.errors(train, np.repeat(comparer.space.nominal[None], len(train), axis=0))
+    good = train[np.isfinite(answer.error)]
+    if not len(good):
+        raise _no_start(answer.reasons)
+    return good
 
 
 def calibrated_on(targets: Sequence[Target], model: CalibrationModel, seed: int = 0) -> FloatArray:
     """(n_free,) parameters of a fold that is trained on all of these experiments."""
     stepper = stepper_for(targets)
     comparer = Comparer(targets, model.space, model.error, model.motion, stepper)
-    every = np.arange(len(targets))
-    return _FoldFit(comparer, every, every, seed).point()
+    return _fold_point(comparer, np.arange(len(targets)), seed)
 
 
 def _folds(targets: Sequence[Target], groups: Sequence[str], apart: Apart) -> IntArray:

@@ -13,6 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from fixel.calibration.contacts import CONTACT_ANGLE, MAX_RATIO, MAX_TURN
+from fixel.calibration.mixed import numbered
 from fixel.domain.cells import CellAxis, Cells
 from fixel.domain.claim import DOUBTFUL, NO_DATA, PREDICTED, CellVerdict, Claim
 from fixel.domain.error_bound import ConformalBound, min_experiments
@@ -124,8 +125,7 @@ def predicted_cells(
     """
     place = cells.find(evidence)
     known = np.flatnonzero((place >= 0) & ~np.isnan(evidence.error_mm2))
-    groups = list(dict.fromkeys(evidence.group))
-    group = np.array([groups.index(name) for name in evidence.group])
+    group = numbered(evidence.group)
     # A cell without experiments is like another cell, not like another repetition in one of them.
     # So its bound uses one experiment per cell, and models have seen no other of the same cell.
     slots = {(int(group[k]), int(place[k])): k for k in reversed(known.tolist())}

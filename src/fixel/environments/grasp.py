@@ -227,8 +227,7 @@ class GraspEnv(base.SingleEnv):
     ['mu_fixel', 'mu_pusher', 'tripod_radius']
     """
 
-    def __init__(self, **options: Any) -> None:
-        super().__init__(GraspVectorEnv, **options)
+    kind = GraspVectorEnv
 
 
 def _stroke(scene: Scene) -> LineDrive:

@@ -254,10 +254,8 @@ class PushEnv(base.SingleEnv):
     ['achieved_goal', 'desired_goal', 'observation']
     """
 
+    kind = PushVectorEnv
     batch: PushVectorEnv
-
-    def __init__(self, **options: Any) -> None:
-        super().__init__(PushVectorEnv, **options)
 
     def compute_reward(self, achieved: FloatArray, desired: FloatArray, info: Any) -> FloatArray:
         """Compute the rewards (...) of achieved goals (..., 4), as `PushVectorEnv`."""

@@ -290,8 +290,10 @@ class PushTEnv(base.SingleEnv):
     (5,)
     """
 
+    kind = PushTVectorEnv
+
     def __init__(self, obs_type: ObservationName = "state", **options: Any) -> None:
-        super().__init__(PushTVectorEnv, obs_type=obs_type, **options)
+        super().__init__(obs_type=obs_type, **options)
 
 
 def keypoints(poses: FloatArray) -> FloatArray:

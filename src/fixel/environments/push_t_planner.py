@@ -6,6 +6,7 @@ import math
 from typing import Final, final
 
 import numpy as np
+import shapely
 
 from fixel.environments import push_t
 from fixel.environments.motion import PushMotion
@@ -136,25 +137,17 @@ class PushTPlanner:
         # Lengths of every order of magnitude: a last push may have to be short.
         far = np.exp(rng.uniform(math.log(MIN_LENGTH), math.log(MAX_LENGTH), n))
         end = start + way * far[:, None]
+        outline = shapely.LinearRing(push_t.OUTLINE)
+        apart = shapely.distance(outline, shapely.points(start))
+        free = apart > push_t.AGENT_RADIUS + 0.5 * CLEARANCE
         cos, sin = math.cos(pose[2]), math.sin(pose[2])
         turn = np.array([[cos, sin], [-sin, cos]])
         start, end = start @ turn, end @ turn
-        free = _distance(start, turn) > push_t.AGENT_RADIUS + 0.5 * CLEARANCE
         start, end = start + pose[:2], end + pose[:2]
         both = np.concatenate((start, end), axis=1)
         free &= (both > MARGIN).all(axis=1) & (both < push_t.SIDE - MARGIN).all(axis=1)
         rows = np.resize(np.flatnonzero(free), CANDIDATES)
         return start[rows], end[rows]
-
-
-def _distance(points: FloatArray, turn: FloatArray) -> FloatArray:
-    """Distance (n,) of points from the outline of a T about its origin [px]."""
-    corner = push_t.OUTLINE @ turn
-    edge = np.roll(corner, -1, axis=0) - corner
-    from_corner = points[:, None] - corner
-    u = (from_corner * edge).sum(axis=2) / (edge**2).sum(axis=1)
-    off = from_corner - np.clip(u, 0.0, 1.0)[..., None] * edge
-    return np.asarray(np.hypot(off[..., 0], off[..., 1]).min(axis=1))
 
 
 def _angle(way: FloatArray) -> float:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any, Final, TypedDict, final
+from typing import Any, ClassVar, Final, TypedDict, final
 
 import gymnasium as gym
 import numpy as np
@@ -262,10 +262,11 @@ class SingleEnv(gym.Env[Any, Any]):
     """
 
     metadata = METADATA
+    kind: ClassVar[type[Any]]  # subclass of `BatchEnv`
 
-    def __init__(self, kind: Callable[..., BatchEnv], **options: Any) -> None:
+    def __init__(self, **options: Any) -> None:
         mode = AutoresetMode.DISABLED
-        batch = kind(1, max_episode_steps=None, autoreset_mode=mode, threads=1, **options)
+        batch = self.kind(1, max_episode_steps=None, autoreset_mode=mode, threads=1, **options)
         self.batch = batch
         self.render_mode = batch.render_mode
         self.observation_space = batch.single_observation_space

@@ -289,12 +289,7 @@ class FixelGaps:
 
     def __init__(self, scene: Scene) -> None:
         pieces = [scene.bodies[0].shape, *(f.shape for f in scene.fixels)]
-        shapes = pack_shapes(pieces)
-        # Sizes of order one: the kernels' tolerances are meant for that.
-        self._size = float(max(np.abs(shapes.vertex).max(), shapes.piece_radius.max()))
-        self._shapes = shapes._replace(
-            vertex=shapes.vertex / self._size, piece_radius=shapes.piece_radius / self._size
-        )
+        self._size, self._shapes = pack_shapes(pieces).scaled()
         self._fixel = np.array([f.pose for f in scene.fixels]).reshape(-1, 3)
         reach = np.array([np.hypot(*shape.outline.T).max() for shape in pieces])
         self._reach = reach[0] + reach[1:]

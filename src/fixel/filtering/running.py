@@ -21,6 +21,7 @@ from fixel.model import Experiment, Scene
 from fixel.model.fields import instance, vector, whole
 from fixel.model.scene import check_push
 from fixel.model.trajectory import pose_difference
+from fixel.simulation.geometry import POSE
 from fixel.typing import BoolArray, FloatArray
 
 WEIGHTS_OF_LIMIT: Final = 20.0  # of the object, for a drive that the scene calls rigid
@@ -34,7 +35,6 @@ MAX_WIDENED: Final = 8.0  # times the spread at the start
 ISLAND: Final = 125  # particles at most that are weighed, resampled and moved among themselves
 BLOCK: Final = 40  # frames of the past through which proposals are simulated in one frame
 MAX_PATH_FRAMES: Final = 600  # of the pusher's path, smoothed again with every new frame
-POSE: Final = "x [m], y [m], angle [rad]"
 
 
 class FilterFrame(NamedTuple):

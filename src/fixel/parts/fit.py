@@ -217,8 +217,8 @@ def simulated(
     """Return the ends (m, k, 3) of pushes `which` (k,) under values (m, n), and which converged."""
     m, k = len(values), len(which)
     given = {name: np.repeat(values[:, j], k) for j, name in enumerate(NAMES)}
-    ends = pushes.simulate(np.tile(which, m), given)
-    return ends.pose.reshape(m, k, 3), ends.good.reshape(m, k)
+    ends, good = pushes.simulate(np.tile(which, m), given)
+    return ends.reshape(m, k, 3), good.reshape(m, k)
 
 
 # How far the part moves and turns, and how much that depends on start, friction and centre of
@@ -235,8 +235,8 @@ def bound_features(
 
     def roll(own: IntArray, other: Mapping[str, FloatArray]) -> tuple[FloatArray, BoolArray]:
         values = {name: np.full(len(own), x) for name, x in best.items()} | dict(other)
-        found = pushes.simulate(which[own], values)
-        return found.pose[:, None], found.good
+        found, ended = pushes.simulate(which[own], values)
+        return found[:, None], ended
 
     found = simulated_features(pushes.configurations(which), roll, best["mu_pusher"])
     used = [k for k, name in enumerate(found.names) if name.startswith(USED)]
@@ -289,13 +289,6 @@ STEP: Final = 0.1  # [s]
 LOST_PUSH: Final = 20e-3  # distance that a push counts that cannot be simulated [m]
 
 
-class Ends(NamedTuple):
-    """End poses of simulated pushes."""
-
-    pose: FloatArray  # (n, 3) [m, m, rad]; the measured start where the simulation failed
-    good: BoolArray  # (n,) whether it converged
-
-
 @final
 class PartPushes:
     """Pushes of one part on one surface, each of one free body by one round pusher."""
@@ -323,11 +316,17 @@ class PartPushes:
     def __len__(self) -> int:
         return len(self.targets)
 
-    def simulate(self, which: IntArray, values: Mapping[str, FloatArray]) -> Ends:
-        """Simulate pushes `which` (n,) with parameters (n,) by name."""
+    def simulate(
+        self, which: IntArray, values: Mapping[str, FloatArray]
+    ) -> tuple[FloatArray, BoolArray]:
+        """Simulate pushes `which` (n,) with parameters (n,) by name.
+
+        Return end poses (n, 3) [m, m, rad], the start where a simulation failed, and which
+        converged (n,).
+        """
         outcome = self._ensemble.simulate(which, values)
         good = outcome.converged
-        return Ends(np.where(good[:, None], outcome.pose[:, -1], self.start[which]), good)
+        return np.where(good[:, None], outcome.pose[:, -1], self.start[which]), good
 
     def in_frame(self, points: FloatArray) -> FloatArray:
         """Return points (n, 2), one per push, in the part's frame at the start of the push [m]."""

@@ -24,7 +24,7 @@ from fixel.simulation.pack import PackedBatch, Template, fastest_motion, pusher_
 from fixel.simulation.record import empty_record, hold_last, shape_poses
 from fixel.simulation.rollouts import INFEASIBLE, EnsembleOutcome, RolloutCase
 from fixel.simulation.simulate import check_compiled, method_of
-from fixel.simulation.solver import AbstractSolver, Newton
+from fixel.simulation.solver import Newton
 from fixel.simulation.stepper import AbstractStepper, Adaptive
 from fixel.simulation.threads import rollout_in_threads
 from fixel.simulation.vary import Variation, infeasible
@@ -46,7 +46,7 @@ class Ensemble:
 
     Results depend bit for bit on a case, its parameters and the method only: not on other cases,
     their order or the number of threads, by default that of the cores. The method is by default
-    `QuasiStatic()`, `Adaptive()` and `Newton()`. Outcomes of `several` bodies are the first's.
+    `QuasiStatic()` and `Adaptive()`, with `Newton()`. Outcomes of `several` bodies are the first's.
     """
 
     def __init__(
@@ -54,14 +54,12 @@ class Ensemble:
         cases: Sequence[RolloutCase],
         motion: AbstractMotionModel | None = None,
         stepper: AbstractStepper | None = None,
-        solver: AbstractSolver | None = None,
         threads: int | None = None,
         several: bool = False,
     ) -> None:
         self.motion = motion or QuasiStatic()
         self.stepper = stepper or Adaptive()
-        self.solver = solver or Newton()
-        check_compiled(self.motion, self.stepper, self.solver)
+        check_compiled(self.motion, self.stepper, Newton())
         if not cases:
             raise InvalidInput("cases", found="none", expected="at least one")
         for case in cases:
@@ -69,7 +67,7 @@ class Ensemble:
         self.cases = tuple(cases)
         self._threads = threads
         polygons = any(case.scene.support_directions for case in cases)
-        self._method = method_of(self.motion, self.stepper, self.solver, 4096, polygons)
+        self._method = method_of(self.motion, self.stepper, Newton(), 4096, polygons)
         # Hashing and comparing scenes takes long: once for each case.
         number: dict[Any, int] = {}
         groups = [number.setdefault(_key(case.scene), len(number)) for case in cases]

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from fixel.errors import InvalidInput
 from fixel.kernels.measure import measure_gaps
 from fixel.model.decomposition import Piece
+from fixel.model.fields import instance, vector
 from fixel.model.shape import Disk, Polygon, Shape
 from fixel.typing import FloatArray, IntArray
 
@@ -26,6 +27,7 @@ MAX_CORNERS: Final = 64
 MAX_OFFSET: Final = 10e-6
 MAX_RELATIVE_OFFSET: Final = 1e-4
 MAX_KEPT: Final = 64  # simplified outlines that are stored
+POSE: Final = "x [m], y [m], angle [rad]"
 
 
 @final
@@ -60,6 +62,14 @@ class PackedShapes(NamedTuple):
     piece_radius: FloatArray  # (n_piece,) of disks, else zero
     shape_start: IntArray  # (n_shape + 1,)
 
+    def scaled(self) -> tuple[float, PackedShapes]:
+        """Return a size [m], and the shapes in units of it.
+
+        Their sizes are then of order one, as the kernels' tolerances require.
+        """
+        size = float(max(np.abs(self.vertex).max(), self.piece_radius.max()))
+        return size, self._replace(vertex=self.vertex / size, piece_radius=self.piece_radius / size)
+
 
 def gap(shape_a: Shape, pose_a: ArrayLike, shape_b: Shape, pose_b: ArrayLike) -> Gap:
     """Compute the signed distance between two shapes.
@@ -86,12 +96,11 @@ def gap(shape_a: Shape, pose_a: ArrayLike, shape_b: Shape, pose_b: ArrayLike) ->
     >>> gap(Disk(0.5), (2.0, 0.0, 0.0), Disk(1.0), (0.0, 0.0, 0.0)).distance
     0.5
     """
-    first = _is_pose(pose_a, "pose_a")
-    second = _is_pose(pose_b, "pose_b")
-    packed = pack_shapes((_is_shape(shape_a, "shape_a"), _is_shape(shape_b, "shape_b")))
-    # Scaled to sizes of order one about the second shape, as the kernels' tolerances require.
-    size = float(max(np.abs(packed.vertex).max(), packed.piece_radius.max()))
-    scaled = packed._replace(vertex=packed.vertex / size, piece_radius=packed.piece_radius / size)
+    first, second = vector(pose_a, "pose_a", POSE), vector(pose_b, "pose_b", POSE)
+    for where, shape in (("shape_a", shape_a), ("shape_b", shape_b)):
+        instance(shape, Polygon | Disk, where, "a Polygon or a Disk")
+    # Scaled about the second shape.
+    size, scaled = pack_shapes((shape_a, shape_b)).scaled()
     origin = second[:2]
     apart = np.array([[*(first[:2] - origin) / size, first[2]]])
     about = np.array([[0.0, 0.0, second[2]]])
@@ -200,18 +209,3 @@ def _without_straight_corners(corners: FloatArray, on_outline: NDArray[np.bool_]
 
 def _offsets(lengths: list[int]) -> IntArray:
     return np.concatenate(([0], np.cumsum(lengths))).astype(np.int64)
-
-
-def _is_shape(value: object, where: str) -> Shape:
-    if not isinstance(value, Polygon | Disk):
-        raise InvalidInput(where, found=type(value).__name__, expected="a Polygon or a Disk")
-    return value
-
-
-def _is_pose(value: ArrayLike, where: str) -> FloatArray:
-    pose = np.asarray(value, dtype=np.float64)
-    if pose.shape != (3,) or not np.isfinite(pose).all():
-        raise InvalidInput(
-            where, found=value, expected="three finite numbers: x [m], y [m], angle [rad]"
-        )
-    return pose

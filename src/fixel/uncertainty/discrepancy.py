@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Final, NamedTuple, final
+from typing import Annotated, Final, final
 
 import numpy as np
 
@@ -63,14 +63,6 @@ class ModelError:
         return np.array([1.0, 1.0, self.angle_scale])
 
 
-class WalkAxes(NamedTuple):
-    """Principal axes of a random walk over the frames of one experiment."""
-
-    axes: FloatArray  # (n_frame, n_frame) one column each
-    variance: FloatArray  # (n_frame,) variances along them for tau = 1
-    share: FloatArray  # (n_frame,) share of the way up to each frame
-
-
 def shares_of_way(first: FloatArray, poses: FloatArray, angle_scale: float) -> FloatArray:
     """Return the share (n,) of the way travelled at poses (n, 3) from the first (3,).
 
@@ -87,10 +79,11 @@ def shares_of_way(first: FloatArray, poses: FloatArray, angle_scale: float) -> F
     return np.asarray(mixed / mixed[-1])
 
 
-def walk_over(share: FloatArray) -> WalkAxes:
-    """Return the axes of a walk whose variance at each frame is its share (n,) of the way."""
+def walk_over(share: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the principal axes (n, n) of a walk whose variance at each frame is its share (n,) of
+    the way, one column each, and the variances (n,) along them for tau = 1."""
     variance, axes = np.linalg.eigh(np.minimum(share[:, None], share[None, :]))
-    return WalkAxes(np.ascontiguousarray(axes), np.maximum(variance, 0.0), share)
+    return np.ascontiguousarray(axes), np.maximum(variance, 0.0)
 
 
 def draw_walks(

@@ -146,10 +146,9 @@ class LogLikelihood:
         if not self._walks:
             scale = difference.shape[1] * float(np.log(2.0 * math.pi * white).sum())
             return np.asarray(-0.5 * (np.sum(difference**2 / white, axis=(1, 2)) + scale))
-        walk = self._walks[own]
+        axes, variance = self._walks[own]
         # (n, n) x (n, 3) for each point: bit for bit the same, whatever the size of the batch.
-        rotated = np.matmul(walk.axes.T, difference)
-        return log_density(rotated, walk.variance, tau, white)
+        return log_density(np.matmul(axes.T, difference), variance, tau, white)
 
     def shares(self, own: int) -> FloatArray:
         """Return the shares of the way (n_sample,) of one experiment, by its index in `members`."""

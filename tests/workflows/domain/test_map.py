@@ -92,7 +92,7 @@ def test_a_stored_map_is_not_fitted_again(pushes, tmp_path, monkeypatch):
     def never(self):
         raise AssertionError("fitted again")
 
-    monkeypatch.setattr("fixel.domain.held_out._FoldFit.__call__", never)
+    monkeypatch.setattr("fixel.domain.held_out._fold_answer", never)
     again = map_domain(pushes[:6], SPACE, axes=["side"], folds=2, store=tmp_path, **QUIET)
     assert again.held_out == known.held_out
 

@@ -88,7 +88,7 @@ def test_a_start_that_some_group_cannot_have_is_refused_before_any_fit(tmp_path,
     def never(self):
         raise AssertionError("a fit before the refusal")
 
-    monkeypatch.setattr("fixel.domain.held_out._FoldFit.__call__", never)
+    monkeypatch.setattr("fixel.domain.held_out._fold_answer", never)
     with pytest.raises(InvalidInput, match="it: even: 2 x jammed; 1 x too late"):
         held_out(mixed, one, Apart(("kind",), "", 2, 0), ResultCache(tmp_path).get)
 
