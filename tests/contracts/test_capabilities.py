@@ -260,11 +260,15 @@ def test_refusals_have_the_name_of_the_door(capability):
 
 @pytest.mark.parametrize(("name", "values", "sentence"), [
     ("sensitivity", {"start_error": {"plce": 1e-3}},
-     "start_error is 'plce', but must be one of place, angle, uniform; " "did you mean 'place'?"),
+     "start_error is 'plce', but must be one of place, angle, uniform; did you mean 'place'?"),
+    ("filter", {"experiment": "push-1", "particles": 10**9},
+     "particles is 1000000000, but must be at most 1000000"),
+    ("uncertainty", {"samples": 10**11},
+     "samples is 100000000000, but must be at most 1000000"),
     ("filter", {"experiment": "push-1", "priors": {"mu_pusher": [0.0, 0.5, 1.0]}},
      "priors mu_pusher is [0.0, 0.5, 1.0], but must be a list of 2"),
 ])  # fmt: skip
-def test_wrong_groups_and_lists_are_refused_in_own_words(name, values, sentence):
+def test_wrong_groups_lists_and_counts_are_refused_in_own_words(name, values, sentence):
     with pytest.raises(InvalidInput) as problem:
         CAPABILITIES[name].from_json(json.dumps(values))
 

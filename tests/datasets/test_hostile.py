@@ -110,6 +110,20 @@ def test_parquet_that_unpacks_to_many_cells_is_refused_unread(tmp_path, monkeypa
     refused(IMPORTERS["csv"].read, path, match="at most 2 million cells")
 
 
+@pytest.mark.parametrize("fixed", [False, True])
+def test_parquet_that_unpacks_to_long_texts_is_refused(tmp_path, monkeypatch, fixed):
+    """A thousand times the same text of 10,000 characters, stored once."""
+    arrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    kind = arrow.binary(10_000) if fixed else arrow.string()
+    path = tmp_path / "own.parquet"
+    columns = {name: [0.1 * k for k in range(1_000)] for name in ("t_s", "x_m", "y_m")}
+    texts = arrow.array([b"x" * 10_000] * 1_000, arrow.binary()).cast(kind)
+    parquet.write_table(arrow.table({**columns, "note": texts}), path)
+    assert path.stat().st_size < 100_000
+    monkeypatch.setattr(files, "MAX_FILE", 9_000_000)
+    refused(IMPORTERS["csv"].read, path, match="at most 9 million characters")
+
+
 def test_json_nested_without_end_is_refused(tmp_path):
     path = tmp_path / f"{recordings.RECORD}.json"
     path.write_text('{"object_pose": ' + "[" * 100_000)

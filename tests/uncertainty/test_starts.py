@@ -53,6 +53,7 @@ def test_the_kind_is_required_and_printed():
     {"x": -1.0, "kind": "normal"},
     {"kind": "uniform"},  # all sizes are zero
     {"x": math.nan, "kind": "normal"},
+    {"theta": 1e297, "kind": "uniform"},
     {"x": 1.0, "y": 0.0, "theta": 0.0, "kind": "round"},
 ])  # fmt: skip
 def test_no_such_error(wrong):

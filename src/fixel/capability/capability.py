@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _PHRASES: Final = {
     "greater_than_equal": "at least {ge:g}",
     "greater_than": "more than {gt:g}",
-    "less_than_equal": "at most {le:g}",
+    "less_than_equal": "at most {le:.9g}",
     "less_than": "less than {lt:g}",
     "int_type": "an integer",
     "int_parsing": "an integer",

@@ -216,16 +216,9 @@ def read_table(path: Path, *, torn: bool = False) -> CsvRows:
     if path.suffix == ".parquet":
         require("pyarrow", path.name, extra="parquet")
         import pyarrow
-        import pyarrow.parquet
 
         try:
-            with pyarrow.parquet.ParquetFile(path) as file:
-                about = file.metadata
-                groups = [about.row_group(k) for k in range(about.num_row_groups)]
-                each = range(about.num_columns)
-                if sum(own.column(k).num_values for own in groups for k in each) > MAX_CELLS:
-                    raise _too_many_cells(path.name)
-                return table_rows(file.read(), path.name)
+            return table_rows(_arrow_table(path), path.name)
         except (OSError, pyarrow.ArrowException) as problem:
             found = f"an error ({str(problem).splitlines()[0]})"
             raise InvalidInput(path.name, found=found, expected="a Parquet file") from None
@@ -279,12 +272,37 @@ def bounded_lines(stream: TextIO, source: str) -> Iterator[str]:
     while line := stream.readline(MAX_LINE):
         left -= len(line)
         if left < 0 or len(line) == MAX_LINE:
-            raise InvalidInput(
-                source,
-                found=f"a line of {MAX_LINE} characters" if left >= 0 else "more",
-                expected=f"at most {MAX_FILE // 10**6} million characters, unpacked",
-            )
+            line = f"a line of {MAX_LINE} characters"
+            raise _too_long(source, line if left >= 0 else "more")
         yield line
+
+
+def _arrow_table(path: Path) -> Any:
+    """Load the texts and numbers of a Parquet file; raise if they take too much memory.
+
+    One long text that many rows have is stored once, so texts are counted before they are unpacked.
+    """
+    from pyarrow import compute, parquet, types
+
+    schema = parquet.read_schema(path)
+    names = [own.name for own in schema if not types.is_nested(own.type)]
+    with parquet.ParquetFile(path, read_dictionary=names) as file:
+        about = file.metadata
+        groups = [about.row_group(k) for k in range(about.num_row_groups)]
+        each = range(about.num_columns)
+        if sum(own.column(k).num_values for own in groups for k in each) > MAX_CELLS:
+            raise _too_many_cells(path.name)
+        table = file.read(columns=names)
+    characters = 0
+    for column in table.columns:
+        if types.is_fixed_size_binary(column.type):
+            characters += column.type.byte_width * len(column)
+        for part in column.chunks if types.is_dictionary(column.type) else ():
+            lengths = compute.binary_length(part.dictionary).take(part.indices)
+            characters += compute.sum(lengths).as_py() or 0
+    if characters > MAX_FILE:
+        raise _too_long(path.name, "more")
+    return table
 
 
 def _bounded_rows(rows: Iterable[list[str]], source: str) -> list[list[str]]:
@@ -296,6 +314,11 @@ def _bounded_rows(rows: Iterable[list[str]], source: str) -> list[list[str]]:
             raise _too_many_cells(source)
         found.append(row)
     return found
+
+
+def _too_long(source: str, found: str) -> InvalidInput:
+    expected = f"at most {MAX_FILE // 10**6} million characters, unpacked"
+    return InvalidInput(source, found=found, expected=expected)
 
 
 def _too_many_cells(source: str) -> InvalidInput:

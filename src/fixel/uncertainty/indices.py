@@ -26,6 +26,7 @@ from fixel.uncertainty.starts import Kind, StartError
 OUTCOMES: Final = ("along", "across", "angle")
 UNITS: Final = ("m", "m", "rad")
 
+MAX_BASE: Final = 2**20
 RESAMPLES: Final = 200
 CONFIDENCE: Final = 0.95
 
@@ -254,8 +255,8 @@ def _ranged(name: str, interval: tuple[float, float]) -> Factor:
 def _check(factors: Sequence[Factor], n: int) -> None:
     if not factors:
         raise InvalidInput("factors", found="none", expected="at least one")
-    if isinstance(n, bool) or n < 2 or n & (n - 1):
-        raise InvalidInput("base", found=n, expected="a power of two, from 2")
+    if isinstance(n, bool) or not 2 <= n <= MAX_BASE or n & (n - 1):
+        raise InvalidInput("base", found=n, expected=f"a power of two, from 2 to {MAX_BASE}")
 
 
 def _filled(found: FloatArray) -> tuple[FloatArray, int]:

@@ -24,7 +24,7 @@ def filter(
         Door(flag="--prior", metavar="NAME=LOW:HIGH"),
     ] = None,
     *,
-    particles: Annotated[int, Door(least=2)] = 125,
+    particles: Annotated[int, Door(least=2, most=1_000_000)] = 125,
     occlusion: Annotated[
         tuple[float, float] | None, Door(flag="--occlude", metavar="FROM:TO")
     ] = None,
@@ -45,7 +45,7 @@ def filter(
         Uniform priors of parameters [SI], in addition to the usual ones; None leaves a parameter
         at the value of the scene.
     particles : int
-        Number of particles, at least 2.
+        Number of particles, at least 2 and at most one million.
     occlusion : (float, float), optional
         First and last instant at which the object is hidden from the filter [s].
     tactile : bool

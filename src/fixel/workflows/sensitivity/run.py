@@ -29,7 +29,7 @@ def sensitivity(
     start: StartError,
     model: Mapping[str, float] | None = None,
     *,
-    samples: Annotated[int, Door(least=50)] = 1000,
+    samples: Annotated[int, Door(least=50, most=1_000_000)] = 1000,
     vary: Annotated[Mapping[str, tuple[float, float]] | None, Door(metavar="NAME=LOW:HIGH")] = None,
     indices: bool = False,
     base: int = 128,
@@ -50,7 +50,7 @@ def sensitivity(
     model : mapping of str to float or Calibration, optional
         Parameters [SI]; by default the scene's own values.
     samples : int
-        Number of perturbed starts, at least 50.
+        Number of perturbed starts, at least 50 and at most one million.
     vary : mapping of str to (float, float), optional
         Bounds of further uncertain parameters for the indices [SI]; by default the intervals of a
         calibration.

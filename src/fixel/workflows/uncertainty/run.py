@@ -27,7 +27,7 @@ def posterior(
     *,
     noise: NoiseOption = None,
     model_error: ModelErrorOption = True,
-    samples: Annotated[int, Door(least=10)] = 1000,
+    samples: Annotated[int, Door(least=10, most=1_000_000)] = 1000,
     motion: Motion = None,
     seed: Seed = 0,
     threads: Threads = None,
@@ -51,7 +51,7 @@ def posterior(
         inferred as the last unknown, `"model_error"` [m]. Without it, intervals are too narrow
         wherever the model is wrong.
     samples : int
-        Number of effective samples, at least 10.
+        Number of effective samples, at least 10 and at most one million.
     motion : AbstractMotionModel or str, optional
         `"dynamic"`, `"quasistatic"`, `"first-order"`, or another engine; by default that of the
         calibration, else dynamic.
