@@ -163,13 +163,10 @@ class CsvRows:
         except ValueError:
             value = math.nan
         if not abs(value) <= LARGEST_NUMBER:
-            giant = math.isfinite(value)
-            raise InvalidInput(
-                self.place(name, row),
-                found=repr(cell),
-                expected=f"a number within {LARGEST_NUMBER:g}" if giant else "a finite number",
-                hint="write a decimal point" if DECIMAL.fullmatch(cell) else None,
-            )
+            where, giant = self.place(name, row), f"a number within {LARGEST_NUMBER:g}"
+            expected = giant if math.isfinite(value) else "a finite number"
+            hint = "write a decimal point" if DECIMAL.fullmatch(cell) else None
+            raise InvalidInput(where, found=repr(cell), expected=expected, hint=hint)
         return value
 
 
@@ -192,9 +189,8 @@ def table_rows(table: Any, source: str = "table") -> CsvRows:
         raise InvalidInput(source, found=f"the type {type(table).__name__}", expected=expected)
     lengths = {name: len(column) for name, column in columns.items()}
     if not lengths or len({*lengths.values()}) > 1 or not max(lengths.values()):
-        raise InvalidInput(
-            source, found=f"columns of lengths {lengths}", expected="columns of equal length"
-        )
+        found, expected = f"columns of lengths {lengths}", "columns of equal length"
+        raise InvalidInput(source, found=found, expected=expected)
     return CsvRows(source, {name: [_cell(v) for v in column] for name, column in columns.items()})
 
 
@@ -231,10 +227,9 @@ def read_table(path: Path, *, torn: bool = False) -> CsvRows:
             cells = csv.reader(chain([header_line], lines), delimiter=separator)
             rows = _bounded_rows(cells if separator == "," else map(_pointed, cells), path.name)
     except UnicodeDecodeError:
-        expected, hint = "a readable CSV file", 'save the table as "CSV UTF-8"'
-        raise InvalidInput(
-            path.name, found="characters that are not UTF-8", expected=expected, hint=hint
-        ) from None
+        found, hint = "characters that are not UTF-8", 'save the table as "CSV UTF-8"'
+        expected = "a readable CSV file"
+        raise InvalidInput(path.name, found=found, expected=expected, hint=hint) from None
     except (OSError, EOFError, zlib.error, csv.Error) as problem:
         raise InvalidInput(path.name, found=problem, expected="a readable CSV file") from None
     if len(rows) < 2:
@@ -243,17 +238,14 @@ def read_table(path: Path, *, torn: bool = False) -> CsvRows:
     header, body = rows[0], [row for row in rows[1:] if row]
     if len(set(header)) < len(header):
         twice = next(name for k, name in enumerate(header) if name in header[:k])
-        raise InvalidInput(
-            f"{path.name}, header", found=f"{twice!r} twice", expected="different names"
-        )
+        where, found = f"{path.name}, header", f"{twice!r} twice"
+        raise InvalidInput(where, found=found, expected="different names")
     wrong: dict[int, InvalidInput] = {}
     for number, row in enumerate(body):
         if len(row) != len(header):
-            wrong[number] = InvalidInput(
-                f"{path.name}, row {number + 1}",
-                found=f"{len(row)} cells",
-                expected=f"{len(header)}, as in the header",
-            )
+            found, expected = f"{len(row)} cells", f"{len(header)}, as in the header"
+            where = f"{path.name}, row {number + 1}"
+            wrong[number] = InvalidInput(where, found=found, expected=expected)
             if not torn:
                 raise wrong[number]
             body[number] = [*row, *[""] * len(header)][: len(header)]
@@ -272,8 +264,7 @@ def bounded_lines(stream: TextIO, source: str) -> Iterator[str]:
     while line := stream.readline(MAX_LINE):
         left -= len(line)
         if left < 0 or len(line) == MAX_LINE:
-            line = f"a line of {MAX_LINE} characters"
-            raise _too_long(source, line if left >= 0 else "more")
+            raise _too_long(source, f"a line of {MAX_LINE} characters" if left >= 0 else "more")
         yield line
 
 
@@ -288,8 +279,7 @@ def _arrow_table(path: Path) -> Any:
     names = [own.name for own in schema if not types.is_nested(own.type)]
     with parquet.ParquetFile(path, read_dictionary=names) as file:
         about = file.metadata
-        groups = [about.row_group(k) for k in range(about.num_row_groups)]
-        each = range(about.num_columns)
+        groups, each = map(about.row_group, range(about.num_row_groups)), range(about.num_columns)
         if sum(own.column(k).num_values for own in groups for k in each) > MAX_CELLS:
             raise _too_many_cells(path.name)
         table = file.read(columns=names)
@@ -333,15 +323,13 @@ def read_json(path: Path) -> dict[str, Any]:
             raise ValueError(f"{path.stat().st_size} bytes")
         content = json.loads(path.read_text(encoding="utf-8"))
     except RecursionError:
-        raise InvalidInput(
-            path.name, found="too deeply nested lists", expected="a JSON file"
-        ) from None
+        found = "too deeply nested lists"
+        raise InvalidInput(path.name, found=found, expected="a JSON file") from None
     except (OSError, ValueError) as problem:
         raise InvalidInput(path.name, found=str(problem), expected="a JSON file") from None
     if not isinstance(content, dict):
-        raise InvalidInput(
-            path.name, found=f"the type {type(content).__name__}", expected="an object"
-        )
+        found = f"the type {type(content).__name__}"
+        raise InvalidInput(path.name, found=found, expected="an object")
     return content
 
 
@@ -374,12 +362,9 @@ def increasing(
     """Return times unchanged; raise with hint and row in `lines` if they do not increase."""
     if (np.diff(time) <= 0.0).any():
         row = int(np.argmax(np.diff(time) <= 0.0)) + 1
-        raise InvalidInput(
-            f"{source}, row {(lines[row] if lines else row) + 1}",
-            found=f"t = {time[row]:g} s after {time[row - 1]:g} s",
-            expected="increasing times",
-            hint=hint,
-        )
+        where = f"{source}, row {(lines[row] if lines else row) + 1}"
+        found = f"t = {time[row]:g} s after {time[row - 1]:g} s"
+        raise InvalidInput(where, found=found, expected="increasing times", hint=hint)
     return time
 
 

@@ -87,12 +87,9 @@ class _OutlineSource(NamedTuple):
             found, expected = "no unit of length", f"unit=, one of {', '.join(UNITS)}"
             raise InvalidInput(self.path.name, found=found, expected=expected)
         if stated and given and abs(stated / given - 1.0) > 1e-3:
-            raise InvalidInput(
-                "unit",
-                found=f"{self.unit!r}, while a unit in {self.path.name} is {1e3 * stated:g} mm",
-                expected="the same unit in both",
-                hint="leave out unit=, or correct the file",
-            )
+            found = f"{self.unit!r}, while a unit in {self.path.name} is {1e3 * stated:g} mm"
+            expected, hint = "the same unit in both", "leave out unit=, or correct the file"
+            raise InvalidInput("unit", found=found, expected=expected, hint=hint)
         return float(stated or given or 0.0)
 
     def points(self, points: ArrayLike, scale: float) -> FloatArray:
@@ -116,29 +113,21 @@ def _outline(region: Any, source: _OutlineSource, fill_holes: bool) -> FloatArra
     parts = [one for one in shapely.get_parts(region) if one.area > tolerance**2]
     if len(parts) != 1:
         sizes = "; ".join(map(_size, parts[:5]))
-        raise InvalidInput(
-            where,
-            found=f"{len(parts)} separate outlines: {sizes}" if parts else "no closed outline",
-            expected="one outline",
-            hint="part= selects a layer of a DXF file, or an id of an SVG file" if parts else None,
-        )
+        found = f"{len(parts)} separate outlines: {sizes}" if parts else "no closed outline"
+        hint = "part= selects a layer of a DXF file, or an id of an SVG file" if parts else None
+        raise InvalidInput(where, found=found, expected="one outline", hint=hint)
     extent = float(np.ptp(shapely.get_coordinates(parts[0]), axis=0).max())
     if not SMALLEST <= extent <= LARGEST:
-        raise InvalidInput(
-            where,
-            found=f"a part of {_size(parts[0])}",
-            expected=f"a size from {1e3 * SMALLEST:g} mm to {LARGEST:g} m",
-            hint="check unit=; Polygon takes corners of any size",
-        )
+        found = f"a part of {_size(parts[0])}"
+        expected = f"a size from {1e3 * SMALLEST:g} mm to {LARGEST:g} m"
+        hint = "check unit=; Polygon takes corners of any size"
+        raise InvalidInput(where, found=found, expected=expected, hint=hint)
     holes = [shapely.Polygon(ring) for ring in parts[0].interiors]
     holes = [hole for hole in holes if hole.area > tolerance**2]
     if holes and not fill_holes:
-        raise InvalidInput(
-            where,
-            found=f"{len(holes)} holes, one of {_size(max(holes, key=shapely.area))}",
-            expected="an outline without holes",
-            hint="fill_holes=True fills them; then give inertia= and centre_of_mass= of the body",
-        )
+        found = f"{len(holes)} holes, one of {_size(max(holes, key=shapely.area))}"
+        hint = "fill_holes=True fills them; then give inertia= and centre_of_mass= of the body"
+        raise InvalidInput(where, found=found, expected="an outline without holes", hint=hint)
     ring = shapely.Polygon(parts[0].exterior).simplify(0.5 * tolerance)
     return np.asarray(shapely.get_coordinates(ring)[:-1])
 
@@ -188,12 +177,10 @@ def _joined(pieces: list[FloatArray], where: str, tolerance: float) -> list[Floa
     for line in shapely.get_parts(merged):
         if not line.is_ring:
             (x, y), (u, v) = 1e3 * shapely.get_coordinates(line)[[0, -1]]
-            raise InvalidInput(
-                where,
-                found=f"an open line from ({x:.4g}, {y:.4g}) mm to ({u:.4g}, {v:.4g}) mm",
-                expected=f"closed lines, with gaps of at most {1e3 * tolerance:g} mm",
-                hint="close it, or select the outline with part=",
-            )
+            found = f"an open line from ({x:.4g}, {y:.4g}) mm to ({u:.4g}, {v:.4g}) mm"
+            expected = f"closed lines, with gaps of at most {1e3 * tolerance:g} mm"
+            hint = "close it, or select the outline with part="
+            raise InvalidInput(where, found=found, expected=expected, hint=hint)
     return [*map(shapely.get_coordinates, shapely.get_parts(merged))]
 
 
