@@ -60,7 +60,7 @@ def test_a_part_that_meets_its_goal_is_left_alone(capsys, folder, tmp_path):
     text = output(capsys, "plan", goal, "--rollouts", 1000, "--plot", tmp_path)
     assert "needs no push, for the part already meets the goal: success" in text
     assert "Next:" not in text
-    assert {file.stem for file in tmp_path.iterdir()} == {"paths", "causes"}
+    assert {file.stem for file in tmp_path.iterdir()} == {"paths"}
     refusal(capsys, "plan", "run", goal.with_suffix(".plan"))
 
 

@@ -33,6 +33,7 @@ def analysis_of(found: FoundPlan) -> Analysis:
     """Return sentences, tables and numbers of a plan."""
     plan = found.plan
     explained = plan.explain()
+    causes = (causes_chart(explained).table(),) if explained.success < 1.0 else ()
     return Analysis(
         kind="plan",
         title=f"Plan: {plan.goal}",
@@ -42,7 +43,7 @@ def analysis_of(found: FoundPlan) -> Analysis:
         tables=(
             plan.push_table("Pushes"),
             plan.success_table("Success probability"),
-            causes_chart(explained).table(),
+            *causes,
         ),
         notes=explained.sentences,
         methods=(_methods(plan),),
@@ -52,7 +53,7 @@ def analysis_of(found: FoundPlan) -> Analysis:
 
 
 def pictures_of(plan: PushPlan) -> Iterator[Picture]:
-    """Yield motions, looks, capture regions and causes of failures of a plan."""
+    """Yield motions, looks, capture regions and, if there are any, causes of failures of a plan."""
     caption = "Simulated motions of the part in samples of what is unknown; failures in colour."
     if plan.looks:
         caption += " Corrections after looks are drawn as straight lines to the end."
@@ -70,11 +71,13 @@ def pictures_of(plan: PushPlan) -> Iterator[Picture]:
         )
         caption += " Looks are left out." if plan.looks else ""
         yield Picture("capture", capture_chart(plan), "", caption)
-    caption = (
-        "Share of the failures that each unknown explains alone, and the success gained by"
-        " measuring it before choosing among the best plans."
-    )
-    yield Picture("causes", causes_chart(plan.explain()), "", caption)
+    explained = plan.explain()
+    if explained.success < 1.0:
+        caption = (
+            "Share of the failures that each unknown explains alone, and the success gained by"
+            " measuring it before choosing among the best plans."
+        )
+        yield Picture("causes", causes_chart(explained), "", caption)
 
 
 def add_files(answer: PlanAnswer, folder: Path) -> None:
