@@ -176,8 +176,8 @@ def compared(task: Task, runs: int, rollouts: int) -> Row:
         (Path(folder) / "goal.yaml").write_text(json.dumps(goal))
         begun = time.process_time()
         plan = plan_goal(
-            project, f"{folder}/goal.yaml", rollouts=rollouts, untrusted=True, threads=1,
-            progress=False,
+            project, f"{folder}/goal.yaml", rollouts=rollouts, seed=task.world.seed, untrusted=True,
+            threads=1, progress=False,
         ).found.plan  # fmt: skip
         seconds = time.process_time() - begun
     return Row(

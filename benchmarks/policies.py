@@ -92,7 +92,7 @@ def compared(task: Task, looks: int, runs: int, rollouts: int) -> Row:
     plan = fixel.plan(
         task.scene, goal, CHOOSE, Belief(parameters=fit, start=START), rollouts=rollouts,
         looks=looks, camera=StartError(x=seen * mm, y=seen * mm, theta=seen * deg, kind="normal"),
-        untrusted=True, threads=1, progress=False,
+        untrusted=True, seed=task.world.seed, threads=1, progress=False,
     )  # fmt: skip
     assert plan.looks is not None
     held = np.mean([meets(task, goal, plan, r) for r in range(runs)])
