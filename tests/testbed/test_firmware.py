@@ -112,7 +112,7 @@ def test_contacts_change_at_the_scripted_time(mega, port):
 
 def test_thresholds_above_what_the_converter_gives_are_refused(mega, port):
     def thresholds(*values):
-        request = frames.thresholds_request(3, values)
+        request = frames.request(frames.SET_THRESHOLDS, 3, *values)
         (frame,) = frames.FrameFinder().add(asked(port, request, IDENTITY_REPLY_BYTES))
         return frames.identity_of(frame).thresholds
 

@@ -13,10 +13,8 @@ from numpy.typing import ArrayLike
 from fixel.errors import InvalidInput
 from fixel.model import (
     Body,
-    Channel,
     Ellipsoid,
     FrictionMap,
-    LineDrive,
     LoadMap,
     NoSupport,
     PathDrive,
@@ -178,13 +176,6 @@ def touching(simulation: Simulation, body: str | None = None) -> BoolArray:
     return found
 
 
-def frames_kept(n_frame: int, share_dropped: float, rng: np.random.Generator) -> BoolArray:
-    """Draw (n_frame,) bool: frames that arrive; the first and the last always do."""
-    kept = rng.random(n_frame) >= share_dropped
-    kept[[0, -1]] = True
-    return np.asarray(kept)
-
-
 def seen(
     pose: FloatArray, position_noise: float, angle_noise: float, rng: np.random.Generator
 ) -> FloatArray:
@@ -192,20 +183,15 @@ def seen(
     return pose + rng.standard_normal(pose.shape) * (position_noise, position_noise, angle_noise)
 
 
-def tactile_channel(
-    time: FloatArray,
-    touches: BoolArray,
-    false_contact: float,
-    missed_contact: float,
-    rng: np.random.Generator,
-) -> Channel:
-    """Return readings of the fixels with independent errors, from true contacts (n, n_fixel).
+def felt(
+    touches: BoolArray, false_contact: float, missed_contact: float, rng: np.random.Generator
+) -> BoolArray:
+    """Return readings of the fixels with independent errors, from true contacts (..., n_fixel).
 
-    Times (n,) [s] include those of dropped frames, since the fixels have their own line. A reading
-    is 1 without contact, and 0 with it, with the given probabilities [-].
+    A reading is 1 without contact, and 0 with it, with the given probabilities [-].
     """
     wrong = rng.random(touches.shape) < np.where(touches, missed_contact, false_contact)
-    return Channel.of_fixels(time, touches ^ wrong)
+    return np.asarray(touches ^ wrong)
 
 
 def driven_unevenly(
@@ -248,11 +234,3 @@ def _planned_poses(pusher: Pusher, time: FloatArray) -> FloatArray:
     return np.asarray(
         pusher.pose + np.column_stack((np.outer(covered, drive.direction), 0.0 * covered))
     )
-
-
-def with_stall_force(pusher: Pusher, stall_force: float | None) -> Pusher:
-    """Return the pusher with a drive that stalls at a force [N]; None leaves it as planned."""
-    if stall_force is None:
-        return pusher
-    drive: LineDrive | PathDrive = replace(pusher.drive, force_limit=stall_force)
-    return replace(pusher, drive=drive)

@@ -311,20 +311,16 @@ class AbstractActuator(abc.ABC):
         self.disconnect()
 
 
-def checked_reach(reach: tuple[float, float]) -> tuple[float, float]:
-    """Return two positions [m], checked to be finite and in ascending order."""
-    low, high = (finite(end, "reach", "m") for end in reach)
-    if low >= high:
-        raise InvalidInput("reach", found=reach, expected="two positions in ascending order [m]")
-    return low, high
-
-
 def checked_travels(reach: Reach, n_axes: int) -> FloatArray:
-    """Return the ends of each axis (n_axes, 2) [m], from those of each or of all."""
+    """Return the ends of each axis (n_axes, 2) [m], ascending, from those of each or of all."""
     pairs = np.atleast_2d(reach).tolist()
     if len(pairs) not in (1, n_axes):
         raise InvalidInput("reach", found=reach, expected=f"positions for each of {n_axes} axes")
-    return np.array([checked_reach(pair) for pair in pairs] * (n_axes // len(pairs)))
+    for pair in pairs:
+        low, high = (finite(end, "reach", "m") for end in pair)
+        if low >= high:
+            raise InvalidInput("reach", found=pair, expected="two positions in ascending order [m]")
+    return np.array(pairs * (n_axes // len(pairs)), dtype=np.float64)
 
 
 class _AimedActuator(AbstractActuator):

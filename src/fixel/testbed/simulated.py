@@ -266,9 +266,11 @@ class SimulatedTestbed:
         return replace(body, support=support)
 
     def _true_pusher(self, pusher: Pusher, duration: float, drawn: _RunConditions) -> Pusher:
-        pusher = replace(pusher, friction=pusher.friction * drawn.pusher)
+        drive: Any = pusher.drive
+        if self.stall_force is not None:
+            drive = replace(drive, force_limit=self.stall_force)
         return imperfections.driven_unevenly(
-            imperfections.with_stall_force(pusher, self.stall_force),
+            replace(pusher, friction=pusher.friction * drawn.pusher, drive=drive),
             duration,
             speed_ratio=drawn.speed,
             ripple=self.ripple,
@@ -285,7 +287,8 @@ class SimulatedTestbed:
         time = np.arange(len(frame), dtype=np.float64) / self.frame_rate
         touches = imperfections.touching(simulation)[frame]
         camera = stream(self.seed, "camera", planned.name)
-        kept = imperfections.frames_kept(len(time), self.dropped_frames, camera)
+        kept = camera.random(len(time)) >= self.dropped_frames
+        kept[[0, -1]] = True
         tracks = [
             Trajectory(
                 time=time[kept],
@@ -307,7 +310,7 @@ class SimulatedTestbed:
             trajectory=tracks[0],
             pusher=tracks[1],
             scene=scene,
-            channels=self._channels(planned.name, time, touches),
+            channels=self._channels(planned.name, time, touches),  # also of dropped frames
             contact_mode="".join(str(int(touch)) for touch in touches[-1]),
             effective=(float(time[rest]), float(time[-1])),
             conditions={**planned.conditions, **self._truth(planned.name, simulation)},
@@ -318,8 +321,8 @@ class SimulatedTestbed:
         if touches.shape[1] == 0:
             return ()
         rng = stream(self.seed, "tactile", name)
-        wrong = self.false_contact, self.missed_contact
-        return (imperfections.tactile_channel(time, touches, *wrong, rng),)
+        felt = imperfections.felt(touches, self.false_contact, self.missed_contact, rng)
+        return (Channel.of_fixels(time, felt),)
 
     def _truth(self, name: str, simulation: Simulation) -> dict[str, str | float]:
         """Return the true values of a run, under names that end with their unit."""

@@ -168,13 +168,7 @@ class TactileReader:
         if latest < earliest:
             earliest, latest = sent, received
         device, host = self.clock.place(found.time_us, earliest, latest)
-        return TactileReading(
-            bits=found.bits,
-            time=host,
-            device_time=device,
-            values=found.values,
-            problem=self._restart_noticed(),
-        )
+        return TactileReading(found.bits, host, device, found.values, self._restart_noticed())
 
     def _frame_of(self, kind: bytes, until: float) -> frames.BoardFrame | None:
         """Wait for the answer to the last request; count older ones as late."""
@@ -267,7 +261,7 @@ class TactileReader:
     def _confirmed(self, thresholds: tuple[int, int, int]) -> bool:
         """Send thresholds to the board; return whether it confirmed them."""
         self._number = (self._number + 1) % 256
-        self._link.write(frames.thresholds_request(self._number, thresholds))
+        self._link.write(frames.request(frames.SET_THRESHOLDS, self._number, *thresholds))
         frame = self._frame_of(frames.SET_THRESHOLDS, time.monotonic() + max(0.1, self.deadline))
         answer = frame and frames.identity_of(frame)
         if not answer or answer.thresholds != thresholds:

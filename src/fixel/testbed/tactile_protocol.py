@@ -79,18 +79,13 @@ class Identity(NamedTuple):
     name: str
 
 
-def request(kind: bytes, number: int, values: bytes = b"") -> bytes:
+def request(kind: bytes, number: int, *thresholds: int) -> bytes:
     """Encode a request of protocol 2, with a number from 0 to 255 that the answer repeats.
 
-    `values` are the encoded thresholds of `SET_THRESHOLDS`.
+    A request `SET_THRESHOLDS` has the thresholds of bits 0, 1, 2.
     """
-    summed = kind + bytes([number]) + values
+    summed = kind + bytes([number]) + struct.pack(f"<{len(thresholds)}H", *thresholds)
     return _REQUEST + summed + _checksum(summed)
-
-
-def thresholds_request(number: int, thresholds: tuple[int, int, int]) -> bytes:
-    """Encode a request to set the thresholds of bits 0, 1, 2."""
-    return request(SET_THRESHOLDS, number, struct.pack("<3H", *thresholds))
 
 
 def reading_of(frame: BoardFrame) -> FramedReading | None:

@@ -24,7 +24,7 @@ from fixel.model.fields import Value, check_fields, fraction, non_negative, posi
 from fixel.model.probability import stream
 from fixel.simulation import simulate
 from fixel.testbed.frame_source import CameraPicture, FrameSource, Stream
-from fixel.testbed.imperfections import touching
+from fixel.testbed.imperfections import felt, touching
 from fixel.testbed.motion import SimulatedActuator
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testbed.tactile import TactileReading
@@ -321,9 +321,8 @@ class EmulatedLaboratory:
     def _felt(self, random: np.random.Generator) -> int:
         """Return the tactile byte as reported, with false and missed contacts."""
         touches, truth = self._touches, self._truth
-        errors = np.where(touches, truth.missed_contact, truth.false_contact)
-        felt = touches ^ (random.random(len(touches)) < errors)
-        on = {fixel.name for fixel, own in zip(self._scene.fixels, felt, strict=True) if own}
+        reported = felt(touches, truth.false_contact, truth.missed_contact, random)
+        on = {fixel.name for fixel, own in zip(self._scene.fixels, reported, strict=True) if own}
         bits = sum(1 << bit for bit, name in enumerate(self.rig.tactile) if name in on)
         return bits if len(touches) else -1
 
