@@ -21,7 +21,7 @@ from fixel.datasets.base import (
     remark,
     trajectory_of,
 )
-from fixel.datasets.contact import pushed_scene
+from fixel.datasets.contact import FADE, pushed_scene
 from fixel.datasets.files import (
     MM,
     CsvRows,
@@ -62,9 +62,6 @@ MU_FINGER = 0.5
 
 # Larger final gaps cannot be explained by errors of calibration [m].
 LARGEST_GAP = 1.3e-3
-
-# Duration of the correction of a path that starts inside the object [s].
-FADE = 0.5
 
 PUSH: Final = "push_id"
 GAPS = ("tip_gap0_mm", "tip_gap1_mm")

@@ -17,6 +17,9 @@ from fixel.typing import FloatArray
 # ones its position is unknown [m].
 MAX_CORRECTION: Final = 3e-3
 
+# Usual duration of the correction of a path that starts inside the object [s].
+FADE: Final = 0.5
+
 # Gap between the shapes after a correction, against rounding [m].
 CLEARANCE: Final = 1e-9
 

@@ -189,7 +189,9 @@ def _scene(
 
 
 def _hdf5_tables(path: Path) -> dict[str, Any]:
-    h5py = _h5py(path)
+    require("h5py", path.name, extra="hdf5")
+    import h5py  # type: ignore[import-not-found,import-untyped,unused-ignore]
+
     with usable(path.name, "an HDF5 file"), h5py.File(path, "r") as file:
         return {key: _dataset(h5py, file, key) for key in _KEYS}
 
@@ -201,13 +203,6 @@ def _dataset(h5py: Any, file: Any, key: str) -> Any:
     table = file[key]
     small = isinstance(table, h5py.Dataset) and table.nbytes <= MAX_BYTES
     return table[()] if small and table.dtype.kind in "iuf" else None
-
-
-def _h5py(path: Path) -> Any:
-    require("h5py", path.name, extra="hdf5")
-    import h5py  # type: ignore[import-not-found,import-untyped,unused-ignore]
-
-    return h5py
 
 
 def _rows(path: Path, key: str, given: Any) -> FloatArray:

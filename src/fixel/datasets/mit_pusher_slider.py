@@ -13,7 +13,7 @@ import numpy as np
 
 from fixel.datasets import files as tables
 from fixel.datasets.base import Importer, ImportPlan, collected, origin_of, remark, trajectory_of
-from fixel.datasets.contact import pushed_scene
+from fixel.datasets.contact import FADE, pushed_scene
 from fixel.errors import DatasetMissing, InvalidInput
 from fixel.model import Body, Channel, Disk, Experiment, Flag, Polygon, Trajectory, UniformPressure
 from fixel.typing import BoolArray, FloatArray
@@ -32,9 +32,6 @@ DROPOUT = -3e-3
 
 # Largest share of such rows in a run whose other rows are used.
 MAX_LOST = 0.05
-
-# Duration of the correction of a path that starts inside the object [s].
-FADE = 0.5
 
 # A reading repeated for longer than this is retained, since the pusher then stands still. The
 # sensors refresh every 4 to 7 ms [s].

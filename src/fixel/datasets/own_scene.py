@@ -10,8 +10,8 @@ from typing import Any, Final
 import numpy as np
 
 from fixel.calibration.contacts import gaps_and_normals
+from fixel.datasets import contact
 from fixel.datasets.base import trajectory_of
-from fixel.datasets.contact import MAX_CORRECTION, corrected_path, correction_flag, moved_to_contact
 from fixel.errors import InvalidInput
 from fixel.formats.scene_file import FILL_IN, scene_of, scene_record
 from fixel.io.document import document, yaml_text
@@ -21,8 +21,6 @@ from fixel.model.scene import SceneChoice
 from fixel.model.shape import rotated
 from fixel.typing import FloatArray
 
-# Duration of the correction of a path that starts inside the object [s].
-FADE: Final = 0.5
 # A pusher that stays farther from the object than this many radii of the object is in another unit
 # or frame.
 FARTHEST: Final = 5.0
@@ -196,18 +194,18 @@ def _driven(
     sentence = f"{pusher.name!r} follows its measured path"
     if isinstance(pusher.shape, Disk):
         gaps = _gaps(shape, pusher.shape.radius, track, tip)
-        gap, offset = moved_to_contact(
+        gap, offset = contact.moved_to_contact(
             shape, pusher.shape.radius, track.at(tip.time[:1]), tip.pose[:1, :2]
         )
         if gap[0] < 0.0:
-            flags = (correction_flag(float(gap[0])),)
-            measured = corrected_path(measured, offset[0], FADE)
+            flags = (contact.correction_flag(float(gap[0])),)
+            measured = contact.corrected_path(measured, offset[0], contact.FADE)
             sentence += f", moved out of the object at the start, {-1e3 * gap[0]:.3g} mm"
         least, first = 1e3 * float(gaps.min()), 1e3 * float(gaps[0])
         near = "overlaps the outline by up to" if least < 0.0 else "comes as near to the outline as"
         sentence += f"; its surface {near} {abs(least):.3g} mm"
         sentence += "." if first < 0.0 else f", and was {first:.3g} mm from it at the start."
-        if (deep := -float(np.quantile(gaps, OFTEN))) > MAX_CORRECTION:
+        if (deep := -float(np.quantile(gaps, OFTEN))) > contact.MAX_CORRECTION:
             flags = (*flags, Flag("pusher-inside-object", f"often by {1e3 * deep:.3g} mm or more"))
             sentence += (
                 " It is often deep inside the object, so the experiment is flagged and "
@@ -259,7 +257,7 @@ def _refuse_strangers(
         "that outline and tip are in metres"
     )
     first, least = 1e3 * float(gaps[0]), 1e3 * float(gaps.min())
-    if gaps[0] < -MAX_CORRECTION:
+    if gaps[0] < -contact.MAX_CORRECTION:
         found = f"a pusher {-first:.3g} mm inside the object at the start"
         expected = "a pusher that touches it at most"
     elif float(gaps.min()) > FARTHEST * size:

@@ -145,7 +145,9 @@ class SimulatedTestbed:
 
     def __post_init__(self) -> None:
         fields.name_of(self.dataset, "testbed.dataset")
-        _check_counts(self.support_cells, seed=self.seed, table_seed=self.table_seed)
+        for name in ("seed", "table_seed"):
+            whole(getattr(self, name), f"testbed.{name}", 0)
+        _check_cells(self.support_cells)
         fields.check_fields(self, "testbed")
         centre = fields.vector(
             self.centre_of_pressure, "testbed.centre_of_pressure", "x [m], y [m]"
@@ -381,11 +383,7 @@ def _scaled(shape: Shape, ratio: float) -> Shape:
     return Polygon(shape.vertices * ratio)
 
 
-def _check_counts(cells: object, **seeds: object) -> None:
-    for name, seed in seeds.items():
-        if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-            expected = "a whole number of at least 0"
-            raise InvalidInput(f"testbed.{name}", found=seed, expected=expected)
+def _check_cells(cells: object) -> None:
     if isinstance(cells, bool) or not isinstance(cells, int) or (cells != 0 and cells < 4):
         raise InvalidInput(
             "testbed.support_cells",

@@ -34,7 +34,6 @@ class BundleFit(NamedTuple):
     covariance: FloatArray
     # (n_view, 6, 6) Covariance of each place given the lens: rx, ry, rz [rad], tx, ty, tz [m].
     place_covariance: FloatArray
-    place_slope: FloatArray  # (n_view, 6, n_name) derivative of each place with respect to the lens
     noise: float  # standard deviation of a pixel along each axis [px]
 
 
@@ -125,7 +124,7 @@ def _fitted(
         np.add.at(pulls, sight.view, np.einsum("icn,ic->in", alone, error))
         np.add.at(own_matrix, sight.view, np.einsum("icn,icm->inm", alone, alone))
         covariance = noise**2 * _together(pulls, own_matrix, shared, noise) * inverse
-    return BundleFit(*state, error, covariance, place_covariance, place_slope, noise)
+    return BundleFit(*state, error, covariance, place_covariance, noise)
 
 
 def _together(pulls: FloatArray, own: FloatArray, whole: FloatArray, noise: float) -> float:

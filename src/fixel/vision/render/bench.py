@@ -103,13 +103,12 @@ class RenderedBench:
         if dimmed is not None:
             picture *= dimmed[..., None]
         canvas = Canvas(window, picture)
-        full = np.ones(picture.shape[:2], np.float32)
         for thing in painting_order(things, eye.position):
             if not thing.window.meets(window):
                 continue
             shades = self._shades(thing, things, window)
             for stroke, level in thing.strokes:
-                canvas.paint(stroke, full if level is None else shades.get(level, full))
+                canvas.paint(stroke, None if level is None else shades.get(level))
         return picture
 
     def _shades(

@@ -256,16 +256,15 @@ def backdrop(rig: Rig, eye: Projection, seed: int) -> FloatPicture:
     metal = _brushed(places, seed) + _sheen(places, middle)
     picture = np.asarray(WOOD * _planks(places, seed)[..., None], dtype=np.float32)
     canvas = Canvas(PictureWindow(0, 0, *size), picture)
-    light = np.ones(picture.shape[:2], np.float32)
     for stroke in _plate_strokes(eye, middle):
-        canvas.paint(stroke, light)
+        canvas.paint(stroke)
     sheet = np.asarray(METAL * (metal / METAL.mean())[..., None], dtype=np.float32)
     picture[:] = picture + _plate_share(eye, middle) * (sheet - picture)
     for stroke in (*_holes(eye, middle), *_scratches(eye, middle, seed)):
-        canvas.paint(stroke, light)
+        canvas.paint(stroke)
     for tag in rig.plate:
         for ink in markings(tag, eye.camera.metres_per_pixel()):
-            canvas.paint(eye.polygons(ink.points, ink.height, ink.colour, ink.starts), light)
+            canvas.paint(eye.polygons(ink.points, ink.height, ink.colour, ink.starts))
     return picture
 
 
@@ -301,7 +300,7 @@ def _plate_share(eye: Projection, middle: FloatArray) -> FloatPicture:
     share = np.zeros((size[1], size[0], 3), np.float32)
     outline = polygon(_corners(middle), eye.camera.metres_per_pixel()).points
     canvas = Canvas(PictureWindow(0, 0, *size), share)
-    canvas.paint(eye.polygons(outline, 0.0, np.ones(3)), np.ones(share.shape[:2], np.float32))
+    canvas.paint(eye.polygons(outline, 0.0, np.ones(3)))
     return share
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fixel.kernels.jit import entry, kernel
+from fixel.model.fields import settle
 from fixel.typing import FloatArray, IntArray
 
 FloatPicture = NDArray[np.float32]
@@ -300,13 +301,14 @@ class Canvas:
     window: PictureWindow
     picture: FloatPicture
     cover: FloatArray = field(init=False)
+    full: FloatPicture = field(init=False)  # light without a shadow
 
     def __post_init__(self) -> None:
-        room = np.zeros((self.window.height, self.window.width + 2))
-        object.__setattr__(self, "cover", room)
+        h, w = self.picture.shape[:2]
+        settle(self, cover=np.zeros((h, w + 2)), full=np.ones((h, w), np.float32))
 
-    def paint(self, stroke: FilledPolygons, shade: FloatPicture) -> None:
-        """Paint a stroke with its colour multiplied by `shade` (h, w)."""
+    def paint(self, stroke: FilledPolygons, shade: FloatPicture | None = None) -> None:
+        """Paint a stroke with its colour multiplied by `shade` (h, w), by default 1."""
         if not stroke.window.meets(self.window):
             return
         _paint(
@@ -317,7 +319,7 @@ class Canvas:
             self.picture,
             self.cover,
             stroke.colour,
-            shade,
+            self.full if shade is None else shade,
             stroke.grain.values,
             stroke.grain.from_pixel,
         )

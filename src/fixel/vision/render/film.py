@@ -155,15 +155,10 @@ def film_scene(
 def tracks_of(scene: Scene, motion: Motion) -> dict[str, Trajectory]:
     """Trajectories of all bodies and pushers of a scene, by name."""
     names = [*(body.name for body in scene.bodies), *(pusher.name for pusher in scene.pushers)]
-    if isinstance(motion, Simulation):
-        return {name: motion[name] for name in names}
-    for name in names:
+    for name in () if isinstance(motion, Simulation) else names:
         if name not in motion:
-            raise InvalidInput(
-                "motion",
-                found=f"no trajectory of {name!r}",
-                expected="trajectories of all moving bodies",
-            )
+            found, expected = f"no trajectory of {name!r}", "trajectories of all moving bodies"
+            raise InvalidInput("motion", found=found, expected=expected)
     return {name: motion[name] for name in names}
 
 
@@ -232,11 +227,10 @@ class BrightField:
     def _sharp(self, poses: Poses) -> FloatPicture:
         picture = self._ground.copy()
         canvas = Canvas(PictureWindow(0, 0, *self.size), picture)
-        full = np.ones(picture.shape[:2], np.float32)
         still = np.zeros(3)
         for name, outline, height in self._outlines:
             points = placed(outline, poses.get(name, still))
-            canvas.paint(self._eye.polygons(points, height, np.full(3, BLACK)), full)
+            canvas.paint(self._eye.polygons(points, height, np.full(3, BLACK)))
         return picture
 
 
