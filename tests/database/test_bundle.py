@@ -144,12 +144,12 @@ def refused(path, store, words, **more):
 
 def test_round_trip_loses_nothing(store, tmp_path):
     fill(store)
-    said = export_bundle(store, tmp_path / "a.zip")
-    assert said.counts == {
+    exported, left_out = export_bundle(store, tmp_path / "a.zip")
+    assert exported == {
         "experiments": 5, "parameters": 1, "simulations": 2, "calibrations": 1,
         "filter_parameters": 1, "filter_runs": 1, "analyses": 0, "flagged": 1, "replaced": 1,
     }  # fmt: skip
-    assert said.left_out == {"calibrations": 1, "deleted": 1}
+    assert left_out == {"calibrations": 1, "deleted": 1}
     with Store(f"sqlite:///{tmp_path}/other.db", tmp_path / "other") as other:
         other.upgrade()
         other.add_experiment(experiment("in the way"))  # so that ids differ
@@ -193,9 +193,9 @@ def test_again_adds_nothing(store, tmp_path):
 
 def test_one_dataset_takes_along_what_is_its_own(store, tmp_path):
     fill(store)
-    said = export_bundle(store, tmp_path / "a.zip", dataset="sim")
-    assert (said.counts["experiments"], said.counts["filter_parameters"]) == (1, 0)
-    assert said.left_out["calibrations"] == 1
+    exported, left_out = export_bundle(store, tmp_path / "a.zip", dataset="sim")
+    assert (exported["experiments"], exported["filter_parameters"]) == (1, 0)
+    assert left_out["calibrations"] == 1
 
 
 def test_what_is_newer_here_stays_on_top(store, tmp_path):

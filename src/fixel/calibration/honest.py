@@ -159,12 +159,12 @@ def mixed_study(
         theta = np.clip(theta + step, space.low, space.high)
     weak = _prior(space, point, WEAK)[0] * np.outer(space.scale, space.scale)
     covariance = np.linalg.inv(fit.information.sum(axis=0) + weak)
-    left_out = jackknife(fit.information, fit.gradient, covariance, cluster)
-    variance = np.maximum(np.diag(covariance), np.diag(left_out.covariance))
+    spread, effective = jackknife(fit.information, fit.gradient, covariance, cluster)
+    variance = np.maximum(np.diag(covariance), np.diag(spread))
     return MixedStudyFit(
         value=theta,
         sd=np.sqrt(variance) * space.scale,
-        effective=left_out.effective,
+        effective=effective,
         clusters=int(cluster.max()) + 1,
     )
 

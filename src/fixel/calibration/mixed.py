@@ -166,14 +166,6 @@ def _criterion(data: _RotatedData, log_sd: FloatArray) -> tuple[float, FloatArra
     return value, gradient, fit
 
 
-class Jackknife(NamedTuple):
-    """Variation of an estimate over clusters."""
-
-    # (p, p) CR3 covariance; zero for one cluster, which has no variation between clusters.
-    covariance: FloatArray
-    effective: FloatArray  # (p,) effective number of clusters for each parameter, at least 1
-
-
 def numbered(labels: Sequence[Hashable]) -> IntArray:
     """Return the cluster number (n,) of each label, in order of appearance."""
     number = {label: k for k, label in enumerate(dict.fromkeys(labels))}
@@ -182,9 +174,11 @@ def numbered(labels: Sequence[Hashable]) -> IntArray:
 
 def jackknife(
     information: FloatArray, gradient: FloatArray, covariance: FloatArray, cluster: IntArray
-) -> Jackknife:
+) -> tuple[FloatArray, FloatArray]:
     """Compute the jackknife that leaves out each cluster in turn, with one Newton step each.
 
+    Return the CR3 covariance (p, p), which is zero for one cluster, and the effective number (p,)
+    of clusters for each parameter, at least 1.
     Each experiment has information (n, p, p), the gradient (n, p) of its log likelihood at the
     estimate, and the number of its cluster (n,), from 0. The covariance (p, p) is the inverse of
     all information, including the prior.
@@ -200,4 +194,4 @@ def jackknife(
     carried = np.einsum("ij,njk,ki->ni", covariance, own, covariance)
     total, squares = carried.sum(axis=0), (carried**2).sum(axis=0)
     effective = np.divide(total**2, squares, out=np.ones(p), where=squares > 0.0)
-    return Jackknife(np.asarray(spread), np.maximum(1.0, effective))
+    return np.asarray(spread), np.maximum(1.0, effective)

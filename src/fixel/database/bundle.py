@@ -52,29 +52,22 @@ KINDS: Final = {
 # --- export -------------------------------------------------------------------------------------
 
 
-@final
-@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
-class ExportSummary:
-    """Numbers of exported and of omitted records."""
-
-    # Records of each kind; ``flagged`` and ``replaced`` count experiments with these marks.
-    counts: dict[str, int]
-    # ``deleted`` experiments, and ``calibrations`` that use an experiment outside the bundle.
-    left_out: dict[str, int]
-
-
 def export_bundle(
     store: Store,
     path: Path,
     *,
     dataset: str | None = None,
     progress: ProgressCallback | None = None,
-) -> ExportSummary:
+) -> tuple[dict[str, int], dict[str, int]]:
     """Write a bundle of a project's experiments, or of one dataset, and the results from them.
 
     It replaces `path`, a ``.zip``, once it is complete. `progress` is called with the number of
     exported experiments and their total. A series or a video that is missing in the media folder,
     or has changed, raises `StoreRefused`.
+
+    Return the numbers of records of each kind, where ``flagged`` and ``replaced`` count experiments
+    with these marks, and those of omitted records: ``deleted`` experiments, and ``calibrations``
+    that use an experiment outside the bundle.
     """
     every = ExperimentQuery(dataset=dataset, include_faulty=True, marks=("replaced",))
     ids = store.experiment_ids(every)
@@ -104,7 +97,7 @@ def export_bundle(
     page = store.experiments(ExperimentQuery(dataset=dataset, limit=0))
     counts |= {"flagged": page.left_out, "replaced": len(ids) - page.total - page.left_out}
     left_out = {"calibrations": copy.n_left_out, "deleted": store.experiments(gone).total}
-    return ExportSummary(counts=counts, left_out=left_out)
+    return counts, left_out
 
 
 def record_counts(store: Store) -> dict[str, int]:

@@ -20,7 +20,7 @@ from fixel.database.tables import (
     system_parameters,
 )
 from fixel.errors import InvalidInput
-from fixel.model.selection import ERRORS, RELATIONS, Bound, ExperimentQuery, check_number
+from fixel.model.selection import ERRORS, NUMBERS, RELATIONS, TEXTS, Bound, ExperimentQuery
 
 ALL_EXPERIMENTS: Final = ExperimentQuery(include_faulty=True, marks=("replaced",))
 
@@ -106,26 +106,6 @@ _turned: Final = sa.case(
     else_=_angle,
 )
 
-TEXTS: Final[dict[str, sa.ColumnElement[Any]]] = {
-    "dataset": experiment.c.dataset,
-    "name": experiment.c.name,
-    "contacts": experiment.c.contact_mode,
-    "created": experiment.c.created_at_utc,
-}
-NUMBERS: Final[dict[str, sa.ColumnElement[Any]]] = {
-    "id": experiment.c.id,
-    "frames": experiment.c.n_frame,
-    "duration_s": experiment.c.duration_s,
-    "start_x_m": experiment.c.start_x_m,
-    "start_y_m": experiment.c.start_y_m,
-    "start_angle_rad": experiment.c.start_theta_rad,
-    "end_x_m": experiment.c.end_x_m,
-    "end_y_m": experiment.c.end_y_m,
-    "end_angle_rad": experiment.c.end_theta_rad,
-    "turned_rad": _turned,
-    "flags": _n_flag,
-    "notes": _n_note,
-}
 # Squares instead of roots: the order is the same, and not every database has a square root.
 SQUARES: Final[dict[str, sa.ColumnElement[Any]]] = {
     "moved_m": _dx * _dx + _dy * _dy,
@@ -133,7 +113,11 @@ SQUARES: Final[dict[str, sa.ColumnElement[Any]]] = {
     "after_mm": AFTER.c.error_mm2,
     "error_mm": sa.func.coalesce(AFTER.c.error_mm2, BEFORE.c.error_mm2),
 }
-COLUMNS: Final = TEXTS | NUMBERS | SQUARES
+COLUMNS: Final = {
+    **{name: experiment.c[own] for name, own in (TEXTS | NUMBERS).items()},
+    **{"turned_rad": _turned, "flags": _n_flag, "notes": _n_note},
+    **SQUARES,
+}
 
 
 def expressions(dialect: str, name: str) -> tuple[sa.ColumnElement[Any], ...]:
@@ -199,23 +183,18 @@ def order(query: ExperimentQuery, dialect: str) -> list[Any]:
 
 def _bound_holds(dialect: str, bound: Bound) -> Any:
     relate = RELATIONS[bound.relation]
-    name, value = bound.name, bound.value
-    if name in TEXTS:
-        return relate(TEXTS[name], bound.typed)
-    if name not in COLUMNS:
+    if bound.name in TEXTS:
+        return relate(COLUMNS[bound.name], bound.typed)
+    if bound.name not in COLUMNS:
         return _condition_holds(dialect, bound)
-    check_number(bound)
-    assert not isinstance(value, str)
-    # The sign is retained: every error exceeds a negative bound.
-    return relate(COLUMNS[name], value * abs(value) if name in SQUARES else value)
+    return relate(COLUMNS[bound.name], bound.limit)
 
 
 def _condition_holds(dialect: str, bound: Bound) -> Any:
     """SQL clause for `fixel.model.selection._condition_holds`."""
     text, number = expressions(dialect, bound.name)
     if bound.relation not in ("=", "!="):
-        check_number(bound)
-        return RELATIONS[bound.relation](number, bound.value)
+        return RELATIONS[bound.relation](number, bound.limit)
     same: Any = sa.and_(number.is_(None), text.is_not(None), text == bound.typed)
     if not isinstance(bound.value, str):
         same = sa.or_(same, sa.and_(number.is_not(None), number == bound.value))

@@ -31,15 +31,22 @@ RELATIONS: Final[Mapping[str, Callable[[Any, Any], Any]]] = {
 MARKS: Final = ("clean", "faulty", "flagged", "noted", "real", "simulated", "deleted", "replaced")
 MAX_FILTER: Final = 1000  # characters
 
-TEXTS: Final = ("dataset", "name", "contacts", "created")
+# Columns by name: the field of `ExperimentRow` is also the column of the database.
+TEXTS: Final = {
+    **{name: name for name in ("dataset", "name")},
+    "contacts": "contact_mode",
+    "created": "created_at_utc",
+}
+NUMBERS: Final = {
+    **{name: name for name in ("id", "duration_s", "start_x_m", "start_y_m", "end_x_m", "end_y_m")},
+    "frames": "n_frame",
+    "start_angle_rad": "start_theta_rad",
+    "end_angle_rad": "end_theta_rad",
+}
 ERRORS: Final = ("before_mm", "after_mm", "error_mm")
 # Values of columns are compared by their squares, errors and distances: the database has no roots.
 SQUARES: Final = ("moved_m", *ERRORS)
-NUMBERS: Final = (
-    *("id", "frames", "duration_s", "start_x_m", "start_y_m", "start_angle_rad", "end_x_m"),
-    *("end_y_m", "end_angle_rad", "turned_rad", "flags", "notes"),
-)
-COLUMNS: Final = (*TEXTS, *NUMBERS, *SQUARES)
+COLUMNS: Final = (*TEXTS, *NUMBERS, "turned_rad", "flags", "notes", *SQUARES)
 # Short names of columns, with their units in metres and radians.
 DEGREE: Final = math.pi / 180.0
 NAMES: Final[Mapping[str, tuple[str, float]]] = {
@@ -69,6 +76,14 @@ class Bound(NamedTuple):
     def typed(self) -> str:
         """Value as typed, or written shortly."""
         return self.text or (self.value if isinstance(self.value, str) else f"{self.value!r}")
+
+    @property
+    def limit(self) -> float:
+        """Number to compare with, squared for one of `SQUARES`; a text raises `InvalidInput`."""
+        if isinstance(self.value, str):
+            raise InvalidInput(f"filter: {self.name}", found=repr(self.value), expected="a number")
+        # The sign is retained: every error exceeds a negative bound.
+        return self.value * abs(self.value) if self.name in SQUARES else self.value
 
 
 @final
@@ -335,28 +350,13 @@ def _has_word(word: str, row: ExperimentRow, details: ExperimentDetails) -> bool
 
 
 def _bound_holds(bound: Bound, row: ExperimentRow, details: ExperimentDetails) -> bool:
-    name, value = bound.name, bound.value
+    relate, name = RELATIONS[bound.relation], bound.name
     if name in TEXTS:
-        return bool(RELATIONS[bound.relation](_text_of(name, row), bound.typed))
+        return bool(relate(getattr(row, TEXTS[name]), bound.typed))
     if name not in COLUMNS:
         return _condition_holds(bound, row.conditions)
-    number = _number_of(name, row, details)
-    check_number(bound)
-    assert not isinstance(value, str)
-    # The sign is retained: every error exceeds a negative bound.
-    limit = value * abs(value) if name in SQUARES else value
-    return number is not None and bool(RELATIONS[bound.relation](number, limit))
-
-
-def check_number(bound: Bound) -> None:
-    """Raise if a column of numbers is compared with a text."""
-    if isinstance(bound.value, str):
-        raise InvalidInput(f"filter: {bound.name}", found=repr(bound.value), expected="a number")
-
-
-def _text_of(name: str, row: ExperimentRow) -> str:
-    columns = {"contacts": row.contact_mode, "created": row.created_at_utc}
-    return columns[name] if name in columns else str(getattr(row, name))
+    number, limit = _number_of(name, row, details), bound.limit
+    return number is not None and bool(relate(number, limit))
 
 
 def _number_of(name: str, row: ExperimentRow, details: ExperimentDetails) -> float | None:
@@ -369,8 +369,7 @@ def _number_of(name: str, row: ExperimentRow, details: ExperimentDetails) -> flo
         return dx * dx + dy * dy
     if name in ("flags", "notes"):
         return len(getattr(details, name))
-    own = {"frames": "n_frame"}.get(name, name.replace("_angle_", "_theta_"))
-    return float(getattr(row, own))
+    return float(getattr(row, NUMBERS.get(name, name)))
 
 
 def _condition_holds(bound: Bound, conditions: Mapping[str, str | float]) -> bool:
@@ -379,8 +378,8 @@ def _condition_holds(bound: Bound, conditions: Mapping[str, str | float]) -> boo
     if bound.relation in ("=", "!="):
         same = own == bound.value or (isinstance(own, str) and own == bound.typed)
         return same == (bound.relation == "=")
-    check_number(bound)
-    return isinstance(own, int | float) and bool(RELATIONS[bound.relation](own, bound.value))
+    limit = bound.limit
+    return isinstance(own, int | float) and bool(RELATIONS[bound.relation](own, limit))
 
 
 # --- unknown names --------------------------------------------------------------------------------

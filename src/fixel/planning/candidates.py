@@ -105,12 +105,16 @@ def displacements(
 
 
 def sequences(
-    simulator: PlanSimulator, table: PushTable, ends: LastPushes, pushes: int, seed: int = 0
+    simulator: PlanSimulator,
+    table: PushTable,
+    ends: tuple[FloatArray, FloatArray],
+    pushes: int,
+    seed: int = 0,
 ) -> Numbers:
     """Return sequences of `pushes` pushes whose nominal end is near the goal.
 
     The pushes before the last one are taken from the table, so that they lead to a pose from which
-    a last push reaches the goal.
+    a last push of `ends` (see `last_pushes`) reaches the goal.
     """
     before, last = ends
     if not len(last):
@@ -137,15 +141,13 @@ def sequences(
     ]
 
 
-class LastPushes(NamedTuple):
-    """Pushes that reach the goal, the least sensitive first."""
+def last_pushes(
+    simulator: PlanSimulator, table: PushTable, seed: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return last pushes (n, d), tried from poses near the goal, the least sensitive first.
 
-    before: FloatArray  # (n, 3) pose of the part before the push [m, m, rad]
-    numbers: FloatArray  # (n, d)
-
-
-def last_pushes(simulator: PlanSimulator, table: PushTable, seed: int) -> LastPushes:
-    """Return last pushes, tried from poses near the goal and judged from perturbed starts."""
+    They are judged from perturbed starts, and come after the poses (n, 3) of the part before them.
+    """
     tried, kept = TRIED * len(table.moved), max(32, len(table.moved) // 8)
     rng = np.random.default_rng([seed, 77])
     before, numbers = [], []
@@ -173,13 +175,13 @@ def last_pushes(simulator: PlanSimulator, table: PushTable, seed: int) -> LastPu
     rows = np.flatnonzero(margin >= 0.0)
     rows = rows[np.argsort(-margin[rows], kind="stable")][: 4 * kept]
     if not len(rows):
-        return LastPushes(poses[:0], pushes[:0])
+        return poses[:0], pushes[:0]
     shaken = rng.standard_normal((len(rows) * PERTURBED, 3)) * table.spread
     known = Belief(parameters=simulator.nominal).scenarios(scene, worlds=len(shaken), runs=1)
     runs = simulator.run(planned, np.repeat(rows, PERTURBED), known._replace(start=shaken))
     met = (simulator.margins(runs) >= 0.0).reshape(len(rows), PERTURBED).mean(axis=1)
     best = np.argsort(-met, kind="stable")[:kept]
-    return LastPushes(poses[rows[best]], pushes[rows[best]])
+    return poses[rows[best]], pushes[rows[best]]
 
 
 def embedded(pose: FloatArray, arm: float) -> FloatArray:

@@ -243,9 +243,9 @@ def _percent(verdict: CellVerdict, claim: Claim) -> int | None:
     return percent - int(below)
 
 
-def suggested(view: MapView, claim: Claim, most: int = 3) -> list[SuggestedExperiment]:
+def suggested(view: MapView, claim: Claim) -> list[SuggestedExperiment]:
     """Propose the most informative experiments."""
-    found = view.domain.proposals(claim, most)
+    found = view.domain.proposals(claim, 3)
     return [
         SuggestedExperiment(place=view.domain.cells.values(one.cell), **one._asdict())
         for one in found

@@ -161,9 +161,9 @@ def _bundled(
         n = store.experiments(query).total
         _refuse_none(n, dataset)
         with show_progress(progress, "exporting") as report:
-            written = export_bundle(store, target, dataset=dataset, progress=report)
+            counts, left_out = export_bundle(store, target, dataset=dataset, progress=report)
         simulated = store.experiments(replace(query, marks=("simulated", "replaced"))).total
-        return {"experiments": n} | written.counts | {"simulated": simulated}, written.left_out
+        return {"experiments": n} | counts | {"simulated": simulated}, left_out
 
 
 def _refuse_none(n: int, dataset: str | None) -> None:
