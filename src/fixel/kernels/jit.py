@@ -24,6 +24,7 @@ import time
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
+import llvmlite.binding
 import numba
 from numba import types
 from numba.core import cgutils, codegen, compiler, compiler_machinery, typed_passes
@@ -52,6 +53,7 @@ _codegen: Any = codegen
 _compiler: Any = compiler
 _machinery: Any = compiler_machinery
 _passes: Any = typed_passes
+_linkage: Any = llvmlite.binding.Linkage
 
 
 class _NoEnvironment:
@@ -86,18 +88,37 @@ class _Intermediate(_codegen.JITCodeLibrary):  # type: ignore[misc]
         return 0
 
 
+class _Closed(_codegen.JITCodeLibrary):  # type: ignore[misc]
+    """Code library of an entry, whose helpers no other code calls: LLVM may drop their unused
+    arguments. A helper has hundreds, since every array is seven or nine numbers."""
+
+    def _optimize_final_module(self) -> None:
+        for function in self._final_module.functions:
+            if not function.is_declaration and function.linkage == _linkage.linkonce_odr:
+                function.linkage = _linkage.internal
+        super()._optimize_final_module()
+
+
 @_machinery.register_pass(mutates_CFG=False, analysis_only=True)
-class _TakeIntermediate(_machinery.FunctionPass):  # type: ignore[misc]
+class _TakeClosed(_machinery.FunctionPass):  # type: ignore[misc]
     """Pass that installs the library before the code generation would create an ordinary one."""
 
-    _name = "fixel_take_intermediate"
+    _name = "fixel_take_closed"
+    _library = _Closed
 
     def __init__(self) -> None:
         super().__init__()
 
     def run_pass(self, state: Any) -> bool:
-        state.library = _Intermediate(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library = self._library(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library.enable_object_caching()
         return True
+
+
+@_machinery.register_pass(mutates_CFG=False, analysis_only=True)
+class _TakeIntermediate(_TakeClosed):
+    _name = "fixel_take_intermediate"
+    _library = _Intermediate
 
 
 COMPILING = "Compiling numerical code; this can take a minute"
@@ -186,6 +207,8 @@ def _functions_below(function: Any, found: set[Any]) -> set[Any]:
 class EntryCompiler(_compiler.CompilerBase):  # type: ignore[misc]
     """Compiler pipeline of Numba for functions that Python calls, with fast bookkeeping."""
 
+    _take: Any = _TakeClosed
+
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         self.state.flags = _Flags(self.state.flags)
@@ -214,17 +237,16 @@ class EntryCompiler(_compiler.CompilerBase):  # type: ignore[misc]
             compiled_s += watch.seconds
 
     def define_pipelines(self) -> list[Any]:
-        return [_compiler.DefaultPassBuilder.define_nopython_pipeline(self.state)]
+        passes = _compiler.DefaultPassBuilder.define_nopython_pipeline(self.state)
+        passes.add_pass_after(self._take, _passes.NopythonTypeInference)
+        passes.finalize()
+        return [passes]
 
 
 class HelperCompiler(EntryCompiler):
     """Compiler pipeline of Numba for functions that only compiled code calls."""
 
-    def define_pipelines(self) -> list[Any]:
-        passes = _compiler.DefaultPassBuilder.define_nopython_pipeline(self.state)
-        passes.add_pass_after(_TakeIntermediate, _passes.NopythonTypeInference)
-        passes.finalize()
-        return [passes]
+    _take = _TakeIntermediate
 
 
 # error_model="numpy": division by zero follows IEEE without a test; the kernels have their own
