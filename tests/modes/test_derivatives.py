@@ -140,6 +140,22 @@ def test_a_batch_is_differentiated_and_confirmed_where_its_last_times_end():
     assert list(runs.accuracy) == ["certified"] * 3
 
 
+@pytest.mark.parametrize("scene", [pushed_square(), grasp(), seated_grasp(3)])
+def test_modes_that_were_differentiated_confirm_the_end_to_the_same_bits(scene):
+    friction = {"mu_pusher": np.linspace(0.1, 0.4, 5)}
+    names = ("mu_support", "x", "theta")
+    alone = simulate_batch(scene, friction, motion="quasistatic", accuracy=True)
+    both = simulate_batch(scene, friction, motion="quasistatic", accuracy=True, derivatives=names)
+    assert both.accuracy.tolist() == alone.accuracy.tolist()
+    assert both.apart.tobytes() == alone.apart.tobytes()
+    one = simulate(scene, {"mu_pusher": 0.1}, motion="quasistatic", accuracy=True)
+    push = simulate(
+        scene, {"mu_pusher": 0.1}, motion="quasistatic", accuracy=True, derivatives=names
+    )
+    assert push.accuracy.other.tobytes() == one.accuracy.other.tobytes()
+    assert push.accuracy.verdict == one.accuracy.verdict == both.accuracy[0]
+
+
 def test_shifts_of_the_start_and_of_the_path():
     """A shifted path and a start that is shifted the other way differ by a shift of all."""
     scene = free_push(SUPPORT)

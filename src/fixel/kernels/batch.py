@@ -1,7 +1,9 @@
 """Many rollouts in one call, independent of each other and bit for bit of the threads."""
 
+import numpy as np
+
 from fixel.kernels.arrays import Batch, BatchRecord, Model, RolloutRecord, StepMethod
-from fixel.kernels.jit import allocating_kernel, entry, spliced_kernel
+from fixel.kernels.jit import entry, kernel, spliced_kernel, view
 from fixel.kernels.rollout import rollout
 
 # Families: arrays with common first rows.
@@ -19,42 +21,30 @@ MAP = 10  # map_factor
 N_FAMILY = 11
 
 
-@allocating_kernel
+@kernel
 def select(batch: Batch, r: int) -> Model:
-    """Return the model of rollout r, as views of the batch's arrays."""
+    """Return the model of rollout r, as views of the batch's arrays, which must outlive it."""
     a = batch.begin[r]
-    z = a + batch.count[r]
+    n = batch.count[r]
     m = batch.model
-    n_body = batch.count[r, BODY]
-    n_row, n_column = batch.map_shape[r]
+    free, piece, vertex, body = n[FREE], n[PIECE], n[VERTEX], n[BODY]
+    element, driven, cells, e = n[ELEMENT], n[DRIVEN], batch.map_shape[r], a[ELEMENT]
     return Model(
-        m.mass[a[FREE] : z[FREE]],
-        m.inertia[a[FREE] : z[FREE]],
-        m.wrench[a[FREE] : z[FREE]],
-        m.spring[a[FREE] : z[FREE]],
-        m.drag[a[FREE] : z[FREE]],
-        m.piece_body[a[PIECE] : z[PIECE]],
-        m.piece_start[a[PIECE_START] : z[PIECE_START]],
-        m.piece_bound[a[PIECE] : z[PIECE]],
-        m.piece_radius[a[PIECE] : z[PIECE]],
-        m.vertex[a[VERTEX] : z[VERTEX]],
-        m.edge_real[a[VERTEX] : z[VERTEX]],
-        m.friction[a[PAIR] : z[PAIR]].reshape(n_body, n_body),
-        m.restitution[a[PAIR] : z[PAIR]].reshape(n_body, n_body),
-        m.element_body[a[ELEMENT] : z[ELEMENT]],
-        m.element_kind[a[ELEMENT] : z[ELEMENT]],
-        m.element_point[a[ELEMENT] : z[ELEMENT]],
-        m.element_limit[a[ELEMENT] : z[ELEMENT]],
-        m.element_ratio[a[ELEMENT] : z[ELEMENT]],
-        m.path_start[a[PATH_START] : z[PATH_START]],
-        m.path[a[PATH] : z[PATH]],
-        m.force_limit[a[DRIVEN] : z[DRIVEN]],
-        m.drive_dof[a[DRIVEN] : z[DRIVEN]],
-        m.plane[r],
-        m.map_frame[r],
-        m.map_factor[a[MAP] : z[MAP]].reshape(n_row, n_column),
-        batch.sides[r],
-    )
+        view(m.mass, a[FREE], (free,)), view(m.inertia, a[FREE], (free,)),
+        view(m.wrench, 3 * a[FREE], (free, 3)), view(m.spring, 3 * a[FREE], (free, 3)),
+        view(m.drag, 9 * a[FREE], (free, 3, 3)), view(m.piece_body, a[PIECE], (piece,)),
+        view(m.piece_start, a[PIECE_START], (n[PIECE_START],)),
+        view(m.piece_bound, 3 * a[PIECE], (piece, 3)), view(m.piece_radius, a[PIECE], (piece,)),
+        view(m.vertex, 2 * a[VERTEX], (vertex, 2)), view(m.edge_real, a[VERTEX], (vertex,)),
+        view(m.friction, a[PAIR], (body, body)), view(m.restitution, a[PAIR], (body, body)),
+        view(m.element_body, e, (element,)), view(m.element_kind, e, (element,)),
+        view(m.element_point, 2 * e, (element, 2)), view(m.element_limit, e, (element,)),
+        view(m.element_ratio, e, (element,)), view(m.path_start, a[PATH_START], (n[PATH_START],)),
+        view(m.path, 4 * a[PATH], (n[PATH], 4)),
+        view(m.force_limit, a[DRIVEN], (driven,)), view(m.drive_dof, a[DRIVEN], (driven,)),
+        view(m.plane, 3 * r, (3,)), view(m.map_frame, 4 * r, (4,)),
+        view(m.map_factor, a[MAP], (cells[0], cells[1])), batch.sides[r],
+    )  # fmt: skip
 
 
 @spliced_kernel
@@ -84,9 +74,14 @@ def _rollout_one(
 
 
 @entry
-def select_one(batch: Batch, r: int) -> Model:
-    """See `select`."""
+def _select_one(batch: Batch, r: int) -> Model:
     return select(batch, r)
+
+
+def select_one(batch: Batch, r: int) -> Model:
+    """Return a copy of the model of rollout r."""
+    shared = _select_one(batch, r)
+    return Model._make([*map(np.array, shared[:-1]), shared.sides])
 
 
 @entry

@@ -103,8 +103,7 @@ class _Closed(_codegen.JITCodeLibrary):  # type: ignore[misc]
 class _TakeClosed(_machinery.FunctionPass):  # type: ignore[misc]
     """Pass that installs the library before the code generation would create an ordinary one."""
 
-    _name = "fixel_take_closed"
-    _library = _Closed
+    _name, _library = "fixel_take_closed", _Closed
 
     def __init__(self) -> None:
         super().__init__()
@@ -117,8 +116,7 @@ class _TakeClosed(_machinery.FunctionPass):  # type: ignore[misc]
 
 @_machinery.register_pass(mutates_CFG=False, analysis_only=True)
 class _TakeIntermediate(_TakeClosed):
-    _name = "fixel_take_intermediate"
-    _library = _Intermediate
+    _name, _library = "fixel_take_intermediate", _Intermediate
 
 
 COMPILING = "Compiling numerical code; this can take a minute"
@@ -360,3 +358,14 @@ def _view_in_python(buffer: Any, start: int, shape: tuple[int, ...]) -> Any:
 
 
 view: Any = _view_in_python if _config.DISABLE_JIT else intrinsic(_view)
+
+
+@allocating_kernel
+def take(buffer: Any, shape: Any) -> Any:
+    """Return the next array in a buffer, whose first entry counts those that are taken."""
+    start = int(buffer[0]) + 1
+    size = 1
+    for n in shape:
+        size *= n
+    buffer[0] += size
+    return view(buffer, start, shape)

@@ -61,11 +61,12 @@ def confirm(
     final: FloatArray,
     status: IntArray,
     threads: int | None = None,
+    modes: walk.ModeRecord | None = None,
 ) -> Confirmation:
     """Solve rollouts again, and compare their ends.
 
     `final` (n, n_free, 3) are their ends in SI units, and `status` (n,) how they ended
-    (`fixel.kernels.codes`).
+    (`fixel.kernels.codes`). `modes` are those of quasi-static motion, where they are known.
     """
     n = len(final)
     other = np.array(final)
@@ -74,15 +75,15 @@ def confirm(
     converged = status == codes.CONVERGED
     doubtful = converged.copy()
     if method.motion == codes.QUASI_STATIC:
-        record = empty_modes(n)
-        no_tape = walk.Tape(np.empty((0, 0)), np.empty((0, 0)))
-        in_ranges(partial(walk.walk_batch, packed.batch, method, 1, record, no_tape), n, threads)
-        ended, folds = record.status, record.count[:, walk.FOLDS]
+        if modes is None:
+            modes, none = empty_modes(n), walk.Tape(np.empty((0, 0)), np.empty((0, 0)))
+            in_ranges(partial(walk.walk_batch, packed.batch, method, 1, modes, none), n, threads)
+        ended, folds = modes.status, modes.count[:, walk.FOLDS]
         reached = ended == walk.COMPLETE
         if reached.any():
-            other[reached] = shape_poses(packed, record.end[:, None, None, :3])[reached, 0]
+            other[reached] = shape_poses(packed, modes.end[:, None, None, :3])[reached, 0]
         # Where a drive stalls at once, it may as well go on: a third way decides.
-        doubtful &= ~reached | (record.count[:, walk.SUDDEN] == 1)
+        doubtful &= ~reached | (modes.count[:, walk.SUDDEN] == 1)
     stopped = np.zeros(n, np.bool_)
     if doubtful.any():
         again = np.flatnonzero(doubtful)

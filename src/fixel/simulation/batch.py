@@ -45,7 +45,7 @@ from fixel.simulation.simulate import (
 from fixel.simulation.solver import SOLVERS, AbstractSolver, Newton
 from fixel.simulation.stepper import AbstractStepper, Adaptive
 from fixel.simulation.threads import rollout_in_threads
-from fixel.simulation.vary import Variation, variation_of
+from fixel.simulation.vary import variation_of
 from fixel.typing import BoolArray, FloatArray
 
 STATUS_NAMES: Final = np.array(codes.STATUS_NAMES)
@@ -180,51 +180,22 @@ def simulate_batch(  # type: ignore[misc]
         raise Interrupted(finished) from None
     runs = _unpack(scene, packed, record, instants, variation.parameters)
     last = float(instants[-1])  # poses after it are not in the result
+    ends, modes = runs.final[:, : len(scene.bodies)], None
     if derivatives:
-        runs = _differentiated(runs, variation, derivatives, motion, stepper, method, last, threads)
+        packed_of = partial(pack, scene, motion, stepper, duration=last)
+        slopes, found, modes = import_module(SLOPES).end_slopes(
+            scene, variation, derivatives, packed_of, method, ends[:, 0], runs.converged, threads
+        )
+        runs = replace(runs, derivatives=slopes, differentiable=found)
     if accuracy:
+        from fixel.simulation.accuracy import confirm  # late: few batches need it
+
         if last < seconds:
             packed = pack(scene, motion, stepper, variation, n, last)
-        runs = _confirmed(runs, packed, method, record, threads)
+        sure = confirm(packed, method, ends, record.status, threads, modes)
+        apart = np.stack((sure.distance, sure.angle), axis=1)
+        runs = replace(runs, accuracy=sure.verdict, apart=apart)
     return runs
-
-
-def _confirmed(
-    runs: BatchResult,
-    packed: PackedBatch,
-    method: StepMethod,
-    record: BatchRecord,
-    threads: int | None,
-) -> BatchResult:
-    """Return runs with the accuracy of their last poses."""
-    from fixel.simulation.accuracy import confirm  # late: few batches need it
-
-    ends = runs.final[:, : len(runs.scene.bodies)]
-    sure = confirm(packed, method, ends, record.status, threads)
-    apart = np.stack((sure.distance, sure.angle), axis=1)
-    return replace(runs, accuracy=sure.verdict, apart=apart)
-
-
-def _differentiated(
-    runs: BatchResult,
-    variation: Variation,
-    names: Sequence[str],
-    motion: AbstractMotionModel,
-    stepper: AbstractStepper,
-    method: StepMethod,
-    seconds: float,
-    threads: int | None,
-) -> BatchResult:
-    """Return runs with the derivatives of their last poses, which are those at `seconds`."""
-    packed_of = partial(pack, runs.scene, motion, stepper, duration=seconds)
-    ends, time = runs.pose[:, -1:, 0], np.full((len(runs), 1), seconds)
-    slope, found = import_module(SLOPES).pose_slopes(
-        runs.scene, variation, names, packed_of, method, ends, time, threads
-    )
-    found &= runs.converged
-    slope = np.where(found[:, None, None], slope[:, 0], np.nan)
-    columns = dict(zip(names, np.moveaxis(slope, 2, 0), strict=True))
-    return replace(runs, derivatives=columns, differentiable=found)
 
 
 def simulate_packed(

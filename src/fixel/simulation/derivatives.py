@@ -9,7 +9,7 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.kernels import codes
-from fixel.kernels.arrays import StepMethod
+from fixel.kernels.arrays import DURATION, StepMethod
 from fixel.kernels.batch import BODY
 from fixel.kernels.modes import walk
 from fixel.kernels.modes.derivatives import differentiate_batch
@@ -41,39 +41,42 @@ def check_differentiable(scene: Scene, motion: AbstractMotionModel) -> None:
         )
 
 
-def pose_slopes(
+def end_slopes(
     scene: Scene,
     variation: Variation,
     names: Sequence[str],
     packed_of: Callable[[Variation, int], PackedBatch],
     method: StepMethod,
     pose: FloatArray,
-    time: FloatArray,
+    ended: BoolArray,
     threads: int | None = None,
-) -> tuple[FloatArray, BoolArray]:
-    """Differentiate poses of one part by its start pose and by parameters.
+) -> tuple[dict[str, FloatArray], BoolArray, walk.ModeRecord]:
+    """Differentiate the last pose of one part by its start pose and by parameters.
 
     `names` are parameters, or ``"x"``, ``"y"`` and ``"theta"`` of the start pose. `packed_of` packs
-    a number of rollouts of another variation. Rollouts have the poses `pose` (n, n_time, 3) at
-    increasing times `time` (n, n_time), the last of which is the end [s]. Returns derivatives
-    (n, n_time, 3, n_name) of x, y and theta in SI units, NaN where there are none, and a mask (n,)
-    of the rollouts that have any.
+    a number of rollouts of another variation. Rollouts have the last poses `pose` (n, 3), and those
+    that `ended` (n,) reached their end. Returns derivatives (n, 3) of x, y and theta by name in SI
+    units, NaN where there are none, a mask (n,) of the rollouts that have any, and the modes that
+    all passed through.
     """
     columns = _columns(scene, names, variation)
     own = [name for name in dict.fromkeys(columns) if name not in POSE_NAMES]
     order = [*POSE_NAMES, *own]
     place = [order.index(name) for name in columns]
-    slope = np.full((*pose.shape, len(columns)), np.nan)
+    slope = np.full((len(columns), len(pose), 3), np.nan)
     found = np.zeros(len(pose), bool)
+    record = empty_modes(len(pose))
     for k in range(0, len(pose), PASS):
         rows = np.arange(k, min(len(pose), k + PASS))
         again = np.repeat(rows, 1 + len(own))
         nudges, widths = _nudged(scene, variation, own, again)
         packed = packed_of(nudges, len(again))
-        part, good = _slopes(packed, method, widths, pose[rows], time[rows], threads)
+        modes = walk.ModeRecord._make(array[k : k + PASS] for array in record)
+        part, good = _slopes(packed, method, widths, pose[rows], modes, threads)
+        good &= ended[rows]
         found[rows] = good
-        slope[rows[good]] = part[good][..., place]
-    return slope, found
+        slope[:, rows[good]] = np.moveaxis(part[good][..., place], 2, 0)
+    return dict(zip(names, slope, strict=True)), found, record
 
 
 def _columns(scene: Scene, names: Sequence[str], variation: Variation) -> list[str]:
@@ -142,16 +145,16 @@ def _slopes(
     method: StepMethod,
     widths: FloatArray,
     pose: FloatArray,
-    time: FloatArray,
+    record: walk.ModeRecord,
     threads: int | None,
 ) -> tuple[FloatArray, BoolArray]:
-    """Differentiate poses by x, y and theta at the start, and by parameters changed by `widths`."""
+    """Differentiate last poses by x, y and theta at the start, and by parameters changed by
+    `widths`; writes the modes into `record`."""
     n, n_own = widths.shape
     stride, length = 1 + n_own, packed.units.length
-    record = empty_modes(n)
-    slope = np.zeros((*pose.shape, 3 + n_own))
+    slope = np.zeros((n, 1, 3, 3 + n_own))
     found = np.zeros(n, np.int64)
-    times = time / packed.units.time
+    times = packed.batch.settings[::stride, DURATION, None]
 
     def differentiate(first: int, last: int) -> None:
         modes = np.empty(((last - first) * walk.MODE_ROOM, walk.MODE_WIDE))
@@ -166,10 +169,10 @@ def _slopes(
     slope[..., 3:] /= widths[:, None, None]
     outline = None if packed.outline is None else packed.outline[::stride]
     ends = shape_poses(packed._replace(outline=outline), record.end[:, None, None, :3])[:, 0, 0]
-    gap = np.abs(ends - pose[:, -1])
+    gap = np.abs(ends - pose)
     same = (gap[:, :2].max(axis=1) <= APART_LENGTH * length) & (gap[:, 2] <= APART_ANGLE)
-    _refer_to_frames(slope, packed, stride, widths, pose[..., 2])
-    return slope, (found == 1) & same
+    _refer_to_frames(slope, packed, stride, widths, pose[:, None, 2])
+    return slope[:, 0], (found == 1) & same
 
 
 def _refer_to_frames(

@@ -16,7 +16,6 @@ from fixel.kernels.arrays import (
     N_POINT,
     SAMPLES,
     BatchRecord,
-    Model,
     Problem,
     RolloutRecord,
     State,
@@ -47,8 +46,7 @@ class _Loop:
         self.motion = motion
         self.solver = solver
         # A copy: plug-ins get the model, and batches of one scene share arrays.
-        shared: Model = kernel.select_one(batch, 0)
-        self.model = Model._make([*map(np.array, shared[:-1]), shared.sides])
+        self.model = kernel.select_one(batch, 0)
         self.pose = np.array(batch.pose[: batch.count[0, kernel.BODY]])
         self.problem: Problem
         self.work: Workspace

@@ -49,7 +49,7 @@ from fixel.simulation.stepper import STEPPERS, AbstractStepper, Adaptive
 from fixel.simulation.threads import rollout_in_threads
 from fixel.simulation.trust import permit
 from fixel.simulation.vary import AS_IT_IS, Variation, check_one_pusher, variation_of
-from fixel.typing import FloatArray
+from fixel.typing import FloatArray, IntArray
 
 MAX_STEPS = 1_000_000  # of a stepper without a limit
 ADAPTIVE_STEPS = 100_000  # of adaptive ones, by default
@@ -295,14 +295,10 @@ class Simulator:
             seconds = clock.perf_counter() - seconds
             found = _unpacked(scene, packed, record, duration, times)
             found |= {"wall_time_s": seconds, "method": dict(self._described)}
-            if accuracy:
-                sure = import_module("fixel.simulation.accuracy")  # late: few runs need it
-                ends = [found["pose"][body.name][-1] for body in scene.bodies]
-                found["accuracy"] = sure.confirm(
-                    packed, self._method, np.array([ends]), record.status, threads=1
-                )[0]
-            if derivatives:
-                found["derivatives"] = self._derivatives(known, variation, derivatives, found)
+            if accuracy or derivatives:
+                found |= self._follow_modes(
+                    known, variation, packed, record.status, found, accuracy, derivatives
+                )
             if not self._plain:
                 give_back(record)
         simulation = Simulation(
@@ -386,20 +382,34 @@ class Simulator:
             pushers = (replace(pushers[0], drive=path),)
         return replace(scene, bodies=bodies, pushers=pushers)
 
-    def _derivatives(
-        self, scene: Scene, variation: Variation, names: Sequence[str], found: Mapping[str, Any]
-    ) -> Mapping[str, FloatArray]:
-        """Return the derivatives of the end of a motion that was found; none of an early end."""
-        slopes = import_module("fixel.simulation.derivatives")  # late: few runs need it
-        slopes.check_differentiable(scene, self.motion)
-        duration: float = found["duration"]
-        packed_of = functools.partial(pack, scene, self.motion, self.stepper, duration=duration)
-        end = found["pose"][scene.bodies[0].name][None, -1:]
-        slope, good = slopes.pose_slopes(
-            scene, variation, names, packed_of, self._method, end, np.array([[duration]]), threads=1
-        )
-        good &= found["stopped_at"] is None
-        return dict(zip(names, slope[0, 0].T, strict=True)) if good[0] else {}
+    def _follow_modes(
+        self,
+        scene: Scene,
+        variation: Variation,
+        packed: PackedBatch,
+        status: IntArray,
+        found: Mapping[str, Any],
+        accuracy: bool,
+        names: Sequence[str],
+    ) -> dict[str, Any]:
+        """Return accuracy and derivatives of a motion that was found; none of an early end."""
+        result: dict[str, Any] = {}
+        ends = np.array([[found["pose"][body.name][-1] for body in scene.bodies]])
+        modes = None
+        if names:
+            slopes = import_module("fixel.simulation.derivatives")  # late: few runs need it
+            slopes.check_differentiable(scene, self.motion)
+            duration: float = found["duration"]
+            packed_of = functools.partial(pack, scene, self.motion, self.stepper, duration=duration)
+            ended = np.array([found["stopped_at"] is None])
+            columns, good, modes = slopes.end_slopes(
+                scene, variation, names, packed_of, self._method, ends[:, 0], ended, threads=1
+            )
+            result["derivatives"] = {k: v[0] for k, v in columns.items()} if good[0] else {}
+        if accuracy:
+            sure = import_module("fixel.simulation.accuracy")  # late: few runs need it
+            result["accuracy"] = sure.confirm(packed, self._method, ends, status, 1, modes)[0]
+        return result
 
     def _record(
         self, packed: PackedBatch, duration: float, times: FloatArray | None

@@ -165,7 +165,7 @@ def _linearise_state(model: Model, mode: ContactMode, flow: Flow, k: int) -> boo
     flow.pole[k] = mode.size[geometry.POLE]
     for i in range(9):
         flow.unknown[k, i] = mode.unknown[i]
-    assemble(model, mode, n)
+    assemble(model, mode, n, True)
     if not reduce_balance(mode, n):
         return False
     for i in range(3):
@@ -379,7 +379,7 @@ def _vary(own: Model, mode: ContactMode, tape: Tape, flow: Flow, column: int) ->
             _load_unknowns(mode, flow, k)
             geometry.place_mode(mode, flow.state[k])
             n = write_rows(own, mode)
-            assemble(own, mode, n)
+            assemble(own, mode, n, False)
             for i in range(3):
                 flow.slope[k, i, column] = mode.velocity[i] - flow.velocity[k, i]
             _respond(flow, k, column, mode.vector, 3 + n)

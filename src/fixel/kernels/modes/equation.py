@@ -186,9 +186,9 @@ def write_velocity(model: Model, mode: ContactMode) -> tuple[float, float, float
 
 
 @kernel
-def assemble(model: Model, mode: ContactMode, n: int) -> None:
+def assemble(model: Model, mode: ContactMode, n: int, slopes: bool) -> None:
     """Write the velocity of the unknowns, the residuals of the balance of wrenches and of `n` rows,
-    and their derivatives by the first three unknowns."""
+    and, with `slopes`, their derivatives by the first three unknowns."""
     y = mode.unknown
     matrix = mode.matrix
     vector = mode.vector
@@ -205,34 +205,37 @@ def assemble(model: Model, mode: ContactMode, n: int) -> None:
         v0 += w * ex
         v1 += w * ey
         v2 += w * ez
-        w *= slow
-        a00 += w * (1.0 - ex * ex)
-        a01 -= w * ex * ey
-        a02 -= w * (ry + ex * ez)
-        a11 += w * (1.0 - ey * ey)
-        a12 += w * (rx - ey * ez)
-        a22 += w * (rx * rx + ry * ry + arm * arm - ez * ez)
-    ways[0, 0] = c
-    ways[1, 0] = s
-    ways[2, 0] = 0.0
-    ways[0, 1] = -y[0] * s if pole >= 0 else 0.0
-    ways[1, 1] = y[0] * c if pole >= 0 else 1.0
-    ways[2, 1] = 0.0
-    ways[0, 2] = py
-    ways[1, 2] = -px
-    ways[2, 2] = 1.0
-    for j in range(3):
-        matrix[0, j] = a00 * ways[0, j] + a01 * ways[1, j] + a02 * ways[2, j]
-        matrix[1, j] = a01 * ways[0, j] + a11 * ways[1, j] + a12 * ways[2, j]
-        matrix[2, j] = a02 * ways[0, j] + a12 * ways[1, j] + a22 * ways[2, j]
+        if slopes:
+            w *= slow
+            a00 += w * (1.0 - ex * ex)
+            a01 -= w * ex * ey
+            a02 -= w * (ry + ex * ez)
+            a11 += w * (1.0 - ey * ey)
+            a12 += w * (rx - ey * ez)
+            a22 += w * (rx * rx + ry * ry + arm * arm - ez * ez)
+    if slopes:
+        ways[0, 0] = c
+        ways[1, 0] = s
+        ways[2, 0] = 0.0
+        ways[0, 1] = -y[0] * s if pole >= 0 else 0.0
+        ways[1, 1] = y[0] * c if pole >= 0 else 1.0
+        ways[2, 1] = 0.0
+        ways[0, 2] = py
+        ways[1, 2] = -px
+        ways[2, 2] = 1.0
+        for j in range(3):
+            matrix[0, j] = a00 * ways[0, j] + a01 * ways[1, j] + a02 * ways[2, j]
+            matrix[1, j] = a01 * ways[0, j] + a11 * ways[1, j] + a12 * ways[2, j]
+            matrix[2, j] = a02 * ways[0, j] + a12 * ways[1, j] + a22 * ways[2, j]
     if pole >= 0:
         w = mode.weight[pole]
         v0 += w * c
         v1 += w * s
         v2 += w * (px * s - py * c)
-        matrix[0, 1] -= w * s
-        matrix[1, 1] += w * c
-        matrix[2, 1] += w * (px * c + py * s)
+        if slopes:
+            matrix[0, 1] -= w * s
+            matrix[1, 1] += w * c
+            matrix[2, 1] += w * (px * c + py * s)
     velocity = mode.velocity
     for k in range(n):
         v0 -= mode.pull[k, 0] * y[3 + k]
@@ -242,7 +245,7 @@ def assemble(model: Model, mode: ContactMode, n: int) -> None:
         r1 = mode.row[k, 1]
         r2 = mode.row[k, 2]
         vector[3 + k] = r0 * velocity[0] + r1 * velocity[1] + r2 * velocity[2] - mode.right[k]
-        for j in range(3):
+        for j in range(3 if slopes else 0):
             matrix[3 + k, j] = r0 * ways[0, j] + r1 * ways[1, j] + r2 * ways[2, j]
     vector[0] = v0
     vector[1] = v1
@@ -337,7 +340,7 @@ def _solve_sliding(model: Model, mode: ContactMode, n: int) -> bool:
     worst = math.inf
     for _ in range(NEWTON_STEPS):
         last = worst
-        assemble(model, mode, n)
+        assemble(model, mode, n, True)
         worst = 0.0
         for i in range(3 + n):
             worst = max(worst, abs(vector[i]))

@@ -11,7 +11,7 @@ import numpy as np
 
 from fixel.kernels.arrays import GAP, N_PLACE, Model
 from fixel.kernels.gap import contact_pair
-from fixel.kernels.jit import allocating_kernel, kernel, large_kernel
+from fixel.kernels.jit import allocating_kernel, kernel, large_kernel, take
 from fixel.kernels.path import path_pose
 from fixel.typing import FloatArray, IntArray
 
@@ -50,6 +50,9 @@ PUSHER_SPEED = 5  # largest of any of its points
 FRICTION = 6  # limit of the whole support
 DURATION = 7
 PUSHER_REACH = 8
+# Numbers in the buffers of a mode, of any model.
+FLOATS = 331
+INTEGERS = 37
 
 
 class ContactMode(NamedTuple):
@@ -88,46 +91,27 @@ class ContactMode(NamedTuple):
     place: FloatArray  # (2, N_PLACE) contacts of two pieces
     key: IntArray  # (2,)
     number: FloatArray  # (9,) see CLOCK_END
+    floats: FloatArray  # what the other arrays are views of
+    integers: IntArray
 
 
 @allocating_kernel
 def empty_mode(model: Model) -> ContactMode:
-    """Allocate a mode for a model."""
+    """Allocate a mode for a model, in two buffers: each array would take as long as one solve."""
+    n_body = model.friction.shape[0]
+    n_element = model.element_body.size
+    n_vertex = model.vertex.shape[0]
+    x = np.zeros(FLOATS + 4 * n_body + n_element + 2 * n_vertex)
+    i = np.zeros(INTEGERS, np.int64)
     return ContactMode(
-        contact=np.zeros((MOST, 6), np.int64),
-        size=np.zeros(4, np.int64),
-        frame=np.zeros((model.friction.shape[0], 4)),
-        origin=np.zeros(4),
-        motion=np.zeros(3),
-        weight=np.zeros(model.element_body.size),
-        row=np.zeros((6, 3)),
-        right=np.zeros(6),
-        pull=np.zeros((6, 3)),
-        push=np.zeros(6),
-        gap=np.zeros(6),
-        drifted=np.zeros(6, np.int64),
-        tangent=np.zeros((MOST, 4)),
-        proposed=np.zeros((MOST, 2)),
-        unknown=np.zeros(9),
-        velocity=np.zeros(3),
-        force=np.zeros(6),
-        margin=np.zeros(N_MARGIN),
-        matrix=np.zeros((6, 6)),
-        vector=np.zeros(6),
-        solve=np.zeros((3, 3)),
-        dual=np.zeros((3, 3)),
-        change=np.zeros(6),
-        ways=np.zeros((3, 3)),
-        saved=np.zeros(9),
-        before=np.zeros(9),
-        floor=np.zeros(N_MARGIN),
-        slope=np.zeros((7, 3)),
-        point=np.zeros((3, 4)),
-        world=np.zeros((model.vertex.shape[0], 2)),
-        place=np.zeros((2, N_PLACE)),
-        key=np.zeros(2, np.int64),
-        number=np.zeros(9),
-    )
+        take(i, (MOST, 6)), take(i, (4,)), take(x, (n_body, 4)), take(x, (4,)), take(x, (3,)),
+        take(x, (n_element,)), take(x, (6, 3)), take(x, (6,)), take(x, (6, 3)), take(x, (6,)),
+        take(x, (6,)), take(i, (6,)), take(x, (MOST, 4)), take(x, (MOST, 2)), take(x, (9,)),
+        take(x, (3,)), take(x, (6,)), take(x, (N_MARGIN,)), take(x, (6, 6)), take(x, (6,)),
+        take(x, (3, 3)), take(x, (3, 3)), take(x, (6,)), take(x, (3, 3)), take(x, (9,)),
+        take(x, (9,)), take(x, (N_MARGIN,)), take(x, (7, 3)), take(x, (3, 4)),
+        take(x, (n_vertex, 2)), take(x, (2, N_PLACE)), take(i, (2,)), take(x, (9,)), x, i,
+    )  # fmt: skip
 
 
 @kernel

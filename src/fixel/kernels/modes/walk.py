@@ -25,6 +25,7 @@ from fixel.kernels.modes.geometry import (
     N_CLOSED,
     N_MARGIN,
     OPEN,
+    OWN,
     PART_REACH,
     PIVOT,
     POLE,
@@ -32,6 +33,7 @@ from fixel.kernels.modes.geometry import (
     ROWS,
     SPEED,
     STEP_LENGTH,
+    SUPPORT,
     ContactMode,
     GapArrays,
     empty_mode,
@@ -183,7 +185,9 @@ def least(mode: ContactMode) -> tuple[float, int]:
     """Smallest margin above its floor, and which."""
     best = math.inf
     which = -1
-    for k in range(N_MARGIN):
+    used = OWN * mode.size[N_CLOSED]
+    for n in range(used + N_MARGIN - SUPPORT):
+        k = n if n < used else n - used + SUPPORT
         m = mode.margin[k] + mode.floor[k]
         if m < best:
             best = m
