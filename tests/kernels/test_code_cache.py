@@ -173,7 +173,9 @@ def test_processes_at_once_compile_each_code_once(tmp_path):
 @pytest.mark.system
 def test_a_process_that_is_killed_while_it_compiles_blocks_no_other(tmp_path):
     cache = tmp_path / "cache"
-    dies = "jit.EntryCompiler._compile_core = lambda own: os.kill(os.getpid(), 9); import os; run()"
+    dies = (
+        "jit.KernelCompiler._compile_core = lambda own: os.kill(os.getpid(), 9); import os; run()"
+    )
     process(tmp_path, dies, cache).communicate()
     assert [file.suffix for file in cache.rglob("*.*")] == [".compiling"]
     assert process(tmp_path, "run()", cache).communicate() == ("3\n", "")

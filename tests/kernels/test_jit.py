@@ -11,7 +11,7 @@ from numba.core.compiler import Flags
 
 from fixel.kernels import code_cache, jit
 from fixel.kernels.code_cache import cache_folder
-from fixel.kernels.jit import KNOWN_NUMBA, EntryCompiler, _Flags, entry, kernel
+from fixel.kernels.jit import KNOWN_NUMBA, KernelCompiler, _Flags, entry, kernel
 
 compiled = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
 
@@ -26,7 +26,7 @@ def four_times(x):
     return twice(twice(x))
 
 
-@numba.njit(pipeline_class=EntryCompiler)
+@numba.njit(pipeline_class=KernelCompiler)
 def kernel_sum(x, y):
     return x + y
 
@@ -51,13 +51,13 @@ def test_a_helper_has_no_machine_code():
 @compiled
 def test_a_compilation_collects_garbage_rarely_and_restores_the_thresholds(monkeypatch):
     during = []
-    core = EntryCompiler._compile_core
+    core = KernelCompiler._compile_core
 
     def observed(self):
         during.append(gc.get_threshold())
         return core(self)
 
-    monkeypatch.setattr(EntryCompiler, "_compile_core", observed)
+    monkeypatch.setattr(KernelCompiler, "_compile_core", observed)
     before = gc.get_threshold()
     assert kernel_sum(1.0, 2.0) == 3.0
     assert during
@@ -103,7 +103,7 @@ def test_a_compilation_shows_how_far_it_is(monkeypatch, tmp_path):
         stages.append(stage)
         yield report
 
-    core = EntryCompiler._compile_core
+    core = KernelCompiler._compile_core
 
     def slow(self):
         time.sleep(0.2)
@@ -115,7 +115,7 @@ def test_a_compilation_shows_how_far_it_is(monkeypatch, tmp_path):
 
     monkeypatch.setattr(code_cache, "write_sealed", store)
     monkeypatch.setattr(code_cache, "show", show)
-    monkeypatch.setattr(EntryCompiler, "_compile_core", slow)
+    monkeypatch.setattr(KernelCompiler, "_compile_core", slow)
     assert entry(fourth_power)(2.0) == 16.0
     assert stages == ["compiling test_jit.fourth_power, 1 functions"]
     assert 0 <= reports[0][0] < reports[-1][0] <= 1000

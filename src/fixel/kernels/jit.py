@@ -44,7 +44,7 @@ from fixel.kernels.code_cache import (
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-KNOWN_NUMBA = ((0, 68),)  # versions with which `HelperCompiler` is tested
+KNOWN_NUMBA = ((0, 68),)  # versions with which `KernelCompiler` is tested
 
 # Numba's type information is incomplete.
 _njit: Any = numba.njit
@@ -88,7 +88,7 @@ class _Intermediate(_codegen.JITCodeLibrary):  # type: ignore[misc]
         return 0
 
 
-class _Closed(_codegen.JITCodeLibrary):  # type: ignore[misc]
+class _EntryLibrary(_codegen.JITCodeLibrary):  # type: ignore[misc]
     """Code library of an entry, whose helpers no other code calls: LLVM may drop their unused
     arguments. A helper has hundreds, since every array is seven or nine numbers."""
 
@@ -100,23 +100,19 @@ class _Closed(_codegen.JITCodeLibrary):  # type: ignore[misc]
 
 
 @_machinery.register_pass(mutates_CFG=False, analysis_only=True)
-class _TakeClosed(_machinery.FunctionPass):  # type: ignore[misc]
+class _TakeLibrary(_machinery.FunctionPass):  # type: ignore[misc]
     """Pass that installs the library before the code generation would create an ordinary one."""
 
-    _name, _library = "fixel_take_closed", _Closed
+    _name = "fixel_take_library"
 
     def __init__(self) -> None:
         super().__init__()
 
     def run_pass(self, state: Any) -> bool:
-        state.library = self._library(state.targetctx.codegen(), state.func_id.func_qualname)
+        library = _Intermediate if state.flags.no_cpython_wrapper else _EntryLibrary
+        state.library = library(state.targetctx.codegen(), state.func_id.func_qualname)
         state.library.enable_object_caching()
         return True
-
-
-@_machinery.register_pass(mutates_CFG=False, analysis_only=True)
-class _TakeIntermediate(_TakeClosed):
-    _name, _library = "fixel_take_intermediate", _Intermediate
 
 
 COMPILING = "Compiling numerical code; this can take a minute"
@@ -202,10 +198,8 @@ def _functions_below(function: Any, found: set[Any]) -> set[Any]:
     return found
 
 
-class EntryCompiler(_compiler.CompilerBase):  # type: ignore[misc]
-    """Compiler pipeline of Numba for functions that Python calls, with fast bookkeeping."""
-
-    _take: Any = _TakeClosed
+class KernelCompiler(_compiler.CompilerBase):  # type: ignore[misc]
+    """Compiler pipeline of Numba with our libraries and fast bookkeeping."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -236,15 +230,9 @@ class EntryCompiler(_compiler.CompilerBase):  # type: ignore[misc]
 
     def define_pipelines(self) -> list[Any]:
         passes = _compiler.DefaultPassBuilder.define_nopython_pipeline(self.state)
-        passes.add_pass_after(self._take, _passes.NopythonTypeInference)
+        passes.add_pass_after(_TakeLibrary, _passes.NopythonTypeInference)
         passes.finalize()
         return [passes]
-
-
-class HelperCompiler(EntryCompiler):
-    """Compiler pipeline of Numba for functions that only compiled code calls."""
-
-    _take = _TakeIntermediate
 
 
 # error_model="numpy": division by zero follows IEEE without a test; the kernels have their own
@@ -255,10 +243,9 @@ _FLAGS: dict[str, Any] = {"error_model": "numpy", "fastmath": False}
 # the first simulation after installation takes 46 s instead of 64 s.
 _INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, **_FLAGS}
 _ENTRY = dict(_FLAGS)
-# With other versions of Numba than these compilers were written for, it compiles as usual.
+# With other versions of Numba than this compiler was written for, it compiles as usual.
 if numba.version_info.short in KNOWN_NUMBA:
-    _INNER["pipeline_class"] = HelperCompiler
-    _ENTRY["pipeline_class"] = EntryCompiler
+    _INNER["pipeline_class"] = _ENTRY["pipeline_class"] = KernelCompiler
 
 
 def _inner(function: Function, **flags: Any) -> Function:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from importlib import import_module
@@ -45,8 +45,8 @@ from fixel.simulation.simulate import (
 from fixel.simulation.solver import SOLVERS, AbstractSolver, Newton
 from fixel.simulation.stepper import AbstractStepper, Adaptive
 from fixel.simulation.threads import rollout_in_threads
-from fixel.simulation.vary import variation_of
-from fixel.typing import BoolArray, FloatArray
+from fixel.simulation.vary import Variation, variation_of
+from fixel.typing import BoolArray, FloatArray, IntArray
 
 STATUS_NAMES: Final = np.array(codes.STATUS_NAMES)
 SLOPES: Final = "fixel.simulation.derivatives"  # imported late: few batches need it
@@ -179,20 +179,40 @@ def simulate_batch(  # type: ignore[misc]
         finished = _unpack(scene, packed, record, instants, variation.parameters)
         raise Interrupted(finished) from None
     runs = _unpack(scene, packed, record, instants, variation.parameters)
+    if not (accuracy or derivatives):
+        return runs
     last = float(instants[-1])  # poses after it are not in the result
-    ends, modes = runs.final[:, : len(scene.bodies)], None
-    if derivatives:
-        packed_of = partial(pack, scene, motion, stepper, duration=last)
+    packed_of = partial(pack, scene, motion, stepper, duration=last)
+    if accuracy and last < seconds:
+        packed = packed_of(variation, n)
+    to_confirm = (packed, record.status) if accuracy else None
+    return _follow_modes(runs, variation, derivatives, packed_of, to_confirm, method, threads)
+
+
+def _follow_modes(
+    runs: BatchResult,
+    variation: Variation,
+    names: Sequence[str],
+    packed_of: Callable[..., PackedBatch],
+    to_confirm: tuple[PackedBatch, IntArray] | None,
+    method: StepMethod,
+    threads: int | None,
+) -> BatchResult:
+    """Return the runs with their derivatives, if any are named, and accuracy.
+
+    The latter is that of packed runs with a status, if they are given.
+    """
+    ends, modes = runs.final[:, : len(runs.scene.bodies)], None
+    if names:
         slopes, found, modes = import_module(SLOPES).end_slopes(
-            scene, variation, derivatives, packed_of, method, ends[:, 0], runs.converged, threads
+            runs.scene, variation, names, packed_of, method, ends[:, 0], runs.converged, threads
         )
         runs = replace(runs, derivatives=slopes, differentiable=found)
-    if accuracy:
+    if to_confirm is not None:
         from fixel.simulation.accuracy import confirm  # late: few batches need it
 
-        if last < seconds:
-            packed = pack(scene, motion, stepper, variation, n, last)
-        sure = confirm(packed, method, ends, record.status, threads, modes)
+        packed, status = to_confirm
+        sure = confirm(packed, method, ends, status, threads, modes)
         apart = np.stack((sure.distance, sure.angle), axis=1)
         runs = replace(runs, accuracy=sure.verdict, apart=apart)
     return runs
