@@ -40,11 +40,7 @@ def analysis_of(found: FoundPlan) -> Analysis:
         question={},
         headline=tuple(_headline(found)),
         warnings=found.warnings,
-        tables=(
-            plan.push_table("Pushes"),
-            plan.success_table("Success probability"),
-            *causes,
-        ),
+        tables=(plan.push_table("Pushes"), plan.success_table("Success probability"), *causes),
         notes=explained.sentences,
         methods=(_methods(plan),),
         numbers=numbers_of(found),
