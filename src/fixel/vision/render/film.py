@@ -155,8 +155,8 @@ def film_scene(
 def tracks_of(scene: Scene, motion: Motion) -> dict[str, Trajectory]:
     """Trajectories of all bodies and pushers of a scene, by name."""
     names = [*(body.name for body in scene.bodies), *(pusher.name for pusher in scene.pushers)]
-    for name in () if isinstance(motion, Simulation) else names:
-        if name not in motion:
+    for name in names:
+        if not isinstance(motion, Simulation) and name not in motion:
             found, expected = f"no trajectory of {name!r}", "trajectories of all moving bodies"
             raise InvalidInput("motion", found=found, expected=expected)
     return {name: motion[name] for name in names}

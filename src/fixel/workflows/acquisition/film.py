@@ -26,7 +26,7 @@ from fixel.model import Body, Experiment, PlannedExperiment, Pusher, Scene, Traj
 from fixel.model.probability import stream
 from fixel.simulation import Simulation, simulate
 from fixel.simulation.simulate import get_ready
-from fixel.testbed.imperfections import tactile_channel, touching
+from fixel.testbed.imperfections import felt, touching
 from fixel.testbed.simulated import TRUTH, SimulatedTestbed
 from fixel.typing import BoolArray, FloatArray, ProgressCallback
 from fixel.vision.frame import Frame
@@ -255,7 +255,7 @@ def _readings(
         return np.full(len(times), -1, np.int64)
     rng = stream(seed, "film", "tactile", subject.name)
     wrong = subject.testbed.false_contact, subject.testbed.missed_contact
-    reported = tactile_channel(times, touches, *wrong, rng).values.astype(np.int64)
+    reported = felt(touches, *wrong, rng).astype(np.int64)
     total = np.zeros(len(times), np.int64)
     for bit, name in enumerate(rig.tactile):
         if name in names:
