@@ -54,10 +54,10 @@ def end_slopes(
     """Differentiate the last pose of one part by its start pose and by parameters.
 
     `names` are parameters, or ``"x"``, ``"y"`` and ``"theta"`` of the start pose. `packed_of` packs
-    a number of rollouts of another variation. Rollouts have the last poses `pose` (n, 3), and those
-    that `ended` (n,) reached their end. Returns derivatives (n, 3) of x, y and theta by name in SI
-    units, NaN where there are none, a mask (n,) of the rollouts that have any, and the modes that
-    all passed through.
+    a number of rollouts of another variation. Rollouts have the last poses `pose` (n, 3); `ended`
+    (n,) are those that were not stopped before. Returns derivatives (n, 3) of x, y and theta by
+    name in SI units, NaN where there are none, a mask (n,) of the rollouts that have any, and the
+    modes that all passed through.
     """
     columns = _columns(scene, names, variation)
     own = [name for name in dict.fromkeys(columns) if name not in POSE_NAMES]
@@ -149,7 +149,7 @@ def _slopes(
     threads: int | None,
 ) -> tuple[FloatArray, BoolArray]:
     """Differentiate last poses by x, y and theta at the start, and by parameters changed by
-    `widths`; writes the modes into `record`."""
+    `widths`, and write the modes into `record`."""
     n, n_own = widths.shape
     stride, length = 1 + n_own, packed.units.length
     slope = np.zeros((n, 1, 3, 3 + n_own))
