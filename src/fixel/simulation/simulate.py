@@ -407,8 +407,9 @@ class Simulator:
             )
             result["derivatives"] = {k: v[0] for k, v in columns.items()} if good[0] else {}
         if accuracy:
-            sure = import_module("fixel.simulation.accuracy")  # late: few runs need it
-            result["accuracy"] = sure.confirm(packed, self._method, ends, status, 1, modes)[0]
+            from fixel.simulation.accuracy import confirm  # late: few runs need it
+
+            result["accuracy"] = confirm(packed, self._method, ends, status, 1, modes)[0]
         return result
 
     def _record(
