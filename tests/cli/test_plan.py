@@ -52,6 +52,8 @@ def test_a_goal_file_becomes_a_plan_file(capsys, folder):
     assert "Start: 0.5 mm, 0.5 deg standard deviation." in lines
     assert lines[-1] == f"Next: fixel plan run {folder / 'goal.plan'}"
     assert (folder / "goal.plan").is_file()
+    assert "Failures" not in text
+    assert "Causes of failures" not in text
 
 
 def test_a_part_that_meets_its_goal_is_left_alone(capsys, folder, tmp_path):
@@ -62,6 +64,15 @@ def test_a_part_that_meets_its_goal_is_left_alone(capsys, folder, tmp_path):
     assert "Next:" not in text
     assert {file.stem for file in tmp_path.iterdir()} == {"paths"}
     refusal(capsys, "plan", "run", goal.with_suffix(".plan"))
+
+
+def test_causes_are_shown_where_a_plan_fails(capsys, folder, tmp_path):
+    goal = folder / "fails.yaml"
+    goal.write_text(GOAL.replace("0.5", "2"))
+    text = output(capsys, "plan", goal, "--rollouts", 1000, "--plot", tmp_path)
+    assert "Failures: " in text
+    assert "Causes of failures\n" in text
+    assert {file.stem for file in tmp_path.iterdir()} == {"paths", "capture", "causes"}
 
 
 def test_a_plan_is_checked_run_and_written_for_other_robots(capsys, plan, tmp_path):
@@ -154,8 +165,10 @@ def test_a_plan_with_looks_chooses_the_next_push_at_once(capsys, with_looks):
 def test_a_plan_with_looks_states_what_they_are_worth(printed, with_looks):
     assert "1 push and up to 2 looks: success probability" in printed
     charts = with_looks.with_name("charts").iterdir()
-    assert {file.stem for file in charts} == {"paths", "looks", "capture", "causes"}
-    looks = numbers_of(load_plan(with_looks).found)["looks"]
+    assert {file.stem for file in charts} == {"paths", "looks", "capture"}
+    numbers = numbers_of(load_plan(with_looks).found)
+    assert numbers["failures"] == {}
+    looks = numbers["looks"]
     assert (looks["most"], len(looks["success"]), looks["lost_views"]) == (2, 3, 0.0)
     before, after, last = looks["success"]
     assert f"Look 1 raises the success probability from {before:.2f} to {after:.2f}" in printed

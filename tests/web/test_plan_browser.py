@@ -31,7 +31,7 @@ def test_a_goal_is_dragged_planned_shown_and_tried(browser_page, server):
     assert float(page.input_value("#x_mm")) > before + 1.0
     page.fill("#x_mm", str(before))
     assert page.input_value("#rollouts") == "160000"
-    fields = {"position_mm": 8, "tolerance_deg": 10, "rollouts": 2000, "seen_mm": 0.7}
+    fields = {"position_mm": 2, "tolerance_deg": 3, "rollouts": 2000, "seen_mm": 0.7}
     for name, value in fields.items():
         page.fill(f"#{name}", str(value))
     with page.expect_request("**/run/plan") as sent:
@@ -41,6 +41,7 @@ def test_a_goal_is_dragged_planned_shown_and_tried(browser_page, server):
     page.click("#result", timeout=120_000)
     page.wait_for_selector("#of-plan")
     assert "success probability" in page.inner_text("#content")
+    assert "Causes of failures" in page.inner_text("#content")
     assert page.locator("figure img").count() == 3
     page.click("#try")
     page.wait_for_selector("#trials:has-text('20 trials')")
