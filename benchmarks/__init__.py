@@ -1,4 +1,4 @@
-"""Speed and accuracy of fixel against its targets and beside its peers: python -m benchmarks."""
+"""Speed and accuracy of fixel against its targets and its peers: python -m benchmarks."""
 
 import os
 

@@ -78,7 +78,7 @@ def measured(function: Callable[..., Any], *arguments: Any) -> Call:
 
 
 def run(size: Size) -> list[Figure]:
-    """Tracking with a recording beside, and live estimates."""
+    """Tracking during a recording, and live estimates."""
     n = 20 if size.rollouts >= 500 else 2
     with tempfile.TemporaryDirectory() as folder, patch.object(devices, "SMALLER", 1.0):
         film, row = _filmed(Path(folder), n)
@@ -145,7 +145,7 @@ def _tracking(film: Path, row: PlannedExperiment, folder: Path, n: int) -> list[
         waits.append(at - end)
         works.append(answer.work)
     tracker.close()
-    label = "bench, film of 11 s with a recording beside"
+    label = "bench, film of 11 s during a recording"
     return [
         Figure(
             f"{label}, end of the recording to tracked poses",

@@ -1,7 +1,7 @@
 """What live pictures cost, and how late they are: ``python -m benchmarks.live``.
 
 Frames of the rendered bench at 1280 x 720. Processor time a frame of the overlay; the time from
-`LiveView.show` until the last byte of a picture is with a reader on this machine, alone and beside
+`LiveView.show` until the last byte of a picture is with a reader on this machine, alone and with
 readers that stand still; and until a Chromium has painted it, likewise.
 """
 
@@ -168,7 +168,7 @@ def standing_readers(server: WebServer) -> Iterator[None]:
             still.close()
 
 
-def reader_beside_standing(server: WebServer) -> Callable[[], list[tuple[int, float]]]:
+def reader_among_standing(server: WebServer) -> Callable[[], list[tuple[int, float]]]:
     """`reader`, with others that stand still."""
     standing = standing_readers(server)
     standing.__enter__()
@@ -216,7 +216,7 @@ def main() -> None:
     processor_time(overlay, frames)
     pictures = [frame.picture for frame in frames]
     _print_delays("to a reader", delays(pictures, reader))
-    _print_delays(f"beside {STANDING} that stand still", delays(pictures, reader_beside_standing))
+    _print_delays(f"with {STANDING} that stand still", delays(pictures, reader_among_standing))
     if shutil.which("chromium"):
         _print_delays("painted by Chromium", delays(pictures, chromium))
         slowly = delays(pictures, chromium, SLOWLY)

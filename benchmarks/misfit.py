@@ -2,7 +2,7 @@
 
 ``python -m benchmarks misfit`` takes about 8 s of one core a laboratory, and writes two rows of
 each to `ROWS` as it goes: a run that was stopped continues, and a partial one counts as far as it
-got. The rows in the repository are those of the documentation; delete the file to begin anew.
+got. The rows in the repository are those of the documentation; delete the file to start again.
 """
 
 from __future__ import annotations
@@ -121,18 +121,18 @@ def laboratory(kind: str, seed: int, layouts: int = LAYOUTS) -> list[dict[str, s
     for name in FRICTIONS:
         ratios = [float(e.conditions[f"truth_{name}_friction_ratio"]) for e in experiments]
         k = comparer.space.labels.index(f"mu_{name}")
-        told = (math.nan,) * 3
+        stated = (math.nan,) * 3
         if honest is not None:
-            told = (float(honest.value[k]), float(honest.sd[k]), float(honest.freedom[k]))
+            stated = (float(honest.value[k]), float(honest.sd[k]), float(honest.freedom[k]))
         noise = [1e3 * misfit.noise.position_m, 1e3 * misfit.noise.angle_rad]
-        own = (f"mu_{name}", NOMINAL * float(np.mean(ratios)), *told)
+        own = (f"mu_{name}", NOMINAL * float(np.mean(ratios)), *stated)
         values: tuple[str | float, ...] = (kind, seed, misfit.ratio, *noise, *own)
         rows.append(dict(zip(HEAD, values, strict=True)))
     return rows
 
 
 def run(size: Size) -> list[Figure]:
-    """Coverage of intervals of friction, and what a right model is told."""
+    """Coverage of intervals of friction, and what is reported for a right model."""
     full = size.rollouts >= 500
     path = ROWS if full else None
     # Mixed, so that a run cut short has some of each.

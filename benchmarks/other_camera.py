@@ -2,7 +2,7 @@
 
 ``python -m benchmarks other-camera`` writes the rows of a board and a seed to `ROWS` as it goes: a
 run that was stopped continues, and a partial one counts as far as it got. The rows in the
-repository are those of the documentation; delete the file to begin anew.
+repository are those of the documentation; delete the file to start again.
 """
 
 from __future__ import annotations

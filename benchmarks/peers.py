@@ -72,7 +72,7 @@ def run(size: Size) -> list[Figure]:
     figures = [ours.time, ours.call, *ours.errors]
     for peer in PEERS:
         try:
-            figures += _beside(peer, task, ours, size, screen)
+            figures += _compared(peer, task, ours, size, screen)
         except MissingExtra:
             screen.print(f"      {peer.title}: not installed, skipped (make bench installs it)")
     return figures
@@ -110,7 +110,7 @@ def _fixel(scene: Scene, size: Size) -> Ours:
     )
 
 
-def _beside(peer: Peer, task: PlainTask, ours: Ours, size: Size, screen: Console) -> list[Figure]:
+def _compared(peer: Peer, task: PlainTask, ours: Ours, size: Size, screen: Console) -> list[Figure]:
     """The fastest accurate setting of one peer."""
     tried = [_largest_step(peer, variant, task, size, screen) for variant in peer.variants]
     found = [one for one in tried if one is not None]

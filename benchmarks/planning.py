@@ -1,7 +1,7 @@
 """Plans carried out in another model: success stated by the planner, and success in the laboratory.
 
 ``python -m benchmarks planning``: every task has a world of its own, a simulated laboratory with
-uneven pressure, a rough plate, and friction and centre of pressure that nobody states. It records
+uneven pressure, a rough plate, and friction and centre of pressure that are not stated. It records
 eight experiments into a project, `fixel.calibrate` stores a calibration there, and the plan is that
 of `fixel plan GOAL --untrusted`: the same function with the same defaults, so that the belief is
 that of a calibration. The plan is carried out 200 times in that world with new conditions and new

@@ -48,7 +48,7 @@ def _wall(duration: float) -> float:
 
 
 def _around(size: Size) -> Figure:
-    """Checking, packing and unpacking: what a call costs beside its steps."""
+    """Checking, packing and unpacking: what a call costs in addition to its steps."""
     scene = grasp("seated")
     inside: list[float] = []
 

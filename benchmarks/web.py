@@ -1,7 +1,7 @@
 """How fast the table of experiments is there, with many experiments.
 
 ``python -m benchmarks.web [--n 10000] [--project FOLDER]``: a project as `benchmarks.store` fills
-it, unless a folder with one is given; `fixel serve` in a process of its own, started anew; the
+it, unless a folder with one is given; `fixel serve` in a fresh process; the
 first answers to a program, and the first paint in a real browser.
 """
 
@@ -62,7 +62,7 @@ def filled(folder: Path, n: int) -> Path:
 
 
 class Served:
-    """`fixel serve`, started anew."""
+    """`fixel serve` in a fresh process."""
 
     def __init__(self, project: Path) -> None:
         code = "from fixel.cli.main import run; run()"

@@ -58,7 +58,7 @@ def _skipped(size: Size) -> list[str]:
     return [] if size is FULL else ["frames and slider: skipped (tiny size)"]
 
 
-# --- a table that nobody has asked for before -------------------------------------------------
+# --- a table that was not requested before ---------------------------------------------------
 
 
 def _cold(project: Path, n: int, repeats: int) -> list[Figure]:

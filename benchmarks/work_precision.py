@@ -1,6 +1,6 @@
 """Error against work of the three steppers: ``python -m benchmarks.work_precision``.
 
-Draws docs/pictures/work_precision.png and writes its numbers beside the other results.
+Draws docs/pictures/work_precision.png and writes its numbers to the other results.
 """
 
 from __future__ import annotations
@@ -218,13 +218,13 @@ def read(path: Path) -> list[Point]:
         ]
 
 
-# Okabe and Ito's colours, told apart by shape as well.
+# Okabe and Ito's colours, with shapes that differ as well.
 STYLES = {
     "stewart-trinkle": ("Stewart–Trinkle", "#D55E00", "s"),
     "midpoint": ("midpoint", "#0072B2", "^"),
     "adaptive": ("adaptive", "#009E73", "o"),
 }
-# Which settings are written beside their points; the two fixed steps cost the same at each step.
+# Which settings are written next to their points; the two fixed steps cost the same at each step.
 LABELLED = {
     "stewart-trinkle": {0.04: "40 ms", 0.01: "10 ms", 0.001: "1 ms"},
     "midpoint": {},

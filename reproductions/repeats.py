@@ -86,9 +86,9 @@ def run(options: RunOptions) -> Reproduction:
     for k, group in enumerate(groups):
         predictions.append(_two_point(group, groups, worlds))
         options.progress(k + 1, len(groups) + 1, group.name)
-    beside = options.folder.parent / "rpi_2dgad"
-    if Rpi2dgad().recognised(beside):
-        predictions.append(_alike(beside, worlds))
+    other = options.folder.parent / "rpi_2dgad"
+    if Rpi2dgad().recognised(other):
+        predictions.append(_alike(other, worlds))
     options.progress(len(groups) + 1, len(groups) + 1, "trials that start alike")
     return Reproduction(
         tables={"groups": [_row(one) for one in predictions]},

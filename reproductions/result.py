@@ -90,8 +90,8 @@ class Reproduction:
         from fixel.drawing.chart import save_figure
 
         out.mkdir(parents=True, exist_ok=True)
-        with written_whole(out / f"{self.name}.json") as beside:
-            beside.write_text(json.dumps(self.summary(), indent=1), encoding="utf-8")
+        with written_whole(out / f"{self.name}.json") as file:
+            file.write_text(json.dumps(self.summary(), indent=1), encoding="utf-8")
         for name, rows in self.tables.items():
             write_table(out / f"{self.name}_{name}.csv", rows)
         save_figure(self.figure, out / f"{self.name}.png")
@@ -238,8 +238,8 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
     """Write rows to a CSV file, with a column for every name that occurs."""
     columns = list(dict.fromkeys(name for row in rows for name in row))
     with (
-        written_whole(path) as beside,
-        beside.open("w", encoding="utf-8", newline="") as stream,
+        written_whole(path) as file,
+        file.open("w", encoding="utf-8", newline="") as stream,
     ):
         writer = csv.DictWriter(stream, columns, restval="")
         writer.writeheader()

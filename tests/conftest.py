@@ -301,7 +301,7 @@ def compiled_here() -> None:
 
 @pytest.fixture(scope="session")
 def data_root() -> Path:
-    """Folder of the real push data: `FIXEL_DATA`, else `shared/data` beside the repository."""
+    """Folder of the real push data: `FIXEL_DATA`, else `shared/data` next to the repository."""
     named = os.environ.get("FIXEL_DATA")
     folder = Path(named) if named else REPOSITORY.parent / "shared" / "data"
     if not folder.is_dir():

@@ -1,6 +1,6 @@
 """Measure the structure and the language of the source: ``python -m tools.house``.
 
-``limits.toml`` beside this file holds the largest value that each figure may have.
+``limits.toml`` next to this file holds the largest value that each figure may have.
 ``--tighten`` lowers the limits to what is measured; ``--list FIGURE`` names the places that count.
 """
 

@@ -103,7 +103,7 @@ def test_work_precision_diagram(tmp_path: Path) -> None:
     )
 
 
-def test_command_writes_where_it_is_told(
+def test_command_writes_where_it_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert command.main(["grasp", "--small", "--output", str(tmp_path)]) == 0

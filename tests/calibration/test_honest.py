@@ -158,7 +158,7 @@ def test_disagreement_of_the_fits_widens_and_few_experiments_do_too():
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.02])
-def test_a_fit_that_is_told_little_stays_near_and_admits_it(slope):
+def test_a_fit_to_few_data_stays_near_and_is_wide(slope):
     """Residuals of a formula: 50 mm a unit of friction at the pusher, hardly any at the fixels."""
     comparer, _, _ = _fitted("wrong")
     shifted, start = ShiftModel(comparer), np.array([0.35, 0.2, 0.05])

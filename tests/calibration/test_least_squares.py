@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt beside SciPy's; priors, roughness, failures, replay."""
+"""Levenberg-Marquardt compared with SciPy's; priors, roughness, failures, replay."""
 
 import numpy as np
 import pytest
@@ -72,7 +72,7 @@ def test_prior_is_a_ridge():
     assert found.deviance == pytest.approx(np.sum(residuals(found.point[None]) ** 2) + apart)
 
 
-def test_weighted_prior_keeps_its_weight_beside_dispersed_residuals():
+def test_weighted_prior_keeps_its_weight_with_dispersed_residuals():
     prior = NormalPrior(mean=np.zeros(1), sd=np.ones(1))
     assert prior.weighted(4.0).deviance([[1.0]]) / 4.0 == pytest.approx(prior.deviance([[1.0]]))
 
@@ -112,10 +112,10 @@ def test_failed_points_are_stepped_around():
     smooth = decay_residuals(3)
 
     def holed(points):
-        told = smooth(points)
-        told[(points[:, 1] > 1.0) & (points[:, 1] < 1.1) & (points[:, 0] < 1.9)] = np.inf
-        told[points[:, 2] < -0.1] = np.inf
-        return told
+        values = smooth(points)
+        values[(points[:, 1] > 1.0) & (points[:, 1] < 1.1) & (points[:, 0] < 1.9)] = np.inf
+        values[points[:, 2] < -0.1] = np.inf
+        return values
 
     found = fit(LeastSquares().start(DECAY_BOX), holed)
     clean = fit(LeastSquares().start(DECAY_BOX), smooth)
@@ -124,9 +124,9 @@ def test_failed_points_are_stepped_around():
 
 def test_neighbours_that_fail_leave_a_parameter_where_it_is():
     def narrow(points):
-        told = np.stack((points[:, 0] - 0.3, points[:, 1] - 0.4), axis=1)
-        told[points[:, 1] != 0.5] = np.inf
-        return told / 0.01
+        values = np.stack((points[:, 0] - 0.3, points[:, 1] - 0.4), axis=1)
+        values[points[:, 1] != 0.5] = np.inf
+        return values / 0.01
 
     found = fit(LeastSquares().start(box([0, 0], [1, 1])), narrow)
     np.testing.assert_allclose(found.point, [0.3, 0.5], atol=1e-5)
@@ -154,10 +154,10 @@ def test_replay_asks_for_the_same_points_and_stays_in_the_box():
         journal.append((first.ask(), residuals(first.ask())))
         first.tell(journal[-1][1])
     second = LeastSquares(starts=4).start(DECAY_BOX, seed=2)
-    for points, told in journal:
+    for points, values in journal:
         assert np.array_equal(second.ask(), points)
         assert np.array_equal(second.ask(), points)
-        second.tell(told)
+        second.tell(values)
         assert ((points >= DECAY_BOX.low) & (points <= DECAY_BOX.high)).all()
     assert second.done
     assert second.best.error == first.best.error
@@ -207,9 +207,9 @@ def test_no_point_is_requested_twice_where_no_step_helps():
 
 def test_an_edge_on_all_sides_does_not_shrink_steps_for_ever():
     def cornered(points):
-        told = (points - np.array([0.3, 0.4])) / 0.01
-        told[:, 0] += 1e150 * (points[:, 1] != 0.5)
-        return told
+        values = (points - np.array([0.3, 0.4])) / 0.01
+        values[:, 0] += 1e150 * (points[:, 1] != 0.5)
+        return values
 
     found = fit(LeastSquares().start(box([0, 0], [1, 1])), cornered)
     assert np.isfinite(found.hessian).all()

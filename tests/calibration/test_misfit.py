@@ -1,4 +1,4 @@
-"""Noise that is read off measured poses, and residuals beside it."""
+"""Noise estimated from measured poses, compared with residuals."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Nelder-Mead beside SciPy's, its bounds and its size; several starts."""
+"""Nelder-Mead compared with SciPy's, its bounds and its size; several starts."""
 
 import numpy as np
 import pytest

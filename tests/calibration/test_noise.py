@@ -34,10 +34,10 @@ def autoregressive(rng, a, shape):
 @pytest.mark.parametrize("a", [0.0, 0.5, 0.9])
 def test_correlation_time_of_an_autoregressive_series(a):
     rng = np.random.default_rng(7)
-    told = [
+    values = [
         correlation_time([autoregressive(rng, a, (330, 3)) for _ in range(8)]) for _ in range(10)
     ]
-    assert np.mean(told) == pytest.approx((1.0 + a) / (1.0 - a), rel=0.15)
+    assert np.mean(values) == pytest.approx((1.0 + a) / (1.0 - a), rel=0.15)
 
 
 def test_correlation_time_at_its_ends():
@@ -51,12 +51,12 @@ def test_correlation_time_at_its_ends():
 def test_repetitions_give_the_scatter_without_bias():
     rng = np.random.default_rng(3)
     path = np.stack((np.linspace(0, 0.1, 20), np.zeros(20), np.linspace(0, 7.0, 20)), axis=1)
-    told = []
+    values = []
     for _ in range(200):
         groups = [path + SD * rng.normal(size=(r, 20, 3)) for r in (2, 3, 5, 1)]
         noise = noise_from_repetitions(groups)
-        told.append((noise.position_m, noise.angle_rad))
-    variance = np.mean(np.square(told), axis=0)
+        values.append((noise.position_m, noise.angle_rad))
+    variance = np.mean(np.square(values), axis=0)
     np.testing.assert_allclose(variance, SD[[0, 2]] ** 2, rtol=0.02)
     assert noise.source == "repetitions"
     # 1 + 2 + 4 free repetitions of 20 frames, x and y.
@@ -110,9 +110,9 @@ def test_known_noise_is_believed_until_the_fit_is_too_bad():
 
 
 def test_too_few_residuals_are_a_wide_answer_and_not_an_exception():
-    told = estimated_dispersion(deviance=3.0, count=30, unknowns=4, correlation=20.0)
-    assert told.freedom == 1.0
-    assert told.threshold() > 100.0
+    values = estimated_dispersion(deviance=3.0, count=30, unknowns=4, correlation=20.0)
+    assert values.freedom == 1.0
+    assert values.threshold() > 100.0
     assert estimated_dispersion(0.0, 30, 4).value > 0.0
 
 

@@ -1,4 +1,4 @@
-"""Profile intervals beside closed forms and brute force; coverage; better optima; roughness."""
+"""Profile intervals against closed forms and brute force; coverage; better optima; roughness."""
 
 import numpy as np
 import pytest
@@ -227,9 +227,9 @@ def test_coverage():
 
 def test_failing_region_is_a_bound():
     def halved(points):
-        told = np.stack((points[:, 0] - 0.48, points[:, 1] - points[:, 0]), axis=1) / 0.02
-        told[points[:, 0] > 0.5] = np.inf
-        return told
+        values = np.stack((points[:, 0] - 0.48, points[:, 1] - points[:, 0]), axis=1) / 0.02
+        values[points[:, 0] > 0.5] = np.inf
+        return values
 
     _, found = calibrated(halved, box([0, 0], [1, 1], [0.4, 0.4]))
     assert found.profiles[0].high is None
@@ -263,9 +263,9 @@ def test_replay_and_size_of_batches():
         journal.append((first.ask(), residuals(first.ask())))
         first.tell(journal[-1][1])
     second = ProfileLikelihood().start(DECAY_BOX, start, THRESHOLD)
-    for points, told in journal:
+    for points, values in journal:
         assert np.array_equal(second.ask(), points)
-        second.tell(told)
+        second.tell(values)
         assert ((points >= DECAY_BOX.low) & (points <= DECAY_BOX.high)).all()
     assert np.array_equal(intervals(second.profiles), intervals(first.profiles))
     # Six sides run side by side: few batches, many points in each.

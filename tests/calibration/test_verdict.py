@@ -150,7 +150,7 @@ def test_two_minima_are_not_identified_once_both_are_known():
     assert estimates[0].high > 0.79
 
 
-def test_bumps_are_told():
+def test_bumps_are_reported():
     estimates = verdicts(rough(decay_residuals(2), size=0.5, jump=0.0), DECAY_BOX)
     assert any("smaller steps" in verdict.reason for verdict in estimates)
 

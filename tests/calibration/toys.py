@@ -51,10 +51,10 @@ def rough(residuals, size=1e-3, jump=0.05, offset=0.0):
     """The same with deterministic noise in the last digits, and jumps."""
 
     def shaken(points):
-        told = residuals(points)
-        phase = 1e7 * points.sum(axis=1, keepdims=True) + np.arange(told.shape[1]) + offset
+        values = residuals(points)
+        phase = 1e7 * points.sum(axis=1, keepdims=True) + np.arange(values.shape[1]) + offset
         steps = np.floor(37.0 * points[:, :1]) % 2.0
-        return told + size * np.sin(phase) + jump * steps * np.cos(np.arange(told.shape[1]))
+        return values + size * np.sin(phase) + jump * steps * np.cos(np.arange(values.shape[1]))
 
     return shaken
 

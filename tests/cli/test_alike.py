@@ -106,7 +106,7 @@ def test_what_is_next_without_a_project_can_be_pasted(capsys, tmp_path, monkeypa
     assert not any(word.isupper() for word in typed)
 
 
-def test_numbers_that_are_an_id_and_a_name_are_told_apart(capsys, lab):
+def test_numbers_that_are_an_id_and_a_name_are_distinguished(capsys, lab):
     assert output(capsys, "show", "1", "--project", lab).startswith("own/run 1; true: real\n")
     output(capsys, "show", "2", "--project", lab)  # id and name of one
     add(Project(lab), "own/1", [0.0, 0.0, 0.0])

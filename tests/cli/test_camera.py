@@ -186,7 +186,7 @@ def test_tags_of_the_plate_are_used_before_a_board_and_the_board_instead_of_none
     (tmp_path / "rig.yaml").write_text(yaml_text(content))
     cv2.imwrite(str(tmp_path / "plate.png"), tagged(true, tuple(tags)))
     shutil.copy(folder / "flat.png", tmp_path / "flat.png")
-    # No rig is named: the one beside the picture is taken.
+    # No rig is named: the one next to the picture is taken.
     for name, words in (("plate.png", "placed by the tags"), ("flat.png", "placed by the board")):
         text = output(
             capsys, "camera", "place", placed, tmp_path / name, "--board", BOARD,

@@ -95,7 +95,7 @@ def test_check_of_what_is_no_database(folder):
 def test_a_backup_reads_back_while_another_process_writes(folder, tmp_path):
     copy = tmp_path / "copy.db"
     with Project(folder).store() as store:
-        store.add_experiment(bare_experiment("d"))  # still in the journal beside the database
+        store.add_experiment(bare_experiment("d"))  # still in the journal of the database
         code, out = call("backup", copy, folder)
         store.add_experiment(bare_experiment("e"))
     assert code == 0

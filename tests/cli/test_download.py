@@ -56,7 +56,7 @@ def test_another_file_than_asked_for_is_not_kept(site, tmp_path, capsys):
     assert not [p for p in folder.iterdir() if p.is_file()]
 
 
-def test_without_a_checksum_it_is_told(site, tmp_path, capsys):
+def test_without_a_checksum_it_is_reported(site, tmp_path, capsys):
     code, out, err = fixel(capsys, "data", f"{site}/run.csv", "-o", tmp_path / "data")
     assert code == 0
     assert hashlib.sha256(CONTENT).hexdigest() in out

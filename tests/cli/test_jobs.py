@@ -176,7 +176,7 @@ def show_on(monkeypatch):
     return show
 
 
-def test_the_bar_is_empty_while_nobody_knows_how_much_follows(capsys, show_on):
+def test_the_bar_is_empty_while_the_total_is_unknown(capsys, show_on):
     show_on(True)(_progress())
     said = capsys.readouterr().err
     assert "#" not in said

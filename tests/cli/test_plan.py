@@ -197,7 +197,7 @@ def test_what_a_plan_with_looks_does_not_take_is_refused(capsys, with_looks):
     (("plan", "bad.yaml"), "goal.pose.symmetry"),
     (("plan", "far.yaml", "--rollouts", "1000"), "at 40 mm, 0 mm, 0 deg: it misses by"),
 ])  # fmt: skip
-def test_what_is_wrong_is_told_in_one_line(capsys, plan, folder, words, message):
+def test_an_error_is_one_line(capsys, plan, folder, words, message):
     (folder / "bad.yaml").write_text(GOAL.replace("symmetry: 4", "symmetry: four"))
     (folder / "far.yaml").write_text(GOAL.replace("[31, 0, 0]", "[900, 0, 0]"))
     given = [folder / word if word.endswith((".yaml", ".plan")) else word for word in words]

@@ -179,7 +179,7 @@ def test_a_served_film_is_a_camera(tmp_path, capsys):
     finally:
         server.send_signal(signal.SIGINT)
         server.communicate(timeout=60.0)
-    assert code == 1  # nobody wanted it to end there
+    assert code == 1  # the end was not requested
     assert "30 frames" in said
     assert "ended early: the camera ended the stream" in said
 

@@ -61,7 +61,7 @@ def test_the_scenes_of_a_plan_are_read_back(tmp_path, capsys):
     assert "a new or empty folder" in refusal(capsys, "sample", "--scenes", folder)
 
 
-def test_problems_are_told(tmp_path, capsys):
+def test_problems_are_reported(tmp_path, capsys):
     path = tmp_path / "plan.yaml"
     path.write_text(plan_text(thesis_plan()).replace("travel: 0.15", "travel: 0.03"))
     out = output(capsys, "sample", path)

@@ -104,7 +104,7 @@ def test_people_get_a_table_and_a_next_command(scene, tmp_path, capsys):
     assert max(len(line) for line in out.splitlines() if "Next" not in line) <= 110
 
 
-def test_people_are_told_what_to_do_about_a_jam(scene, capsys):
+def test_the_text_of_a_jam_says_what_to_do(scene, capsys):
     code, out, _ = fixel(capsys, "simulate", scene, "--set", "pushers.0.drive.force_limit=null")
     assert code == 3
     assert "jammed, stopped at" in out

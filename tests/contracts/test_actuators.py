@@ -13,7 +13,7 @@ from fixel.testing.actuator_contract import ActuatorContract
 
 
 class Operator:
-    """Does as told, with a drive of its own."""
+    """Does as values, with a drive of its own."""
 
     def __init__(self) -> None:
         self.drive = SimulatedActuator().connect()

@@ -52,7 +52,7 @@ def main(url, media, batch):
         for k, added in enumerate(map(store.add_experiment, experiments)):
             assert added.new
             print(k, flush=True)
-    sys.stdin.read()  # until killed, or told to end
+    sys.stdin.read()  # until killed or ended by a line
 
 
 if __name__ == "__main__":

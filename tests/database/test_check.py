@@ -70,7 +70,7 @@ def test_a_media_file_that_changed(folder):
     assert only_trouble(folder).sentence.endswith("has changed")
 
 
-def test_a_file_of_nobody_that_changed(folder):
+def test_a_changed_file_without_an_owner(folder):
     stray = folder / "media" / "ab" / ("ab" + "0" * 62)
     stray.parent.mkdir(exist_ok=True)
     stray.write_bytes(b"x")

@@ -94,7 +94,7 @@ SCHEMA = {
     "no version": ("DROP TABLE alembic_version",),
     "an empty version": ("DELETE FROM alembic_version",),
     "two versions": ("INSERT INTO alembic_version VALUES ('0002')",),
-    "a version of nobody": ("UPDATE alembic_version SET version_num = 'x'",),
+    "an unknown version": ("UPDATE alembic_version SET version_num = 'x'",),
     "an index less": ("DROP INDEX ix_flag_experiment_id",),
     "a view for a table": ("ALTER TABLE note RENAME TO n", "CREATE VIEW note AS SELECT * FROM n"),
     "no schema": ("DELETE FROM sqlite_master WHERE name = 'experiment'",),

@@ -217,7 +217,7 @@ def still_one(file):
 
 
 @contextlib.contextmanager
-def nobody():
+def no_permission():
     """Drop the rights of root, to whom nothing is read-only."""
     if os.geteuid() != 0:
         yield
@@ -245,7 +245,7 @@ def test_a_read_only_file(open_folder):
         store.add_experiment(importing.experiment(0, 1))
     file.chmod(0o444)
     open_folder.chmod(0o555)
-    with nobody(), store_of(file) as store:
+    with no_permission(), store_of(file) as store:
         reason, hint = refusal(store.add_experiment, importing.experiment(0, 2))
         refusal(store.upgrade)
     assert reason == f"sqlite:///{file} is read-only"
@@ -260,7 +260,7 @@ def test_a_folder_that_is_missing_or_read_only(open_folder, missing):
     folder = open_folder / "lab"
     if not missing:
         folder.mkdir(mode=0o555)
-    with nobody(), store_of(folder / "experiments.db") as store:
+    with no_permission(), store_of(folder / "experiments.db") as store:
         reason, hint = refusal(store.upgrade)
     assert reason.endswith("cannot be opened")
     assert hint == "check that its folder exists and may be written to"

@@ -1,4 +1,4 @@
-"""Round tips beside outlines: gaps, and the shortest way out."""
+"""Round tips next to outlines: gaps, and the shortest way out."""
 
 import math
 

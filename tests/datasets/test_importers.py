@@ -53,7 +53,7 @@ def test_every_recording_is_recognised(tmp_path):
     assert importer_for(own).name == "csv"
 
 
-def test_what_nobody_knows_is_refused_with_what_is_known(tmp_path):
+def test_unknown_names_are_refused_with_the_known_ones(tmp_path):
     with pytest.raises(DatasetMissing, match="rpi-2dgad, mit-push, mit-pusher-slider"):
         importer_for(tmp_path)
     with pytest.raises(DatasetMissing, match="no such file"):

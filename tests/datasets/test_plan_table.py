@@ -20,7 +20,7 @@ def stored(name):
 
 @pytest.fixture
 def read(tmp_path):
-    """Read a table beside the scene of the thesis."""
+    """Read a table next to the scene of the thesis."""
     PLANNED.scene.save(tmp_path / "scene.yaml")
 
     def read_text(text, template=None):

@@ -73,7 +73,7 @@ def test_small_values_are_metres_and_radians(tmp_path):
     assert experiment.trajectory.pose[0].tolist() == [0.1, 0.2, 3.0]
 
 
-def test_units_nobody_knows_are_named(tmp_path):
+def test_unknown_units_are_named(tmp_path):
     plan = plan_of(tmp_path, "time_s,x_ells,y_ells\n0,1,2\n1,2,2\n")
     assert any("x_ells has the unknown unit 'ells'" in line for line in plan.understood)
     assert any("There is no angle of the object" in line for line in plan.understood)

@@ -223,7 +223,7 @@ def test_fewer_configurations_than_folds_are_refused():
     refused(folds_of, ["a", "a", "b"], ["", "", ""], 5, match="at least 5")
 
 
-def test_colours_are_all_told_apart():
+def test_colours_all_differ():
     assert len(set(COLOURS)) == 5
 
 

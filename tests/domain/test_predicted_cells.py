@@ -55,7 +55,7 @@ def test_experiments_without_evidence_say_nothing():
 
 
 @pytest.mark.parametrize("repetitions", [1, pytest.param(3, marks=pytest.mark.system)])
-def test_a_cell_nobody_tried_is_judged_by_cells_and_not_by_repetitions(repetitions):
+def test_an_untried_cell_is_predicted_from_cells_and_not_from_repetitions(repetitions):
     """Each cell has an error of its own, which repetitions meet again and neighbours do not."""
     held = []
     for seed in range(15):

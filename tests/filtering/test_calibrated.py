@@ -80,7 +80,7 @@ def test_an_object_at_rest_is_known_as_well_as_frames_tell(seed):
     np.testing.assert_array_less(np.abs(estimate.pose - middle), 0.4 * spread)
 
 
-def test_what_nobody_can_know_stays_as_believed():
+def test_what_the_data_cannot_determine_stays_as_believed():
     """Friction of the plane scales forces and no path, however long one looks."""
     found = run_filter(push(duration=3.0), FEW, seed=2)
     low, middle, high = found.quantiles[-1][found.prior.names.index("mu_support")]
@@ -109,7 +109,7 @@ def test_a_wrong_model_is_said_to_be_wrong(data_root):
     found = run_filter(experiment, FEW)
     assert found.misfit.warns
     assert found.misfit.ratio > 10.0
-    # No interval of a millimetre's width beside residuals of millimetres.
+    # No interval of a millimetre's width with residuals of millimetres.
     low, _, high = found.quantiles[-1][found.prior.names.index("mu_fixel")]
     assert high - low > 0.08 or found.at_bound["mu_fixel"]
 

@@ -58,7 +58,7 @@ def test_the_mean_angle_goes_on_past_half_a_turn():
 
 
 def test_what_the_camera_has_corrected_stays_while_it_sees_nothing():
-    """An object creeps that nobody pushes; then it is hidden, and most likely where it was."""
+    """An object creeps without a push; then it is hidden, and most likely where it was."""
     running = start_filter(FEW, SCENE)
     for k in range(1, 46):
         seen = START + np.array([0.0, 0.0004 * k, 0.0])
@@ -105,7 +105,7 @@ def test_when_no_particle_can_be_simulated_it_starts_again_wider(monkeypatch):
 
 
 def test_no_frame_simulates_all_proposals_at_once(monkeypatch):
-    """Cost is even: a third of 300 particles have theirs simulated beside the 300 themselves."""
+    """Cost is even: the proposals of a third of 300 particles are simulated with the 300."""
     from fixel.filtering import particles as module
 
     real, rollouts = module.simulate_packed, []

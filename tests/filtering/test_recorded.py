@@ -96,14 +96,14 @@ def test_sensors_may_have_clocks_of_their_own(experiment):
     assert np.count_nonzero(found.seen) == np.count_nonzero(sparse.time <= 2.0 + 1e-9)
 
 
-def test_progress_is_told_and_the_camera_is_enough(experiment):
-    told = []
+def test_progress_is_reported_and_the_camera_is_enough(experiment):
+    reports = []
     short = replace(experiment, channels=(), effective=(1.0, 1.5))
-    found = run_filter(short, SOME, progress=lambda *done: told.append(done))
+    found = run_filter(short, SOME, progress=lambda *done: reports.append(done))
 
     assert (found.time[0], found.time[-1]) == pytest.approx((1.0, 1.5))
-    assert told[-1] == (len(found.time), len(found.time))
-    assert len(told) == len(found.time) - 1
+    assert reports[-1] == (len(found.time), len(found.time))
+    assert len(reports) == len(found.time) - 1
     assert not found.uses_tactile
 
 

@@ -77,7 +77,7 @@ def test_everything_killed_at_once(tmp_path):
             kill(pid)
     coordinator.wait()
     known = set(names_in(folder))
-    assert files.read_status(folder).state == "running"  # its last word; nobody is at it
+    assert files.read_status(folder).state == "running"  # its last word; no process runs it
     assert files.coordinator_of(folder) is None
     assert coordinate(folder).state == "done"
     assert known <= set(names_in(folder))
@@ -119,7 +119,7 @@ def test_two_coordinators_of_one_job(tmp_path):
     assert first.wait(60) == 0
 
 
-def test_another_fixel_does_not_go_on_unless_told_to(tmp_path, monkeypatch):
+def test_another_fixel_goes_on_only_on_request(tmp_path, monkeypatch):
     folder = toy_job(tmp_path / "job", **OPTIONS)
     monkeypatch.setattr("fixel.jobs.coordinator.stamp", lambda: "9.9.9+0123456789abcdef")
     with pytest.raises(
@@ -187,7 +187,7 @@ def test_a_work_that_raises_is_a_failed_job_with_a_reason(tmp_path):
     "left",
     [(".inputs.ab12/one",), ("state.json", ".inputs.ab12/one"), ("state.json", "inputs/one")],
 )
-def test_what_a_crash_left_before_there_was_a_job_is_in_nobodys_way(tmp_path, left):
+def test_what_a_crash_left_before_there_was_a_job_is_removed(tmp_path, left):
     folder = tmp_path / "job"
     for name in left:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)

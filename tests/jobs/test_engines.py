@@ -95,7 +95,7 @@ def test_all_talk_is_encrypted_and_on_loopback(folder):
             assert address.startswith("0100007F:")  # 127.0.0.1 in the kernel's hexadecimal
 
 
-def test_nobody_joins_without_the_key_of_the_job(folder):
+def test_no_engine_joins_without_the_key_of_the_job(folder):
     with workers(folder, size=1) as engine:
         answers(engine, folder, chunks(1))
         host, _, port = link.read_address(folder).removeprefix("tls://").rpartition(":")

@@ -258,7 +258,7 @@ def test_a_job_that_is_not_listed_yet_counts(fake, pool, monkeypatch):
 
 def test_workers_of_an_interrupted_session_are_taken_over(fake, folder, said):
     steps(make_pool(folder, said))
-    fake.job(101, state="FAILED")  # while nobody looked
+    fake.job(101, state="FAILED")  # between two looks
     fake.job(7, state="RUNNING", reason="None", name="somebody-else")
     steps(make_pool(folder, said))
     assert fake.active() == [7, 102, 103]

@@ -47,7 +47,7 @@ def test_a_call_that_takes_too_long_is_ended_and_the_next_one_works():
         assert sleep.call(0.0) is None
 
 
-def test_a_call_that_nobody_waits_for_is_ended():
+def test_a_cancelled_call_is_ended():
     with WorkerProcess(time.sleep, limit=60.0) as sleep:
         sleep.start()
         gone = threading.Event()
@@ -57,7 +57,7 @@ def test_a_call_that_nobody_waits_for_is_ended():
         assert sleep._process is None
 
 
-def test_a_process_that_dies_is_told_and_replaced():
+def test_a_process_that_dies_is_reported_and_replaced():
     with WorkerProcess(os._exit, limit=30.0) as end:
         with pytest.raises(JobRefused, match="died"):
             end.call(3)
@@ -65,7 +65,7 @@ def test_a_process_that_dies_is_told_and_replaced():
             end.call(4)
 
 
-def test_a_process_that_hangs_and_hears_nothing_is_told_and_replaced():
+def test_a_process_that_hangs_and_hears_nothing_is_reported_and_replaced():
     with WorkerProcess(len, limit=0.5) as length:
         length.start()
         os.kill(length._process.pid, signal.SIGSTOP)

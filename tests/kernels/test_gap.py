@@ -159,7 +159,7 @@ def test_nothing_beyond_the_margin():
     assert len(contacts(shifted(turned(SQUARE, 0.1), 0.3, 0.25), WIDE, margin=0.3)) == 1
 
 
-def test_sliver_beside_a_square():
+def test_sliver_next_to_a_square():
     sliver = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, 1e-9]])
     found = contacts(shifted(sliver, 0.2, 1.5), SQUARE)
     assert min(f[0] for f in found) == pytest.approx(0.5, abs=EXACT)

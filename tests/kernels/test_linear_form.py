@@ -255,7 +255,7 @@ def test_ellipsoids_are_not_linear():
     assert solve_problem(problem, work, 16, PIVOTS)[1] == NOT_LINEAR
 
 
-def test_small_tableau_is_told():
+def test_small_tableau_is_reported():
     problem, work = pushed_block(16, False, 0.1, None)
     assert solve_problem(problem, work, 0, PIVOTS, 4 + 3 * 17 - 1)[1] == NO_ROOM
     assert solve_problem(problem, work, 0, PIVOTS, 4 + 3 * 17)[1] == SOLVED

@@ -1,4 +1,4 @@
-"""Derivatives of ends, beside differences of small fixed steps and of known motion."""
+"""Derivatives of ends, compared with differences of small fixed steps and of known motion."""
 
 import itertools
 from dataclasses import replace
@@ -295,7 +295,7 @@ def test_starts_that_move_the_end_far(layout, start, radius, angle, frictions, k
 
 
 def _finger(offset, angle):
-    """A finger that touches a square, `offset` beside its middle, and moves at an angle."""
+    """A finger that touches a square, `offset` from its middle, and moves at an angle."""
     finger = Pusher(
         name="finger",
         shape=Disk(0.005),

@@ -1,4 +1,4 @@
-"""Motion from contact mode to contact mode, beside small fixed steps, which know no modes."""
+"""Motion from contact mode to contact mode, against small fixed steps, which know no modes."""
 
 import numpy as np
 import pytest

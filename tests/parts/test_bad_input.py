@@ -57,7 +57,7 @@ def test_a_travel_never_pushed_has_no_bound(model):
     assert "travel" in bound.reason
 
 
-def test_a_centre_of_mass_beside_the_support_is_refused():
+def test_a_centre_of_mass_outside_the_support_is_refused():
     refused(_scene, box(0.1, 0.1), centre_of_mass=(0.3, 0.0), match="closer to the centroid")
 
 

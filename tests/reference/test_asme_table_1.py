@@ -29,18 +29,18 @@ def test_both_triangles_lie_within_the_part():
 
 
 def test_mean_and_principal_radii():
-    told = support_features(POINTS, triangle_shares(POINTS))
-    np.testing.assert_allclose(told.mean_radius * 1e6, [695, 723], atol=0.5)
-    np.testing.assert_allclose(told.radii * 1e6, [[698, 61], [736, 10]], atol=0.6)
-    np.testing.assert_allclose(told.centre, 0.0, atol=1e-12)
+    values = support_features(POINTS, triangle_shares(POINTS))
+    np.testing.assert_allclose(values.mean_radius * 1e6, [695, 723], atol=0.5)
+    np.testing.assert_allclose(values.radii * 1e6, [[698, 61], [736, 10]], atol=0.6)
+    np.testing.assert_allclose(values.centre, 0.0, atol=1e-12)
 
 
 def test_the_two_sets_differ_in_points_and_agree_in_what_a_push_feels():
-    told = support_features(POINTS, triangle_shares(POINTS))
+    values = support_features(POINTS, triangle_shares(POINTS))
     # Of the part's half-length: points differ by the whole of it, radii and axes hardly.
     assert np.abs(POINTS[0] - POINTS[1]).max() > HALF[1]
-    assert np.ptp(told.mean_radius) < 0.05 * HALF[1]
-    assert np.ptp(told.angle) < np.radians(10.0)
+    assert np.ptp(values.mean_radius) < 0.05 * HALF[1]
+    assert np.ptp(values.angle) < np.radians(10.0)
     # Even pressure over the part would give a mean radius of 485 um; these are not that.
     x, y = np.meshgrid(*(np.linspace(-half, half, 401) for half in HALF))
     assert abs(np.hypot(x, y).mean() * 1e6 - 485.0) < 3.0

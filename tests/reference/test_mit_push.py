@@ -1,4 +1,4 @@
-"""Real pushes of the MIT push dataset, nothing fitted, beside the published simulator.
+"""Real pushes of the MIT push dataset, nothing fitted, compared with the published simulator.
 
 Source: K.-T. Yu et al. (2016), IROS; predictions of J. Zhou's quasi-static simulator with a
 fourth-order (poly4) and an ellipsoidal (quad) limit surface fitted to force data.

@@ -45,24 +45,24 @@ def area(problem):
 
 def ours(optimiser, error, box, limit):
     search = optimiser.start(box)
-    told = []
-    while not search.done and len(told) < limit:
+    values = []
+    while not search.done and len(values) < limit:
         errors = np.array([error(point) for point in search.ask()])
-        told.extend(errors.tolist())
+        values.extend(errors.tolist())
         search.tell(errors)
-    return np.array(told[:limit])
+    return np.array(values[:limit])
 
 
 def scipys(error, box, limit):
-    told = []
+    values = []
 
     def noted(x):
-        told.append(error(x))
-        return told[-1]
+        values.append(error(x))
+        return values[-1]
 
     options = {"maxfev": limit, "maxiter": limit, "xatol": 1e-12, "fatol": 1e-14}
     minimize(noted, box.start, method="Nelder-Mead", options=options)
-    return np.array(told[:limit])
+    return np.array(values[:limit])
 
 
 @cache

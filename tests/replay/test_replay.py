@@ -79,7 +79,7 @@ def test_groups_are_pooled(tmp_path: Path) -> None:
     answer = replayed(push_files.mit_push(tmp_path, push_files.push(0), fast))
 
     assert [group["speed_mm_s"] for group in answer.groups] == [10, 20, None]
-    # No model may win by leaving pushes out: rows without a quadratic answer count for nobody.
+    # No model may win by leaving pushes out: rows without a quadratic answer count for no model.
     assert answer.groups[-1]["pushes"] == 0
 
 

@@ -122,15 +122,15 @@ def test_what_is_finished_is_not_done_again(tmp_path):
 def test_made_up_pushes_are_found_out(tmp_path):
     folder = made_up(tmp_path / "data")
     out = tmp_path / "out"
-    told = []
+    reports = []
     request = BenchmarkRequest(seeds=1)
 
     answer = benchmark_real(
-        folder, request, out=out, progress=lambda done, of, _: told.append((done, of))
+        folder, request, out=out, progress=lambda done, of, _: reports.append((done, of))
     )
 
     assert [scored.protocol for scored in answer.scored] == list(PROTOCOLS)
-    assert told[-1] == (12, 12)
+    assert reports[-1] == (12, 12)
     before = pooled(answer, "calibrated", "uncalibrated")
     assert pooled(answer, "calibrated", "calibrated") < 0.35 * before
     assert pooled(answer, "learned", "calibrated") < 0.5 * before
@@ -138,7 +138,7 @@ def test_made_up_pushes_are_found_out(tmp_path):
     assert pooled(answer, "few", "calibrated") < 0.6 * before
     assert pooled(answer, "calibrated", "calibrated") < pooled(answer, "unregistered", "calibrated")
     assert pooled(answer, "new-shape", "calibrated") < 0.7 * before
-    found = answer.fits[0]["values"]
+    found = answer.fits[0]["reports"]
     assert found["registration_x"] == pytest.approx(SHIFT[0], abs=0.25e-3)
     assert found["mu_pusher"] == pytest.approx(0.15, abs=0.05)
 

@@ -38,7 +38,7 @@ def test_noise_is_what_varies_where_a_block_is_held():
     np.testing.assert_allclose(turned, [5e-3, 0.02], rtol=0.1)
 
 
-def test_a_start_inside_the_fingers_is_set_beside_them():
+def test_a_start_inside_the_fingers_is_set_next_to_them():
     group = made(np.array([[-0.001, 0.0, 0.5 * math.pi]] * 3), np.zeros((3, 3)))
     scene = group_scene(group)  # which refuses overlaps
     assert scene.bodies[0].pose[0] == pytest.approx(-0.018 + 0.0175, abs=1e-6)

@@ -18,7 +18,7 @@ def test_neighbours_tell_how_far_off_they_were_and_whether_they_agree():
     np.testing.assert_allclose(differ, [[0.5, 1e-3, 0.0]], atol=1e-12)
 
 
-def test_nobody_is_a_neighbour_of_itself():
+def test_no_row_is_a_neighbour_of_itself():
     place = np.arange(4.0)[:, None]
     residual = np.diag([5e-3, 1e-3, 1e-3])[[0, 1, 2, 2]]
     itself = np.array([0, -1, -1, -1])

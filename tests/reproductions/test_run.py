@@ -35,8 +35,8 @@ def test_a_few_short_searches_find_sets_as_good_as_p1(answer):
 @pytest.mark.system
 def test_tables_and_picture_are_left_in_the_folder(answer):
     made, out = answer
-    told = json.loads((out / "asme-table-1.json").read_text(encoding="utf-8"))
-    assert told["conclusions"] == list(made.conclusions)
+    values = json.loads((out / "asme-table-1.json").read_text(encoding="utf-8"))
+    assert values["conclusions"] == list(made.conclusions)
     with (out / "asme-table-1_sets.csv").open(encoding="utf-8") as stream:
         assert len(list(csv.DictReader(stream))) == len(made.tables["sets"])
     assert (out / "asme-table-1.png").stat().st_size > 10_000

@@ -191,7 +191,7 @@ def test_a_head_that_stops_short():
     rig = replace(SMALL.rig, travel=0.040)
     (sentence,) = sentences(rig=rig)
 
-    # The corner stands beside the head; the face meets the side behind it, further on.
+    # The corner stands next to the head; the face meets the side behind it, further on.
     short = float(sentence.removeprefix("the head stops ").split(" mm")[0])
     assert 10.0 < short < 30.0
 

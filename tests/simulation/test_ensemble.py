@@ -76,7 +76,7 @@ def test_scenes_that_differ_in_start_and_path_share_a_template():
 
 
 def test_every_batch_is_laid_out_alike():
-    # Another layout of an array would be compiled anew, for half a minute.
+    # Another layout of an array would be compiled again, for half a minute.
     ensemble = Ensemble(_cases()[:2])
     values = _values(4) | {"anisotropy_xy": np.full(4, 0.1), "start_x": np.zeros(4)}
     for given in ({}, values):

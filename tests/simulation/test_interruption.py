@@ -119,7 +119,7 @@ def test_other_signals_reach_whoever_waited_for_them():
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of forking beside another thread
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of forking with another thread
 def test_a_forked_process_watches_for_itself():
     simulate(pushed_square())
     friction = {"mu_pusher": np.linspace(0.1, 0.4, 8)}

@@ -79,7 +79,7 @@ def test_parameters_simulate_like_the_loads_they_stand_for():
     np.testing.assert_allclose(list(answer), list(expected), atol=2e-6)
 
 
-def test_centre_of_mass_beside_the_points_is_refused():
+def test_centre_of_mass_outside_the_points_is_refused():
     com = (0.115, 0.0)
     refused(shares, TRIANGLE, com, pressure_rim=[0.0], match="not above the support points")
     feet = SupportPoints(points=[(0.0, 0.0), (0.12, 0.0), (0.0, 0.02)], friction=0.3)

@@ -15,7 +15,7 @@ from fixel.testing.scenes import grasp
 
 @dataclass(frozen=True)
 class Listening(AbstractStepper):
-    """The adaptive stepper, with a list of what it was told and answered."""
+    """The adaptive stepper, with a list of its inputs and answers."""
 
     name: ClassVar[str] = "listening"
     adaptive: ClassVar[bool] = True
@@ -40,7 +40,7 @@ def test_after_a_step_is_taken_back_the_two_before_it_are_known():
     undone = [i for i, (_, answer) in enumerate(heard) if answer.status == codes.UNDO]
     assert undone
     for i in undone:
-        # Told once more what was known before the step that is taken back.
+        # Given again what was known before the step that is taken back.
         known, again = heard[i - 1][0], heard[i + 1][0]
         assert (again.last, again.earlier) == (known.last, known.earlier)
         assert np.array_equal(again.velocity, known.velocity)

@@ -134,7 +134,7 @@ def test_nothing_runs_where_nothing_was_announced(tmp_path):
     assert not (folder / "dead.json").exists()
 
 
-def test_one_port_that_is_gone_does_not_save_the_others_and_is_told(tmp_path):
+def test_one_port_that_is_gone_does_not_save_the_others_and_is_reported(tmp_path):
     with EmulatedGrbl() as controller:
         folder = emergency.announcements()[0]
         folder.mkdir()
@@ -154,7 +154,7 @@ def guard_of(source: str, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(emergency, "GUARD", script)
 
 
-def test_a_guard_that_does_not_start_is_told(tmp_path, monkeypatch):
+def test_a_guard_that_does_not_start_is_reported(tmp_path, monkeypatch):
     guard_of("import time; time.sleep(60.0)", tmp_path, monkeypatch)
     monkeypatch.setattr(emergency, "START_TIME", 0.2)
     with EmulatedGrbl() as controller:
@@ -177,7 +177,7 @@ def test_a_guard_that_hangs_is_let_go_of(tmp_path, monkeypatch):
         assert guard.returncode == -signal.SIGKILL
 
 
-def test_a_port_that_cannot_be_stopped_is_told():
+def test_a_port_that_cannot_be_stopped_is_reported():
     with pytest.raises(DeviceFailed, match="switch off the power of the drive"):
         stop_actuators("/dev/ttyGONE")
 
@@ -217,7 +217,7 @@ def test_a_folder_that_another_user_created_is_not_used(how, tmp_path, monkeypat
     assert [path.name for path in place.iterdir()] == ["a.json"]
 
 
-def test_a_drive_that_nobody_would_find_is_not_driven(tmp_path, monkeypatch):
+def test_a_drive_that_cannot_be_registered_is_not_driven(tmp_path, monkeypatch):
     (tmp_path / "file").touch()
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "file"))
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "file"))

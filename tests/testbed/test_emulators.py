@@ -30,20 +30,20 @@ def board_that(does: str, folder) -> EmulatedMega:
     return EmulatedMega(folder)
 
 
-def test_a_board_that_does_not_start_is_told(tmp_path, monkeypatch):
+def test_a_board_that_does_not_start_is_reported(tmp_path, monkeypatch):
     monkeypatch.setattr(emulated_mega, "ANSWERS_WITHIN", 0.2)
     with pytest.raises(RuntimeError, match="did not start"):
         board_that("exec sleep 60", tmp_path)
 
 
-def test_a_board_that_hangs_is_told(tmp_path, monkeypatch):
+def test_a_board_that_hangs_is_reported(tmp_path, monkeypatch):
     with board_that("echo ready; exec sleep 60", tmp_path) as board:
         monkeypatch.setattr(emulated_mega, "ANSWERS_WITHIN", 0.2)
         with pytest.raises(RuntimeError, match=r"no answer within 0\.2 s"):
             board.touch(1)
 
 
-def test_a_board_that_died_is_told(tmp_path):
+def test_a_board_that_died_is_reported(tmp_path):
     with (
         board_that("echo ready; read line", tmp_path) as board,
         pytest.raises(RuntimeError, match="received 'time'"),

@@ -68,7 +68,7 @@ def test_a_file_keeps_its_own_pace(tmp_path: Path) -> None:
     assert (times - times[0] - np.arange(11) / 50.0 > -0.005).all()
 
 
-def test_a_file_may_begin_anew(tmp_path: Path) -> None:
+def test_a_file_may_begin_again(tmp_path: Path) -> None:
     source = FileSource(film(tmp_path / "film", n=3), as_fast_as_possible=True, loop=True)
     source.open()
     frames = source.frames()
@@ -89,7 +89,7 @@ def test_a_loop_of_one_picture_waits_between_two_and_one_of_none_ends(tmp_path: 
     assert list(source.frames()) == []
 
 
-def test_what_is_missing_from_a_file_is_told_at_its_end(tmp_path: Path) -> None:
+def test_what_is_missing_from_a_file_is_reported_at_its_end(tmp_path: Path) -> None:
     with VideoWriter(tmp_path / "v.mkv", SIZE, codec="ffv1") as writer:
         for k in range(9):
             writer.write(Frame(k * 0.04, picture(k)))
@@ -278,7 +278,7 @@ def test_other_addresses_are_refused(url: str) -> None:
     refused(source_of, url, match="http://")
 
 
-def test_nobody_there_is_refused() -> None:
+def test_a_camera_that_is_not_there_is_refused() -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     refused(UrlSource(f"http://127.0.0.1:{port}/").open, match="connection refused")
@@ -361,7 +361,7 @@ def test_a_webcam_that_fails_now_and_then_goes_on() -> None:
     assert len(list(source.frames())) == 3
 
 
-def test_a_webcam_that_nobody_reads_any_more_is_let_go() -> None:
+def test_an_unread_webcam_is_released() -> None:
     webcam = Webcam(n=10**6)
     queue = FrameQueue(source := DeviceSource("0", capture=lambda device: webcam), live=True)
     source.open()

@@ -201,10 +201,10 @@ def test_a_picture_at_rest_shows_where_the_part_came_to_rest():
     lab = laboratory()
     pictures = pushed(lab)
     assert (lab.moments[-3].part == lab.moments[-1].part).all()
-    anew = laboratory()
-    anew._part, anew._head = lab._part, lab._head
-    anew.drive = lab.drive
-    (fresh,) = (next(frames) for frames in [anew.source.frames()])
+    copy = laboratory()
+    copy._part, copy._head = lab._part, lab._head
+    copy.drive = lab.drive
+    (fresh,) = (next(frames) for frames in [copy.source.frames()])
     assert np.abs(pictures[-1].picture().astype(int) - fresh.picture()).mean() < 3.0
     assert (np.abs(pictures[-1].picture().astype(int) - fresh.picture()) > 25).sum() == 0
 

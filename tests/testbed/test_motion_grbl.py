@@ -265,7 +265,7 @@ ENDS = {
 
 
 @pytest.mark.parametrize(("happens", "why"), ENDS.values(), ids=ENDS)
-def test_whatever_ends_a_move_early_is_told(controller, drive, happens, why):
+def test_whatever_ends_a_move_early_is_reported(controller, drive, happens, why):
     drive.move(by=0.05, speed=0.03, wait=False)
     moves(controller)
     happens(controller)
@@ -299,7 +299,7 @@ def test_after_a_lost_answer_the_drive_can_be_moved_on(controller, drive):
     assert controller.place == pytest.approx(50.0, abs=0.01)
 
 
-def test_a_reset_that_nobody_heard_of_is_told(controller, drive):
+def test_an_unexpected_reset_is_reported(controller, drive):
     drive.move(by=0.1, speed=0.05, wait=False)
     moves(controller, beyond=65.0)
     lose_the_banner(controller)
@@ -308,15 +308,15 @@ def test_a_reset_that_nobody_heard_of_is_told(controller, drive):
         drive.wait()
 
 
-def test_a_failure_of_the_conversation_itself_is_told(controller, drive, monkeypatch):
+def test_a_failure_of_the_conversation_itself_is_reported(controller, drive, monkeypatch):
     def fail(*_: object) -> str:
-        raise ZeroDivisionError("of nobody's making")
+        raise ZeroDivisionError("without a cause")
 
     drive.move(by=0.05, speed=0.03, wait=False)
     moves(controller)
     monkeypatch.setattr(grbl, "move_line", fail)
 
-    with pytest.raises(DeviceFailed, match="was lost: of nobody's making"):
+    with pytest.raises(DeviceFailed, match="was lost: without a cause"):
         drive.wait()
 
 

@@ -180,7 +180,7 @@ def test_who_watches_may_fail(tmp_path: Path) -> None:
     assert done.problems == ("the preview failed: in the browser",)
 
 
-def test_gaps_are_told(tmp_path: Path) -> None:
+def test_gaps_are_reported(tmp_path: Path) -> None:
     source = Pictures(40)
     frames = source.frames
 

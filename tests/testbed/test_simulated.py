@@ -281,10 +281,10 @@ def test_a_disc_on_even_pressure_without_fixels():
     np.testing.assert_allclose(true_disc.support.friction, 0.3 * ratio)
 
 
-def test_progress_is_told_and_a_run_can_be_left():
-    told = []
-    list(BENCH.run(PLAN[:2], progress=lambda done, total: told.append((done, total))))
-    assert told == [(1, 2), (2, 2)]
+def test_progress_is_reported_and_a_run_can_be_left():
+    reports = []
+    list(BENCH.run(PLAN[:2], progress=lambda done, total: reports.append((done, total))))
+    assert reports == [(1, 2), (2, 2)]
     runs = BENCH.run(PLAN)
     assert next(runs).name == "push-0"
     runs.close()

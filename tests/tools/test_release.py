@@ -132,11 +132,11 @@ def test_one_failure_neither_stops_nor_hides_the_others(tmp_path, monkeypatch) -
     monkeypatch.setattr(release_check, "build", lambda *_: [tmp_path, tmp_path])
     monkeypatch.setattr(release_check, "check_same_bytes", fail)
     monkeypatch.setattr(release_check, "PYTHONS", ["3.1"])
-    told: list[release_check.Check] = []
+    reported: list[release_check.Check] = []
 
-    found = release_check.run_checks(tmp_path, False, told.append)
+    found = release_check.run_checks(tmp_path, False, reported.append)
 
-    assert told == found
+    assert reported == found
     wrong = [(check.name, check.detail) for check in found if check.passed is False]
     assert wrong == [("same bytes", "two builds differ")]
     skipped = [check.name for check in found if check.passed is None]

@@ -124,7 +124,7 @@ def test_more_frames_of_a_wrong_model_do_not_make_parameters_certain():
     wrong = measured(seed=8, truth=np.array([0.4, 0.035, 6e-3]))
     points = np.column_stack((np.full(101, 0.4), np.linspace(0.01, 0.06, 101)))
     alone = LogLikelihood(wrong, [0, 1], NOISE)(points)
-    beside = LogLikelihood(wrong, [0, 1], NOISE, MODEL_ERROR)(
+    joined = LogLikelihood(wrong, [0, 1], NOISE, MODEL_ERROR)(
         np.column_stack((points, np.full(101, 6e-3)))
     )
 
@@ -133,7 +133,7 @@ def test_more_frames_of_a_wrong_model_do_not_make_parameters_certain():
         return np.count_nonzero(weight > 0.05)
 
     assert width(alone) <= 15
-    assert width(beside) >= 3 * width(alone)
+    assert width(joined) >= 3 * width(alone)
 
 
 def test_the_cameras_noise_is_found_where_the_point_is_off():

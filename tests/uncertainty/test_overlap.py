@@ -21,8 +21,8 @@ def test_depth_is_that_of_the_model(first, second):
     still = np.array([0.004, -0.003, 0.4])
     a, b = SHAPES[first], SHAPES[second]
     found = overlaps(a, poses, b, still)
-    told = np.array([overlap_depth(a, pose, b, still) for pose in poses])
-    np.testing.assert_allclose(found.depth, told, atol=1e-12)
+    values = np.array([overlap_depth(a, pose, b, still) for pose in poses])
+    np.testing.assert_allclose(found.depth, values, atol=1e-12)
     np.testing.assert_allclose(np.hypot(*found.way.T), 1.0, atol=1e-12)
 
 

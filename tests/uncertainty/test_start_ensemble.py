@@ -21,8 +21,8 @@ def test_a_rollout_of_a_fan_is_the_simulation_from_there():
     ensemble = simulate_starts(scene, ASME, 64, seed=5)
     k = int(np.argmax(ensemble.drawn[:, 0] > 1e-6))
     offset = ensemble.start[k] - scene.bodies[0].pose
-    told = Parameters(start_x=offset[0], start_y=offset[1], start_theta=offset[2])
-    again = simulate(scene, told, motion=QuasiStatic())
+    values = Parameters(start_x=offset[0], start_y=offset[1], start_theta=offset[2])
+    again = simulate(scene, values, motion=QuasiStatic())
     np.testing.assert_allclose(ensemble.pose[k, -1], again.pose["part"][-1], atol=1e-7)
 
 
@@ -32,7 +32,7 @@ def test_no_bit_depends_on_threads_or_on_how_many_there_are():
     np.testing.assert_array_equal(one.pose, two.pose[:60])
 
 
-def test_starts_inside_the_probe_are_set_beside_it():
+def test_starts_inside_the_probe_are_moved_next_to_it():
     ensemble = simulate_starts(micro_push(1), ASME, 100)
     assert ensemble.moved_apart == pytest.approx(0.5, abs=0.06)
     assert ensemble.ended.all()

@@ -10,7 +10,7 @@ from fixel.vision.lens import Lens
 from fixel.vision.render.bench import RenderedBench
 
 SIZE = (420, 320)
-AWAY = np.array([-0.5, -0.4, 0.0])  # where nobody sees it
+AWAY = np.array([-0.5, -0.4, 0.0])  # out of view
 
 
 def small_rig(name="thesis-tags", size=SIZE):

@@ -142,7 +142,7 @@ def flat_points():
 
 @pytest.mark.system
 def test_errors_hold_95_percent_of_the_time():
-    """Lens and place anew from noisy corners, ten times: is the truth within the radius?"""
+    """Lens and place from noisy corners, ten times: is the truth within the radius?"""
     true, points, held, ratios = above(), flat_points(), [], []
     for seed in range(10):
         random = np.random.default_rng(seed)

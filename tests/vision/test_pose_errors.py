@@ -36,7 +36,7 @@ def kabsch(own, seen):
 
 
 def test_poses_err_as_with_cameras_drawn():
-    """Points are projected by OpenCV through a camera drawn; the pose is told by the nominal."""
+    """OpenCV projects points through a random camera; the nominal camera computes the pose."""
     known, rng, height = measured(), np.random.default_rng(0), 0.0254
     pose = np.array([0.21, -0.05, 0.7])
     points = np.column_stack([placed(POINTS, pose), np.full(4, height)])
@@ -59,7 +59,7 @@ def test_poses_err_as_with_cameras_drawn():
 
 
 def off_by(rig, metres):
-    """The plate as a camera sees it that stands `metres` beside where the rig has it."""
+    """The plate seen by a camera `metres` away from its place in the rig."""
     camera = rig.camera
     aside = camera.rotation @ [metres, 0.0, 0.0]
     there = Camera(

@@ -296,13 +296,13 @@ def test_no_parameter_is_a_path(bench):
     assert asked > 500
 
 
-@pytest.mark.parametrize("told", [None, "10", "nonsense", "-1"])
-def test_long_bodies_are_cut_off_whatever_they_say(bench, told):
+@pytest.mark.parametrize("announced", [None, "10", "nonsense", "-1"])
+def test_long_bodies_are_cut_off_whatever_they_announce(bench, announced):
     """Bodies of unknown or wrong length are not read to their end."""
     scope = request(bench.gate, "/api/v1/scenes/read", "bearer", HOSTS[0], "absent", "POST")
     scope["headers"].append((b"content-type", b"application/json"))
-    if told is not None:
-        scope["headers"].append((b"content-length", told.encode()))
+    if announced is not None:
+        scope["headers"].append((b"content-length", announced.encode()))
     read, sent = 0, []
 
     async def receive():

@@ -158,7 +158,7 @@ def test_the_check_says_what_is_wrong(bench):
     assert found["counts"]["experiment"] == 30
 
 
-def test_the_self_test_runs_beside_the_server(bench, monkeypatch):
+def test_the_self_test_runs_in_its_own_process(bench, monkeypatch):
     answer = {
         "passed": False,
         "max_residual": 1e-12,

@@ -102,7 +102,7 @@ def keeping(k):
 def storm(folder, kills, seed, first=1):
     """Kill the server repeatedly, and check all records after each kill; `first` is its number."""
     chance = random.Random(seed)
-    server, told = Mortal(folder), Counter()
+    server, values = Mortal(folder), Counter()
     try:
         for number in range(first, first + kills):
             server.born()
@@ -115,11 +115,11 @@ def storm(folder, kills, seed, first=1):
             server.kill()
             for writer in writers:
                 writer.join(60)
-                told[writer.act.__name__] += len(writer.promised)
+                values[writer.act.__name__] += len(writer.promised)
             _whole(folder, *writers)
     finally:
         server.close()
-    return told
+    return values
 
 
 def _whole(folder, notes, flags, deletions, simulations):
@@ -151,8 +151,8 @@ def _all_or_none(counts, writer):
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 def test_three_kills(project):
-    told = storm(project, kills=3, seed=0)
-    assert min(told[act.__name__] for act in (noting, flagging, deleting)) >= 3
+    values = storm(project, kills=3, seed=0)
+    assert min(values[act.__name__] for act in (noting, flagging, deleting)) >= 3
 
 
 @pytest.mark.soak

@@ -1,4 +1,4 @@
-"""Pictures from one thread to others: the newest, to whoever looks, and nobody waits."""
+"""Pictures from one thread to others: every reader gets the newest, and none waits."""
 
 import asyncio
 import threading
@@ -21,7 +21,7 @@ async def take(stream, n):
     return parts
 
 
-def test_nothing_is_drawn_that_nobody_looks_at():
+def test_nothing_is_drawn_without_a_reader():
     view, drawn = LiveView(), []
 
     def draw():
@@ -131,8 +131,8 @@ def test_the_last_words_are_heard():
     view = LiveView()
     view.show(None, {"problems": ["the camera failed"]})
     view.close()
-    told = "".join(asyncio.run(take(view.reports(), 3)))
-    assert told.index("the camera failed") < told.index("event: end")
+    values = "".join(asyncio.run(take(view.reports(), 3)))
+    assert values.index("the camera failed") < values.index("event: end")
 
 
 def test_a_status_that_is_no_number_is_refused():

@@ -32,7 +32,7 @@ def test_other_peoples_simulations_are_refused(bench):
     assert bench.get("/experiments/999/motion", 404)
 
 
-@pytest.mark.parametrize(("query", "told"), [
+@pytest.mark.parametrize(("query", "sentence"), [
     ("set=pinned-1&set=nothing", "values of the scene"),
     ("set=pinned-2%7Cdynamic%7Cmu_support%3D0.4", "set 2"),
     ("pin=yes&mu_pusher=0.3", "mu_pusher=0.3"),
@@ -41,10 +41,10 @@ def test_other_peoples_simulations_are_refused(bench):
     ("motion=/bin/true", "pages start no programs"),
     ("adopt=nothing&drop=nothing", "adjusted"),
 ])  # fmt: skip
-def test_an_address_of_a_comparison_holds_its_sets(bench, query, told):
+def test_an_address_of_a_comparison_holds_its_sets(bench, query, sentence):
     answer = bench.client.get(f"/compare?experiment=1&base=nominal&{query}")
     assert answer.status_code in (200, 422)
-    assert told in answer.text
+    assert sentence in answer.text
 
 
 def test_a_comparison_is_that_of_the_workflow(bench):
@@ -100,7 +100,7 @@ def test_nominal_simulations_are_kept_once(bench):
     ({"motion": "pymunk"}, "engine pymunk"),  # whose pusher has no force limit
     ({"parameters": {"mu_support": "much"}}, "body.parameters.mu_support"),
 ])  # fmt: skip
-def test_what_cannot_be_simulated_is_told_with_its_field(bench, body, where):
+def test_what_cannot_be_simulated_is_reported_with_its_field(bench, body, where):
     assert bench.post("/experiments/1/comparison", body, 422)["where"] == where
 
 

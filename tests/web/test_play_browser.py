@@ -89,7 +89,7 @@ def test_a_run_plays_at_30_frames_a_second_and_stops_at_space(compare):
         print(f"{frames / seconds:.1f} frames/s")
         if frames / seconds > FRAMES / 3:
             return
-    pytest.fail("five times too slow, even for a machine that does much else beside")
+    pytest.fail("five times too slow, even for a busy machine")
 
 
 def test_scrubber_and_arrow_keys_and_charts_move_the_time(compare):
@@ -275,7 +275,7 @@ def arrow_keys_move_by_a_millimetre_and_the_handle_turns(simulate):
     assert editor(simulate, "scene.bodies[0].pose") == pytest.approx(pose)
 
 
-def test_a_wrong_value_is_told_at_its_field(simulate):
+def test_a_wrong_value_is_reported_at_its_field(simulate):
     simulate.expected_problems.append("422")
     simulate.click("#things label:nth-child(2)")
     simulate.fill(".field[data-where='pushers[0].drive.speed'] input", "-3")
@@ -312,7 +312,7 @@ def test_run_plays_at_once_and_the_saved_file_is_the_scene(simulate, tmp_path):
 
 
 def test_what_takes_too_long_is_cancelled_and_the_next_run_works(simulate):
-    os.kill(scene_editor.beside()._process.pid, signal.SIGSTOP)  # as long as there is
+    os.kill(scene_editor.simulation_worker()._process.pid, signal.SIGSTOP)  # as long as there is
     simulate.click("#run")
     simulate.click("#cancel")
     simulate.wait_for_selector("#verdict >> text=cancelled")

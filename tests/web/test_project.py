@@ -74,7 +74,7 @@ def test_a_page_of_damaged_records_is_not_called_missing(bench, monkeypatch):
     assert "Page not found" not in page.text
 
 
-def test_a_mistake_of_ours_is_told_to_who_started_it(bench, monkeypatch, caplog):
+def test_an_unexpected_error_is_logged_for_who_started_it(bench, monkeypatch, caplog):
     def mistaken(*_, **__):
         raise KeyError("of ours")
 

@@ -111,8 +111,8 @@ def test_a_wrong_value_is_refused_next_to_its_field(capability, bench, begun):
         wrong = {**fields_of(capability, request), option.name: str(option.door.least - 1)}
         answer = bench.submit(f"/run/{capability.name}", **wrong)
         assert answer.status_code == 422
-        beside = answer.text.partition(f'id="about-{option.name}">')[2].partition("</small>")[0]
-        assert f"{option.label} is" in unescape(beside)
+        about = answer.text.partition(f'id="about-{option.name}">')[2].partition("</small>")[0]
+        assert f"{option.label} is" in unescape(about)
         assert filled_in(answer.text) == wrong
     assert begun == []
 

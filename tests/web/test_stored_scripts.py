@@ -209,7 +209,7 @@ def test_nothing_unpickles(bench):
 
 @pytest.fixture
 def watched(browser_page):
-    """A page that tells when something of it ran, and asks nobody else for anything."""
+    """A page that records which of its scripts ran, and requests nothing from other servers."""
     elsewhere = []
     home = re.match(r"https?://[^/]+", browser_page.url)[0]
 

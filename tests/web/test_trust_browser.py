@@ -106,7 +106,7 @@ def test_the_page_shows_the_report_and_leads_to_the_worst_experiments(one, proje
 # --- the domain ---------------------------------------------------------------------------------
 
 
-def test_the_threshold_slider_paints_the_map_anew(domain):
+def test_the_threshold_slider_repaints_the_map(domain):
     command = "document.getElementById('copy-command').dataset.copy"
     for _ in range(6):
         domain.evaluate(TRIP, ["slider", -100])

@@ -48,12 +48,12 @@ def test_a_package_that_is_missing_is_named():
 
 
 @pytest.mark.parametrize(
-    ("ports", "told"), [([], "none; optional"), (["/dev/ttyACM0"], "/dev/ttyACM0")]
+    ("ports", "sentence"), [([], "none; optional"), (["/dev/ttyACM0"], "/dev/ttyACM0")]
 )
-def test_the_bench_is_told_and_none_is_fine(monkeypatch, ports, told):
+def test_the_bench_is_reported_and_none_is_fine(monkeypatch, ports, sentence):
     monkeypatch.setattr(diagnostics, "_cameras", list)
     monkeypatch.setattr(diagnostics, "_serial_ports", lambda: ports)
 
     found = diagnostics._bench_check()
 
-    assert (found.passed, found.detail) == (True, told)
+    assert (found.passed, found.detail) == (True, sentence)

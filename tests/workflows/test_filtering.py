@@ -28,7 +28,7 @@ FEW = {"particles": 40, "priors": {"mu_pusher": (0.2, 0.6)}, "occlusion": (1.0, 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory):
     recorded = push(duration=3.0)
-    flag = Flag("no-fixels", "nobody knows where", False)
+    flag = Flag("no-fixels", "fixels not located", False)
     bare = replace(recorded, name="bare", scene=None, contact_mode="", flags=(flag,))
     found = project_of(tmp_path_factory.mktemp("projects") / "my lab", [recorded, bare])
     known = Estimate(label="mu_pusher", unit="-", value=0.35, low=0.31, verdict="at least")
@@ -72,7 +72,7 @@ def test_the_answer_for_people(project, tmp_path):
     assert f"--project {shlex.quote(str(project.folder))}" in out.splitlines()[-1]
 
 
-def test_doubts_come_first_and_calibrations_stand_beside(project):
+def test_doubts_come_first_and_calibrations_follow(project):
     """The belief about the pusher leaves out its true friction, 0.35."""
     out = good(project, "push", "--prior", "mu_pusher=0.4:1", "--no-save")
 
@@ -166,7 +166,7 @@ def test_a_filter_in_python_is_that_of_the_command(project):
 
 
 @pytest.mark.parametrize(("arguments", "sentence"), [
-    (["bare"], "no scene: nobody knows where"),
+    (["bare"], "no scene: fixels not located"),
     (["push", "--occlude", "2"], "such as 2:4"),
     (["push", "--occlude", "x:1"], "--occlude is 'x', but must be a number"),
     (["push", "--prior", "mu_pusher"], "--prior mu_pusher"),

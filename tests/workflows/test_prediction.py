@@ -122,9 +122,9 @@ def test_the_posterior_holds_the_truth_and_predicts_another_push(tmp_path, monke
     assert "mu_pusher" in repr(found)
     assert found.evidence.log == found.log_evidence
     assert found.summary().rows[0][0] == "mu_pusher"
-    told = predict(pushes[1], found, samples=60, **QUIET)
-    assert set(told.shares) >= {"parameters", "start", "noise"}
-    assert max(told.levels_of(pushes[1].trajectory.pose[-1])) < 0.999
+    values = predict(pushes[1], found, samples=60, **QUIET)
+    assert set(values.shares) >= {"parameters", "start", "noise"}
+    assert max(values.levels_of(pushes[1].trajectory.pose[-1])) < 0.999
     kept = project_of(tmp_path / "lab", pushes).add(found)
     assert kept.analysis.numbers["parameters"]["mu_pusher"]["best"] == found.best[0]
     with pytest.raises(InvalidInput, match="did you mean 'mu_pusher'"):

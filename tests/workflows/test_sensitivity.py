@@ -78,7 +78,7 @@ def test_a_project_stores_a_sensitivity_and_refuses_what_no_command_stores(tmp_p
 def folder(tmp_path_factory):
     place = tmp_path_factory.mktemp("projects") / "my lab"
     recorded = push(duration=3.0)
-    flag = Flag("no-fixels", "nobody knows where", False)
+    flag = Flag("no-fixels", "fixels not located", False)
     bare = replace(recorded, name="bare", scene=None, contact_mode="", flags=(flag,))
     project_of(place, [recorded, replace(recorded, name="again"), bare])
     return place
@@ -130,16 +130,16 @@ def test_everything_in_a_project_is_ranked_and_kept(folder):
 def test_one_experiment_as_json_with_indices(folder):
     pytest.importorskip("SALib")
     words = ("testbed/push", "-p", folder, "--samples", "60", "--base", "4", "--json")
-    told = json.loads(good(*words, "--vary", "mu_pusher=0.2:0.5", "--set", "mu_fixel=0.3"))
-    (found,) = told["pushes"]
+    values = json.loads(good(*words, "--vary", "mu_pusher=0.2:0.5", "--set", "mu_fixel=0.3"))
+    (found,) = values["pushes"]
     assert found["values"] == {"mu_fixel": 0.3}
     assert set(found["indices"]["outcomes"]) == {"along", "across", "angle"}
     assert set(found["indices"]["outcomes"]["angle"]["indices"]) == {
         "mu_pusher", "start_x", "start_y", "start_theta",
     }  # fmt: skip
-    assert told["start_error"]["x_m"] == pytest.approx(3e-4)
+    assert values["start_error"]["x_m"] == pytest.approx(3e-4)
     again = json.loads(good(*words, "--vary", "mu_pusher=0.2:0.5", "--set", "mu_fixel=0.3"))
-    assert again["pushes"] == told["pushes"]
+    assert again["pushes"] == values["pushes"]
 
 
 @pytest.mark.parametrize("quoted", [0.3, 0.32])  # the second after a misfit
@@ -153,8 +153,8 @@ def test_a_calibration_gives_values_ranges_and_motion(folder, quoted):
     with project.store() as store:
         number = store.add_calibration(record)
     words = ("testbed/push", "-p", folder, "--calibration", number, "--indices", "--base", "2")
-    told = json.loads(good(*words, "--samples", "60", "--json"))
-    (found,) = told["pushes"]
+    values = json.loads(good(*words, "--samples", "60", "--json"))
+    (found,) = values["pushes"]
     assert found["values"] == {"mu_pusher": 0.3}
     assert "mu_pusher" in found["indices"]["outcomes"]["angle"]["indices"]
     (own,) = (k.analysis for k in load_analyses(project) if k.analysis.calibrations == (number,))

@@ -160,10 +160,10 @@ def assessment_steps(
     threshold = dispersion.threshold(level)
     profile = ProfileLikelihood().start(box, fitted.point, threshold, prior, known)
     while not profile.done:
-        told = yield AssessmentRequest(
+        answers = yield AssessmentRequest(
             "frames", profile.ask(), f"verdicts, {profile.phase}", profile.left
         )
-        profile.tell(chosen.scaled(told, noise))
+        profile.tell(chosen.scaled(answers, noise))
     found = profile.profiles
     excited = yield AssessmentRequest(
         "excited", np.asarray(point, np.float64)[None], "verdicts, contacts"
@@ -246,8 +246,8 @@ def _least_squares(
 ) -> AssessmentSteps[LeastSquaresFit]:
     search = LeastSquares().start(box_of(chosen.space.started_at(point)))
     while not search.done:
-        told = yield AssessmentRequest("frames", search.ask(), "best fit")
-        search.tell(chosen.scaled(told, noise))
+        answers = yield AssessmentRequest("frames", search.ask(), "best fit")
+        search.tell(chosen.scaled(answers, noise))
     return search.fits[0]
 
 
@@ -327,8 +327,8 @@ ANSWERS: Final[dict[str, Callable[[Comparer, IntArray, FloatArray], FloatArray]]
 
 def _left(point: FloatArray) -> AssessmentSteps[Noise]:
     """Noise from what the calibrated simulations leave."""
-    told = yield AssessmentRequest("noise", np.asarray(point, np.float64)[None], "noise")
-    position, angle, correlation, freedom = told[0].tolist()
+    answers = yield AssessmentRequest("noise", np.asarray(point, np.float64)[None], "noise")
+    position, angle, correlation, freedom = answers[0].tolist()
     return Noise.of(position, angle, "residuals", correlation=correlation, freedom=freedom)
 
 

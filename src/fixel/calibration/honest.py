@@ -232,8 +232,8 @@ def probe_rollouts(probes: Sequence[Probes]) -> Generator[FloatArray, FloatArray
     """Yield the rows of all probes for `ShiftModel.differences`; return the answers of each."""
     count = [len(one.points) for one in probes]
     which = np.repeat([float(one.member) for one in probes], count)
-    told = yield np.column_stack((which, np.concatenate([one.points for one in probes])))
-    return np.split(told.reshape(-1, 3, INSTANTS), np.cumsum(count)[:-1])
+    answers = yield np.column_stack((which, np.concatenate([one.points for one in probes])))
+    return np.split(answers.reshape(-1, 3, INSTANTS), np.cumsum(count)[:-1])
 
 
 def linear_data(

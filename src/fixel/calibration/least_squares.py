@@ -204,10 +204,10 @@ class LeastSquaresSearch:
 
     def tell(self, residuals: FloatArray) -> None:
         """Take the residuals (k, m) of the requested points; rows that are not finite failed."""
-        told = checked_residuals(residuals, self.ask())
+        answers = checked_residuals(residuals, self.ask())
         running = self._running
         ends = np.cumsum([len(descent.ask()) for descent in running])
-        for descent, part in zip(running, np.split(told, ends[:-1]), strict=True):
+        for descent, part in zip(running, np.split(answers, ends[:-1]), strict=True):
             descent.tell(part)
 
     @property
@@ -302,12 +302,12 @@ class Descent:
     def tell(self, residuals: FloatArray) -> FloatArray:
         """Take the residuals (k, m) of the requested points and return their deviances (k,)."""
         points = self.ask()
-        told = checked_residuals(residuals, points)
-        deviances = self.cost.deviance(points, told)
+        answers = checked_residuals(residuals, points)
+        deviances = self.cost.deviance(points, answers)
         self._asked = None
         self.evaluations += len(points)
         if len(points):
-            self._learn(points, told, deviances)
+            self._learn(points, answers, deviances)
         return deviances
 
     def _next(self) -> FloatArray:

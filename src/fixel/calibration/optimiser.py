@@ -83,19 +83,19 @@ class Search(abc.ABC):
     def tell(self, errors: FloatArray) -> None:
         """Take the errors (k,) of the requested points; inf or NaN for failures."""
         asked = self.ask()
-        told = np.asarray(errors, np.float64)
-        if told.shape != (len(asked),):
+        values = np.asarray(errors, np.float64)
+        if values.shape != (len(asked),):
             raise InvalidInput(
-                "errors", found=f"shape {told.shape}", expected=f"({len(asked)},), one per point"
+                "errors", found=f"shape {values.shape}", expected=f"({len(asked)},), one per point"
             )
-        told = np.where(np.isnan(told), math.inf, told)
-        self.evaluations += len(told)
-        if len(told):
-            k = int(np.argmin(told))
-            if told[k] < self._best.error:
-                self._best = Best(asked[k].copy(), float(told[k]))
+        values = np.where(np.isnan(values), math.inf, values)
+        self.evaluations += len(values)
+        if len(values):
+            k = int(np.argmin(values))
+            if values[k] < self._best.error:
+                self._best = Best(asked[k].copy(), float(values[k]))
         self._asked = None
-        self._learn(asked, told)
+        self._learn(asked, values)
 
     def owners(self) -> IntArray:
         """Return which of several parallel searches requests each point; zeros for one search."""

@@ -33,7 +33,7 @@ WORTH: Final = 0.15
 # A gain less than this share of the roughness means nothing.
 MEANINGLESS: Final = 0.25
 # The profiles begin again from a point that is better than the best by more; what was found stays.
-ANEW: Final = 0.05
+RESTART_GAIN: Final = 0.05
 MAX_RESTARTS: Final = 4
 # Share of the range above which an interval is so wide that its partners are looked for.
 WIDE: Final = 0.5
@@ -216,12 +216,12 @@ class ProfileSearch:
     def tell(self, residuals: FloatArray) -> None:
         """Residuals (k, m) of the points asked for; a row that is not finite has failed."""
         points = self.ask()
-        told = checked_residuals(residuals, points)
+        answers = checked_residuals(residuals, points)
         if self.done:
             return
         self.evaluations += len(points)
-        self._note(points, self._cost.deviance(points, told))
-        self._tasks.tell(told)
+        self._note(points, self._cost.deviance(points, answers))
+        self._tasks.tell(answers)
         if self._must_restart():
             self._restarts += 1
             self._begin()
@@ -267,7 +267,7 @@ class ProfileSearch:
         """Whether the profiles stand on a point that turned out not to be the best."""
         if not self._sides or self._restarts >= MAX_RESTARTS:
             return False
-        worth = ANEW * self._nominal + DEEPER * self._roughness
+        worth = RESTART_GAIN * self._nominal + DEEPER * self._roughness
         return self._best.error < self._sides[0].nodes[0].deviance - worth
 
     # Phases, in order; each makes tasks that run side by side.

@@ -409,11 +409,11 @@ class CalibrationSearch:
         """Add a verdict on every parameter."""
 
         def ask(wanted: AssessmentRequest) -> Steps[FloatArray]:
-            told = yield from self._table(wanted, VERDICTS)
+            answers = yield from self._table(wanted, VERDICTS)
             if self.is_over:
                 more = "allow a larger budget, or calibrate a sample of the experiments"
                 raise FixelError(f"{OUT_OF_BUDGET}; {more}")
-            return told
+            return answers
 
         if not np.isfinite(one.errors).all():
             return one

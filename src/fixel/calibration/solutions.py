@@ -36,21 +36,21 @@ def find_solutions(
     of a valley are one cluster, however long it is, if neighbours are closer than this. The best
     cluster is the first; there is none if all points failed.
     """
-    table, told = np.asarray(points, np.float64), np.asarray(errors, np.float64)
+    table, values = np.asarray(points, np.float64), np.asarray(errors, np.float64)
     widths = np.asarray(scale, np.float64)
-    if table.ndim != 2 or told.shape != table.shape[:1] or widths.shape != table.shape[1:]:
-        found = f"shapes {table.shape}, {told.shape} and {widths.shape}"
+    if table.ndim != 2 or values.shape != table.shape[:1] or widths.shape != table.shape[1:]:
+        found = f"shapes {table.shape}, {values.shape} and {widths.shape}"
         raise InvalidInput("solutions", found=found, expected="(k, n), (k,) and (n,)")
     limit = non_negative(threshold, "threshold")
     gap = positive(distance, "distance", "scales")
-    order = np.argsort(np.where(np.isnan(told), np.inf, told), kind="stable")
-    order = order[np.isfinite(told[order])]
+    order = np.argsort(np.where(np.isnan(values), np.inf, values), kind="stable")
+    order = order[np.isfinite(values[order])]
     if not len(order):
         return ()
-    order = order[told[order] <= told[order[0]] + limit][:MAX_SOLUTIONS]
+    order = order[values[order] <= values[order[0]] + limit][:MAX_SOLUTIONS]
     labels = _clusters(table[order] / widths, gap)
     return tuple(
-        _solution(table, told, order[labels == label]) for label in dict.fromkeys(labels.tolist())
+        _solution(table, values, order[labels == label]) for label in dict.fromkeys(labels.tolist())
     )
 
 

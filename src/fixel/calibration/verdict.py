@@ -73,7 +73,7 @@ CLEARLY_WIDER: Final = 2.0
 # A partner of a trade-off: resetting it costs this share of the threshold...
 COSTS: Final = 0.5
 # ... and this share of the cost of the most important partner; at most three are named.
-BESIDE_MOST: Final = 0.1
+PARTNER_SHARE: Final = 0.1
 MAX_PARTNERS: Final = 3
 # ... and it moved by at least this share of its scale; less is roughness of the deviance.
 MOVES: Final = 0.05
@@ -336,7 +336,7 @@ def _falls_outwards(case: _ParameterCase) -> bool:
 def _needed(case: _ParameterCase) -> list[int]:
     """Return the indices of the unknowns that must move to reach the ends of the interval."""
     rise, moved = case.profile.rise, case.profile.moved
-    least = max(COSTS, BESIDE_MOST * float(rise.max(initial=0.0)))
+    least = max(COSTS, PARTNER_SHARE * float(rise.max(initial=0.0)))
     found = [k for k in range(len(rise)) if rise[k] >= least and moved[k] >= MOVES]
     return sorted(found, key=lambda k: -moved[k])[:MAX_PARTNERS]
 

@@ -138,7 +138,7 @@ class FilterRun(Result):
         not the run may have decided it."""
         low, _, high = self.quantiles[-1].T
         near = zip(self.excited.items(), self.prior.touched(low, high).tolist(), strict=True)
-        return {name: excited and told for (name, excited), told in near}
+        return {name: excited and touched for (name, excited), touched in near}
 
     @property
     def parameters(self) -> dict[str, dict[str, float | bool]]:

@@ -58,19 +58,19 @@ class WorkerProcess:
         self._process: Any = None
         self._pipe: Connection | None = None
 
-    def call(self, argument: Any, nobody_waits: Callable[[], bool] = lambda: False) -> Any:
+    def call(self, argument: Any, cancelled: Callable[[], bool] = lambda: False) -> Any:
         """Return the answer of the function, or raise its exception.
 
         Raise `JobRefused` if the time limit was exceeded or the process died, and
-        `CallCancellation` if `nobody_waits()` returned True.
+        `CallCancellation` if `cancelled()` returned True.
         """
-        with self._my_turn(nobody_waits):
-            pipe = self._running(nobody_waits)
+        with self._my_turn(cancelled):
+            pipe = self._running(cancelled)
             self._hand_over(pipe, argument)
             late = JobRefused(
                 f"the computation took more than {self.limit:g} s and was stopped", hint=self._hint
             )
-            worked, answer = self._received(pipe, self.limit, nobody_waits, late)
+            worked, answer = self._received(pipe, self.limit, cancelled, late)
         if not worked:
             raise answer
         return answer
@@ -92,10 +92,10 @@ class WorkerProcess:
         self.close()
 
     @contextmanager
-    def _my_turn(self, nobody_waits: Callable[[], bool]) -> Iterator[None]:
+    def _my_turn(self, cancelled: Callable[[], bool]) -> Iterator[None]:
         until = time.monotonic() + self.limit
         while not self._turn.acquire(timeout=GLANCE):
-            if nobody_waits():
+            if cancelled():
                 raise CallCancellation
             if self._starting:  # has a limit of its own, as it may have to compile
                 until = time.monotonic() + self.limit
@@ -109,7 +109,7 @@ class WorkerProcess:
         finally:
             self._turn.release()
 
-    def _running(self, nobody_waits: Callable[[], bool]) -> Connection:
+    def _running(self, cancelled: Callable[[], bool]) -> Connection:
         """Return the pipe to the process; start it and wait until it is ready, if necessary."""
         if self._pipe is not None and self._process.is_alive():
             return self._pipe
@@ -129,7 +129,7 @@ class WorkerProcess:
         )
         self._starting = True
         try:
-            self._received(ours, STARTS_WITHIN, nobody_waits, late)
+            self._received(ours, STARTS_WITHIN, cancelled, late)
         finally:
             self._starting = False
         return ours
@@ -146,12 +146,12 @@ class WorkerProcess:
             hung.cancel()
 
     def _received(
-        self, pipe: Connection, limit: float, nobody_waits: Callable[[], bool], late: JobRefused
+        self, pipe: Connection, limit: float, cancelled: Callable[[], bool], late: JobRefused
     ) -> tuple[bool, Any]:
         until = time.monotonic() + limit
         try:
             while not pipe.poll(GLANCE):
-                if nobody_waits():
+                if cancelled():
                     raise CallCancellation
                 if time.monotonic() > until:
                     raise late

@@ -311,8 +311,8 @@ class TableFit(NamedTuple):
 
     mean: FloatArray  # (m,)
     factor: FloatArray  # (m, m) square root of the covariance
-    # What the pushes of each part tell of the map: precision (m, m) and its product with the mean.
-    told: tuple[tuple[FloatArray, FloatArray], ...]
+    # Information of the pushes of each part: precision (m, m) and its product with the mean.
+    information: tuple[tuple[FloatArray, FloatArray], ...]
     parts: tuple[MapRows, ...]  # pushes that were used
     force: tuple[FloatArray, ...]  # (n, 3) what is left of the ends over their covariance
 
@@ -323,7 +323,7 @@ class TableFit(NamedTuple):
 
     def without(self, part: int) -> FloatArray:
         """Return the mean (m,) without the pushes of a part; weights of other pushes stay."""
-        others = [own for k, own in enumerate(self.told) if k != part]
+        others = [own for k, own in enumerate(self.information) if k != part]
         m = len(self.mean)
         precision = sum((own for own, _ in others), np.eye(m))
         return np.asarray(np.linalg.solve(precision, sum((own for _, own in others), np.zeros(m))))
@@ -342,22 +342,24 @@ def fit_table(rows: Sequence[MapRows], by_pose: bool = False) -> TableFit:
     m = parts[0].by_map.shape[2]
     noise = [np.full(len(part.pose), LARGEST_NOISE**2) for part in parts]
     for _ in range(ROUNDS):
-        told, solved = [], []
+        information, solved = [], []
         for part, own, each in zip(parts, prior, noise, strict=True):
             by_map = part.by_map.reshape(3 * len(part.pose), m)
             columns = np.column_stack((by_map, part.residual.reshape(-1)))
             inner = cho_factor(own + np.diag(np.repeat(each, 3)), lower=True)
             solved.append(cho_solve(inner, columns))
-            told.append((by_map.T @ solved[-1][:, :m], by_map.T @ solved[-1][:, m]))
-        precision = np.eye(m) + sum(own for own, _ in told)
-        mean = np.asarray(np.linalg.solve(precision, sum(own for _, own in told)), np.float64)
+            information.append((by_map.T @ solved[-1][:, :m], by_map.T @ solved[-1][:, m]))
+        precision = np.eye(m) + sum(own for own, _ in information)
+        mean = np.asarray(
+            np.linalg.solve(precision, sum(own for _, own in information)), np.float64
+        )
         force = [(own[:, m] - own[:, :m] @ mean).reshape(-1, 3) for own in solved]
         left = [e * np.linalg.norm(own, axis=1) for own, e in zip(force, noise, strict=True)]
         sizes = min(np.median(np.concatenate(left)) / MEDIAN, LARGEST_NOISE), LARGEST_NOISE
         size = np.sqrt(np.average(np.square(sizes), weights=(sum(map(len, left)), IMAGINARY)))
         noise = [size**2 * np.sqrt(1.0 + (own / size) ** 2) for own in left]
     factor = np.asarray(np.linalg.inv(np.linalg.cholesky(precision)).T, np.float64)
-    return TableFit(mean, factor, tuple(told), tuple(parts), tuple(force))
+    return TableFit(mean, factor, tuple(information), tuple(parts), tuple(force))
 
 
 def own_fit(rows: MapRows, mean: FloatArray) -> OwnFit:

@@ -37,7 +37,7 @@ ENOUGH: Final = 0.95  # probability from which a push is not refined
 PARENTS, CHILDREN = 4, 12  # pushes of each generation of a refinement
 GENERATIONS: Final = 6
 STEPS: Final = (0.03, 0.003)  # largest and smallest of its children, in shares of the ranges
-FAR: Final = 1e-3  # weight of the distance from the goal beside the probability of meeting it
+FAR: Final = 1e-3  # weight of the distance from the goal relative to the probability of meeting it
 SHORTER: Final = 0.2  # least length of a correction over that of a push, where none is given
 # Share of the spread of predicted poses by which the error of a seen pose is made wider, until
 # enough predictions count.

@@ -27,7 +27,7 @@ from fixel.progress import show_progress
 
 ENTRY: Final = "batch.rollout_batch"
 GLANCE_S: Final = 0.05  # time between two looks at the other processes
-BESIDE: Final = (
+IN_BACKGROUND: Final = (
     "Compiling numerical code in the background: once for this version, about a minute. Until then "
     "simulations run as plain Python and take longer, with the same results. `fixel compile` does "
     "it in advance."
@@ -102,7 +102,7 @@ def _start(request: tuple[Any, ...]) -> bool:
             empty = BatchRecord._make(own[:0] for own in record)  # more would have to be read first
             _send(_compiling, (batch, method, empty, every_step))
         if _plain is None:
-            print_once(BESIDE)
+            print_once(IN_BACKGROUND)
             _plain = _child({"NUMBA_DISABLE_JIT": "1"})
     except OSError:
         return False

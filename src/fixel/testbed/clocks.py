@@ -58,7 +58,7 @@ class DeviceClock:
         device = self._unwrapped(ticks)
         went_back = last_ticks is not None and device < 1e-6 * (last_ticks + WRAP * last_turns)
         if self._kept and (went_back or not self._plausible(device, earliest, latest)):
-            self._start_anew()
+            self._restart()
             device = self._unwrapped(ticks)
         self._keep(_Exchange(device, 0.5 * (earliest + latest), 0.5 * (latest - earliest)))
         centre, apart = self._centre
@@ -78,7 +78,7 @@ class DeviceClock:
         expected = last.middle + (device - last.device)
         return earliest - allowed <= expected <= latest + allowed
 
-    def _start_anew(self) -> None:
+    def _restart(self) -> None:
         self.restarts += 1
         self.drift, self.room = 0.0, math.inf
         self._kept.clear()

@@ -298,7 +298,7 @@ class Recorder:
         """Call `watch` with the status; if it fails, continue the recording without it."""
         assert self.watch is not None
         status = RecordingStatus(
-            at, frames, lost, self._pace.rate, self._bits, self._free, self._told()
+            at, frames, lost, self._pace.rate, self._bits, self._free, self._sentences()
         )
         try:
             self.watch(arrived, status)
@@ -306,7 +306,7 @@ class Recorder:
             self.watch = None
             self._problems[f"the preview failed: {problem}"] += 1
 
-    def _told(self) -> tuple[str, ...]:
+    def _sentences(self) -> tuple[str, ...]:
         torn = Counter({"a truncated picture, skipped": self.source.torn})
         return tuple(
             sentence if n == 1 else f"{sentence} ({n} times)"
@@ -316,7 +316,7 @@ class Recorder:
     def _close(self, queue: FrameQueue, writer: RecordingWriter, reason: str) -> RecordingSummary:
         lost = queue.lost
         gaps = self._pace.sentence()
-        problems = (*self._told(), *([gaps] if gaps else []))
+        problems = (*self._sentences(), *([gaps] if gaps else []))
         try:
             writer.close(reason, lost, problems)
         except (FixelError, OSError) as problem:

@@ -124,13 +124,13 @@ class OptimiserContract:
     def test_counts_and_remembers(self, optimiser: AbstractOptimiser) -> None:
         search = optimiser.start(box())
         journal = run(search, bowl, 60)
-        errors = np.concatenate([told for _, told in journal])
+        errors = np.concatenate([answer for _, answer in journal])
         points = np.concatenate([asked for asked, _ in journal])
         assert search.evaluations == len(errors)
         assert search.best.error == errors.min()
         assert np.array_equal(search.best.point, points[np.argmin(errors)])
 
-    def test_asks_the_same_until_told(self, optimiser: AbstractOptimiser) -> None:
+    def test_asks_the_same_until_answered(self, optimiser: AbstractOptimiser) -> None:
         search = optimiser.start(box())
         for _ in range(5):
             asked = search.ask().copy()
@@ -161,7 +161,7 @@ class OptimiserContract:
     def test_survives_failures(self, optimiser: AbstractOptimiser) -> None:
         search = optimiser.start(box())
         journal = run(search, failing(bowl), 400)
-        errors = np.concatenate([told for _, told in journal])
+        errors = np.concatenate([answer for _, answer in journal])
         assert not np.isfinite(errors).all()
         assert search.best.error == errors[np.isfinite(errors)].min()
         assert search.best.error == bowl(search.best.point)
@@ -182,7 +182,7 @@ class OptimiserContract:
         assert search.best.error == math.inf
         assert search.evaluations > 0
 
-    def test_resumes_from_what_it_was_told(self, optimiser: AbstractOptimiser) -> None:
+    def test_resumes_from_answers(self, optimiser: AbstractOptimiser) -> None:
         whole = optimiser.start(box(), seed=1)
         journal = run(whole, failing(bowl), 150)
         for cut in {1, len(journal) // 3, len(journal) - 1}:

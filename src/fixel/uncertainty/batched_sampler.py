@@ -149,9 +149,9 @@ class _Walker:
 
     def answer(self) -> Any:
         own = self._argument
-        told = {"accept": self.accepted, "reject": self.refused, "scale": own.scale}
+        counts = {"accept": self.accepted, "reject": self.refused, "scale": own.scale}
         stats = {"n_accept": self.accepted, "n_reject": self.refused}
-        return _answer(self.unit, self.point, self.value, own.kwargs["walks"], told, stats)
+        return _answer(self.unit, self.point, self.value, own.kwargs["walks"], counts, stats)
 
 
 def _rng(argument: Any) -> np.random.Generator:

@@ -388,7 +388,7 @@ class _Count:
     def __init__(self, progress: ProgressCallback | None) -> None:
         self._progress = progress
         self.evaluations = self._done = 0
-        self._told = clock.monotonic()
+        self._reported = clock.monotonic()
         self._most = 1.0
 
     def __call__(self, n: int) -> None:
@@ -397,9 +397,9 @@ class _Count:
     def left(self, remaining: float) -> None:
         """Report the remaining evidence, as the logarithm of a factor."""
         now = clock.monotonic()
-        if now - self._told < BETWEEN:
+        if now - self._reported < BETWEEN:
             return
-        self._told = now
+        self._reported = now
         finite = min(remaining, 1e6)
         self._most = max(self._most, finite)
         span = math.log1p(self._most / REMAINING)

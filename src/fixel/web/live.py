@@ -169,14 +169,14 @@ class LiveView:
         seen = 0
         yield "retry: 1000\n\n"
         while (shot := await self.after(seen, HEARTBEAT)) is not None:
-            yield self._told() if shot.number > seen else ": still here\n\n"
+            yield self._event() if shot.number > seen else ": still here\n\n"
             seen = shot.number
             await asyncio.sleep(STATUS_PAUSE)
         if self.newest.number > seen:  # the last status
-            yield self._told()
+            yield self._event()
         yield "event: end\ndata: {}\n\n"
 
-    def _told(self) -> str:
+    def _event(self) -> str:
         page = f"event: page\ndata: {json.dumps(self.markup())}\n\n" if self.markup else ""
         return f"data: {self.report}\n\n{page}"
 

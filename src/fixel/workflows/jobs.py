@@ -256,7 +256,7 @@ def cancel(folder: Path) -> JobStatus:
     if run.site is not None:
         _cancel_on_slurm(job.label)
     after = status_of(folder)
-    if after.state == LOST or not after.ended:  # nobody ran it, or it ended before it said so
+    if after.state == LOST or not after.ended:  # it was not run, or ended without a message
         cancelled = files.read_status(folder).model_copy(update={"state": "cancelled"})
         files.write_status(folder, cancelled)
         files.log(folder, "cancelled")

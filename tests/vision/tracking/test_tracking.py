@@ -128,7 +128,7 @@ class TestPlate:
         refused(track, [frame], rig, register=True, match="at least 3 tags")
 
     def test_a_camera_that_was_moved_is_registered(self):
-        """Moved by 3 mm and turned by a degree: told, and poses are those of the plate again."""
+        """Moved by 3 mm and turned by a degree: values, and poses are those of the plate again."""
         rig = tag_rig(plate=True)
         corners = [(-0.063, 0.034), (0.066, 0.038), (0.066, -0.042), (-0.06, -0.055)]
         rig = replace(

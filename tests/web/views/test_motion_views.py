@@ -93,7 +93,7 @@ def test_angles_are_continuous():
     assert np.abs(np.diff(_continuous(pose)[:, 2])).max() < 0.3
 
 
-def test_an_experiment_nobody_can_draw_is_refused():
+def test_an_experiment_without_a_drawing_is_refused():
 
     experiment = next(iter(SimulatedTestbed(seed=1).run(thesis_plan().experiments[:1])))
     motion = measured_motion(experiment)

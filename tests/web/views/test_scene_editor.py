@@ -7,7 +7,7 @@ from tests.fixtures import refused
 from fixel.web.views import scene_editor
 
 
-def test_every_example_is_read_and_told_in_a_sentence():
+def test_every_example_is_read_and_described_in_a_sentence():
     names = [one.name for one in scene_editor.examples()]
     assert "grasp" in names
     assert {one.name: one.sentence for one in scene_editor.examples()}[

@@ -61,7 +61,7 @@ def test_without_a_rig_nothing_is_drawn(project):
     assert outlines_in_video(project, replace(experiment(), scene=None)) is None
 
 
-def test_a_rig_of_the_project_beside_a_broken_one(project):
+def test_a_rig_of_the_project_next_to_a_broken_one(project):
     folder = project.folder / "rigs"
     folder.mkdir()
     (folder / "a.yaml").write_text("nothing of the kind: [")

@@ -45,7 +45,7 @@ def truth_of(folder) -> tuple[dict, dict]:
         return dict(arrays), json.loads((folder / ABOUT).read_text())
 
 
-def test_a_scene_becomes_a_recording_with_its_truth_beside_it(tmp_path, rig, scene):
+def test_a_scene_becomes_a_recording_with_its_truth_in_a_file(tmp_path, rig, scene):
     out = tmp_path / "film"
     (filmed,) = film_experiments([scene], out=out, rig=rig, looks="clean", frames=25, exact=True)
     recording = open_recording(out)
@@ -124,7 +124,7 @@ def test_a_stored_experiment_moves_in_the_film_as_it_truly_did(tmp_path, rig, pr
     assert arrays["pose_object"][-1] == pytest.approx(end, abs=1e-4)
     assert about["testbed_seed"] == 3
     assert about["conditions"]["truth_size_ratio"] == 0.998
-    # What was planned is beside the film, not what truly lay there.
+    # The plan is stored with the film, not the true scene.
     assert load_scene(tmp_path / "film" / "scene.yaml").scene == planned.scene
 
 

@@ -110,7 +110,7 @@ def test_a_spoilt_picture_is_passed_over():
     assert len(list(frames_of(source, live=False))) == 2
 
 
-def test_a_camera_that_has_moved_is_told_from_a_part_that_has():
+def test_a_camera_that_moved_is_distinguished_from_a_part_that_did():
     camera = RIG.camera
     moved = Camera.looking_down(camera.lens, 0.516, above=(0.125, 0.01), turned=0.05)
     look = look_at(AT_HOME, seen_by=small_rig(camera=moved))
@@ -228,11 +228,11 @@ class Hangs(FrameSource):
 
 def test_a_camera_that_hangs_ends_the_pictures(monkeypatch):
     monkeypatch.setattr("fixel.workflows.acquisition.overlay.SILENT", 0.3)
-    source, told = Hangs(), []
+    source, values = Hangs(), []
     begun = time.monotonic()
-    assert len(list(frames_of(source, True, told.append))) == 1
+    assert len(list(frames_of(source, True, values.append))) == 1
     assert time.monotonic() - begun < 60.0
-    assert told == ["the camera has sent nothing for 0.3 s"]
+    assert values == ["the camera has sent nothing for 0.3 s"]
     assert source.closed.is_set()
 
 

@@ -221,7 +221,7 @@ def test_two_pushes_in_one_film_make_no_scene():
     assert "one by one" in flag.detail
 
 
-def test_a_fixel_that_does_not_stand_still_is_told_of():
+def test_a_moving_fixel_is_reported():
     fixels = [FoundFixel(name=f"fixel-{k}", place=(0, 0), scatter=3e-4 * k, n=5) for k in (0, 1)]
     (flag,) = [f for f in pushed(PUSH, fixels=tuple(fixels)).flags if "restless" in f.name]
     assert flag.name == "fixel-1-restless"

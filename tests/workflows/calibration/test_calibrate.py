@@ -104,7 +104,7 @@ def test_what_is_shown(fit):
     assert "mm" in text
 
 
-def test_a_misfit_is_told_in_one_paragraph(fit):
+def test_a_misfit_is_one_paragraph(fit):
     misfitting = replace(
         fit.found, misfit=("slight model misfit: 5 mrad.", "Half of it is of one.")
     )

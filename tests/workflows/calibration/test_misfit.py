@@ -24,7 +24,7 @@ from fixel.workflows.calibration.request import (
     NamedOptions,
 )
 from fixel.workflows.calibration.stored import load_values, searched_space
-from fixel.workflows.demo.laboratory_demo import _beside_truth
+from fixel.workflows.demo.laboratory_demo import _compared_with_truth
 from fixel.workflows.report.sections import calibration_warnings, parameters_section
 
 LARGER = ("pressure_spread", "friction_centre_x", "friction_centre_y")
@@ -55,8 +55,8 @@ def test_misfit_is_said_before_anything_else(found):
     assert float(done.outcome.found[-1].misfit_ratio) > 10.0
     assert any(line.startswith("a larger model may fit better: fixel calibrate") for line in lines)
     with project.store() as store:
-        told = load_detail(project, store, done.ids[-1])
-    assert calibration_warnings(done.joint)[0] == misfit[0] == told.misfit[0]
+        detail = load_detail(project, store, done.ids[-1])
+    assert calibration_warnings(done.joint)[0] == misfit[0] == detail.misfit[0]
     assert json.loads(json.dumps(done.summary()))["found"][-1]["misfit"] == [*misfit]
 
 
@@ -75,7 +75,7 @@ def test_the_check_of_predictions_is_one_sentence_wherever_one_looks(found):
 def test_one_value_inside_its_interval_wherever_one_looks(found):
     project, done = found
     with project.store() as store:
-        told = load_detail(project, store, done.ids[-1])
+        detail = load_detail(project, store, done.ids[-1])
         one = load_values(store, done.ids[-1])
     summary = done.summary()["found"][-1]
     charts = {p.name: p.chart for p in pictures_of(done)}
@@ -88,8 +88,8 @@ def test_one_value_inside_its_interval_wherever_one_looks(found):
     ]
     assert {*table} <= {*done.analysis.lines()}
     rows = {row[0]: (row, below) for row, below in pairwise([line.split() for line in table])}
-    assert [*values] == [row.label for row in told.parameters]
-    for row in told.parameters:
+    assert [*values] == [row.label for row in detail.parameters]
+    for row in detail.parameters:
         low = -math.inf if row.low is None else row.low
         high = math.inf if row.high is None else row.high
         assert low <= row.value <= high
@@ -102,7 +102,7 @@ def test_one_value_inside_its_interval_wherever_one_looks(found):
         (curve,) = (own for own in done.joint.found.profiles if own.label == row.label)
         assert abs(row.noise_value - curve.best) <= 0.02 * (row.bounds[1] - row.bounds[0])
         assert summary["best_fit"][row.label] == row.best_fit == one.record.parameters[row.label]
-    assert any(row.value != row.best_fit for row in told.parameters)
+    assert any(row.value != row.best_fit for row in detail.parameters)
 
 
 def test_the_radius_of_a_tripod_that_is_not_there_is_effective(found):
@@ -172,9 +172,9 @@ def test_what_reads_a_calibration_simulates_with_its_pressure(found, enlarged):
     assert "pressure_spread" in space.labels
 
 
-def test_truth_stands_beside_what_was_found(found):
+def test_truth_is_compared_with_what_was_found(found):
     project, done = found
-    table = _beside_truth(project, done.ids[-1])
+    table = _compared_with_truth(project, done.ids[-1])
     truth = {row[0]: row[3] for row in table.rows}
     with project.store() as store:
         ratios = [

@@ -338,7 +338,7 @@ def test_a_budget_ends_a_search_at_the_same_place_after_an_interruption(project,
     assert one.trace.ended == "the budget is used up"
     assert np.isfinite(one.errors).all()
     assert "budget" in one.note
-    # Of the answers kept, none was asked for again, and none beside the first round of the search.
+    # None of the stored answers was computed again, and only those of the first round were new.
     assert len(one.trace.errors) <= 10
     kept = status_of(folder).kept
     assert run_here(folder).kept == kept

@@ -50,7 +50,7 @@ def test_pictures_are_the_same_and_fixels_say_the_same(filmed: Path, tmp_path: P
     assert np.mean(seen.readings[read] == made.readings[read]) > 0.8
 
 
-def test_a_drive_that_does_not_move_is_told(filmed: Path, tmp_path: Path) -> None:
+def test_a_drive_that_does_not_move_is_reported(filmed: Path, tmp_path: Path) -> None:
     pusher = short(filmed).pushers[0]
     fast = replace(
         short(filmed), pushers=(replace(pusher, drive=replace(pusher.drive, speed=1.0)),)

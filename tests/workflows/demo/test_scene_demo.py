@@ -26,7 +26,7 @@ def test_files_are_left_behind(demo):
 @pytest.mark.system
 def test_the_story_is_complete_and_in_order(demo):
     times = [event.time for event in demo.events]
-    told = " | ".join(event.text for event in demo.events)
+    values = " | ".join(event.text for event in demo.events)
 
     assert times == sorted(times)
     for part in (
@@ -38,7 +38,7 @@ def test_the_story_is_complete_and_in_order(demo):
         "seated on fixel-1 and fixel-2; the drive stalls at 34.3 N",
         "drift since the stall",
     ):
-        assert part in told
+        assert part in values
 
 
 @pytest.mark.system
@@ -71,7 +71,7 @@ def test_a_folder_that_cannot_be_made_is_a_sentence(tmp_path):
 
 
 @pytest.mark.parametrize("name", example_names())
-def test_every_example_can_be_simulated_and_told(name, tmp_path):
+def test_every_example_can_be_simulated_and_described(name, tmp_path):
     path = tmp_path / f"{name}.yaml"
     path.write_text(example_text(name))
 

@@ -37,12 +37,12 @@ def model(targets, names=("mu_pusher",), error=None):
 
 def test_on_a_perfect_bench_held_out_errors_are_none_and_the_truth_is_found(tmp_path):
     targets = targets_of(SimulatedTestbed.ideal().run(planned()))
-    told = []
+    values = []
     one = model(targets, ["mu_pusher=0:1:0.3"])
     found = held_out(
-        targets, one, Apart(folds=2), ResultCache(tmp_path).get, lambda *done: told.append(done)
+        targets, one, Apart(folds=2), ResultCache(tmp_path).get, lambda *done: values.append(done)
     )
-    assert told == [(1, 2), (2, 2)]
+    assert values == [(1, 2), (2, 2)]
     assert np.sqrt(found.error).max() < 0.02  # [mm]
     assert sorted(np.bincount(found.fold).tolist()) == [2, 2]
     for point in found.points.values():
@@ -93,7 +93,7 @@ def test_a_start_that_some_group_cannot_have_is_refused_before_any_fit(tmp_path,
         held_out(mixed, one, Apart(("kind",), "", 2, 0), ResultCache(tmp_path).get)
 
 
-def test_errors_beside_own_bests_are_refused_before_any_fit(tmp_path, monkeypatch):
+def test_errors_relative_to_own_bests_are_refused_before_any_fit(tmp_path, monkeypatch):
     project = project_of(tmp_path / "lab", SimulatedTestbed.ideal().run(planned(3)))
 
     def never(*_):

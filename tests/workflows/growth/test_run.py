@@ -145,14 +145,14 @@ def test_of_repetitions_the_first_counts(lab, experiments):
     assert any("1 repetition skipped" in sentence for sentence in found.warnings)
 
 
-def test_stored_errors_that_are_not_met_again_are_told(tmp_path, experiments, points, errors):
+def test_stored_errors_that_are_not_met_again_are_reported(tmp_path, experiments, points, errors):
     project, _ = project_with(tmp_path / "lab", experiments, points, 2.0 * errors)
     with project.store() as store:
         warnings = explored(store).warnings
     assert any("does not reproduce" in sentence for sentence in warnings)
 
 
-def test_searches_that_got_stuck_are_told(tmp_path, experiments, points, errors, comparer):
+def test_searches_that_got_stuck_are_reported(tmp_path, experiments, points, errors, comparer):
     # Two experiments with one set; the first has a poor one of its own, the second its neighbour's.
     at = _place(experiments)
     stuck, good = at["x1"], at["nominal"]
@@ -162,10 +162,10 @@ def test_searches_that_got_stuck_are_told(tmp_path, experiments, points, errors,
     less[good] = 1e-9  # it rules every mean
     project, _ = project_with(tmp_path / "lab", experiments, own, less)
     with project.store() as store:
-        (told,) = (w for w in explored(store).warnings if "--mode campaign" in w)
+        (values,) = (w for w in explored(store).warnings if "--mode campaign" in w)
     under = comparer.errors(np.array([stuck]), np.array([[0.2, 0.04]])).error[0]
     assert under < 0.5 * less[stuck]
-    assert "experiments have less than half" in told
+    assert "experiments have less than half" in values
 
 
 @pytest.mark.system

@@ -114,9 +114,9 @@ def test_a_simulation_that_stopped_has_no_errors(perfect):
 
 
 def test_without_a_scene_there_is_nothing_to_simulate(perfect):
-    bare = replace(perfect, scene=None, flags=(Flag("no-fixels", "nobody knows where", False),))
+    bare = replace(perfect, scene=None, flags=(Flag("no-fixels", "fixels not located", False),))
 
-    with pytest.raises(InvalidInput, match="no scene: nobody knows where"):
+    with pytest.raises(InvalidInput, match="no scene: fixels not located"):
         compare_run(bare)
 
 

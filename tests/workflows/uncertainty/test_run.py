@@ -130,7 +130,7 @@ def test_questions_that_make_no_sense_are_refused(folder, changes, words):
         _asked(folder, **changes)
 
 
-def _beside(low, high, quantiles, of=1, level=0.95):
+def _compared(low, high, quantiles, of=1, level=0.95):
     """Warnings of a posterior of mu_pusher compared with a calibration of 21 experiments."""
     estimate = Estimate(
         label="mu_pusher", unit="-", value=0.256, low=low, high=high, verdict="identified"
@@ -163,30 +163,30 @@ def _beside(low, high, quantiles, of=1, level=0.95):
 
 
 def test_a_posterior_repeats_the_misfit_of_the_calibration():
-    assert _beside(0.15, 0.36, (0.18, 0.2, 0.22)) == [
+    assert _compared(0.15, 0.36, (0.18, 0.2, 0.22)) == [
         "Calibration 7: model misfit: residuals of 2 mm"
     ]
 
 
 def test_a_posterior_does_not_contradict_the_calibration_silently():
-    _, apart = _beside(0.15, 0.36, (0.4, 0.42, 0.44))
+    _, apart = _compared(0.15, 0.36, (0.4, 0.42, 0.44))
     assert apart.startswith("mu_pusher contradicts calibration 7: this posterior of 1 experiment")
     assert " (95 %), the calibration of 21 has" in apart
     assert apart.endswith("quote the calibration.")
-    _, beside = _beside(0.15, None, (0.1, 0.14, 0.2), of=21)
-    assert beside.startswith("mu_pusher disagrees with calibration 7")
-    assert " ," not in beside  # friction has no unit
-    assert "(0.15 to open)" in beside
-    assert beside.endswith("quote the wider interval.")
+    _, compared = _compared(0.15, None, (0.1, 0.14, 0.2), of=21)
+    assert compared.startswith("mu_pusher disagrees with calibration 7")
+    assert " ," not in compared  # friction has no unit
+    assert "(0.15 to open)" in compared
+    assert compared.endswith("quote the wider interval.")
 
 
 def test_a_posterior_at_the_bound_of_its_prior_is_named():
     """The prior is from 0 to 1; an interval that fills it shows that nothing was learned."""
     warned = "mu_pusher is at the bound of its prior: use a wider one if other values are possible."
-    assert _beside(0.1, 0.9, (0.9, 0.97, 0.999))[-1] == warned
-    assert _beside(0.1, 0.9, (0.001, 0.02, 0.1))[-1] == warned
-    assert warned not in _beside(0.1, 0.9, (0.01, 0.5, 0.99))
-    assert warned not in _beside(0.1, 0.9, (0.6, 0.7, 0.8))
+    assert _compared(0.1, 0.9, (0.9, 0.97, 0.999))[-1] == warned
+    assert _compared(0.1, 0.9, (0.001, 0.02, 0.1))[-1] == warned
+    assert warned not in _compared(0.1, 0.9, (0.01, 0.5, 0.99))
+    assert warned not in _compared(0.1, 0.9, (0.6, 0.7, 0.8))
 
 
 @pytest.mark.parametrize(("away", "verdicts"), [(1.0, 0), (1.9, 0), (2.1, 1), (5.0, 1)])
@@ -195,4 +195,4 @@ def test_the_level_of_a_calibration_decides_no_contradiction(level, away, verdic
     deviation = 0.01
     half = deviation * norm.interval(level)[1]
     other = norm.ppf((0.025, 0.5, 0.975), 0.256 + away * deviation, 1e-3)
-    assert len(_beside(0.256 - half, 0.256 + half, tuple(other), level=level)) == 1 + verdicts
+    assert len(_compared(0.256 - half, 0.256 + half, tuple(other), level=level)) == 1 + verdicts

@@ -45,7 +45,7 @@ SAMPLES: Final = 4  # of the true motion in each frame
 TICK: Final = 2.0**-20  # [s]
 REST: Final = 1e-6  # [m/s, rad/s; m, rad] below which a part is at rest
 NEAR: Final = 0.02  # of the travel from the planned line, where a move of the head is the push
-ASIDE: Final = 5e-3  # [m] by which a person places a part beside what is in its place
+ASIDE: Final = 5e-3  # [m] by which a person places a part next to what is in its place
 ROUNDING: Final = 1e-4  # [m] by which a part that seems to overlap others is moved
 JAM: Final = 0.4  # of the travel, at which the head jams in a row with an overload
 WAITING: Final = 200  # frames that may wait for their reader
@@ -195,11 +195,11 @@ class EmulatedLaboratory:
         random = stream(self._seed, "placed", self._planned.name, str(self._placings))
         way, far = random.uniform(0.0, 2.0 * math.pi), error[0] * math.sqrt(random.uniform())
         off = (far * math.cos(way), far * math.sin(way), random.uniform(-error[1], error[1]))
-        self._part = self._beside(self._planned.scene.bodies[0].pose + np.array(off), ASIDE)
+        self._part = self._shifted(self._planned.scene.bodies[0].pose + np.array(off), ASIDE)
         self._twist, self._touches = np.zeros(3), np.zeros(len(self._scene.fixels), np.bool_)
         self._still: Callable[[], FloatPicture] | None = None  # light of a scene at rest
 
-    def _beside(self, pose: FloatArray, most: float, *, head: bool = True) -> FloatArray:
+    def _shifted(self, pose: FloatArray, most: float, *, head: bool = True) -> FloatArray:
         """Return a pose of the part moved out of fixels and head, if there is space nearby."""
         there = [Neighbour(own.name, own.shape, own.pose) for own in self._scene.fixels]
         if head:
@@ -227,7 +227,7 @@ class EmulatedLaboratory:
             with suppress(InvalidInput):
                 return self._simulated(self._part, self._head, self._head + way, before, now)
             # A squeezed part may overlap by the tolerance of the simulation.
-            part = self._beside(self._part, ROUNDING, head=False)
+            part = self._shifted(self._part, ROUNDING, head=False)
             there = [Neighbour(body.name, body.shape, part)]
             head = _outside(pusher.shape, self._head, there, ROUNDING)
             with suppress(InvalidInput):
@@ -271,9 +271,9 @@ class EmulatedLaboratory:
         along = float(after @ self._along)
         if along > self._jam and way @ self._along > 0.0:
             return np.zeros(3)
-        beside = float(np.hypot(*(after - along * self._along)))
+        across = float(np.hypot(*(after - along * self._along)))
         near = NEAR * self._travel
-        if not self._pushing and along > near and beside < near:
+        if not self._pushing and along > near and across < near:
             self._begin_push(self._travel * step / max(driven, 1e-9))
         return np.append(way, 0.0)
 

@@ -368,7 +368,7 @@ class Locator:
         except InvalidInput as problem:
             return FramePoses(
                 parts={name: PartObservation(reason="not searched for") for name in self.names},
-                problems=(_told(problem),),
+                problems=(_sentence(problem),),
             )
         seen = any(sight.pose is not None for sight in parts.values())
         if self._looks % NOW_AND_THEN == 0 or self._finds < MIN_FRAMES:
@@ -383,7 +383,7 @@ class Locator:
             if not seen:
                 checks.check_orientation(self.rig, frame.luma)
         except InvalidInput as problem:
-            return FramePoses(problems=(_told(problem),))
+            return FramePoses(problems=(_sentence(problem),))
         remarks = (checks.UNWATCHED,) if self.rig.plate and not watched else ()
         return FramePoses(fixels=self._fixels(frame), remarks=remarks)
 
@@ -398,7 +398,7 @@ class Locator:
         return found
 
 
-def _told(problem: InvalidInput) -> str:
+def _sentence(problem: InvalidInput) -> str:
     """Format an error and its hint as a sentence."""
     sentence = f"Found {problem.found}, but fixel needs {problem.expected}"
     return f"{sentence}; {problem.hint}" if problem.hint else sentence

@@ -17,7 +17,7 @@ SCATTERS: Final = 8.0  # times the usual deviation, beyond which a pose is an ou
 MIN_DISAGREEMENT: Final = (0.3e-3, 0.008)  # [m] at 0.55 mm per pixel, [rad]: less is ignored
 JUMP: Final = (1e-3, 0.05)  # [m] at 0.55 mm per pixel, [rad]: impossible change between frames
 ELSEWHERE: Final = "the camera or the plate was moved"
-BESIDE: Final = 3  # steps to either side from which a speed is computed
+WINDOW: Final = 3  # steps to either side from which a speed is computed
 AT_END: Final = 4  # poses likewise, at the end of a piece
 NEARBY: Final = 7  # frames to either side for the even frame rate
 EVEN: Final = (
@@ -207,7 +207,9 @@ def _between_jumps(clocks: Sequence[_MotionTimes], pose: FloatArray, scale: floa
     limit = np.array([JUMP[0] * scale, JUMP[1]])
     rates = [np.diff(pose, axis=0) / _lasted(clock)[:, None] for clock in clocks]  # [m/s, rad/s]
     # Nearly coinciding stamps make speeds too high: use the lower speeds of the two clocks.
-    fastest = np.min([np.max([_sizes(r) for r in _beside(rate)], axis=0) for rate in rates], axis=0)
+    fastest = np.min(
+        [np.max([_sizes(r) for r in _neighbours(rate)], axis=0) for rate in rates], axis=0
+    )
     jump = np.ones(n - 1, dtype=bool)
     for clock, rate in zip(clocks, rates, strict=True):
         jump &= _jumps(clock, rate, limit, fastest)
@@ -241,7 +243,7 @@ def _jumps(
 ) -> BoolArray:
     """Return (n - 1,) bool: steps longer than the speeds before and after explain."""
     step = np.diff(clock.time)
-    off = _beyond(rate, *_beside(rate)) * _lasted(clock)[:, None]
+    off = _beyond(rate, *_neighbours(rate)) * _lasted(clock)[:, None]
     slack = np.maximum(clock.slack[1:], clock.slack[:-1])
     far = (off > limit + slack[:, None] * fastest).any(axis=1)
     # During a long gap any motion is possible.
@@ -276,7 +278,7 @@ def _sizes(rate: FloatArray) -> FloatArray:
     return np.stack((np.hypot(rate[..., 0], rate[..., 1]), np.abs(rate[..., 2])), axis=-1)
 
 
-def _beside(rate: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _neighbours(rate: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Median speeds (n, 3) over the steps before each and after it; at ends, both from one side."""
     before, after = _usual(rate)[:-1], _usual(rate[::-1])[::-1][1:]
     return np.concatenate((after[:1], before)), np.concatenate((after, before[-1:]))
@@ -284,10 +286,10 @@ def _beside(rate: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _usual(rate: FloatArray) -> FloatArray:
     """Running medians (n, 3) of speeds (n, 3): each with up to two before it."""
-    first = [np.median(rate[: k + 1], axis=0) for k in range(min(BESIDE - 1, len(rate)))]
-    if len(rate) < BESIDE:
+    first = [np.median(rate[: k + 1], axis=0) for k in range(min(WINDOW - 1, len(rate)))]
+    if len(rate) < WINDOW:
         return np.array(first)
-    windows = np.lib.stride_tricks.sliding_window_view(rate, BESIDE, axis=0)
+    windows = np.lib.stride_tricks.sliding_window_view(rate, WINDOW, axis=0)
     return np.concatenate((first, np.median(windows, axis=-1)))
 
 

@@ -19,7 +19,7 @@ from fixel.vision.frame import Gray
 STEP = 0.5  # [px] between readings along a normal
 WINDOW = 2.6  # [px] half width of the window of an edge's rise
 SHIFTS = 4  # of that window onto the centroid of its content
-BESIDE = 2.5  # [px] from an edge to the readings of its dark and bright side
+SIDE_DISTANCE = 2.5  # [px] from an edge to the readings of its dark and bright side
 MIN_RISE = 12.0  # of brightness, of 255, least rise of an edge
 
 NUDGE = 1e-5  # [m] step for derivatives of pixels by places
@@ -86,7 +86,7 @@ def edges_along(
                 centre = moment / total
         found[i, 0] = centre
         for side in range(2):
-            place = round((centre + (2 * side - 1) * BESIDE) / STEP) + half
+            place = round((centre + (2 * side - 1) * SIDE_DISTANCE) / STEP) + half
             k = int(min(max(place, 1), m - 2))
             found[i, 1 + side] = (profile[k - 1] + profile[k] + profile[k + 1]) / 3.0
         clear[i] = (

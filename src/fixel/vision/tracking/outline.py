@@ -25,7 +25,7 @@ from fixel.vision.tracking.loops import box_of, edges_along, edges_expected, opt
 ROBUST: Final = 3.0  # scatters beyond which an edge is left out
 MIN_SCATTER: Final = 0.06  # [px] of the best edges
 MIN_SHARE: Final = 0.25  # of all points that must have an edge
-BESIDE_IT: Final = 6.0  # [px] margin for the brightness next to edges
+MARGIN: Final = 6.0  # [px] margin for the brightness next to edges
 MIN_WINDOW: Final = 4  # [px] of a window
 NEAR: Final = 3.2  # [px] reach once the pose is known roughly
 FORESEEN: Final = 0.2  # [px] likewise after the first round, which reaches farther
@@ -159,7 +159,7 @@ def window_of(
     box = np.empty((2, 2))
     if not box_of(optics_of(camera), edges.thing, pose, box):
         return None
-    beyond = 2.0 * reach + BESIDE_IT  # the first round may move it by its reach
+    beyond = 2.0 * reach + MARGIN  # the first round may move it by its reach
     width, height = frame.size
     left, top = (max(int(low - beyond), 0) for low in box[0])
     right = min(int(box[1, 0] + beyond) + 1, width)

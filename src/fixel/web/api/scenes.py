@@ -15,7 +15,7 @@ from fixel.web.values import Answer, Id, RequestBody, Text, storable
 from fixel.web.views import scene_editor
 from fixel.web.views.scene_editor import SceneExample, SceneMotion
 
-NOBODY_WAITS = 499  # HTTP status of nginx for a closed connection
+CLIENT_CLOSED = 499  # HTTP status of nginx for a closed connection
 GLANCE = 0.05  # [s] between two checks whether the browser still waits
 ExampleName = Annotated[str, Path(pattern=r"^[a-z0-9_]{1,40}$")]
 
@@ -100,9 +100,9 @@ async def simulate(wanted: SceneRequest, request: Request) -> SceneMotion:
 def _simulated(scene: dict[str, Any], gone: threading.Event) -> SceneMotion:
     scene_editor.check_scene(scene)  # an invalid scene needs no other process
     try:
-        answer: SceneMotion = scene_editor.beside().call(scene, gone.is_set)
+        answer: SceneMotion = scene_editor.simulation_worker().call(scene, gone.is_set)
     except CallCancellation:
-        raise HTTPException(NOBODY_WAITS, "The connection was closed.") from None
+        raise HTTPException(CLIENT_CLOSED, "The connection was closed.") from None
     return answer
 
 

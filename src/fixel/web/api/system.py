@@ -267,8 +267,8 @@ def disk_status(project: Project) -> DiskStatus:
 
 def self_tested() -> dict[str, Any]:
     """Run `fixel doctor --json` in a process of its own, as kernels would delay other requests."""
-    with WorkerProcess(_examined, limit=SELF_TEST_LIMIT) as beside:
-        answer: dict[str, Any] = beside.call(None)
+    with WorkerProcess(_examined, limit=SELF_TEST_LIMIT) as worker:
+        answer: dict[str, Any] = worker.call(None)
     return answer
 
 

@@ -107,7 +107,7 @@ def domain_page(context: ProjectContext, request: Request) -> dict[str, Any]:
 def simulate_page(context: ProjectContext, request: Request) -> dict[str, Any]:
     """Fill `/simulate`, `/simulate?experiment=KEY`, `/simulate?example=NAME`."""
     # A simulation is likely to follow: its process should be ready by then.
-    Thread(target=scene_editor.get_ready, name="fixel-beside", daemon=True).start()
+    Thread(target=scene_editor.get_ready, name="fixel-simulation-worker", daemon=True).start()
     key = request.query_params.get("experiment", "")
     listed = context.store.experiments(ExperimentQuery(limit=OFFERED)).rows
     return {

@@ -111,7 +111,7 @@ def simulated(content: Any) -> SceneMotion:
 
 
 @functools.cache
-def beside() -> WorkerProcess:
+def simulation_worker() -> WorkerProcess:
     """Process that runs `simulated`, shared by all clients."""
     return WorkerProcess(
         simulated,
@@ -124,7 +124,7 @@ def beside() -> WorkerProcess:
 def get_ready() -> None:
     """Start that process, so that the first simulation need not wait for it."""
     with suppress(JobRefused):  # the simulation itself reports it
-        beside().start()
+        simulation_worker().start()
 
 
 def _check_size(file: SceneFile) -> None:

@@ -119,8 +119,8 @@ def track_film(
     _check_files(files)
     opened = None if project is None else Project(project)
     film = open_film(source)
-    marked = rig_of(rig or _beside(source, RIG_FILE, "rig"))
-    planned = load_scene(scene or _beside(source, SCENE_FILE, "scene")).scene
+    marked = rig_of(rig or _file_next_to(source, RIG_FILE, "rig"))
+    planned = load_scene(scene or _file_next_to(source, SCENE_FILE, "scene")).scene
     tracked = track(
         film.frames(),
         marked,
@@ -189,7 +189,7 @@ def open_film(source: Path) -> Film:
     )
 
 
-def _beside(source: Path, name: str, argument: str) -> Path:
+def _file_next_to(source: Path, name: str, argument: str) -> Path:
     folder = source if source.is_dir() else source.parent
     if not (folder / name).is_file():
         raise InvalidInput(

@@ -63,7 +63,7 @@ def run_tour(folder: Path, notify: Notify | None = None) -> Tour:
     report = project.report(
         folder.parent / "report", calibration=number, command=f"fixel report {at}"
     )
-    return Tour(project=folder, report=report, truth=_beside_truth(project, number))
+    return Tour(project=folder, report=report, truth=_compared_with_truth(project, number))
 
 
 def own_folder(folder: Path, notify: Notify) -> Path:
@@ -84,7 +84,7 @@ def _perform(store: Store) -> None:
             store.add_experiment(experiment)
 
 
-def _beside_truth(project: Project, number: int) -> Table:
+def _compared_with_truth(project: Project, number: int) -> Table:
     """Table of the estimates with the true mean friction of the simulated laboratory."""
     with project.store() as store:
         record = store.calibration(number)

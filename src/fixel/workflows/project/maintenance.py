@@ -178,9 +178,9 @@ def _checked(engine: sa.Engine, project: Project) -> CheckResult:
             troubles += _bad_series(connection, media)
             troubles += _without_motion(connection)
             troubles += _missing_videos(connection, media)
-            told = {trouble.where.partition(",")[0] for trouble in troubles}
+            reported = {trouble.where.partition(",")[0] for trouble in troubles}
             troubles += (
-                one for one in content_troubles(connection, media) if one.where not in told
+                one for one in content_troubles(connection, media) if one.where not in reported
             )
             used, videos = _used(connection)
     except StoreRefused as refused:

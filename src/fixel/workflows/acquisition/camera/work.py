@@ -83,8 +83,8 @@ def placed(asked: Any) -> CameraAnswer:
     """Find the pose of a camera above the plate, and save the camera with its pose."""
     path, pose = asked.camera, pose_of(asked.at, "at").tolist()
     out = asked.out or path.with_name(f"{path.stem}-placed.yaml")
-    beside = [folder / RIG_FILE for folder in (path.parent, asked.picture.parent)]
-    rig = asked.rig or next((str(file) for file in beside if has_plate(file)), None)
+    rigs = [folder / RIG_FILE for folder in (path.parent, asked.picture.parent)]
+    rig = asked.rig or next((str(file) for file in rigs if has_plate(file)), None)
     if asked.board is None and rig is None:
         raise InvalidInput("place", found="neither", expected="--board or --rig, or both")
     require_file(out, CAMERA_ENDINGS, "camera")
