@@ -30,6 +30,7 @@ from fixel.cli.capability import texts_of, typer_command
 from fixel.cli.main import app
 from fixel.database.project import Project
 from fixel.errors import InvalidInput
+from fixel.formats.scene_file import SceneFile, save_scene
 from fixel.jobs.folder import read_job
 from fixel.testing.pushes import example_parts
 from fixel.workflows import jobs
@@ -265,6 +266,15 @@ def test_refusals_have_the_name_of_the_door(capability):
      "particles is 1000000000, but must be at most 1000000"),
     ("uncertainty", {"samples": 10**11},
      "samples is 100000000000, but must be at most 1000000"),
+    ("sensitivity", {"seed": 2**63},
+     "seed is 9223372036854775808, but must be at most 9223372036854775807"),
+    ("uncertainty", {"noise": {"position_m": 1e-300, "angle_rad": 1e-3}},
+     "noise.position_m is 1e-297 mm, but must be at least 1e-06"),
+    ("domain", {"cells": {"push_angle_rad": 1e-300}},
+     "cells push_angle_rad is 1e-300, but must be at least 1e-09"),
+    ("calibrate", {"angle_scale": 1e300},
+     "angle_scale is 1e+303 mm, but must be at most 1e+09"),
+    ("calibrate", {"workers": 10**6}, "workers is 1000000, but must be at most 1000"),
     ("filter", {"experiment": "push-1", "priors": {"mu_pusher": [0.0, 0.5, 1.0]}},
      "priors mu_pusher is [0.0, 0.5, 1.0], but must be a list of 2"),
 ])  # fmt: skip
@@ -280,6 +290,8 @@ def test_wrong_groups_lists_and_counts_are_refused_in_own_words(name, values, se
     ("--level 1", "--level", "less than 1"),
     ("--number 101", "-n|--number", "at most 100"),
     ("-n 4 --number 5", "--number", "one value"),
+    (f"--seed {2**63}", "--seed", f"at most {2**63 - 1}"),
+    ("--noise-mm -1 --noise-mrad 1", "--noise-mm", "more than 0"),
     ("--motion dynamic --engine mujoco", "--motion", "one value"),
     ("--speed-mm-s -4", "--speed-mm-s", "at least 0"),
     ("--solver nweton", "--solver", "newton"),
@@ -462,6 +474,25 @@ def test_stored_results_print_the_same_text_after_export_and_import(project, tmp
             assert [a.experiment(n).key for n in own.experiments] == [
                 b.experiment(n).key for n in theirs[name].experiments
             ]
+
+
+def test_the_same_question_has_the_same_folder_at_each_door(tmp_path, monkeypatch):
+    """By default the newest calibration is used; a page and a job name it, and settle the goal."""
+    own = project_of(tmp_path / "lab", [replace(push(seed=1, duration=0.4), name="push-1")])
+    own.calibrate("", {"mu_pusher": (0, 1)}, max_evaluations=4, verdicts=False, progress=False)
+    start = {"x_mm": 0.1, "kind": "uniform"}
+    text = json.dumps({"fixel": 1, "goal": GOAL, "scene": "scene.yaml", "belief": {"start": start}})
+    (tmp_path / "goal.json").write_text(text)
+    save_scene(SceneFile(scene=own.experiment("push-1").scene), tmp_path / "scene.yaml")
+    monkeypatch.chdir(tmp_path)
+    plan = CAPABILITIES["plan"].request({"goal": "goal.json", "rollouts": 1000})
+    sensitivity = {"experiments": ("1",), "samples": 50}
+
+    call(own, "sensitivity", **sensitivity, progress=False)
+    call(own, "sensitivity", calibration=1, **sensitivity, progress=False)
+    run(CAPABILITIES["plan"], plan, own.folder, progress=False)
+    assert jobs.run_here(prepare(CAPABILITIES["plan"], plan, own)).state == "done"
+    assert len(load_analyses(own, "sensitivity")) == len(load_analyses(own, "plan")) == 1
 
 
 def test_an_imported_request_names_its_own_experiments_and_calibration(tmp_path):

@@ -258,6 +258,15 @@ def test_a_star_of_many_lines_takes_no_memory(tmp_path, monkeypatch):
     refused(Polygon.from_file, path, match="1770 pairs of ends that meet")
 
 
+@pytest.mark.parametrize(("ending", "size"), [("svg", 4_000_000), ("dxf", 20_000_000)])
+def test_giant_files_are_rejected_unread(tmp_path, ending, size):
+    path = tmp_path / f"giant.{ending}"
+    with path.open("wb") as stream:
+        stream.truncate(size + 1)
+
+    refused(Polygon.from_file, path, match=f"at most {size}; leave out the rest")
+
+
 @pytest.mark.parametrize("radius", [1e9, 1e300, float("nan")])
 def test_giant_curves_are_rejected(tmp_path, radius):
     path = dxf(tmp_path / "giant.dxf", lambda s, d: s.add_circle((0, 0), radius))

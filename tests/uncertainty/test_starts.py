@@ -58,6 +58,7 @@ def test_the_kind_is_required_and_printed():
 ])  # fmt: skip
 def test_no_such_error(wrong):
     refused(StartError, **wrong)
+    refused(StartError, theta=1e7, kind="normal", match=r"theta is .*at most 1000000 \[rad\]")
 
 
 def test_no_such_preset_or_number():

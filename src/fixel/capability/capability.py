@@ -16,17 +16,13 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
-from fixel.capability.options import FACTORS, TABLE, Option, is_group, members, options_of
+from fixel.capability.options import TABLE, Option, is_group, members, options_of
 from fixel.errors import InvalidInput, unknown_name
 
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
 
 _PHRASES: Final = {
-    "greater_than_equal": "at least {ge:g}",
-    "greater_than": "more than {gt:g}",
-    "less_than_equal": "at most {le:.9g}",
-    "less_than": "less than {lt:g}",
     "int_type": "an integer",
     "int_parsing": "an integer",
     "int_from_float": "an integer",
@@ -154,14 +150,13 @@ class Capability:
 
         def checked(option: Option) -> Any:
             door = option.door
-            limits = Field(
-                ge=door.least,
-                gt=door.above,
-                le=door.most,
-                lt=door.below,
-                description=option.meaning or None,
-            )
-            kind: Any = Annotated[option.plain, limits]
+            limits = {
+                "minimum": door.least, "exclusiveMinimum": door.above,
+                "maximum": door.most, "exclusiveMaximum": door.below,
+            }  # fmt: skip
+            shown: Any = {name: limit for name, limit in limits.items() if limit is not None}
+            stated = Field(description=option.meaning or None, json_schema_extra=shown)
+            kind: Any = Annotated[option.plain, stated]
             if is_group(option.kind) or option.kind in (int, float):
                 kind = Annotated[kind, BeforeValidator(option.before)]
             return kind, ... if option.required else option.default
@@ -194,9 +189,18 @@ class Capability:
             request = make()
         except ValidationError as problem:
             raise self._refusal(problem) from None
-        for name, option in self.options.items():
-            option.check(getattr(request, name))
+        for name, value in self._values(request).items():
+            self.shown[name].check(value)
         return request
+
+    def _values(self, request: BaseModel) -> dict[str, Any]:
+        """Return the values of all shown options."""
+        found = {}
+        for name in self.shown:
+            group, _, own = name.partition(".")
+            value = getattr(request, group)
+            found[name] = getattr(value, own, None) if own else value
+        return found
 
     def from_texts(self, texts: Mapping[str, Sequence[str]]) -> BaseModel:
         """Return the request of texts by the name of the shown option; none for the default."""
@@ -215,17 +219,17 @@ class Capability:
 
     def texts(self, request: BaseModel) -> dict[str, list[str]]:
         """Return texts of all shown options; inverse of `from_texts`."""
-        found = {}
-        for name, option in self.shown.items():
-            group, _, own = name.partition(".")
-            value = getattr(request, group)
-            found[name] = option.texts(getattr(value, own, None) if own else value)
-        return found
+        return {k: self.shown[k].texts(value) for k, value in self._values(request).items()}
 
     def question(self, request: BaseModel) -> dict[str, Any]:
-        """Return the request as plain content, without options that change no result."""
+        """Return the request as plain content, without a table and options that change no result.
+
+        Files have their whole path.
+        """
         effort = {name for name, option in self.options.items() if option.door.effort}
-        return request.model_dump(mode="json", exclude=effort)
+        content = request.model_dump(mode="json", exclude={TABLE.name, *effort})
+        files = {name: value for name, value in request if isinstance(value, Path)}
+        return content | {k: str(path.resolve()) for k, path in files.items() if k in content}
 
     def words(self, request: BaseModel) -> list[str]:
         """Return the words of the command that repeats a request."""
@@ -304,16 +308,9 @@ class Capability:
         if kind == "missing":
             pair = ("only one of them", "both, or neither") if rest else (None, "a value")
             return InvalidInput(where, found=pair[0], expected=pair[1])
-        found, option = first["input"], self.shown.get(where)
-        unit = option.door.unit if option else ""
-        factor, limits = FACTORS.get(unit, 1.0), first.get("ctx", {})
-        if isinstance(found, str):
-            found = repr(found)
-        elif isinstance(found, float) and factor != 1.0:
-            found = f"{found / factor:.6g} {unit}"
-            limits = {name: limit / factor for name, limit in limits.items()}
+        found = repr(first["input"]) if isinstance(first["input"], str) else first["input"]
         phrase = _PHRASES.get(kind, first["msg"].removeprefix("Input should be "))
-        phrase = phrase.format(**limits).replace("valid ", "")
+        phrase = phrase.format(**first.get("ctx", {})).replace("valid ", "")
         return InvalidInput(where, found=found, expected=phrase)
 
 
@@ -324,10 +321,13 @@ def named(error: InvalidInput, names: Mapping[str, str]) -> InvalidInput:
     (`folds=2`). `names` has the name of each argument at the door.
     """
     name, space, rest = error.where.partition(" ")
-    where, hint = f"{names.get(name, name)}{space}{rest}", error.hint
-    if hint:
-        hint = re.sub(r"(?<!=)\b([a-z_]+)=(True|False)?", lambda one: _setting(one, names), hint)
-    return InvalidInput(where, found=error.found, expected=error.expected, hint=hint)
+    where, hint = f"{names.get(name, name)}{space}{rest}", named_hint(error.hint or "", names)
+    return InvalidInput(where, found=error.found, expected=error.expected, hint=hint or None)
+
+
+def named_hint(hint: str, names: Mapping[str, str]) -> str:
+    """Return a hint with the names of a door instead of arguments that it sets."""
+    return re.sub(r"(?<!=)\b([a-z_]+)=(True|False)?", lambda one: _setting(one, names), hint)
 
 
 def _setting(found: re.Match[str], names: Mapping[str, str]) -> str:

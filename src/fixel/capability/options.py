@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
+import operator
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
 FACTORS: Final[Mapping[str, float]] = {
     "mm": 1e-3, "mm/s": 1e-3, "mrad": 1e-3, "ms": 1e-3, "deg": math.pi / 180.0, "s": 1.0, "N": 1.0
 }  # fmt: skip
+# Limits [SI] at a door that states no others: of numbers above zero, with a unit, and of all.
+SMALLEST, MAX_SIZE, MAX_NUMBER, MAX_INTEGER = 1e-9, 1e6, 1e12, 2**63 - 1
+MAX_WORKERS: Final = 1000  # of one job
 NONE: Final = "none"  # text of None in a mapping
 _METAVARS: Final = {int: "INTEGER", float: "FLOAT", str: "TEXT", Path: "FILE"}
 _YES: Final = ("yes", "no")
@@ -123,12 +127,39 @@ class Option:
             return tuple(self.door.among())
         return _YES if self.kind is bool else get_args(self.kind) if _is_choice(self.kind) else ()
 
-    def check(self, value: Any) -> None:
-        """Raise `InvalidInput` for a text that is not among those that are registered."""
-        if self.door.among is not None and value is not None:
-            for text in value if self.many else (value,):
-                if text not in self.choices:
-                    raise unknown_name(self.name, text, self.choices)
+    @property
+    def limits(self) -> dict[str, tuple[float, Callable[[Any, Any], bool]]]:
+        """Limits of every number in the value, by their words, with the comparison that fits."""
+        door, whole = self.door, self.kind is int
+        least = SMALLEST if door.above == 0.0 else door.least
+        most = MAX_INTEGER if whole else MAX_SIZE if door.unit else MAX_NUMBER
+        stated = {
+            "more than": (door.above, operator.gt),
+            "less than": (door.below, operator.lt),
+            "at least": (-most if least is None else least, operator.ge),
+            "at most": (most if door.most is None else door.most, operator.le),
+        }
+        return {words: (x, fits) for words, (x, fits) in stated.items() if x is not None}
+
+    def check(self, value: Any, where: str = "") -> None:
+        """Raise `InvalidInput` for a number beyond the limits, or a text that is not registered."""
+        where = where or self.name
+        if isinstance(value, Mapping):
+            for name, one in value.items():
+                self.check(one, f"{where} {name}")
+        elif isinstance(value, tuple):
+            for one in value:
+                self.check(one, where)
+        elif isinstance(value, str) and self.door.among is not None and value not in self.choices:
+            raise unknown_name(where, value, self.choices)
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            unit = self.door.unit
+            factor = FACTORS.get(unit, 1.0)
+            for words, (limit, fits) in self.limits.items():
+                if not fits(value, limit):
+                    found = value if factor == 1.0 else f"{value / factor:.6g} {unit}"
+                    shown = limit if isinstance(limit, int) else f"{limit / factor:.9g}"
+                    raise InvalidInput(where, found=found, expected=f"{words} {shown}")
 
     def before(self, value: Any) -> Any:
         """Return a value for pydantic; raise for a text or bool that it would take as a number."""
@@ -364,8 +395,8 @@ class StatedNoise:
         Standard deviation of measured angles.
     """
 
-    position_m: Annotated[float, Door(unit="mm")]
-    angle_rad: Annotated[float, Door(unit="mrad")]
+    position_m: Annotated[float, Door(unit="mm", above=0.0)]
+    angle_rad: Annotated[float, Door(unit="mrad", above=0.0)]
 
     def build(self) -> Noise:
         """Return the noise for Python."""

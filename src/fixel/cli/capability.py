@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fixel.capability.capability import Capability, named
+from fixel.capability.capability import Capability, named, named_hint
 from fixel.capability.options import Option
 from fixel.cli.screen import (
     AsJson,
@@ -84,7 +84,7 @@ def typer_command(
         except InvalidInput as error:
             raise named(error, capability.flags() | {"project": "--project"}) from None
         except Interrupted as stop:
-            stop.hint = named(InvalidInput("", hint=stop.hint), capability.flags()).hint or ""
+            stop.hint = named_hint(stop.hint, capability.flags())
             raise
 
     parameters = [_parameter(option) for option in capability.shown.values()]

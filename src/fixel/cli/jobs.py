@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from fixel.capability.options import Door
+from fixel.capability.options import MAX_WORKERS, Door
 from fixel.cli.capability import command
 from fixel.cli.screen import CommandAnswer, command_of, job_bar, notify, one_place
 from fixel.errors import Interrupted, InvalidInput, plain
@@ -28,7 +28,8 @@ def submit(
     *,
     site: Path | None = None,
     workers: Annotated[
-        int | None, Door(least=0, metavar="N", usual="0, or that of the last run")
+        int | None,
+        Door(least=0, most=MAX_WORKERS, metavar="N", usual="0, or that of the last run"),
     ] = None,
     detach: Annotated[bool, Door(flag="--detach")] = False,
     coordinator: Annotated[Literal["here", "slurm"], Door(metavar="PLACE")] = "here",

@@ -36,7 +36,8 @@ SMALLEST, LARGEST, FAR = 1e-4, 5.0, 100.0
 FINEST: Final = 1e-6  # [m] smallest tolerance
 COARSEST: Final = 1e-4  # [m] tolerance by default
 SHARE: Final = 0.004  # and of a small part, as a share of its size: 24 corners of a disk
-MAX_BYTES, MAX_CURVES, MAX_RINGS, MAX_TRIANGLES = 100_000_000, 20_000, 500, 500_000
+MAX_BYTES: Final = {".svg": 4_000_000, ".dxf": 20_000_000, ".stl": 100_000_000}  # some 10 s
+MAX_CURVES, MAX_RINGS, MAX_TRIANGLES = 20_000, 500, 500_000
 MAX_STEPS: Final = 4096  # of one curve
 MAX_PAIRS: Final = 2_000_000  # of ends that meet
 
@@ -61,8 +62,9 @@ def read_outline(
     if tolerance is not None and not tolerance >= FINEST:
         raise InvalidInput("tolerance", found=tolerance, expected=f"at least {FINEST:g} m")
     with parsed(path):
-        _refuse_more(path.name, path.stat().st_size, MAX_BYTES, "bytes")
-        read, region = _READERS[path.suffix.lower()]
+        kind = path.suffix.lower()
+        _refuse_more(path.name, path.stat().st_size, MAX_BYTES[kind], "bytes", "leave out the rest")
+        read, region = _READERS[kind]
         source = _OutlineSource(path, unit, tolerance or COARSEST, part)
         lines = read(source)
         if tolerance is None and len(lines):
@@ -102,9 +104,9 @@ class _OutlineSource(NamedTuple):
         return found
 
 
-def _refuse_more(where: str, n: int, most: int, what: str) -> None:
+def _refuse_more(where: str, n: int, most: int, what: str, hint: str | None = None) -> None:
     if n > most:
-        raise InvalidInput(where, found=f"{n} {what}", expected=f"at most {most}")
+        raise InvalidInput(where, found=f"{n} {what}", expected=f"at most {most}", hint=hint)
 
 
 def _outline(region: Any, source: _OutlineSource, fill_holes: bool) -> FloatArray:

@@ -20,7 +20,7 @@ NO_KIND: Final = cast(Kind, "")  # refused, with both meanings in the error
 MEANINGS: Final = "'uniform' (sizes are half-widths) or 'normal' (sizes are standard deviations)"
 
 MAX_STARTS: Final = 1_000_000
-MAX_SIZE: Final = 1e6  # [m, rad] of a start error
+MAX_SIZE: Final = 1e6  # [m or rad] of a start error
 
 
 @final
@@ -59,9 +59,10 @@ class StartError:
         if self.x == self.y == self.theta == 0.0:
             expected = "at least one of x, y and theta above zero"
             raise InvalidInput("start_error", found="zero in all directions", expected=expected)
-        if (largest := max(self.x, self.y, self.theta)) > MAX_SIZE:
-            expected = f"at most {MAX_SIZE:g} [m, rad]"
-            raise InvalidInput("start_error", found=f"a size of {largest:g}", expected=expected)
+        for name, unit in (("x", "m"), ("y", "m"), ("theta", "rad")):
+            if (size := getattr(self, name)) > MAX_SIZE:
+                expected = f"at most {MAX_SIZE:.0f} [{unit}]"
+                raise InvalidInput(f"start_error.{name}", found=size, expected=expected)
 
     @property
     def size(self) -> FloatArray:

@@ -148,12 +148,13 @@ def report_result(
     report = present.report_of(result)
     view = None if project is None else project.view
     warnings = [] if project is None else _table_warnings(project, report.analysis)
+    question = capability.question(request) | report.analysis.question
+    if "calibration" in question:  # the newest, where the request names none
+        question["calibration"] = next(iter(report.analysis.calibrations), None)
     analysis = report.analysis.model_copy(
         update={
             "kind": capability.name,
-            "question": capability.question(request)
-            | report.analysis.question
-            | ({"table_sha256": view.sha256} if view else {}),
+            "question": question | ({"table_sha256": view.sha256} if view else {}),
             "warnings": (*report.analysis.warnings, *warnings),
             "request": request.model_dump(mode="json"),
             "command": capability.command(request, project.folder if project else Path()),

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from fixel.capability.capability import Capability
 from fixel.capability.options import (
+    MAX_WORKERS,
     Dataset,
     Door,
     Fit,
@@ -78,7 +79,7 @@ def calibrate(
     motion: MotionName = "dynamic",
     seed: Seed = 0,
     threads: Threads = None,
-    workers: Annotated[int, Door(least=0, effort=True)] = 0,
+    workers: Annotated[int, Door(least=0, most=MAX_WORKERS, effort=True)] = 0,
     site: SiteFile = None,
     store: PathLike[str] | str | Project | None = None,
     budget: Annotated[float | None, Door(flag="--budget", unit="s", above=0.0)] = None,

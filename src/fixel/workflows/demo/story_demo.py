@@ -49,6 +49,7 @@ TIP, SPEED = 5 * mm, 10 * mm  # slow enough for quasi-static motion [m/s]
 # Noise of the camera [m, m, rad], of the recorded tip [m] and of the clock of the table [s].
 CAMERA, TIP_NOISE, JITTER = (0.2 * mm, 0.2 * mm, 0.15 * deg), 0.01 * mm, 2e-3
 TABLE, SCENE = "pushes.csv", "scene.yaml"
+YOURS: Final = "my-pushes"  # project in the commands to repeat
 HEAD: Final = "push,use,time_s,x_mm,y_mm,theta_deg,pusher_x_mm,pusher_y_mm"
 ENGINE: Final = "pymunk:inertia_factor=10,step=0.002"  # its usual remedy, see docs/decisions/0040
 CLOSE: Final = 0.05  # largest difference of stated and true success
@@ -217,10 +218,10 @@ def _imported(project: Project, own: Path, true: int) -> DemoStep:
     table, scene = own / TABLE, own / SCENE
     options = {"split_by": "push", "simulated_by": "fixel demo"}
     project.add(read_experiments(table, scene=scene, **options))  # type: ignore[arg-type]
-    lab, n = quote(str(project.folder)), len(project.experiments())
-    commands = (
-        f"fixel new {lab}",
-        f"fixel import {quote(str(table))} --scene {quote(str(scene))} --project {lab}"
+    n = len(project.experiments())
+    commands = (  # the project of the demo has these pushes
+        f"fixel new {YOURS}",
+        f"fixel import {quote(str(table))} --scene {quote(str(scene))} --project {YOURS}"
         + "".join(f" --option {name}={quote(value)}" for name, value in options.items()),
     )
     lines = (f"The header names the units: {HEAD}", "Leave out simulated_by for measured pushes.")

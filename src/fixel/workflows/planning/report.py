@@ -12,7 +12,7 @@ from fixel.io.atomic import written_whole
 from fixel.io.document import yaml_text
 from fixel.planning.plan import PushPlan
 from fixel.workflows.analysis import Analysis, AnalysisReport, Picture
-from fixel.workflows.planning.request import FoundPlan, PlanAnswer, save_plan
+from fixel.workflows.planning.request import FoundPlan, PlanAnswer, goal_text, save_plan
 
 if TYPE_CHECKING:
     from fixel.workflows.analysis import StoredAnswer
@@ -37,7 +37,7 @@ def analysis_of(found: FoundPlan) -> Analysis:
     return Analysis(
         kind="plan",
         title=f"Plan: {plan.goal}",
-        question={},
+        question={"goal": goal_text(found.request)},
         headline=tuple(_headline(found)),
         warnings=found.warnings,
         tables=(plan.push_table("Pushes"), plan.success_table("Success probability"), *causes),

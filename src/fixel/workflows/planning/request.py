@@ -86,11 +86,16 @@ def is_content(goal: str) -> bool:
 def settled(project: Project, request: Any) -> Any:
     """Return a request for a job, which depends on no file of goals and no later calibration."""
     own = inputs_for(project, request)
-    content = own.request["goal"]
-    if own.file.scene is not None:
-        content |= {"scene": str(own.file.scene.resolve())}
-    changes = {"goal": json.dumps(content), "calibration": own.calibration}
+    changes = {"goal": goal_text(own.request), "calibration": own.calibration}
     return request.model_copy(update=changes)
+
+
+def goal_text(request: PlanRequest) -> str:
+    """Return the goal of a request in JSON, with the whole path of its scene file."""
+    content = dict(request["goal"])
+    if content.get("scene"):
+        content["scene"] = str(Path(request["folder"], content["scene"]).resolve())
+    return json.dumps(content, sort_keys=True)
 
 
 def goal_content(goal: str) -> tuple[Any, Path]:

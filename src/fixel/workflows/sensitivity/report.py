@@ -55,10 +55,7 @@ def report_of(answer: RankedPushes) -> AnalysisReport:
     analysis = Analysis(
         kind="sensitivity",
         title=f"Sensitivity to the start: {title}",
-        question={
-            "experiments": sorted(finding.subject.source for finding in found),
-            "calibration": answer.calibration,
-        },
+        question={"experiments": sorted(finding.subject.source for finding in found)},
         headline=_headline(found, error),
         warnings=sentences("sensitivity", "warnings", found=found, skipped=answer.skipped),
         tables=tuple(_tables(found)),
