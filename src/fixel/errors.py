@@ -22,6 +22,7 @@ import errno
 import re
 import reprlib
 from collections.abc import Collection, Iterable, Sequence
+from contextlib import suppress
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -444,14 +445,19 @@ def unknown_name(where: str, name: object, known: Iterable[str], *, more: str = 
     if len(names) > _MAX_NAMED:
         more = f", ... ({len(names)} in all){more}"
     return InvalidInput(
-        where, found=found, expected=f"one of {', '.join(names[:_MAX_NAMED])}{more}", hint=hint
+        where,
+        found=found,
+        expected=f"one of {', '.join(names[:_MAX_NAMED]) or 'none'}{more}",
+        hint=hint,
     )
 
 
 def check_name(where: str, name: object, known: Collection[str], *, more: str = "") -> None:
     """Raise `unknown_name` for a name that is not among the known ones."""
-    if name not in known:
-        raise unknown_name(where, name, known, more=more)
+    with suppress(TypeError, ValueError):  # of lists and arrays, which are no names
+        if name in known:
+            return
+    raise unknown_name(where, name, known, more=more)
 
 
 def os_reason(problem: OSError) -> str:

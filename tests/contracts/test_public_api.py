@@ -38,6 +38,7 @@ PUBLIC = [*(name for name in fixel.__all__ if name != "__version__"), "filter"]
 HEAVY = "{*'numpy numba scipy pydantic matplotlib pandas sqlalchemy pyarrow rich yaml'.split()}"
 SPACE = {"mu_pusher": (0.0, 1.0), "tripod_radius": 0.038}
 START = fixel.StartError(x=1 * mm, y=1 * mm, theta=1 * deg, kind="uniform")
+GOAL = fixel.PoseRegion((0.0, 0.0, 0.0), position=3 * mm)
 QUIET: dict[str, Any] = {"progress": False}
 pytestmark = pytest.mark.usefixtures("few_live")
 
@@ -452,6 +453,44 @@ def test_polygons_about_their_origin() -> None:
     ("choose.fixels", lambda _: fixel.RigPushes(fixels=3)),
     ("bodies", lambda _: fixel.Scene(3)),
     ("Adaptive.tolerance", lambda _: fixel.Adaptive(tolerance="a")),
+    ("scene", lambda p: fixel.simulate_batch([p[0].scene, 3])),
+    ("motion", lambda p: fixel.calibrate(p, ["mu_pusher"], motion=3)),
+    ("derivatives", lambda p: fixel.simulate(p[0].scene, derivatives=3)),
+    ("max_contacts", lambda p: fixel.simulate(p[0].scene, max_contacts=10**30)),
+    ("parameters", lambda p: fixel.calibrate(p, [["mu_pusher"]])),
+    ("store", lambda p: fixel.calibrate(p, ["mu_pusher"], store=3)),
+    ("site", lambda p: fixel.calibrate(p, ["mu_pusher"], site=3)),
+    ("filter.priors", lambda p: fixel.filter(p[0], priors=[1])),
+    ("leave_out", lambda p: fixel.error_bound(p, leave_out=3)),
+    ("samples", lambda p: fixel.predict(p[0], samples="3")),
+    ("samples", lambda p: fixel.posterior(p[0], ["mu_pusher"], samples=2**40)),
+    ("vary", lambda p: fixel.sensitivity(p[0], START, vary=3)),
+    ("base", lambda p: fixel.sensitivity(p[0], START, samples=50, indices=True, base="a")),
+    ("seed", lambda p: fixel.plan(p[0].scene, fixel.ForceAbove(1), seed=2**32)),
+    ("rollouts", lambda p: fixel.plan(p[0].scene, fixel.ForceAbove(1), rollouts=10**10)),
+    ("lost_views", lambda p: fixel.plan(p[0].scene, GOAL, looks=1, lost_views="a")),
+    ("part", lambda p: fixel.part_model(p, part="prat")),
+    ("part", lambda p: fixel.table_map(p, part=[math.nan])),
+    ("experiments", lambda _: fixel.learn_run_to_run(3, {"mu_pusher": 0.2})),
+    ("to", lambda p: fixel.export_model(p[0].scene, "a", to=3)),
+    ("folder", lambda p: fixel.export_model(p[0].scene, 3, to="urdf")),
+    ("scenes", lambda p: fixel.export_model(p[0].scene, "a", to="urdf", scenes="3")),
+    ("contacts", lambda p: fixel.push_candidates(p[0].scene.bodies[0], contacts=10**7)),
+    ("fixels", lambda _: fixel.Seated(3)),
+    ("goal.never", lambda _: fixel.AllOf(GOAL, never=3)),
+    ("noise.source", lambda _: fixel.Noise(position_m=1e-3, angle_rad=1e-3, source=[])),
+    ("noise.freedom", lambda _: fixel.Noise(position_m=1e-3, angle_rad=1e-3, freedom="a")),
+    ("parameter.prior", lambda _: fixel.Parameter(0, 1, prior=3)),
+    ("parameter.by", lambda _: fixel.Parameter(0, 1, by=3)),
+    ("experiment example/00.scene", lambda p: replace(p[0], scene=3)),
+    ("tolerance", lambda _: fixel.Polygon.from_file("a.svg", tolerance="a")),
+    ("format", lambda p: fixel.export(p, "a", format=["bundle"])),
+    ("path", lambda _: fixel.load(3)),
+    ("path", lambda _: fixel.Polygon.from_file(3)),
+    ("path", lambda p: fixel.export(p, "\0")),
+    ("path", lambda _: fixel.report([], 3)),
+    ("path", lambda _: fixel.run_on_testbed(3)),
+    ("place", lambda _: fixel.Project(3)),
 ])  # fmt: skip
 def test_values_of_another_kind_are_refused_by_name(where, call):
     assert refused(call, fixel.datasets.example()[:2]).where == where

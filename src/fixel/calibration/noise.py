@@ -73,8 +73,8 @@ class Noise:
             correlation=_at_least_one(self.correlation, "noise.correlation"),
         )
         check_name("noise.source", self.source, ORIGINS)
-        if not self.freedom > 0.0:
-            raise InvalidInput("noise.freedom", found=self.freedom, expected="positive, or inf")
+        if str(self.freedom) != "inf":
+            positive(self.freedom, "noise.freedom")
 
     @classmethod
     def of(cls, position: float, angle: float, source: NoiseSource, **more: float) -> Noise:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
@@ -20,7 +20,7 @@ from fixel.model import (
     Tripod,
     UniformPressure,
 )
-from fixel.model.fields import instance
+from fixel.model.fields import instance, texts
 from fixel.model.parameters import KNOWN_PARAMETERS, in_si, info_of
 from fixel.model.space import Parameter, ParameterSpace, Unknown, split_label
 from fixel.simulation.load_profile import TABLE_NAMES
@@ -177,8 +177,8 @@ def search_space(
         scenes = [target.case.scene for target in targets]
         space = ParameterSpace(unknowns=tuple(default_unknowns(scenes)))
     else:
-        instance(parameters, Iterable, "parameters", "names, or bounds by name")
-        named = parameters if isinstance(parameters, Mapping) else dict.fromkeys(parameters)
+        is_mapping = isinstance(parameters, Mapping)
+        named: Any = parameters if is_mapping else dict.fromkeys(texts(parameters, "parameters"))
         space = ParameterSpace(
             unknowns=tuple(u for key, own in named.items() for u in _unknowns(key, own, targets))
         )

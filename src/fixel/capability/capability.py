@@ -30,6 +30,9 @@ _PHRASES: Final = {
     "tuple_type": "a list",
     "too_long": "a list of {max_length}",
 }
+_LIMITS: Final = dict(  # of a JSON schema, by the field of a door
+    minimum="least", exclusiveMinimum="above", maximum="most", exclusiveMaximum="below"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,10 +153,7 @@ class Capability:
 
         def checked(option: Option) -> Any:
             door = option.door
-            limits = {
-                "minimum": door.least, "exclusiveMinimum": door.above,
-                "maximum": door.most, "exclusiveMaximum": door.below,
-            }  # fmt: skip
+            limits = {name: getattr(door, own) for name, own in _LIMITS.items()}
             shown: Any = {name: limit for name, limit in limits.items() if limit is not None}
             stated = Field(description=option.meaning or None, json_schema_extra=shown)
             kind: Any = Annotated[option.plain, stated]

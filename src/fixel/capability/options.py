@@ -14,7 +14,7 @@ from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Union, get_args, get_origin
 
 from fixel.docstrings import meanings
-from fixel.errors import InvalidInput, unknown_name
+from fixel.errors import InvalidInput, check_name
 
 if TYPE_CHECKING:
     from fixel.calibration.noise import Noise
@@ -127,37 +127,27 @@ class Option:
             return tuple(self.door.among())
         return _YES if self.kind is bool else get_args(self.kind) if _is_choice(self.kind) else ()
 
-    @property
-    def limits(self) -> dict[str, tuple[float, Callable[[Any, Any], bool]]]:
-        """Limits of every number in the value, by their words, with the comparison that fits."""
-        door, whole = self.door, self.kind is int
-        least = SMALLEST if door.above == 0.0 else door.least
-        most = MAX_INTEGER if whole else MAX_SIZE if door.unit else MAX_NUMBER
-        stated = {
-            "more than": (door.above, operator.gt),
-            "less than": (door.below, operator.lt),
-            "at least": (-most if least is None else least, operator.ge),
-            "at most": (most if door.most is None else door.most, operator.le),
-        }
-        return {words: (x, fits) for words, (x, fits) in stated.items() if x is not None}
-
     def check(self, value: Any, where: str = "") -> None:
         """Raise `InvalidInput` for a number beyond the limits, or a text that is not registered."""
-        where = where or self.name
-        if isinstance(value, Mapping):
-            for name, one in value.items():
-                self.check(one, f"{where} {name}")
-        elif isinstance(value, tuple):
-            for one in value:
-                self.check(one, where)
-        elif isinstance(value, str) and self.door.among is not None and value not in self.choices:
-            raise unknown_name(where, value, self.choices)
+        where, door = where or self.name, self.door
+        if isinstance(value, Mapping | tuple):
+            pairs = value.items() if isinstance(value, Mapping) else [("", one) for one in value]
+            for name, one in pairs:
+                self.check(one, f"{where} {name}".rstrip())
+        elif isinstance(value, str) and door.among is not None:
+            check_name(where, value, self.choices)
         elif isinstance(value, int | float) and not isinstance(value, bool):
-            unit = self.door.unit
-            factor = FACTORS.get(unit, 1.0)
-            for words, (limit, fits) in self.limits.items():
-                if not fits(value, limit):
-                    found = value if factor == 1.0 else f"{value / factor:.6g} {unit}"
+            factor = FACTORS.get(door.unit, 1.0)
+            most = MAX_INTEGER if self.kind is int else MAX_SIZE if door.unit else MAX_NUMBER
+            for words, limit, fits in (
+                ("more than", door.above, operator.gt),
+                ("less than", door.below, operator.lt),
+                ("at least", SMALLEST if door.above == 0.0 else door.least, operator.ge),
+                ("at least", -most, operator.ge),
+                ("at most", most if door.most is None else door.most, operator.le),
+            ):
+                if limit is not None and not fits(value, limit):
+                    found = value if factor == 1.0 else f"{value / factor:.6g} {door.unit}"
                     shown = limit if isinstance(limit, int) else f"{limit / factor:.9g}"
                     raise InvalidInput(where, found=found, expected=f"{words} {shown}")
 
@@ -352,7 +342,7 @@ def _neighbours(number: float, towards: float) -> Iterator[float]:
 
 # --- options that several capabilities share ----------------------------------------------------
 
-Seed = Annotated[int, Door(least=0, meaning="Seed of the random numbers.")]
+Seed = Annotated[int, Door(least=0, most=2**32 - 1, meaning="Seed of the random numbers.")]
 Level = Annotated[float, Door(above=0.0, below=1.0)]
 Threads = Annotated[int | None, Door(least=1, effort=True)]
 Save = Annotated[bool, Door(effort=True)]

@@ -34,7 +34,7 @@ from fixel.errors import InvalidInput, StoreRefused, counted, machine_failure
 from fixel.io.atomic import write_whole
 from fixel.io.document import read_document
 from fixel.model import Experiment
-from fixel.model.fields import instance, settle
+from fixel.model.fields import instance, path_of, settle
 from fixel.model.records import CalibrationRecord, SimulationRecord
 from fixel.model.selection import ExperimentQuery, KnownNames, parse_filter, refuse_unknown
 from fixel.progress import ProgressOption, show_progress
@@ -128,7 +128,7 @@ class Project:
             folder, settings = _server(str(place), media)
             settle(self, folder=folder, settings=settings)
             return
-        folder = Path(place)
+        folder = path_of(place, "place")
         path = folder / SETTINGS
         if not path.is_file():
             name = str(folder)
@@ -233,10 +233,7 @@ class Project:
                 expected="a Calibration, DomainMap, Posterior, Sensitivity or FilterRun",
                 hint="write it to a file: .save(path)",
             )
-        if not isinstance(several, Iterable):
-            raise InvalidInput(
-                "what", found=f"the type {type(what).__name__}", expected="experiments, or a result"
-            )
+        instance(several, Iterable, "what", "experiments, or a result")
         with self.store() as store, show_progress(progress, "storing experiments") as report:
             return add_experiments(store, several, report)
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fixel.errors import DatasetMissing, FixelError, InvalidInput, require
+from fixel.model.fields import instance
 from fixel.typing import BoolArray, FloatArray
 
 MM: Final = 1e-3
@@ -321,15 +322,13 @@ def read_json(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > MAX_FILE:
             raise ValueError(f"{path.stat().st_size} bytes")
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     except RecursionError:
         found = "too deeply nested lists"
         raise InvalidInput(path.name, found=found, expected="a JSON file") from None
     except (OSError, ValueError) as problem:
         raise InvalidInput(path.name, found=str(problem), expected="a JSON file") from None
-    if not isinstance(content, dict):
-        found = f"the type {type(content).__name__}"
-        raise InvalidInput(path.name, found=found, expected="an object")
+    instance(content, dict, path.name, "an object")
     return content
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.model import KNOWN_PARAMETERS, Ellipsoid, Parameters, Scene, Tripod
-from fixel.model.fields import finite
+from fixel.model.fields import finite, instance
 from fixel.model.parameters import info_of
 from fixel.typing import BoolArray, FloatArray
 
@@ -101,6 +101,7 @@ def checked_priors(
     priors: Mapping[str, tuple[float, float] | None],
 ) -> dict[str, tuple[float, float] | None]:
     """Ranges by name, each known and possible, or a refusal."""
+    instance(priors, Mapping, "filter.priors", "ranges by name of parameter")
     found: dict[str, tuple[float, float] | None] = {}
     for name, bounds in priors.items():
         where = f"filter.priors.{name}"

@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 from fixel.errors import InvalidInput, check_name, require
 from fixel.io.atomic import refuse_ending
 from fixel.io.damaged_files import parsed
+from fixel.model.fields import path_of, positive
 from fixel.typing import FloatArray
 
 UNITS: Final = {
@@ -55,11 +56,11 @@ def read_outline(
     fill_holes: bool = False,
 ) -> FloatArray:
     """Read the outline (n, 2) of a part from a file [m]; see `fixel.Polygon.from_file`."""
-    path = Path(path)
+    path = path_of(path, "path")
     refuse_ending(path, [*_READERS], "drawing or shape")
     if unit is not None:
         check_name("unit", unit, UNITS)
-    if tolerance is not None and not tolerance >= FINEST:
+    if tolerance is not None and positive(tolerance, "tolerance", "m") < FINEST:
         raise InvalidInput("tolerance", found=tolerance, expected=f"at least {FINEST:g} m")
     with parsed(path):
         kind = path.suffix.lower()

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from fixel.errors import FixelError, InvalidInput
 from fixel.io.array_bytes import KINDS, RATIO, SMALL, array_of
 from fixel.io.atomic import written_whole
+from fixel.model.fields import path_of
 from fixel.registry import offers
 
 FORMAT: Final = 1
@@ -114,7 +115,7 @@ def load(path: str | Path) -> Any:
     ...     load(save(Disk(0.005), f"{folder}/disk.fixel")) == Disk(0.005)
     True
     """
-    path = Path(path)
+    path = path_of(path, "path")
     try:
         with zipfile.ZipFile(path) as file:
             _check_sizes(file, path)

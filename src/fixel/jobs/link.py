@@ -23,7 +23,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from fixel.errors import JobRefused, unknown_name
+from fixel.errors import JobRefused, check_name
 from fixel.io.atomic import write_whole
 from fixel.io.lock import Owner, read_owner
 
@@ -71,8 +71,7 @@ def listening(interface: str) -> dict[str, Any]:
     if interface == LOOPBACK:
         return {"host": "127.0.0.1"}
     known = sorted(name for _, name in socket.if_nameindex())
-    if interface not in known:
-        raise unknown_name("interface", interface, known)
+    check_name("interface", interface, known)
     return {"interface": interface}
 
 

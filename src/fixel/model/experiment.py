@@ -236,6 +236,7 @@ class Experiment(Comparable, Result):
         name_of(self.dataset, "experiment.dataset")
         where = f"experiment {self.dataset}/{name_of(self.name, 'experiment.name')}"
         instance(self.trajectory, Trajectory, f"{where}.trajectory", "a Trajectory")
+        instance(self.scene, Scene | None, f"{where}.scene", "a Scene")
         if self.real == bool(self.simulated_by):
             raise InvalidInput(
                 f"{where}.simulated_by",

@@ -5,17 +5,22 @@ from __future__ import annotations
 import dataclasses
 import math
 import operator
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import cache
 from numbers import Real
+from os import PathLike
+from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, NamedTuple, get_args, get_type_hints
+from typing import Any, Final, NamedTuple, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray
+
+MAX_WHOLE: Final = 2**63 - 1  # of databases and compiled code
+MAX_SEED: Final = 2**32 - 1  # of NumPy's old generator, which SciPy and others use
 
 
 class Comparable:
@@ -147,15 +152,33 @@ def optional_positive(value: object, where: str, unit: str = "") -> float | None
     return None if value is None else positive(value, where, unit)
 
 
-def whole(value: object, where: str, least: int = 1) -> int:
-    """Return a whole number of at least `least`, or raise `InvalidInput`."""
+def texts(value: object, where: str) -> tuple[str, ...]:
+    """Return several texts, also of one alone; raise for other values."""
+    many = isinstance(value, Iterable) and not isinstance(value, str)
+    found: tuple[Any, ...] = tuple(value) if many else (value,)  # type: ignore[arg-type]
+    for one in found:
+        instance(one, str, where, "a text, or several")
+    return found
+
+
+def path_of(value: object, where: str) -> Path:
+    """Return a path; raise for a value that cannot be one."""
+    instance(value, str | PathLike, where, "a path")
+    if "\0" in str(value):
+        raise InvalidInput(where, found=_quoted(value), expected="a path without null characters")
+    return Path(value)  # type: ignore[arg-type]
+
+
+def whole(value: object, where: str, least: int = 1, most: int = MAX_WHOLE) -> int:
+    """Return a whole number from `least` to `most`, or raise `InvalidInput`."""
     try:
         number = operator.index(value)  # type: ignore[arg-type]
     except TypeError:
         number = least - 1
-    if number < least or isinstance(value, bool):
-        expected = f"a whole number of at least {least}"
-        raise InvalidInput(where, found=_quoted(value), expected=expected)
+    if not least <= number <= most or isinstance(value, bool):
+        is_open = number < least and most == MAX_WHOLE
+        limits = f"of at least {least}" if is_open else f"from {least} to {most}"
+        raise InvalidInput(where, found=_quoted(value), expected=f"a whole number {limits}")
     return number
 
 

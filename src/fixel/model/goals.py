@@ -24,6 +24,7 @@ from fixel.model.fields import (
     positive,
     settle,
     table,
+    texts,
     vector,
 )
 from fixel.model.overlap import overlaps
@@ -279,6 +280,7 @@ class Seated(Clause):
     ) -> None:
         if not fixels or not all(fixels):
             raise InvalidInput("fixels", found=repr(fixels), expected="names of fixels")
+        fixels = texts(fixels, "fixels")
         tolerance = optional_positive(tolerance, "goal.tolerance", "m")
         settle(self, fixels=fixels, only=only, stalled=stalled, tolerance=tolerance, body=body)
 
@@ -576,6 +578,7 @@ class AllOf(Goal):
     def __init__(
         self, *goals: Goal, never: Clause | tuple[Clause, ...] | list[Clause] = ()
     ) -> None:
+        instance(never, Goal | tuple | list, "goal.never", "events")
         never = (never,) if isinstance(never, Goal) else tuple(never)
         for index, event in enumerate(never):
             if not isinstance(event, Contact | Exit | ForceAbove):

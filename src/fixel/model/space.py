@@ -6,13 +6,24 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, fields, replace
 from types import MappingProxyType
-from typing import Any, Final, final
+from typing import Annotated, Any, Final, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput, check_name
-from fixel.model.fields import Comparable, finite, frozen, optional_positive, positive, settle
+from fixel.model.fields import (
+    Comparable,
+    Value,
+    check_fields,
+    finite,
+    frozen,
+    optional_positive,
+    positive,
+    settle,
+    texts,
+    vector,
+)
 from fixel.model.parameters import check_supports, info_of
 from fixel.typing import FloatArray
 
@@ -56,38 +67,26 @@ class Parameter:
     fixel.errors.InvalidInput: parameter: found bounds 1 to 0, but fixel needs the lower bound first
     """
 
-    low: float
-    high: float
+    low: Annotated[float, Value(finite)]
+    high: Annotated[float, Value(finite)]
     _: KW_ONLY
-    start: float | None = None
+    start: Annotated[float | None, Value(finite)] = None
     prior: tuple[float, float] | None = None
-    scale: float | None = None
-    by: str | Sequence[str] = ()
+    scale: Annotated[float | None, Value(positive)] = None
+    by: Annotated[str | Sequence[str], Value(texts)] = ()
 
     def __post_init__(self) -> None:
-        low, high = finite(self.low, "parameter.low"), finite(self.high, "parameter.high")
-        _check_bounds(low, high, "parameter")
-        start = None if self.start is None else finite(self.start, "parameter.start")
-        prior = self.prior
-        if prior is not None:
-            mean, sd = prior
-            prior = (finite(mean, "parameter.prior"), positive(sd, "parameter.prior"))
-            if start not in (None, mean):
+        check_fields(self, "parameter")
+        _check_bounds(self.low, self.high, "parameter")
+        if self.prior is not None:
+            mean, sd = vector(self.prior, "parameter.prior", "mean, standard deviation").tolist()
+            if self.start not in (None, mean):
                 raise InvalidInput(
                     "parameter.start",
-                    found=f"{start:g}, and a prior about {mean:g}",
+                    found=f"{self.start:g}, and a prior about {mean:g}",
                     expected="one of them, since the search starts at the mean of the prior",
                 )
-            start = prior[0]
-        settle(
-            self,
-            low=low,
-            high=high,
-            start=start,
-            prior=prior,
-            scale=optional_positive(self.scale, "parameter.scale"),
-            by=(self.by,) if isinstance(self.by, str) else tuple(self.by),
-        )
+            settle(self, start=mean, prior=(mean, positive(sd, "parameter.prior")))
 
 
 @final

@@ -265,6 +265,7 @@ def _refuse_other_parts(offered: fit.PartPushes, wanted: fit.PartPushes) -> None
 
 
 GAP: Final = 1e-4  # from the tip to the outline at the start [m]
+MAX_CONTACTS: Final = 10_000
 DIRECTIONS: Final = (-20.0, 0.0, 20.0)  # of the push from the inward normal [deg]
 
 
@@ -319,7 +320,7 @@ def push_candidates(
         radius, friction = float(getattr(tip.shape, "radius", radius)), tip.friction
     positive(radius, "radius", "m"), positive(travel, "travel", "m")
     positive(speed, "speed", "m/s"), non_negative(friction, "friction")
-    whole(contacts, "contacts")
+    whole(contacts, "contacts", most=MAX_CONTACTS)
     body = scene.bodies[0]
     neighbours = [placed(own.shape.outline, own.pose) for own in scene.fixels]
     outline = shapely.Polygon(placed(body.shape.outline, body.pose))

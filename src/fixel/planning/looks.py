@@ -11,7 +11,7 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import instance, whole
+from fixel.model.fields import fraction, instance, whole
 from fixel.model.goals import Beyond, Inside, PoseRegion
 from fixel.model.scene import check_push
 from fixel.model.trajectory import pose_difference
@@ -360,9 +360,8 @@ def check_looks(search: PlanSearch) -> None:
     """Raise `InvalidInput` where a search cannot use the looks that it is asked for."""
     simulator, (looks, camera, lost_views) = search.simulator, search.views
     instance(camera, StartError, "camera", "a StartError")
-    if whole(looks, "looks", 0) > MOST:
-        raise InvalidInput("looks", found=looks, expected=f"a whole number from 0 to {MOST}")
-    if not 0.0 <= lost_views < 1.0:
+    whole(looks, "looks", 0, MOST)
+    if fraction(lost_views, "lost_views") == 1.0:
         raise InvalidInput("lost_views", found=lost_views, expected="at least 0 and below 1")
     if looks and not isinstance(simulator.choice, FreePushes):
         raise InvalidInput(

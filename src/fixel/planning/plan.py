@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from fixel.errors import InvalidInput, counted
 from fixel.model import Scene
 from fixel.model.bodies import POSE
-from fixel.model.fields import instance, vector, whole
+from fixel.model.fields import MAX_SEED, instance, vector, whole
 from fixel.model.goal_checks import check_goal
 from fixel.model.goals import BodyTrack, Goal, as_goal, body_of, events_in
 from fixel.model.probability import Probability
@@ -52,7 +52,7 @@ from fixel.table import Column, Table
 from fixel.typing import FloatArray, IntArray
 
 SAMPLES: Final = 12  # poses of each push that goals about the whole motion regard
-MIN_ROLLOUTS: Final = 1000
+MIN_ROLLOUTS, MAX_ROLLOUTS = 1000, 10**9
 FRESH: Final = 1_000_003  # added to the seed of a plan, so that a check draws other scenarios
 MISSED: Final = "misses the goal"
 
@@ -582,7 +582,8 @@ def search_of(
     as_goal(goal)
     instance(choose, FreePushes | RigPushes, "choose", "FreePushes or RigPushes")
     instance(belief, Belief, "belief", "a Belief")
-    whole(rollouts, "rollouts", MIN_ROLLOUTS)
+    whole(rollouts, "rollouts", MIN_ROLLOUTS, MAX_ROLLOUTS)
+    whole(seed, "seed", 0, MAX_SEED)
     check_goal(goal, scene)
     scene = _part_first(scene, goal)
     check_centres(belief, scene)

@@ -22,6 +22,7 @@ from fixel.model.fields import (
     positive,
     settle,
     table,
+    texts,
     vector,
     whole,
 )
@@ -162,9 +163,7 @@ class FreePushes:
     keep: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if whole(self.most, "choose.most") > MAX_PUSHES:
-            expected = f"from 1 to {MAX_PUSHES}"
-            raise InvalidInput("choose.most", found=self.most, expected=expected)
+        whole(self.most, "choose.most", 1, MAX_PUSHES)
         instance(self.tool, Shape | None, "choose.tool", "a Polygon or a Disk")
         if self.length is not None:
             settle(self, length=_range(self.length, "choose.length", lowest=0.0))
@@ -172,7 +171,7 @@ class FreePushes:
             settle(self, turn=_range(self.turn, "choose.turn"))
         check_fields(self, "choose")
         check_name("choose.cost", self.cost, get_args(Cost))
-        settle(self, obstacles=_regions(self.obstacles), keep=_names(self.keep))
+        settle(self, obstacles=_regions(self.obstacles), keep=texts(self.keep, "choose.keep"))
         if self.angle >= 0.5 * math.pi:
             raise InvalidInput(
                 "choose.angle",
@@ -310,7 +309,7 @@ class RigPushes:
             settle(self, fixels=moved)
         check_fields(self, "choose")
         check_name("choose.cost", self.cost, get_args(Cost))
-        settle(self, obstacles=_regions(self.obstacles), keep=_names(self.keep))
+        settle(self, obstacles=_regions(self.obstacles), keep=texts(self.keep, "choose.keep"))
 
     @property
     def most(self) -> int:
@@ -536,10 +535,6 @@ def _regions(given: Any) -> tuple[Polygon, ...]:
         except InvalidInput as problem:
             raise problem.within(f"choose.obstacles[{k}]") from None
     return tuple(found)
-
-
-def _names(given: Any) -> tuple[str, ...]:
-    return (given,) if isinstance(given, str) else tuple(given)
 
 
 def _range(given: Sequence[float], where: str, lowest: float = -math.inf) -> Range:

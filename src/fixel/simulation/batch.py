@@ -26,7 +26,7 @@ from fixel.kernels.arrays import (
     StepMethod,
 )
 from fixel.model import Scene
-from fixel.model.fields import floats, whole
+from fixel.model.fields import floats, instance, texts, whole
 from fixel.simulation.motion import AbstractMotionModel, motion_model, named_part
 from fixel.simulation.pack import PackedBatch, pack, stack
 from fixel.simulation.record import empty_record, hold_last, shape_poses
@@ -152,7 +152,10 @@ def simulate_batch(  # type: ignore[misc]
     stepper = stepper or Adaptive()
     solver = named_part(solver or Newton.name, SOLVERS, "solver")
     check_compiled(motion, stepper, solver)
-    scenes = [scene] if isinstance(scene, Scene) else scene
+    scenes: Sequence[Any] = scene if isinstance(scene, Sequence) else [scene]
+    for own in scenes:
+        instance(own, Scene, "scene", "a Scene, a scene file or Scenes")
+    derivatives = texts(derivatives, "derivatives")
     polygons = any(own.support_directions for own in scenes)
     method = method_of(motion, stepper, solver, whole(max_contacts, "max_contacts"), polygons)
     if not isinstance(scene, Scene):

@@ -16,6 +16,7 @@ from typing import ClassVar, TypeVar, final
 from fixel.errors import InvalidInput, unknown_name
 from fixel.kernels import codes, entries
 from fixel.kernels.arrays import Model, Problem, State
+from fixel.model.fields import instance
 from fixel.simulation.engine_names import EngineName, engine_names, is_engine
 from fixel.typing import FloatArray
 
@@ -192,23 +193,25 @@ MOTION_MODELS: tuple[type[AbstractMotionModel], ...] = (Dynamic, QuasiStatic, Fi
 
 def motion_model(motion: AbstractMotionModel | str | None) -> AbstractMotionModel:
     """Return a motion model, also by its name, or another engine; the dynamic one for None."""
-    if motion is None:
+    if isinstance(motion, str | None) and not motion:
         return Dynamic()
+    instance(motion, AbstractMotionModel | str | type, "motion", "a motion model, or its name")
     own = [model.name for model in MOTION_MODELS]
-    if isinstance(motion, str) and motion and motion not in own:
+    if isinstance(motion, str) and motion not in own:
         if is_engine(motion):
             return OtherEngine(motion)
         known = [*own, *engine_names()]
         raise unknown_name(
             "motion", EngineName.of(motion).name, known, more=", or the path of a program"
         )
-    return named_part(motion or Dynamic.name, MOTION_MODELS, "motion")
+    return named_part(motion, MOTION_MODELS, "motion")
 
 
 def stated_name(motion: AbstractMotionModel | str) -> str:
     """Return the name under which a motion model, or an engine with its version, is stored."""
-    name = motion if isinstance(motion, str) else motion.name
-    if isinstance(motion_model(motion), OtherEngine):
+    model = motion_model(motion)
+    name = motion if isinstance(motion, str) else model.name
+    if isinstance(model, OtherEngine):
         # Only for another engine: this loads what the others need.
         name = import_module("fixel.simulation.engines").stated(name)
     return name

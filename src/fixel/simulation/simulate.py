@@ -29,7 +29,7 @@ from fixel.kernels.arrays import (
 )
 from fixel.kernels.samples import SAMPLE_SLACK
 from fixel.model import Parameters, PathDrive, Scene
-from fixel.model.fields import floats, frozen, instance, positive, settle, whole
+from fixel.model.fields import floats, frozen, instance, positive, settle, texts, whole
 from fixel.registry import offered
 from fixel.simulation.first_code import is_missing, roll_in_python
 from fixel.simulation.motion import AbstractMotionModel, OtherEngine, motion_model, named_part
@@ -272,7 +272,7 @@ class Simulator:
         Interrupted
             Ctrl-C; its `result` is the simulation up to then.
         """
-        scene = self._changed(start, waypoints)
+        scene, derivatives = self._changed(start, waypoints), texts(derivatives, "derivatives")
         duration = duration_of(scene, duration)
         interval = self._interval if output_interval is None else output_interval
         parameters = None if parameters is None else Parameters(parameters)

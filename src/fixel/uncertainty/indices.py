@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput, require
 from fixel.model import Scene
-from fixel.model.fields import vector
+from fixel.model.fields import vector, whole
 from fixel.model.parameters import info_of
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
@@ -255,7 +255,7 @@ def _ranged(name: str, interval: tuple[float, float]) -> Factor:
 def _check(factors: Sequence[Factor], n: int) -> None:
     if not factors:
         raise InvalidInput("factors", found="none", expected="at least one")
-    if isinstance(n, bool) or not 2 <= n <= MAX_BASE or n & (n - 1):
+    if whole(n, "base", 2, MAX_BASE) & (n - 1):
         raise InvalidInput("base", found=n, expected=f"a power of two, from 2 to {MAX_BASE}")
 
 

@@ -266,7 +266,7 @@ class NestedSampling:
     walks: bool | None = None
 
     def __post_init__(self) -> None:
-        whole(self.samples, "samples", 10)
+        whole(self.samples, "samples", 10, 1_000_000)
         if self.live is not None:
             whole(self.live, "live", 20)
 

@@ -331,6 +331,7 @@ def learn_run_to_run(
     >>> learn_run_to_run(example_pushes(6, duration=0.5), {"mu_pusher": 0.2}).experiments
     6
     """
+    instance(experiments, Sequence, "experiments", "experiments")
     for experiment in experiments:
         instance(experiment, Experiment, "experiments", "experiments")
     if not len(experiments):

@@ -128,8 +128,7 @@ def even_points(n: int, dimensions: int, seed: int) -> FloatArray:
     """Return points (n, dimensions) of a scrambled Sobol sequence in the unit cube."""
     from scipy.stats import qmc
 
-    if whole(n, "samples") > MAX_STARTS:
-        raise InvalidInput("samples", found=n, expected=f"a whole number from 1 to {MAX_STARTS}")
+    whole(n, "samples", 1, MAX_STARTS)
     power = math.ceil(math.log2(n)) if n > 1 else 0
     cube = qmc.Sobol(dimensions, scramble=True, seed=np.random.default_rng(whole(seed, "seed", 0)))
     return np.asarray(cube.random_base2(power)[:n], np.float64)

@@ -15,7 +15,7 @@ from fixel.calibration.objective import Comparer
 from fixel.calibration.target import target_of
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Scene
-from fixel.model.fields import instance, non_negative
+from fixel.model.fields import instance, non_negative, whole
 from fixel.model.goals import touching
 from fixel.parts.fit import NAMES
 from fixel.parts.model import PartModel
@@ -109,8 +109,7 @@ def predict(
     >>> ends.probability(Seated("fixel-1"))
     1.00 (0.91 to 1.00, n = 40)
     """
-    if isinstance(samples, bool) or not 2 <= samples <= MAX_SAMPLES:
-        raise InvalidInput("samples", found=samples, expected=f"from 2 to {MAX_SAMPLES}")
+    whole(samples, "samples", 2, MAX_SAMPLES)
     permit(motion)
     instance(start, StartError | None, "start", "a StartError")
     instance(run_to_run, RunToRun | None, "run_to_run", "a RunToRun")

@@ -154,7 +154,7 @@ def test_plots_are_axes(fit, kind):
     ({"mu_pusher": 0.3}, "no parameter that is free"),
     ({"support_1_x": (0, 0.1)}, "a body on Tripod"),
     (3, "parameters: found the type int"),
-    ([3], "label is 3, but must be NAME or NAME[CONDITION=VALUE]"),
+    ([3], "parameters: found the type int, but fixel needs a text, or several"),
 ])  # fmt: skip
 def test_spaces_that_cannot_be_searched_are_refused(pushes, parameters, said):
     assert said in str(refused(fixel.calibrate, pushes[:1], parameters, **QUIET))
@@ -171,7 +171,7 @@ def test_spaces_that_cannot_be_searched_are_refused(pushes, parameters, said):
     ({"max_evaluations": 0}, "max_evaluations"),
     ({"budget": 0.0}, "budget"),
     ({"workers": -1}, "workers is -1, but must be at least 0"),
-    ({"optimiser": {"name": "pattern-search", "delta": 1}}, "the option delta"),
+    ({"optimiser": {"name": "pattern-search", "delta": 1}}, "pattern-search is 'delta'"),
 ])  # fmt: skip
 def test_options_that_cannot_be_are_refused(pushes, options, said):
     given = pushes[:1], {"mu_pusher": (0, 1)}

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from fixel.errors import InvalidInput, unknown_name
+from fixel.errors import InvalidInput, check_name
 from fixel.model import Disk, Polygon
 from fixel.model.overlap import overlaps
 from fixel.model.parameters import ParameterInfo
@@ -87,8 +87,7 @@ class AbstractPhysicsEngine(abc.ABC):
     def under(self, values: Mapping[str, float]) -> AbstractPhysicsEngine:
         """Return the engine with these values of its parameters."""
         for name in values:
-            if name not in self.parameters:
-                raise unknown_name(f"parameters of {self.name}", name, self.parameters)
+            check_name(f"parameters of {self.name}", name, self.parameters)
         return replace(self, **values) if values else self
 
     @classmethod
@@ -98,8 +97,7 @@ class AbstractPhysicsEngine(abc.ABC):
         given: dict[str, Any] = {}
         for item in filter(None, text.split(",")):
             name, _, value = item.partition("=")
-            if name not in known:
-                raise unknown_name(f"choices of {cls.name}", name, known)
+            check_name(f"choices of {cls.name}", name, known)
             given[name] = _value(f"{cls.name}:{name}", value, known[name].default)
         return cls(**given)
 

@@ -14,7 +14,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.errors import FixelError, InvalidInput, SolveFailed, unknown_name
+from fixel.errors import FixelError, InvalidInput, SolveFailed, check_name
 from fixel.kernels import codes
 from fixel.model import Parameters, Scene
 from fixel.simulation.engines import EngineName, program_of, shared_program, silent
@@ -153,8 +153,7 @@ class EngineEnsemble:
         own = {name: v for name, v in values.items() if "." in name}
         known = {f"{self.info.name}.{name}" for name in self.info.parameters}
         for name in own:
-            if name not in known:
-                raise unknown_name("parameters", name, known)
+            check_name("parameters", name, known)
         return shared, own
 
     def _run(

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from pydantic import Field
 
-from fixel.errors import InvalidInput, JobRefused, unknown_name
+from fixel.errors import InvalidInput, JobRefused, check_name
 from fixel.formats import SceneFile
 from fixel.formats.scene_file import scene_dict, scene_file_from_dict
 from fixel.io.document import parse_json, parse_yaml, plain_numbers, yaml_text
@@ -58,8 +58,7 @@ def examples() -> list[SceneExample]:
 
 def example(name: str) -> dict[str, Any]:
     """Return a scene that comes with fixel, as the keys of a scene file."""
-    if name not in example_names():
-        raise unknown_name("example", name, example_names())
+    check_name("example", name, example_names())
     return read_scene(example_text(name))
 
 

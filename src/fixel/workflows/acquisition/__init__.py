@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Final, final
 
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door, Seed
-from fixel.errors import InvalidInput, unknown_name
+from fixel.errors import InvalidInput, check_name
 
 if TYPE_CHECKING:
     from fixel.typing import ProgressCallback
@@ -81,8 +81,7 @@ class RecordPlan:
         from fixel.formats.recording import CODECS, is_recording
 
         for name, known in ("codec", ("auto", *CODECS)), ("until", ENDS):
-            if getattr(self, name) not in known:
-                raise unknown_name(name, getattr(self, name), known)
+            check_name(name, getattr(self, name), known)
         if self.until == "limit" and self.limit is None:
             raise InvalidInput("limit", found=None, expected="a duration such as 15s")
         if self.limit is not None and not (isfinite(self.limit) and self.limit > 0.0):

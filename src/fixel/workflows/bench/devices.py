@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 import shapely
 
-from fixel.errors import DeviceFailed, InvalidInput, unknown_name
+from fixel.errors import DeviceFailed, InvalidInput, check_name
 from fixel.formats.rig_file import rig_of
 from fixel.model import LineDrive, PlannedExperiment, Scene, placed
 from fixel.model.fields import pose_of
@@ -236,8 +236,7 @@ def settings_of(stored: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str
     Raise `InvalidInput` if the project's settings have another key, or a value of another kind.
     """
     for name, value in stored.items():
-        if name not in SETTINGS:
-            raise unknown_name("fixel.yaml: bench", name, tuple(SETTINGS))
+        check_name("fixel.yaml: bench", name, SETTINGS)
         kind = type(SETTINGS[name])
         if isinstance(value, bool) or not isinstance(value, (kind, int)):
             raise InvalidInput(

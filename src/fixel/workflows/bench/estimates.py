@@ -36,7 +36,7 @@ from fixel.calibration.study import run_study
 from fixel.calibration.target import Target
 from fixel.calibration.usual_parameters import Space
 from fixel.calibration.verdict import judge
-from fixel.errors import InvalidInput, unknown_name
+from fixel.errors import InvalidInput, check_name, unknown_name
 from fixel.model import Experiment, PlannedExperiment
 from fixel.model.parameters import info_of
 from fixel.model.space import ParameterSpace, check_once, split_label
@@ -386,8 +386,7 @@ def _aims(space: ParameterSpace, wanted: Mapping[str, float]) -> dict[str, float
         return {u.label: USUAL * (u.high - u.low) for u in space.free}
     names = dict.fromkeys(name for u in space.free for name in (u.label, u.name))
     for name in wanted:
-        if name not in names:
-            raise unknown_name("until", name, names)
+        check_name("until", name, names)
     known = {u.label: wanted.get(u.label, wanted.get(u.name)) for u in space.free}
     return {label: own for label, own in known.items() if own is not None}
 

@@ -23,7 +23,7 @@ from fixel.calibration.objective import (
     lengths_of,
 )
 from fixel.calibration.target import Target
-from fixel.errors import InvalidInput, unknown_name
+from fixel.errors import InvalidInput, check_name
 from fixel.formats.scene_file import SceneRecord, scene_content, scene_of
 from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.io.damaged_files import readable
@@ -254,17 +254,11 @@ def _made(family: Sequence[type[Method]], choice: NamedOptions) -> Method:
     """A member of a family, by its name and options."""
     where = "error" if family is ERRORS else "optimiser"
     known: dict[str, Any] = {member.name: member for member in family}
-    if choice.name not in known:
-        raise unknown_name(where, choice.name, known)
+    check_name(where, choice.name, known)
     member = known[choice.name]
     options = {field.name for field in dataclasses.fields(member)}
     for name in choice.options:
-        if name not in options:
-            raise InvalidInput(
-                f"{where} {choice.name}",
-                found=f"the option {name}",
-                expected="one of " + (", ".join(sorted(options)) or "none"),
-            )
+        check_name(f"option of {where} {choice.name}", name, sorted(options))
     made: Method = member(**choice.options)
     return made
 

@@ -105,8 +105,8 @@ def error_bound(
     >>> bool(bound.at(pushes[0].scene).position < 1e-3)
     True
     """
-    left_out = [leave_out] if isinstance(leave_out, str) else leave_out
-    asked = ERROR_BOUND.asked({**locals(), "fit": (), "leave_out": tuple(filter(None, left_out))})
+    left_out = [leave_out] * bool(leave_out) if isinstance(leave_out, str) else leave_out
+    asked = ERROR_BOUND.asked({**locals(), "fit": (), "leave_out": left_out})
     from fixel.calibration.target import targets_of
     from fixel.progress import show_progress
     from fixel.workflows.domain.fits import calibration_model

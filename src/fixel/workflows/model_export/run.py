@@ -17,9 +17,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from fixel.drawing.view import evenly
-from fixel.errors import InvalidInput, unknown_name
+from fixel.errors import InvalidInput, check_name
 from fixel.formats.frames_file import folder_whole, refuse_folder
 from fixel.model import Experiment, Scene, pose_error
+from fixel.model.fields import instance, path_of, whole
 from fixel.progress import ProgressOption, show_progress
 from fixel.simulation import AbstractMotionModel, AbstractStepper
 from fixel.simulation.engine_names import EngineName
@@ -123,11 +124,10 @@ def export_model(
     >>> done.files
     ('card.json', 'object.urdf')
     """
-    target, wanted = Path(folder), EngineName.of(to)
-    if wanted.name not in TARGETS:
-        raise unknown_name("to", wanted.name, TARGETS)
-    if isinstance(scenes, bool) or not 0 <= scenes <= 100_000:
-        raise InvalidInput("scenes", found=scenes, expected="a whole number from 0 to 100000")
+    instance(to, str, "to", "a name")
+    target, wanted = path_of(folder, "folder"), EngineName.of(to)
+    check_name("to", wanted.name, TARGETS)
+    whole(scenes, "scenes", 0, 100_000)
     refuse_folder(target)
     source = source_of(what, calibration, held_out)
     exported, recorded = source.cases[0], wanted.name in WRITERS

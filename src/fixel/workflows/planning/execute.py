@@ -17,7 +17,7 @@ from fixel.database.project import Project
 from fixel.errors import FixelError, InvalidInput
 from fixel.formats.recording import SCENE_FILE
 from fixel.model import Experiment, Scene
-from fixel.model.fields import whole
+from fixel.model.fields import path_of, whole
 from fixel.model.goals import BodyTrack, events_in
 from fixel.model.scene import check_push
 from fixel.model.trajectory import pose_difference
@@ -84,7 +84,7 @@ def run_on_testbed(path: str | Path, *, trials: int = 1, seed: int = 1) -> Trial
     >>> fixel.run_on_testbed(plan.save("push.plan"), trials=2).n
     2
     """
-    path, trials = Path(path), whole(trials, "trials")
+    path, trials = path_of(path, "path"), whole(trials, "trials")
     file = load_plan(path)
     plan = file.found.plan
     _check_pushes(plan)

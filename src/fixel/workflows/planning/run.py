@@ -33,7 +33,7 @@ def plan(
     choose: FreePushes | RigPushes | None = None,
     belief: Belief | None = None,
     *,
-    rollouts: Annotated[int, Door(also=("--budget",), least=1000)] = 160_000,
+    rollouts: Annotated[int, Door(also=("--budget",), least=1000, most=10**9)] = 160_000,
     looks: Annotated[int, Door(least=0)] = 0,
     camera: StartError | None = None,
     lost_views: float = 0.0,

@@ -19,10 +19,11 @@ from fixel.database.project import Project, stored_experiments
 from fixel.datasets import IMPORTERS, Experiments
 from fixel.datasets.table import CsvTable
 from fixel.drawing.chart import require_file
-from fixel.errors import LIST_EXPERIMENTS, InvalidInput, NotStored, require, unknown_name
+from fixel.errors import LIST_EXPERIMENTS, InvalidInput, NotStored, check_name, require
 from fixel.formats.frames_file import folder_whole, refuse_folder, write_frames
 from fixel.formats.lerobot import write_lerobot
 from fixel.model import Experiment
+from fixel.model.fields import path_of
 from fixel.model.selection import ExperimentQuery, ExperimentRow
 from fixel.progress import ProgressOption, Reporter, show_progress
 from fixel.typing import ProgressCallback
@@ -113,7 +114,7 @@ def export(
     >>> done.counts["frames"]
     183
     """
-    target = Path(path)
+    target = path_of(path, "path")
     if format is None:
         format = "bundle" if target.suffix.lower() == ".zip" else "parquet"
     _check_arguments(target, format, fps)
@@ -212,8 +213,7 @@ def median_rate(summaries: list[ExperimentRow]) -> int:
 
 def _check_arguments(target: Path, format: str, fps: int | None) -> None:
     """Reject invalid arguments before any work."""
-    if format not in FORMATS:
-        raise unknown_name("format", format, FORMATS)
+    check_name("format", format, FORMATS)
     if fps is not None and (format != "lerobot" or not RATES[0] <= fps <= RATES[1]):
         raise InvalidInput(
             "fps", found=fps, expected=f"from {RATES[0]} to {RATES[1]} Hz in a LeRobot dataset"

@@ -20,7 +20,7 @@ from fixel.database.project import Project
 from fixel.drawing.chart import save_figure
 from fixel.errors import InvalidInput
 from fixel.io.atomic import write_whole
-from fixel.model.fields import instance
+from fixel.model.fields import instance, path_of
 from fixel.registry import offers
 from fixel.results import Result
 from fixel.simulation.trust import repeatable
@@ -146,7 +146,8 @@ def report(
     ('report.html', 1)
     """
     instance(what, Project | Result | Iterable, "what", "a project, a result, or several results")
-    page = Path(path) if Path(path).suffix.lower() == ".html" else Path(path) / PAGE
+    page = path_of(path, "path")
+    page = page if page.suffix.lower() == ".html" else page / PAGE
     folder = page.parent
     template = environment().get_template("report.html")
     with new_folder(folder / FIGURES):

@@ -105,6 +105,7 @@ def sensitivity(
     from fixel.uncertainty.starts import StartError
 
     instance(start, StartError, "start", "a StartError")
+    instance(vary, Mapping | None, "vary", "bounds by name of parameter")
     permit(motion)
     push = push_of(scene, model, motion)
     ranges = dict(push.intervals if vary is None else vary)
