@@ -24,9 +24,9 @@ from fixel.formats.rig_file import rig_of
 from fixel.model import Experiment, PlannedExperiment
 from fixel.model.space import ParameterSpace
 from fixel.testbed.file_source import LoopbackCamera
+from fixel.testbed.frame_source import SharedCamera
 from fixel.testbed.open_source import source_of
 from fixel.testbed.recorder import Recorder
-from fixel.testbed.shared_camera import SharedCamera
 from fixel.workflows.acquisition.overlay import Tolerance
 from fixel.workflows.acquisition.record import codec_for
 from fixel.workflows.bench import devices

@@ -20,10 +20,9 @@ from typing import Any
 
 from fixel.io.journal import Journal
 from fixel.jobs.dask_engine import DaskEngine
-from fixel.jobs.engine import LocalEngine
 from fixel.jobs.pool import LocalPool, SlurmPool
 from fixel.jobs.site import Site
-from fixel.jobs.work import Chunk, Round, run_work
+from fixel.jobs.work import Chunk, LocalEngine, Round, run_work
 from fixel.testing.toy_work import FUNCTION, make_toy_work
 
 SITE = Site(queue="main", memory="500 MB", submit_interval_s=0.0, skip_directives=["--mem"])

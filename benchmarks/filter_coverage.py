@@ -20,8 +20,7 @@ from scipy.stats import chi2, kstest
 
 from benchmarks.figures import Bar, Figure, Size, at_least, at_most
 from benchmarks.report import RESULTS
-from fixel.filtering.particle_filter import ParticleFilter
-from fixel.filtering.prior import DEFAULT_PRIORS
+from fixel.filtering.particle_filter import DEFAULT_PRIORS, ParticleFilter
 from fixel.filtering.recorded import run_filter
 from fixel.model import Experiment, PlannedExperiment, Tripod, wrapped
 from fixel.testbed.simulated import SimulatedTestbed

@@ -6,7 +6,7 @@ from benchmarks.accuracy import ANGLE_BAR, FINE, POSITION_BAR, apart, characteri
 from benchmarks.figures import Figure, Size, at_most, seconds
 from fixel.model import Scene
 from fixel.simulation import Adaptive, Simulation, StewartTrinkle, simulate
-from fixel.simulation.stepper import AbstractStepper
+from fixel.simulation.stepping import AbstractStepper
 from fixel.testing.scenes import grasp
 
 FIXED = StewartTrinkle(step=0.01)

@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.figures import Bar, Figure, Size, at_least, at_most, seconds
 from fixel.model import Body, Disk, LineDrive, PairFriction, Pusher, Scene, Tripod
 from fixel.simulation import Simulation, StewartTrinkle, simulate
-from fixel.simulation.stepper import AbstractStepper
+from fixel.simulation.stepping import AbstractStepper
 from fixel.testing.scenes import box
 
 PITCH = 0.05  # [m]

@@ -16,7 +16,7 @@ from fixel.model import Scene
 from fixel.simulation import Adaptive, Simulation, simulate
 from fixel.simulation.engines import AbstractPhysicsEngine, PlainTask, engine_of
 from fixel.simulation.engines.task import task_of
-from fixel.simulation.stepper import AbstractStepper
+from fixel.simulation.stepping import AbstractStepper
 from fixel.testing.scenes import grasp
 from fixel.typing import FloatArray
 

@@ -27,7 +27,7 @@ from fixel.planning.belief import Belief
 from fixel.planning.plan import PushPlan
 from fixel.planning.pushes import FreePushes
 from fixel.testbed.simulated import repeat_pushes
-from fixel.uncertainty.starts import StartError
+from fixel.uncertainty.error_terms import StartError
 from fixel.units import deg, mm
 
 SEED: Final = 424_242

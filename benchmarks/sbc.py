@@ -21,7 +21,7 @@ from fixel.simulation import QuasiStatic, StewartTrinkle
 from fixel.simulation.rollouts import RolloutCase
 from fixel.testing.scenes import free_push, row
 from fixel.typing import FloatArray
-from fixel.uncertainty.discrepancy import ModelError
+from fixel.uncertainty.error_terms import ModelError
 from fixel.uncertainty.posterior import NestedSampling
 
 DATA_SETS: Final = 300

@@ -19,7 +19,7 @@ from fixel.calibration.objective import Comparer
 from fixel.errors import InvalidInput, SolveFailed
 from fixel.model.trajectory import wrapped
 from fixel.typing import FloatArray, ProgressCallback
-from fixel.uncertainty.discrepancy import ModelError, draw_walks
+from fixel.uncertainty.error_terms import ModelError, draw_walks
 from fixel.uncertainty.likelihood import LogLikelihood, ParameterPrior, expected_shares
 from fixel.uncertainty.posterior import NestedSampling, Posterior
 

@@ -11,7 +11,7 @@ from benchmarks.accuracy import random_sets
 from benchmarks.figures import Figure, Size, at_most, seconds
 from fixel.model import Body, Polygon, Scene, UniformPressure
 from fixel.simulation import StewartTrinkle, simulate, simulate_batch
-from fixel.simulation.stepper import AbstractStepper
+from fixel.simulation.stepping import AbstractStepper
 from fixel.testing.scenes import grasp, pushed_square
 
 STEP = 0.01  # [s]

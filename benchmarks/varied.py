@@ -33,7 +33,7 @@ from fixel.model import (
 )
 from fixel.simulation import Adaptive, Dynamic, Midpoint, QuasiStatic, StewartTrinkle, simulate
 from fixel.simulation.motion import AbstractMotionModel
-from fixel.simulation.stepper import AbstractStepper
+from fixel.simulation.stepping import AbstractStepper
 from fixel.testing.scenes import FIXEL_RADIUS, STALL_FORCE, box, row
 from fixel.typing import FloatArray
 

@@ -39,7 +39,7 @@ from fixel.simulation import (
     simulate_batch,
 )
 from fixel.simulation.motion import AbstractMotionModel
-from fixel.simulation.stepper import AbstractStepper
+from fixel.simulation.stepping import AbstractStepper
 from fixel.testing.scenes import grasp
 from fixel.typing import FloatArray
 

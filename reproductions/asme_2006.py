@@ -23,10 +23,10 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from fixel.calibration import MultiStart, NelderMead
-from fixel.calibration.nelder_mead import NelderMeadSearch
+from fixel.calibration.direct_search import NelderMeadSearch
 from fixel.calibration.objective import Comparer, Objective, RootMeanSquare
 from fixel.calibration.optimiser import MultiStartSearch, feasible_points
-from fixel.calibration.solutions import Solution, find_solutions
+from fixel.calibration.result import Solution, find_solutions
 from fixel.calibration.study import box_of
 from fixel.calibration.target import Target
 from fixel.model.space import ParameterSpace, Unknown

@@ -50,7 +50,7 @@ from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.rollouts import RolloutCase
 from fixel.testing.scenes import box, row
 from fixel.typing import FloatArray
-from fixel.uncertainty.starts import ASME, StartError
+from fixel.uncertainty.error_terms import ASME, StartError
 from reproductions.asme_2006 import (
     CORNERS,
     IDENTIFICATION,

@@ -31,8 +31,8 @@ from fixel.datasets.mit_push_records import TIP
 from fixel.errors import DatasetMissing
 from fixel.io.array_bytes import ResultCache, listed
 from fixel.model import Body, Disk, SupportPoints, UniformPressure, wrapped
-from fixel.model.footprint import support_grid
 from fixel.model.parameters import ENGINE_PARAMETERS
+from fixel.model.support import support_grid
 from fixel.replay.base import Row, errors_in_mm_and_deg
 from fixel.simulation.motion import motion_model, stated_name
 from fixel.simulation.pack import pusher_path

@@ -20,7 +20,7 @@ from fixel.model import (
     UniformPressure,
     wrapped,
 )
-from fixel.model.footprint import support_grid
+from fixel.model.support import support_grid
 from fixel.simulation import StewartTrinkle
 from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.load_profile import PROFILE_NAMES, TABLE_NAMES, LoadNet, factors_on_table

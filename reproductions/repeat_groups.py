@@ -24,8 +24,8 @@ from fixel.model import (
 )
 from fixel.model.trajectory import wrapped
 from fixel.typing import BoolArray, FloatArray
+from fixel.uncertainty.error_terms import StartError, even_points
 from fixel.uncertainty.start_ensemble import Neighbour, remove_overlap, simulate_starts
-from fixel.uncertainty.starts import StartError, even_points
 
 MIN_ROWS: Final = 30  # minimum number of rows of a push
 JUMP: Final = 4e-3  # [m], minimum distance of two rows that belong to different pushes

@@ -21,8 +21,8 @@ from fixel.model.trajectory import wrapped
 from fixel.replay.base import WIDE, Row
 from fixel.simulation import StewartTrinkle
 from fixel.typing import FloatArray
+from fixel.uncertainty.error_terms import StartError, even_points
 from fixel.uncertainty.start_ensemble import simulate_starts
-from fixel.uncertainty.starts import StartError, even_points
 from reproductions.repeat_groups import (
     HEAD_PLACE,
     RepeatGroup,

@@ -28,7 +28,7 @@ from fixel.sampling.published import thesis_plan
 from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.rollouts import RolloutCase
 from fixel.testbed.simulated import SimulatedTestbed, repeat_pushes
-from fixel.uncertainty.starts import RPI_CAMERA, StartError
+from fixel.uncertainty.error_terms import RPI_CAMERA, StartError
 from fixel.units import deg, mm
 from reproductions.charts.assembly import grasps_figure
 from reproductions.result import Reproduction, RunOptions

@@ -92,7 +92,7 @@ def use(platform):
     from fixel.jobs.link import require_dask
     from fixel.testbed.emergency import stop_drive
     from fixel.testbed.emulators.grbl import EmulatedGrbl
-    from fixel.workflows.diagnostics import machine
+    from fixel.workflows.installation import machine
 
     print(platform)
     with tempfile.TemporaryDirectory() as folder:

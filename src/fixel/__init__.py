@@ -96,7 +96,7 @@ if TYPE_CHECKING:
         learn_run_to_run as learn_run_to_run,
         RunToRun as RunToRun,
     )
-    from fixel.uncertainty.starts import StartError as StartError
+    from fixel.uncertainty.error_terms import StartError as StartError
     from fixel.workflows.calibration.calibration import (
         Calibration as Calibration,
         Calibrations as Calibrations,
@@ -106,7 +106,7 @@ if TYPE_CHECKING:
         calibrate_campaign as calibrate_campaign,
         calibrate_each as calibrate_each,
     )
-    from fixel.workflows.error_bound.run import error_bound as error_bound
+    from fixel.workflows.error_bound import error_bound as error_bound
     from fixel.workflows.domain.run import map_domain as map_domain
     from fixel.workflows.experiments import read_experiments as read_experiments
     from fixel.workflows.filtering.run import filter as filter
@@ -160,10 +160,10 @@ _NAMES = {
     "fixel.uncertainty.posterior": "Posterior",
     "fixel.uncertainty.prediction": "Prediction",
     "fixel.uncertainty.run_to_run": "learn_run_to_run RunToRun",
-    "fixel.uncertainty.starts": "StartError",
+    "fixel.uncertainty.error_terms": "StartError",
     "fixel.workflows.calibration.calibration": "Calibration Calibrations",
     "fixel.workflows.calibration.run": "calibrate calibrate_campaign calibrate_each",
-    "fixel.workflows.error_bound.run": "error_bound",
+    "fixel.workflows.error_bound": "error_bound",
     "fixel.workflows.domain.run": "map_domain",
     "fixel.workflows.experiments": "read_experiments",
     "fixel.workflows.filtering.run": "filter",

@@ -18,7 +18,7 @@ from fixel.calibration.cost import NormalPrior
 from fixel.calibration.honest import Honest
 from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.profile import ProfileLikelihood
-from fixel.calibration.solutions import find_solutions
+from fixel.calibration.result import find_solutions
 from fixel.calibration.verdict import WORDS, judge
 
 UNIT = box([0, 0, 0], [1, 1, 1])

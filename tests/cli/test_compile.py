@@ -9,21 +9,21 @@ import pytest
 from tests.cli.shell import exit_code as call
 
 from fixel.kernels.code_cache import CodeCache
-from fixel.workflows import compilation
+from fixel.workflows import installation
 
 
 @pytest.fixture
 def programs(monkeypatch, tmp_path):
     """Programs that run instead of the parts."""
     found = {"one": "print(2.5)", "two": "print(0.0)"}
-    monkeypatch.setattr(compilation, "_PARTS", found)
-    real = compilation.subprocess.run
+    monkeypatch.setattr(installation, "_PARTS", found)
+    real = installation.subprocess.run
 
     def run(command, **options):
-        assert command[1:4] == ["-P", "-m", "fixel.workflows.compilation"]
+        assert command[1:4] == ["-P", "-m", "fixel.workflows.installation"]
         return real([sys.executable, "-c", found[command[4]]], **options)
 
-    monkeypatch.setattr(compilation.subprocess, "run", run)
+    monkeypatch.setattr(installation.subprocess, "run", run)
     return found
 
 
@@ -45,7 +45,7 @@ def test_a_part_that_dies_is_named_and_exits_1(programs, capsys):
 
 
 def test_parts_of_missing_extras_are_left_out(programs, monkeypatch, capsys):
-    monkeypatch.setattr(compilation, "_NEEDED", {"two": "no_such_package", "one": "json"})
+    monkeypatch.setattr(installation, "_NEEDED", {"two": "no_such_package", "one": "json"})
     assert call("compile") == 0
     assert "two" not in capsys.readouterr().out
 
@@ -56,8 +56,8 @@ def test_parts_of_missing_extras_are_left_out(programs, monkeypatch, capsys):
     [("films: rendering and tracking", "vision"), ("environments", "environments")],
 )
 def test_every_entry_of_an_extra_is_compiled(part, package):
-    pytest.importorskip(compilation._NEEDED[part])
-    compilation._PARTS[part]()
+    pytest.importorskip(installation._NEEDED[part])
+    installation._PARTS[part]()
     own = import_module(f"fixel.{package}")
     for module in walk_packages(own.__path__, f"{own.__name__}."):
         for name, entry in vars(import_module(module.name)).items():
@@ -77,6 +77,6 @@ while not pathlib.Path({str(tmp_path / other)!r}).exists():
 print(1)
 """
     seen = []
-    parts = compilation.compile_kernels(lambda progress: seen.append(str(progress)))
+    parts = installation.compile_kernels(lambda progress: seen.append(str(progress)))
     assert [(part.seconds, part.problem) for part in parts] == [(1.0, "")] * 2
     assert "0 of 2 parts" in seen[0]

@@ -5,14 +5,14 @@ import json
 import pytest
 from tests.cli.shell import exit_code as call
 
-from fixel.workflows import diagnostics
+from fixel.workflows import installation
 
 
 @pytest.fixture
 def quick(monkeypatch):
     checks = {"fine": lambda: (True, "as it should be", 1e-12)}
-    monkeypatch.setattr(diagnostics, "_CHECKS", checks)
-    monkeypatch.setattr("fixel.workflows.diagnostics.get_ready", lambda *_: None)
+    monkeypatch.setattr(installation, "_CHECKS", checks)
+    monkeypatch.setattr("fixel.workflows.installation.get_ready", lambda *_: None)
     return checks
 
 
@@ -33,13 +33,13 @@ def test_a_failure_exits_1(quick, capsys):
 
 def test_it_prints_at_once_that_code_cannot_be_stored(quick, capsys, monkeypatch, tmp_path):
     (tmp_path / "file").touch()
-    monkeypatch.setattr(diagnostics, "cache_folder", lambda: f"{tmp_path}/file/cache")
+    monkeypatch.setattr(installation, "cache_folder", lambda: f"{tmp_path}/file/cache")
 
     def compiled(*_):
         assert "Every process compiles all code again" in capsys.readouterr().err
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(diagnostics, "get_ready", compiled)
+    monkeypatch.setattr(installation, "get_ready", compiled)
     assert call("doctor") == 130
 
 

@@ -3,8 +3,7 @@
 import pytest
 
 from fixel.simulation.motion import MOTION_MODELS
-from fixel.simulation.solver import SOLVERS
-from fixel.simulation.stepper import STEPPERS
+from fixel.simulation.stepping import SOLVERS, STEPPERS
 from fixel.testing.contracts import MotionModelContract, SolverContract, StepperContract
 
 

@@ -26,10 +26,10 @@ from fixel.jobs.folder import RunSettings, write_run
 from fixel.jobs.worker_process import WorkerProcess
 from fixel.testing.pushes import example_pushes
 from fixel.testing.toy_work import MAKER
-from fixel.web.views.calibration_detail import load_detail
+from fixel.web.views.calibration_views import load_detail
 from fixel.workflows import jobs
 from fixel.workflows.capabilities import CAPABILITIES, prepare, prepare_in
-from fixel.workflows.compilation import _compiled
+from fixel.workflows.installation import _compiled
 
 SEQUENCE = "\x1b]0;mine\x07"  # changes the title of a terminal
 

@@ -28,7 +28,7 @@ CONVERGING = [
     MultiStart(optimiser=PatternSearch(), starts=2),
 ]
 CASES = [
-    # NOMAD is a process of its own, which tests/calibration/test_mads.py looks at.
+    # NOMAD is a process of its own, which tests/calibration/test_external_searches.py looks at.
     pytest.param(k, id=f"{k}-{own.name}", marks=[pytest.mark.system] * isinstance(own, Mads))
     for k, own in enumerate(CONVERGING)
 ]

@@ -18,7 +18,7 @@ from fixel.simulation import (
     simulate,
     simulate_batch,
 )
-from fixel.simulation.stepper import StepResult
+from fixel.simulation.stepping import StepResult
 from fixel.testing.contracts import MotionModelContract, SolverContract, StepperContract
 from fixel.testing.scenes import sliding_block
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fixel.database import arrays
+from fixel.database import rows
 from fixel.database.store import Store
 from fixel.model import Channel, Experiment, Flag, Provenance, Trajectory
 from fixel.testing.scenes import grasp
@@ -43,7 +43,7 @@ def experiment(batch, k):
 
 
 def main(url, media, batch):
-    arrays.MEDIA_BYTES = SMALL_MEDIA_BYTES
+    rows.MEDIA_BYTES = SMALL_MEDIA_BYTES
     # Made beforehand, so that a random moment is mostly one within a transaction.
     experiments = [experiment(int(batch), k) for k in range(N)]
     with Store(url, Path(media)) as store:

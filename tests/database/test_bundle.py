@@ -12,7 +12,7 @@ import pytest
 from tests.database.records import HERE, experiment, path
 from tests.database.triggers import without_triggers
 
-from fixel.database import arrays
+from fixel.database import rows
 from fixel.database.bundle import export_bundle, import_bundle
 from fixel.database.bundle_file import LIMITS
 from fixel.database.query import ALL_EXPERIMENTS
@@ -45,7 +45,7 @@ NOTHING_NEW = {
 
 def fill(store):
     """A bit of everything there can be."""
-    video = arrays.keep(b"film" * 1000, store.media)
+    video = rows.keep(b"film" * 1000, store.media)
     a = store.add_experiment(experiment(flags=[Flag("late", "by 2 s")], video=video)).id
     store.add_experiment(experiment("fixed"))
     b = store.add_experiment(experiment("fixed", contact_mode="110")).id
@@ -169,7 +169,7 @@ def test_round_trip_loses_nothing(store, tmp_path):
         assert store.calibration(1).evaluations == other.calibration(1).evaluations
         assert [m.experiment_id for m in other.calibration(1).members] == [theirs[0], theirs[3]]
         video = other.experiment(theirs[0]).video
-        assert arrays.fetch(video, other.media) == b"film" * 1000
+        assert rows.fetch(video, other.media) == b"film" * 1000
 
 
 def test_both_ways_give_the_same_bytes(store, tmp_path):

@@ -4,7 +4,7 @@ import pytest
 import sqlalchemy as sa
 from tests.database import importing
 
-from fixel.database import arrays, project
+from fixel.database import project, rows
 from fixel.database.engine import writing
 from fixel.database.project import Project
 from fixel.errors import StoreRefused
@@ -13,7 +13,7 @@ from fixel.errors import StoreRefused
 @pytest.fixture
 def folder(store, url, tmp_path, monkeypatch):
     """A project with three experiments, the first of which has a file."""
-    monkeypatch.setattr(arrays, "MEDIA_BYTES", importing.SMALL_MEDIA_BYTES)
+    monkeypatch.setattr(rows, "MEDIA_BYTES", importing.SMALL_MEDIA_BYTES)
     monkeypatch.setenv(project.VARIABLE, url)
     (tmp_path / project.SETTINGS).write_text("name: lab\n")
     for k in range(3):

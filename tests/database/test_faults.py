@@ -19,7 +19,7 @@ from tests.database import importing, server
 from tests.jobs.helpers import await_true
 from tests.processes import line_of
 
-from fixel.database import arrays, engine
+from fixel.database import engine, rows
 from fixel.database.query import ALL_EXPERIMENTS
 from fixel.database.store import Store
 from fixel.errors import StoreRefused
@@ -32,7 +32,7 @@ HERE = Path(__file__).parent
 
 @pytest.fixture(autouse=True)
 def _files_for_short_series(monkeypatch):
-    monkeypatch.setattr(arrays, "MEDIA_BYTES", importing.SMALL_MEDIA_BYTES)
+    monkeypatch.setattr(rows, "MEDIA_BYTES", importing.SMALL_MEDIA_BYTES)
 
 
 # --- a process that is killed -------------------------------------------------------------------
@@ -428,7 +428,7 @@ def test_a_media_folder_that_cannot_be_written_to(tmp_path):
     media = tmp_path / "media"
     media.write_text("a file where the folder should be", encoding="utf-8")
     with pytest.raises(StoreRefused, match="cannot be written to"):
-        arrays.keep(b"0" * 10, media)
+        rows.keep(b"0" * 10, media)
 
 
 def test_a_database_of_somebody_else_is_left_alone(tmp_path):

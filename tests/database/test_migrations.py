@@ -12,8 +12,8 @@ from tests.database import importing
 
 from fixel.database import schema
 from fixel.database.engine import reading, writing
+from fixel.database.schema import METADATA
 from fixel.database.store import Store
-from fixel.database.tables import METADATA
 from fixel.errors import StoreRefused
 
 ASSETS = Path(__file__).with_name("assets")

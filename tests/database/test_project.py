@@ -9,7 +9,7 @@ from tests.cli.shell import fixel as run
 from tests.fixtures import refused
 
 import fixel
-from fixel.database import arrays
+from fixel.database import rows
 from fixel.datasets import example
 from fixel.errors import NotStored, StoreRefused
 from fixel.model import Flag, Trajectory
@@ -74,7 +74,7 @@ def test_printing_reads_no_series(lab, monkeypatch):
     def refuse(*_):
         raise AssertionError("a series was read")
 
-    monkeypatch.setattr(arrays, "read_all", refuse)
+    monkeypatch.setattr(rows, "read_all", refuse)
     found = lab.experiments(flagged=True)
     assert repr(found).splitlines()[0].startswith("Experiments: 3 of dataset 'example'")
     assert "example/00" in found._repr_html_()

@@ -11,7 +11,7 @@ import sqlalchemy as sa
 from tests.database.records import HERE, experiment, path, simulation
 from tests.fixtures import calibration_record, refused
 
-from fixel.database import tables
+from fixel.database import schema
 from fixel.database.store import Store
 from fixel.errors import NotStored, StoreRefused
 from fixel.model import Experiment, Flag, Parameters, Provenance, records
@@ -137,11 +137,11 @@ def test_finished_records_cannot_change(store, url):
     (number,) = stored(store, experiment(flags=[Flag("late")]))
     engine = sa.create_engine(url)
     for statement in (
-        sa.update(tables.experiment).values(contact_mode="111"),
-        sa.update(tables.series).values(n_row=1),
-        sa.update(tables.flag).values(detail="no"),
-        sa.delete(tables.series),
-        sa.delete(tables.experiment),
+        sa.update(schema.experiment).values(contact_mode="111"),
+        sa.update(schema.series).values(n_row=1),
+        sa.update(schema.flag).values(detail="no"),
+        sa.delete(schema.series),
+        sa.delete(schema.experiment),
     ):
         with (
             engine.connect() as connection,
@@ -282,7 +282,7 @@ def test_two_processes_store_results_once(store, url):
     simulations, runs, calibrations = first
     assert simulations == store.simulations(1) == list(range(1, 21))
     assert (runs, calibrations) == ([1, 2, 3] * 2, [1, 2, 3, 4, 5])
-    assert (store._ids(tables.filter_parameters), store.calibrations()) == ([1], calibrations)
+    assert (store._ids(schema.filter_parameters), store.calibrations()) == ([1], calibrations)
 
 
 def test_a_failure_half_way_leaves_nothing(store, monkeypatch):

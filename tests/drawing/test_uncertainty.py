@@ -9,7 +9,7 @@ from tests.drawing.collisions import collisions
 
 from fixel.drawing import palette
 from fixel.drawing.uncertainty import bands_chart, corner_chart, coverage_chart, final_pose_chart
-from fixel.uncertainty.discrepancy import LABEL
+from fixel.uncertainty.error_terms import LABEL
 from fixel.uncertainty.prediction import Band, CoverageCurve, Ellipse, EndBounds
 from fixel.workflows.uncertainty import report
 

@@ -5,8 +5,7 @@ import pytest
 from scipy.stats import chi2
 from tests.filtering.recordings import MU_PUSHER, TRIPOD_RADIUS, push
 
-from fixel.filtering.particle_filter import ParticleFilter
-from fixel.filtering.prior import UniformPrior
+from fixel.filtering.particle_filter import ParticleFilter, UniformPrior
 from fixel.filtering.recorded import run_filter
 from fixel.filtering.running import FilterFrame, start_filter
 from fixel.testing.scenes import grasp

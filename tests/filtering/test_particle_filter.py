@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from tests.fixtures import refused
 
-from fixel.filtering.particle_filter import ParticleFilter
-from fixel.filtering.prior import DEFAULT_PRIORS
+from fixel.filtering.particle_filter import DEFAULT_PRIORS, ParticleFilter
 from fixel.filtering.running import FilterFrame, start_filter
 from fixel.model import Disk, Ellipsoid, Scene
 from fixel.simulation import Dynamic, FirstOrder

@@ -6,8 +6,8 @@ Statistical bounds are five standard deviations with fixed seeds.
 import numpy as np
 import pytest
 
+from fixel.filtering.particle_filter import UniformPrior
 from fixel.filtering.particles import COARSE, effective_sample_size, normalised, power, systematic
-from fixel.filtering.prior import UniformPrior
 
 PRIOR = UniformPrior(("mu_pusher", "tripod_radius"), np.array([0.1, 0.01]), np.array([1.0, 0.1]))
 

@@ -9,7 +9,7 @@ from fixel import FreePushes, RigPushes
 from fixel.formats.goal_file import goal_file_from_dict, load_goal
 from fixel.io.document import parse_yaml
 from fixel.model import goals
-from fixel.uncertainty.starts import ASME, RPI_CAMERA
+from fixel.uncertainty.error_terms import ASME, RPI_CAMERA
 
 FULL = """
 fixel: 1

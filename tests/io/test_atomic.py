@@ -1,13 +1,16 @@
-"""Files that are complete or absent."""
+"""Files that are complete or absent.
+Errors while a project's file is read: only damage is called damage.
+"""
 
 import os
+import resource
 import stat
 from pathlib import Path
 
 import pytest
 
-from fixel.errors import InvalidInput
-from fixel.io.atomic import write_whole, written_whole
+from fixel.errors import InvalidInput, StoreRefused
+from fixel.io.atomic import readable, write_whole, written_whole
 
 
 def test_the_unfinished_file_has_a_name_that_others_cannot_guess(tmp_path: Path) -> None:
@@ -32,3 +35,29 @@ def test_a_pipe_or_a_device_is_not_replaced_by_a_file(tmp_path: Path) -> None:
         write_whole(tmp_path / "pipe", "text")
     assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
     assert [path.name for path in tmp_path.iterdir()] == ["pipe"]
+
+
+@pytest.mark.parametrize("problem", [KeyError("set"), EOFError(), RecursionError()])
+def test_invalid_content_is_damage_of_this_file(tmp_path, problem):
+    path = tmp_path / "own.json"
+    with pytest.raises(StoreRefused, match="it is damaged") as refusal, readable(path, "delete it"):
+        raise problem
+    assert (str(path) in str(refusal.value), refusal.value.hint) == (True, "delete it")
+
+
+def read_own(path):
+    with readable(path, "delete it"):
+        return path.read_text()
+
+
+def test_a_failure_of_the_machine_does_not_advise_to_delete_the_file(tmp_path):
+    path = tmp_path / "own.json"
+    path.write_text("{}")
+    usual = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (3, usual[1]))  # no more files may be opened
+    try:
+        with pytest.raises(StoreRefused, match="too many open files") as refusal:
+            read_own(path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, usual)
+    assert refusal.value.hint is None

@@ -11,8 +11,7 @@ from tests.jobs.helpers import blocks_written, names_in
 
 from fixel.jobs import folder as files
 from fixel.jobs.coordinator import coordinate
-from fixel.jobs.engine import LocalEngine
-from fixel.jobs.work import block_name
+from fixel.jobs.work import LocalEngine, block_name
 from fixel.model.selection import ExperimentQuery
 from fixel.sampling.published import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed

@@ -13,17 +13,15 @@ from tests.fixtures import refused
 from tests.jobs.helpers import await_true, kill, processes
 
 from fixel.errors import JobRefused
-from fixel.jobs import cluster, link
-from fixel.jobs.engine import OTHER_VERSION, LocalEngine, run_chunk
+from fixel.jobs import dask_engine, link
 from fixel.jobs.functions import stamp
 from fixel.jobs.pool import LocalPool, worker_command
-from fixel.jobs.work import Chunk, Failure, unframed
+from fixel.jobs.work import OTHER_VERSION, Chunk, Failure, LocalEngine, run_chunk, unframed
 from fixel.testing import toy_work
 
 pytest.importorskip("distributed")
 
-from fixel.jobs.cluster import Cluster
-from fixel.jobs.dask_engine import DaskEngine
+from fixel.jobs.dask_engine import Cluster, DaskEngine
 
 pytestmark = pytest.mark.system
 
@@ -152,7 +150,7 @@ def test_a_chunk_is_not_computed_by_another_fixel_that_joined_all_the_same(folde
     where = str(folder), str(folder / "inputs"), toy_work.FUNCTION, "b"
     found = run_chunk("0.0.9+0123456789abcdef", *where, chunks(1)[0].payload, 300.0)
     assert found == OTHER_VERSION + stamp().encode()
-    monkeypatch.setattr("fixel.jobs.cluster.stamp", lambda: "0.0.9+0123456789abcdef")
+    monkeypatch.setattr("fixel.jobs.dask_engine.stamp", lambda: "0.0.9+0123456789abcdef")
     with workers(folder, size=1) as engine, pytest.raises(JobRefused, match="a worker has fixel"):
         answers(engine, folder, chunks(2))
     assert (folder / "calls").read_text() == ""
@@ -198,9 +196,9 @@ def test_a_late_answer_is_taken_once_and_rubbish_is_thrown_away(folder):
     late.mkdir()
     link.save_late(folder, "round/c 1234", b"Aanswer")
     (late / "rubbish").write_bytes(b"nothing of the kind")
-    (one,) = link.late_answers(folder)
-    assert (one.block, unframed(one.framed)) == ("round/c 1234", b"answer")
-    assert [path.name for path in late.iterdir()] == [one.path.name]
+    ((block, framed, path),) = link.late_answers(folder)
+    assert (block, unframed(framed)) == ("round/c 1234", b"answer")
+    assert [file.name for file in late.iterdir()] == [path.name]
 
 
 def test_a_dead_scheduler_is_replaced_and_workers_stay(folder):
@@ -237,7 +235,7 @@ def test_a_worker_that_is_refused_asks_again_until_its_patience_ends(folder):
 
 
 def test_a_scheduler_that_hangs_is_replaced(folder, monkeypatch):
-    monkeypatch.setattr("fixel.jobs.cluster.ANSWER_S", 2.0)
+    monkeypatch.setattr("fixel.jobs.dask_engine.ANSWER_S", 2.0)
     said = []
     with workers(folder, size=1, said=said) as engine:
         stream = engine.results(toy_work.FUNCTION, folder / "inputs", chunks(4, sleep_s=0.2))
@@ -263,7 +261,7 @@ def test_an_answer_that_cannot_be_read_is_asked_for_again(folder, monkeypatch, t
 
 def test_a_client_that_was_not_closed_is_not_waited_for():
     """Dask's own waits a minute at the end of the process for a thread that no longer runs."""
-    kind = cluster._client_class()
+    kind = dask_engine._client_class()
     one = kind.__new__(kind)
     one.status, one.close = "closing", lambda: pytest.fail("it waits")
     one.__del__()

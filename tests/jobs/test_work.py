@@ -8,13 +8,14 @@ from tests.jobs.kinds import toy_undisturbed
 import fixel
 from fixel.errors import InvalidInput
 from fixel.io.journal import Journal
-from fixel.jobs.engine import LocalEngine, answer_of
 from fixel.jobs.functions import THREADS, named_function, stamp, threads
 from fixel.jobs.work import (
     Chunk,
     Failure,
+    LocalEngine,
     Round,
     StopRequest,
+    answer_of,
     block_name,
     framed,
     run_work,
@@ -133,7 +134,7 @@ def test_what_a_chunk_function_may_answer(inputs):
     "calibration:InvalidInput",
     "../os:system",
     "fixel.testing.toy_work:evaluate",  # a path, not a name
-    "fixel.database.arrays:fetch",  # public, and not meant for jobs
+    "fixel.database.rows:fetch",  # public, and not meant for jobs
     "fixel.datasets.reading:plan_import",
     "fixel.jobs.folder:prepare",
     "fixel.cli.main:run",

@@ -10,7 +10,7 @@ from fixel import Body, Dynamic, Lemke, Polygon, QuasiStatic, Scene, UniformPres
 from fixel.kernels import entries
 from fixel.kernels.lemke import RAY, SOLVED
 from fixel.kernels.linear_form import NO_ROOM, NOT_LINEAR
-from fixel.simulation.stepper import Midpoint, StewartTrinkle
+from fixel.simulation.stepping import Midpoint, StewartTrinkle
 from fixel.testing.scenes import grasp
 
 STEP_TOLERANCE = 1e-9  # the judge's, as in kernels/solve.py

@@ -10,8 +10,8 @@ from fixel.calibration.objective import Comparer
 from fixel.calibration.study import box_of
 from fixel.calibration.target import Target
 from fixel.model import Body, Disk, PathDrive, Pusher, Scene, SupportPoints
-from fixel.model.footprint import support_grid
 from fixel.model.space import ParameterSpace, Unknown
+from fixel.model.support import support_grid
 from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.rollouts import RolloutCase
 from fixel.testing.scenes import box

@@ -5,7 +5,7 @@ import pytest
 
 from fixel import Body, Polygon, Scene, SupportPoints, UniformPressure, push_candidates
 from fixel.calibration.target import target_of
-from fixel.model.footprint import support_grid
+from fixel.model.support import support_grid
 from fixel.parts import fit
 from fixel.simulation import QuasiStatic, simulate
 from fixel.simulation.rollouts import RolloutCase

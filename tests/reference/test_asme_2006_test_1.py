@@ -13,9 +13,9 @@ import pytest
 from fixel.model import Disk
 from fixel.sampling.published import PROBE_SIDE
 from fixel.testing.scenes import micro_push
+from fixel.uncertainty.error_terms import ASME
 from fixel.uncertainty.outcomes import sensitivity_of
 from fixel.uncertainty.start_ensemble import simulate_starts
-from fixel.uncertainty.starts import ASME
 
 SAMPLES = 400
 

@@ -7,7 +7,7 @@
 import numpy as np
 from reproductions.support_features import support_features
 
-from fixel.calibration.solutions import find_solutions
+from fixel.calibration.result import find_solutions
 from fixel.model.support import triangle_shares
 
 POINTS = 1e-6 * np.array([

@@ -10,7 +10,7 @@ from tests.fixtures import refused
 from tests.jobs.helpers import await_true
 
 from fixel.errors import DeviceFailed, InvalidInput
-from fixel.testbed import grbl_lines as grbl
+from fixel.testbed import grbl_link as grbl
 from fixel.testbed.emulators import grbl as emulated_grbl
 from fixel.testbed.emulators.grbl import EmulatedGrbl
 from fixel.testbed.motion_grbl import GrblActuator

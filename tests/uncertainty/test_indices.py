@@ -7,8 +7,8 @@ import pytest
 from tests.fixtures import refused
 
 from fixel.testing.scenes import micro_push
+from fixel.uncertainty.error_terms import ASME
 from fixel.uncertainty.indices import Factor, indices_of, sobol_indices
-from fixel.uncertainty.starts import ASME
 
 pytest.importorskip("SALib")
 

@@ -12,7 +12,7 @@ from tests.fixtures import refused
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer
 from fixel.model.space import ParameterSpace, Unknown
-from fixel.uncertainty.discrepancy import ModelError, draw_walks, shares_of_way, walk_over
+from fixel.uncertainty.error_terms import ModelError, draw_walks, shares_of_way, walk_over
 from fixel.uncertainty.likelihood import LogLikelihood, ParameterPrior, camera_noise
 from fixel.uncertainty.posterior import NestedSampling
 

@@ -9,7 +9,7 @@ from reproductions.linear import Outcomes, fit_predictive
 from tests.fixtures import refused
 from tests.uncertainty.test_likelihood import TRUTH, sampled
 
-from fixel.uncertainty.near_optimal import near_optimal, rise_of
+from fixel.calibration.result import near_optimal, rise_of
 from fixel.uncertainty.prediction import LEVELS, bounds_of, coverage_curve, levels_of, shortest
 from fixel.uncertainty.repetition import PARTS, predict_repetition
 

@@ -9,9 +9,9 @@ from tests.uncertainty.forks import fork
 
 from fixel import InvalidInput, Parameters, QuasiStatic, StartError, simulate
 from fixel.testing.scenes import grasp, micro_push, sliding_block
+from fixel.uncertainty.error_terms import ASME
 from fixel.uncertainty.outcomes import group_outcomes, sensitivity_of
 from fixel.uncertainty.start_ensemble import simulate_starts
-from fixel.uncertainty.starts import ASME
 
 SMALL = StartError(x=3e-4, y=3e-4, theta=math.radians(0.5), kind="uniform")
 

@@ -10,8 +10,8 @@ from fixel.jobs import folder as files
 from fixel.jobs.folder import JobState
 from fixel.testing.toy_work import MAKER
 from fixel.web.api import system
+from fixel.web.values import size
 from fixel.web.views import job_list
-from fixel.web.words import size
 from fixel.workflows import jobs
 
 pytestmark = pytest.mark.system

@@ -24,7 +24,7 @@ from fixel.cli.main import app
 from fixel.database.project import Project
 from fixel.errors import StoreRefused
 from fixel.jobs.folder import read_job
-from fixel.web.views.calibration_progress import ProgressReader
+from fixel.web.views.calibration_views import ProgressReader
 from fixel.web.views.domain_views import document
 from fixel.workflows import jobs
 

@@ -14,7 +14,7 @@ from tests.fixtures import calibration_record, project_of
 from typer.testing import CliRunner
 
 from fixel.cli.main import app
-from fixel.database import tables
+from fixel.database import schema
 from fixel.errors import InvalidInput, NotStored, StoreRefused
 from fixel.model import Flag
 from fixel.model.records import Estimate
@@ -210,4 +210,4 @@ def test_a_job_killed_after_it_stored_its_run_stores_it_once(project):
 def runs(project):
     """Ids of the filter runs of a project."""
     with project.store() as store:
-        return store._ids(tables.filter_run)
+        return store._ids(schema.filter_run)

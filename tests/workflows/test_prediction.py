@@ -15,8 +15,8 @@ from fixel.errors import InvalidInput
 from fixel.model import Probability, Seated
 from fixel.testing.pushes import ANGLE_NOISE, POSITION_NOISE, TRUTH, example_pushes
 from fixel.testing.scenes import grasp, micro_push, pushed_square
+from fixel.uncertainty.error_terms import ASME, StartError
 from fixel.uncertainty.run_to_run import RunToRun
-from fixel.uncertainty.starts import ASME, StartError
 from fixel.workflows.prediction import predict
 
 QUIET = {"progress": False, "threads": 1}

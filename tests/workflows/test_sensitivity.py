@@ -19,8 +19,8 @@ from fixel.formats import SceneFile, save_scene
 from fixel.model import Flag
 from fixel.model.records import Estimate
 from fixel.testing.scenes import micro_push
-from fixel.uncertainty.push import intervals_of
-from fixel.uncertainty.starts import ASME, StartError
+from fixel.uncertainty.error_terms import ASME, StartError
+from fixel.uncertainty.prediction import intervals_of
 from fixel.workflows.analysis import load_analyses
 from fixel.workflows.capabilities import prepare
 from fixel.workflows.sensitivity.run import SENSITIVITY, sensitivity

@@ -9,7 +9,7 @@ from tests.fixtures import refused
 import fixel
 from fixel.formats import SceneFile, load_scene, save_scene
 from fixel.simulation import Adaptive, StewartTrinkle
-from fixel.simulation.stepper import stepper_of
+from fixel.simulation.stepping import stepper_of
 from fixel.testing import scenes
 from fixel.workflows.capabilities import call
 from fixel.workflows.simulation import Outputs, simulate_file, simulate_scene

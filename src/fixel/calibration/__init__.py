@@ -1,8 +1,7 @@
 """Calibration of parameters from experiments, and their uncertainty."""
 
-from fixel.calibration.evolution import CmaEs
-from fixel.calibration.mads import Mads
-from fixel.calibration.nelder_mead import NelderMead
+from fixel.calibration.direct_search import FixedStepSearch, NelderMead, PatternSearch
+from fixel.calibration.external_searches import CmaEs, Mads
 from fixel.calibration.optimiser import (
     AbstractOptimiser,
     Best,
@@ -11,7 +10,6 @@ from fixel.calibration.optimiser import (
     Search,
     SearchBox,
 )
-from fixel.calibration.pattern_search import FixedStepSearch, PatternSearch
 
 __all__ = [
     "OPTIMISERS",

@@ -14,11 +14,14 @@ import numpy as np
 from fixel.calibration.cost import NormalPrior
 from fixel.calibration.honest import Honest, ShiftModel, mixed_study
 from fixel.calibration.least_squares import LeastSquares, LeastSquaresFit
-from fixel.calibration.misfit import Misfit, counting_frames, misfit_of, noise_from_differences
 from fixel.calibration.noise import (
     Dispersion,
+    Misfit,
     Noise,
+    counting_frames,
     dispersion_of,
+    misfit_of,
+    noise_from_differences,
     noise_from_repetitions,
     noise_from_residuals,
 )

@@ -1,4 +1,4 @@
-"""NOMAD in a process of its own; see mads.py. Imports nothing of fixel.
+"""NOMAD in a process of its own; see external_searches.py. Imports nothing of fixel.
 
 The protocol is lines of JSON: read the problem, then repeatedly write points and read their errors
 (null for a failure), and finally write why NOMAD ended. Ends if the standard input is closed.

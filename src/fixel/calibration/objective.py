@@ -11,7 +11,7 @@ from typing import ClassVar, Final, NamedTuple, final
 
 import numpy as np
 
-from fixel.calibration.misfit import counting_frames
+from fixel.calibration.noise import counting_frames
 from fixel.calibration.target import Target
 from fixel.errors import InvalidInput, check_name
 from fixel.model.fields import positive
@@ -19,7 +19,7 @@ from fixel.model.space import ParameterSpace
 from fixel.model.trajectory import pose_difference
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.rollouts import Rollouts, ensemble_of
-from fixel.simulation.stepper import AbstractStepper
+from fixel.simulation.stepping import AbstractStepper
 from fixel.typing import BoolArray, FloatArray, IntArray
 
 ANGLE_SCALE: Final = 35e-3  # [m/rad] length by which the thesis weights angles

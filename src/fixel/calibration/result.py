@@ -1,4 +1,9 @@
-"""Result of a calibration: sets of parameters, and their conversion to arrays and records."""
+"""Result of a calibration: sets of parameters, their records, and those that fit almost as well.
+
+The nearly optimal points are a cheap estimate of the uncertainty: those whose error exceeds the
+smallest by no more than noise explains. Separate clusters of them are different solutions. They
+cover only the region that the search visited: the posterior is the complete result.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +12,16 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from fixel.calibration.noise import correlation_time
 from fixel.calibration.optimiser import Best
 from fixel.calibration.study import Trace
-from fixel.model.fields import settle
+from fixel.errors import InvalidInput
+from fixel.model.fields import non_negative, positive, settle
 from fixel.model.records import Estimate, Evaluations, ProfileRecord
 from fixel.typing import FloatArray
 
@@ -195,3 +203,138 @@ def json_array(content: Any) -> FloatArray:
 def json_of(data: Any) -> Any:
     """Return the content of an array; inverse of `json_array`."""
     return json.loads(data.tobytes())
+
+
+# Maximum number of compared points, the best ones: their distances take 8 bytes per pair.
+MAX_SOLUTIONS: Final = 2000
+
+
+class Solution(NamedTuple):
+    """Cluster of points that are almost as good as the best."""
+
+    point: FloatArray  # (n,) best point
+    error: float
+    size: int  # number of points
+    low: FloatArray  # (n,) smallest value of each parameter in the cluster
+    high: FloatArray  # (n,)
+    members: np.ndarray  # (size,) row numbers of its points, best first
+
+
+def find_solutions(
+    points: ArrayLike, errors: ArrayLike, scale: ArrayLike, threshold: float, distance: float = 1.0
+) -> tuple[Solution, ...]:
+    """Return the clusters of points (k, n) whose error is within a threshold of the smallest.
+
+    Points are results of several starts, or all that were evaluated, with errors (k,), inf for
+    failures. `distance` is the smallest gap between two clusters, in scales (n,) of the box. Points
+    of a valley are one cluster, however long it is, if neighbours are closer than this. The best
+    cluster is the first; there is none if all points failed.
+    """
+    table, values = np.asarray(points, np.float64), np.asarray(errors, np.float64)
+    widths = np.asarray(scale, np.float64)
+    if table.ndim != 2 or values.shape != table.shape[:1] or widths.shape != table.shape[1:]:
+        found = f"shapes {table.shape}, {values.shape} and {widths.shape}"
+        raise InvalidInput("solutions", found=found, expected="(k, n), (k,) and (n,)")
+    limit = non_negative(threshold, "threshold")
+    gap = positive(distance, "distance", "scales")
+    order = np.argsort(np.where(np.isnan(values), np.inf, values), kind="stable")
+    order = order[np.isfinite(values[order])]
+    if not len(order):
+        return ()
+    order = order[values[order] <= values[order[0]] + limit][:MAX_SOLUTIONS]
+    labels = _clusters(table[order] / widths, gap)
+    return tuple(
+        _solution(table, values, order[labels == label]) for label in dict.fromkeys(labels.tolist())
+    )
+
+
+def _clusters(points: FloatArray, gap: float) -> np.ndarray:
+    """Return cluster labels (k,) by single linkage, which does not divide valleys."""
+    from scipy.cluster.hierarchy import fcluster, linkage
+
+    if len(points) < 2:
+        return np.ones(len(points), np.int64)
+    return np.asarray(fcluster(linkage(points, "single"), gap, "distance"))
+
+
+def _solution(points: FloatArray, errors: FloatArray, members: np.ndarray) -> Solution:
+    rows = points[members]
+    return Solution(
+        point=rows[0].copy(),
+        error=float(errors[members[0]]),
+        size=len(members),
+        low=rows.min(axis=0),
+        high=rows.max(axis=0),
+        members=members,
+    )
+
+
+# Gap between clusters, as a share of the range of the evaluated points.
+GAP: Final = 0.1
+LEVEL: Final = 0.95  # of the confidence region
+
+
+class NearOptimal(NamedTuple):
+    """Range and clusters of the nearly optimal points."""
+
+    least: float  # smallest error
+    rise: float  # rise above it that noise explains
+    size: int  # number of points within the rise
+    low: FloatArray  # (n,) smallest values of these points
+    high: FloatArray  # (n,)
+    clusters: tuple[Solution, ...]  # best first
+    names: tuple[str, ...] = ()  # of the parameters
+
+
+def rise_of(least: float, count: float, unknowns: int) -> float:
+    """Return the rise of a mean squared error over its minimum that noise explains.
+
+    For normal noise of a size estimated by the fit itself, the confidence region contains the
+    points with (E - E_min) / E_min <= n / (N - n) F(n, N - n). `least` is E_min, and `unknowns` n.
+    `count` is N, independent measurements: numbers in the residuals over their correlation time.
+
+    Source
+    ------
+    Seber & Wild (1989), Nonlinear Regression, section 3.3.
+    """
+    from scipy.special import fdtri
+
+    freedom = max(1.0, count - unknowns)
+    quantile = float(fdtri(unknowns, freedom, LEVEL))
+    return non_negative(least, "least") * unknowns / freedom * quantile
+
+
+def near_optimal(
+    points: FloatArray, errors: FloatArray, rise: float, names: tuple[str, ...] = ()
+) -> NearOptimal:
+    """Return the points whose error is within a rise of the smallest, and their clusters.
+
+    Points (k, n) are all that a search has evaluated; errors (k,) are inf for failed evaluations.
+    For the rise, see `rise_of`.
+    """
+    good = np.isfinite(errors)
+    if not good.any():
+        raise InvalidInput(
+            "evaluations", found="no evaluation with an error", expected="at least one"
+        )
+    least = float(errors[good].min())
+    near = good & (errors <= least + non_negative(rise, "rise"))
+    span = np.ptp(points[good], axis=0)
+    scale = GAP * np.where(span > 0.0, span, 1.0)
+    clusters = find_solutions(points, errors, scale, rise)
+    own = points[near]
+    low, high = own.min(axis=0), own.max(axis=0)
+    return NearOptimal(least, rise, int(near.sum()), low, high, clusters, names)
+
+
+def near_best(tried: Evaluations, series: Sequence[FloatArray]) -> NearOptimal | None:
+    """Return the near-optimal points of a calibration; None without mean squares or residuals.
+
+    The noise is that of `series`, residuals (n, 3) of each experiment at the best point.
+    """
+    finite = np.isfinite(tried.error)
+    if tried.unit != "mm2" or not finite.any() or not series:
+        return None
+    count = 3.0 * sum(map(len, series)) / correlation_time(series)
+    rise = rise_of(float(tried.error[finite].min()), count, len(tried.names))
+    return near_optimal(np.array(tried.values), np.array(tried.error), rise, names=tried.names)

@@ -19,7 +19,7 @@ import numpy as np
 from fixel.calibration import assess
 from fixel.calibration.assess import Assessment, AssessmentRequest, AssessmentSteps, Frames
 from fixel.calibration.cost import NormalPrior
-from fixel.calibration.joint import quoted
+from fixel.calibration.honest import quoted
 from fixel.calibration.least_squares import LeastSquares
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer, Evaluation, combined_errors, lengths_of
@@ -28,12 +28,12 @@ from fixel.calibration.result import (
     CalibrationResult,
     FitKind,
     ParameterSet,
+    find_solutions,
     found_arrays,
     found_of,
     json_array,
     json_of,
 )
-from fixel.calibration.solutions import find_solutions
 from fixel.calibration.study import (
     OUT_OF_BUDGET,
     CombinedFit,

@@ -5,7 +5,7 @@ errors come from `run_study`, a cluster, or a journal of an interrupted job; a s
 simulate. For the same errors it requests the same rollouts, bit for bit.
 
 Source: RPI thesis, sections 5.1.1, 5.2.1 and 5.2.2; mechanics of Dakota's search in
-`fixel.calibration.pattern_search`.
+`fixel.calibration.direct_search`.
 """
 
 from __future__ import annotations

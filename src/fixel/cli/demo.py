@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from fixel.workflows.demo.laboratory_demo import Tour
     from fixel.workflows.demo.scene_demo import Demo
     from fixel.workflows.demo.story_demo import DemoClaim, DemoStep
-    from fixel.workflows.diagnostics import Diagnosis
+    from fixel.workflows.installation import Diagnosis
 
 _WHAT = {"scene": "the scene", "plot": "picture", "animate": "film", "trajectory": "numbers"}
 CAMERA = "camera"
@@ -189,7 +189,7 @@ def _scene_lines(result: "Demo") -> list[str]:
 @command
 def doctor() -> CommandAnswer:
     """Check this installation and report how to repair it."""
-    from fixel.workflows.diagnostics import examine
+    from fixel.workflows.installation import examine
 
     found = examine()
     return CommandAnswer(found.summary(), _lines(found), 0 if found.passed else 1)
@@ -204,7 +204,7 @@ def compile_(*, as_json: bool) -> CommandAnswer:
     from dataclasses import asdict
 
     from fixel.kernels.code_cache import cache_folder
-    from fixel.workflows.compilation import cache_size, compile_kernels
+    from fixel.workflows.installation import cache_size, compile_kernels
 
     parts = compile_kernels(progress=False if as_json else None)
     failed = [part for part in parts if part.problem]
@@ -221,7 +221,7 @@ def compile_(*, as_json: bool) -> CommandAnswer:
 
 
 def _lines(found: "Diagnosis") -> list[str]:
-    from fixel.workflows.diagnostics import worst_residual
+    from fixel.workflows.installation import worst_residual
 
     versions = [f"{name} {number}" for name, number in found.versions.items()]
     state = "warm" if found.cache["warm"] else "compiled just now"

@@ -23,8 +23,8 @@ from fixel.progress import show_progress, time_text
 from fixel.table import Column, Table, shortened
 
 if TYPE_CHECKING:
-    from fixel.database.browsing import ExperimentPage
     from fixel.database.project import AddSummary, Project
+    from fixel.database.query import ExperimentPage
     from fixel.model.selection import ExperimentRow
     from fixel.workflows.model_export.run import ModelExport
     from fixel.workflows.project.export import ExportAnswer

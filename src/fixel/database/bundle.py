@@ -23,14 +23,13 @@ from typing import Any, Final, final
 
 import sqlalchemy as sa
 
-from fixel.database import arrays, bundle_file, rows, tables
+from fixel.database import bundle_file, rows, schema
 from fixel.database.engine import reading, translated, writing
 from fixel.database.project import ANALYSES, DATABASE, MEDIA, analysis_name
 from fixel.database.query import ALL_EXPERIMENTS
 from fixel.database.store import Store
 from fixel.errors import NotStored
-from fixel.io.atomic import write_whole, written_whole
-from fixel.io.damaged_files import INVALID_CONTENT
+from fixel.io.atomic import INVALID_CONTENT, write_whole, written_whole
 from fixel.model import Experiment, Flag
 from fixel.model.selection import ExperimentQuery
 from fixel.typing import ProgressCallback
@@ -40,12 +39,12 @@ _INSTANT: Final = (1980, 1, 1, 0, 0, 0)
 _FILE_MODE: Final = 0o100644 << 16
 # Kinds of records in a bundle, in the order in which they are copied.
 KINDS: Final = {
-    "experiments": tables.experiment,
-    "parameters": tables.system_parameters,
-    "simulations": tables.simulation,
-    "calibrations": tables.calibration,
-    "filter_parameters": tables.filter_parameters,
-    "filter_runs": tables.filter_run,
+    "experiments": schema.experiment,
+    "parameters": schema.system_parameters,
+    "simulations": schema.simulation,
+    "calibrations": schema.calibration,
+    "filter_parameters": schema.filter_parameters,
+    "filter_runs": schema.filter_run,
 }
 
 
@@ -128,7 +127,7 @@ def _add_member(archive: zipfile.ZipFile, file: Path, name: str) -> None:
 
 
 def _add_video(archive: zipfile.ZipFile, digest: str, media: Path) -> None:
-    source, total = arrays.media_path(digest, media), hashlib.sha256()
+    source, total = rows.media_path(digest, media), hashlib.sha256()
     info = _info(f"{MEDIA}/{digest[:2]}/{digest}", zipfile.ZIP_STORED)
     try:
         with source.open("rb") as stream, archive.open(info, "w", force_zip64=True) as member:
@@ -136,9 +135,9 @@ def _add_video(archive: zipfile.ZipFile, digest: str, media: Path) -> None:
                 total.update(data)
                 member.write(data)
     except FileNotFoundError:
-        raise arrays.lost(source, "is missing") from None
+        raise rows.lost(source, "is missing") from None
     if total.hexdigest() != digest:
-        raise arrays.lost(source, "has changed")
+        raise rows.lost(source, "has changed")
 
 
 def _info(name: str, packing: int) -> zipfile.ZipInfo:
@@ -179,7 +178,7 @@ def import_bundle(
 
 
 def _copy_video(digest: str, source: Store, target: Store) -> None:
-    file, path = (arrays.media_path(digest, store.media) for store in (source, target))
+    file, path = (rows.media_path(digest, store.media) for store in (source, target))
     if path.exists():
         return
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -210,10 +209,10 @@ class _Copy:
     def check(self, experiment_ids: Sequence[int]) -> set[int]:
         """Load all records of the source; return the experiments the target has newer ones of."""
         for table, load in (
-            (tables.simulation, self._source.simulation),
-            (tables.calibration, self._source.calibration),
-            (tables.filter_parameters, self._source.filter_parameters),
-            (tables.filter_run, self._source.filter_run),
+            (schema.simulation, self._source.simulation),
+            (schema.calibration, self._source.calibration),
+            (schema.filter_parameters, self._source.filter_parameters),
+            (schema.filter_run, self._source.filter_run),
         ):
             for number in self._source._ids(table):
                 load(number)
@@ -256,9 +255,9 @@ class _Copy:
     def _original(self, number: int) -> tuple[Experiment, list[dict[str, Any]]]:
         """Load an experiment as first stored, and the rows of all its flags."""
         found = self._source.experiment(number)
-        flags = _rows_of(self._source, tables.flag, number)
+        flags = _rows_of(self._source, schema.flag, number)
         with reading(self._source._engine) as connection:
-            table = tables.experiment
+            table = schema.experiment
             n_import = connection.scalar(
                 sa.select(table.c.n_import_flag).where(table.c.id == number)
             )
@@ -268,12 +267,12 @@ class _Copy:
     def _experiment(self, number: int, outdated: bool) -> int:
         """Copy an experiment, its flags and its notes; return its id in the target."""
         experiment, flags = self._original(number)
-        every = _rows_of(self._source, tables.note, number)
+        every = _rows_of(self._source, schema.note, number)
         notes = [row for row in every if row["deleted_at_utc"] is None]
         if experiment.video:
             self._add_video(experiment.video)
         row = rows.experiment_row(experiment)
-        series = arrays.rows_of("experiment", rows.series_of(experiment), self._target.media)
+        series = rows.rows_of("experiment", rows.series_of(experiment), self._target.media)
         with writing(self._target._engine) as connection:
             copied = self._target._known(connection, row["content_sha256"])
             is_new = copied is None
@@ -282,10 +281,10 @@ class _Copy:
                 copied = self._target._insert(connection, bare, row, series)
             else:
                 flags = [flag for flag in flags if flag["deleted_at_utc"] is None]
-            added = _add_missing(connection, tables.flag, copied, flags, ("name", "detail"))
-            _add_missing(connection, tables.note, copied, notes, ("text", "created_at_utc"))
+            added = _add_missing(connection, schema.flag, copied, flags, ("name", "detail"))
+            _add_missing(connection, schema.note, copied, notes, ("text", "created_at_utc"))
             if is_new and outdated:
-                table = tables.experiment
+                table = schema.experiment
                 connection.execute(
                     sa.update(table).where(table.c.id == copied).values(deleted_at_utc=rows.now())
                 )
@@ -296,8 +295,8 @@ class _Copy:
         return copied
 
     def _simulations(self) -> None:
-        known, copied = self._target._ids(tables.simulation), set()
-        for number in self._source._ids(tables.simulation):
+        known, copied = self._target._ids(schema.simulation), set()
+        for number in self._source._ids(schema.simulation):
             record = self._source.simulation(number)
             if record.experiment_id in self._ids:
                 record = dataclasses.replace(record, experiment_id=self._ids[record.experiment_id])
@@ -305,9 +304,9 @@ class _Copy:
         self.new["simulations"] += len(copied.difference(known))
 
     def _calibrations(self, whole: bool) -> None:
-        stored = self._target._ids(tables.calibration, deleted=True)
+        stored = self._target._ids(schema.calibration, deleted=True)
         known = {self._target.calibration(k): k for k in stored}
-        for number in self._source._ids(tables.calibration):
+        for number in self._source._ids(schema.calibration):
             record = self._source.calibration(number)
             here = [member.experiment_id in self._ids for member in record.members]
             if not all(here):
@@ -325,11 +324,11 @@ class _Copy:
 
     def _filter_runs(self, whole: bool) -> None:
         """Copy runs of filters, and their settings; all settings if `whole`."""
-        every = map(self._source.filter_run, self._source._ids(tables.filter_run))
+        every = map(self._source.filter_run, self._source._ids(schema.filter_run))
         runs = [run for run in every if run.experiment_id in self._ids]
         used = None if whole else {run.filter_parameters_id for run in runs}
         settings = self._filter_parameters(used)
-        known, copied = self._target._ids(tables.filter_run), set()
+        known, copied = self._target._ids(schema.filter_run), set()
         for run in runs:
             record = dataclasses.replace(
                 run,
@@ -377,9 +376,9 @@ class _Copy:
 
     def _filter_parameters(self, used: set[int] | None) -> dict[int, int]:
         """Copy settings of filters; return their ids in the target by those in the source."""
-        known = self._target._ids(tables.filter_parameters)
+        known = self._target._ids(schema.filter_parameters)
         copied = {}
-        for number in self._source._ids(tables.filter_parameters):
+        for number in self._source._ids(schema.filter_parameters):
             if used is None or number in used:
                 record = self._source.filter_parameters(number)
                 copied[number] = self._target.add_filter_parameters(record)

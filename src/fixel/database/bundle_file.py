@@ -21,13 +21,13 @@ from typing import Any, Final, NamedTuple
 import sqlalchemy as sa
 from pydantic import TypeAdapter, ValidationError
 
-from fixel.database import tables
-from fixel.database.arrays import media_path
+from fixel.database import schema
 from fixel.database.engine import reading
 from fixel.database.project import ANALYSES, DATABASE, MEDIA
+from fixel.database.rows import media_path
 from fixel.database.store import Store
 from fixel.errors import InvalidInput, StoreRefused
-from fixel.io.damaged_files import INVALID_CONTENT, one_line
+from fixel.io.atomic import INVALID_CONTENT, one_line
 from fixel.model.records import Estimate
 
 CHUNK: Final = 1 << 20  # [bytes]
@@ -198,7 +198,7 @@ _CONTENT: Final[dict[str, TypeAdapter[Any]]] = {
 
 def _check_pages(store: Store) -> None:
     """Raise for damaged pages, and for what is no table of data."""
-    known = {"alembic_version", *tables.METADATA.tables}
+    known = {"alembic_version", *schema.METADATA.tables}
     with reading(store._engine) as connection:
         master = connection.exec_driver_sql("SELECT type, name, sql FROM sqlite_master").all()
         for kind, name, sql in master:
@@ -221,7 +221,7 @@ def _check_version(path: Path, store: Store) -> None:
 def _check_values(store: Store, limits: BundleLimits) -> None:
     """Raise unless each table has the columns of a project's, and values as a project writes."""
     with reading(store._engine) as connection:
-        for table in tables.METADATA.tables.values():
+        for table in schema.METADATA.tables.values():
             info = connection.exec_driver_sql(f'PRAGMA table_xinfo("{table.name}")').all()
             if {(row[1], row[6]) for row in info} != {(c.name, 0) for c in table.columns}:
                 raise ValueError(f"other columns in the table {table.name}")
@@ -231,7 +231,7 @@ def _check_values(store: Store, limits: BundleLimits) -> None:
                     raise ValueError(f"a value of {table.name}.{column.name} that no project has")
                 if column.name in _CONTENT:
                     _check_content(connection, column)
-        series = tables.series.c
+        series = schema.series.c
         largest = connection.scalar(sa.select(sa.func.max(sa.func.length(series.data)))) or 0
         files = connection.scalars(sa.select(series.media_sha256).distinct()).all()
     for file in (media_path(digest, store.media) for digest in files if digest is not None):

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import sqlalchemy as sa
 
-from fixel.database import rows, tables
+from fixel.database import rows, schema
 from fixel.database.engine import insert_one
 from fixel.errors import LIST_EXPERIMENTS, InvalidInput, NotStored
 from fixel.model import Flag
@@ -29,10 +29,10 @@ class Note(NamedTuple):
 
 def flag(connection: sa.Connection, experiment_ids: Iterable[int], flag: Flag) -> list[int]:
     """Add a flag to experiments that do not have it; return their ids."""
-    wanted = _known(connection, tables.experiment, experiment_ids)
+    wanted = _known(connection, schema.experiment, experiment_ids)
     new = sorted({*wanted}.difference(_carrying(connection, wanted, flag.name)))
     if new:
-        connection.execute(sa.insert(tables.flag), [flag_row(one, flag) for one in new])
+        connection.execute(sa.insert(schema.flag), [flag_row(one, flag) for one in new])
     return new
 
 
@@ -49,9 +49,9 @@ def flag_row(experiment_id: int, flag: Flag) -> dict[str, Any]:
 
 def unflag(connection: sa.Connection, experiment_ids: Iterable[int], name: str) -> list[int]:
     """Remove a flag from experiments; return the ids of those that had it."""
-    wanted = _known(connection, tables.experiment, experiment_ids)
+    wanted = _known(connection, schema.experiment, experiment_ids)
     had = _carrying(connection, wanted, name)
-    flag = tables.flag
+    flag = schema.flag
     connection.execute(
         sa.update(flag)
         .where(flag.c.experiment_id.in_(had), flag.c.name == name, flag.c.deleted_at_utc.is_(None))
@@ -64,7 +64,7 @@ def delete(
     connection: sa.Connection, experiment_ids: Iterable[int], *, back: bool = False
 ) -> list[int]:
     """Delete experiments, or restore them; return the changed ids."""
-    return _mark(connection, tables.experiment, experiment_ids, back)
+    return _mark(connection, schema.experiment, experiment_ids, back)
 
 
 def annotate(connection: sa.Connection, experiment_ids: Iterable[int], text: str) -> list[int]:
@@ -74,21 +74,21 @@ def annotate(connection: sa.Connection, experiment_ids: Iterable[int], text: str
         raise InvalidInput(
             "note.text", found=f"{len(text)} characters", expected=f"1 to {MAX_TEXT} characters"
         )
-    wanted = _known(connection, tables.experiment, experiment_ids)
+    wanted = _known(connection, schema.experiment, experiment_ids)
     row = {"text": text, "created_at_utc": rows.now()}
-    return [insert_one(connection, tables.note, row | {"experiment_id": one}) for one in wanted]
+    return [insert_one(connection, schema.note, row | {"experiment_id": one}) for one in wanted]
 
 
 def delete_notes(
     connection: sa.Connection, notes: Iterable[int], *, back: bool = False
 ) -> list[int]:
     """Delete notes by their ids, or restore them; return the changed ids."""
-    return _mark(connection, tables.note, notes, back)
+    return _mark(connection, schema.note, notes, back)
 
 
 def notes_of(connection: sa.Connection, experiment_id: int) -> list[Note]:
     """Notes of an experiment, oldest first."""
-    note = tables.note
+    note = schema.note
     wanted = (
         sa.select(note.c.id, note.c.text, note.c.created_at_utc)
         .where(note.c.experiment_id == experiment_id, note.c.deleted_at_utc.is_(None))
@@ -114,7 +114,7 @@ def _mark(
 
 
 def _carrying(connection: sa.Connection, experiment_ids: list[int], name: str) -> list[int]:
-    flag = tables.flag
+    flag = schema.flag
     found = connection.scalars(
         sa.select(flag.c.experiment_id)
         .where(

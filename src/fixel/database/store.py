@@ -13,16 +13,15 @@ from typing import Any, Concatenate, Final, NamedTuple, ParamSpec, Protocol, Typ
 import numpy as np
 import sqlalchemy as sa
 
-from fixel.database import arrays, browsing, marks, rows, schema, tables
+from fixel.database import marks, query, rows, schema
 from fixel.database.engine import insert_one, open_engine, reading, set_journal, writing
 from fixel.database.query import LIVE
 from fixel.errors import LIST_EXPERIMENTS, NotStored, StoreRefused, closest
-from fixel.io.atomic import usable
-from fixel.io.damaged_files import INVALID_CONTENT, one_line
+from fixel.io.atomic import INVALID_CONTENT, one_line, usable
 from fixel.model import Experiment, Flag, Scene, records
 
 ABANDONED: Final = 86400.0  # [s] since its last change, an unfinished file has no program
-_LIVE_CALIBRATION: Final = tables.calibration.c.deleted_at_utc.is_(None)
+_LIVE_CALIBRATION: Final = schema.calibration.c.deleted_at_utc.is_(None)
 MAX_NAMES: Final = 20_000  # number of experiments that a mistyped name is compared with
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -140,7 +139,7 @@ class Store:
         If its dataset and name are taken, it replaces the newest experiment of that name.
         """
         row = rows.experiment_row(experiment)
-        measured = arrays.rows_of("experiment", rows.series_of(experiment), self.media)
+        measured = rows.rows_of("experiment", rows.series_of(experiment), self.media)
         with writing(self._engine) as connection:
             known = self._known(connection, row["content_sha256"])
             if known is not None:
@@ -148,7 +147,7 @@ class Store:
             return AddResult(self._insert(connection, experiment, row, measured), True)
 
     def _known(self, connection: sa.Connection, content: str) -> int | None:
-        key = tables.experiment.c
+        key = schema.experiment.c
         found: int | None = connection.scalar(
             sa.select(key.id).where(key.content_sha256 == content)
         )
@@ -161,7 +160,7 @@ class Store:
         row: dict[str, Any],
         measured: list[dict[str, Any]],
     ) -> int:
-        table = tables.experiment
+        table = schema.experiment
         heights = experiment.height, experiment.pusher_height
         object_row, pusher_row = rows.geometries_of(row["scene"], experiment.object_name, *heights)
         replaced = connection.scalar(
@@ -172,27 +171,27 @@ class Store:
             )
         )
         linked = {
-            "object_geometry_id": _same(connection, tables.geometry, object_row),
-            "pusher_geometry_id": _same(connection, tables.geometry, pusher_row),
+            "object_geometry_id": _same(connection, schema.geometry, object_row),
+            "pusher_geometry_id": _same(connection, schema.geometry, pusher_row),
             "replaces_id": replaced,
         }
         experiment_id = _insert(connection, table, row | linked, measured)
         flags = [marks.flag_row(experiment_id, flag) for flag in experiment.flags]
         if flags:
-            connection.execute(sa.insert(tables.flag), flags)
+            connection.execute(sa.insert(schema.flag), flags)
         return experiment_id
 
     def experiment(self, experiment_id: int) -> Experiment:
         """Load an experiment by its id."""
-        flag = tables.flag
+        flag = schema.flag
         with _damage_named(f"experiment {experiment_id}"), reading(self._engine) as connection:
-            row = _row(connection, tables.experiment, experiment_id)
+            row = _row(connection, schema.experiment, experiment_id)
             flags = connection.execute(
                 sa.select(flag.c.name, flag.c.detail, flag.c.is_fault).where(
                     flag.c.experiment_id == experiment_id, flag.c.deleted_at_utc.is_(None)
                 )
             )
-            measured = arrays.read_all(connection, "experiment", experiment_id, self.media)
+            measured = rows.read_all(connection, "experiment", experiment_id, self.media)
             found = rows.experiment_of(row, tuple(Flag(*f) for f in flags), measured)
         return found if self.view is None else self.view(found)
 
@@ -205,7 +204,7 @@ class Store:
         number = key.removeprefix("id:")
         if key.startswith("id:") and number.isdecimal() and self._has(int(number)):
             return int(number)
-        table = tables.experiment
+        table = schema.experiment
         whole = table.c.dataset + "/" + table.c.name
         named = sa.select(table.c.id, whole).where(sa.or_(table.c.name == key, whole == key), *LIVE)
         with reading(self._engine) as connection:
@@ -231,7 +230,7 @@ class Store:
 
     def _resembling(self, key: str) -> str | None:
         """Hint with the stored name closest to an unknown one; None if none is close."""
-        table = tables.experiment
+        table = schema.experiment
         wanted = sa.select(table.c.dataset, table.c.name).where(*LIVE)
         with reading(self._engine) as connection:
             keys = connection.execute(wanted.order_by(table.c.id.desc()).limit(MAX_NAMES)).all()
@@ -241,18 +240,18 @@ class Store:
         return meant and f"did you mean {known[meant]!r}? {LIST_EXPERIMENTS}"
 
     def _has(self, experiment_id: int) -> bool:
-        key = tables.experiment.c.id
+        key = schema.experiment.c.id
         with reading(self._engine) as connection:
             return connection.scalar(sa.select(key).where(key == experiment_id)) is not None
 
-    experiments = _method(browsing.browse)
-    experiment_ids = _method(browsing.ids)
-    unsimulated_ids = _method(browsing.unsimulated)
-    tally = _method(browsing.tally)
-    conditions = _method(browsing.conditions)
-    checksum = _method(browsing.checksum)
-    datasets = _method(browsing.datasets)
-    flags = _method(browsing.flags)
+    experiments = _method(query.browse)
+    experiment_ids = _method(query.ids)
+    unsimulated_ids = _method(query.unsimulated)
+    tally = _method(query.tally)
+    conditions = _method(query.conditions)
+    checksum = _method(query.checksum)
+    datasets = _method(query.datasets)
+    flags = _method(query.flags)
     notes = _method(marks.notes_of)
     flag = _method(marks.flag, writing)
     unflag = _method(marks.unflag, writing)
@@ -270,7 +269,7 @@ class Store:
 
     def _experiment_row(self, experiment_id: int) -> sa.Row[Any]:
         with reading(self._engine) as connection:
-            return _row(connection, tables.experiment, experiment_id)
+            return _row(connection, schema.experiment, experiment_id)
 
     # --- videos ---------------------------------------------------------------------------------
 
@@ -281,12 +280,12 @@ class Store:
                 if time.time() - path.stat().st_mtime > ABANDONED:
                     path.unlink()
         with usable(file, "a file to read"):
-            return arrays.keep(file.read_bytes(), self.media)
+            return rows.keep(file.read_bytes(), self.media)
 
     def video(self, experiment_id: int) -> Path | None:
         """Path of an experiment's video; None if it has none."""
         digest = self._experiment_row(experiment_id).video_sha256
-        return arrays.media_path(digest, self.media) if digest else None
+        return rows.media_path(digest, self.media) if digest else None
 
     # --- results --------------------------------------------------------------------------------
 
@@ -296,14 +295,14 @@ class Store:
         series = rows.paths_of(record.trajectory, record.pusher)
         with writing(self._engine) as connection:
             own = {"system_parameters_id": _parameters_id(connection, record.parameters)}
-            return self._add_once(connection, tables.simulation, record, series, own)
+            return self._add_once(connection, schema.simulation, record, series, own)
 
     def simulation(self, simulation_id: int) -> records.SimulationRecord:
         """Load a simulation by its id."""
         with _damage_named(f"simulation {simulation_id}"), reading(self._engine) as connection:
-            row = _row(connection, tables.simulation, simulation_id)
-            series = arrays.read_all(connection, "simulation", simulation_id, self.media)
-            parameters = _row(connection, tables.system_parameters, row.system_parameters_id)
+            row = _row(connection, schema.simulation, simulation_id)
+            series = rows.read_all(connection, "simulation", simulation_id, self.media)
+            parameters = _row(connection, schema.system_parameters, row.system_parameters_id)
             paths = {name: rows.trajectory_of(values) for name, _, values in series}
             return rows.record_of(
                 records.SimulationRecord,
@@ -315,11 +314,11 @@ class Store:
 
     def simulations(self, experiment_id: int) -> list[int]:
         """Ids of the simulations of an experiment, oldest first."""
-        return self._ids(tables.simulation, tables.simulation.c.experiment_id == experiment_id)
+        return self._ids(schema.simulation, schema.simulation.c.experiment_id == experiment_id)
 
     def published_simulations(self) -> dict[int, int]:
         """Ids of the simulations by the publishers of the data, by experiment."""
-        table = tables.simulation
+        table = schema.simulation
         chosen = sa.select(table.c.experiment_id, sa.func.max(table.c.id)).where(
             table.c.source_file != "", table.c.deleted_at_utc.is_(None)
         )
@@ -353,29 +352,29 @@ class Store:
     ) -> int:
         tried = record.evaluations
         reasons = {} if tried is None else {str(k): r for k, r in enumerate(tried.reasons) if r}
-        row = rows.columns_of(record, tables.calibration) | {
+        row = rows.columns_of(record, schema.calibration) | {
             "system_parameters_id": _parameters_id(connection, record.parameters),
             "n_evaluation": 0 if tried is None else len(tried.error),
             "n_member": len(record.members),
             "reasons": reasons,
             "estimates": [estimate.stored() for estimate in record.estimates] or None,
         }
-        measured = arrays.rows_of("calibration", rows.trials_of(tried), self.media)
-        number = _insert(connection, tables.calibration, row, measured)
+        measured = rows.rows_of("calibration", rows.trials_of(tried), self.media)
+        number = _insert(connection, schema.calibration, row, measured)
         members = [
             {"calibration_id": number, "place": place, **asdict(member)}
             for place, member in enumerate(record.members)
         ]
-        connection.execute(sa.insert(tables.calibration_member), members)
+        connection.execute(sa.insert(schema.calibration_member), members)
         return number
 
     def calibration(self, calibration_id: int) -> records.CalibrationRecord:
         """Load a calibration by its id."""
-        table = tables.calibration
+        table = schema.calibration
         with _damage_named(f"calibration {calibration_id}"), reading(self._engine) as connection:
             row = _row(connection, table, calibration_id)
             record = _calibrations(connection, table.c.id == calibration_id)[calibration_id]
-            series = arrays.read_all(connection, "calibration", calibration_id, self.media)
+            series = rows.read_all(connection, "calibration", calibration_id, self.media)
             reasons = [row.reasons.get(str(k), "") for k in range(row.n_evaluation)]
             return replace(
                 record,
@@ -392,23 +391,23 @@ class Store:
 
     def calibrations(self) -> list[int]:
         """Ids of all calibrations, oldest first."""
-        return self._ids(tables.calibration)
+        return self._ids(schema.calibration)
 
     def record_ids(self) -> list[list[int]]:
         """Ids of all records that an analysis may read or select by; an id never changes."""
         kinds = ("experiment", "flag", "note", "simulation", "calibration")
-        return [self._ids(getattr(tables, name)) for name in kinds]
+        return [self._ids(getattr(schema, name)) for name in kinds]
 
     def add_filter_parameters(self, record: records.FilterParameters) -> int:
         """Store settings of a filter; return their id."""
         with writing(self._engine) as connection:
             own = {"options": dict(record.values)}
-            return self._add_once(connection, tables.filter_parameters, record, [], own)
+            return self._add_once(connection, schema.filter_parameters, record, [], own)
 
     def filter_parameters(self, filter_parameters_id: int) -> records.FilterParameters:
         """Load settings of a filter by their id."""
         with reading(self._engine) as connection:
-            row = _row(connection, tables.filter_parameters, filter_parameters_id)
+            row = _row(connection, schema.filter_parameters, filter_parameters_id)
         return rows.record_of(records.FilterParameters, row, values=row.options)
 
     def add_filter_run(self, record: records.FilterRecord) -> int:
@@ -417,13 +416,13 @@ class Store:
         series, hidden = rows.filtered_of(record), record.occlusion or (None, None)
         own = {"occlusion_start_s": hidden[0], "occlusion_end_s": hidden[1]}
         with writing(self._engine) as connection:
-            return self._add_once(connection, tables.filter_run, record, series, own)
+            return self._add_once(connection, schema.filter_run, record, series, own)
 
     def filter_run(self, filter_run_id: int) -> records.FilterRecord:
         """Load a filter run by its id."""
         with _damage_named(f"filter run {filter_run_id}"), reading(self._engine) as connection:
-            row = _row(connection, tables.filter_run, filter_run_id)
-            series = arrays.read_all(connection, "filter_run", filter_run_id, self.media)
+            row = _row(connection, schema.filter_run, filter_run_id)
+            series = rows.read_all(connection, "filter_run", filter_run_id, self.media)
             found = {name: (columns, values) for name, columns, values in series}
             names, estimates = found.get("estimates", ((), np.zeros((0, 0))))
             hidden = (row.occlusion_start_s, row.occlusion_end_s)
@@ -456,11 +455,11 @@ class Store:
         row = rows.columns_of(record, table) | own
         counted = [table.c[k] for k in row if k != "created_at_utc" or record.provenance.created]
         plain = [c == row[c.name] for c in counted if not isinstance(c.type, sa.JSON)]
-        measured = arrays.rows_of(table.name, series, self.media)
+        measured = rows.rows_of(table.name, series, self.media)
         alike = sa.select(table).where(table.c.deleted_at_utc.is_(None), *plain)
         for found in connection.execute(alike):
             same = all(found._mapping[c.name] == row[c.name] for c in counted)
-            if same and arrays.stored_rows(connection, table.name, found.id) == measured:
+            if same and rows.stored_rows(connection, table.name, found.id) == measured:
                 return int(found.id)
         return _insert(connection, table, row, measured)
 
@@ -472,7 +471,7 @@ def _insert(
     number = insert_one(connection, table, row)
     if measured:
         series = [one | {"owner_id": number} for one in measured]
-        connection.execute(sa.insert(tables.series), series)
+        connection.execute(sa.insert(schema.series), series)
     return number
 
 
@@ -480,7 +479,7 @@ def _calibrations(
     connection: sa.Connection, *where: sa.ColumnElement[bool]
 ) -> dict[int, records.CalibrationRecord]:
     """Load calibrations by id, oldest first, without their evaluations, request and result."""
-    table, member, sets = tables.calibration, tables.calibration_member, tables.system_parameters
+    table, member, sets = schema.calibration, schema.calibration_member, schema.system_parameters
     shown = [c for c in table.c if c.name not in ("request", "result")]
     wanted = (
         sa.select(*shown, *(c for c in sets.c if c.name not in ("id", "content_sha256")))
@@ -521,7 +520,7 @@ def _same(connection: sa.Connection, table: sa.Table, row: dict[str, Any] | None
 
 
 def _parameters_id(connection: sa.Connection, parameters: Mapping[str, float]) -> int:
-    number = _same(connection, tables.system_parameters, rows.parameters_row(parameters))
+    number = _same(connection, schema.system_parameters, rows.parameters_row(parameters))
     assert number is not None
     return number
 
@@ -531,7 +530,7 @@ def _row(connection: sa.Connection, table: sa.Table, number: int) -> sa.Row[Any]
     if row is None:
         listed = "fixel calibrations lists those that are stored"
         what = f"{table.name.replace('_', ' ')} {number}"
-        raise _absent(what, listed if table is tables.calibration else None)
+        raise _absent(what, listed if table is schema.calibration else None)
     return row
 
 

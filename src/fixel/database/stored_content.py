@@ -13,12 +13,12 @@ from typing import Any, Final, NamedTuple
 
 import sqlalchemy as sa
 
-from fixel.database import arrays, rows, tables
+from fixel.database import rows, schema
 from fixel.database.project import ANALYSES, DATABASE_FILES, MEDIA, SETTINGS, VARIABLE
 from fixel.errors import FixelError, InvalidInput, StoreRefused
-from fixel.formats.frames_file import path_columns
-from fixel.io.damaged_files import INVALID_CONTENT, one_line
+from fixel.io.atomic import INVALID_CONTENT, one_line
 from fixel.io.document import read_document
+from fixel.model.trajectory import path_columns
 from fixel.simulation.trust import TrustedEntry, is_trusted, trust
 
 RESTORE: Final = "replace experiments.db with a backup, which fixel db backup wrote"
@@ -106,7 +106,7 @@ def schema_troubles(connection: sa.Connection) -> Iterator[Trouble]:
     look = sa.inspect(connection)
     triggers = _triggers(connection)
     there = set(look.get_table_names())
-    for name, table in tables.METADATA.tables.items():
+    for name, table in schema.METADATA.tables.items():
         if name not in there:
             yield Trouble(name, "the table is missing", RESTORE)
             continue
@@ -179,11 +179,11 @@ def _trigger_faults(table: sa.Table, triggers: Mapping[str, str]) -> Iterator[st
 def content_troubles(connection: sa.Connection, media: Path) -> Iterator[Trouble]:
     """Yield records whose content disagrees with their checksum or with their source."""
     checks: dict[sa.Table, Callable[[sa.Connection, sa.Row[Any], Path], str | None]] = {
-        tables.experiment: _experiment,
-        tables.system_parameters: _parameters,
-        tables.simulation: _moved,
-        tables.filter_run: _moved,
-        tables.calibration: _calibration,
+        schema.experiment: _experiment,
+        schema.system_parameters: _parameters,
+        schema.simulation: _moved,
+        schema.filter_run: _moved,
+        schema.calibration: _calibration,
     }
     for table, check in checks.items():
         # One by one, since together they may be larger than memory.
@@ -200,14 +200,14 @@ def content_troubles(connection: sa.Connection, media: Path) -> Iterator[Trouble
 
 
 def _experiment(connection: sa.Connection, row: sa.Row[Any], media: Path) -> str | None:
-    flag = tables.flag
+    flag = schema.flag
     imported = connection.execute(
         sa.select(flag.c.name, flag.c.detail, flag.c.is_fault)
         .where(flag.c.experiment_id == row.id)
         .order_by(flag.c.id)
         .limit(row.n_import_flag)
     )
-    measured = arrays.read_all(connection, "experiment", row.id, media)
+    measured = rows.read_all(connection, "experiment", row.id, media)
     paths = [values for name, _, values in measured if name == "object"]
     if not paths or len(paths[0]) != row.n_frame:
         return None  # reported by another check
@@ -231,7 +231,7 @@ def _geometries(connection: sa.Connection, row: sa.Row[Any]) -> str | None:
             return "a geometry of its scene is missing or belongs to another scene"
         if geometry is None:
             continue
-        table = tables.geometry
+        table = schema.geometry
         stored = connection.execute(sa.select(table).where(table.c.id == number)).one_or_none()
         if stored is None:
             return None  # a broken reference, which another check reports
@@ -248,7 +248,7 @@ def _parameters(_: sa.Connection, row: sa.Row[Any], __: Path) -> str | None:
 
 def _moved(connection: sa.Connection, row: sa.Row[Any], media: Path) -> str | None:
     owner = "simulation" if hasattr(row, "error_mm2") else "filter_run"
-    for name, columns, values in arrays.read_all(connection, owner, row.id, media):
+    for name, columns, values in rows.read_all(connection, owner, row.id, media):
         if columns == rows.PATH:
             rows.trajectory_of(values)  # raises if it is no path
         elif name in ("object", "pusher"):
@@ -257,7 +257,7 @@ def _moved(connection: sa.Connection, row: sa.Row[Any], media: Path) -> str | No
 
 
 def _calibration(connection: sa.Connection, row: sa.Row[Any], media: Path) -> str | None:
-    member = tables.calibration_member
+    member = schema.calibration_member
     errors = connection.scalars(
         sa.select(member.c.error_mm2).where(member.c.calibration_id == row.id)
     ).all()
@@ -268,7 +268,7 @@ def _calibration(connection: sa.Connection, row: sa.Row[Any], media: Path) -> st
     found = (row.mean_error_mm2, row.sum_error_mm2, row.max_error_mm2)
     if not all(math.isclose(a, b) for a, b in zip(found, wanted, strict=True)):
         return "its errors differ from those of its members"
-    tried = arrays.read_all(connection, "calibration", row.id, media)
+    tried = rows.read_all(connection, "calibration", row.id, media)
     if sum(len(values) for name, _, values in tried if name == "evaluations") != row.n_evaluation:
         return "its evaluations are incomplete"
     rows.estimates_of(row.estimates)

@@ -21,7 +21,7 @@ import scipy  # which loads `scipy.spatial` when it is used
 
 from fixel.datasets.files import bounded_lines
 from fixel.errors import DatasetMissing, InvalidInput, require
-from fixel.io.damaged_files import parsed
+from fixel.io.atomic import parsed
 from fixel.typing import FloatArray
 
 MAX_CHUNK = 256_000_000  # [bytes] of one record, unpacked

@@ -15,7 +15,7 @@ import numpy as np
 
 from fixel.datasets.files import Problems
 from fixel.errors import DatasetMissing, FixelError, InvalidInput
-from fixel.io.damaged_files import INVALID_CONTENT
+from fixel.io.atomic import INVALID_CONTENT
 from fixel.model import Experiment, Flag, Provenance, Scene, Trajectory
 from fixel.model.records import SimulationRecord
 from fixel.typing import FloatArray

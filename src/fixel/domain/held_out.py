@@ -27,7 +27,7 @@ from fixel.domain.evidence import folds_of
 from fixel.errors import InvalidInput
 from fixel.model.space import ParameterSpace
 from fixel.simulation import AbstractMotionModel
-from fixel.simulation.stepper import AbstractStepper, Adaptive, Midpoint
+from fixel.simulation.stepping import AbstractStepper, Adaptive, Midpoint
 from fixel.typing import FloatArray, IntArray, ProgressCallback
 
 # Steps along a push, for experiments with two poses only. On a twelfth of the pushes of a public
@@ -152,7 +152,7 @@ def _refuse_start(comparer: Comparer, groups: Sequence[str]) -> None:
             raise _no_start(reasons, f"{group}: " if group else "")
 
 
-def counted(reasons: Iterable[str]) -> str:
+def reasons_text(reasons: Iterable[str]) -> str:
     """Return each reason with its count, the most frequent first: `2 x no scene; 1 x too late`."""
     return "; ".join(f"{n} x {reason}" for reason, n in Counter(reasons).most_common())
 
@@ -160,7 +160,7 @@ def counted(reasons: Iterable[str]) -> str:
 def _no_start(reasons: Sequence[str], of: str = "") -> InvalidInput:
     return InvalidInput(
         "start of the fits",
-        found=f"no simulation at it: {of}{counted(reasons)}",
+        found=f"no simulation at it: {of}{reasons_text(reasons)}",
         expected="parameters with which experiments can be simulated",
         hint="start at another calibration",
     )

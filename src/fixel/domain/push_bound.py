@@ -3,33 +3,49 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, NamedTuple, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
 from fixel.calibration import known_pushes
 from fixel.calibration.contacts import CONTACT_ANGLE, PART, SIDE, SPEED
-from fixel.calibration.target import Target
+from fixel.calibration.objective import Comparer
+from fixel.calibration.target import Target, same_configuration
 from fixel.domain.cells import PUSH, TRAVEL, coordinates_of, label_of, refuse_missing
 from fixel.domain.error_bound import CAUTIOUS, NO_DATA, TYPICAL, ConformalBound, min_experiments
+from fixel.domain.evidence import default_folds
+from fixel.domain.held_out import (
+    Apart,
+    CalibrationModel,
+    Finished,
+    end_errors,
+    held_out,
+    stepper_for,
+)
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Probability, Scene, pose_error
+from fixel.progress import Reporter
 from fixel.results import Result, Summary
 from fixel.simulation import QuasiStatic
 from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.pack import check_motion
 from fixel.table import Column, Table
-from fixel.typing import FloatArray
+from fixel.typing import FloatArray, IntArray
 
 FEATURES: Final = (
     "contact_x", "contact_y", "push_angle_rad", "travel_m", "speed_m_s", "moved_m", "turned_rad",
 )  # fmt: skip
 BOUNDED: Final = "bounded"
 UNSEEN: Final = "unseen"
+# Largest number of fits with groups left out; more groups are left out several at a time.
+MAX_FOLDS: Final = 24
 FOLDS: Final = 5  # parts of the experiments whose coverage is measured in turn
+
+# Cache of the fits of experiments without each fold, by the name of a set of fits.
+FinishedFits = Callable[[Sequence[Target], Apart, str], Finished]
 
 
 class PushBound(NamedTuple):
@@ -354,3 +370,106 @@ def _slides(scene: Scene) -> bool:
     except InvalidInput:
         return False
     return len(scene.bodies) == len(scene.pushers) == 1
+
+
+def bound_of(
+    targets: Sequence[Target],
+    model: CalibrationModel,
+    asked: Any,
+    fits: FinishedFits,
+    progress: Reporter,
+) -> ErrorBound:
+    """Return the error bounds of experiments, with the options of `fixel.error_bound`."""
+    features = features_of(targets)
+    judged = _first_of_repeated(targets, features)
+    n, least = len(targets), min_experiments(asked.level)
+    if len(judged) < least:
+        raise InvalidInput(
+            "experiments",
+            found=f"{n}" if n == len(judged) else f"{n}, of {len(judged)} different pushes",
+            expected=f"{least} at least for bounds with a probability of {100 * asked.level:g} %",
+            hint="run more experiments, or choose a lower level",
+        )
+    labels = tuple(label_of(target.conditions, asked.groups) for target in targets)
+    for name in asked.leave_out:
+        _check_units(known_pushes.with_units(targets, name), name, model)
+    apart = Apart(
+        folds=default_folds(len(targets)) if asked.folds is None else asked.folds, seed=asked.seed
+    )
+    position, angle, fold = _errors(
+        targets, model, apart, asked, fits(targets, apart, ""), progress
+    )
+    left = []
+    for name in asked.leave_out:
+        progress.stage = f"leaving out {name}"
+        left.append(_left_out(targets, name, model, asked, fits, progress))
+    return ErrorBound(
+        keys=tuple(targets[k].key for k in judged),
+        features=features[judged],
+        position=position[judged],
+        angle=angle[judged],
+        level=asked.level,
+        group=tuple(labels[k] for k in judged),
+        groups=asked.groups,
+        fold=fold[judged],
+        seed=asked.seed,
+        known=known_pushes.KnownPushes.of([targets[k] for k in judged], asked.groups),
+        left_out=tuple(own.rows(judged) for own in left),
+    )
+
+
+def _errors(
+    targets: Sequence[Target],
+    model: CalibrationModel,
+    apart: Apart,
+    asked: Any,
+    finished: Finished,
+    progress: Reporter,
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Return held-out errors of end positions and angles (n,), and the fold of each."""
+    found = held_out(targets, model, apart, finished, progress, asked.threads)
+    comparer = Comparer(
+        targets, model.space, model.error, model.motion, stepper_for(targets), asked.threads
+    )
+    return *end_errors(comparer, found), found.fold
+
+
+def _left_out(
+    targets: Sequence[Target],
+    name: str,
+    model: CalibrationModel,
+    asked: Any,
+    fits: FinishedFits,
+    progress: Reporter,
+) -> LeftOutErrors:
+    """Return errors under fits without the values of a condition."""
+    own = known_pushes.with_units(targets, name)
+    units = tuple(label_of(target.conditions, (name,)) for target in own)
+    apart = Apart(out=name, folds=min(len(set(units)), MAX_FOLDS), seed=asked.seed)
+    finished = fits(own, apart, f"without-{name}")
+    position, angle, _ = _errors(own, model, apart, asked, finished, progress)
+    return LeftOutErrors(name, units, position, angle)
+
+
+def _check_units(targets: Sequence[Target], name: str, model: CalibrationModel) -> None:
+    """Raise if a condition has one value only, or a parameter for each of its values."""
+    n = len({label_of(target.conditions, (name,)) for target in targets})
+    if n < 2:
+        raise InvalidInput("leave_out", found=f"{n} value of {name}", expected="at least 2",
+                           hint="one value does not show how much others differ")  # fmt: skip
+    own = [u.label for u in model.space.unknowns if name in u.where and not u.frozen]
+    if own:
+        raise InvalidInput("leave_out", found=f"{own[0]}, a parameter for each {name}",
+                           expected=f"parameters that a new {name} shares")  # fmt: skip
+
+
+def _first_of_repeated(targets: Sequence[Target], features: FloatArray) -> list[int]:
+    """Return one experiment of each configuration: repetitions do not show how pushes differ."""
+    found: dict[object, int] = {}
+    for k, target in enumerate(targets):
+        label = same_configuration(target)
+        start = target.case.scene.bodies[0].pose
+        pose = (*features[k].tolist(), *start.tolist(), *target.conditions.items())
+        plain = tuple(value for value in pose if value != ("experiment", target.key))
+        found.setdefault(plain if label == target.key else label, k)
+    return sorted(found.values())

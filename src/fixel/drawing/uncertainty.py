@@ -13,7 +13,7 @@ from fixel.drawing.top_view import closed_line
 from fixel.model import placed, rotated
 from fixel.table import Table
 from fixel.typing import FloatArray
-from fixel.uncertainty.discrepancy import LABEL
+from fixel.uncertainty.error_terms import LABEL
 from fixel.uncertainty.posterior import Posterior
 from fixel.uncertainty.prediction import LEVELS, Band, CoverageCurve, EndBounds, Prediction
 

@@ -22,10 +22,9 @@ from fixel.kernels.batch import rollout_batch
 from fixel.model import Body, Disk, PathDrive, Pusher, Scene, rotated
 from fixel.simulation.motion import QuasiStatic
 from fixel.simulation.pack import Template
-from fixel.simulation.record import empty_record
 from fixel.simulation.simulate import method_of
-from fixel.simulation.solver import Newton
-from fixel.simulation.stepper import Adaptive
+from fixel.simulation.stepping import Adaptive, Newton
+from fixel.simulation.threads import empty_record
 from fixel.simulation.vary import Variation
 from fixel.typing import FloatArray, IntArray
 

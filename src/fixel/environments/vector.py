@@ -17,7 +17,7 @@ from fixel.calibration.known_pushes import KnownPushes
 from fixel.errors import InvalidInput, check_name
 from fixel.model import Body, Ellipsoid, Scene, Support, SupportPoints, Tripod, UniformPressure
 from fixel.model.fields import whole
-from fixel.model.footprint import cells
+from fixel.model.support import cells
 from fixel.planning.belief import Belief
 from fixel.simulation.threads import cores
 from fixel.simulation.vary import infeasible

@@ -10,8 +10,7 @@ from typing import Final, NamedTuple, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fixel.filtering.particle_filter import ParticleFilter
-from fixel.filtering.prior import Unknowns
+from fixel.filtering.particle_filter import ParticleFilter, Unknowns
 from fixel.kernels.measure import measure_gaps
 from fixel.model import Scene, wrapped
 from fixel.model.trajectory import pose_difference

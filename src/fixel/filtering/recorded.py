@@ -9,12 +9,11 @@ from typing import Final, final
 
 import numpy as np
 
-from fixel.calibration.misfit import WARNED, noise_from_differences
+from fixel.calibration.noise import WARNED, noise_from_differences
 from fixel.calibration.target import Target, scene_of
 from fixel.errors import InvalidInput
 from fixel.filtering.head_path import smoothed
-from fixel.filtering.particle_filter import ParticleFilter
-from fixel.filtering.prior import UniformPrior
+from fixel.filtering.particle_filter import ParticleFilter, UniformPrior
 from fixel.filtering.running import FilterEstimate, FilterFrame, RunningFilter, start_filter
 from fixel.model import Experiment, Scene, Trajectory, pose_error, wrapped
 from fixel.results import Result, Summary

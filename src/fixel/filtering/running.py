@@ -14,9 +14,8 @@ from fixel.calibration.target import scene_of
 from fixel.errors import InvalidInput
 from fixel.filtering import particles as cloud
 from fixel.filtering.head_path import smoothed
-from fixel.filtering.particle_filter import ParticleFilter
+from fixel.filtering.particle_filter import ParticleFilter, UniformPrior, Unknowns, prior_for
 from fixel.filtering.particles import quantiles
-from fixel.filtering.prior import UniformPrior, Unknowns, prior_for
 from fixel.model import Experiment, Scene
 from fixel.model.fields import instance, vector, whole
 from fixel.model.scene import check_push

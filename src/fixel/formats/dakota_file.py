@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from fixel.calibration.pattern_search import PatternSearch
+from fixel.calibration.direct_search import PatternSearch
 from fixel.errors import InvalidInput, did_you_mean, unknown_name
 from fixel.formats.records import within
 from fixel.io.atomic import read_bounded, usable

@@ -19,7 +19,8 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.io.atomic import refuse_unwritable, unfinished_path, usable
-from fixel.model import Experiment, Trajectory
+from fixel.model import Experiment
+from fixel.model.trajectory import path_columns
 from fixel.typing import FloatArray
 
 EXPERIMENTS: Final = "experiments.parquet"
@@ -82,17 +83,6 @@ def experiment_columns(experiment: Experiment) -> dict[str, Any]:
         "fixel_version": experiment.provenance.version,
         "source_file": experiment.provenance.source,
         "created_at_utc": experiment.provenance.created,
-    }
-
-
-def path_columns(trajectory: Trajectory) -> dict[str, Any]:
-    """Columns of an experiment that follow from its trajectory."""
-    time, ends = trajectory.time, trajectory.pose[[0, -1]].tolist()
-    return {
-        "n_frame": len(time),
-        "duration_s": float(time[-1] - time[0]),
-        **{f"start_{label}": x for label, x in zip(_POSE, ends[0], strict=True)},
-        **{f"end_{label}": x for label, x in zip(_POSE, ends[1], strict=True)},
     }
 
 

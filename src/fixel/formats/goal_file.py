@@ -21,8 +21,8 @@ from fixel.model import Disk, Polygon, goals
 from fixel.model.parameters import info_of
 from fixel.planning.belief import Belief, RigError
 from fixel.planning.pushes import Cost, FreePushes, RigPushes
+from fixel.uncertainty.error_terms import StartError, preset
 from fixel.uncertainty.run_to_run import RunToRun
-from fixel.uncertainty.starts import StartError, preset
 
 Range = Annotated[list[records.Number], Field(min_length=2, max_length=2)]
 Names = Annotated[list[str], Field(min_length=1)]

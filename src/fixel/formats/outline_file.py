@@ -17,8 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from fixel.errors import InvalidInput, check_name, require
-from fixel.io.atomic import refuse_ending
-from fixel.io.damaged_files import parsed
+from fixel.io.atomic import parsed, refuse_ending
 from fixel.model.fields import path_of, positive
 from fixel.typing import FloatArray
 

@@ -41,7 +41,7 @@ from fixel.model import (
     UniformPressure,
 )
 from fixel.model.parameters import KNOWN_PARAMETERS, in_si
-from fixel.simulation.stepper import AbstractStepper, Adaptive, StewartTrinkle
+from fixel.simulation.stepping import AbstractStepper, Adaptive, StewartTrinkle
 
 MAX_KEYS = 1000  # maximum number of keys in one mapping; scenes have about ten
 

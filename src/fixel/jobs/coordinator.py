@@ -20,10 +20,9 @@ from fixel.errors import FixelError, JobRefused, counted
 from fixel.io.atomic import write_whole
 from fixel.io.journal import Journal
 from fixel.jobs import folder as files
-from fixel.jobs.engine import LocalEngine
 from fixel.jobs.folder import Job, JobState, RunSettings
 from fixel.jobs.functions import named_function, stamp
-from fixel.jobs.work import AbstractEngine, JobProgress, Show, StopRequest, run_work
+from fixel.jobs.work import AbstractEngine, JobProgress, LocalEngine, Show, StopRequest, run_work
 from fixel.typing import Notify
 
 LARGE: Final = 1 << 16  # [byte] larger answers are dropped from the journal once the job is done

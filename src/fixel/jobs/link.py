@@ -21,7 +21,7 @@ import zlib
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from fixel.errors import JobRefused, check_name
 from fixel.io.atomic import write_whole
@@ -42,14 +42,6 @@ CONFIG: Final = {
     "distributed.scheduler.work-stealing": False,
     "distributed.admin.tick.limit": "1h",  # no warnings of long pauses
 }
-
-
-class Late(NamedTuple):
-    """Answer that a worker could not send to a scheduler."""
-
-    block: str
-    framed: bytes
-    path: Path
 
 
 def require_dask() -> None:
@@ -159,21 +151,21 @@ def save_late(folder: Path, block: str, framed: bytes) -> None:
     write_whole(folder / "late" / name, content, durable=True)
 
 
-def late_answers(folder: Path) -> Iterator[Late]:
-    """Yield the late answers; remove files that cannot be read."""
+def late_answers(folder: Path) -> Iterator[tuple[str, bytes, Path]]:
+    """Yield block, answer and file of each late answer; remove files that cannot be read."""
     for path in sorted((folder / "late").glob("[!.]*")):
         try:
             data = path.read_bytes()
             body = data[_CRC_BYTES:]
             whole = zlib.crc32(body) == int.from_bytes(data[:_CRC_BYTES], "little")
             head, _, framed = body.partition(b"\n")
-            late = Late(str(json.loads(head)), framed, path) if whole else None
+            block = str(json.loads(head)) if whole else None
         except (OSError, ValueError):
-            late = None
-        if late is None:
+            block = None
+        if block is None:
             path.unlink(missing_ok=True)
         else:
-            yield late
+            yield block, framed, path
 
 
 # --- TLS ----------------------------------------------------------------------------------------

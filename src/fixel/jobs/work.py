@@ -1,15 +1,18 @@
-"""Rounds of chunks, and the loop that has them computed.
+"""Rounds of chunks, the loop that has them computed, and their computation here or in a worker.
 
 A `Work` is a generator. It yields a `Round` of chunks, is sent the answers by name, yields the next
 round, and in the end returns the result as bytes. It must depend only on its inputs and the
 answers: to resume an interrupted job, the generator is run again, and the journal answers all
 chunks that were computed before.
+
+Separate from `worker.py`, which runs as `__main__`: an import would load a second copy of it.
 """
 
 from __future__ import annotations
 
 import abc
 import hashlib
+import threading
 import time
 import traceback
 from collections import deque
@@ -22,6 +25,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from fixel.errors import InvalidInput
 from fixel.io.journal import Journal
+from fixel.jobs import link
+from fixel.jobs.functions import ChunkFunction, named_function, stamp
 from fixel.progress import Progress, time_text
 
 # [s] The rate is an average over this time, since workers come and go.
@@ -321,3 +326,50 @@ class _Tally:
         if not self._total and self._stage.share is not None:
             return min(self._stage.share, ALMOST)
         return None if self._open else min(self._done / max(1, self._total), ALMOST)
+
+
+OTHER_VERSION: Final = b"V"  # first byte of an answer; not used by `fixel.jobs.work.framed`
+
+running = threading.Event()  # a chunk is being computed
+lost = threading.Event()  # no scheduler listens
+
+
+@final
+class LocalEngine(AbstractEngine):
+    """Engine that computes one chunk after the other in this process; functions use all cores."""
+
+    workers = 1
+
+    def __init__(self, call: ChunkFunction | None = None) -> None:
+        self._call = call  # instead of the chunk function, for work whose inputs are in memory
+
+    def results(self, function: str, inputs: Path, chunks: Sequence[Chunk]) -> Iterator[Batch]:
+        call = self._call or named_function(function)
+        for chunk in chunks:
+            yield [(chunk.name, answer_of(call, inputs, chunk.payload))]
+
+
+def run_chunk(
+    expected: str,
+    folder: str,
+    inputs: str,
+    function: str,
+    block: str,
+    payload: bytes,
+    lease_s: float,
+) -> bytes:
+    """Compute a chunk; return its framed answer, or our stamp if another one is expected."""
+    if stamp() != expected:
+        return OTHER_VERSION + stamp().encode()
+    begun = time.monotonic()
+    running.set()
+    try:
+        answer = framed(answer_of(named_function(function), Path(inputs), payload))
+        if lost.is_set() or time.monotonic() - begun > lease_s:
+            # The coordinator may have given this chunk up.
+            link.save_late(Path(folder), block, answer)
+    except Exception as problem:
+        return framed(Failure(f"{type(problem).__name__}: {problem}"))
+    finally:
+        running.clear()
+    return answer

@@ -18,7 +18,7 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
-from fixel.jobs import engine, link
+from fixel.jobs import link, work
 from fixel.jobs.functions import THREADS, stamp
 
 GRACE_S: Final = 20.0  # [s] for a running chunk when the worker has to end; SLURM gives 30
@@ -99,7 +99,7 @@ async def _serve(given: argparse.Namespace, address: str, until: float) -> tuple
         if worker.status.name != "running":
             timer.cancel()
     link.record_joined(given.folder, given.name, socket.gethostname())
-    engine.lost.clear()
+    work.lost.clear()
     ending = asyncio.ensure_future(asked.wait())
     finished = asyncio.ensure_future(worker.finished())
     watching = asyncio.ensure_future(_watch(worker))
@@ -117,7 +117,7 @@ async def _watch(worker: Any) -> None:
     """Notice the loss of the scheduler at once: closing waits for the running chunk."""
     while worker.status.name in ("running", "paused", "closing_gracefully"):
         await asyncio.sleep(0.05)
-    engine.lost.set()
+    work.lost.set()
 
 
 async def _end_gracefully(worker: Any) -> None:
@@ -126,7 +126,7 @@ async def _end_gracefully(worker: Any) -> None:
 
     worker.status = Status.paused
     deadline = time.monotonic() + GRACE_S
-    while engine.running.is_set() and time.monotonic() < deadline:
+    while work.running.is_set() and time.monotonic() < deadline:
         await asyncio.sleep(0.05)
     await asyncio.sleep(0.2)  # for the answer to be sent
     await worker.close_gracefully()
@@ -159,8 +159,8 @@ def _worker(given: argparse.Namespace, address: str) -> Any:
 
 def _await_chunk(until: float) -> None:
     """Wait for the running chunk, whose answer is stored in the folder."""
-    engine.lost.set()
-    while engine.running.is_set() and time.monotonic() < until:
+    work.lost.set()
+    while work.running.is_set() and time.monotonic() < until:
         time.sleep(0.05)
 
 

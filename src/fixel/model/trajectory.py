@@ -119,6 +119,18 @@ class Trajectory(Comparable):
         return float(np.sqrt(np.mean(position**2)))
 
 
+def path_columns(trajectory: Trajectory) -> dict[str, Any]:
+    """Columns of tables of experiments that follow from the trajectory."""
+    time, ends = trajectory.time, trajectory.pose[[0, -1]].tolist()
+    labels = ("x_m", "y_m", "theta_rad")
+    return {
+        "n_frame": len(time),
+        "duration_s": float(time[-1] - time[0]),
+        **{f"start_{label}": x for label, x in zip(labels, ends[0], strict=True)},
+        **{f"end_{label}": x for label, x in zip(labels, ends[1], strict=True)},
+    }
+
+
 def pose_error(a: ArrayLike, b: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Compute distances (...) [m] and angles (...) from b to a, in [-pi, pi), of poses (..., 3)."""
     difference = pose_difference(a, b)

@@ -20,11 +20,10 @@ from fixel.parts.fit import NAMES
 from fixel.parts.model import PartModel
 from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
 from fixel.typing import FloatArray, IntArray
-from fixel.uncertainty.discrepancy import LABEL
+from fixel.uncertainty.error_terms import LABEL, StartError, even_points
 from fixel.uncertainty.posterior import Posterior
 from fixel.uncertainty.predictive import CalibratedModel, EndError, PredictiveModel
 from fixel.uncertainty.run_to_run import RunToRun
-from fixel.uncertainty.starts import StartError, even_points
 
 # Numbers of the streams of random values, so that no setting changes the values of another.
 _PARAMETERS, _START, _RIG, _RUN, _REST = range(5)

@@ -19,7 +19,7 @@ from fixel.planning.pushes import FreePushes, PushChoice
 from fixel.planning.rollout import CARRIED_OUT, PlanSimulator, others_overlap, part_overlap
 from fixel.simulation.vary import composed, inverted
 from fixel.typing import FloatArray
-from fixel.uncertainty.starts import even_points
+from fixel.uncertainty.error_terms import even_points
 
 LIBRARY: Final = (1024, 2048)  # least and largest number of pushes in the table of displacements
 EACH: Final = 40  # rollouts of a search for each of them

@@ -39,7 +39,7 @@ from fixel.planning.success import SuccessProbability
 from fixel.progress import Progress
 from fixel.simulation.vary import composed
 from fixel.typing import BoolArray, FloatArray, IntArray
-from fixel.uncertainty.starts import StartError
+from fixel.uncertainty.error_terms import StartError
 
 MOST: Final = 5  # looks
 TABLE, CHOICE, LATER = 11, 12, 13  # streams of random values

@@ -46,7 +46,7 @@ from fixel.results import Player, Result, Summary
 from fixel.simulation.motion import AbstractMotionModel, motion_model
 from fixel.simulation.result import Simulation
 from fixel.simulation.simulate import simulate
-from fixel.simulation.stepper import AbstractStepper
+from fixel.simulation.stepping import AbstractStepper
 from fixel.simulation.trust import permit
 from fixel.table import Column, Table
 from fixel.typing import FloatArray, IntArray

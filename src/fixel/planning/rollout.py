@@ -19,7 +19,7 @@ from fixel.planning.pushes import PushChoice, fixel_overlap, scene_of_push, swep
 from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.motion import AbstractMotionModel, OtherEngine
 from fixel.simulation.rollouts import RolloutCase, Rollouts, ensemble_of
-from fixel.simulation.stepper import AbstractStepper
+from fixel.simulation.stepping import AbstractStepper
 from fixel.simulation.vary import composed, varied_start
 from fixel.typing import BoolArray, FloatArray, IntArray
 from fixel.uncertainty.predictive import motion_of

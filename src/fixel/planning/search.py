@@ -33,7 +33,7 @@ from fixel.planning.simplified import simplified
 from fixel.planning.success import SuccessProbability
 from fixel.progress import Progress
 from fixel.typing import FloatArray, IntArray
-from fixel.uncertainty.starts import RPI_CAMERA, StartError
+from fixel.uncertainty.error_terms import RPI_CAMERA, StartError
 
 WORLDS: Final = 64  # parameter draws of the race and of the choice
 ROLLOUTS: Final = 160_000

@@ -18,7 +18,7 @@ from fixel.planning.pushes import FreePushes
 from fixel.planning.search import conduct
 from fixel.progress import Progress
 from fixel.typing import BoolArray, FloatArray
-from fixel.uncertainty.starts import RPI_CAMERA, StartError
+from fixel.uncertainty.error_terms import RPI_CAMERA, StartError
 
 WORLDS: Final = 2048  # parameter draws that are weighted
 FRESH: Final = 11  # number of their stream of random values

@@ -4,8 +4,16 @@ from fixel.simulation.batch import simulate_batch
 from fixel.simulation.motion import AbstractMotionModel, Dynamic, FirstOrder, QuasiStatic
 from fixel.simulation.result import Accuracy, BatchResult, PusherTrajectory, Simulation
 from fixel.simulation.simulate import Simulator, simulate
-from fixel.simulation.solver import AbstractSolver, GaussSeidel, Lemke, Newton
-from fixel.simulation.stepper import AbstractStepper, Adaptive, Midpoint, StewartTrinkle
+from fixel.simulation.stepping import (
+    AbstractSolver,
+    AbstractStepper,
+    Adaptive,
+    GaussSeidel,
+    Lemke,
+    Midpoint,
+    Newton,
+    StewartTrinkle,
+)
 
 __all__ = [
     "AbstractMotionModel",

@@ -19,9 +19,8 @@ from fixel.kernels import codes
 from fixel.kernels.arrays import Batch, StepMethod
 from fixel.kernels.modes import walk
 from fixel.simulation.pack import PackedBatch
-from fixel.simulation.record import ends_of, shape_poses
 from fixel.simulation.result import AGREED, CERTIFIED, UNCERTAIN, Accuracy
-from fixel.simulation.threads import in_ranges
+from fixel.simulation.threads import ends_of, in_ranges, shape_poses
 from fixel.typing import FloatArray, IntArray
 
 APART_LENGTH: Final = 5e-3  # of the characteristic length: two ends that are this close agree

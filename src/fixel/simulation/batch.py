@@ -29,7 +29,6 @@ from fixel.model import Scene
 from fixel.model.fields import floats, instance, texts, whole
 from fixel.simulation.motion import AbstractMotionModel, motion_model, named_part
 from fixel.simulation.pack import PackedBatch, pack, stack
-from fixel.simulation.record import empty_record, hold_last, shape_poses
 from fixel.simulation.result import BatchResult
 from fixel.simulation.simulate import (
     CONTACTS_PER_BODY,
@@ -42,9 +41,8 @@ from fixel.simulation.simulate import (
     one_variation,
     scene_file,
 )
-from fixel.simulation.solver import SOLVERS, AbstractSolver, Newton
-from fixel.simulation.stepper import AbstractStepper, Adaptive
-from fixel.simulation.threads import rollout_in_threads
+from fixel.simulation.stepping import SOLVERS, AbstractSolver, AbstractStepper, Adaptive, Newton
+from fixel.simulation.threads import empty_record, hold_last, rollout_in_threads, shape_poses
 from fixel.simulation.vary import Variation, variation_of
 from fixel.typing import BoolArray, FloatArray, IntArray
 

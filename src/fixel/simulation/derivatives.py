@@ -19,9 +19,8 @@ from fixel.simulation.accuracy import APART_ANGLE, APART_LENGTH, empty_modes
 from fixel.simulation.load_profile import PROFILE_NAMES, TABLE_NAMES
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.pack import PackedBatch
-from fixel.simulation.record import shape_poses
 from fixel.simulation.result import POSE_NAMES
-from fixel.simulation.threads import in_ranges
+from fixel.simulation.threads import in_ranges, shape_poses
 from fixel.simulation.vary import Variation, composed
 from fixel.typing import BoolArray, FloatArray, IntArray
 

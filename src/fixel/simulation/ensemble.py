@@ -21,12 +21,10 @@ from fixel.model import Pusher, Scene
 from fixel.model.scene import check_push
 from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
 from fixel.simulation.pack import PackedBatch, Template, fastest_motion, pusher_path, stack
-from fixel.simulation.record import empty_record, hold_last, shape_poses
 from fixel.simulation.rollouts import INFEASIBLE, EnsembleOutcome, RolloutCase
 from fixel.simulation.simulate import check_compiled, method_of
-from fixel.simulation.solver import Newton
-from fixel.simulation.stepper import AbstractStepper, Adaptive
-from fixel.simulation.threads import rollout_in_threads
+from fixel.simulation.stepping import AbstractStepper, Adaptive, Newton
+from fixel.simulation.threads import empty_record, hold_last, rollout_in_threads, shape_poses
 from fixel.simulation.vary import Variation, infeasible
 from fixel.typing import FloatArray, IntArray
 

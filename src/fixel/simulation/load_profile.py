@@ -20,8 +20,7 @@ import shapely
 
 from fixel.errors import InvalidInput
 from fixel.model import Shape, rotated
-from fixel.model.footprint import support_grid
-from fixel.model.support import times_each
+from fixel.model.support import support_grid, times_each
 from fixel.typing import FloatArray
 
 PROFILE_NAMES: Final = (

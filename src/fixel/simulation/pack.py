@@ -35,7 +35,7 @@ from fixel.model import (
 )
 from fixel.simulation.geometry import contact_outline, pack_shapes
 from fixel.simulation.motion import AbstractMotionModel
-from fixel.simulation.stepper import STEPPERS, AbstractStepper, Adaptive
+from fixel.simulation.stepping import STEPPERS, AbstractStepper, Adaptive
 from fixel.simulation.vary import AS_IT_IS, Elements, Variation, VariedScene, composed, vary
 from fixel.typing import FloatArray, IntArray
 

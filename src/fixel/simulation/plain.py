@@ -26,8 +26,13 @@ from fixel.kernels.solve import TOLERANCE
 from fixel.kernels.step_control import AT_ONCE
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.pack import PackedBatch
-from fixel.simulation.solver import AbstractSolver
-from fixel.simulation.stepper import AbstractStepper, StepHistory, StepLimits, StepTrial
+from fixel.simulation.stepping import (
+    AbstractSolver,
+    AbstractStepper,
+    StepHistory,
+    StepLimits,
+    StepTrial,
+)
 from fixel.typing import FloatArray
 
 

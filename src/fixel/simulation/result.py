@@ -31,7 +31,7 @@ from fixel.model.parameters import info_of
 from fixel.registry import offered
 from fixel.results import Player, Result, Summary
 from fixel.simulation.geometry import contact_outline, outline_tolerance
-from fixel.simulation.solver import Lemke
+from fixel.simulation.stepping import Lemke
 from fixel.table import Column, Table
 from fixel.typing import BoolArray, FloatArray, IntArray
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fixel.kernels import codes
 from fixel.model import Scene
 from fixel.simulation.motion import AbstractMotionModel, OtherEngine
-from fixel.simulation.stepper import AbstractStepper
+from fixel.simulation.stepping import AbstractStepper
 from fixel.typing import FloatArray, IntArray
 
 

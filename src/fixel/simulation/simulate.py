@@ -35,18 +35,26 @@ from fixel.simulation.first_code import is_missing, roll_in_python
 from fixel.simulation.motion import AbstractMotionModel, OtherEngine, motion_model, named_part
 from fixel.simulation.pack import RECENT_SCENES, PackedBatch, Units, pack
 from fixel.simulation.plain import rollout_in_python
-from fixel.simulation.record import (
+from fixel.simulation.result import CONTACT_FIELDS, PusherTrajectory, Simulation
+from fixel.simulation.stepping import (
+    SOLVERS,
+    STEPPERS,
+    AbstractSolver,
+    AbstractStepper,
+    Adaptive,
+    GaussSeidel,
+    Lemke,
+    Newton,
+)
+from fixel.simulation.threads import (
     borrowed_record,
     empty_record,
     ends_of,
     give_back,
     pose_units,
+    rollout_in_threads,
     shape_poses,
 )
-from fixel.simulation.result import CONTACT_FIELDS, PusherTrajectory, Simulation
-from fixel.simulation.solver import SOLVERS, AbstractSolver, GaussSeidel, Lemke, Newton
-from fixel.simulation.stepper import STEPPERS, AbstractStepper, Adaptive
-from fixel.simulation.threads import rollout_in_threads
 from fixel.simulation.trust import permit
 from fixel.simulation.vary import AS_IT_IS, Variation, check_one_pusher, variation_of
 from fixel.typing import FloatArray, IntArray

@@ -18,9 +18,8 @@ from fixel.errors import InvalidInput
 from fixel.kernels import codes
 from fixel.model import Body, Disk, Parameters, Pusher, Scene, SupportPoints, UniformPressure
 from fixel.model.fields import floats, instance
-from fixel.model.footprint import cells
 from fixel.model.parameters import check_supports, info_of
-from fixel.model.support import LOAD_ROUNDING, tilted_shares, times_each, triangle_shares
+from fixel.model.support import LOAD_ROUNDING, cells, tilted_shares, times_each, triangle_shares
 from fixel.simulation.load_profile import (
     MAX_TABLE_EXPONENT,
     PROFILE_NAMES,

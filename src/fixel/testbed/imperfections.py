@@ -24,9 +24,8 @@ from fixel.model import (
     SupportPoints,
 )
 from fixel.model.fields import frozen
-from fixel.model.footprint import cells
 from fixel.model.probability import stream
-from fixel.model.support import support_points
+from fixel.model.support import cells, support_points
 from fixel.simulation import Simulation
 from fixel.typing import BoolArray, FloatArray
 

@@ -23,8 +23,8 @@ from fixel.model import Scene
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.result import Simulation
 from fixel.simulation.simulate import simulate
-from fixel.simulation.solver import AbstractSolver
-from fixel.simulation.stepper import (
+from fixel.simulation.stepping import (
+    AbstractSolver,
     AbstractStepper,
     StepHistory,
     StepLimits,

@@ -39,7 +39,7 @@ from fixel.model.parameters import engine_parameter
 from fixel.simulation.engines import shared_program
 from fixel.simulation.motion import AbstractMotionModel, Dynamic, OtherEngine, motion_model
 from fixel.simulation.rollouts import EnsembleOutcome, RolloutCase, Rollouts, ensemble_of
-from fixel.simulation.stepper import Adaptive
+from fixel.simulation.stepping import Adaptive
 from fixel.simulation.trust import permit
 from fixel.testing.scenes import box, grasp, moved, row, sliding_block
 from fixel.typing import FloatArray

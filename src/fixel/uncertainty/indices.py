@@ -16,12 +16,12 @@ from fixel.model import Scene
 from fixel.model.fields import vector, whole
 from fixel.model.parameters import info_of
 from fixel.simulation.motion import AbstractMotionModel
-from fixel.simulation.stepper import AbstractStepper
+from fixel.simulation.stepping import AbstractStepper
 from fixel.table import Table
 from fixel.typing import FloatArray, ProgressCallback
+from fixel.uncertainty.error_terms import Kind, StartError
 from fixel.uncertainty.prediction import Prediction
 from fixel.uncertainty.start_ensemble import START, simulate_starts
-from fixel.uncertainty.starts import Kind, StartError
 
 OUTCOMES: Final = ("along", "across", "angle")
 UNITS: Final = ("m", "m", "rad")

@@ -1,6 +1,6 @@
 """Log likelihood of measured paths given parameters, computed for batches of points.
 
-A measured frame is the sum of the simulated one, the model error (`discrepancy.py`) and the
+A measured frame is the sum of the simulated one, the model error (`error_terms.py`) and the
 camera noise. Both are Gaussian, so the probability of a whole path is a product over the
 principal axes of the random walk of the model error:
 
@@ -18,14 +18,13 @@ from typing import Final, final
 
 import numpy as np
 
-from fixel.calibration.misfit import second_differences
-from fixel.calibration.noise import Noise
+from fixel.calibration.noise import Noise, second_differences
 from fixel.calibration.objective import Comparer
 from fixel.errors import InvalidInput
 from fixel.model.space import ParameterSpace
 from fixel.model.trajectory import wrapped
 from fixel.typing import FloatArray
-from fixel.uncertainty.discrepancy import LABEL, ModelError, log_density, shares_of_way, walk_over
+from fixel.uncertainty.error_terms import LABEL, ModelError, log_density, shares_of_way, walk_over
 
 # Log likelihood of a failed simulation: finite, but practically impossible for dynesty.
 FLOOR: Final = -1e300

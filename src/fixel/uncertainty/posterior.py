@@ -19,7 +19,7 @@ import numpy as np
 
 from fixel.calibration.known_pushes import KnownPushes
 from fixel.calibration.noise import Noise
-from fixel.calibration.solutions import find_solutions
+from fixel.calibration.result import find_solutions
 from fixel.errors import InvalidInput, counted, require
 from fixel.model.fields import whole
 from fixel.model.space import ParameterSpace
@@ -27,7 +27,7 @@ from fixel.results import Result, Summary
 from fixel.table import Column, Table
 from fixel.typing import FloatArray, IntArray, ProgressCallback
 from fixel.uncertainty.batched_sampler import Batched, BatchedSampler
-from fixel.uncertainty.discrepancy import LABEL, ModelError
+from fixel.uncertainty.error_terms import LABEL, ModelError
 
 # Effective samples that a live point brings, over sqrt(n / 2): 2 sqrt(pi) = 3.5 for a normal
 # posterior of n parameters.

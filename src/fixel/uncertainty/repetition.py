@@ -16,7 +16,7 @@ from fixel.calibration.objective import Comparer
 from fixel.errors import InvalidInput, SolveFailed
 from fixel.model.trajectory import wrapped
 from fixel.typing import BoolArray, FloatArray
-from fixel.uncertainty.discrepancy import draw_walks
+from fixel.uncertainty.error_terms import draw_walks
 from fixel.uncertainty.likelihood import expected_shares
 from fixel.uncertainty.posterior import Posterior
 from fixel.uncertainty.prediction import Prediction

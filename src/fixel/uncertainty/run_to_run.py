@@ -25,7 +25,7 @@ from fixel.model.fields import Value, check_fields, instance, non_negative
 from fixel.model.trajectory import pose_difference
 from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
 from fixel.simulation.rollouts import ensemble_of
-from fixel.simulation.stepper import AbstractStepper
+from fixel.simulation.stepping import AbstractStepper
 from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.predictive import CalibratedModel
 

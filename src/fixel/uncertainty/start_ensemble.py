@@ -15,11 +15,11 @@ from fixel.model.overlap import Overlap, overlaps
 from fixel.model.trajectory import wrapped
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.rollouts import RolloutCase, Rollouts, ensemble_of
-from fixel.simulation.stepper import AbstractStepper
+from fixel.simulation.stepping import AbstractStepper
 from fixel.simulation.vary import composed, grown_by, inverted, registration_of, varied_start
 from fixel.typing import BoolArray, FloatArray, ProgressCallback
+from fixel.uncertainty.error_terms import StartError
 from fixel.uncertainty.prediction import Prediction
-from fixel.uncertainty.starts import StartError
 
 Values = Mapping[str, FloatArray]
 

@@ -26,7 +26,7 @@ from fixel.web import security
 from fixel.web.live import LiveView
 from fixel.web.palette import palette_css
 from fixel.web.problems import ABSENT, OUR_MISTAKE, Refusal, answer, problem_of
-from fixel.web.words import FILTERS
+from fixel.web.values import FILTERS
 
 HERE: Final = Path(str(files("fixel.web")))
 API: Final = "/api/v1"

@@ -12,8 +12,7 @@ from fixel.database.project import Project
 from fixel.drawing.thumbnail import thumbnail
 from fixel.model.selection import ExperimentQuery
 from fixel.web.bench_session import BenchSession
-from fixel.web.views.calibration_detail import StoredCalibration, load_detail, plot
-from fixel.web.views.calibration_progress import ProgressReader
+from fixel.web.views.calibration_views import ProgressReader, StoredCalibration, load_detail, plot
 from fixel.web.views.domain_views import load_view
 from fixel.web.views.live_comparison import LiveComparison
 

@@ -24,8 +24,7 @@ from fixel.capability.capability import Capability
 from fixel.database.project import ANALYSES, Project, analysis_name
 from fixel.errors import FixelError, NotStored
 from fixel.io.array_bytes import arrays_of, bytes_of
-from fixel.io.atomic import usable, write_whole
-from fixel.io.damaged_files import each_readable, readable
+from fixel.io.atomic import each_readable, readable, usable, write_whole
 from fixel.io.document import plain_numbers
 from fixel.model import Experiment
 from fixel.results import Result

@@ -18,7 +18,7 @@ from fixel.jobs.functions import callable_by_jobs, stamp
 from fixel.workflows.calibration.run import CALIBRATE
 from fixel.workflows.compare import COMPARE
 from fixel.workflows.domain.run import DOMAIN
-from fixel.workflows.error_bound.run import ERROR_BOUND
+from fixel.workflows.error_bound import ERROR_BOUND
 from fixel.workflows.filtering.run import FILTER
 from fixel.workflows.growth.run import GROWTH
 from fixel.workflows.next_pushes.run import NEXT

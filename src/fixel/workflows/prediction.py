@@ -22,17 +22,15 @@ from fixel.parts.model import PartModel
 from fixel.progress import ProgressOption, show_progress
 from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
 from fixel.simulation.simulate import SceneWithMethod
-from fixel.simulation.stepper import AbstractStepper
+from fixel.simulation.stepping import AbstractStepper
 from fixel.simulation.trust import permit
 from fixel.typing import FloatArray
-from fixel.uncertainty.discrepancy import LABEL, ModelError, draw_walks, shares_of_way
+from fixel.uncertainty.error_terms import LABEL, ModelError, StartError, draw_walks, shares_of_way
 from fixel.uncertainty.posterior import Posterior
-from fixel.uncertainty.prediction import Prediction
-from fixel.uncertainty.push import Push, push_of
+from fixel.uncertainty.prediction import Prediction, Push, push_of
 from fixel.uncertainty.repetition import predict_repetition
 from fixel.uncertainty.run_to_run import RunChanges, RunToRun, contact_friction, rest_at
 from fixel.uncertainty.start_ensemble import simulate_starts
-from fixel.uncertainty.starts import StartError
 
 MAX_SAMPLES = 1_000_000
 

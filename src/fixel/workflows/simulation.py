@@ -70,7 +70,7 @@ def simulate_file(
     from fixel.simulation import Newton, simulate
     from fixel.simulation.motion import named_part
     from fixel.simulation.simulate import check_method, get_ready
-    from fixel.simulation.solver import SOLVERS
+    from fixel.simulation.stepping import SOLVERS
 
     outputs = outputs or Outputs()
     part = named_part(solver or Newton.name, SOLVERS, "solver")
@@ -136,7 +136,7 @@ def simulate_scene(
         repeated.
     """
     from fixel.formats.scene_file import load_scene, split_settings
-    from fixel.simulation.stepper import stepper_of
+    from fixel.simulation.stepping import stepper_of
 
     keys, parameters = split_settings(overrides)
     return simulate_file(

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from fixel.formats.pictures import files_of, first_picture, pictures_of
 from fixel.formats.recording_video import VideoSink
+from fixel.formats.video_file import files_of, first_picture, pictures_of
 
 
 def test_pictures_of_a_recording_are_spread_over_its_length(tmp_path):

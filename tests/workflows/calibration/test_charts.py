@@ -13,7 +13,7 @@ from fixel.model.records import Estimate, ProfileRecord
 from fixel.model.selection import ExperimentQuery
 from fixel.sampling.published import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.web.views import calibration_detail
+from fixel.web.views import calibration_views
 from fixel.workflows.analysis import write_picture
 from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.report import _ChartData, pictures_of
@@ -222,7 +222,7 @@ def test_each_search_by_least_squares_has_its_own_end(lab, tmp_path):
     assert min(end.error for end in trace.ends()) == trace.error
     assert "starts" in _names(several.draw(tmp_path))
     with lab[0].store() as store:
-        detail = calibration_detail.load_detail(lab[0], store, several.ids[0])
+        detail = calibration_views.load_detail(lab[0], store, several.ids[0])
     assert sum(start.evaluations for start in detail.starts) == len(trace.points)
     assert detail.note == ""
 
@@ -233,9 +233,9 @@ def test_results_without_the_ends_of_their_searches_are_explained(lab, monkeypat
     old = replace(one, trace=one.trace._replace(starts=np.zeros(0, np.int64)))
     earlier = replace(done, outcome=replace(done.outcome, found=(old,)))
     with lab[0].store() as store:
-        assert calibration_detail.load_detail(lab[0], store, done.ids[0]).starts
-        monkeypatch.setattr(calibration_detail, "stored_in_run", lambda *_: earlier[0])
-        detail = calibration_detail.load_detail(lab[0], store, done.ids[0])
+        assert calibration_views.load_detail(lab[0], store, done.ids[0]).starts
+        monkeypatch.setattr(calibration_views, "stored_in_run", lambda *_: earlier[0])
+        detail = calibration_views.load_detail(lab[0], store, done.ids[0])
     assert detail.starts == []
     assert "earlier version" in detail.note
 

@@ -15,7 +15,7 @@ from fixel.model import Parameters
 from fixel.model.selection import ExperimentQuery
 from fixel.sampling.published import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.web.views.calibration_detail import load_detail
+from fixel.web.views.calibration_views import load_detail
 from fixel.web.views.live_comparison import LiveComparison
 from fixel.workflows.calibration.parameter_options import enlarged_command, searched_unknowns
 from fixel.workflows.calibration.report import pictures_of

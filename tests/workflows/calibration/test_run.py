@@ -24,7 +24,7 @@ from fixel.model.selection import ExperimentQuery
 from fixel.sampling.published import thesis_plan
 from fixel.simulation.load_profile import TABLE_NAMES
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.web.views.calibration_detail import list_calibrations
+from fixel.web.views.calibration_views import list_calibrations
 from fixel.workflows.calibration import plan
 from fixel.workflows.calibration.parameter_options import (
     command_of,

@@ -13,16 +13,16 @@ from tests.fixtures import project_of, refused
 
 import fixel
 from fixel.cli.main import run as run_command
-from fixel.database.arrays import lost
 from fixel.database.bundle import export_bundle, import_bundle
 from fixel.database.project import Project
+from fixel.database.rows import lost
 from fixel.database.store import Store
 from fixel.errors import StoreRefused
 from fixel.model.records import CalibrationRecord
 from fixel.model.space import Unknown
 from fixel.sampling.published import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.web.views.calibration_detail import load_detail
+from fixel.web.views.calibration_views import load_detail
 from fixel.workflows.calibration.parameter_options import command_of
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 from fixel.workflows.calibration.stored import RUN, add_to_project, stored_calibration

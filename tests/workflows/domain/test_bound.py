@@ -9,9 +9,8 @@ from tests.fixtures import refused
 import fixel
 from fixel.testing.pushes import TRUTH, example_pushes
 from fixel.testing.scenes import grasp
-from fixel.workflows.domain import fits
-from fixel.workflows.error_bound.report import BoundAnswer, report_of
-from fixel.workflows.error_bound.run import error_bound
+from fixel.workflows.domain import evidence
+from fixel.workflows.error_bound import BoundAnswer, error_bound, report_of
 
 # Friction alone cannot repair the radius: errors are those of a wrong model.
 SPACE = {"mu_pusher": (0, 1), "tripod_radius": 0.03}
@@ -103,6 +102,6 @@ def test_too_few_experiments_are_refused_before_any_fit(pushes):
 @pytest.mark.parametrize("function", [fixel.error_bound, fixel.map_domain])
 def test_a_program_that_a_call_names_is_permitted(function, pushes, monkeypatch):
     named = []
-    monkeypatch.setattr(fits, "permit", named.append)
+    monkeypatch.setattr(evidence, "permit", named.append)
     refused(function, pushes, SPACE, motion="./no-engine", **QUIET)
     assert named == ["./no-engine"]

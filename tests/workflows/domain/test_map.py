@@ -15,8 +15,7 @@ from fixel.errors import InvalidInput, NotStored
 from fixel.simulation import Dynamic
 from fixel.testing.pushes import example_pushes
 from fixel.workflows.analysis import load_analyses
-from fixel.workflows.domain.evidence import load_evidence
-from fixel.workflows.domain.fits import ProjectRequest
+from fixel.workflows.domain.evidence import ProjectRequest, load_evidence
 from fixel.workflows.domain.run import DOMAIN, map_domain
 
 SPACE = {"mu_pusher": (0, 1), "tripod_radius": 0.038}

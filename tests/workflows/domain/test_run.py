@@ -15,10 +15,10 @@ from fixel.io.array_bytes import ResultCache
 from fixel.model.space import ParameterSpace
 from fixel.sampling.published import thesis_plan
 from fixel.simulation import Dynamic
-from fixel.simulation.stepper import Adaptive
+from fixel.simulation.stepping import Adaptive
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.calibration.parameter_options import searched_unknowns
-from fixel.workflows.domain.fits import ProjectRequest, own_best, stored_model
+from fixel.workflows.domain.evidence import ProjectRequest, own_best, stored_model
 from fixel.workflows.domain.run import DOMAIN, map_stored
 
 METHOD = {"how": "alone", "error": "mean-square", "error.angle_scale": 0.035, "motion": "dynamic"}

@@ -2,7 +2,7 @@
 
 from alembic import context
 
-from fixel.database.tables import METADATA
+from fixel.database.schema import METADATA
 
 context.configure(
     connection=context.config.attributes["connection"],

@@ -10,8 +10,8 @@ from pydantic import Field
 
 from fixel.web.context import Context
 from fixel.web.values import Answer, Id
-from fixel.web.views import calibration_detail
-from fixel.web.views.calibration_progress import LiveProgress
+from fixel.web.views import calibration_views
+from fixel.web.views.calibration_views import LiveProgress
 
 MAX_LISTED: Final = 500
 
@@ -21,7 +21,7 @@ router = APIRouter(prefix="/calibrations", tags=["calibrations"])
 class CalibrationList(Answer):
     """All of them."""
 
-    calibrations: list[calibration_detail.CalibrationSummary]
+    calibrations: list[calibration_views.CalibrationSummary]
     total: int
     running: list[LiveProgress]
     unreadable: list[str] = Field(description="reasons why other jobs cannot be shown")
@@ -35,7 +35,7 @@ def calibrations(
 ) -> CalibrationList:
     # First: calibrations that are done become stored.
     running, unreadable = context.calibrations.unfinished()
-    every = calibration_detail.list_calibrations(context.store)
+    every = calibration_views.list_calibrations(context.store)
     return CalibrationList(
         calibrations=every[offset : offset + limit],
         total=len(every),
@@ -50,7 +50,7 @@ def live(context: Context, name: str) -> LiveProgress:
 
 
 @router.get("/{number}", summary="Get a calibration")
-def calibration(context: Context, number: Id) -> calibration_detail.StoredCalibration:
+def calibration(context: Context, number: Id) -> calibration_views.StoredCalibration:
     return context.calibration_detail(number)
 
 

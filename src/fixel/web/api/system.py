@@ -29,9 +29,8 @@ from fixel.kernels.code_cache import cache_folder, share_compiled
 from fixel.simulation.first_code import ENTRY
 from fixel.web.context import Context
 from fixel.web.values import Answer
-from fixel.workflows import diagnostics
-from fixel.workflows.compilation import cache_size, engine_is_cold
-from fixel.workflows.diagnostics import SelfCheck
+from fixel.workflows import installation
+from fixel.workflows.installation import SelfCheck, cache_size, engine_is_cold
 from fixel.workflows.project import maintenance
 
 MAX_TROUBLES: Final = 200  # faults that are listed
@@ -165,7 +164,7 @@ def system(context: Context) -> SystemStatus:
 def self_test(context: Context) -> SelfTest:
     with _only_one(context, "the self-test"):
         answer = self_tested()
-    context.newest["self-test"] = found = SelfTest(allowed_residual=diagnostics.RESIDUAL, **answer)
+    context.newest["self-test"] = found = SelfTest(allowed_residual=installation.RESIDUAL, **answer)
     return found
 
 
@@ -207,8 +206,8 @@ def backup(context: Context, name: Annotated[str, InPath(min_length=1, max_lengt
 def system_status(project: Project) -> SystemStatus:
     """Return everything about the installation that needs no computing."""
     return SystemStatus(
-        versions=diagnostics.versions(),
-        machine=diagnostics.machine(),
+        versions=installation.versions(),
+        machine=installation.machine(),
         cache=CompiledKernels(
             folder=cache_folder(),
             size_bytes=cache_size(),
@@ -273,7 +272,7 @@ def self_tested() -> dict[str, Any]:
 
 
 def _examined(_: None) -> dict[str, Any]:
-    found: dict[str, Any] = plain_numbers(diagnostics.examine().summary())
+    found: dict[str, Any] = plain_numbers(installation.examine().summary())
     return found
 
 

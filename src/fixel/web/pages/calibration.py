@@ -10,9 +10,8 @@ from fastapi import Request
 
 from fixel.web.api.calibration import MAX_LISTED, calibrations
 from fixel.web.pages.experiment import Fact, number_in
-from fixel.web.views.calibration_detail import PLOTS, StoredCalibration, engine_of
-from fixel.web.views.calibration_progress import LiveProgress
-from fixel.web.words import rms, short
+from fixel.web.values import rms, short
+from fixel.web.views.calibration_views import PLOTS, LiveProgress, StoredCalibration, engine_of
 from fixel.workflows.calibration.report import CAPTIONS
 
 if TYPE_CHECKING:

@@ -14,8 +14,7 @@ from fixel.errors import NotStored
 from fixel.model import Experiment
 from fixel.testbed.simulated import TRUTH
 from fixel.web.pages.compare import judged
-from fixel.web.values import MAX_ID
-from fixel.web.words import condition, fixed, instant, touched
+from fixel.web.values import MAX_ID, condition, fixed, instant, touched
 from fixel.workflows.project.compare import compare_path, summary
 from fixel.workflows.project.filters import view_of
 

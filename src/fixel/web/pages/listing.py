@@ -12,7 +12,7 @@ from urllib.parse import urlencode
 from fastapi import Request
 
 from fixel.errors import InvalidInput
-from fixel.web import words
+from fixel.web import values
 from fixel.web.api.experiments import TablePage, TableRow, table
 from fixel.workflows.project import filters
 
@@ -113,9 +113,9 @@ def _sorted_link(name: str, given: Mapping[str, str], link: Callable[..., str]) 
 
 
 def conditions_text(row: TableRow) -> str:
-    """Describe the conditions of an experiment in a few words."""
+    """Describe the conditions of an experiment in a few values."""
     shown = [
-        words.condition(name, value)
+        values.condition(name, value)
         for name, value in row.conditions.items()
         if not _UNTOLD.fullmatch(name) and value not in (0, "")
     ]
@@ -206,7 +206,7 @@ def covered(
             **cell(found.number[i][j], most, (x.name, y.name), [*_within(x, i), *_within(y, j)]),
             "x": left + i * across,
             "y": top + (len(y.centres) - 1 - j) * up,
-            "words": f"{words.several(found.number[i][j], 'experiment')} at "
+            "words": f"{values.several(found.number[i][j], 'experiment')} at "
             f"{_titled(x.name)} {_value(x, i)}, {_titled(y.name)} {_value(y, j)}",
         }
         for i, j in product(range(len(x.centres)), range(len(y.centres)))
@@ -249,12 +249,12 @@ def _within(axis: filters.CoverageAxis, k: int) -> list[str]:
 
 
 def _titled(name: str, unit: bool = False) -> str:
-    stem, _, shown = words.condition(name, 1.0)
+    stem, _, shown = values.condition(name, 1.0)
     return f"{stem} [{shown}]" if unit and shown else stem
 
 
 def _value(axis: filters.CoverageAxis, k: int) -> str:
-    _, value, unit = words.condition(axis.name, float(f"{axis.centres[k]:.3g}"))
+    _, value, unit = values.condition(axis.name, float(f"{axis.centres[k]:.3g}"))
     return f"{value} {unit}".strip()
 
 

@@ -18,11 +18,9 @@ from fixel.domain.claim import COLOURS, TRUSTED, CellVerdict, Claim
 from fixel.domain.domain import DomainMap
 from fixel.domain.evidence import value_of
 from fixel.errors import InvalidInput, JobRefused
-from fixel.web.values import Answer, Finite
-from fixel.web.words import several
+from fixel.web.values import Answer, Finite, several
 from fixel.workflows.analysis import StoredAnalysis, find_analysis
-from fixel.workflows.domain.evidence import DomainEvidence, load_evidence
-from fixel.workflows.domain.fits import ProjectRequest
+from fixel.workflows.domain.evidence import DomainEvidence, ProjectRequest, load_evidence
 from fixel.workflows.domain.mapping import claimed, map_of
 from fixel.workflows.domain.run import DOMAIN
 

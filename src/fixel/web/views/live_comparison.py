@@ -25,7 +25,7 @@ from fixel.simulation import simulate
 from fixel.simulation.engine_names import EngineName, motion_words
 from fixel.simulation.motion import motion_model
 from fixel.simulation.simulate import INSTANT, get_ready
-from fixel.simulation.stepper import Adaptive
+from fixel.simulation.stepping import Adaptive
 from fixel.web.values import Answer, Finite
 from fixel.web.views.motion_views import MotionView, compared_motion, stored_motion
 from fixel.workflows.calibration.stored import CalibratedValues, known_pushes

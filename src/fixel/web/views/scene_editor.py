@@ -17,7 +17,7 @@ from fixel.jobs.worker_process import WorkerProcess
 from fixel.model import Disk, Experiment, PathDrive, Scene, SupportPoints, UniformPressure
 from fixel.simulation import simulate
 from fixel.simulation.motion import motion_model
-from fixel.simulation.stepper import Adaptive
+from fixel.simulation.stepping import Adaptive
 from fixel.web.values import Answer
 from fixel.web.views.live_comparison import warm_up
 from fixel.web.views.motion_views import Animation, animation_of_scene, simulated_motion

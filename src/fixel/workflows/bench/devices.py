@@ -18,10 +18,10 @@ from fixel.errors import DeviceFailed, InvalidInput, check_name
 from fixel.formats.rig_file import rig_of
 from fixel.model import LineDrive, PlannedExperiment, Scene, placed
 from fixel.model.fields import pose_of
+from fixel.testbed.frame_source import SharedCamera
 from fixel.testbed.motion import AbstractActuator
 from fixel.testbed.open_source import check_size, source_of
 from fixel.testbed.recorder import TouchReader
-from fixel.testbed.shared_camera import SharedCamera
 from fixel.testbed.tactile import TactileReader
 from fixel.typing import FloatArray
 from fixel.vision.marks import Rig

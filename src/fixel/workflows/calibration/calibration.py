@@ -15,10 +15,9 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, final, overload
 
 import numpy as np
 
-from fixel.calibration.joint import draw_joint, linear_fit, quoted
+from fixel.calibration.honest import draw_joint, linear_fit, quoted
 from fixel.calibration.known_pushes import KnownPushes, push_target
-from fixel.calibration.misfit import WARNED
-from fixel.calibration.noise import Noise
+from fixel.calibration.noise import WARNED, Noise
 from fixel.calibration.objective import (
     ANGLE_SCALE,
     OPTION_UNITS,
@@ -35,7 +34,7 @@ from fixel.calibration.result import PLAIN, CalibrationResult, FitKind, Paramete
 from fixel.calibration.study import MADE, OUT_OF_BUDGET
 from fixel.calibration.target import Target, target_of
 from fixel.errors import InvalidInput, counted, some_of
-from fixel.io.damaged_files import readable
+from fixel.io.atomic import readable
 from fixel.jobs import folder as files
 from fixel.model import Experiment, Parameters, Scene
 from fixel.model.records import Estimate, estimate_table

@@ -24,9 +24,8 @@ from fixel.formats.dakota_file import load_dakota
 from fixel.io.array_bytes import arrays_of
 from fixel.io.journal import read_journal
 from fixel.jobs import folder as files
-from fixel.jobs.engine import LocalEngine
 from fixel.jobs.site import Site, load_site
-from fixel.jobs.work import JobProgress, Round, Show, block_name, run_work, unframed
+from fixel.jobs.work import JobProgress, LocalEngine, Round, Show, block_name, run_work, unframed
 from fixel.model import Experiment, Scene
 from fixel.model.fields import path_of
 from fixel.model.selection import ExperimentQuery, parse_filter

@@ -14,7 +14,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 from fixel.calibration import search
-from fixel.calibration.joint import draw_joint, linear_fit
+from fixel.calibration.honest import draw_joint, linear_fit
 from fixel.calibration.noise import check_noise
 from fixel.calibration.objective import Comparer
 from fixel.calibration.result import CalibrationResult, found_arrays, found_of, json_array, json_of
@@ -24,7 +24,7 @@ from fixel.calibration.target import Target, targets_of
 from fixel.calibration.usual_parameters import Space, search_space
 from fixel.errors import InvalidInput
 from fixel.io.array_bytes import arrays_of, bytes_of
-from fixel.io.damaged_files import readable
+from fixel.io.atomic import readable
 from fixel.jobs import folder as files
 from fixel.jobs.functions import callable_by_jobs, threads
 from fixel.jobs.work import Answers, Chunk, Failure, Round, Work

@@ -26,7 +26,7 @@ from fixel.calibration.target import Target
 from fixel.errors import InvalidInput, check_name
 from fixel.formats.scene_file import SceneRecord, scene_content, scene_of
 from fixel.io.array_bytes import arrays_of, bytes_of
-from fixel.io.damaged_files import readable
+from fixel.io.atomic import readable
 from fixel.model.fields import name_of
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.registry import offered

@@ -26,7 +26,7 @@ from fixel.calibration.usual_parameters import default_unknowns
 from fixel.database.project import DATABASE, Project
 from fixel.database.store import Store
 from fixel.errors import InvalidInput, NotStored, StoreRefused
-from fixel.io.damaged_files import INVALID_CONTENT, readable
+from fixel.io.atomic import INVALID_CONTENT, readable
 from fixel.jobs.work import Answers, Round
 from fixel.model import Experiment, LoadMap, Parameters, Provenance, Scene
 from fixel.model.parameters import is_parameter

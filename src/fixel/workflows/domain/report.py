@@ -9,7 +9,7 @@ import numpy as np
 
 from fixel.domain.claim import DOUBTFUL, NO_DATA, CellVerdict, Claim
 from fixel.domain.domain import DomainMap
-from fixel.domain.held_out import counted
+from fixel.domain.held_out import reasons_text
 from fixel.domain.next_experiment import Proposal
 from fixel.domain.surface import NAMES
 from fixel.drawing.domain import map_chart, size_chart
@@ -115,7 +115,7 @@ def _warnings(answer: DomainAnswer, verdicts: list[list[CellVerdict]]) -> tuple[
         "domain",
         "warnings",
         found=found,
-        counted=counted,
+        counted=reasons_text,
         left_out=[why.replace(f" {key}", "") for key, why in found["left_out"].items()],
         claim=claim,
         aside=answer.n_aside,

@@ -133,8 +133,7 @@ def map_domain(
     """
     asked = DOMAIN.asked({**locals(), "fit": ()})
     from fixel.calibration.target import targets_of
-    from fixel.workflows.domain.evidence import apart_of
-    from fixel.workflows.domain.fits import calibration_model, fit_store
+    from fixel.workflows.domain.evidence import apart_of, calibration_model, fit_store
     from fixel.workflows.domain.mapping import check, claim_of, map_targets
 
     targets = targets_of(experiments)

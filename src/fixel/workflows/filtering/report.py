@@ -31,10 +31,8 @@ def report_of(answer: FilterAnswer) -> AnalysisReport:
     found, lost = answer.estimates, int(answer.estimates.recovered.sum())
     numbers = _numbers(answer)
     times = "{median:.3g} ms per frame (at most {max:.3g} ms)".format(**numbers["frame_ms"])
-    notes = [
-        f"{found.options.n_particles} particles, {times}: {found.real_time_factor:.3g} times real"
-        " time"
-    ]
+    pace = f"{found.real_time_factor:.3g} times real time"
+    notes = [f"{found.options.n_particles} particles, {times}: {pace}"]
     notes += [f"lost the object in {lost} frames and was restarted there"] if lost else []
     notes += [] if answer.run_id is None else [f"stored as filter run {answer.run_id}"]
     return AnalysisReport(

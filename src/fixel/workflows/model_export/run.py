@@ -26,14 +26,14 @@ from fixel.simulation import AbstractMotionModel, AbstractStepper
 from fixel.simulation.engine_names import EngineName
 from fixel.simulation.engines import AbstractPhysicsEngine, engine_of
 from fixel.simulation.engines.contract import model_of
-from fixel.simulation.engines.mjcf import mjcf
+from fixel.simulation.engines.mujoco import mjcf
 from fixel.simulation.engines.sdf import sdf
 from fixel.simulation.engines.task import PlainTask, bench_units, task_of, unsupported
 from fixel.simulation.motion import OtherEngine
 from fixel.simulation.rollouts import RolloutCase, ensemble_of
 from fixel.typing import FloatArray, ProgressCallback
+from fixel.uncertainty.error_terms import StartError
 from fixel.uncertainty.start_ensemble import simulate_starts
-from fixel.uncertainty.starts import StartError
 from fixel.workflows.model_export.recording import WRITERS, motion_of
 from fixel.workflows.model_export.source import Exportable, ModelSource, SourceCase, source_of, urdf
 

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from fixel.progress import ProgressOption
     from fixel.simulation.motion import AbstractMotionModel
     from fixel.simulation.simulate import SceneWithMethod
-    from fixel.simulation.stepper import AbstractStepper
-    from fixel.uncertainty.starts import StartError
+    from fixel.simulation.stepping import AbstractStepper
+    from fixel.uncertainty.error_terms import StartError
     from fixel.workflows.planning.request import PlanAnswer
 
 ENDING: Final = ".plan"  # of plan files
@@ -122,7 +122,7 @@ def plan(
     from fixel.simulation.motion import motion_model
     from fixel.simulation.simulate import scene_file
     from fixel.simulation.trust import permit
-    from fixel.uncertainty.starts import RPI_CAMERA
+    from fixel.uncertainty.error_terms import RPI_CAMERA
     from fixel.workflows.planning.request import answers_in
 
     permit(motion)

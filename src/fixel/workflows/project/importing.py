@@ -9,15 +9,15 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple
 from urllib.parse import urlsplit
 
-from fixel.database.browsing import ExperimentPage
 from fixel.database.project import AddSummary, Project, add_experiments, check_known_names
+from fixel.database.query import ExperimentPage
 from fixel.database.store import Store
 from fixel.datasets import IMPORTERS, ImportPlan, plan_import
 from fixel.datasets.bag import DATASET as BAG
 from fixel.datasets.own_scene import template_text
 from fixel.datasets.table import DATASET as TABLE
 from fixel.errors import InvalidInput, StoreRefused, require
-from fixel.io.damaged_files import one_line
+from fixel.io.atomic import one_line
 from fixel.model.selection import ExperimentQuery
 from fixel.typing import ProgressCallback
 

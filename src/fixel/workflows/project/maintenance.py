@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 
 import sqlalchemy as sa
 
-from fixel.database import arrays, schema, tables
+from fixel.database import rows, schema
 from fixel.database.engine import open_engine, reading
 from fixel.database.project import Project
 from fixel.database.store import Store
@@ -22,10 +22,10 @@ from fixel.errors import InvalidInput, StoreRefused, counted, os_reason
 from fixel.io.atomic import written_whole
 
 OWNERS: Final = {
-    "experiment": tables.experiment,
-    "simulation": tables.simulation,
-    "calibration": tables.calibration,
-    "filter_run": tables.filter_run,
+    "experiment": schema.experiment,
+    "simulation": schema.simulation,
+    "calibration": schema.calibration,
+    "filter_run": schema.filter_run,
 }
 # Records that are incomplete without the motion of the object.
 MOVING: Final = ("experiment", "simulation", "filter_run")
@@ -171,7 +171,7 @@ def _checked(engine: sa.Engine, project: Project) -> CheckResult:
             troubles += lacking
             if any("missing" in one.sentence and one.hint == RESTORE for one in lacking):
                 raise StoreRefused("its content cannot be read without them", RESTORE)
-            for name, table in tables.METADATA.tables.items():
+            for name, table in schema.METADATA.tables.items():
                 n = connection.scalar(sa.select(sa.func.count()).select_from(table))
                 counts[name] = int(n or 0)
             troubles += _broken_references(connection)
@@ -212,7 +212,7 @@ def _damage(connection: sa.Connection) -> Iterator[Trouble]:
 
 def _broken_references(connection: sa.Connection) -> Iterator[Trouble]:
     """Yield tables with rows that refer to missing rows."""
-    for table in tables.METADATA.tables.values():
+    for table in schema.METADATA.tables.values():
         for key in table.foreign_keys:
             target = key.column.table.alias("target")
             column = key.parent
@@ -230,7 +230,7 @@ def _broken_references(connection: sa.Connection) -> Iterator[Trouble]:
 
 def _bad_series(connection: sa.Connection, media: Path) -> Iterator[Trouble]:
     """Yield series that cannot be read, or whose record is gone."""
-    table = tables.series
+    table = schema.series
     # One by one, since together they may be larger than memory.
     for number in connection.scalars(sa.select(table.c.id).order_by(table.c.id)).all():
         try:
@@ -256,7 +256,7 @@ def _owner_gone(connection: sa.Connection, row: sa.Row[Any]) -> tuple[str, str] 
 
 def _unreadable(row: sa.Row[Any], media: Path) -> tuple[str, str] | None:
     try:
-        data = arrays.fetch(row.media_sha256, media) if row.data is None else row.data
+        data = rows.fetch(row.media_sha256, media) if row.data is None else row.data
     except StoreRefused as refused:
         return refused.reason, refused.hint or RESTORE_MEDIA
     expected = 8 * row.n_row * len(row.columns)
@@ -267,7 +267,7 @@ def _unreadable(row: sa.Row[Any], media: Path) -> tuple[str, str] | None:
 
 def _without_motion(connection: sa.Connection) -> Iterator[Trouble]:
     """Yield records without the path of their object, or with one of another length."""
-    series = tables.series
+    series = schema.series
     for name in MOVING:
         owner = OWNERS[name]
         path = sa.exists().where(
@@ -280,17 +280,17 @@ def _without_motion(connection: sa.Connection) -> Iterator[Trouble]:
 
 
 def _missing_videos(connection: sa.Connection, media: Path) -> Iterator[Trouble]:
-    table = tables.experiment
+    table = schema.experiment
     named = sa.select(table.c.id, table.c.video_sha256).where(table.c.video_sha256 != "")
     for number, digest in connection.execute(named):
-        path = arrays.media_path(digest, media)
+        path = rows.media_path(digest, media)
         if not path.is_file():
             yield Trouble(f"experiment {number}", f"its video {path} is missing", RESTORE_MEDIA)
 
 
 def _used(connection: sa.Connection) -> tuple[set[str], set[str]]:
     """Return the checksums of the files that rows refer to: of series, of videos."""
-    series, video = tables.series.c.media_sha256, tables.experiment.c.video_sha256
+    series, video = schema.series.c.media_sha256, schema.experiment.c.video_sha256
     found = connection.scalars(sa.select(series).where(series.is_not(None)))
     return set(found), set(connection.scalars(sa.select(video).where(video != "")))
 
@@ -324,7 +324,7 @@ def diagram(file: Path) -> list[str]:
 
     The schema is this program's, not that of a project, which `upgrade` brings up to date.
     """
-    from fixel.database.tables import METADATA
+    from fixel.database.schema import METADATA
     from fixel.drawing.relations import Entity, draw_relations
     from fixel.io.atomic import refuse_unwritable
 

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from fixel.calibration.misfit import shown_ratio
+from fixel.calibration.noise import shown_ratio
 from fixel.calibration.objective import lengths_of
 from fixel.database.project import Project
 from fixel.database.query import ALL_EXPERIMENTS

@@ -21,12 +21,12 @@ from fixel.model.parameters import info_of
 from fixel.model.selection import ExperimentQuery
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.motion import motion_model, stated_name
-from fixel.simulation.stepper import AbstractStepper
+from fixel.simulation.stepping import AbstractStepper
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
+from fixel.uncertainty.error_terms import StartError
 from fixel.uncertainty.outcomes import FLAGS, MEANING, Sensitivity
-from fixel.uncertainty.push import intervals_of, push_of
-from fixel.uncertainty.starts import StartError
+from fixel.uncertainty.prediction import intervals_of, push_of
 from fixel.workflows.analysis import (
     Analysis,
     AnalysisReport,

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from fixel.progress import ProgressOption
     from fixel.simulation import AbstractMotionModel
     from fixel.simulation.simulate import SceneWithMethod
-    from fixel.simulation.stepper import AbstractStepper
+    from fixel.simulation.stepping import AbstractStepper
+    from fixel.uncertainty.error_terms import StartError
     from fixel.uncertainty.outcomes import Sensitivity
-    from fixel.uncertainty.starts import StartError
     from fixel.workflows.sensitivity.report import Finding, RankedPushes, Subject
 
 
@@ -98,11 +98,11 @@ def sensitivity(
     from fixel.model.fields import instance
     from fixel.progress import show_progress
     from fixel.simulation.trust import permit
+    from fixel.uncertainty.error_terms import StartError
     from fixel.uncertainty.indices import indices_of
     from fixel.uncertainty.outcomes import sensitivity_of
-    from fixel.uncertainty.push import push_of
+    from fixel.uncertainty.prediction import push_of
     from fixel.uncertainty.start_ensemble import simulate_starts
-    from fixel.uncertainty.starts import StartError
 
     instance(start, StartError, "start", "a StartError")
     instance(vary, Mapping | None, "vary", "bounds by name of parameter")
@@ -147,7 +147,7 @@ class StartSizes:
 
     def build(self) -> StartError:
         """Return the start error for Python."""
-        from fixel.uncertainty.starts import StartError
+        from fixel.uncertainty.error_terms import StartError
 
         if self.uniform is None:
             kinds = "--uniform (they are half-widths) or --normal (standard deviations)"
@@ -205,7 +205,7 @@ def sensitivity_of_pushes(
     """
     asked = SENSITIVITY.asked({**locals(), "start_error": None})  # which is an object here
     from fixel.simulation.simulate import get_ready
-    from fixel.uncertainty.starts import preset as named
+    from fixel.uncertainty.error_terms import preset as named
     from fixel.workflows.sensitivity.report import RankedPushes, by_flag, selected
 
     if preset is not None and start_error is not None:

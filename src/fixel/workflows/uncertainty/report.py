@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from fixel.calibration.result import NearOptimal
 from fixel.database.project import Project
 from fixel.drawing.chart import display_unit
 from fixel.drawing.uncertainty import (
@@ -19,12 +20,11 @@ from fixel.drawing.uncertainty import (
     final_pose_chart,
     label_text,
 )
-from fixel.filtering.prior import UniformPrior
+from fixel.filtering.particle_filter import UniformPrior
 from fixel.simulation.engine_names import compare_words
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
-from fixel.uncertainty.discrepancy import LABEL
-from fixel.uncertainty.near_optimal import NearOptimal
+from fixel.uncertainty.error_terms import LABEL
 from fixel.uncertainty.posterior import Posterior
 from fixel.uncertainty.prediction import LEVELS, CoverageCurve, coverage_curve
 from fixel.uncertainty.repetition import PARTS
@@ -102,20 +102,14 @@ def numbers_of(found: Uncertainty) -> dict[str, Any]:
         "experiments": [one.experiment.key for one in found.predicted if not one.held_out],
         "motion": posterior.motion,
         "noise": {
-            "position_m": noise.position_m,
-            "angle_rad": noise.angle_rad,
-            "source": noise.source,
-            "correlation": noise.correlation,
+            "position_m": noise.position_m, "angle_rad": noise.angle_rad,
+            "source": noise.source, "correlation": noise.correlation,
         },
         "model_error": posterior.model_error is not None,
         "parameters": {
             label: {
-                "unit": posterior.units[k],
-                "low": low[k],
-                "median": middle[k],
-                "high": high[k],
-                "best": posterior.best[k],
-                "prior": [posterior.low[k], posterior.high[k]],
+                "unit": posterior.units[k], "low": low[k], "median": middle[k], "high": high[k],
+                "best": posterior.best[k], "prior": [posterior.low[k], posterior.high[k]],
             }
             for k, label in enumerate(posterior.labels)
         },

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from fixel.database.project import Project
     from fixel.model import Experiment
     from fixel.progress import ProgressOption
-    from fixel.uncertainty.discrepancy import ModelError
+    from fixel.uncertainty.error_terms import ModelError
     from fixel.uncertainty.posterior import Posterior
     from fixel.workflows.calibration.calibration import Calibration
     from fixel.workflows.uncertainty.sampling import Uncertainty

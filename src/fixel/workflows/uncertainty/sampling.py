@@ -11,8 +11,9 @@ import numpy as np
 from fixel.calibration.assess import Frames, noise_from_repeated
 from fixel.calibration.known_pushes import KnownPushes
 from fixel.calibration.least_squares import LeastSquares, fit
-from fixel.calibration.noise import Noise, check_noise, correlation_time, noise_from_residuals
+from fixel.calibration.noise import Noise, check_noise, noise_from_residuals
 from fixel.calibration.objective import Comparer
+from fixel.calibration.result import NearOptimal, near_best
 from fixel.calibration.study import box_of
 from fixel.calibration.target import Target, target_of
 from fixel.database.project import Project
@@ -23,9 +24,8 @@ from fixel.model.selection import ExperimentQuery
 from fixel.progress import ProgressOption, show_progress
 from fixel.simulation.motion import motion_model
 from fixel.typing import FloatArray
-from fixel.uncertainty.discrepancy import ModelError
+from fixel.uncertainty.error_terms import ModelError
 from fixel.uncertainty.likelihood import LogLikelihood, camera_noise
-from fixel.uncertainty.near_optimal import NearOptimal, near_optimal, rise_of
 from fixel.uncertainty.posterior import NestedSampling, Posterior
 from fixel.uncertainty.prediction import Prediction
 from fixel.uncertainty.repetition import predict_repetition
@@ -158,7 +158,10 @@ def with_predictions(
         predicted.append(
             ExperimentPrediction(number, experiment, target, held_out, prediction, levels)
         )
-    near = None if point is None else _near(own, point)
+    tried = None if own.calibration is None else own.calibration.record.evaluations
+    near = None
+    if point is not None and tried is not None:
+        near = near_best(tried, own.comparer.residuals_at(list(range(own.n_used)), point))
     return Uncertainty(found, tuple(predicted), requested, near, own.calibration, own.compared)
 
 
@@ -207,17 +210,3 @@ def _noise(comparer: Comparer, members: list[int], point: FloatArray, of_camera:
             hint="state the noise: noise=...",
         )
     return noise_from_residuals(series, len(point))
-
-
-def _near(own: SampledExperiments, point: FloatArray) -> NearOptimal | None:
-    """Return near-optimal sets among the stored evaluations of a calibration."""
-    kept = None if own.calibration is None else own.calibration.record.evaluations
-    if kept is None or kept.unit != "mm2" or not np.isfinite(kept.error).any():
-        return None
-    series = own.comparer.residuals_at(list(range(own.n_used)), point)
-    if not series:
-        return None
-    count = 3.0 * sum(map(len, series)) / correlation_time(series)
-    least = float(kept.error[np.isfinite(kept.error)].min())
-    rise = rise_of(least, count, len(kept.names))
-    return near_optimal(np.array(kept.values), np.array(kept.error), rise, names=kept.names)

@@ -6,8 +6,7 @@ columns to tables must write the tables of this one out.
 
 from alembic import op
 
-from fixel.database.schema import freeze
-from fixel.database.tables import METADATA
+from fixel.database.schema import METADATA, freeze
 
 revision = "0004"
 down_revision = None

@@ -14,9 +14,9 @@ from fixel.drawing.tracking import camera_error_chart
 from fixel.errors import InvalidInput, check_name
 from fixel.formats.camera_import import import_camera
 from fixel.formats.camera_opencv import save_opencv, save_ros
-from fixel.formats.pictures import files_of, first_picture, pictures_of
 from fixel.formats.recording import RIG_FILE
 from fixel.formats.rig_file import camera_of, has_plate, load_camera, markers_of, save_camera
+from fixel.formats.video_file import files_of, first_picture, pictures_of
 from fixel.io.atomic import refuse_unwritable
 from fixel.model.fields import pose_of
 from fixel.progress import ProgressOption, show_progress

@@ -9,7 +9,7 @@ import numpy as np
 
 from fixel.kernels import codes
 from fixel.simulation import Adaptive, QuasiStatic, simulate
-from fixel.simulation.stepper import AbstractStepper
+from fixel.simulation.stepping import AbstractStepper
 from fixel.testing.scenes import grasp
 
 

@@ -1,28 +1,41 @@
-"""Bound the errors of untried pushes: experiments in memory, or of a project."""
+"""Bound the errors of untried pushes, from experiments in memory or of a project; the report."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 from fixel.capability import options as usual
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door
+from fixel.errors import counted
 
 if TYPE_CHECKING:
     from fixel.calibration.usual_parameters import Space
     from fixel.database.project import Project
-    from fixel.domain.push_bound import ErrorBound
+    from fixel.domain.held_out import CalibrationModel
+    from fixel.domain.push_bound import ErrorBound, FinishedFits
     from fixel.model import Experiment
     from fixel.progress import ProgressOption
     from fixel.simulation.motion import AbstractMotionModel
+    from fixel.workflows.analysis import AnalysisReport, StoredAnswer
     from fixel.workflows.calibration.calibration import Calibration
-    from fixel.workflows.error_bound.report import BoundAnswer
 
+JSON: Final = ("folder", "pictures")  # what `--json` has besides numbers
 LeftOut = Annotated[
     str | Sequence[str], Door(plain=tuple[str, ...], metavar="CONDITION[,CONDITION]", commas=True)
 ]
+
+
+class BoundAnswer(NamedTuple):
+    """Error bounds of experiments of a project."""
+
+    bound: ErrorBound
+    experiments: list[int]  # ids
+    calibration: int | None  # calibration at which the fits started
+    left_out: dict[str, str]  # reason why an experiment cannot be compared, by its name
+    is_real: bool
 
 
 def error_bound(
@@ -108,14 +121,14 @@ def error_bound(
     left_out = [leave_out] * bool(leave_out) if isinstance(leave_out, str) else leave_out
     asked = ERROR_BOUND.asked({**locals(), "fit": (), "leave_out": left_out})
     from fixel.calibration.target import targets_of
+    from fixel.domain.push_bound import bound_of
     from fixel.progress import show_progress
-    from fixel.workflows.domain.fits import calibration_model
-    from fixel.workflows.error_bound.report import bound_of
+    from fixel.workflows.domain.evidence import calibration_model
 
     targets = targets_of(experiments)
     model = calibration_model(fit, targets, motion)
     with show_progress(progress, "holding out") as report:
-        return bound_of(targets, model, asked, store, report)
+        return bound_of(targets, model, asked, _fits(store, model), report)
 
 
 def bound_stored(
@@ -151,12 +164,31 @@ def bound_stored(
         There are too few different experiments for the level, an experiment lacks a condition, or a
         condition to leave out has a single value.
     """
-    from fixel.progress import show_progress
-    from fixel.workflows.error_bound.report import bound_experiments
-
     asked = ERROR_BOUND.asked(locals())
-    with show_progress(progress, "holding out") as report:
-        return bound_experiments(project, asked, report)
+    from fixel.database.project import ANALYSES
+    from fixel.domain.push_bound import bound_of
+    from fixel.progress import show_progress
+    from fixel.workflows.calibration.execution import select_experiments
+    from fixel.workflows.domain.evidence import FOLDER, ProjectRequest, mark_of, stored_model
+
+    with show_progress(progress, "holding out") as report, project.store() as store:
+        of = ProjectRequest(project, store, asked)
+        chosen = select_experiments(store, (), of.query)
+        started = stored_model(of, chosen.targets)
+        folder = project.folder / ANALYSES / FOLDER / f"bound-{mark_of(of, chosen.ids)}"
+        fits = _fits(folder, started.model)
+        bound = bound_of(chosen.targets, started.model, asked, fits, report)
+        real = all(row.is_real for row in store.experiments(of.query).rows)
+    return BoundAnswer(bound, chosen.ids, started.calibration, dict(chosen.left_out), real)
+
+
+def _fits(folder: str | Path | None, model: CalibrationModel) -> FinishedFits:
+    """Return the cache of fits in a folder; one that stores nothing without a folder."""
+    from fixel.workflows.domain.evidence import fit_store
+
+    return lambda targets, apart, name: fit_store(
+        None if folder is None else Path(folder) / name, targets, model, apart
+    )
 
 
 ERROR_BOUND: Final = Capability(
@@ -167,3 +199,45 @@ ERROR_BOUND: Final = Capability(
     leave_out=("experiments", "motion", "store"),
     on_table=True,
 )
+
+
+def report_of(answer: BoundAnswer) -> AnalysisReport:
+    """Return headline, warnings, table, chart and numbers of error bounds."""
+    from fixel.drawing.domain import bound_chart
+    from fixel.workflows.analysis import Analysis, AnalysisReport, Picture
+
+    bound, n = answer.bound, len(answer.left_out)
+    summary = bound._summary()
+    medians = [f"{row[2]:.2g}" for row in summary.tables[0].rows]
+    why = next(iter(answer.left_out.values()), "")
+    caption = "Held-out errors of end positions against their bounds; those below the line hold."
+    banner = "" if answer.is_real else "SIMULATED"
+    return AnalysisReport(
+        Analysis(
+            kind="error-bound",
+            title="Error bounds of untried pushes",
+            question={},
+            headline=(
+                f"The errors of {100.0 * bound.level:g} % of new pushes stay within their bounds,"
+                f" at the median {medians[0]} mm and {medians[1]} deg ({len(bound.keys)}"
+                " experiments, held out).",
+            ),
+            warnings=(f"{counted(n, 'experiment')} cannot be compared: {why}",) if n else (),
+            tables=tuple(summary.tables),
+            notes=tuple(summary.notes),
+            references=("vovk2005", "barber2021", "dunn2022", "lee2023"),
+            numbers={
+                "level": bound.level,
+                "coverage": {name: [*share] for name, share in bound.coverage.items()},
+                "experiments": bound.to_dict(),
+            },
+            calibrations=() if answer.calibration is None else (answer.calibration,),
+            experiments=tuple(answer.experiments),
+        ),
+        [Picture("bounds", bound_chart(bound), banner, caption)],
+    )
+
+
+def next_words(done: StoredAnswer) -> list[str]:
+    """Return the words of the command that most users need next."""
+    return ["report"] if done.drawn else [*done.again, "--plot", "bounds"]

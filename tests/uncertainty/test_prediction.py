@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 from fixel import Estimate, QuasiStatic
 from fixel.testing.pushes import example_pushes
-from fixel.uncertainty.push import push_of
+from fixel.uncertainty.prediction import push_of
 
 
 def test_the_intervals_of_an_experiment_are_those_under_its_conditions():

@@ -2,15 +2,15 @@
 
 import pytest
 
-from fixel.workflows import diagnostics
+from fixel.workflows import installation
 
 
 @pytest.mark.slow
 def test_this_machine_is_in_order():
-    found = diagnostics.examine()
+    found = installation.examine()
 
     assert [c.name for c in found.checks if not c.passed] == []
-    assert diagnostics.worst_residual(found.checks) < diagnostics.RESIDUAL
+    assert installation.worst_residual(found.checks) < installation.RESIDUAL
     assert found.versions["numpy"][0].isdigit()
     assert found.cache["bytes"] > 0
     assert found.summary()["passed"] is True
@@ -20,40 +20,40 @@ def test_a_check_that_breaks_has_failed(monkeypatch):
     def broken():
         raise ZeroDivisionError("oh no")
 
-    monkeypatch.setattr(diagnostics, "_CHECKS", {"broken": broken})
+    monkeypatch.setattr(installation, "_CHECKS", {"broken": broken})
 
-    assert diagnostics.self_test() == [
-        diagnostics.SelfCheck("broken", False, "ZeroDivisionError: oh no", None)
+    assert installation.self_test() == [
+        installation.SelfCheck("broken", False, "ZeroDivisionError: oh no", None)
     ]
 
 
 def test_a_large_residual_is_a_failure(monkeypatch):
-    monkeypatch.setattr(diagnostics, "_CHECKS", {"bad": lambda: (True, "converged", 1e-3)})
+    monkeypatch.setattr(installation, "_CHECKS", {"bad": lambda: (True, "converged", 1e-3)})
 
-    assert not diagnostics.self_test()[0].passed
+    assert not installation.self_test()[0].passed
 
 
 def test_a_cache_that_cannot_be_written_is_a_failure(monkeypatch, tmp_path):
     (tmp_path / "file").write_text("")
-    monkeypatch.setattr(diagnostics, "cache_folder", lambda: str(tmp_path / "file" / "cache"))
+    monkeypatch.setattr(installation, "cache_folder", lambda: str(tmp_path / "file" / "cache"))
 
-    found = diagnostics._cache_check()
+    found = installation._cache_check()
 
     assert not found.passed
     assert "FIXEL_CACHE_DIR" in found.detail
 
 
 def test_a_package_that_is_missing_is_named():
-    assert diagnostics._version("no-such-package-at-all") == "missing"
+    assert installation._version("no-such-package-at-all") == "missing"
 
 
 @pytest.mark.parametrize(
     ("ports", "sentence"), [([], "none; optional"), (["/dev/ttyACM0"], "/dev/ttyACM0")]
 )
 def test_the_bench_is_reported_and_none_is_fine(monkeypatch, ports, sentence):
-    monkeypatch.setattr(diagnostics, "_cameras", list)
-    monkeypatch.setattr(diagnostics, "_serial_ports", lambda: ports)
+    monkeypatch.setattr(installation, "_cameras", list)
+    monkeypatch.setattr(installation, "_serial_ports", lambda: ports)
 
-    found = diagnostics._bench_check()
+    found = installation._bench_check()
 
     assert (found.passed, found.detail) == (True, sentence)

@@ -1,15 +1,22 @@
-"""Covariance matrix adaptation (CMA-ES): a population that learns the shape of a valley."""
+"""Searches by other packages: CMA-ES, and mesh adaptive direct search by NOMAD."""
 
 from __future__ import annotations
 
+import contextlib
+import json
 import math
+import subprocess
+import sys
+import threading
 import warnings
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
-from typing import Annotated, Any, ClassVar, final
+from pathlib import Path
+from typing import IO, Annotated, Any, ClassVar, Final, final
 
 import numpy as np
 
@@ -25,6 +32,7 @@ from fixel.calibration.optimiser import (
     Size,
     feasible_points,
 )
+from fixel.errors import InvalidInput, require
 from fixel.model.fields import Value, check_fields, whole
 from fixel.typing import FloatArray
 
@@ -159,3 +167,162 @@ def _quiet() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield
+
+
+THINKS_WITHIN: Final = 600.0  # [s] limit for the next points; usually milliseconds
+_WORDS = (
+    ("frame size", "the frame shrank to {0.threshold:g} of the scale"),
+    ("mesh", "the mesh reached the resolution of numbers"),
+    ("number of blackbox", "{0.max_evaluations} evaluations were made"),
+)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mads(AbstractOptimiser):
+    """MADS: a pattern search with a dense set of directions and models of the error.
+
+    Converges for errors that are not smooth, where `PatternSearch` can stop at a crease, and needs
+    few evaluations for smooth errors. It requests one or two points at a time, so it cannot use
+    many cores. Needs `pip install "fixel[mads]"` (NOMAD is under the LGPL).
+
+    Parameters
+    ----------
+    initial_frame : float
+        First steps, in scales of the box.
+    threshold : float
+        Size of the frame at which the search ends, in scales.
+    max_evaluations : int
+        Maximum number of evaluations.
+
+    Notes
+    -----
+    NOMAD requests errors by a callback, and stores its state, including random numbers, in global
+    variables: two searches in one process would disturb each other. So each runs in a process of
+    its own, which ends with the search or when the search is deleted.
+
+    Source
+    ------
+    Audet & Dennis (2006); Audet et al. (2022), NOMAD 4.
+    """
+
+    name: ClassVar[str] = "mads"
+    initial_frame: Size = 1.0
+    threshold: Size = 1e-6
+    max_evaluations: Count = 20_000
+
+    def __post_init__(self) -> None:
+        check_fields(self, "Mads")
+
+    def start(self, box: SearchBox, seed: int = 0, feasible: Feasible | None = None) -> Search:
+        require("PyNomad", "Mads", extra="mads")
+        return _MadsSearch(box, self, seed)
+
+
+@final
+class _MadsSearch(Search):
+    has_iterations = False
+
+    def __init__(self, box: SearchBox, options: Mads, seed: int) -> None:
+        super().__init__(box)
+        self.options = options
+        self._seed = seed
+        self._nomad: _Nomad | None = None
+        self._points = np.zeros((0, box.n))
+
+    def _next(self) -> FloatArray:
+        if self._nomad is None:
+            self._nomad = _Nomad(self._problem())
+            self._take(self._nomad.answer())
+            if self.reason:
+                raise InvalidInput("Mads", found=self.reason, expected="NOMAD to begin")
+        return self._points
+
+    def _learn(self, points: FloatArray, errors: FloatArray) -> None:
+        if self._nomad is None or self.done:
+            return
+        self._nomad.tell([e if math.isfinite(e) else None for e in errors.tolist()])
+        self._take(self._nomad.answer())
+
+    def _take(self, answer: dict[str, Any]) -> None:
+        if "points" in answer:
+            places = np.array(answer["points"], np.float64)
+            points = self.box.start + places * self.box.scale
+            self._points = np.clip(points, self.box.low, self.box.high)
+            return
+        self.reason = _in_words(answer.get("ended"), self.options)
+        if self._nomad is not None:
+            self._nomad.close()
+
+    def _problem(self) -> dict[str, Any]:
+        """Return the problem in coordinates relative to the start, in scales."""
+        box, options = self.box, self.options
+        return {
+            "start": [0.0] * box.n,
+            "low": ((box.low - box.start) / box.scale).tolist(),
+            "high": ((box.high - box.start) / box.scale).tolist(),
+            "options": [
+                "BB_OUTPUT_TYPE OBJ",
+                "DISPLAY_DEGREE 0",
+                f"SEED {self._seed % 2**31}",
+                f"BB_MAX_BLOCK_SIZE {2 * box.n}",
+                f"MAX_BB_EVAL {options.max_evaluations}",
+                f"INITIAL_FRAME_SIZE * {options.initial_frame!r}",
+                f"MIN_FRAME_SIZE * {options.threshold!r}",
+            ],
+        }
+
+
+class _Nomad:
+    """NOMAD in a process of its own."""
+
+    def __init__(self, problem: dict[str, Any]) -> None:
+        child = str(Path(__file__).with_name("mads_child.py"))
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", child],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            encoding="utf-8",
+        )
+        self.close = weakref.finalize(self, _end, self._process)
+        self.tell(problem)
+
+    def tell(self, content: object) -> None:
+        stream = _open(self._process.stdin)
+        with contextlib.suppress(OSError):  # it died: `answer` reports that
+            stream.write(json.dumps(content) + "\n")
+            stream.flush()
+
+    def answer(self) -> dict[str, Any]:
+        """Return its next request; empty if it died, or was killed because it hung."""
+        hung = threading.Timer(THINKS_WITHIN, self._process.kill)
+        hung.start()
+        try:
+            line = _open(self._process.stdout).readline()
+        finally:
+            hung.cancel()
+        return dict(json.loads(line)) if line.endswith("\n") else {}
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    process.kill()
+    process.wait()
+    _open(process.stdout).close()
+    with contextlib.suppress(OSError):  # unread input
+        _open(process.stdin).close()
+
+
+def _open(stream: IO[str] | None) -> IO[str]:
+    assert stream is not None
+    return stream
+
+
+def _in_words(ended: str | None, options: Mads) -> str:
+    if ended is None:
+        return "NOMAD ended without an answer"
+    for part, words in _WORDS:
+        if part in ended.lower():
+            return words.format(options)
+    return f"NOMAD ended: {ended.strip()}"

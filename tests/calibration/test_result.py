@@ -3,7 +3,7 @@
 import numpy as np
 from tests.fixtures import refused
 
-from fixel.calibration.solutions import find_solutions
+from fixel.calibration.result import find_solutions
 
 
 def test_clusters_are_found_best_first():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.fixtures import refused
 
-from fixel.uncertainty.starts import ASME, StartError, even_points, preset
+from fixel.uncertainty.error_terms import ASME, StartError, even_points, preset
 
 
 def test_a_box_is_filled_evenly():

@@ -1,1 +1,0 @@
-"""Error bounds of untried pushes: computation, report, stored fits."""
