@@ -458,7 +458,6 @@ def test_polygons_about_their_origin() -> None:
     ("derivatives", lambda p: fixel.simulate(p[0].scene, derivatives=3)),
     ("max_contacts", lambda p: fixel.simulate(p[0].scene, max_contacts=10**30)),
     ("parameters", lambda p: fixel.calibrate(p, [["mu_pusher"]])),
-    ("store", lambda p: fixel.calibrate(p, ["mu_pusher"], store=3)),
     ("site", lambda p: fixel.calibrate(p, ["mu_pusher"], site=3)),
     ("filter.priors", lambda p: fixel.filter(p[0], priors=[1])),
     ("leave_out", lambda p: fixel.error_bound(p, leave_out=3)),

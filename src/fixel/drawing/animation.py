@@ -245,7 +245,7 @@ def _arrow(tail: FloatArray, along: FloatArray, thick: float) -> FloatArray:
 def _write_mp4(path: Path, frames: Iterator[Any], rate: int) -> None:
     import av
 
-    with av.open(str(path), "w") as film:
+    with av.open(str(path.absolute()), "w") as film:
         stream: Any = None
         for pixels in frames:
             if stream is None:

@@ -151,7 +151,10 @@ class VideoSink:
         self._size = size
         self._lost = False
         self._container = av.open(
-            str(path), "w", format="nut", options={"flush_packets": "1", "write_index": "0"}
+            str(path.absolute()),
+            "w",
+            format="nut",
+            options={"flush_packets": "1", "write_index": "0"},
         )
         width, height = size
         if exact:
@@ -224,7 +227,7 @@ def packets(path: Path) -> Iterator[tuple[int, bytes]]:
     import av
 
     try:
-        with av.open(str(path)) as container:
+        with av.open(str(path.absolute())) as container:
             for packet in container.demux(container.streams.video[0]):
                 if packet.size and packet.pts is not None:
                     yield packet.pts, bytes(packet)

@@ -133,7 +133,7 @@ class VideoWriter:
         self._temporary = unfinished_path(self.path)
         self._pixels = pixels
         self._last = -1
-        self._container = av.open(str(self._temporary), "w")
+        self._container = av.open(str(self._temporary.absolute()), "w")
         if note:
             self._container.metadata["comment"] = note
         stream: Any = self._container.add_stream(
@@ -312,7 +312,7 @@ def _opened(path: Path) -> Any:
     import av
 
     try:
-        return av.open(str(path))
+        return av.open(str(path.absolute()))
     except av.FFmpegError as problem:
         mp4 = path.suffix.lower() in (".mp4", ".mov")
         raise InvalidInput(

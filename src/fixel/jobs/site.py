@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fixel.errors import InvalidInput
 from fixel.io.document import read_document
+from fixel.model.fields import path_of
 from fixel.simulation.trust import is_trusted, trust
 
 # One directive, one line: a value in a template cannot add other lines to the script.
@@ -88,7 +89,7 @@ class Site(BaseModel):
 
 def load_site(path: Path) -> Site:
     """Load a site template."""
-    return site_of(read_document(path), str(path))
+    return site_of(read_document(path_of(path, "site")), str(path))
 
 
 def site_of(content: object, where: str) -> Site:

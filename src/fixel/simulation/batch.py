@@ -146,14 +146,13 @@ def simulate_batch(  # type: ignore[misc]
     if isinstance(scene, str | PathLike | SceneWithMethod):
         file = scene_file(scene, "a Scene, a scene file or Scenes")
         scene, motion, stepper = file.scene, motion or file.motion, stepper or file.stepper
-    motion = motion_model(motion)
+    motion, derivatives = motion_model(motion), texts(derivatives, "derivatives")
     stepper = stepper or Adaptive()
     solver = named_part(solver or Newton.name, SOLVERS, "solver")
     check_compiled(motion, stepper, solver)
     scenes: Sequence[Any] = scene if isinstance(scene, Sequence) else [scene]
     for own in scenes:
         instance(own, Scene, "scene", "a Scene, a scene file or Scenes")
-    derivatives = texts(derivatives, "derivatives")
     polygons = any(own.support_directions for own in scenes)
     method = method_of(motion, stepper, solver, whole(max_contacts, "max_contacts"), polygons)
     if not isinstance(scene, Scene):

@@ -27,7 +27,6 @@ from fixel.jobs import folder as files
 from fixel.jobs.site import Site, load_site
 from fixel.jobs.work import JobProgress, LocalEngine, Round, Show, block_name, run_work, unframed
 from fixel.model import Experiment, Scene
-from fixel.model.fields import path_of
 from fixel.model.selection import ExperimentQuery, parse_filter
 from fixel.model.space import ParameterSpace
 from fixel.progress import Progress, show_progress
@@ -76,12 +75,10 @@ def run_plan(plan: CalibrationPlan, asked: SimpleNamespace) -> Calibrations:
     if asked.store is None:
         with tempfile.TemporaryDirectory(prefix="fixel-") as temporary:
             return replace(_run_in_folder(plan, Path(temporary) / "job", asked), folder=None)
-    project = asked.store
-    if not isinstance(project, Project):
-        folder = path_of(project, "store")
-        if not (folder / SETTINGS).is_file():
-            return _run_in_folder(plan, folder, asked)
-        project = Project(folder)
+    is_path = not isinstance(asked.store, Project)
+    if is_path and not (Path(asked.store) / SETTINGS).is_file():
+        return _run_in_folder(plan, Path(asked.store), asked)
+    project = Project(asked.store) if is_path else asked.store
     keys = [target.key for target in plan.targets]
     if not plan.asked:
         with project.store() as store:
@@ -168,8 +165,7 @@ def _run_job(plan: CalibrationPlan, folder: Path, asked: SimpleNamespace) -> Cal
     """Run or continue a prepared job."""
     if jobs.status_of(folder).state == "done":
         return collect(plan, folder)
-    own = asked.site
-    site = own if isinstance(own, Site | None) else load_site(path_of(own, "site"))
+    site = asked.site if isinstance(asked.site, Site | None) else load_site(asked.site)
     count = None if site is not None and not asked.workers else asked.workers
     here = not jobs.arrange(folder, workers=count, site=site).workers
     live = LiveSearch(plan, plan.task(asked.threads))
