@@ -12,9 +12,12 @@ from fixel.errors import InvalidInput
 from fixel.model import (
     Body,
     Disk,
+    Ellipsoid,
+    Fixel,
     LineDrive,
     PathDrive,
     Plane,
+    Polygon,
     Pusher,
     Scene,
     SupportPoints,
@@ -365,3 +368,72 @@ def test_a_directed_plane_has_no_single_value_of_its_two_parameters():
     scene = replace(pushed_square(), plane=Plane(anisotropy=(1.2, 0.8), axis=0.3))
     with pytest.raises(InvalidInput, match="no single value"):
         simulate(scene, motion="quasistatic", derivatives=("anisotropy_xy",))
+
+
+def test_a_part_that_lies_against_a_peg_while_the_pusher_comes_back():
+    """Between its two pushes only the pusher comes nearer; its friction with the plane changes
+    nothing, whether or not it touches a peg. The derivative was -1.3."""
+    way = [
+        (0.0, 0.0, 0.0237, 0.0), (0.49, 0.0061, 0.026, 0.0), (1.22, 0.027, 0.0301, 0.0),
+        (2.26, 0.0529, 0.026, 0.0), (3.15, 0.0624, 0.0308, 0.0), (3.74, 0.0913, 0.0283, 0.0),
+    ]  # fmt: skip
+    points = [(0.0096, 0.001), (-0.0062, 0.0083), (-0.004, -0.0071)]
+    part = Body(
+        name="part", shape=Disk(0.0466), mass=0.2, pose=row(0.0745, 0.0, 0.0),
+        support=SupportPoints(points=points, friction=0.5),
+    )  # fmt: skip
+    pegs = [
+        Fixel(name="one", shape=Disk(0.0099), pose=row(0.1382, 0.0005, 0.0), friction=0.057),
+        Fixel(name="two", shape=Disk(0.0077), pose=row(0.137, -0.0462, 0.0), friction=0.057),
+        Fixel(name="three", shape=box(0.02, 0.02), pose=row(0.131, 0.0379, -0.057), friction=0.057),
+    ]
+    finger = Pusher(name="finger", shape=Disk(0.0123), drive=PathDrive(way), friction=0.0085)
+    scene = Scene(bodies=(part,), pushers=(finger,), fixels=pegs, duration=3.74)
+    push = simulate(scene, motion="quasistatic", derivatives=["mu_support"])
+    assert push.derivatives["mu_support"] == pytest.approx([0.0, 0.0, 0.0], abs=1e-4)
+
+
+def test_a_flush_face_stays_in_touch_where_the_path_of_the_head_bends():
+    """Whether the part rests first depends on the last digits. The derivative along x was 0.019."""
+    turn = -0.1423788518254742
+    way = [
+        (0.0, 0.0, 0.005998053397571, turn),
+        (0.8227514640545639, 0.006872198359442048, -0.001955956562580864, turn),
+        (1.4459988102166967, 0.03325957643930339, -0.00500788843235294, turn),
+        (1.977593904639345, 0.05990856186620466, -0.014999636175616438, turn),
+        (2.948418688031613, 0.06673087755298104, -0.01962358899942576, turn),
+        (3.403178957054735, 0.0827947611256578, -0.012622048983701104, turn),
+        (4.316734522249071, 0.09995913663716528, -0.009277020866443423, turn),
+    ]
+    low, middle, high = -0.01637668410779117, -0.004767610094514364, 0.02947803139402411
+    shelf = -0.00045522641561264525
+    outline = [(low, low), (high, low), (high, shelf), (middle, shelf), (middle, high), (low, high)]
+    part = Body(
+        name="part",
+        shape=Polygon(outline),
+        mass=0.26016749642248566,
+        pose=row(0.0662095355518806, -0.00253004744192503, -1.9159312604726086),
+        support=Ellipsoid(force=0.3664562472276461, torque=0.004146670389469242),
+        centre_of_mass=(0.0018429689112196886, -0.002951683471105041),
+    )
+    head = Pusher(
+        name="head",
+        shape=box(0.029, 0.029),
+        drive=PathDrive(way, force_limit=2.086288222546096),
+        friction=0.4516551761144289,
+    )
+    scene = Scene(bodies=(part,), pushers=(head,), duration=3.077960348150711)
+    push = simulate(scene, motion="quasistatic", derivatives=["registration_theta"])
+    exact = Simulator(scene, motion="quasistatic", stepper=Adaptive(tolerance=1e-11))
+    ends = [np.array(exact.run({"registration_theta": d}).final["part"]) for d in (1e-5, -1e-5)]
+    slope = (ends[0] - ends[1]) / 2e-5
+    assert push.derivatives["registration_theta"] == pytest.approx(slope, abs=1e-4)
+
+
+def test_the_axes_of_an_ellipsoid_are_values_of_the_scene():
+    part = replace(pushed_square().bodies[0], support=Ellipsoid(force=0.5, torque=0.01))
+    scene = replace(pushed_square(), bodies=(part,))
+    names = ["ellipsoid_force", "ellipsoid_torque"]
+    slope = simulate(scene, motion="quasistatic", derivatives=names).derivatives
+    # Only their ratio matters.
+    assert 0.5 * slope[names[0]] == pytest.approx(-0.01 * slope[names[1]], rel=1e-3)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import shapely
 from tests.simulation.random_grasps import random_grasp
 
 from fixel.kernels import codes
@@ -236,3 +237,30 @@ def test_a_pusher_that_jabs_after_a_long_rest_hits_each_of_many_disks():
     fixed = simulate(scene, stepper=StewartTrinkle(step=2e-4))
     for name in ("disk-0", "disk-1"):
         assert _apart(own.final[name], fixed.final[name])[0] < 0.2
+
+
+def _placed(shape, pose):
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    return shapely.Polygon(shape.vertices @ np.array([[c, s], [-s, c]]) + pose[:2])
+
+
+@pytest.mark.parametrize("motion", [QuasiStatic(), Dynamic()], ids=_name)
+@pytest.mark.parametrize("turn", [-0.6, -0.435, -0.3, -0.2])
+def test_a_corner_that_slides_into_a_notch_does_not_pass_through_its_walls(turn, motion):
+    """Parts overlapped an L that pushed them by up to 265 mm^2."""
+    corner = np.array([[1.0, 0.0], [-0.5, 0.75**0.5], [-0.5, -(0.75**0.5)]])
+    hook = np.array([[-1, -1], [1, -1], [1, -0.36], [0.2, -0.36], [0.2, 1], [-1, 1]])
+    tool = Pusher(
+        name="tool", shape=Polygon(0.045 * hook), pose=row(0.0, 0.0, turn), friction=0.05,
+        drive=LineDrive((1.0, 0.07), speed=0.02, travel=0.12),
+    )  # fmt: skip
+    for y, angle in ((0.0, -1.9), (0.005, 0.2), (0.01, -1.5)):
+        part = Body(
+            name="part", shape=Polygon(0.0287 * corner), mass=0.2, pose=row(0.11, y, angle),
+            support=Tripod(radius=0.0074, friction=0.2),
+        )  # fmt: skip
+        push = simulate(Scene(bodies=(part,), pushers=(tool,), duration=6.5), motion=motion)
+        assert push.converged
+        for k in range(0, len(push.time), 5):
+            both = (_placed(own.shape, push.pose[own.name][k]) for own in (part, tool))
+            assert shapely.intersection(*both).area < 1e-8

@@ -29,7 +29,7 @@ class Model(NamedTuple):
     piece_bound: FloatArray  # (n_piece, 3) bounding circle: centre x, y in the body frame, radius
     piece_radius: FloatArray  # (n_piece,) rounding radius; a disk is one vertex with a radius
     vertex: FloatArray  # (n_vertex, 2) body frame, counter-clockwise
-    edge_real: IntArray  # (n_vertex,) 1 where the edge from this vertex lies on the outline
+    edge_real: IntArray  # (n_vertex,) 1 where the edge from this vertex has contacts
     friction: FloatArray  # (n_body, n_body) of each pair
     restitution: FloatArray  # (n_body, n_body)
     element_body: IntArray  # (n_element,) free body that rests on the friction element

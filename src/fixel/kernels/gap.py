@@ -7,7 +7,9 @@ other.
 
 Pieces of a non-convex body meet at seams, edges that are not on the body's outline. Where a seam is
 the nearest feature, or a corner seen across a seam that ends there, the neighbouring piece lies in
-between and gives the true contact; so those contacts are left out.
+between and gives the true contact; so those contacts are left out. An edge that ends in a notch of
+the outline extends beyond it: a corner in the notch then touches both edges in their middle, and
+passes neither by rounding.
 
 Source: separating axes and reference-edge clipping as in Gregorius, "Robust contact creation" (GDC
 2015); the contacts themselves are exact vertex-edge pairs, so that their rows are the true
@@ -34,6 +36,9 @@ COINCIDENT = 1e-12
 # Polygons with more edges than MANY are searched at every edge of COARSE first.
 MANY = 16
 COARSE = 8
+# Share of an edge that lies beyond a notch. The seam at its end is flagged: -1 where it begins
+# there, -2 where it ends, -3 for both ends, 0 for none.
+BACK = 1.0 / 33.0
 # Share of the reference edge below which the two ends of an overlap are one contact.
 NARROW = 1e-9
 
@@ -170,7 +175,7 @@ def _point_to_polygon(
     if best <= 0.0:
         best = inside
         edge = way_out
-    if edge < 0 or real[edge] == 0:
+    if edge < 0 or real[edge] < 1:
         return most, 0.0, 0.0, 0.0
     after = edge + 1 if edge + 1 < end else start
     ex = world[after, 0] - world[edge, 0]
@@ -199,17 +204,30 @@ def _beyond_seam(
 
     Both pieces at a seam compute the same number except for its sign: never do both return True.
     """
-    x = world[corner, 0]
-    y = world[corner, 1]
+    x = px - world[corner, 0]
+    y = py - world[corner, 1]
     before = corner - 1 if corner > start else end - 1
     after = corner + 1 if corner + 1 < end else start
-    if (
-        real[before] == 0
-        and (px - x) * (world[before, 1] - y) - (py - y) * (world[before, 0] - x) < 0.0
-    ):
-        return True
-    side = (px - x) * (world[after, 1] - y) - (py - y) * (world[after, 0] - x)
-    return bool(real[corner] == 0 and side > 0.0)
+    if real[before] < 1:
+        wall = before - 1 if before > start else end - 1
+        ex, ey = _along_seam(world, corner, before, wall, -real[before] % 2 == 1)
+        if x * ey - y * ex < 0.0:
+            return True
+    wall = after + 1 if after + 1 < end else start
+    ex, ey = _along_seam(world, corner, after, wall, real[corner] < -1)
+    return bool(real[corner] < 1 and x * ey - y * ex > 0.0)
+
+
+@kernel
+def _along_seam(
+    world: FloatArray, corner: int, far: int, wall: int, extended: bool
+) -> tuple[float, float]:
+    """Direction from a corner to the far end of a seam: to the notch where the edge there, which
+    comes from vertex `wall`, is extended."""
+    back = BACK if extended else 0.0
+    x = world[far, 0] - world[corner, 0]
+    y = world[far, 1] - world[corner, 1]
+    return x - back * (world[far, 0] - world[wall, 0]), y - back * (world[far, 1] - world[wall, 1])
 
 
 @kernel
@@ -307,12 +325,12 @@ def _contact_polygons(
         return 0
     # The reference edge is the one of larger separation; ties go to the second polygon, unless its
     # edge is a seam.
-    on_first = edge2 < 0 or (sep1 == sep2 and real[edge2] == 0)
+    on_first = edge2 < 0 or (sep1 == sep2 and real[edge2] < 1)
     if on_first:
         sep, rs, re, fs, fe, edge, support = sep1, s1, e1, s2, e2, edge1, support1
     else:
         sep, rs, re, fs, fe, edge, support = sep2, s2, e2, s1, e1, edge2, support2
-    if real[edge] == 0:
+    if real[edge] < 1:
         # The piece on the other side of the seam has the contacts.
         return 0
     flip = -1.0 if on_first else 1.0
@@ -350,7 +368,7 @@ def _contact_polygons(
             vertex = after if upper else edge
             gap, ox, oy, other, along, whole = _corner_to_edge(world, vertex, i1, i2)
             if other < 0:
-                if real[i1] == 0:
+                if real[i1] < 1:
                     continue
             elif end == 1:
                 continue

@@ -127,8 +127,9 @@ def scene_value(scene: Scene, name: str) -> float:
         value = 0.0 if even or not name.startswith("anisotropy_") else None
     elif name == "mass":
         value = body.mass
-    elif name in ("mu_support", "tripod_radius"):
-        value = getattr(body.support, "friction" if name == "mu_support" else "radius", None)
+    elif name in ("mu_support", "tripod_radius", "ellipsoid_force", "ellipsoid_torque"):
+        own = "friction" if name == "mu_support" else name.split("_")[1]
+        value = getattr(body.support, own, None)
     if not isinstance(value, float | int):
         raise InvalidInput(
             "derivatives",

@@ -8,14 +8,16 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple, final
 
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike, NDArray
 
 from fixel.errors import InvalidInput
+from fixel.kernels.gap import BACK
 from fixel.kernels.measure import measure_gaps
-from fixel.model.decomposition import Piece
+from fixel.model.decomposition import Piece, following
 from fixel.model.fields import instance, vector
 from fixel.model.shape import Disk, Polygon, Shape
-from fixel.typing import FloatArray, IntArray
+from fixel.typing import BoolArray, FloatArray, IntArray
 
 # Sine of the turn below which a corner is straight. With smaller values the edges on both sides of
 # the corner tie by rounding; larger values change the outline.
@@ -57,7 +59,7 @@ class PackedShapes(NamedTuple):
     """Concatenated convex pieces of several shapes, as for `kernels.measure`."""
 
     vertex: FloatArray  # (n_vertex, 2) in the shapes' frames
-    edge_real: IntArray  # (n_vertex,) 1 where the edge from this vertex lies on the outline
+    edge_real: IntArray  # (n_vertex,) 1 where the edge from this vertex has contacts; see gap.py
     piece_start: IntArray  # (n_piece + 1,)
     piece_radius: FloatArray  # (n_piece,) of disks, else zero
     shape_start: IntArray  # (n_shape + 1,)
@@ -114,7 +116,7 @@ def gap(shape_a: Shape, pose_a: ArrayLike, shape_b: Shape, pose_b: ArrayLike) ->
 def pack_shapes(shapes: Iterable[Shape]) -> PackedShapes:
     """Concatenate the convex pieces of shapes; a disk is one vertex with a radius."""
     shapes = tuple(shapes)
-    pieces = [contact_pieces(shape) for shape in shapes]
+    pieces = [_extended(shape) for shape in shapes]
     all_pieces = [piece for of_shape in pieces for piece in of_shape]
     radii = [shape.radius if isinstance(shape, Disk) else 0.0 for shape in shapes]
     counts = [len(of_shape) for of_shape in pieces]
@@ -192,14 +194,48 @@ def contact_pieces(shape: Shape) -> tuple[Piece, ...]:
     return tuple(_without_straight_corners(*piece) for piece in shape.pieces)
 
 
+def _extended(shape: Shape) -> tuple[tuple[FloatArray, IntArray | BoolArray], ...]:
+    """Extend edges of pieces past the reflex corners of an outline, into the neighbouring piece.
+
+    A corner of another body that slides along one edge into a notch then meets the other in its
+    middle, not at an end that it passes by rounding.
+    """
+    pieces = contact_pieces(shape)
+    if isinstance(shape, Disk) or len(pieces) == 1:
+        return pieces
+    outline = shape.vertices
+    notches = {tuple(corner) for corner in outline[_turn(outline) < 0.0]}
+    inside = shapely.Polygon(outline).buffer(STRAIGHT * float(np.ptp(outline)))
+    extended = []
+    for given, on_outline in pieces:
+        corners, real = given, on_outline.astype(np.int64)
+        for k in np.flatnonzero(on_outline != np.roll(on_outline, 1)):
+            begins = bool(on_outline[k - 1])  # the seam, where the edge ends
+            other = k - 1 if begins else (k + 1) % len(given)
+            longer, both = np.array(corners), (corners[other] != given[other]).any()
+            step = BACK / (1.0 - (1 + both) * BACK) * (given[k] - given[other])
+            longer[k] = given[k] + step
+            longer[other] = given[other] - both * step
+            fits = tuple(given[k]) in notches and bool((_turn(longer) > 0.0).all())
+            if fits and inside.covers(shapely.Polygon(longer)):
+                corners = longer
+                real[k if begins else k - 1] -= 1 if begins else 2
+        extended.append((corners, real))
+    return tuple(extended)
+
+
+def _turn(corners: FloatArray) -> FloatArray:
+    """Cross product (n,) of the edges that meet at each corner (n, 2); 0 for straight ones."""
+    after = following(corners) - corners
+    before = np.concatenate((after[-1:], after[:-1]))
+    turn = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
+    straight = STRAIGHT * np.hypot(*before.T) * np.hypot(*after.T)
+    return np.asarray(np.where(np.abs(turn) > straight, turn, 0.0))
+
+
 def _without_straight_corners(corners: FloatArray, on_outline: NDArray[np.bool_]) -> Piece:
     """Remove straight and reflex corners, repeatedly: a corner may be one between the rest."""
-    around = np.concatenate((corners[-1:], corners, corners[:1]))
-    edges = around[1:] - around[:-1]
-    before, after = edges[:-1], edges[1:]
-    turn = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
-    length = np.hypot(*edges.T)
-    kept = np.flatnonzero(turn > STRAIGHT * length[:-1] * length[1:])
+    kept = np.flatnonzero(_turn(corners) > 0.0)
     if len(kept) == len(corners) or len(kept) < 3:  # the latter: a sliver without real corners
         return corners, on_outline
     # A new edge consists of all the old ones up to the next remaining corner.

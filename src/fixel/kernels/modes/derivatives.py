@@ -31,6 +31,7 @@ NUDGE = 1e-6  # of a pose and the clock, in scaled units
 FLAT = 1e-9  # rate of a margin below which its root has no derivative
 BEFORE = 3e-3  # part of a step before its end at which a part that comes to rest still moves
 AT_REST = 1e-2  # velocity over that at the start of a mode, at its end
+AT_ONCE = 1e-6  # duration of a rest between two modes that touch
 BENT = 0.005  # second difference of the velocity's derivative over a piece, times its length
 GROWTH = 0.75  # velocity's derivative times the length of a piece
 MOST_PIECES = 1000  # of a step
@@ -193,7 +194,10 @@ def _margin(model: Model, mode: ContactMode, q: FloatArray, which: int) -> float
         return float(mode.gap[0])
     if which == geometry.OPEN:
         geometry.place_mode(mode, q)
-        return float(geometry.open_gap(geometry.gap_arrays(model, mode)))
+        n_piece = model.piece_body.size
+        while mode.size[geometry.N_CLOSED] == 0 and model.piece_body[n_piece - 1] > 1:
+            n_piece -= 1  # a part at rest may touch fixels, but only the pusher comes nearer
+        return float(geometry.open_gap(geometry.gap_arrays(model, mode, n_piece)))
     if not solve_mode(model, mode, q):
         return np.nan
     return float(mode.margin[which])
@@ -341,6 +345,13 @@ def _linearise(model: Model, mode: ContactMode, tape: Tape, flow: Flow) -> bool:
         event[3] = tape.mode[min(number + 1, n_mode - 1), walk.BEGIN]
         if moves:
             event[3] = own[walk.START] + own[walk.PART] * own[walk.LENGTH]
+        last = flow.span[max(number, 1) - 1]
+        by_clock = last[UP_TO] > last[ONWARD] and tape.mode[number - 1, walk.EVENT] < 0.0
+        if number > 0 and by_clock and not moves and event[3] - row[walk.BEGIN] < AT_ONCE:
+            # Where its path bends the pusher still touches, whatever changes.
+            row[walk.EVENT] = walk.CLOCK_RAN_OUT
+            rests = False
+            continue
         if which == walk.FOLDED:
             # It comes to rest, or else it jumps.
             if not _slows_down(flow, span[ONWARD], k - 1):

@@ -314,10 +314,10 @@ class GapArrays(NamedTuple):
 
 
 @kernel
-def gap_arrays(model: Model, mode: ContactMode) -> GapArrays:
-    """Collect the arrays of `open_gap`."""
+def gap_arrays(model: Model, mode: ContactMode, n_piece: int) -> GapArrays:
+    """Collect the arrays of `open_gap`, for the first pieces of a model."""
     return GapArrays(
-        model.piece_body,
+        model.piece_body[:n_piece],
         model.piece_bound,
         model.piece_start,
         model.piece_radius,

@@ -562,7 +562,7 @@ def _follow_piece(
 ) -> int:
     """Follow the modes of one straight piece of the path; returns how it ended."""
     ahead = AHEAD
-    pieces = gap_arrays(model, mode)
+    pieces = gap_arrays(model, mode, model.piece_body.size)
     while q[3] < mode.number[CLOCK_END] - 1e-12:
         counts[MODES] += 1
         if counts[MODES] > MOST_MODES:
