@@ -150,12 +150,8 @@ class VideoSink:
         self.path = path
         self._size = size
         self._lost = False
-        self._container = av.open(
-            str(path.absolute()),
-            "w",
-            format="nut",
-            options={"flush_packets": "1", "write_index": "0"},
-        )
+        durable = {"flush_packets": "1", "write_index": "0"}
+        self._container = av.open(str(path.absolute()), "w", format="nut", options=durable)
         width, height = size
         if exact:
             encoded = self._container.add_stream(LOSSLESS, rate=30, options={"pred": "left"})
