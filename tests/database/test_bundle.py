@@ -388,6 +388,9 @@ def test_another_version(bundle):
     "DROP TABLE filter_run",
     "CREATE VIEW evil AS SELECT 1",
     "CREATE VIRTUAL TABLE evil USING fts5(a)",
+    "CREATE INDEX evil ON flag (hex(zeroblob(400000000)))",
+    "CREATE INDEX evil ON flag (name) WHERE detail LIKE '%a%a%a%a%b'",
+    """UPDATE experiment SET conditions = '{"a": NaN}'""",
     "INSERT INTO flag VALUES (1, 1, 'Not a name', '', 0, '2026', NULL)",
     "INSERT INTO flag VALUES (1, 7, 'late', '', 0, '2026', NULL)",
 ])  # fmt: skip
@@ -396,6 +399,22 @@ def test_records_that_cannot_be(bundle, change):
     write(path, edited(path, "PRAGMA foreign_keys = OFF", change))
     refused(path, store, "found")
     assert list(path.parent.glob(".bundle-*")) == []
+
+
+def test_checks_of_a_bundle_are_not_evaluated(bundle):
+    path, store = bundle
+    table = "UPDATE sqlite_master SET sql = replace(sql, 'CONSTRAINT pk_note', "
+    check = "'CONSTRAINT evil CHECK (length(hex(zeroblob(400000000))) > 0), CONSTRAINT pk_note') "
+    where = "WHERE name = 'note'"
+    write(path, edited(path, "PRAGMA writable_schema = ON", table + check + where))
+    refused(path, store, "the table 'note', which no project has")
+
+
+def test_long_texts_are_rejected_before_they_are_read(bundle):
+    path, store = bundle
+    small = LIMITS._replace(text=1000)
+    write(path, edited(path, f'UPDATE experiment SET conditions = \'{{"a": "{"x" * 2000}"}}\''))
+    refused(path, store, "a value of experiment.conditions", limits=small)
 
 
 def test_triggers_of_a_bundle_do_nothing(bundle):

@@ -35,6 +35,8 @@ def test_conditions_are_texts_and_numbers_that_can_be_stored():
         refused(experiment, conditions={"a": wrong}, match="conditions 'a'.* a text or a number")
         plan = {"name": "1", "scene": grasp("seated"), "conditions": {"a": wrong}}
         refused(PlannedExperiment, **plan, match="conditions 'a'.* a text or a number")
+    for wrong in (float("nan"), np.float32("inf")):
+        refused(experiment, conditions={"a": wrong}, match="conditions 'a'.* a finite number")
     refused(experiment, conditions={1: 2.0}, match="a name of printable characters")
     refused(experiment, conditions=[("a", 1)], match="values by name")
 

@@ -39,6 +39,8 @@ _MEMBER = re.compile(
     rf"|{ANALYSES}/[a-z-]{{1,40}}-[0-9a-f]{{10}}/({ANALYSIS_FILE.pattern})",
     re.ASCII,
 )
+# Constraint, generated column, or index of an expression or of some rows.
+_COMPUTED = re.compile(r"\bCHECK\b|\bAS\b|\bWHERE\b|INDEX[^(]*\([^)]*\(", re.IGNORECASE)
 _OLD_MANIFEST = "manifest.json"  # of bundles that fixel wrote before the first release
 
 
@@ -50,6 +52,7 @@ class BundleLimits(NamedTuple):
     in_memory: int = 1_000_000_000  # [bytes], series that is read at once
     ratio: int = 100  # unpacked to packed size, for members larger than `small`
     small: int = 1_000_000  # [bytes]
+    text: int = 20_000_000  # characters of one value, most of which is JSON
 
 
 LIMITS: Final = BundleLimits()
@@ -203,7 +206,9 @@ def _check_pages(store: Store) -> None:
         master = connection.exec_driver_sql("SELECT type, name, sql FROM sqlite_master").all()
         for kind, name, sql in master:
             plain = name in known and str(sql).startswith("CREATE TABLE")
-            if kind == "view" or (kind == "table" and not plain):
+            # SQLite evaluates expressions when it checks the pages, and each may take hours.
+            computed = kind in ("table", "index") and _COMPUTED.search(str(sql))
+            if kind == "view" or (kind == "table" and not plain) or computed:
                 raise ValueError(f"the {kind} {name!r}, which no project has")
         for check in ("integrity_check", "foreign_key_check"):
             found = [str(row[0]) for row in connection.exec_driver_sql(f"PRAGMA {check}")]
@@ -225,7 +230,7 @@ def _check_values(store: Store, limits: BundleLimits) -> None:
             info = connection.exec_driver_sql(f'PRAGMA table_xinfo("{table.name}")').all()
             if {(row[1], row[6]) for row in info} != {(c.name, 0) for c in table.columns}:
                 raise ValueError(f"other columns in the table {table.name}")
-            wrong = sa.select(*(sa.func.max(_is_wrong(column)) for column in table.columns))
+            wrong = sa.select(*(sa.func.max(_is_wrong(column, limits)) for column in table.columns))
             for column, found in zip(table.columns, connection.execute(wrong).one(), strict=True):
                 if found:
                     raise ValueError(f"a value of {table.name}.{column.name} that no project has")
@@ -240,13 +245,14 @@ def _check_values(store: Store, limits: BundleLimits) -> None:
         raise ValueError(f"{largest} bytes in a series, which must fit in memory")
 
 
-def _is_wrong(column: sa.Column[Any]) -> Any:
+def _is_wrong(column: sa.Column[Any], limits: BundleLimits) -> Any:
     """Return the condition of a value of another type, of a longer text, or of no checksum."""
     kinds = _STORED_AS[type(column.type)] + (("null",) if column.nullable else ())
     wrong: Any = sa.func.typeof(column).not_in(kinds)
     if isinstance(column.type, sa.Boolean):
         wrong = sa.or_(wrong, sa.cast(column, sa.Integer).not_in((0, 1)))
-    if length := getattr(column.type, "length", None):
+    if "text" in kinds:
+        length = getattr(column.type, "length", None) or limits.text
         wrong = sa.or_(wrong, sa.func.length(column) > length)
     if column.name in ("media_sha256", "video_sha256"):
         other = sa.or_(sa.func.length(column) != 64, column.bool_op("GLOB")("*[^0-9a-f]*"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from math import degrees
+from math import degrees, isfinite
 from numbers import Real
 from types import MappingProxyType
 from typing import Any, Final, final
@@ -155,7 +155,10 @@ def conditions_of(values: Mapping[str, Any], where: str) -> Mapping[str, str | f
     """Return conditions by name, checked to be texts or numbers; those of NumPy become Python's."""
     instance(values, Mapping, where, "values by name")
     for name, value in values.items():
-        instance(value, str | Real, f"{where} {name_of(name, where)!r}", "a text or a number")
+        place = f"{where} {name_of(name, where)!r}"
+        instance(value, str | Real, place, "a text or a number")
+        if not isinstance(value, str) and not isfinite(value):
+            raise InvalidInput(place, found=value, expected="a finite number")
     plain = {k: v.item() if isinstance(v, np.generic) else v for k, v in values.items()}
     return MappingProxyType(dict(sorted(plain.items())))
 
