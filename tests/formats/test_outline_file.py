@@ -236,6 +236,14 @@ def test_svg_reads_no_entities_and_no_clones(tmp_path):
     assert Polygon.from_file(path).area == pytest.approx(1e-4)
 
 
+@pytest.mark.parametrize("drawn", [
+    "<style>" + 3000 * "a{" + "</style>", 10_001 * "<g/>",
+])  # fmt: skip
+def test_drawings_that_take_minutes_are_rejected(tmp_path, monkeypatch, drawn):
+    monkeypatch.setattr("fixel.formats.outline_file.MAX_ELEMENTS", 10_000)
+    refused(Polygon.from_file, svg(tmp_path / "a.svg", drawn), match="found more, but")
+
+
 def test_blocks_that_unpack_to_millions_are_rejected(tmp_path, monkeypatch):
     monkeypatch.setattr("fixel.formats.outline_file.MAX_CURVES", 1000)
 

@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, Final, NamedTuple
+from xml.etree import ElementTree
 
 import numpy as np
 import shapely
@@ -38,6 +39,7 @@ COARSEST: Final = 1e-4  # [m] tolerance by default
 SHARE: Final = 0.004  # and of a small part, as a share of its size: 24 corners of a disk
 MAX_BYTES: Final = {".svg": 4_000_000, ".dxf": 20_000_000, ".stl": 100_000_000}  # some 10 s
 MAX_CURVES, MAX_RINGS, MAX_TRIANGLES = 20_000, 500, 500_000
+MAX_ELEMENTS: Final = 100_000  # of a drawing in SVG; half as many characters of style
 MAX_STEPS: Final = 4096  # of one curve
 MAX_PAIRS: Final = 2_000_000  # of ends that meet
 
@@ -195,6 +197,7 @@ def _from_svg(source: _OutlineSource) -> list[FloatArray]:
     if banned := re.search(r"<!ENTITY\b|<(?:\w+:)?use\b", text):
         expected, hint = "a drawing without entities and clones", "unlink clones; save as plain SVG"
         raise InvalidInput(where, found=banned[0], expected=expected, hint=hint)
+    _check_drawn(text, where)
     svg = svgelements.SVG.parse(io.StringIO(text), reify=False, ppi=96.0)
     if (box := svg.viewbox) and svg.values.get("height") is None:  # as browsers do
         height = svg.width * box.height / box.width
@@ -218,6 +221,17 @@ def _from_svg(source: _OutlineSource) -> list[FloatArray]:
             if len(points) > 1:
                 lines.append(np.vstack(points) * (1.0, -1.0))  # y points down in SVG
     return lines
+
+
+def _check_drawn(text: str, where: str) -> None:
+    """Raise for a drawing that takes minutes, or more than fits in memory."""
+    left = MAX_ELEMENTS
+    for _, one in ElementTree.iterparse(io.StringIO(text)):
+        # svgelements reads styles in quadratic time.
+        left -= 1 + 2 * len(one.text or "") * one.tag.endswith("style")
+        if left < 0:
+            expected = f"at most {MAX_ELEMENTS} elements, or half as many characters of style"
+            raise InvalidInput(where, found="more", expected=expected, hint="save as plain SVG")
 
 
 def _sampled(segment: Any, transform: Any, source: _OutlineSource, scale: float) -> FloatArray:
