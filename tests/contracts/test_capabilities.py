@@ -29,7 +29,7 @@ from fixel.capability.options import FACTORS, Door, Level, Motion, Names, NoiseO
 from fixel.cli.capability import texts_of, typer_command
 from fixel.cli.main import app
 from fixel.database.project import Project
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, StoreRefused
 from fixel.formats.scene_file import SceneFile, save_scene
 from fixel.jobs.folder import read_job
 from fixel.testing.pushes import example_parts
@@ -433,6 +433,18 @@ def test_a_job_stores_the_same_analysis_and_shows_its_progress(name, labs, here)
     assert [one.text() for one in kept.analysis.tables] == [t.text() for t in here[name].tables]
     assert kept.analysis.request == json.loads(request.model_dump_json())
     assert any(one.text for one in shown)
+
+
+@pytest.mark.parametrize(
+    "options", [{"capability": "export", "request": {}}, {}, {"capability": []}]
+)
+def test_a_job_of_an_unknown_capability_is_refused(project, options):
+    capability = CAPABILITIES["calibrate"]
+    folder = prepare(capability, capability.request(SHORT["calibrate"]), Project(project.folder))
+    job = json.loads((folder / "job.json").read_text())
+    (folder / "job.json").write_text(json.dumps(job | {"options": options}))
+    with pytest.raises(StoreRefused, match=r"job\.json cannot be read"):
+        jobs.run_here(folder)
 
 
 def test_a_job_of_a_calibration_stores_what_a_run_here_does(project, tmp_path):

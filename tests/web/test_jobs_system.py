@@ -141,6 +141,12 @@ def test_a_backup_is_made_and_fetched(bench, tmp_path):
     connection.close()
 
 
+def test_no_backup_of_a_deleted_project(bench, monkeypatch):
+    monkeypatch.setattr(system, "BACKUPS", "gone/backups")
+    answer = bench.post("/system/backups", status=422)
+    assert "a folder in an existing project" in answer["sentence"]
+
+
 @pytest.mark.parametrize("name", ["..%2f..%2ffixel.yaml", "%2e%2e", "experiments.db", ".x.db"])
 def test_nothing_else_is_fetched(bench, name):
     (bench.folder / "backups").mkdir(exist_ok=True)

@@ -125,6 +125,15 @@ def test_the_guide_names_every_operation(bench):
     assert bench.gate.token not in guide
 
 
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"ids": [1],}', "\x00"])
+def test_bodies_that_are_no_json_object_are_refused_in_one_sentence(bench, text):
+    answer = bench.send("/experiments/delete", text)
+    assert answer.status_code == 422
+    wanted = ", but fixel needs a JSON object, sent with Content-Type: application/json"
+    assert answer.json()["sentence"].startswith("body: found ")
+    assert answer.json()["sentence"].endswith(wanted)
+
+
 def test_long_bodies_are_refused(bench):
     assert bench.send("/project", b"x" * (MAX_BODY + 1)).status_code == 413
 

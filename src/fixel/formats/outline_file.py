@@ -230,7 +230,7 @@ def _check_drawn(text: str, where: str) -> None:
         # svgelements reads styles in quadratic time.
         left -= 1 + 2 * len(one.text or "") * one.tag.endswith("style")
         if left < 0:
-            expected = f"at most {MAX_ELEMENTS} elements, or half as many characters of style"
+            expected = f"at most {MAX_ELEMENTS} elements, and 50 kB of style"
             raise InvalidInput(where, found="more", expected=expected, hint="save as plain SVG")
 
 

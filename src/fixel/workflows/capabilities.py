@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from fixel.capability.capability import Capability
 from fixel.capability.options import TABLE
 from fixel.errors import InvalidInput, JobRefused
+from fixel.io.atomic import readable
 from fixel.jobs.functions import callable_by_jobs, stamp
 from fixel.workflows.calibration.run import CALIBRATE
 from fixel.workflows.compare import COMPARE
@@ -220,8 +221,9 @@ def request_of(inputs: Path) -> JobRequest:
     from fixel.jobs.folder import read_job
 
     options = read_job(inputs.parent).options
-    capability = CAPABILITIES[options["capability"]]
-    request = capability.from_json(json.dumps(options["request"]))
+    with readable(inputs.parent / "job.json"):
+        capability = CAPABILITIES[options["capability"]]
+        request = capability.from_json(json.dumps(options["request"]))
     for path, _ in options.get("reads", {}).items() - capability.reads(request).items():
         hint = "restore it, or prepare another job"
         raise JobRefused(f"{path} has changed since the job was prepared", hint=hint)

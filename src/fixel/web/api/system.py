@@ -23,6 +23,7 @@ from fixel.database import schema
 from fixel.database.engine import open_engine, reading
 from fixel.database.project import Project
 from fixel.errors import JobRefused, NotStored
+from fixel.io.atomic import usable
 from fixel.io.document import plain_numbers
 from fixel.jobs.worker_process import WorkerProcess
 from fixel.kernels.code_cache import cache_folder, share_compiled
@@ -182,7 +183,8 @@ def check(context: Context) -> DatabaseCheck:
 def back_up(context: Context) -> NewBackup:
     with _only_one(context, "the backup"):
         folder = context.project.folder / BACKUPS
-        folder.mkdir(exist_ok=True)
+        with usable(folder, "a folder in an existing project", FileNotFoundError):
+            folder.mkdir(exist_ok=True)
         done = maintenance.backup(context.project, _new_name(folder))
     return NewBackup(
         backup=backup_named(context.project, done.file.name),
