@@ -166,7 +166,8 @@ def parsed(path: Path, hint: str | None = None) -> Iterator[None]:
     except FixelError:
         raise
     except Exception as problem:
-        found = ": ".join(filter(None, (type(problem).__name__, str(problem))))[:200]
+        reason = ": ".join(filter(None, (type(problem).__name__, str(problem))))[:200]
+        found = f"content that its reader rejects ({reason})"
         expected = f"a readable {path.suffix[1:].upper()} file"
         raise InvalidInput(path.name, found=found, expected=expected, hint=hint) from problem
 

@@ -441,3 +441,12 @@ def test_experiments_that_cannot_be_compared(project, experiments):
         refused(run.select_experiments, store, ("lost",), ExperimentQuery(), match="no scene")
         with pytest.raises(InvalidInput, match="must be one of testbed"):
             run.select_experiments(store, (), ExperimentQuery(dataset="nowhere"))
+
+
+def test_a_name_given_again_is_looked_up_once(project, monkeypatch):
+    with project.store() as store:
+        find, keys = store.find, []
+        monkeypatch.setattr(type(store), "find", lambda _, key: keys.append(key) or find(key))
+        named = store.experiments(ExperimentQuery()).rows[0].key
+        assert run.select_experiments(store, (named,) * 1000, ExperimentQuery()).ids == [1]
+    assert keys == [named]

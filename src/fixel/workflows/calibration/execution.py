@@ -222,7 +222,7 @@ def select_experiments(
     Named ones must be fit for it, and count once under whatever names; of a listing, those that are
     not are left out with a reason.
     """
-    ids = list(dict.fromkeys(store.find(key) for key in keys))
+    ids = list(dict.fromkeys(map(store.find, dict.fromkeys(keys))))
     if not ids:
         ids = [summary.id for summary in store.experiments(query).rows]
         if not ids:

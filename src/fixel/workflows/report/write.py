@@ -156,25 +156,25 @@ def report(
         else:
             results = [what] if isinstance(what, Result) else [*what]
             content = results_content(results, folder / FIGURES, title)
-    cited = works(content.references)
-    html = template.render(
-        content=content,
-        picture=_embedded,
-        cited=[line(work) for work in cited.values()],
-        bibtex=bibtex(cited),
-        commands=[*content.commands, *([command] if command else [])],
-        pdf=FIGURES,
-    )
-    data = html.encode()
-    if len(data) > MAX_PAGE_BYTES:
-        raise InvalidInput(
-            str(page),
-            found=f"{len(data) / 1e6:.1f} MB",
-            expected=f"at most {MAX_PAGE_BYTES / 1e6:.0f} MB",
-            hint="report fewer analyses: remove some from the folder analyses of the project",
+        cited = works(content.references)
+        html = template.render(
+            content=content,
+            picture=_embedded,
+            cited=[line(work) for work in cited.values()],
+            bibtex=bibtex(cited),
+            commands=[*content.commands, *([command] if command else [])],
+            pdf=FIGURES,
         )
-    write_whole(folder / BIBLIOGRAPHY, bibtex(cited))
-    write_whole(page, data)
+        data = html.encode()
+        if len(data) > MAX_PAGE_BYTES:
+            raise InvalidInput(
+                str(page),
+                found=f"{len(data) / 1e6:.1f} MB",
+                expected=f"at most {MAX_PAGE_BYTES / 1e6:.0f} MB",
+                hint="report fewer analyses: remove some from the folder analyses of the project",
+            )
+        write_whole(folder / BIBLIOGRAPHY, bibtex(cited))
+        write_whole(page, data)
     shown = [figure for section in content.sections for figure in section.figures]
     return Report(
         page=page,

@@ -87,7 +87,7 @@ def selected(project: Project, asked: Any) -> SampledExperiments:
     with project.store() as store:
         one = None if asked.calibration is None else load_values(store, asked.calibration)
         ids = _ids(store, asked.experiments, one)
-        held = list(dict.fromkeys(store.find(key) for key in asked.held_out))
+        held = list(dict.fromkeys(map(store.find, dict.fromkeys(asked.held_out))))
         if set(ids) & set(held):
             found = "an experiment from which the posterior is computed"
             raise InvalidInput("held_out", found=found, expected="others")
@@ -184,7 +184,7 @@ def _newest(store: Store, experiment: int) -> CalibratedValues | None:
 
 def _ids(store: Store, keys: Sequence[str], one: CalibratedValues | None) -> list[int]:
     if keys:
-        return list(dict.fromkeys(store.find(key) for key in keys))
+        return list(dict.fromkeys(map(store.find, dict.fromkeys(keys))))
     if one is not None:
         return sorted(one.members)
     listed = store.experiments(ExperimentQuery(limit=2)).rows
