@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import Comparable, frozen, settle, table
+from fixel.model.fields import Comparable, floats, frozen, settle, table
 from fixel.typing import FloatArray
 
 
@@ -65,21 +65,18 @@ class Trajectory(Comparable):
 
     def __post_init__(self) -> None:
         pose = table(self.pose, "trajectory.pose", "x [m], y [m], angle [rad]")
-        time = np.asarray(self.time)
-        if time.shape != (len(pose),) or time.dtype.kind not in "iuf":
-            raise InvalidInput(
-                "trajectory.time",
-                found=f"an array of shape {time.shape}",
-                expected=f"one time for each of the {len(pose)} poses",
-            )
-        time = frozen(time)
+        expected = f"one time for each of the {len(pose)} poses"
+        time = floats(self.time, "trajectory.time", expected)
+        if time.shape != (len(pose),):
+            found = f"an array of shape {time.shape}"
+            raise InvalidInput("trajectory.time", found=found, expected=expected)
         if not (np.isfinite(time).all() and (np.diff(time) > 0.0).all()):
             raise InvalidInput(
                 "trajectory.time",
                 found="times that do not increase",
                 expected="finite, increasing times [s]",
             )
-        settle(self, time=time, pose=pose)
+        settle(self, time=frozen(time), pose=pose)
 
     @property
     def x(self) -> FloatArray:

@@ -223,8 +223,8 @@ class Simulator:
             scene = file.scene
         self.scene = scene
         self.motion = motion_model(motion)
-        self.stepper = stepper or Adaptive()
-        self.solver = named_part(solver or DEFAULT_SOLVER, SOLVERS, "solver")
+        self.stepper = Adaptive() if stepper is None else stepper
+        self.solver = named_part(DEFAULT_SOLVER if solver is None else solver, SOLVERS, "solver")
         check_method(scene, self.solver)
         parts = (self.motion, self.stepper, self.solver)
         own = is_compiled(self.motion) and is_compiled(self.stepper) and is_compiled(self.solver)
