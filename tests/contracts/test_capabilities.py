@@ -438,9 +438,10 @@ def test_a_job_stores_the_same_analysis_and_shows_its_progress(name, labs, here)
 @pytest.mark.parametrize(
     "options", [{"capability": "export", "request": {}}, {}, {"capability": []}]
 )
-def test_a_job_of_an_unknown_capability_is_refused(project, options):
+def test_a_job_of_an_unknown_capability_is_refused(project, tmp_path, options):
     capability = CAPABILITIES["calibrate"]
-    folder = prepare(capability, capability.request(SHORT["calibrate"]), Project(project.folder))
+    other = Project(shutil.copytree(project.folder, tmp_path / "other"))
+    folder = prepare(capability, capability.request(SHORT["calibrate"]), other)
     job = json.loads((folder / "job.json").read_text())
     (folder / "job.json").write_text(json.dumps(job | {"options": options}))
     with pytest.raises(StoreRefused, match=r"job\.json cannot be read"):
