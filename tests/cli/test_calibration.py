@@ -92,7 +92,7 @@ def test_a_campaign_lists_every_experiment_once(capsys, project):
     (("--fit", "mu_pusher=0:1:2"), "outside the bounds"),
     (("--optimiser", "least-squares", "--mode", "each"), "mode joint"),
     (("nowhere",), "no experiment 'nowhere'"),
-    (("--noise-mm", "-1", "--noise-mrad", "1"), "--noise-mm is -0.001"),
+    (("--noise-mm", "-1", "--noise-mrad", "1"), "--noise-mm is -1 mm, but must be more than 0"),
     (("--name", "../mine"), "--name is '../mine'"),
     (("1", "--where", "shape=none"), "--where: found names of experiments too"),
 ])  # fmt: skip

@@ -97,7 +97,7 @@ def test_what_was_offset_elsewhere_is_left_out_and_said(capsys, project):
     (("--step", "offset_x_m=wide"), "a number"),
     (("--by", "colour"), "without colour"),
     (("--facets", "colour"), "without colour"),
-    (("--cells", "offset_x_m=-1"), "a positive step"),
+    (("--cells", "offset_x_m=-1"), "--cells offset_x_m is -1.0, but must be more than 0"),
     (("--where", "shape=disc"), "found none"),
     (("--folds", "40"), "at least 40"),
     (("--calibration", "7"), "no calibration"),

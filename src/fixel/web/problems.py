@@ -69,8 +69,9 @@ def answer_errors(api: FastAPI) -> None:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
         found, expected = reprlib.repr(first.get("input")), str(first["msg"])
-        if first["type"] == "json_invalid" or len(first["loc"]) == 1:
-            if "ctx" in first:
+        no_json = first["type"] == "json_invalid"
+        if no_json or (len(first["loc"]) == 1 and first["type"] != "value_error"):
+            if no_json:
                 found = f"an error at character {first['loc'][1]} ({first['ctx']['error'].lower()})"
             json = "a JSON object, sent with Content-Type: application/json"
             return answer(problem_of(errors.InvalidInput("body", found=found, expected=json)))
