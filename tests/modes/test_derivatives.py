@@ -95,6 +95,39 @@ def test_a_face_that_lies_flush_moves_with_the_head():
     assert slope["mu_pusher"] == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
 
 
+@pytest.mark.parametrize("drive", [
+    LineDrive((1, 0), speed=0.02, travel=0.04),
+    PathDrive([(0, 0, 0, 0), (1, 0.02, 0, 0), (2, 0.035, 0.004, -0.06), (3, 0.05, 0.001, 0.08)]),
+])  # fmt: skip
+def test_a_face_that_lands_flush_has_no_derivative_by_its_angle(drive):
+    """One-sided differences by angles differ; by other names they agree with the derivative."""
+    head = Pusher("head", box(0.03, 0.03), pose=(0, 0, 0), drive=drive, friction=0.5)
+    support = Tripod(radius=0.012, friction=0.3)
+    part = Body("part", box(0.06, 0.06), mass=0.2, pose=(0.048, 0.004, 0.0), support=support)
+    scene = Scene(part, head, duration=3.0)
+    angles = ("start_theta", "outline_theta", "registration_theta")
+    kept = ("registration_y", "mu_pusher")
+    names = (*angles, "theta", *kept)
+    asked = {"motion": "quasistatic", "derivatives": names}
+    push = simulate(scene, **asked)
+    slope = push.derivatives
+    assert tuple(slope) == kept
+    assert f"no derivatives by {', '.join(names[:4])}: " in str(push)
+    batch = simulate_batch(scene, {"mu_pusher": [0.5]}, **asked)
+    assert [name for name in names if np.isnan(batch.derivatives[name]).all()] == list(names[:4])
+    assert not batch.differentiable.any()
+    exact = Simulator(scene, motion="quasistatic", stepper=Adaptive(tolerance=1e-11))
+    for name in (*angles, *kept):
+        value = 0.5 if name == "mu_pusher" else 0.0
+        ends = [np.array(exact.run({name: value + d}).final["part"]) for d in (-1e-5, 0.0, 1e-5)]
+        below, above = np.diff(ends, axis=0) / 1e-5
+        if name in angles:
+            assert np.abs(above - below).max() > 5e-3
+        else:
+            assert slope[name] == pytest.approx(above, abs=1e-4)
+            assert slope[name] == pytest.approx(below, abs=1e-4)
+
+
 def test_a_seated_part_does_not_depend_on_its_start():
     """Pegs and head hold the part where geometry alone says."""
     push = simulate(seated_grasp(0), motion="quasistatic", derivatives=NAMES)

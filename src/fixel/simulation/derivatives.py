@@ -63,7 +63,6 @@ def end_slopes(
     order = [*POSE_NAMES, *own]
     place = [order.index(name) for name in columns]
     slope = np.full((len(columns), len(pose), 3), np.nan)
-    found = np.zeros(len(pose), bool)
     record = empty_modes(len(pose))
     for k in range(0, len(pose), PASS):
         rows = np.arange(k, min(len(pose), k + PASS))
@@ -73,9 +72,8 @@ def end_slopes(
         modes = walk.ModeRecord._make(array[k : k + PASS] for array in record)
         part, good = _slopes(packed, method, widths, pose[rows], modes, threads)
         good &= ended[rows]
-        found[rows] = good
         slope[:, rows[good]] = np.moveaxis(part[good][..., place], 2, 0)
-    return dict(zip(names, slope, strict=True)), found, record
+    return dict(zip(names, slope, strict=True)), ~np.isnan(slope[..., 0]).any(axis=0), record
 
 
 def _columns(scene: Scene, names: Sequence[str], variation: Variation) -> list[str]:

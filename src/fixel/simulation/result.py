@@ -59,7 +59,7 @@ ALTERNATING_ADVICE: Final = (
     "short steps. Leave support_directions out, use a fixed step, or a tolerance of 0.1 % of the "
     "size of the part."
 )
-NO_SLOPES: Final = "no derivatives: contact modes are lost, or one ends in a jump"
+NO_SLOPES: Final = "contact modes are lost or jump, or a face lands flush"
 # Verdicts of `Accuracy`.
 CERTIFIED: Final = "certified"
 AGREED: Final = "agreed"
@@ -146,7 +146,8 @@ class Simulation(Result):
     parameters : Parameters or None
         Values that replaced those of the scene.
     method : mapping
-        Names and options of motion model, stepper and solver.
+        Names and options of motion model, stepper and solver; requested names that have no
+        derivative as `lacking`.
     status : str
         ``converged``, or the reason of an early end (`fixel.kernels.codes.STATUS_NAMES`).
     stopped_at : float or None
@@ -174,7 +175,7 @@ class Simulation(Result):
     derivatives : mapping from name to (3,) float64, or None
         Derivative of x, y and theta of the part at the end, by each requested name [SI units];
         empty if there are none, because contact modes are lost, jump, or end elsewhere than the
-        stepper.
+        stepper. There are none by angles at which a face lands flush on another.
 
     Examples
     --------
@@ -350,6 +351,7 @@ class Simulation(Result):
             for name, own in self.pushers.items()
         ]
         columns = ("pusher", Column("travel", unit, ".2f"), Column("force", "N", ".4g"), "")
+        lacking = self.method.get("lacking", ())
         return Summary(
             f"Simulation: {self.status}, {ended}{taken}",
             [
@@ -360,7 +362,7 @@ class Simulation(Result):
             [
                 *([self.advice] if self.advice else []),
                 *([str(self.accuracy)] if self.accuracy else []),
-                *([NO_SLOPES] if self.derivatives == {} else []),
+                *([f"no derivatives by {', '.join(lacking)}: {NO_SLOPES}"] if lacking else []),
                 *self.simplified,
                 quality,
             ],
@@ -511,7 +513,7 @@ class BatchResult(Result):
         Derivatives of the last poses [m, m, rad] by each requested parameter or start coordinate;
         NaN where there are none.
     differentiable : (n,) bool or None
-        Whether there are derivatives; see `Simulation.derivatives`.
+        Whether there are derivatives by all names; see `Simulation.derivatives`.
     version : str
         Version of fixel.
 

@@ -410,10 +410,13 @@ class Simulator:
             duration: float = found["duration"]
             packed_of = functools.partial(pack, scene, self.motion, self.stepper, duration=duration)
             ended = np.array([found["stopped_at"] is None])
-            columns, good, modes = slopes.end_slopes(
+            columns, _, modes = slopes.end_slopes(
                 scene, variation, names, packed_of, self._method, ends[:, 0], ended, threads=1
             )
-            result["derivatives"] = {k: v[0] for k, v in columns.items()} if good[0] else {}
+            lacking = [name for name, own in columns.items() if np.isnan(own[0, 0])]
+            result["derivatives"] = {k: own[0] for k, own in columns.items() if k not in lacking}
+            if lacking:
+                result["method"] = found["method"] | {"lacking": lacking}
         if accuracy:
             from fixel.simulation.accuracy import confirm  # late: few runs need it
 

@@ -35,6 +35,7 @@ AT_ONCE = 1e-6  # duration of a rest between two modes that touch
 BENT = 0.005  # second difference of the velocity's derivative over a piece, times its length
 GROWTH = 0.75  # velocity's derivative times the length of a piece
 MOST_PIECES = 1000  # of a step
+TURNED = 1e-6  # of a column: change of the angle between flush faces that is not rounding
 SPARE = 256  # states, of steps that are divided
 TOUCHING = -3  # event of a part that touches the pusher at the start: as if it came from a gap
 TO_TOUCH = walk.MODE_ROOM  # number of that event
@@ -61,6 +62,7 @@ class Flow(NamedTuple):
     margin: FloatArray  # (n_mode + 1,) the one that ends it, close to zero
     rate: FloatArray  # (n_mode + 1,) by the time, of that margin
     slant: FloatArray  # (n_mode + 1, 3 + n_parameter) its derivative
+    angle: FloatArray  # (n_mode, 3 + n_parameter) of a flush face, without the part's turn, or NaN
 
 
 @large_kernel
@@ -339,6 +341,9 @@ def _linearise(model: Model, mode: ContactMode, tape: Tape, flow: Flow) -> bool:
                 which = walk.FOLDED
             step += 1
         span[UP_TO] = k
+        for c in range(mode.size[geometry.N_CLOSED]):
+            if mode.contact[c, geometry.FORM] == geometry.FLUSH:
+                flow.angle[number, :3] = geometry.place_contact(model, mode, c)[5]
         # At rest, up to the gap that closes where the next mode begins.
         for i in range(3):
             event[i] = flow.state[k - 1, i] if moves else row[walk.POSE + i]
@@ -394,6 +399,9 @@ def _vary(own: Model, mode: ContactMode, tape: Tape, flow: Flow, column: int) ->
             for i in range(3):
                 flow.slope[k, i, column] = mode.velocity[i] - flow.velocity[k, i]
             _respond(flow, k, column, mode.vector, 3 + n)
+        for c in range(mode.size[geometry.N_CLOSED]):
+            if mode.contact[c, geometry.FORM] == geometry.FLUSH:
+                flow.angle[number, column] = geometry.place_contact(own, mode, c)[5]
         if row[walk.EVENT] >= 0.0:
             margin = _margin(own, mode, flow.event[number], int(row[walk.EVENT]))
             flow.slant[number, column] = margin - flow.margin[number]
@@ -477,7 +485,7 @@ def _time_event(flow: Flow, number: int, state: FloatArray, late: FloatArray) ->
         for i in range(3):
             total += flow.slant[number, i] * state[i, column]
         late[column] = -total / flow.rate[number]
-        if not abs(late[column]) < np.inf:
+        if not abs(late[column]) < np.inf and not np.isnan(state[0, column]):
             return False
     return True
 
@@ -507,6 +515,12 @@ def _integrate(
             _write_between(state, state, stage, 0.0, 0.0, out[at])
             at += 1
         _jump(state, before, velocity, late)
+        for column in range(late.size):
+            # A face that lands flush on another turns to it, the part's way or the other.
+            turn = state[2, column] + flow.angle[number, column] - flow.angle[number, 0]
+            size = abs(state[0, column]) + abs(state[1, column]) + abs(state[2, column])
+            if abs(turn) > TURNED * (1e-5 + size):
+                state[:, column] = np.nan
         for k in range(span[ONWARD], span[UP_TO] - 2, 2):
             begin = flow.state[k, 3]
             last = k + 3 == span[UP_TO]
@@ -575,6 +589,7 @@ def _empty_flow(wide: int) -> Flow:
         margin=np.empty(walk.MODE_ROOM + 1),
         rate=np.empty(walk.MODE_ROOM + 1),
         slant=np.empty((walk.MODE_ROOM + 1, wide)),
+        angle=np.empty((walk.MODE_ROOM, wide)),
     )
 
 
@@ -588,6 +603,7 @@ def _differentiate(
     wide = slope.shape[2]
     flow.rate[:] = 0.0
     flow.slant[:] = 0.0
+    flow.angle[:] = np.nan
     stage = np.zeros((7, 3, wide))
     start = batch.begin[base, BODY]
     for k in range(wide - 2):
