@@ -138,7 +138,7 @@ def test_made_up_pushes_are_found_out(tmp_path):
     assert pooled(answer, "few", "calibrated") < 0.6 * before
     assert pooled(answer, "calibrated", "calibrated") < pooled(answer, "unregistered", "calibrated")
     assert pooled(answer, "new-shape", "calibrated") < 0.7 * before
-    found = answer.fits[0]["reports"]
+    found = answer.fits[0]["values"]
     assert found["registration_x"] == pytest.approx(SHIFT[0], abs=0.25e-3)
     assert found["mu_pusher"] == pytest.approx(0.15, abs=0.05)
 
