@@ -489,7 +489,7 @@ def test_stored_results_print_the_same_text_after_export_and_import(project, tmp
 
 
 def test_the_same_question_has_the_same_folder_at_each_door(tmp_path, monkeypatch):
-    """By default the newest calibration is used; a page and a job name it, and settle the goal."""
+    """A command without a calibration uses the newest; a page and a job name it."""
     own = project_of(tmp_path / "lab", [replace(push(seed=1, duration=0.4), name="push-1")])
     own.calibrate("", {"mu_pusher": (0, 1)}, max_evaluations=4, verdicts=False, progress=False)
     start = {"x_mm": 0.1, "kind": "uniform"}

@@ -404,8 +404,10 @@ def test_a_directed_plane_has_no_single_value_of_its_two_parameters():
 
 
 def test_a_part_that_lies_against_a_peg_while_the_pusher_comes_back():
-    """Between its two pushes only the pusher comes nearer; its friction with the plane changes
-    nothing, whether or not it touches a peg. The derivative was -1.3."""
+    """Friction with the plane changes no end of a part that rests between two pushes.
+
+    It rests against a peg while the pusher leaves and returns. The derivative was -1.3.
+    """
     way = [
         (0.0, 0.0, 0.0237, 0.0), (0.49, 0.0061, 0.026, 0.0), (1.22, 0.027, 0.0301, 0.0),
         (2.26, 0.0529, 0.026, 0.0), (3.15, 0.0624, 0.0308, 0.0), (3.74, 0.0913, 0.0283, 0.0),
