@@ -34,7 +34,7 @@ from fixel.workflows.bench.estimates import LiveAnswer, estimate_rows
 from fixel.workflows.bench.judge import track_attempt
 from fixel.workflows.bench.loop import Background
 from fixel.workflows.bench.run import open_bench
-from fixel.workflows.calibration.parameter_options import searched_unknowns
+from fixel.workflows.calibration.request import searched_unknowns
 
 TRACKED_WITHIN = ESTIMATED_WITHIN = 10.0  # [s]
 TRAVEL, QUICK = 0.12, 0.06  # [m], [m/s]

@@ -32,7 +32,7 @@ from fixel.sampling.published import thesis_plan
 from fixel.simulation import Dynamic
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.typing import FloatArray
-from fixel.workflows.calibration.parameter_options import searched_unknowns
+from fixel.workflows.calibration.request import searched_unknowns
 
 # Seeds from here on were never looked at while the method was chosen; that used those from 1.
 FIRST_SEED: Final = 7001

@@ -18,11 +18,11 @@ import math
 import numpy as np
 
 from fixel.kernels import entries
-from fixel.kernels.allocate import empty_problem, empty_workspace
 from fixel.kernels.arrays import N_CONTACT, N_DOF, N_ELEMENT, N_FREE_DOF, Problem, Workspace
 from fixel.kernels.assembly import set_stiffness
 from fixel.kernels.codes import DYNAMIC, FIRST_ORDER, QUASI_STATIC
 from fixel.kernels.jit import allocating_kernel, entry, kernel
+from fixel.kernels.rollout import empty_problem, empty_workspace
 from fixel.kernels.solve import MAX_ATTEMPTS, TOLERANCE
 from fixel.typing import FloatArray, IntArray
 

@@ -21,8 +21,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from fixel.calibration.cost import NormalPrior
-from fixel.calibration.least_squares import LeastSquares, fit
+from fixel.calibration.least_squares import LeastSquares, NormalPrior, fit
 from fixel.calibration.optimiser import SearchBox
 from fixel.datasets.cmu import MU_FINGER
 from fixel.datasets.contact import pushed_scene

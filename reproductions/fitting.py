@@ -8,8 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fixel.calibration.cost import NormalPrior
-from fixel.calibration.least_squares import LeastSquares, fit
+from fixel.calibration.least_squares import LeastSquares, NormalPrior, fit
 from fixel.calibration.optimiser import SearchBox
 from fixel.datasets.mit_push_records import TIP
 from fixel.model import wrapped

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from fixel.calibration.contacts import contacts_of
+from fixel.calibration.known_pushes import contacts_of
 from fixel.replay.base import Row, errors_in_mm_and_deg
 from fixel.typing import FloatArray, IntArray
 from reproductions.charts.error_bounds import learned_sides_figure

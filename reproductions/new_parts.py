@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from fixel.calibration.contacts import contacts_of
+from fixel.calibration.known_pushes import contacts_of
 from fixel.calibration.target import target_of
 from fixel.datasets.mit_push import NOMINAL, read_mit_pushes
 from fixel.domain.error_bound import TYPICAL, ConformalBound

@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from fixel.calibration.contacts import (
+from fixel.calibration.known_pushes import (
     Configurations,
     PushedContacts,
     TouchedPlaces,
@@ -246,7 +246,7 @@ def _counted(
             table, name = own.features[rows], [" ".join(own.key)] * len(rows)
             contact = own.contacts.rows(rows)
             bounds = plain.for_contacts(contacts, names, beyond[own.key[1]])
-            kind = pushed.novelty(contact, name).kind
+            kind = [kind for kind, _ in pushed.novelty(contact, name)]
             other = [
                 bounds.with_rule(rule).bounds(table, name, contact) for rule in (TYPICAL, CAUTIOUS)
             ]

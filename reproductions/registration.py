@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fixel.calibration.contacts import gaps_and_normals
+from fixel.calibration.known_pushes import gaps_and_normals
 from fixel.errors import InvalidInput
 from fixel.model import Shape
 from fixel.model.fields import positive

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from fixel.calibration.contacts import Configurations, contacts_of, gaps_and_normals
+from fixel.calibration.known_pushes import Configurations, contacts_of, gaps_and_normals
 from fixel.datasets.mit_push_records import TIP
 from fixel.domain.features import (
     Features,

@@ -12,9 +12,13 @@ from fixel.workflows.calibration.execution import (
     draw_sample,
     select_experiments,
 )
-from fixel.workflows.calibration.parameter_options import options_of, searched_unknowns
 from fixel.workflows.calibration.plan import CalibrationPlan, plan_in
-from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
+from fixel.workflows.calibration.request import (
+    CalibrationRequest,
+    NamedOptions,
+    options_of,
+    searched_unknowns,
+)
 from fixel.workflows.calibration.stored import add_to_project
 from fixel.workflows.capabilities import CAPABILITIES
 from fixel.workflows.capabilities import prepare as prepare_job

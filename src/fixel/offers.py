@@ -132,7 +132,6 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "fixel.model.experiment": "Channel Experiment Flag Provenance",
         "fixel.model.goals": "AllOf AnyOf Beyond Contact Exit ForceAbove Inside PoseRegion Seated",
         "fixel.model.parameters": "Parameters",
-        "fixel.model.plane": "FrictionMap LoadMap Plane",
         "fixel.model.probability": "Probability",
         "fixel.model.records": "CalibrationRecord Estimate Evaluations FilterParameters"
         " FilterRecord Member ProfileRecord SimulationRecord",
@@ -140,7 +139,8 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "fixel.model.selection": "ExperimentDetails ExperimentRow",
         "fixel.model.shape": "Disk Polygon",
         "fixel.model.space": "Parameter ParameterSpace Unknown",
-        "fixel.model.support": "Ellipsoid NoSupport SupportPoints Tripod UniformPressure",
+        "fixel.model.support": "Ellipsoid FrictionMap LoadMap NoSupport Plane SupportPoints Tripod"
+        " UniformPressure",
         "fixel.model.trajectory": "Pose Trajectory",
         "fixel.parts.left_out": "LeftOutEnds",
         "fixel.parts.model": "PartModel",

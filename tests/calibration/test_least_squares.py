@@ -7,8 +7,7 @@ from tests.calibration.toys import DECAY_BOX, box, decay_residuals, each, linear
 from tests.fixtures import refused
 from tests.reference.more_wild import powell_singular, rosenbrock
 
-from fixel.calibration.cost import Cost, NormalPrior
-from fixel.calibration.least_squares import STUCK, LeastSquares, fit
+from fixel.calibration.least_squares import STUCK, Cost, LeastSquares, NormalPrior, fit
 from fixel.errors import InvalidInput
 
 T = np.linspace(0.0, 4.0, 40)

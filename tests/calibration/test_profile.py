@@ -16,8 +16,7 @@ from tests.calibration.toys import (
 )
 from tests.fixtures import refused
 
-from fixel.calibration.cost import NormalPrior
-from fixel.calibration.least_squares import LeastSquares
+from fixel.calibration.least_squares import LeastSquares, NormalPrior
 from fixel.calibration.profile import ProfileLikelihood
 from fixel.errors import InvalidInput
 

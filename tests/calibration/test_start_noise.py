@@ -7,9 +7,8 @@ import pytest
 
 import fixel
 from fixel import Noise, Parameters, Trajectory, Tripod
-from fixel.calibration.honest import ShiftModel
+from fixel.calibration.honest import ShiftModel, StartSensitivity, start_dispersion, start_study
 from fixel.calibration.objective import Comparer
-from fixel.calibration.start_noise import StartSensitivity, start_dispersion, start_study
 from fixel.calibration.target import targets_of
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.testing.pushes import TRUTH, example_pushes

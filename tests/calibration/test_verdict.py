@@ -14,9 +14,8 @@ from tests.calibration.toys import (
 )
 from tests.fixtures import refused
 
-from fixel.calibration.cost import NormalPrior
 from fixel.calibration.honest import Honest
-from fixel.calibration.least_squares import LeastSquares, fit
+from fixel.calibration.least_squares import LeastSquares, NormalPrior, fit
 from fixel.calibration.profile import ProfileLikelihood
 from fixel.calibration.result import find_solutions
 from fixel.calibration.verdict import WORDS, judge

@@ -7,7 +7,12 @@ import pytest
 from tests.fixtures import refused
 
 from fixel import InvalidInput, Polygon
-from fixel.calibration.contacts import Configurations, PushedContacts, TouchedPlaces, contacts_of
+from fixel.calibration.known_pushes import (
+    Configurations,
+    PushedContacts,
+    TouchedPlaces,
+    contacts_of,
+)
 from fixel.domain.error_bound import ConformalBound
 
 SIDES = 4

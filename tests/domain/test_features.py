@@ -3,7 +3,7 @@
 import numpy as np
 from reproductions.residuals import configuration_features
 
-from fixel.calibration.contacts import Configurations
+from fixel.calibration.known_pushes import Configurations
 from fixel.domain import features
 from fixel.model import Disk, Polygon
 

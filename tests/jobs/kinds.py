@@ -16,9 +16,8 @@ from fixel.model.selection import ExperimentQuery
 from fixel.sampling.published import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing.toy_work import MAKER, make_toy_work
-from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.plan import outcome_bytes, outcome_of
-from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
+from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions, searched_unknowns
 from fixel.workflows.jobs import prepare_job
 
 

@@ -11,7 +11,7 @@ import pytest
 import shapely
 from shapely.affinity import translate
 
-from fixel.kernels.measure import measure_gaps
+from fixel.kernels.gap import measure_gaps
 from fixel.model.shape import Polygon
 from fixel.simulation.geometry import PackedShapes, pack_shapes
 

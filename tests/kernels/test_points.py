@@ -5,7 +5,7 @@ import pytest
 
 from fixel.kernels import codes, entries
 from fixel.kernels.arrays import N_POINT
-from fixel.kernels.points import LANES
+from fixel.kernels.one_body import LANES
 from fixel.kernels.solve import MAX_ATTEMPTS
 
 TOLERANCE = 1e-9  # the judge's

@@ -11,7 +11,7 @@ from tests.fixtures import refused
 
 from fixel.errors import InvalidInput
 from fixel.model import Disk, Polygon, placed
-from fixel.model.decomposition import is_convex
+from fixel.model.shape import is_convex
 
 SQUARE = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
 ELL = [[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]]

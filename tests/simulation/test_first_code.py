@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from fixel.kernels import code_cache
-from fixel.kernels.batch import rollout_batch
+from fixel.kernels.rollout import rollout_batch
 from fixel.simulation import first_code, simulate
 from fixel.testing.scenes import grasp, heap, pushed_square
 
@@ -131,7 +131,7 @@ def test_a_process_that_gave_no_sign_for_long_counts_as_dead(compiling):
 def test_stored_code_is_that_of_the_entry(cold):
     folder = Path(code_cache.cache_folder())
     assert not code_cache.is_stored(first_code.ENTRY)
-    code_cache.write_sealed(str(folder / "batch.rollout_batch-0"), b"code")
+    code_cache.write_sealed(str(folder / "rollout.rollout_batch-0"), b"code")
     assert code_cache.is_stored(first_code.ENTRY)
     assert not code_cache.is_stored("batch.rollout")
-    assert f"batch.{rollout_batch.__name__}" == first_code.ENTRY
+    assert f"rollout.{rollout_batch.__name__}" == first_code.ENTRY

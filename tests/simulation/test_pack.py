@@ -7,7 +7,7 @@ import pytest
 
 from fixel import Adaptive, Dynamic, FirstOrder, InvalidInput, QuasiStatic, StewartTrinkle, simulate
 from fixel.kernels import arrays as at
-from fixel.kernels import batch as families
+from fixel.kernels.rollout import select_one
 from fixel.model import Body, FrictionMap, NoSupport, PathDrive, Plane, Scene, SupportPoints
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.pack import DEFAULT_TOLERANCE, characteristic_units, pack, pusher_path, stack
@@ -27,7 +27,7 @@ def _pack(scene, parameters=None, n=1, motion=DYNAMIC, start=None):
 
 
 def _one(packed, r):
-    return families.select_one(packed.batch, r)
+    return select_one(packed.batch, r)
 
 
 @pytest.mark.parametrize("scene", [grasp(), micro_push(3), heap(4), sliding_block()])
@@ -162,8 +162,8 @@ def test_stacked_scenes_are_themselves():
     parts = [_pack(scene) for scene in scenes]
     batch = stack(parts)
     for r, part in enumerate(parts):
-        together = families.select_one(batch, r)
-        alone = families.select_one(part.batch, 0)
+        together = select_one(batch, r)
+        alone = select_one(part.batch, 0)
         for name in together._fields:
             assert np.array_equal(getattr(together, name), getattr(alone, name)), name
     assert stack(parts[:1]) is parts[0].batch

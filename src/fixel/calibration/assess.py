@@ -11,9 +11,15 @@ from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 
-from fixel.calibration.cost import NormalPrior
-from fixel.calibration.honest import Honest, ShiftModel, mixed_study
-from fixel.calibration.least_squares import LeastSquares, LeastSquaresFit
+from fixel.calibration.honest import (
+    Honest,
+    ShiftModel,
+    StartSensitivity,
+    mixed_study,
+    start_dispersion,
+    start_study,
+)
+from fixel.calibration.least_squares import LeastSquares, LeastSquaresFit, NormalPrior
 from fixel.calibration.noise import (
     Dispersion,
     Misfit,
@@ -27,7 +33,6 @@ from fixel.calibration.noise import (
 )
 from fixel.calibration.objective import Comparer, EndPose
 from fixel.calibration.profile import ProfileLikelihood, Profiles
-from fixel.calibration.start_noise import StartSensitivity, start_dispersion, start_study
 from fixel.calibration.study import box_of, relayed, run_study
 from fixel.calibration.target import repetitions
 from fixel.calibration.verdict import judge

@@ -9,12 +9,13 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from fixel.calibration.cost import Cost, NormalPrior
 from fixel.calibration.least_squares import (
     FAILED,
+    Cost,
     Descent,
     LeastSquares,
     LeastSquaresFit,
+    NormalPrior,
     checked_residuals,
 )
 from fixel.calibration.optimiser import Best, Count, CountOrZero, SearchBox

@@ -18,9 +18,8 @@ import numpy as np
 
 from fixel.calibration import assess
 from fixel.calibration.assess import Assessment, AssessmentRequest, AssessmentSteps, Frames
-from fixel.calibration.cost import NormalPrior
 from fixel.calibration.honest import quoted
-from fixel.calibration.least_squares import LeastSquares
+from fixel.calibration.least_squares import LeastSquares, NormalPrior
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer, Evaluation, combined_errors, lengths_of
 from fixel.calibration.optimiser import AbstractOptimiser, Best

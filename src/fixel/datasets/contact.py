@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from fixel.calibration.contacts import gaps_and_normals
+from fixel.calibration.known_pushes import gaps_and_normals
 from fixel.datasets.base import remark, scene_or_flag
 from fixel.datasets.files import MM
 from fixel.model import Body, Disk, Flag, PathDrive, Pusher, Scene, Shape

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fixel.calibration.contacts import gaps_and_normals
+from fixel.calibration.known_pushes import gaps_and_normals
 from fixel.datasets import contact
 from fixel.datasets.base import trajectory_of
 from fixel.errors import InvalidInput

@@ -10,7 +10,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from fixel.calibration.contacts import CONTACT_ANGLE
+from fixel.calibration.known_pushes import CONTACT_ANGLE
 from fixel.calibration.target import NUMBERING, TRUTH, Target
 from fixel.domain.evidence import HeldOutErrors, Value
 from fixel.errors import InvalidInput, check_name

@@ -14,8 +14,14 @@ from typing import Final, NamedTuple, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fixel.calibration.contacts import PART, SIDE, SPEED, Novelty, PushedContacts, TouchedPlaces
-from fixel.calibration.known_pushes import MIN_EXPERIMENTS
+from fixel.calibration.known_pushes import (
+    MIN_EXPERIMENTS,
+    PART,
+    SIDE,
+    SPEED,
+    PushedContacts,
+    TouchedPlaces,
+)
 from fixel.calibration.mixed import numbered
 from fixel.domain.features import Scale, ScaleModel, default_model, fitted_model, powered, unpowered
 from fixel.errors import InvalidInput, counted
@@ -243,7 +249,7 @@ class ConformalBound:
         for level in levels:
             inner_share(level, "level")
         labels = _labels(groups, len(table))
-        kind = np.array(self._novelty(contacts, labels).kind, object)
+        kind = np.array([kind for kind, _ in self._novelty(contacts, labels)], object)
         answer = self._quantiles(table, labels, levels)
         answer[:, kind != ""] = np.inf
         for new, other in self._others(kind):
@@ -261,8 +267,8 @@ class ConformalBound:
         table = self._table(features)
         novelty = self._novelty(contacts, _labels(groups, len(table)))
         far = np.where(self._near(table), "", FAR_AWAY)
-        answer = [new or away for new, away in zip(novelty.reason, far.tolist(), strict=True)]
-        for mask, other in self._others(np.array(novelty.kind, object)):
+        answer = [new or away for (_, new), away in zip(novelty, far.tolist(), strict=True)]
+        for mask, other in self._others(np.array([kind for kind, _ in novelty], object)):
             new = np.flatnonzero(mask)
             if other is not None:
                 for k, why in zip(new.tolist(), other.reasons(table[new]), strict=True):
@@ -277,7 +283,7 @@ class ConformalBound:
         Unlike `reasons`, also where left-out units give a bound.
         """
         n = len(groups) if groups is not None else 0 if contacts is None else len(contacts.normal)
-        return self._novelty(contacts, _labels(groups, n)).reason
+        return tuple(reason for _, reason in self._novelty(contacts, _labels(groups, n)))
 
     def _others(
         self, kind: NDArray[np.object_]
@@ -288,7 +294,10 @@ class ConformalBound:
             (np.asarray(kind == PART, bool), self._part),
         )
 
-    def _novelty(self, contacts: TouchedPlaces | None, labels: list[Hashable]) -> Novelty:
+    def _novelty(
+        self, contacts: TouchedPlaces | None, labels: list[Hashable]
+    ) -> list[tuple[str, str]]:
+        """Return the kind of novelty of each configuration, and its reason."""
         if (self._pushed is None) != (contacts is None):
             found = "none" if contacts is None else "some, for bounds without contacts"
             raise InvalidInput("contacts", found=found, expected="what `for_contacts` got")
@@ -300,7 +309,7 @@ class ConformalBound:
             count = dict(zip(self._groups, np.bincount(self._group).tolist(), strict=True))
             count[None] = self.n  # a label that is not given
             new = [_few(label, count.get(label, 0)) for label in labels]
-        return Novelty(tuple(PART if reason else "" for reason in new), tuple(new))
+        return [(PART if reason else "", reason) for reason in new]
 
     def _table(self, features: ArrayLike) -> FloatArray:
         table = _table(features, "features")

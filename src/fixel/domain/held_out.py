@@ -16,8 +16,7 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 
 from fixel.calibration.assess import Frames
-from fixel.calibration.cost import NormalPrior
-from fixel.calibration.least_squares import LeastSquares, fit
+from fixel.calibration.least_squares import LeastSquares, NormalPrior, fit
 from fixel.calibration.noise import Noise, noise_from_repetitions
 from fixel.calibration.objective import AbstractError, Comparer, EndPose, MeanSquare
 from fixel.calibration.study import box_of

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from fixel.calibration.contacts import CONTACT_ANGLE, MAX_RATIO, MAX_TURN
+from fixel.calibration.known_pushes import CONTACT_ANGLE, MAX_RATIO, MAX_TURN
 from fixel.calibration.mixed import numbered
 from fixel.domain.cells import CellAxis, Cells
 from fixel.domain.claim import DOUBTFUL, NO_DATA, PREDICTED, CellVerdict, Claim

@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 
 from fixel.calibration import known_pushes
-from fixel.calibration.contacts import CONTACT_ANGLE, PART, SIDE, SPEED
+from fixel.calibration.known_pushes import CONTACT_ANGLE, PART, SIDE, SPEED
 from fixel.calibration.objective import Comparer
 from fixel.calibration.target import Target, same_configuration
 from fixel.domain.cells import PUSH, TRAVEL, coordinates_of, label_of, refuse_missing

@@ -18,7 +18,7 @@ import numpy as np
 
 from fixel.environments.loops import AgentState, Control, Rows, begin_step, end_step
 from fixel.kernels.arrays import REACHED, SAMPLES, SMALLEST
-from fixel.kernels.batch import rollout_batch
+from fixel.kernels.rollout import rollout_batch
 from fixel.model import Body, Disk, PathDrive, Pusher, Scene, rotated
 from fixel.simulation.motion import QuasiStatic
 from fixel.simulation.pack import Template

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fixel.filtering.particle_filter import ParticleFilter, Unknowns
-from fixel.kernels.measure import measure_gaps
+from fixel.kernels.gap import measure_gaps
 from fixel.model import Scene, wrapped
 from fixel.model.trajectory import pose_difference
 from fixel.simulation import Newton, StewartTrinkle

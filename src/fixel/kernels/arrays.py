@@ -132,7 +132,7 @@ class Workspace(NamedTuple):
         FloatArray  # (n_element, 21) of impulse and how it depends (8); saved impulse; sweeps; of
         # the last step taken
     )
-    lanes: FloatArray  # (LANE_FIELDS n_element,) see points.py
+    lanes: FloatArray  # (LANE_FIELDS n_element,) see one_body.py
     world: FloatArray  # (n_vertex, 2) vertices in the world, of pieces that are placed
     is_placed: IntArray  # (n_piece,) 1 where the vertices of a piece are those of the present pose
     frame: FloatArray  # (n_body, 4) cosine and sine of the angle, x and y of each body
@@ -239,6 +239,21 @@ class RolloutRecord(NamedTuple):
     total: FloatArray  # (N_TOTAL,) zeros at first; see REACHED
 
 
+# Families of a batch: arrays with common first rows.
+FREE = 0  # mass, inertia, wrench, spring, drag, velocity
+BODY = 1  # pose
+PAIR = 2  # friction, restitution
+PIECE = 3  # piece_body, piece_bound, piece_radius
+PIECE_START = 4  # piece_start
+VERTEX = 5  # vertex, edge_real
+ELEMENT = 6  # element_*
+DRIVEN = 7  # force_limit, drive_dof
+PATH_START = 8  # path_start
+PATH = 9  # path
+MAP = 10  # map_factor
+N_FAMILY = 11
+
+
 class Batch(NamedTuple):
     """Many rollouts: the concatenated arrays of their models, and the first rows of each rollout.
 
@@ -247,7 +262,7 @@ class Batch(NamedTuple):
     rollout's own first row.
     """
 
-    begin: IntArray  # (n_rollout, N_FAMILY) first row of each family, see batch.py
+    begin: IntArray  # (n_rollout, N_FAMILY) first row of each family
     count: IntArray  # type: ignore[assignment]  # (n_rollout, N_FAMILY) rows of each family
     model: (
         Model  # friction, restitution and map_factor flattened; plane, map_frame: a row per rollout

@@ -15,7 +15,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from fixel.kernels.batch import rollout_batch
+from fixel.kernels.rollout import rollout_batch
 
 _config: Any = numba.config
 

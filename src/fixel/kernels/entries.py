@@ -2,13 +2,12 @@
 
 from typing import Any
 
-from fixel.kernels import allocate as allocation
-from fixel.kernels import assembly, feasible, residual, rollout, samples, solve, step, step_control
-from fixel.kernels.allocate import empty_problem, empty_workspace
+from fixel.kernels import assembly, residual, rollout, samples, solve, step, step_control
 from fixel.kernels.arrays import Problem, Workspace
 from fixel.kernels.jit import entry
 from fixel.kernels.lemke import allocate_tableau
 from fixel.kernels.linear_form import ENOUGH, solve_linear_form, tableau_size
+from fixel.kernels.rollout import empty_problem, empty_workspace
 
 
 def _entry(helper: Any) -> Any:
@@ -16,7 +15,7 @@ def _entry(helper: Any) -> Any:
     return entry(getattr(helper, "py_func", helper))
 
 
-allocate = _entry(allocation.allocate)
+allocate = _entry(rollout.allocate)
 begin = _entry(rollout.begin)
 contacts = _entry(step.prepare_contacts)
 assemble = _entry(step.prepare_bodies)
@@ -57,7 +56,7 @@ def empty(
     n_body: int,
     n_pair: int,
 ) -> tuple[Problem, Workspace]:
-    """See `allocate.empty_problem` and `allocate.empty_workspace`."""
+    """See `rollout.empty_problem` and `rollout.empty_workspace`."""
     work = empty_workspace(n_dof, n_contact, n_element, n_vertex, n_piece, n_body, n_pair)
     return empty_problem(n_dof, n_contact, n_element), work
 
@@ -76,5 +75,5 @@ def solve_by_pivoting(problem: Problem, work: Workspace, max_pivots: int) -> flo
 
 @entry
 def is_proven_unsolvable(problem: Problem, work: Workspace) -> bool:
-    """See `feasible.is_squeezed`, without friction."""
-    return feasible.is_squeezed(problem, work, False)
+    """See `solve.is_squeezed`, without friction."""
+    return solve.is_squeezed(problem, work, False)

@@ -1,6 +1,7 @@
-"""Loop over the steps of one rollout, of fixed length or chosen to meet a tolerance.
+"""Loop over the steps of one rollout, of fixed length or chosen to meet a tolerance; and batches.
 
-The loop reads like docs/theory/stepping.md; its decisions are in `step_control.py`.
+The loop reads like docs/theory/stepping.md; its decisions are in `step_control.py`. Problems and
+workspaces are allocated before the first step, and only then.
 """
 
 import math
@@ -9,14 +10,29 @@ import numpy as np
 
 from fixel.kernels import arrays as at
 from fixel.kernels import codes
-from fixel.kernels.allocate import allocate
 from fixel.kernels.arrays import (
+    BODY,
     CONTACT_ROWS,
+    DRIVEN,
+    ELEMENT,
     FALLBACKS,
+    FREE,
+    LANE_FIELDS,
+    MAP,
+    N_PLACE,
+    N_SIZE,
+    PAIR,
+    PATH,
+    PATH_START,
+    PIECE,
+    PIECE_START,
     REACHED,
     SAMPLES,
     STEPS_TAKEN,
+    VERTEX,
     WORST_RESIDUAL,
+    Batch,
+    BatchRecord,
     Model,
     Problem,
     RolloutRecord,
@@ -25,8 +41,19 @@ from fixel.kernels.arrays import (
     Workspace,
 )
 from fixel.kernels.contacts import place_bodies
-from fixel.kernels.jit import kernel, large_kernel, spliced_kernel
+from fixel.kernels.islands import island_room
+from fixel.kernels.jit import (
+    allocating_kernel,
+    entry,
+    kernel,
+    large_kernel,
+    spliced_kernel,
+    view,
+)
+from fixel.kernels.josephy import MAX_CONTACTS, MAX_DRIVES
+from fixel.kernels.linear import DENSE_LIMIT
 from fixel.kernels.path import path_direction
+from fixel.kernels.residual import SCRATCH
 from fixel.kernels.samples import is_due, write_samples
 from fixel.kernels.solve import MAX_ATTEMPTS, MAX_ATTEMPTS_EARLY, TOLERANCE, may_jam, solve
 from fixel.kernels.step import (
@@ -55,6 +82,113 @@ from fixel.kernels.step_control import (
     take_back,
 )
 from fixel.typing import FloatArray
+
+SPARE = 2  # entries behind the last degree of freedom, so that every block may be read three wide
+
+
+@allocating_kernel
+def empty_problem(n_dof: int, n_contact: int, n_element: int) -> Problem:
+    """Allocate a problem with room for these numbers of degrees of freedom, contacts and friction
+    elements, none of them in use."""
+    wide = n_dof + SPARE
+    return Problem(
+        size=np.zeros(N_SIZE, np.int64),
+        inertia=np.zeros((wide, 3)),
+        momentum=np.zeros(wide),
+        velocity=np.zeros(wide),
+        stiffness=np.zeros(wide),
+        contact_dof=np.zeros((n_contact, 2), np.int64),
+        contact_key=np.zeros(n_contact, np.int64),
+        contact_body=np.zeros((n_contact, 2), np.int64),
+        contact_place=np.zeros((n_contact, N_PLACE)),
+        normal=np.zeros((n_contact, 6)),
+        tangent=np.zeros((n_contact, 6)),
+        bias=np.zeros((n_contact, 2)),
+        friction=np.zeros(n_contact),
+        impulse=np.zeros((n_contact, 2)),
+        element_dof=np.zeros(n_element, np.int64),
+        element_sides=np.zeros(n_element, np.int64),
+        element_row=np.zeros((n_element, 3, 3)),
+        element_bias=np.zeros((n_element, 3)),
+        element_limit=np.zeros(n_element),
+        element_impulse=np.zeros((n_element, 3)),
+    )
+
+
+@allocating_kernel
+def empty_workspace(
+    n_dof: int,
+    n_contact: int,
+    n_element: int,
+    n_vertex: int,
+    n_piece: int,
+    n_body: int,
+    n_pair: int,
+) -> Workspace:
+    """Allocate the workspace for a problem and a scene of these sizes."""
+    wide = n_dof + SPARE
+    n_row = 4 * min(n_contact, MAX_CONTACTS) + 2 * MAX_DRIVES
+    # Islands are for large problems only.
+    n_float = 0
+    n_index = 0
+    if n_dof > DENSE_LIMIT:
+        n_float, n_index = island_room(wide, n_contact, n_element)
+    return Workspace(
+        matrix=np.zeros((wide, wide)),
+        profile=np.zeros(wide, np.int64),
+        active=np.zeros(wide, np.int64),
+        right=np.zeros(wide + SCRATCH),
+        contact_change=np.zeros((n_contact, 24)),
+        element_change=np.zeros((n_element, 21)),
+        lanes=np.zeros(LANE_FIELDS * n_element),
+        world=np.zeros((n_vertex, 2)),
+        is_placed=np.zeros(n_piece, np.int64),
+        frame=np.zeros((n_body, 4)),
+        old_key=np.zeros(n_contact, np.int64),
+        old_impulse=np.zeros((n_contact, 4)),
+        near=np.zeros((n_pair, 2), np.int64),
+        order=np.arange(n_piece),
+        extent=np.zeros((n_piece, 3)),
+        anchor=np.zeros((n_body, 3)),
+        reach=np.zeros(1),
+        inverse=np.zeros((wide, 3)),
+        pull=np.zeros(wide),
+        centre=np.zeros(wide),
+        search=np.zeros((wide, 5)),
+        tableau=np.zeros((n_row, 2 * n_row + 2)),
+        basis=np.zeros(n_row),
+        island_floats=np.zeros(n_float),
+        island_indices=np.zeros(n_index, np.int64),
+        near_count=np.full(1, -1, np.int64),
+    )
+
+
+@allocating_kernel
+def allocate(model: Model, max_contacts: int) -> tuple[Problem, Workspace]:
+    """Allocate a problem and a workspace large enough for every step of a rollout."""
+    n_free = model.mass.size
+    n_driven = model.force_limit.size
+    n_body = model.friction.shape[0]
+    n_piece = model.piece_body.size
+    n_dof = 3 * n_free
+    for d in range(n_driven):
+        if model.drive_dof[d] >= 0:
+            n_dof += 1
+    n_pair = 0
+    others = 0  # pieces of later bodies
+    for i in range(n_piece - 1, -1, -1):
+        if i + 1 < n_piece and model.piece_body[i + 1] != model.piece_body[i]:
+            others = n_piece - i - 1
+        if model.piece_body[i] < n_free:
+            n_pair += others
+    n_pair = min(n_pair, 32 * n_piece)
+    n_contact = min(2 * n_pair, max_contacts)
+    n_element = model.element_body.size + n_driven
+    problem = empty_problem(n_dof, n_contact, n_element)
+    work = empty_workspace(
+        n_dof, n_contact, n_element, model.vertex.shape[0], n_piece, n_body, n_pair
+    )
+    return problem, work
 
 
 @spliced_kernel
@@ -287,3 +421,75 @@ def _copy_state(source: State, target: State, n_free: int) -> None:
         target.middle[i] = source.middle[i]
     for i in range(source.path_time.size):
         target.path_time[i] = source.path_time[i]
+
+
+@kernel
+def select(batch: Batch, r: int) -> Model:
+    """Return the model of rollout r, as views of the batch's arrays, which must outlive it."""
+    a = batch.begin[r]
+    n = batch.count[r]
+    m = batch.model
+    free, piece, vertex, body = n[FREE], n[PIECE], n[VERTEX], n[BODY]
+    element, driven, cells, e = n[ELEMENT], n[DRIVEN], batch.map_shape[r], a[ELEMENT]
+    return Model(
+        view(m.mass, a[FREE], (free,)), view(m.inertia, a[FREE], (free,)),
+        view(m.wrench, 3 * a[FREE], (free, 3)), view(m.spring, 3 * a[FREE], (free, 3)),
+        view(m.drag, 9 * a[FREE], (free, 3, 3)), view(m.piece_body, a[PIECE], (piece,)),
+        view(m.piece_start, a[PIECE_START], (n[PIECE_START],)),
+        view(m.piece_bound, 3 * a[PIECE], (piece, 3)), view(m.piece_radius, a[PIECE], (piece,)),
+        view(m.vertex, 2 * a[VERTEX], (vertex, 2)), view(m.edge_real, a[VERTEX], (vertex,)),
+        view(m.friction, a[PAIR], (body, body)), view(m.restitution, a[PAIR], (body, body)),
+        view(m.element_body, e, (element,)), view(m.element_kind, e, (element,)),
+        view(m.element_point, 2 * e, (element, 2)), view(m.element_limit, e, (element,)),
+        view(m.element_ratio, e, (element,)), view(m.path_start, a[PATH_START], (n[PATH_START],)),
+        view(m.path, 4 * a[PATH], (n[PATH], 4)),
+        view(m.force_limit, a[DRIVEN], (driven,)), view(m.drive_dof, a[DRIVEN], (driven,)),
+        view(m.plane, 3 * r, (3,)), view(m.map_frame, 4 * r, (4,)),
+        view(m.map_factor, a[MAP], (cells[0], cells[1])), batch.sides[r],
+    )  # fmt: skip
+
+
+@spliced_kernel
+def _rollout_one(
+    batch: Batch, method: StepMethod, record: BatchRecord, every_step: bool, r: int
+) -> None:
+    a = batch.begin[r]
+    z = a + batch.count[r]
+    own = RolloutRecord(
+        record.time[r],
+        record.pose[r],
+        record.twist[r],
+        record.drive[r],
+        record.contact[r],
+        record.count[r],
+        record.total[r],
+    )
+    record.status[r] = rollout(
+        select(batch, r),
+        batch.pose[a[BODY] : z[BODY]],
+        batch.velocity[a[FREE] : z[FREE]],
+        method,
+        batch.settings[r],
+        own,
+        every_step,
+    )
+
+
+@entry
+def _select_one(batch: Batch, r: int) -> Model:
+    return select(batch, r)
+
+
+def select_one(batch: Batch, r: int) -> Model:
+    """Return a copy of the model of rollout r."""
+    shared = _select_one(batch, r)
+    return Model._make([*map(np.array, shared[:-1]), shared.sides])
+
+
+@entry
+def rollout_batch(
+    batch: Batch, method: StepMethod, record: BatchRecord, every_step: bool, first: int, last: int
+) -> None:
+    """Simulate rollouts `first` to ``last - 1`` without Python's lock, for use in threads."""
+    for r in range(first, last):
+        _rollout_one(batch, method, record, every_step, r)

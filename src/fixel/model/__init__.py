@@ -16,13 +16,15 @@ from fixel.model.goals import (
     Seated,
 )
 from fixel.model.parameters import KNOWN_PARAMETERS, ParameterInfo, Parameters
-from fixel.model.plane import FrictionMap, LoadMap, Plane
 from fixel.model.probability import Probability
 from fixel.model.scene import PairFriction, Scene
 from fixel.model.shape import Disk, Polygon, Shape, placed, rotated
 from fixel.model.support import (
     Ellipsoid,
+    FrictionMap,
+    LoadMap,
     NoSupport,
+    Plane,
     Support,
     SupportPoints,
     Tripod,

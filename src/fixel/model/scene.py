@@ -25,7 +25,7 @@ from fixel.model.fields import (
     whole,
 )
 from fixel.model.overlap import boxes, overlap_depth, pairs_of_boxes
-from fixel.model.plane import Plane
+from fixel.model.support import Plane
 from fixel.registry import offered
 from fixel.typing import BoolArray
 

@@ -8,9 +8,8 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from fixel.calibration.contacts import Configurations
-from fixel.calibration.cost import NormalPrior
-from fixel.calibration.least_squares import LeastSquares, fit
+from fixel.calibration.known_pushes import Configurations
+from fixel.calibration.least_squares import LeastSquares, NormalPrior, fit
 from fixel.calibration.objective import ANGLE_SCALE
 from fixel.calibration.optimiser import SearchBox
 from fixel.calibration.target import Target

@@ -11,8 +11,7 @@ from typing import Final, NamedTuple, final
 import numpy as np
 from scipy.stats import t as student
 
-from fixel.calibration.contacts import PART
-from fixel.calibration.known_pushes import KnownPushes, push_target, texts_of, with_dataset
+from fixel.calibration.known_pushes import PART, KnownPushes, push_target, texts_of, with_dataset
 from fixel.calibration.target import Target, target_of
 from fixel.domain.error_bound import CAUTIOUS, NO_DATA, TYPICAL, ConformalBound, min_experiments
 from fixel.domain.push_bound import UNSEEN, PushBound

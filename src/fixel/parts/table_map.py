@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple, TypeVar, final
 
 import numpy as np
 
-from fixel.calibration.contacts import contacts_of
+from fixel.calibration.known_pushes import contacts_of
 from fixel.calibration.objective import ANGLE_SCALE
 from fixel.calibration.target import target_of
 from fixel.errors import InvalidInput, counted

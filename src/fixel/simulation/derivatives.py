@@ -9,8 +9,7 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.kernels import codes
-from fixel.kernels.arrays import DURATION, StepMethod
-from fixel.kernels.batch import BODY
+from fixel.kernels.arrays import BODY, DURATION, StepMethod
 from fixel.kernels.modes import walk
 from fixel.kernels.modes.derivatives import differentiate_batch
 from fixel.model import Scene, rotated

@@ -21,11 +21,11 @@ import numba
 
 from fixel.kernels import code_cache
 from fixel.kernels.arrays import Batch, BatchRecord, StepMethod
-from fixel.kernels.batch import rollout_batch
 from fixel.kernels.code_cache import cache_folder, is_stored, print_once, share_compiled
+from fixel.kernels.rollout import rollout_batch
 from fixel.progress import show_progress
 
-ENTRY: Final = "batch.rollout_batch"
+ENTRY: Final = "rollout.rollout_batch"
 GLANCE_S: Final = 0.05  # time between two looks at the other processes
 IN_BACKGROUND: Final = (
     "Compiling numerical code in the background: once for this version, about a minute. Until then "

@@ -12,11 +12,9 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 
 from fixel.errors import InvalidInput
-from fixel.kernels.gap import BACK
-from fixel.kernels.measure import measure_gaps
-from fixel.model.decomposition import Piece, following
+from fixel.kernels.gap import BACK, measure_gaps
 from fixel.model.fields import instance, vector
-from fixel.model.shape import Disk, Polygon, Shape
+from fixel.model.shape import Disk, Piece, Polygon, Shape, following
 from fixel.typing import BoolArray, FloatArray, IntArray
 
 # Sine of the turn below which a corner is straight. With smaller values the edges on both sides of
@@ -56,7 +54,7 @@ class Gap:
 
 
 class PackedShapes(NamedTuple):
-    """Concatenated convex pieces of several shapes, as for `kernels.measure`."""
+    """Concatenated convex pieces of several shapes, as for `measure_gaps`."""
 
     vertex: FloatArray  # (n_vertex, 2) in the shapes' frames
     edge_real: IntArray  # (n_vertex,) 1 where the edge from this vertex has contacts; see gap.py

@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from fixel.errors import InvalidInput
 from fixel.kernels import arrays as at
-from fixel.kernels import batch as families
 from fixel.kernels import codes
 from fixel.kernels.arrays import Batch, Model
 from fixel.model import (
@@ -515,27 +514,27 @@ class Template:
         varied = vary(scene, own.elements, own.friction, variation)
         elements, friction, ratio = varied.elements, varied.friction, varied.mass_ratio
         point, limit, arm, drag = self._supports(elements, rows, ratio is not None)
-        rows.place(families.PAIR, len(own.friction) ** 2, own=friction.ndim == 3)
+        rows.place(at.PAIR, len(own.friction) ** 2, own=friction.ndim == 3)
         radius, bound = self._radii(varied.growth, rows)
-        rows.place(families.PIECE_START, len(model.piece_start))
-        rows.place(families.VERTEX, len(model.vertex))
-        rows.place(families.DRIVEN, len(scene.pushers))
-        rows.place(families.PATH_START, len(scene.pushers) + 1)
+        rows.place(at.PIECE_START, len(model.piece_start))
+        rows.place(at.VERTEX, len(model.vertex))
+        rows.place(at.DRIVEN, len(scene.pushers))
+        rows.place(at.PATH_START, len(scene.pushers) + 1)
         path, path_start = self._paths(variation, varied, float(np.max(duration)), rows)
         pose = self._poses(varied.start, variation.fixels, rows)
-        rows.place(families.MAP, own.factors.size)
+        rows.place(at.MAP, own.factors.size)
         settings = _repeated(self._settings, n)
         settings[:, at.DURATION] = np.asarray(duration) / units.time
-        free, pair = rows.copies(families.FREE), rows.copies(families.PAIR)
+        free, pair = rows.copies(at.FREE), rows.copies(at.PAIR)
         heavier = 1.0 if ratio is None else ratio
-        element = rows.copies(families.ELEMENT)
+        element = rows.copies(at.ELEMENT)
         model = model._replace(
             mass=_tiled(model.mass, free) * heavier,
             inertia=_tiled(model.inertia, free) * heavier,
             wrench=_tiled(model.wrench, free),
             spring=_tiled(model.spring, free),
             drag=drag if len(drag) == free * len(scene.bodies) else _tiled(drag, n),
-            piece_body=_tiled(model.piece_body, rows.copies(families.PIECE)),
+            piece_body=_tiled(model.piece_body, rows.copies(at.PIECE)),
             piece_bound=bound,
             piece_radius=radius,
             friction=np.ascontiguousarray(friction, dtype=np.float64).reshape(-1),
@@ -570,8 +569,8 @@ class Template:
         varied = (elements.load, elements.friction, elements.arm, elements.point[..., 0])
         own = any(values.ndim > 1 for values in varied)
         first_order = self.motion_kind == codes.FIRST_ORDER
-        rows.place(families.ELEMENT, n_element, own=own)
-        rows.place(families.FREE, n_free, own=own and (first_order or heavier))
+        rows.place(at.ELEMENT, n_element, own=own)
+        rows.place(at.FREE, n_free, own=own and (first_order or heavier))
         if elements is self._arrays.elements:
             model = self._arrays.model
             return model.element_point, model.element_limit, model.element_ratio, model.drag
@@ -586,7 +585,7 @@ class Template:
     def _radii(self, grown: FloatArray | None, rows: _FamilyRows) -> tuple[FloatArray, FloatArray]:
         """Return scaled rounding radii and bounding circles of pieces, with enlarged pushers."""
         radius, bound = self._arrays.model.piece_radius, self._arrays.model.piece_bound
-        rows.place(families.PIECE, len(radius), own=grown is not None)
+        rows.place(at.PIECE, len(radius), own=grown is not None)
         if grown is None:
             return radius, bound
         more = np.where(self._arrays.growing, grown[:, None] / self.units.length, 0.0)
@@ -603,7 +602,7 @@ class Template:
             waypoints = [pusher_path(p, duration) for p in self.scene.pushers]
             start = np.cumsum([0, *(len(p) for p in waypoints)]).astype(np.int64)
             if registration is None or not waypoints:
-                rows.place(families.PATH, int(start[-1]))
+                rows.place(at.PATH, int(start[-1]))
                 return (np.concatenate(waypoints) if waypoints else np.zeros((0, 4))), start
             if len(waypoints) > 1:
                 raise InvalidInput(
@@ -618,9 +617,9 @@ class Template:
             path, of = np.array(np.broadcast_to(own, (len(registration), *own.shape[1:]))), None
             path[:, :, 1:] = composed(registration[:, None], own[:, :, 1:])
         n_sample = path.shape[1]
-        rows.place(families.PATH, n_sample, own=True)
+        rows.place(at.PATH, n_sample, own=True)
         if of is not None:
-            rows.begin[:, families.PATH] = n_sample * of
+            rows.begin[:, at.PATH] = n_sample * of
         return path.reshape(-1, 4), np.array([0, n_sample], np.int64)
 
     def _poses(
@@ -628,7 +627,7 @@ class Template:
     ) -> FloatArray:
         """Return scaled poses of all bodies at time zero; of centres of mass for free bodies."""
         own = start is not None or fixels is not None
-        rows.place(families.BODY, len(self._arrays.pose), own=own)
+        rows.place(at.BODY, len(self._arrays.pose), own=own)
         if not own:
             return self._arrays.pose
         scene, com = self.scene, self._arrays.com
@@ -659,8 +658,8 @@ class _FamilyRows:
 
     def __init__(self, n: int) -> None:
         self.n = n
-        self.begin = np.zeros((n, families.N_FAMILY), np.int64)
-        self._count = [0] * families.N_FAMILY
+        self.begin = np.zeros((n, at.N_FAMILY), np.int64)
+        self._count = [0] * at.N_FAMILY
         self._own: set[int] = set()
 
     @property
@@ -707,18 +706,18 @@ def stack(packed: Sequence[PackedBatch]) -> Batch:
     if len(packed) == 1:
         return packed[0].batch
     family_of = {
-        "mass": families.FREE, "friction": families.PAIR, "piece_body": families.PIECE,
-        "piece_start": families.PIECE_START, "vertex": families.VERTEX,
-        "element_body": families.ELEMENT, "force_limit": families.DRIVEN,
-        "path_start": families.PATH_START, "path": families.PATH, "map_factor": families.MAP,
+        "mass": at.FREE, "friction": at.PAIR, "piece_body": at.PIECE,
+        "piece_start": at.PIECE_START, "vertex": at.VERTEX,
+        "element_body": at.ELEMENT, "force_limit": at.DRIVEN,
+        "path_start": at.PATH_START, "path": at.PATH, "map_factor": at.MAP,
     }  # fmt: skip
     begin = []
-    offset = np.zeros(families.N_FAMILY, np.int64)
+    offset = np.zeros(at.N_FAMILY, np.int64)
     for part in packed:
         begin.append(part.batch.begin + offset)
         for field, family in family_of.items():
             offset[family] += len(getattr(part.batch.model, field))
-        offset[families.BODY] += len(part.batch.pose)
+        offset[at.BODY] += len(part.batch.pose)
     joined = [
         0 if field == "sides" else np.concatenate([getattr(p.batch.model, field) for p in packed])
         for field in Model._fields

@@ -8,7 +8,6 @@ import math
 import numpy as np
 
 from fixel.kernels import arrays as at
-from fixel.kernels import batch as kernel
 from fixel.kernels import codes, entries
 from fixel.kernels.arrays import (
     CONTACT_ROWS,
@@ -22,6 +21,7 @@ from fixel.kernels.arrays import (
     StepMethod,
     Workspace,
 )
+from fixel.kernels.rollout import select_one
 from fixel.kernels.solve import TOLERANCE
 from fixel.kernels.step_control import AT_ONCE
 from fixel.simulation.motion import AbstractMotionModel
@@ -51,8 +51,8 @@ class _Loop:
         self.motion = motion
         self.solver = solver
         # A copy: plug-ins get the model, and batches of one scene share arrays.
-        self.model = kernel.select_one(batch, 0)
-        self.pose = np.array(batch.pose[: batch.count[0, kernel.BODY]])
+        self.model = select_one(batch, 0)
+        self.pose = np.array(batch.pose[: batch.count[0, at.BODY]])
         self.problem: Problem
         self.work: Workspace
         self.problem, self.work = entries.allocate(self.model, max_contacts)

@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fixel.errors import Interrupted, InvalidInput, SolveFailed
-from fixel.kernels import batch as kernel
 from fixel.kernels import codes
 from fixel.kernels.arrays import (
     CONTACT_ROWS,
+    DRIVEN,
+    FREE,
     REACHED,
     SAMPLES,
     STEPS_TAKEN,
@@ -545,7 +546,7 @@ def _roll_compiled(
     duration: float,
     times: FloatArray | None,
 ) -> BatchRecord:
-    n_moving = int(packed.batch.count[0, kernel.FREE] + packed.batch.count[0, kernel.DRIVEN])
+    n_moving = int(packed.batch.count[0, FREE] + packed.batch.count[0, DRIVEN])
     per_sample = CONTACTS_PER_BODY * n_moving
     if times is not None:
         record = empty_record(packed, len(times), per_sample * len(times), times)

@@ -18,9 +18,22 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
-from fixel.kernels import batch as kernel
 from fixel.kernels import codes
-from fixel.kernels.arrays import DURATION, N_TOTAL, SAMPLES, STOP, Batch, BatchRecord, StepMethod
+from fixel.kernels import rollout as kernel
+from fixel.kernels.arrays import (
+    BODY,
+    DRIVEN,
+    DURATION,
+    FREE,
+    N_TOTAL,
+    PATH,
+    PATH_START,
+    SAMPLES,
+    STOP,
+    Batch,
+    BatchRecord,
+    StepMethod,
+)
 from fixel.model.fields import whole
 from fixel.simulation.first_code import is_missing, wait_for_code
 from fixel.simulation.pack import RECENT_SCENES, PackedBatch, Units
@@ -238,19 +251,19 @@ def empty_record(
     since their first step fails."""
     count = packed.batch.count
     n = len(count)
-    n_driven = 0 if bare else int(count[:, kernel.DRIVEN].max(initial=0))
-    n_moving = int(count[:, kernel.FREE].max(initial=0)) + n_driven
+    n_driven = 0 if bare else int(count[:, DRIVEN].max(initial=0))
+    n_moving = int(count[:, FREE].max(initial=0)) + n_driven
     time = np.zeros((n, n_sample))
     if times is not None:
         time[:] = times / packed.units.time
     pose = np.zeros((n, n_sample, n_moving, 3))
-    rows = packed.batch.begin[:, kernel.BODY, None] + np.arange(n_moving)
+    rows = packed.batch.begin[:, BODY, None] + np.arange(n_moving)
     pose[:, 0] = packed.batch.pose.take(rows, axis=0, mode="clip")
     model, begin = packed.batch.model, packed.batch.begin
     for d in range(n_driven):  # where its own path begins, not the scene's
-        first = model.path_start.take(begin[:, kernel.PATH_START] + d, mode="clip")
-        waypoint = model.path.take(begin[:, kernel.PATH] + first, axis=0, mode="clip")
-        pose[np.arange(n), 0, count[:, kernel.FREE] + d] = waypoint[:, 1:]
+        first = model.path_start.take(begin[:, PATH_START] + d, mode="clip")
+        waypoint = model.path.take(begin[:, PATH] + first, axis=0, mode="clip")
+        pose[np.arange(n), 0, count[:, FREE] + d] = waypoint[:, 1:]
     return BatchRecord(
         time=time,
         pose=pose,
@@ -276,8 +289,8 @@ def borrowed_record(packed: PackedBatch, n_sample: int, n_row: int) -> BatchReco
         record = _spare.pop()
     except IndexError:
         return empty_record(packed, n_sample, n_row)
-    n_driven = int(packed.batch.count[0, kernel.DRIVEN])
-    n_moving = int(packed.batch.count[0, kernel.FREE]) + n_driven
+    n_driven = int(packed.batch.count[0, DRIVEN])
+    n_moving = int(packed.batch.count[0, FREE]) + n_driven
     shapes = (1, n_sample, n_moving, 3), (1, n_sample, n_driven, 2), (1, n_row, 11)
     if shapes != (record.pose.shape, record.drive.shape, record.contact.shape):
         return empty_record(packed, n_sample, n_row)

@@ -15,9 +15,8 @@ from fixel.sampling.published import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views import calibration_views
 from fixel.workflows.analysis import write_picture
-from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.report import _ChartData, pictures_of
-from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
+from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions, searched_unknowns
 
 PLANNED = thesis_plan().experiments
 QUICK = NamedOptions(name="pattern-search", options={"threshold_delta": 0.2})

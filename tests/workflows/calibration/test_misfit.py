@@ -17,11 +17,12 @@ from fixel.sampling.published import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views.calibration_views import load_detail
 from fixel.web.views.live_comparison import LiveComparison
-from fixel.workflows.calibration.parameter_options import enlarged_command, searched_unknowns
 from fixel.workflows.calibration.report import pictures_of
 from fixel.workflows.calibration.request import (
     CalibrationRequest,
     NamedOptions,
+    enlarged_command,
+    searched_unknowns,
 )
 from fixel.workflows.calibration.stored import load_values, searched_space
 from fixel.workflows.demo.laboratory_demo import _compared_with_truth

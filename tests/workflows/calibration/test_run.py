@@ -26,18 +26,16 @@ from fixel.simulation.load_profile import TABLE_NAMES
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views.calibration_views import list_calibrations
 from fixel.workflows.calibration import plan
-from fixel.workflows.calibration.parameter_options import (
-    command_of,
-    fixed_unknowns,
-    options_of,
-    read_space,
-    searched_unknowns,
-)
 from fixel.workflows.calibration.plan import outcome_bytes, outcome_of
 from fixel.workflows.calibration.request import (
     CalibrationRequest,
     NamedOptions,
+    command_of,
+    fixed_unknowns,
+    options_of,
+    read_space,
     read_targets,
+    searched_unknowns,
     target_files,
 )
 from fixel.workflows.calibration.stored import load_values, searched_space

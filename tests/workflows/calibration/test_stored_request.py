@@ -23,8 +23,7 @@ from fixel.model.space import Unknown
 from fixel.sampling.published import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views.calibration_views import load_detail
-from fixel.workflows.calibration.parameter_options import command_of
-from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
+from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions, command_of
 from fixel.workflows.calibration.stored import RUN, add_to_project, stored_calibration
 from fixel.workflows.report.write import report
 

@@ -17,7 +17,7 @@ from fixel.sampling.published import thesis_plan
 from fixel.simulation import Dynamic
 from fixel.simulation.stepping import Adaptive
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.workflows.calibration.parameter_options import searched_unknowns
+from fixel.workflows.calibration.request import searched_unknowns
 from fixel.workflows.domain.evidence import ProjectRequest, own_best, stored_model
 from fixel.workflows.domain.run import DOMAIN, map_stored
 

@@ -13,7 +13,6 @@ import numpy as np
 
 from fixel.kernels import arrays
 from fixel.kernels.arrays import Batch, Model
-from fixel.kernels.batch import BODY, select
 from fixel.kernels.jit import allocating_kernel, entry, kernel, large_kernel
 from fixel.kernels.modes import geometry, walk
 from fixel.kernels.modes.equation import (
@@ -25,6 +24,7 @@ from fixel.kernels.modes.equation import (
 )
 from fixel.kernels.modes.geometry import ContactMode
 from fixel.kernels.modes.walk import Tape
+from fixel.kernels.rollout import select
 from fixel.typing import FloatArray, IntArray
 
 NUDGE = 1e-6  # of a pose and the clock, in scaled units
@@ -605,11 +605,11 @@ def _differentiate(
     flow.slant[:] = 0.0
     flow.angle[:] = np.nan
     stage = np.zeros((7, 3, wide))
-    start = batch.begin[base, BODY]
+    start = batch.begin[base, arrays.BODY]
     for k in range(wide - 2):
         own = select(batch, base + k)
-        begin = batch.begin[base + k, BODY]
-        geometry.measure(own, mode, batch.pose[begin : begin + batch.count[base + k, BODY]])
+        begin = batch.begin[base + k, arrays.BODY]
+        geometry.measure(own, mode, batch.pose[begin : begin + batch.count[base + k, arrays.BODY]])
         if not walk.suits(own):
             return False
         if k > 0:

@@ -12,9 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fixel.kernels import arrays as at
-from fixel.kernels.allocate import allocate
 from fixel.kernels.arrays import Batch, Model, Problem, State, StepMethod, Workspace
-from fixel.kernels.batch import BODY, select
 from fixel.kernels.jit import allocating_kernel, entry, kernel, large_kernel
 from fixel.kernels.modes.equation import project, seed, solve_mode
 from fixel.kernels.modes.geometry import (
@@ -53,7 +51,7 @@ from fixel.kernels.modes.proposal import (
     read_mode,
     settle,
 )
-from fixel.kernels.rollout import begin
+from fixel.kernels.rollout import allocate, begin, select
 from fixel.typing import FloatArray, IntArray
 
 # How a rollout ended.
@@ -631,12 +629,12 @@ def walk_batch(
         if not suits(model):
             record.status[r] = UNSUITED
             continue
-        a = batch.begin[stride * r, BODY]
+        a = batch.begin[stride * r, at.BODY]
         own = Tape(tape.mode[m : m + MODE_ROOM], tape.step[s : s + STEP_ROOM])
         count = record.count[r]
         count[MODE_AT] = m
         count[STEP_AT] = s
-        start = batch.pose[a : a + batch.count[stride * r, BODY]]
+        start = batch.pose[a : a + batch.count[stride * r, at.BODY]]
         settings = batch.settings[stride * r]
         record.status[r] = _walk(model, start, method, settings, record.end[r], count, own)
         m += min(count[MODES], own.mode.shape[0])

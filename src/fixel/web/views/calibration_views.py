@@ -31,8 +31,8 @@ from fixel.workflows import jobs
 from fixel.workflows.analysis import Analysis
 from fixel.workflows.calibration.calibration import Calibration, collect
 from fixel.workflows.calibration.execution import LiveSearch
-from fixel.workflows.calibration.parameter_options import command_of
 from fixel.workflows.calibration.plan import plan_in
+from fixel.workflows.calibration.request import command_of
 from fixel.workflows.calibration.stored import (
     add_to_project,
     misfit_of,

@@ -46,7 +46,7 @@ from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.units import deg, displayed, mm, mrad, um
 from fixel.workflows.calibration.calibration import Calibration
-from fixel.workflows.calibration.parameter_options import searched_unknowns
+from fixel.workflows.calibration.request import searched_unknowns
 from fixel.workflows.calibration.run import calibrate
 
 AHEAD: Final = 5  # rows after which the intervals are predicted

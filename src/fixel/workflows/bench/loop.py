@@ -38,7 +38,7 @@ from fixel.workflows.bench.campaign import Attempt, Campaign
 from fixel.workflows.bench.devices import NO_ZERO, BenchDevices
 from fixel.workflows.bench.estimates import LiveAnswer, estimate_rows
 from fixel.workflows.bench.judge import TrackedAttempt, track_attempt
-from fixel.workflows.calibration.parameter_options import searched_unknowns
+from fixel.workflows.calibration.request import searched_unknowns
 
 LEAD: Final = 0.5  # [s] of recording before the push
 REST: Final = 0.8  # [s] of recording after it

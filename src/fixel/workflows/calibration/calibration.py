@@ -46,9 +46,8 @@ from fixel.table import Column, Table, shortened
 from fixel.typing import FloatArray
 from fixel.uncertainty.predictive import LEAST, POOL, REGION, Predictive, predictive_of
 from fixel.workflows.analysis import Analysis, write_pictures
-from fixel.workflows.calibration.parameter_options import call_of, enlarged_command
 from fixel.workflows.calibration.plan import CalibrationPlan, outcome_of
-from fixel.workflows.calibration.request import CalibrationRequest
+from fixel.workflows.calibration.request import CalibrationRequest, call_of, enlarged_command
 
 if TYPE_CHECKING:
     from fixel.simulation.result import Simulation

@@ -34,12 +34,6 @@ from fixel.registry import offered
 from fixel.simulation.trust import permit
 from fixel.workflows import jobs
 from fixel.workflows.calibration.calibration import Calibration, Calibrations, collect
-from fixel.workflows.calibration.parameter_options import (
-    fixed_unknowns,
-    options_of,
-    read_space,
-    searched_unknowns,
-)
 from fixel.workflows.calibration.plan import (
     CalibrationPlan,
     answer_bytes,
@@ -47,7 +41,14 @@ from fixel.workflows.calibration.plan import (
     outcome_of,
     rounds,
 )
-from fixel.workflows.calibration.request import NamedOptions, named_options
+from fixel.workflows.calibration.request import (
+    NamedOptions,
+    fixed_unknowns,
+    named_options,
+    options_of,
+    read_space,
+    searched_unknowns,
+)
 from fixel.workflows.calibration.stored import add_to_project
 
 if TYPE_CHECKING:

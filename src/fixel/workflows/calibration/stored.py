@@ -38,9 +38,15 @@ from fixel.simulation.trust import repeatable
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration, Calibrations, finite
-from fixel.workflows.calibration.parameter_options import command_of, options_of, searched_unknowns
 from fixel.workflows.calibration.plan import load_task, outcome_bytes, outcome_of, plan_in, rounds
-from fixel.workflows.calibration.request import NAMED, CalibrationRequest, NamedOptions
+from fixel.workflows.calibration.request import (
+    NAMED,
+    CalibrationRequest,
+    NamedOptions,
+    command_of,
+    options_of,
+    searched_unknowns,
+)
 
 RUN: Final = "run"  # in the method of a record: checksum that all calibrations of a run share
 EARLIER: Final = {"faulty": "flagged"}  # names of options in records of earlier versions
