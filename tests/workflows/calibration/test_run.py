@@ -388,10 +388,11 @@ def test_a_space_file(tmp_path):
 @pytest.mark.parametrize(("content", "said"), [
     ("[1, 2]", "no parameters"),
     ("mu_pusher: 3", "low, high, start"),
-    ("mu_pusher: {low: 0, high: 1}", "no start"),
-    ("mu_pusher: {low: , high: 1, start: 0.2}", "no low"),
+    ("mu_pusher: {low: 0, high: 1}", "space.yaml: mu_pusher.start is missing"),
+    ("mu_pusher: {low: , high: 1, start: 0.2}", "mu_pusher.low is missing"),
     ("mu_pusher: {low: 0, high: 1, start: 2}", "outside the bounds"),
-    ("mu_pusher: {low: 0, high: x, start: 0.2}", "'x'"),
+    ("mu_pusher: {low: 0, high: x, start: 0.2}", "mu_pusher.high is 'x'"),
+    ("mu_pusher: {low: 0, high: 1, start: 0.2, frozen: no}", "mu_pusher.frozen is 'no'"),
     ("mu_pushr: {low: 0, high: 1, start: 0.2}", "did you mean 'mu_pusher'"),
 ])  # fmt: skip
 def test_space_files_that_cannot_be(tmp_path, content, said):

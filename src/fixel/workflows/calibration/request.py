@@ -31,10 +31,11 @@ from fixel.calibration.objective import (
 from fixel.calibration.target import Target
 from fixel.calibration.usual_parameters import usual_in
 from fixel.errors import InvalidInput, check_name
+from fixel.formats.records import arguments, record_of, validated, within
 from fixel.formats.scene_file import SceneRecord, scene_content, scene_of
 from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.io.atomic import readable
-from fixel.io.document import read_document
+from fixel.io.document import document
 from fixel.model import Scene
 from fixel.model.fields import name_of
 from fixel.model.parameters import in_si, info_of
@@ -390,38 +391,29 @@ def read_space(path: Path) -> ParameterSpace:
 
     Names may end in `_mm`, `_deg` or `_mrad`; otherwise values are SI.
     """
-    content = read_document(path)
-    entries = content.get("parameters", content) if isinstance(content, Mapping) else None
-    if not isinstance(entries, Mapping) or not entries:
-        raise InvalidInput(str(path), found="no parameters", expected="NAME: {low, high, start}")
-    return ParameterSpace(
-        unknowns=tuple(_entry(str(name), entry, path) for name, entry in entries.items())
-    )
+    with document(path, "space file") as content:
+        entries = content.get("parameters", content) if isinstance(content, Mapping) else None
+        if not isinstance(entries, Mapping) or not entries:
+            expected = "NAME: {low, high, start}"
+            raise InvalidInput("parameters", found="no parameters", expected=expected)
+        return ParameterSpace(unknowns=tuple(_entry(str(k), own) for k, own in entries.items()))
 
 
-_KEYS: Final = {"low", "high", "start", "scale", "frozen", "prior", "where"}
+_Entry: Final = record_of(
+    Unknown,
+    "parameter",
+    names={"nominal": "start"},
+    leave_out=("name",),
+    where=dict[str, str | float],
+)
 
 
-def _entry(written: str, entry: Any, path: Path) -> Unknown:
+def _entry(written: str, entry: Any) -> Unknown:
     name, factor = in_si(written)
-    where = f"{path}: {written}"
-    if not isinstance(entry, Mapping) or not set(entry) <= _KEYS:
-        raise InvalidInput(
-            where,
-            found=", ".join(map(str, entry)) if isinstance(entry, Mapping) else repr(entry),
-            expected="the keys low, high, start, and if wanted scale, prior, frozen, where",
-        )
-    missing = [key for key in ("low", "high", "start") if entry.get(key) is None]
-    if missing:
-        raise InvalidInput(where, found="no " + ", no ".join(missing), expected="low, high, start")
-    numbers: dict[str, Any] = {}
-    for key in ("low", "high", "start", "scale", "prior"):
-        if (value := entry.get(key)) is not None:
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise InvalidInput(f"{where}.{key}", found=repr(value), expected="a number")
-            numbers["nominal" if key == "start" else key] = factor * value
-    frozen, conditions = bool(entry.get("frozen", False)), dict(entry.get("where") or {})
-    return Unknown(name=name, **numbers, frozen=frozen, where=conditions)
+    with within(written, name, "parameters"):
+        own = arguments(validated(_Entry, entry, ""))
+        own = {k: factor * value if isinstance(value, float) else value for k, value in own.items()}
+        return Unknown(name=name, **own)
 
 
 # --- options of a stored request ----------------------------------------------------------------
