@@ -291,14 +291,14 @@ def test_a_map_of_a_project_is_that_of_its_experiments(lab, fitted, tmp_path):
 def test_the_command_names_the_next_one(lab, table, tmp_path):
     capability, where = CAPABILITIES["table-map"], ("surface=board",)
     done = answer(lab, "table-map", where=where)
-    helps = done._replace(result=done.result._replace(table=table))
+    helps = done._replace(result=(table, done.result[1]))
     saved = helps._replace(request=capability.request({"where": where, "out": tmp_path / "m"}))
     for helpful, said in (
         (helps, "table map --where surface=board --out table.fixel"),
         (saved, f"calibrate --where surface=board --table {tmp_path / 'm'}"),
     ):
         assert " ".join(map(str, capability.present.next_words(helpful))) == said
-    without = helps._replace(result=done.result._replace(table=replace(table, weight=0.0)))
+    without = helps._replace(result=(replace(table, weight=0.0), done.result[1]))
     assert capability.present.next_words(without) == []
 
 

@@ -410,15 +410,15 @@ def data(
             raise InvalidInput(unused, found="no URL", expected="the URL of a file")
         known = datasets()
         return CommandAnswer({"datasets": known}, _datasets(known))
-    found = fetch(url, output or Path("data"), sha256)
-    size = found.n_byte
+    file, digest = fetch(url, output or Path("data"), sha256)
+    size = file.stat().st_size
     if sha256 is None:
         notify("No checksum was given; compare this one with that of the publisher.")
     lines = [
-        f"downloaded {found.file}, {size / 1e6:.3g} MB, sha256 {found.sha256}",
-        f"Next: {command_of('import', found.file, '--dry-run')}",
+        f"downloaded {file}, {size / 1e6:.3g} MB, sha256 {digest}",
+        f"Next: {command_of('import', file, '--dry-run')}",
     ]
-    return CommandAnswer({"file": str(found.file), "sha256": found.sha256, "bytes": size}, lines)
+    return CommandAnswer({"file": str(file), "sha256": digest, "bytes": size}, lines)
 
 
 def _datasets(known: list[dict[str, str]]) -> list[str]:

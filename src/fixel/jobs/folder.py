@@ -25,7 +25,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, Literal, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from fixel.errors import InvalidInput
 from fixel.io.atomic import write_whole
@@ -52,11 +52,7 @@ Record = TypeVar("Record", bound=BaseModel)
 UNFINISHED: Final = ".inputs."  # prefix of unfinished folders of inputs, in earlier versions
 
 
-class _JobRecord(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Job(_JobRecord):
+class Job(BaseModel, extra="forbid", frozen=True):
     """Content of `job.json`."""
 
     fixel_job: Literal[1] = 1
@@ -69,7 +65,7 @@ class Job(_JobRecord):
     made_utc: str
 
 
-class RunSettings(_JobRecord):
+class RunSettings(BaseModel, extra="forbid", frozen=True):
     """Content of `run.json`: settings with which the job is run."""
 
     # Number of worker processes; 0 to compute in the coordinator.

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, final
+from typing import TYPE_CHECKING, Annotated, Any, Final, final
 
 from fixel.capability.capability import Capability
 from fixel.capability.options import TABLE, Dataset, Door, Flagged, Threads, Where
@@ -152,7 +152,7 @@ def table_map_stored(
     out: Annotated[Path | None, Door(writes=True, effort=True)] = None,
     progress: ProgressOption = None,
     **options: Any,
-) -> StoredMap:
+) -> tuple[TableMap, list[ExperimentRow]]:
     """Map the unevenness of a table from pushes of parts on it.
 
     The map is tested on parts, or on sides, that were left out. Pass the file of --out to other
@@ -176,22 +176,15 @@ def table_map_stored(
     if out is not None:
         found.save(out)
     rows = {entry.row.key: entry.row for entry in experiments.entries}
-    return StoredMap(found, [rows[key] for key in found.experiments])
+    return found, [rows[key] for key in found.experiments]
 
 
-class StoredMap(NamedTuple):
-    """Map of a table from experiments of a project."""
-
-    table: TableMap
-    rows: list[ExperimentRow]
-
-
-def report_of(found: StoredMap) -> AnalysisReport:
+def report_of(found: tuple[TableMap, list[ExperimentRow]]) -> AnalysisReport:
     """Return headline, tables, notes, figure and numbers of a map."""
     from fixel.drawing.parts import map_chart
     from fixel.workflows.analysis import AnalysisReport, Picture, analysis_of
 
-    table, names = found.table, ("position_m", "angle_rad")
+    (table, rows), names = found, ("position_m", "angle_rad")
     gains = {  # mean of the changes of errors, and its interval
         table.judgement.left_out: dict(zip(names, table.judgement.gain().T.tolist(), strict=True))
     }
@@ -199,7 +192,7 @@ def report_of(found: StoredMap) -> AnalysisReport:
     numbers |= {"frame": [*table.frame], "parts": [*table.values], "change_of_errors": gains}
     said, *notes = table._summary().notes
     verdict = f"helps, with weight {table.weight:g}" if table.weight else "does not help"
-    pushes = f"{counted(len(found.rows), 'push')} of {counted(len(table.values), 'part')}"
+    pushes = f"{counted(len(rows), 'push')} of {counted(len(table.values), 'part')}"
     analysis = analysis_of(
         TABLE_MAP.name,
         table,
@@ -207,16 +200,16 @@ def report_of(found: StoredMap) -> AnalysisReport:
         headline=(f"The map from {pushes} on {_named(table)} {verdict}.", said),
         notes=tuple(notes),
         numbers=numbers,
-        experiments=tuple(row.id for row in found.rows),
+        experiments=tuple(row.id for row in rows),
     )
     caption = "Map, its standard deviation, and the places of the pushes."
-    banner = "" if all(row.is_real for row in found.rows) else "SIMULATED"
+    banner = "" if all(row.is_real for row in rows) else "SIMULATED"
     return AnalysisReport(analysis, [Picture("map", map_chart(table), banner, caption)])
 
 
 def next_words(done: StoredAnswer) -> list[object]:
     """Return the words of the command that uses the map, or that saves it."""
-    table, out = done.result.table, done.request.out
+    table, out = done.result[0], done.request.out
     if not table.weight:
         return []
     if out is None:

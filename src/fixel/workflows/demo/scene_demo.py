@@ -65,13 +65,6 @@ class MotionEvent(NamedTuple):
     text: str
 
 
-class Slip(NamedTuple):
-    """Sliding of a contact while it lasted."""
-
-    way: float  # [m] distance slid
-    until: float  # [s] time of the last sample at which it slid
-
-
 def motion_events(simulation: Simulation) -> list[MotionEvent]:
     """Return the events of the first body of a scene, in order.
 
@@ -132,27 +125,28 @@ def _meets_fixels(simulation: Simulation, body: str) -> list[MotionEvent]:
         events.append(
             MotionEvent(first, f"{body} meets {fixel.name}, at {_angle(simulation, body, first)}")
         )
-        slip = _slip(simulation, body, rows)
+        way, until = _slip(simulation, body, rows)
         how = (
-            f"{body} sticks to {fixel.name} after sliding along it by {1e3 * slip.way:.2f} mm"
-            if slip.until > first
+            f"{body} sticks to {fixel.name} after sliding along it by {1e3 * way:.2f} mm"
+            if until > first
             else f"{body} sticks to {fixel.name} from the first touch on"
         )
         if rows["time"][-1] == simulation.time[-1]:
-            events.append(MotionEvent(slip.until, how))
+            events.append(MotionEvent(until, how))
         else:
             events.append(MotionEvent(float(rows["time"][-1]), f"{body} leaves {fixel.name}"))
     return events
 
 
-def _slip(simulation: Simulation, body: str, rows: NDArray[np.void]) -> Slip:
+def _slip(simulation: Simulation, body: str, rows: NDArray[np.void]) -> tuple[float, float]:
+    """Return the distance [m] that a contact slid, and the time of the last such sample [s]."""
     speeds = np.array([_slip_speed(simulation, body, row) for row in rows])
     fastest = float(np.abs(np.concatenate([t[:, :2] for t in simulation.twist.values()])).max())
     slides = speeds > STICKING * fastest
     slides[0] = False  # in that step the body was still on its way
     way = float((speeds * rows["step"])[slides].sum())
     until = rows["time"][slides][-1] if slides.any() else rows["time"][0]
-    return Slip(way, float(until))
+    return way, float(until)
 
 
 def _slip_speed(simulation: Simulation, body: str, row: np.void) -> float:

@@ -137,16 +137,16 @@ def export_model(
     stated, judged = wanted.name, {"to": wanted.name, "distance_from_fixel": None}
     motion = motion_of(source) if recorded else None
     if motion is not None:
-        model = _ModelFiles({}, motion.lost)
+        texts, lost = dict[str, str](), motion.lost
     elif wanted.name == "urdf":
-        model = _urdf(exported)
+        texts, lost = _urdf(exported)
     else:
         engine = _engine(wanted, exported)
-        model = _model(engine, exported)
+        texts, lost = _model(engine, exported)
         stated = f"{engine.name} {engine.version}"
         judged = _judged(source, engine, wanted, scenes, seed, progress)
-    card = _head(source) | {"not_in_the_model": model.lost} | judged
-    contents = {**model.files, "card.json": json.dumps(card, indent=2, allow_nan=False) + "\n"}
+    card = _head(source) | {"not_in_the_model": lost} | judged
+    contents = {**texts, "card.json": json.dumps(card, indent=2, allow_nan=False) + "\n"}
     with folder_whole(target) as unfinished:
         for name, text in contents.items():
             (unfinished / name).write_text(text, encoding="utf-8")
@@ -155,11 +155,6 @@ def export_model(
             write(unfinished / name, motion.things)
             contents[name] = ""
     return ModelExport(folder=target, to=stated, files=tuple(sorted(contents)), card=card)
-
-
-class _ModelFiles(NamedTuple):
-    files: Mapping[str, str]  # text by name
-    lost: list[str]
 
 
 def _engine(wanted: EngineName, case: SourceCase) -> AbstractPhysicsEngine:
@@ -183,7 +178,8 @@ def _task(case: SourceCase) -> tuple[PlainTask, list[float]]:
     return task, frames.scene_poses(np.zeros(3)).tolist()
 
 
-def _model(engine: AbstractPhysicsEngine, case: SourceCase) -> _ModelFiles:
+def _model(engine: AbstractPhysicsEngine, case: SourceCase) -> tuple[dict[str, str], list[str]]:
+    """Return the texts of a model's files by name, and what the model lacks."""
     task, frame = _task(case)
     if found := engine.refusal(task):
         raise _refused(engine.name, found)
@@ -212,13 +208,14 @@ def _model(engine: AbstractPhysicsEngine, case: SourceCase) -> _ModelFiles:
         for name in case.values
         if "." in name and name.partition(".")[0] != engine.name
     ]
-    return _ModelFiles(contents, lost)
+    return contents, lost
 
 
-def _urdf(case: SourceCase) -> _ModelFiles:
+def _urdf(case: SourceCase) -> tuple[dict[str, str], list[str]]:
+    """Return the same of a description of the body."""
     task, _ = _task(case)
     text, meshes, lost = urdf(task, case.scene.bodies[0].name)
-    return _ModelFiles({"object.urdf": text, **meshes}, lost)
+    return {"object.urdf": text, **meshes}, lost
 
 
 def _script(name: str) -> str:

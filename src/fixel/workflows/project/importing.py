@@ -6,7 +6,6 @@ import hashlib
 import re
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
 from urllib.parse import urlsplit
 
 from fixel.database.project import AddSummary, Project, add_experiments, check_known_names
@@ -109,14 +108,6 @@ def list_experiments(project: Project, query: ExperimentQuery) -> ExperimentPage
         return found
 
 
-class DownloadedFile(NamedTuple):
-    """Downloaded file, with its checksum and size."""
-
-    file: Path
-    sha256: str
-    n_byte: int
-
-
 def datasets() -> list[dict[str, str]]:
     """Return name, title, licence and citation of every dataset that can be imported."""
     shown = ("name", "title", "licence", "citation")
@@ -124,10 +115,10 @@ def datasets() -> list[dict[str, str]]:
     return [{name: getattr(importer, name) for name in shown} for importer in public]
 
 
-def fetch(url: str, folder: Path, sha256: str | None = None) -> DownloadedFile:
+def fetch(url: str, folder: Path, sha256: str | None = None) -> tuple[Path, str]:
     """Download a file into a folder: completely, with the required checksum, or not at all.
 
-    Without the checksum `sha256`, any content is accepted.
+    Return its path and checksum. Without the checksum `sha256`, any content is accepted.
     """
     require("pooch", "a download", extra="download")
     import pooch
@@ -153,7 +144,7 @@ def fetch(url: str, folder: Path, sha256: str | None = None) -> DownloadedFile:
         ) from None
     with path.open("rb") as stream:
         digest = hashlib.file_digest(stream, "sha256").hexdigest()
-    return DownloadedFile(path, digest, path.stat().st_size)
+    return path, digest
 
 
 def _name(url: str) -> str:
