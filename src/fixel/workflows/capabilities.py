@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 from fixel.capability.capability import Capability
 from fixel.capability.options import TABLE
@@ -206,17 +206,11 @@ def store_map(project: Project, domain: DomainMap) -> StoredAnswer:
 # --- jobs -----------------------------------------------------------------------------------------
 
 
-class JobRequest(NamedTuple):
-    """Capability, request and project of a job, as read from its folder."""
+def request_of(inputs: Path) -> tuple[Capability, BaseModel, Project | None]:
+    """Return the capability, request and project of a job, if the files to read are unchanged.
 
-    capability: Capability
-    request: BaseModel
-    # Project in whose folder `jobs` the job is; None if its inputs are all that it needs.
-    project: Project | None
-
-
-def request_of(inputs: Path) -> JobRequest:
-    """Return the capability, request and project of a job, if the files to read are unchanged."""
+    There is no project if the inputs are all that the job needs.
+    """
     from fixel.database.project import SETTINGS, Project
     from fixel.jobs.folder import read_job
 
@@ -229,9 +223,9 @@ def request_of(inputs: Path) -> JobRequest:
         raise JobRefused(f"{path} has changed since the job was prepared", hint=hint)
     place = inputs.resolve().parents[2]
     if capability.inputs is not None and not (place / SETTINGS).is_file():
-        return JobRequest(capability, request, None)
+        return capability, request, None
     project = _on_table(Project(place), capability, request, inputs / MAP)
-    return JobRequest(capability, request, project)
+    return capability, request, project
 
 
 def _check_files(capability: Capability, request: BaseModel, project: Project | None) -> None:
