@@ -379,9 +379,12 @@ def test_a_space_file(tmp_path):
         "mu_pusher: {low: 0, high: 1, start: 0.2}\n"
         "tripod_radius_mm: {low: 10, high: 60, start: 40, prior: 5}\n"
         "mu_fixel: {low: 0, high: 1, start: 0.2, frozen: true}\n"
+        "mu_support:\n"
+        "  - {low: 0, high: 1, start: 0.2, where: {surface: abs}}\n"
+        "  - {low: 0, high: 1, start: 0.3}\n"
     )
     space = read_space(file)
-    assert space.labels == ("mu_pusher", "tripod_radius")
+    assert space.labels == ("mu_pusher", "tripod_radius", "mu_support[surface=abs]", "mu_support")
     assert space.free[1].prior == pytest.approx(5e-3)
 
 

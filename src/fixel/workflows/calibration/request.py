@@ -389,14 +389,16 @@ def _named(option: str, written: str) -> tuple[str, float]:
 def read_space(path: Path) -> ParameterSpace:
     """Load a space file: YAML or JSON, a mapping from names to low, high and start.
 
-    Names may end in `_mm`, `_deg` or `_mrad`; otherwise values are SI.
+    A name may have a list of these, each for other conditions. Names may end in `_mm`, `_deg` or
+    `_mrad`; otherwise values are SI.
     """
     with document(path, "space file") as content:
         entries = content.get("parameters", content) if isinstance(content, Mapping) else None
         if not isinstance(entries, Mapping) or not entries:
             expected = "NAME: {low, high, start}"
             raise InvalidInput("parameters", found="no parameters", expected=expected)
-        return ParameterSpace(unknowns=tuple(_entry(str(k), own) for k, own in entries.items()))
+        several = {str(k): own if isinstance(own, list) else [own] for k, own in entries.items()}
+        return ParameterSpace(unknowns=tuple(_entry(k, own) for k in several for own in several[k]))
 
 
 _Entry: Final = record_of(
