@@ -165,6 +165,16 @@ def test_a_pusher_that_cannot_be_there_is_refused(tmp_path):
         refused(CSV.read, source, scene=str(scene), match=complaint)
 
 
+def test_a_table_without_angles_has_no_scene_of_a_polygon(tmp_path):
+    scene = filled(tmp_path, table(tmp_path))
+    source = table(tmp_path, header="time_s,x_mm,y_mm,spin,tip_x_mm,tip_y_mm")
+    refusal = refused(CSV.read, source, scene=str(scene), match="no angle of 'object'")
+    assert refusal.where == "run.csv"
+    round_part = filled(tmp_path, source, shapes=("{disk: 0.05}", "{disk: 0.005}"))
+    (experiment,) = CSV.read(source, scene=str(round_part)).experiments()
+    assert experiment.scene is not None
+
+
 def test_a_scene_belongs_to_a_table_and_holds_its_object(tmp_path):
     source = table(tmp_path)
     scene = filled(tmp_path, source)

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from tests.datasets.recordings import table_file
 from tests.fixtures import refused
 
@@ -77,6 +78,37 @@ def test_unknown_units_are_named(tmp_path):
     plan = plan_of(tmp_path, "time_s,x_ells,y_ells\n0,1,2\n1,2,2\n")
     assert any("x_ells has the unknown unit 'ells'" in line for line in plan.understood)
     assert any("There is no angle of the object" in line for line in plan.understood)
+
+
+@pytest.mark.parametrize("names", ["q{}", "quat_{}", "Orientation.{}", "pose/orientation/{}"])
+@pytest.mark.parametrize("upside_down", [False, True])
+def test_quaternions_are_angles(tmp_path, names, upside_down):
+    turns = Rotation.from_rotvec([(0.0, 0.0, turn) for turn in (0.1, 2.0, 3.5)])
+    turns = turns * Rotation.from_rotvec((np.pi if upside_down else 0.0, 0.0, 0.0))
+    rows = [f"{k},{k},2,{','.join(map(str, q))}" for k, q in enumerate(turns.as_quat())]
+    header = ",".join(["time_s", "x_mm", "y_mm", *(names.format(part) for part in "xyzw")])
+    plan = plan_of(tmp_path, "\n".join([header, *rows]))
+    (experiment,) = plan.experiments()
+    assert experiment.trajectory.theta == pytest.approx([0.1, 2.0, 3.5])
+    assert not experiment.flags
+    assert any("The angle of the object is that of the quaternion" in s for s in plan.understood)
+
+
+def test_z_and_w_are_enough_and_an_angle_goes_first(tmp_path):
+    turned = ",pusher_x_mm,pusher_y_mm,pusher_qz,pusher_qw\n0,1,2,90,0,0,0.6,0.8\n"
+    experiment = experiment_of(tmp_path, "time_s,x_mm,y_mm,theta_deg" + turned)
+    assert experiment.pusher.theta == pytest.approx([2 * np.arctan2(0.6, 0.8)])
+    both = experiment_of(tmp_path, "time_s,x_mm,y_mm,theta_deg,qz,qw\n0,1,2,90,0,1\n")
+    assert both.trajectory.theta == pytest.approx([np.pi / 2])
+
+
+@pytest.mark.parametrize(("quaternion", "complaint"), [
+    ("0,0,0,0", "row 1, column qx and qy and qz and qw: found a quaternion whose norm is not 1"),
+    ("0,0.7071,0,0.7071", "found an x axis that points out of the plane"),
+])  # fmt: skip
+def test_wrong_quaternions_are_refused(tmp_path, quaternion, complaint):
+    text = f"time_s,x_mm,y_mm,qx,qy,qz,qw\n0,1,2,{quaternion}\n"
+    refused(plan_of, tmp_path, text, match=complaint)
 
 
 @pytest.mark.parametrize("title", ["time_ns", "timestamp"])

@@ -55,6 +55,14 @@ def with_scene(
     scene, source = _scene(choice, experiment)
     body = _object_of(scene, source, object_name)
     track, flags = experiment.trajectory, experiment.flags
+    if any(flag.name == "no-angle" for flag in flags) and not isinstance(body.shape, Disk):
+        raise InvalidInput(
+            experiment.provenance.source or experiment.name,
+            found=f"no angle of {body.name!r}, which a simulation of its outline needs",
+            expected="a column such as theta_deg, or a quaternion qx, qy, qz, qw",
+            hint="in Python, columns={'theta': TITLE} chooses one; if the part did not turn, add a"
+            " column of zeros",
+        )
     sentences = [f"{source}: {body.name!r} starts at the first measured pose."]
     pushers = scene.pushers
     if experiment.pusher is not None:

@@ -61,9 +61,12 @@ UNITS: Final[Mapping[str, ColumnUnit]] = {
 # Names of columns, their roles, and the kind of unit that each role requires.
 _TIME = ("time", "t", "timestamp")
 _ANGLE = ("theta", "angle", "yaw", "th", "heading", "phi")
+_QUATERNION = ("q", "q_", "quat_", "quaternion_", "orientation_", "pose_orientation_")
 _OBJECT = ("", "object_", "obj_", "slider_")
 _PUSHER = ("pusher_", "tip_", "finger_", "actuator_")
-_KINDS: Final = {"time": "time", "x": "length", "y": "length", "theta": "angle"}
+_KINDS: Final = {"time": "time", "x": "length", "y": "length", "theta": "angle"} | dict.fromkeys(
+    ("qx", "qy", "qz", "qw"), "ratio"
+)
 
 
 def _roles() -> dict[str, str]:
@@ -72,6 +75,9 @@ def _roles() -> dict[str, str]:
         for prefix in prefixes:
             roles |= {f"{prefix}{axis}": f"{whose}{axis}" for axis in ("x", "y")}
             roles |= {f"{prefix}{angle}": f"{whose}theta" for angle in _ANGLE}
+            roles |= {
+                f"{prefix}{q}{part}": f"{whose}q{part}" for q in _QUATERNION for part in "xyzw"
+            }
     return roles
 
 
@@ -83,6 +89,8 @@ _LIMITS: Final = {"length": ("m", "mm", 5.0), "angle": ("rad", "deg", 2.0 * math
 # Readings come at more than one and less than a thousand per second: larger steps are milliseconds,
 # microseconds, nanoseconds.
 MAX_STEPS = (1.0, 1e3, 1e6)
+# A part that lies on the table is not tilted by more; the rest are coordinates of another frame.
+MAX_TILT: Final = math.radians(25.0)
 
 # Kinds of quantities that experiments differ by; others, such as forces, are readings.
 _SETTABLE = ("length", "angle", "speed", "turning", "ratio", "count")
@@ -344,7 +352,12 @@ def _columns(
             )
         if column.role:
             roles[column.role] = column
-    return _TableReading(table, roles, [column for column in parsed if not column.role], options)
+    for whose in ("", "pusher_"):  # a quaternion counts where there is no angle
+        if f"{whose}theta" in roles or not {f"{whose}qz", f"{whose}qw"} <= roles.keys():
+            for part in "xyzw":
+                roles.pop(f"{whose}q{part}", None)
+    others = [column for column in parsed if column not in roles.values()]
+    return _TableReading(table, roles, others, options)
 
 
 def _parsed(title: str, chosen: str | None, taken: Collection[str]) -> _TableColumn:
@@ -363,7 +376,9 @@ def _parsed(title: str, chosen: str | None, taken: Collection[str]) -> _TableCol
             stem = plain.removesuffix(f"_{ending}")
             return _checked(_TableColumn(title, stem, role_of(stem), UNITS[ending]))
     if chosen or plain in _ROLES:
-        return _TableColumn(title, plain, role_of(plain), None)
+        role = role_of(plain)
+        ratio = role is not None and _kind(role) == "ratio"
+        return _TableColumn(title, plain, role, UNITS["ratio"] if ratio else None)
     stem, _, ending = plain.rpartition("_")
     unknown = ending if role_of(stem) and re.fullmatch(r"[a-z]{1,4}", ending) else ""
     return _TableColumn(title, plain, role_of(stem) if unknown else None, None, unknown)
@@ -509,6 +524,8 @@ def _poses(
     flags: tuple[Flag, ...] = ()
     if f"{whose}theta" in reading.roles:
         columns.append(reading.si(f"{whose}theta"))
+    elif f"{whose}qw" in reading.roles:
+        columns.append(_heading(reading, whose))
     else:
         columns.append(np.zeros(len(time)))
         stems = [stem for stem, role in _ROLES.items() if role == f"{whose}theta"]
@@ -528,6 +545,27 @@ def _poses(
         reading.remarks.append(f"{found}; they are not part of its trajectory.")
         flags = (*flags, remark("missing-poses", found))
     return trajectory_of(time[there], pose[there]), flags
+
+
+def _heading(reading: _TableReading, whose: str) -> FloatArray:
+    """Angles (n,) of the x axis of a frame that a quaternion rotates [rad]."""
+    roles = [f"{whose}q{part}" for part in "xyzw"]
+    zero = np.zeros(len(reading.table))
+    x, y, z, w = (reading.si(role) if role in reading.roles else zero for role in roles)
+    norm = np.sqrt(x * x + y * y + z * z + w * w)
+    along, across = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)
+    tilt = np.arccos(np.minimum(np.hypot(along, across), 1.0))
+    used = [reading.roles[role].title for role in roles if role in reading.roles]
+    for wrong, found, expected in (
+        (np.abs(norm - 1.0) > 0.01, "a quaternion whose norm is not 1", "a norm of 1"),
+        (tilt > MAX_TILT, "an x axis that points out of the plane", "a rotation about z"),
+    ):
+        if wrong.any():
+            where = reading.table.place(" and ".join(used), int(np.argmax(wrong)))
+            raise InvalidInput(where, found=found, expected=expected)
+    what = whose.removesuffix("_") or "object"
+    reading.remarks.append(f"The angle of the {what} is that of the quaternion {', '.join(used)}.")
+    return np.arctan2(across, along)
 
 
 def _check_units(reading: _TableReading, track: Trajectory, pusher: Trajectory | None) -> None:
@@ -609,6 +647,8 @@ def _understood(reading: _TableReading, experiment: Experiment, time: FloatArray
     )
     for role, column in reading.roles.items():
         assert column.unit is not None
+        if column.unit.kind == "ratio":
+            continue
         unit, si = _name(column.unit), column.unit.si
         into = f"{unit} to {si}" if unit != si else si
         unwrapped = ", unwrapped" if role.endswith("theta") else ""
