@@ -69,6 +69,17 @@ def test_guesses_are_stated_and_flagged(tmp_path):
     assert np.degrees(experiment.trajectory.pose[:, 2]) == pytest.approx([178, 181, 184])
 
 
+@pytest.mark.parametrize("change", [3, 2, None])
+def test_rows_that_may_be_several_experiments_are_a_guess(tmp_path, change):
+    times = [0.0, 0.1, 0.2, 60.0, 60.1, 60.2]
+    push = ["a" if change is None or row < change else "b" for row in range(6)]
+    rows = [f"{t},{name},1,2,3" for t, name in zip(times, push, strict=True)]
+    plan = plan_of(tmp_path, "\n".join(["time_s,push,x_mm,y_mm,theta_deg", *rows]))
+    guesses = [line for line in plan.understood if line.startswith("Guess: all rows are one")]
+    assert len(guesses) == (change == 3)
+    assert all("split_by='push'" in guess for guess in guesses)
+
+
 def test_small_values_are_metres_and_radians(tmp_path):
     experiment = experiment_of(tmp_path, "t,x,y,theta\n0,0.1,0.2,3.0\n0.1,0.1,0.2,3.1\n")
     assert experiment.trajectory.pose[0].tolist() == [0.1, 0.2, 3.0]

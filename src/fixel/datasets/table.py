@@ -89,6 +89,7 @@ _LIMITS: Final = {"length": ("m", "mm", 5.0), "angle": ("rad", "deg", 2.0 * math
 # Readings come at more than one and less than a thousand per second: larger steps are milliseconds,
 # microseconds, nanoseconds.
 MAX_STEPS = (1.0, 1e3, 1e6)
+MIN_PAUSE: Final = 10.0  # times the typical step: another experiment may begin
 # A part that lies on the table is not tilted by more; the rest are coordinates of another frame.
 MAX_TILT: Final = math.radians(25.0)
 
@@ -499,7 +500,23 @@ def _time(reading: _TableReading) -> FloatArray:
     # Subtract first: seconds since 1970 leave few digits after the decimal point.
     time = (numbers - numbers[0]) * column.unit.scale
     hint = _how_to_split(reading, time)
-    return increasing(time, reading.table.source, hint, reading.table.lines)
+    time = increasing(time, reading.table.source, hint, reading.table.lines)
+    _remark_pauses(reading, time)
+    return time
+
+
+def _remark_pauses(reading: _TableReading, time: FloatArray) -> None:
+    """Name the column whose values change at every pause, and only there."""
+    steps = np.diff(time)
+    pauses = np.flatnonzero(steps > MIN_PAUSE * np.median(steps)) if len(steps) else []
+    for column in reading.others if len(pauses) else ():
+        cells = np.array(reading.table.columns[column.title])
+        if np.array_equal(np.flatnonzero(cells[1:] != cells[:-1]), pauses):
+            reading.remarks.append(
+                f"Guess: all rows are one experiment, although {column.title!r} changes where times"
+                f" pause. With split_by={column.title!r}, each of its values is an experiment."
+            )
+            return
 
 
 def _how_to_split(reading: _TableReading, time: FloatArray) -> str:
