@@ -351,6 +351,20 @@ def test_gap_of_a_shape_with_itself_in_the_notch():
     assert inside.distance < 0.0
 
 
+@pytest.mark.parametrize(("other", "reach"), [
+    (Disk(0.5), 0.5),
+    (Polygon.rectangle(1.0, 1.0), np.sqrt(0.5)),
+])  # fmt: skip
+def test_a_corner_is_seen_along_the_seam_that_ends_in_a_notch(other, reach):
+    rng = np.random.default_rng(1)
+    for turn in rng.uniform(-np.pi, np.pi, 200):
+        x, y = rng.normal(size=2)
+        seam = turn + np.pi / 4
+        pose = (x - 3.0 * np.cos(seam), y - 3.0 * np.sin(seam), turn)
+        found = gap(L_SHAPE, (x, y, turn), other, pose)
+        assert found.distance == pytest.approx(3.0 - reach, abs=1e-9)
+
+
 def test_gap_refuses_what_is_no_shape_or_pose():
     refused(gap, Disk(1.0), STILL, SQUARE, STILL, match="shape_b")
     refused(gap, Disk(1.0), (0.0, np.nan, 0.0), Disk(1.0), STILL, match="pose_a")

@@ -508,7 +508,8 @@ def _time(reading: _TableReading) -> FloatArray:
 def _remark_pauses(reading: _TableReading, time: FloatArray) -> None:
     """Name the column whose values change at every pause, and only there."""
     steps = np.diff(time)
-    pauses = np.flatnonzero(steps > MIN_PAUSE * np.median(steps)) if len(steps) else []
+    typical = float(np.median(steps)) if len(steps) else 0.0
+    pauses = np.flatnonzero(steps > MIN_PAUSE * typical)
     for column in reading.others if len(pauses) else ():
         cells = np.array(reading.table.columns[column.title])
         if np.array_equal(np.flatnonzero(cells[1:] != cells[:-1]), pauses):

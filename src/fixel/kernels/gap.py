@@ -205,7 +205,8 @@ def _beyond_seam(
 ) -> bool:
     """Whether the line from a point to a corner of a piece crosses a seam that ends there.
 
-    Both pieces at a seam compute the same number except for its sign: never do both return True.
+    Never do both pieces at a seam return True: they compute the same number except for its sign,
+    or, where an edge is extended, allow for rounding.
     """
     x = px - world[corner, 0]
     y = py - world[corner, 1]
@@ -213,24 +214,30 @@ def _beyond_seam(
     after = corner + 1 if corner + 1 < end else start
     if real[before] < 1:
         wall = before - 1 if before > start else end - 1
-        ex, ey = _along_seam(world, corner, before, wall, -real[before] % 2 == 1)
-        if x * ey - y * ex < 0.0:
+        if _past_seam(world, corner, before, wall, -real[before] % 2 == 1, x, y) < 0.0:
             return True
     wall = after + 1 if after + 1 < end else start
-    ex, ey = _along_seam(world, corner, after, wall, real[corner] < -1)
-    return bool(real[corner] < 1 and x * ey - y * ex > 0.0)
+    return bool(
+        real[corner] < 1 and _past_seam(world, corner, after, wall, real[corner] < -1, x, y) > 0.0
+    )
 
 
 @kernel
-def _along_seam(
-    world: FloatArray, corner: int, far: int, wall: int, extended: bool
-) -> tuple[float, float]:
-    """Direction from a corner to the far end of a seam: to the notch where the edge there, which
-    comes from vertex `wall`, is extended."""
-    back = BACK if extended else 0.0
-    x = world[far, 0] - world[corner, 0]
-    y = world[far, 1] - world[corner, 1]
-    return x - back * (world[far, 0] - world[wall, 0]), y - back * (world[far, 1] - world[wall, 1])
+def _past_seam(
+    world: FloatArray, corner: int, far: int, wall: int, extended: bool, x: float, y: float
+) -> float:
+    """Cross product of (x, y) with a seam from a corner, zero within rounding.
+
+    The seam ends in the notch where the edge there, which comes from vertex `wall`, is extended.
+    """
+    ex = world[far, 0] - world[corner, 0]
+    ey = world[far, 1] - world[corner, 1]
+    if not extended:
+        return x * ey - y * ex
+    ex -= BACK * (world[far, 0] - world[wall, 0])
+    ey -= BACK * (world[far, 1] - world[wall, 1])
+    past = x * ey - y * ex
+    return past if abs(past) > COINCIDENT * (abs(x) + abs(y) + abs(ex) + abs(ey)) else 0.0
 
 
 @kernel
