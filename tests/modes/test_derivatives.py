@@ -118,14 +118,57 @@ def test_a_face_that_lands_flush_has_no_derivative_by_its_angle(drive):
     assert not batch.differentiable.any()
     exact = Simulator(scene, motion="quasistatic", stepper=Adaptive(tolerance=1e-11))
     for name in (*angles, *kept):
-        value = 0.5 if name == "mu_pusher" else 0.0
-        ends = [np.array(exact.run({name: value + d}).final["part"]) for d in (-1e-5, 0.0, 1e-5)]
-        below, above = np.diff(ends, axis=0) / 1e-5
+        below, above = _one_sided(exact, name, 0.5 if name == "mu_pusher" else 0.0)
         if name in angles:
             assert np.abs(above - below).max() > 5e-3
         else:
             assert slope[name] == pytest.approx(above, abs=1e-4)
             assert slope[name] == pytest.approx(below, abs=1e-4)
+
+
+def _one_sided(simulator, name, value):
+    """Derivatives of the end below and above the value of a parameter, by differences."""
+    ends = [np.array(simulator.run({name: value + d}).final["part"]) for d in (-1e-5, 0.0, 1e-5)]
+    return np.diff(ends, axis=0) / 1e-5
+
+
+def _met_at_once(case):
+    """A part that two contacts reach at the same time, and the names that have no derivative."""
+    support = Tripod(radius=0.012, friction=0.3)
+    drive = LineDrive((1, 0), speed=0.02, travel=0.05)
+    head = Pusher("head", Disk(0.008), pose=(0.01, 0, 0), drive=drive, friction=0.3)
+    part = Body("part", box(0.06, 0.06), mass=0.2, pose=(0.06, 0, 0), support=support)
+    pegs = [Fixel(name, Disk(0.005), pose=(0.115, y, 0), friction=0.2)
+            for name, y in (("left", -0.015), ("right", 0.015))]  # fmt: skip
+    lacking = {"start_y", "start_theta", "registration_theta"}
+    if case == "a face on two pegs":
+        head = replace(head, drive=replace(drive, force_limit=2.0))
+    elif case == "a face of which one corner stays on the head":
+        head = replace(head, shape=box(0.024, 0.024), pose=(0, 0.02, 0))
+        pegs, lacking = [], {"start_theta", "registration_theta"}
+    elif case == "a disk in a notch of the head":
+        notch = [(0, -0.03), (0.02, -0.03), (0.005, 0), (0.02, 0.03), (0, 0.03)]
+        head = replace(head, shape=Polygon(notch), pose=(0, 0, 0))
+        part, pegs = replace(part, shape=Disk(0.02)), []
+        lacking = {"start_y", "registration_theta"}
+    return Scene(part, head, fixels=pegs, duration=2.6), lacking
+
+
+@pytest.mark.parametrize("case", [
+    "a face on two pegs", "a face of which one corner stays on the head",
+    "a disk in a notch of the head",
+])  # fmt: skip
+def test_two_contacts_that_close_at_once_have_no_derivative_by_what_parts_them(case):
+    """Other names have the derivatives of both sides."""
+    scene, lacking = _met_at_once(case)
+    values = {"start_x": 0.0, "start_y": 0.0, "start_theta": 0.0, "registration_theta": 0.0,
+              "mu_pusher": 0.3, "tripod_radius": 0.012, "mass": 0.2}  # fmt: skip
+    slope = simulate(scene, motion="quasistatic", derivatives=tuple(values)).derivatives
+    assert set(values) - set(slope) == lacking
+    exact = Simulator(scene, motion="quasistatic", stepper=Adaptive(tolerance=1e-11))
+    for name in slope:
+        for side in _one_sided(exact, name, values[name]):
+            assert slope[name] == pytest.approx(side, rel=0.01, abs=2e-3), name
 
 
 def test_a_seated_part_does_not_depend_on_its_start():

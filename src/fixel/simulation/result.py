@@ -59,7 +59,7 @@ ALTERNATING_ADVICE: Final = (
     "short steps. Leave support_directions out, use a fixed step, or a tolerance of 0.1 % of the "
     "size of the part."
 )
-NO_SLOPES: Final = "contact modes are lost or jump, or a face lands flush"
+NO_SLOPES: Final = "contact modes are lost or jump, or contacts close at the same time"
 # Verdicts of `Accuracy`.
 CERTIFIED: Final = "certified"
 AGREED: Final = "agreed"
@@ -175,7 +175,8 @@ class Simulation(Result):
     derivatives : mapping from name to (3,) float64, or None
         Derivative of x, y and theta of the part at the end, by each requested name [SI units];
         empty if there are none, because contact modes are lost, jump, or end elsewhere than the
-        stepper. There are none by angles at which a face lands flush on another.
+        stepper. Names that change which of two contacts closes first, where both close at the
+        same time, have none.
 
     Examples
     --------

@@ -13,6 +13,7 @@ import numpy as np
 
 from fixel.kernels import arrays
 from fixel.kernels.arrays import Batch, Model
+from fixel.kernels.gap import contact_pair
 from fixel.kernels.jit import allocating_kernel, entry, kernel, large_kernel
 from fixel.kernels.modes import geometry, walk
 from fixel.kernels.modes.equation import (
@@ -35,10 +36,18 @@ AT_ONCE = 1e-6  # duration of a rest between two modes that touch
 BENT = 0.005  # second difference of the velocity's derivative over a piece, times its length
 GROWTH = 0.75  # velocity's derivative times the length of a piece
 MOST_PIECES = 1000  # of a step
-TURNED = 1e-6  # of a column: change of the angle between flush faces that is not rounding
+NEAR = 1e-6  # gap at the end of a mode that closes at the same time, and speed at which it does
+NEAR_ROOM = 64  # such gaps
+ROUNDING = 1e-6  # of a column: derivative of such a gap that is none
 SPARE = 256  # states, of steps that are divided
 TOUCHING = -3  # event of a part that touches the pusher at the start: as if it came from a gap
 TO_TOUCH = walk.MODE_ROOM  # number of that event
+# Columns of `Flow.near`: gap, normal and point as in `Problem.contact_place`, and behind them:
+RATE = 5  # of the gap, by the time
+CHANGE = 6  # its derivative
+# Columns of `Flow.near_pair`.
+PAIR = 0  # of pieces
+ENDS = 1  # mode that ends as they close
 # Columns of `Flow.span`: of a mode, its first state and the one after its last.
 ONWARD = 0
 UP_TO = 1
@@ -62,7 +71,9 @@ class Flow(NamedTuple):
     margin: FloatArray  # (n_mode + 1,) the one that ends it, close to zero
     rate: FloatArray  # (n_mode + 1,) by the time, of that margin
     slant: FloatArray  # (n_mode + 1, 3 + n_parameter) its derivative
-    angle: FloatArray  # (n_mode, 3 + n_parameter) of a flush face, without the part's turn, or NaN
+    near: FloatArray  # (NEAR_ROOM, CHANGE + 3 + n_parameter) gaps that close at the same time
+    near_pair: IntArray  # (NEAR_ROOM, 2) see PAIR
+    n_near: IntArray  # (1,)
 
 
 @large_kernel
@@ -223,12 +234,114 @@ def _linearise_event(model: Model, mode: ContactMode, flow: Flow, number: int, w
         speed = 1.0
         if column < 3:
             flow.slant[number, column] = slant
-            last = flow.span[number, UP_TO] - 1 if number != TO_TOUCH else -1
-            moves = last >= 0 and last >= flow.span[number, ONWARD]
-            speed = flow.velocity[last, column] if moves else 0.0
+            speed = _last_speed(flow, number, column)
         rate += slant * speed
     flow.rate[number] = rate
     return abs(rate) > FLAT
+
+
+@kernel
+def _last_speed(flow: Flow, number: int, i: int) -> float:
+    """Entry of the velocity at the end of a mode."""
+    last = flow.span[number, UP_TO] - 1 if number != TO_TOUCH else -1
+    moves = last >= 0 and last >= flow.span[number, ONWARD]
+    return float(flow.velocity[last, i]) if moves else 0.0
+
+
+@large_kernel
+def _find_near(model: Model, mode: ContactMode, flow: Flow, number: int, reach: float) -> int:
+    """Write the open gaps at the end of a mode behind those that are kept; returns the place after
+    the last."""
+    geometry.place_mode(mode, flow.event[number])
+    pieces = geometry.gap_arrays(model, mode, model.piece_body.size)
+    start = pieces.start
+    n_piece = pieces.body.size
+    n = flow.n_near[0]
+    for pair in range(n_piece * n_piece):
+        one = pair // n_piece
+        two = pair % n_piece
+        skipped = pieces.body[one] != 0 or pieces.body[two] == 0
+        for c in range(mode.size[geometry.N_CLOSED] if number != TO_TOUCH else 0):
+            own = mode.contact[c]
+            skipped = skipped or (own[geometry.FIRST] == one and own[geometry.SECOND] == two)
+        if skipped:
+            continue
+        geometry.place_piece(pieces, one)
+        geometry.place_piece(pieces, two)
+        found = contact_pair(
+            pieces.world, pieces.real,
+            start[one], start[one + 1], pieces.radius[one],
+            start[two], start[two + 1], pieces.radius[two],
+            reach, pieces.place, pieces.key, 0,
+        )  # fmt: skip
+        for k in range(min(found, NEAR_ROOM - n)):
+            flow.near_pair[n, PAIR] = pair
+            for i in range(RATE):
+                flow.near[n, i] = pieces.place[k, i]
+            n += 1
+    return int(n)
+
+
+@large_kernel
+def _keep_near(model: Model, mode: ContactMode, flow: Flow, number: int) -> bool:
+    """Keep the gaps that close where a mode ends, if there are several; False where there is no
+    room. The smallest of all has no derivative then: the first takes its place."""
+    first = flow.n_near[0]
+    until = _find_near(model, mode, flow, number, NEAR)
+    n = first
+    for k in range(first, until):
+        near = flow.near[k]
+        nx = near[arrays.NORMAL_X]
+        ny = near[arrays.NORMAL_Y]
+        px = near[arrays.POINT_X]
+        py = near[arrays.POINT_Y]
+        near[CHANGE] = nx
+        near[CHANGE + 1] = ny
+        near[CHANGE + 2] = (px - mode.frame[0, 2]) * ny - (py - mode.frame[0, 3]) * nx
+        rate = 0.0
+        for i in range(3):
+            rate += near[CHANGE + i] * _last_speed(flow, number, i)
+        if model.piece_body[flow.near_pair[k, PAIR] % model.piece_body.size] == 1:
+            motion = mode.motion
+            rate -= nx * (motion[0] - motion[2] * (py - mode.frame[1, 3]))
+            rate -= ny * (motion[1] + motion[2] * (px - mode.frame[1, 2]))
+        if rate < -NEAR:
+            near[RATE] = rate
+            flow.near_pair[n, PAIR] = flow.near_pair[k, PAIR]
+            flow.near_pair[n, ENDS] = number
+            for i in range(CHANGE + 3):
+                flow.near[n, i] = near[i]
+            n += 1
+    if n > first + 1:
+        flow.n_near[0] = n
+        flow.rate[number] = flow.near[first, RATE]
+        for i in range(3):
+            flow.slant[number, i] = flow.near[first, CHANGE + i]
+    return until < NEAR_ROOM
+
+
+@large_kernel
+def _vary_near(own: Model, mode: ContactMode, flow: Flow, number: int, column: int) -> None:
+    """Write what a little more of a parameter changes of the gaps that are kept at the end of a
+    mode."""
+    until = -1
+    for n in range(flow.n_near[0]):
+        if flow.near_pair[n, ENDS] != number:
+            continue
+        first = until < 0
+        if first:
+            until = _find_near(own, mode, flow, number, 100.0 * NEAR)
+        near = flow.near[n]
+        near[CHANGE + column] = np.nan
+        nearest = np.inf
+        for k in range(flow.n_near[0], until):
+            away = abs(flow.near[k, arrays.POINT_X] - near[arrays.POINT_X])
+            away += abs(flow.near[k, arrays.POINT_Y] - near[arrays.POINT_Y])
+            if flow.near_pair[k, PAIR] == flow.near_pair[n, PAIR] and away < nearest:
+                nearest = away
+                near[CHANGE + column] = flow.near[k, arrays.GAP] - near[arrays.GAP]
+        if first:
+            flow.slant[number, column] = near[CHANGE + column]
 
 
 @kernel
@@ -332,6 +445,8 @@ def _linearise(model: Model, mode: ContactMode, tape: Tape, flow: Flow) -> bool:
             one = one and mode.contact[0, geometry.FORM] != geometry.FLUSH
             if not (one and _linearise_event(model, mode, flow, TO_TOUCH, TOUCHING)):
                 return False
+            if not _keep_near(model, mode, flow, TO_TOUCH):
+                return False
         while step < n_step and tape.step[step, walk.OF_MODE] == number:
             own = tape.step[step]
             k, folds = _linearise_step(model, mode, own, flow, k, room, k == span[ONWARD])
@@ -341,9 +456,6 @@ def _linearise(model: Model, mode: ContactMode, tape: Tape, flow: Flow) -> bool:
                 which = walk.FOLDED
             step += 1
         span[UP_TO] = k
-        for c in range(mode.size[geometry.N_CLOSED]):
-            if mode.contact[c, geometry.FORM] == geometry.FLUSH:
-                flow.angle[number, :3] = geometry.place_contact(model, mode, c)[5]
         # At rest, up to the gap that closes where the next mode begins.
         for i in range(3):
             event[i] = flow.state[k - 1, i] if moves else row[walk.POSE + i]
@@ -368,7 +480,12 @@ def _linearise(model: Model, mode: ContactMode, tape: Tape, flow: Flow) -> bool:
             and not _linearise_event(model, mode, flow, number, which)
         ):
             return False
-        rests = which < 0 and (rests if _is_skipped(row, flow, number) else not moves)
+        if _is_skipped(row, flow, number):
+            rests = which < 0 and rests
+            continue
+        rests = which < 0 and not moves
+        if which == geometry.OPEN and not _keep_near(model, mode, flow, number):
+            return False
     return True
 
 
@@ -391,6 +508,7 @@ def _vary(own: Model, mode: ContactMode, tape: Tape, flow: Flow, column: int) ->
         if span[UP_TO] > 0 and number == 0:
             margin = _margin(own, mode, flow.event[TO_TOUCH], TOUCHING)
             flow.slant[TO_TOUCH, column] = margin - flow.margin[TO_TOUCH]
+            _vary_near(own, mode, flow, TO_TOUCH, column)
         for k in range(span[ONWARD], span[UP_TO]):
             _load_unknowns(mode, flow, k)
             geometry.place_mode(mode, flow.state[k])
@@ -399,12 +517,10 @@ def _vary(own: Model, mode: ContactMode, tape: Tape, flow: Flow, column: int) ->
             for i in range(3):
                 flow.slope[k, i, column] = mode.velocity[i] - flow.velocity[k, i]
             _respond(flow, k, column, mode.vector, 3 + n)
-        for c in range(mode.size[geometry.N_CLOSED]):
-            if mode.contact[c, geometry.FORM] == geometry.FLUSH:
-                flow.angle[number, column] = geometry.place_contact(own, mode, c)[5]
         if row[walk.EVENT] >= 0.0:
             margin = _margin(own, mode, flow.event[number], int(row[walk.EVENT]))
             flow.slant[number, column] = margin - flow.margin[number]
+        _vary_near(own, mode, flow, number, column)
 
 
 @kernel
@@ -490,6 +606,24 @@ def _time_event(flow: Flow, number: int, state: FloatArray, late: FloatArray) ->
     return True
 
 
+@kernel
+def _drop_one_sided(flow: Flow, number: int, state: FloatArray, late: FloatArray) -> None:
+    """Set the columns to NaN that change the order in which gaps close where a mode ends."""
+    for n in range(flow.n_near[0]):
+        if flow.near_pair[n, ENDS] != number:
+            continue
+        near = flow.near[n]
+        for column in range(late.size):
+            change = near[RATE] * late[column] + (near[CHANGE + column] if column > 2 else 0.0)
+            size = 1e-5
+            for i in range(3):
+                change += near[CHANGE + i] * state[i, column]
+                size += abs(state[i, column])
+            if not abs(change) <= ROUNDING * size:
+                for i in range(3):
+                    state[i, column] = np.nan
+
+
 @large_kernel
 def _integrate(
     tape: Tape, flow: Flow, times: FloatArray, stage: FloatArray, root: FloatArray, out: FloatArray
@@ -503,6 +637,7 @@ def _integrate(
     at = 0
     if flow.rate[TO_TOUCH] != 0.0 and not _time_event(flow, TO_TOUCH, state, late):
         return False
+    _drop_one_sided(flow, TO_TOUCH, state, late)
     for number in range(tape.mode.shape[0]):
         row = tape.mode[number]
         span = flow.span[number]
@@ -515,12 +650,6 @@ def _integrate(
             _write_between(state, state, stage, 0.0, 0.0, out[at])
             at += 1
         _jump(state, before, velocity, late)
-        for column in range(late.size):
-            # A face that lands flush on another turns to it, the part's way or the other.
-            turn = state[2, column] + flow.angle[number, column] - flow.angle[number, 0]
-            size = abs(state[0, column]) + abs(state[1, column]) + abs(state[2, column])
-            if abs(turn) > TURNED * (1e-5 + size):
-                state[:, column] = np.nan
         for k in range(span[ONWARD], span[UP_TO] - 2, 2):
             begin = flow.state[k, 3]
             last = k + 3 == span[UP_TO]
@@ -535,6 +664,7 @@ def _integrate(
             before[i] = flow.velocity[span[UP_TO] - 1, i] if moves else 0.0
         if row[walk.EVENT] >= 0.0 and not _time_event(flow, number, state, late):
             return False
+        _drop_one_sided(flow, number, state, late)
     # A part that stalls stops where the last mode ended.
     velocity[:] = 0.0
     _jump(state, before, velocity, late)
@@ -589,7 +719,9 @@ def _empty_flow(wide: int) -> Flow:
         margin=np.empty(walk.MODE_ROOM + 1),
         rate=np.empty(walk.MODE_ROOM + 1),
         slant=np.empty((walk.MODE_ROOM + 1, wide)),
-        angle=np.empty((walk.MODE_ROOM, wide)),
+        near=np.empty((NEAR_ROOM, CHANGE + wide)),
+        near_pair=np.empty((NEAR_ROOM, 2), np.int64),
+        n_near=np.zeros(1, np.int64),
     )
 
 
@@ -603,7 +735,7 @@ def _differentiate(
     wide = slope.shape[2]
     flow.rate[:] = 0.0
     flow.slant[:] = 0.0
-    flow.angle[:] = np.nan
+    flow.n_near[0] = 0
     stage = np.zeros((7, 3, wide))
     start = batch.begin[base, arrays.BODY]
     for k in range(wide - 2):

@@ -333,7 +333,8 @@ def gap_arrays(model: Model, mode: ContactMode, n_piece: int) -> GapArrays:
 
 
 @kernel
-def _place_piece(pieces: GapArrays, piece: int) -> None:
+def place_piece(pieces: GapArrays, piece: int) -> None:
+    """Write the vertices of a piece in the world."""
     f = pieces.frame[pieces.body[piece]]
     for i in range(pieces.start[piece], pieces.start[piece + 1]):
         x = pieces.vertex[i, 0]
@@ -371,9 +372,9 @@ def open_gap(pieces: GapArrays) -> float:
             if closed:
                 continue
             if not placed:
-                _place_piece(pieces, one)
+                place_piece(pieces, one)
                 placed = True
-            _place_piece(pieces, two)
+            place_piece(pieces, two)
             start = pieces.start
             found = contact_pair(
                 pieces.world, pieces.real,
