@@ -10,6 +10,7 @@ from fixel.kernels.jit import entry
 from fixel.kernels.lemke import allocate_tableau, lemke
 from fixel.kernels.linear_form import NOT_LINEAR, solve_linear_form, tableau_size
 from fixel.kernels.residual import residual
+from fixel.kernels.solve import is_squeezed
 
 
 @entry
@@ -87,3 +88,9 @@ def _solve_problem(problem, work, sides_for_discs, max_pivots, rows):
     tableau = allocate_tableau(rows or n)
     code = solve_linear_form(problem, work, tableau, sides_for_discs, max_pivots)
     return residual(problem, work.right), code, tableau.spent[0]
+
+
+@entry
+def is_proven_unsolvable(problem, work):
+    """Whether the bodies of a step are squeezed, without friction."""
+    return is_squeezed(problem, work, False)

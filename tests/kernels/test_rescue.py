@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from scipy.optimize import linprog
+from tests.kernels.entries import is_proven_unsolvable
 
 from fixel.kernels import codes, entries
 from fixel.kernels.gauss_seidel import gauss_seidel, nearest_in_polygon
@@ -213,7 +214,7 @@ def test_certificates_against_linear_programming():
     proven = held = slipped = 0
     for _ in range(400):
         problem, work = _random_squeeze(rng)
-        proof = entries.is_proven_unsolvable(problem, work)
+        proof = is_proven_unsolvable(problem, work)
         may_jam = entries.may_jam(problem, work, False)
         assert proof != _has_motion(problem, 0.0 * problem.friction)
         assert may_jam != _has_motion(problem, problem.friction)

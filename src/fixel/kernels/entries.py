@@ -71,9 +71,3 @@ def solve_by_pivoting(problem: Problem, work: Workspace, max_pivots: int) -> flo
     if ENOUGH * n_row <= max_pivots:
         solve_linear_form(problem, work, allocate_tableau(max(0, n_row)), 0, max_pivots)
     return residual.residual(problem, work.right)
-
-
-@entry
-def is_proven_unsolvable(problem: Problem, work: Workspace) -> bool:
-    """See `solve.is_squeezed`, without friction."""
-    return solve.is_squeezed(problem, work, False)

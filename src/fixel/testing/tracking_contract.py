@@ -187,30 +187,6 @@ def tag_rig(size: tuple[int, int] = (320, 240), plate: bool = False) -> Rig:
     )
 
 
-def sticker_rig(size: tuple[int, int] = (320, 240)) -> Rig:
-    """Create a rig with one part with two stickers of 12 mm, and one with two of 10 mm."""
-    return Rig(
-        name="small",
-        camera=camera(size),
-        parts={
-            "object": MarkedPart(
-                height=0.0254,
-                marks=(
-                    Sticker(colour="red", diameter=0.012, place=row(-0.02, 0.0), height=0.0255),
-                    Sticker(colour="blue", diameter=0.012, place=row(0.02, 0.003), height=0.0255),
-                ),
-            ),
-            "actuator": MarkedPart(
-                height=0.03,
-                marks=(
-                    Sticker(colour="green", diameter=0.01, place=row(-0.01, -0.008), height=0.0301),
-                    Sticker(colour="yellow", diameter=0.01, place=row(0.01, 0.008), height=0.0301),
-                ),
-            ),
-        },
-    )
-
-
 @functools.cache
 def painted(rig: Rig) -> Painter:
     """Painter of a rig, cached for all tests."""

@@ -16,16 +16,41 @@ from fixel.testing.tracking_contract import (
     PAINT,
     TrackingContract,
     as_seen,
+    camera,
     moving,
     painted,
-    sticker_rig,
+    row,
     tag_rig,
 )
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame
-from fixel.vision.marks import MarkedPart, Tag
+from fixel.vision.marks import MarkedPart, Rig, Sticker, Tag
 from fixel.vision.render import film_scene, looks_named
 from fixel.vision.tracking import Stickers, Tags, track
+
+
+def sticker_rig():
+    """Create a rig with one part with two stickers of 12 mm, and one with two of 10 mm."""
+    return Rig(
+        name="small",
+        camera=camera(),
+        parts={
+            "object": MarkedPart(
+                height=0.0254,
+                marks=(
+                    Sticker(colour="red", diameter=0.012, place=row(-0.02, 0.0), height=0.0255),
+                    Sticker(colour="blue", diameter=0.012, place=row(0.02, 0.003), height=0.0255),
+                ),
+            ),
+            "actuator": MarkedPart(
+                height=0.03,
+                marks=(
+                    Sticker(colour="green", diameter=0.01, place=row(-0.01, -0.008), height=0.0301),
+                    Sticker(colour="yellow", diameter=0.01, place=row(0.01, 0.008), height=0.0301),
+                ),
+            ),
+        },
+    )
 
 
 @pytest.mark.system
