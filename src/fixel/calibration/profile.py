@@ -364,7 +364,9 @@ class ProfileSearch:
         while (value := side.next_value(self._threshold)) is not None:
             starts = side.guesses(value)
             if side.lengths(self._threshold)[-1] > WORTH:
-                starts += self._elsewhere(side, value)
+                # Descents from the values before it end in dents, or leave valleys that bend.
+                nodes = (*self._beyond(side, value)[:1], side.nodes[0])
+                starts += [node.point for node in nodes]
             side.add((yield from self._fixed(side, value, starts, self._fitting)))
 
     def _extend(self, side: ProfileBranch) -> Task:
@@ -377,13 +379,6 @@ class ProfileSearch:
             side.beyond = []  # from descents that began elsewhere
             yield from self._trace(side)
             yield from self._scan(side)
-
-    def _elsewhere(self, side: ProfileBranch, value: float) -> list[FloatArray]:
-        """Return starts (n,) for a value: the nearest good point beyond it, if any, and the best.
-
-        Descents from the values before it end in dents, or leave valleys that bend.
-        """
-        return [node.point for node in (*self._beyond(side, value)[:1], side.nodes[0])]
 
     def _beyond(self, side: ProfileBranch, value: float) -> list[Node]:
         """Return the known points past a value that are below the threshold, the nearest first."""

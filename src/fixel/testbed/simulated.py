@@ -145,9 +145,11 @@ class SimulatedTestbed:
 
     def __post_init__(self) -> None:
         fields.name_of(self.dataset, "testbed.dataset")
-        for name in ("seed", "table_seed"):
+        for name in ("seed", "table_seed", "support_cells"):
             whole(getattr(self, name), f"testbed.{name}", 0)
-        _check_cells(self.support_cells)
+        if 0 < self.support_cells < 4:
+            expected = "at least 4 cells, or 0 for the support as planned"
+            raise InvalidInput("testbed.support_cells", found=self.support_cells, expected=expected)
         fields.check_fields(self, "testbed")
         centre = fields.vector(
             self.centre_of_pressure, "testbed.centre_of_pressure", "x [m], y [m]"
@@ -381,15 +383,6 @@ def _scaled(shape: Shape, ratio: float) -> Shape:
     if isinstance(shape, Disk):
         return Disk(shape.radius * ratio)
     return Polygon(shape.vertices * ratio)
-
-
-def _check_cells(cells: object) -> None:
-    if isinstance(cells, bool) or not isinstance(cells, int) or (cells != 0 and cells < 4):
-        raise InvalidInput(
-            "testbed.support_cells",
-            found=cells,
-            expected="a whole number of at least 4, or 0 for the support as planned",
-        )
 
 
 def _check_plan(planned: Sequence[PlannedExperiment]) -> None:

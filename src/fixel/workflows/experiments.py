@@ -141,16 +141,11 @@ def _ready(place: Any, scene: SceneChoice | None) -> Experiments | None:
             raise InvalidInput("scene", found=found, expected="a scene file, for a recording")
         return Experiments.of(track_film(place, scene=scene).experiment)
     if place.suffix.lower() == ".zip" and place.is_file():
-        return _of_bundle(place)
+        with (  # through a database that is removed again
+            TemporaryDirectory(prefix="fixel-bundle-") as folder,
+            Store(f"sqlite:///{Path(folder) / DATABASE}", Path(folder) / MEDIA) as store,
+        ):
+            store.upgrade()
+            import_bundle(place, store)
+            return stored_experiments(store, ExperimentQuery(include_faulty=True)).in_memory()
     return None
-
-
-def _of_bundle(path: Path) -> Experiments:
-    """Experiments of a bundle, through a database that is removed again."""
-    with (
-        TemporaryDirectory(prefix="fixel-bundle-") as folder,
-        Store(f"sqlite:///{Path(folder) / DATABASE}", Path(folder) / MEDIA) as store,
-    ):
-        store.upgrade()
-        import_bundle(path, store)
-        return stored_experiments(store, ExperimentQuery(include_faulty=True)).in_memory()

@@ -92,6 +92,11 @@ def test_held_out_errors_are_those_of_calibrations_without_the_experiment():
     assert found.held_out_error > found.calibration.rms_error
 
 
+def test_one_experiment_is_not_predicted_from_others():
+    one = replace(imperfect(), held_out={"first": 0.001})
+    assert one.held_out_error is None
+
+
 def test_one_more_experiment_gives_the_same_from_the_previous_estimates():
     alone = estimate(pushes()[:4], SPACE, threads=1)
     for label, own in alone.half_widths.items():

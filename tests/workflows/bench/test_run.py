@@ -114,6 +114,9 @@ def test_a_controller_that_does_not_home_waits_for_its_zero(folder, camera, cont
     ({"motion": "fast"}, "motion", "'fast'"),
     ({"until": "mu_pusher=wide"}, "until", "'mu_pusher=wide'"),
     ({"until": "mu_pusher=0.02", "fit": ("mu_support",)}, "until", "'mu_pusher'"),
+    ({"until": "mu_pusher"}, "until", "'mu_pusher'"),
+    ({"name": "../elsewhere"}, "name", "'../elsewhere'"),
+    ({"emulated": True, "rig": None, "camera": "0"}, "camera", "'0'"),
 ])  # fmt: skip
 def test_what_is_missing_or_unknown_is_named(folder, options, where, found):
     error = refused(folder, **options)
@@ -165,7 +168,7 @@ def test_a_rig_without_the_part_or_the_head_of_the_plan_is_refused(
     rig = rig_of(str(folder / "rig.yaml"))
     parts = {name: rig.parts[name] for name in known}
     save_rig(replace(rig, parts=parts), folder / "fewer.yaml")
-    devices = {"camera": camera, "port": controller.port, "emulated": emulated}
+    devices = {"emulated": True} if emulated else {"camera": camera, "port": controller.port}
     error = refused(folder, rig=str(folder / "fewer.yaml"), **devices)
     lacking = {"object", "actuator"} - {*known}
     assert all(name in error.expected for name in lacking)

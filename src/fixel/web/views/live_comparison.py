@@ -157,7 +157,17 @@ class LiveComparison:
                 unseen = list(self._known(id_).texts(target_of(experiment)))
                 found.append(own.model_copy(update={"unseen": unseen}))
         for id_ in reversed(self._store.simulations(experiment_id)[-MAX_SETS:]):
-            found.append(_simulated_set(id_, self._store.simulation(id_)))
+            run = self._store.simulation(id_)
+            found.append(
+                StoredSet(
+                    id=f"simulation-{id_}",
+                    label=simulation_label(id_, run),
+                    kind="simulation",
+                    parameters=dict(run.parameters),
+                    motion=str(run.method.get("motion", DYNAMIC)),
+                    error_mm2=run.error_mm2,
+                )
+            )
         return found
 
     def compared(
@@ -334,14 +344,3 @@ def simulation_label(number: int, record: SimulationRecord) -> str:
     """Return the name of a stored simulation on pages."""
     by = " by the publisher of the data" if record.provenance.source else ""
     return f"simulation {number}{by}"
-
-
-def _simulated_set(number: int, record: SimulationRecord) -> StoredSet:
-    return StoredSet(
-        id=f"simulation-{number}",
-        label=simulation_label(number, record),
-        kind="simulation",
-        parameters=dict(record.parameters),
-        motion=str(record.method.get("motion", DYNAMIC)),
-        error_mm2=record.error_mm2,
-    )

@@ -114,9 +114,10 @@ class LiveEstimates:
     scatter: _Scatter  # about the model, which further experiments will have, too
 
     @property
-    def held_out_error(self) -> float:
-        """Root mean square of the held-out errors [m]."""
-        return math.sqrt(float(np.mean(np.square(list(self.held_out.values())))))
+    def held_out_error(self) -> float | None:
+        """Root mean square of the held-out errors [m], or None for one experiment."""
+        squares = np.square(list(self.held_out.values()))
+        return math.sqrt(float(np.mean(squares))) if len(squares) > 1 else None
 
     def ahead(self, candidates: Sequence[PlannedExperiment], n: int = 1) -> dict[str, float]:
         """Return the half-widths that are expected after the first n candidates, by label."""
@@ -356,6 +357,7 @@ class Until:
         wanted: dict[str, float] = {}
         for part in text.split(","):
             name, _, value = (own.strip() for own in part.rpartition("="))
+            name = name if "=" in part else value
             try:
                 units = UNITS.get(info_of(split_label(name)[0]).unit, {})
             except InvalidInput as problem:
@@ -444,9 +446,9 @@ def estimate_rows(
     known = estimate(experiments, space, motion=motion, previous=previous)
     wanted: Mapping[str, float] = {} if aims is None else aims.wanted
     finish = aims.words(known) if aims is not None and aims.met(known) else ""
-    words = [
-        f"Error of experiments predicted from the others: {1e3 * known.held_out_error:.2f} mm."
-    ]
+    words = []
+    if (error := known.held_out_error) is not None:
+        words.append(f"Error of experiments predicted from the others: {1e3 * error:.2f} mm.")
     chosen = ""
     if choosing and left and not finish:
         choice = choose(known, left, wanted)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door, Fit, Seed
+from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
     from fixel.database.project import Project
@@ -123,6 +124,7 @@ def open_bench(
     call = locals()
     from fixel.sampling import about_part as pushes_about_part
     from fixel.sampling import thesis_plan
+    from fixel.sampling.rig import plain_name
     from fixel.workflows.bench.devices import SETTINGS, emulated_devices, open_devices, settings_of
     from fixel.workflows.bench.estimates import check_wishes
     from fixel.workflows.sampling import planned_rows
@@ -132,8 +134,12 @@ def open_bench(
     check_wishes(rows, fit, motion, until)
     given = {key: call[key] for key in SETTINGS if key in call}
     settings = settings_of(project.settings.bench, given)
+    for key in given.keys() - {"rig"} if emulated else ():
+        if given[key] is not None:
+            raise InvalidInput(key, found=repr(given[key]), expected="none for an emulated bench")
     devices = emulated_devices(rows, seed, rig or "") if emulated else open_devices(settings)
-    options = BENCH.asked({**call, "name": name or ("thesis" if plan is None else plan.stem)})
+    usual = "thesis" if plan is None else plan.stem
+    options = BENCH.asked({**call, "name": plain_name(name, "name") if name else usual})
     return _opened(project, rows, devices, dict(options))
 
 

@@ -70,7 +70,12 @@ def read_samples(
         if seat is not None:
             seated.setdefault(seat, []).append(summary)
     _refuse_none(seated, shape)
-    _refuse_datasets(seated)
+    for seat, found in seated.items():
+        names = sorted({summary.dataset for summary in found})
+        if len(names) > 1:
+            several = f"{' and '.join(names)} at {seat.name}"
+            hint = f"choose one: --dataset {names[0]}"
+            raise InvalidInput("experiments", found=several, expected="one data set", hint=hint)
     warnings = []
     if listing.left_out:
         warnings.append(f"faults in the data: {counted(listing.left_out, 'experiment')} skipped.")
@@ -109,15 +114,6 @@ def _refuse_none(seated: dict[_Seat, list[ExperimentRow]], shape: str | None) ->
             expected="experiments of a plan like that of the thesis",
             hint="fixel list shows all experiments; perform a plan: fixel testbed run",
         )  # fmt: skip
-
-
-def _refuse_datasets(seated: dict[_Seat, list[ExperimentRow]]) -> None:
-    for seat, found in seated.items():
-        names = sorted({summary.dataset for summary in found})
-        if len(names) > 1:
-            several = f"{' and '.join(names)} at {seat.name}"
-            hint = f"choose one: --dataset {names[0]}"
-            raise InvalidInput("experiments", found=several, expected="one data set", hint=hint)
 
 
 def _read(store: Store, first: dict[_Seat, ExperimentRow], warnings: list[str]) -> GrowthSamples:

@@ -69,7 +69,7 @@ def source_of(
         raise InvalidInput(
             "calibration", found=f"the id {calibration}", expected="the project that has it"
         )
-    values: Callable[[Experiment], Mapping[str, float]] = _no_values
+    values: Callable[[Experiment], Mapping[str, float]] | None = None
     if isinstance(what, Project):
         found, values = _stored(what, calibration)
     elif isinstance(what, Calibration):
@@ -84,11 +84,7 @@ def source_of(
     for key in sorted({case.key for case in found.cases} & {own.key for own in others}):
         used = f"{key}, which the calibration has used"
         raise InvalidInput("held_out", found=used, expected="other experiments")
-    return found._replace(held_out=[_case(own, values(own)) for own in others])
-
-
-def _no_values(experiment: Experiment) -> Mapping[str, float]:
-    return {}
+    return found._replace(held_out=[_case(own, values(own) if values else {}) for own in others])
 
 
 def _scene(what: Scene | SceneFile | str | PathLike[str]) -> ModelSource:
