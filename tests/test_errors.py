@@ -1,4 +1,7 @@
+import json
 import pickle
+import zlib
+from pathlib import Path
 
 import pytest
 
@@ -8,6 +11,8 @@ from fixel.errors import (
     FixelError,
     InvalidInput,
     SolveFailed,
+    number_of,
+    reason_of,
     unknown_name,
 )
 
@@ -96,3 +101,32 @@ def test_control_characters_reach_no_terminal() -> None:
     for error in (InvalidInput("\x1b[2Ja.csv", found="\x9b31m"), DatasetMissing("\x1b[2J\u202e")):
         assert str(error).isprintable()
     assert str(InvalidInput("a\nb", hint="é")) == "a\nb; é"
+
+
+@pytest.mark.parametrize(
+    "text", ["1_0", "\uff11", "\u0661", "nan", "inf", "1e999", "0x10", "", "1,5"]
+)
+def test_numbers_are_read_in_usual_digits_only(text) -> None:
+    with pytest.raises(InvalidInput, match=r"^mass is .*, but must be a number") as caught:
+        number_of(text, "mass")
+    assert caught.value.found == repr(text)
+    assert number_of(" -1.5e3 ", "mass") == -1500.0
+
+
+@pytest.mark.parametrize(
+    ("fail", "reason"),
+    [
+        (lambda: json.loads("{"), "an error (line 1, column 2)"),
+        (lambda: b"\xff".decode(), "characters that are not UTF-8"),
+        (lambda: zlib.decompress(b"x"), "damaged, incomplete or foreign content"),
+        (lambda: {}["pose"], "damaged, incomplete or foreign content"),
+        (lambda: 10.0**400, "numbers out of range"),
+        (lambda: Path("/none/such").read_bytes(), "no such file or folder"),
+        (lambda: Path("/").read_bytes(), "an error (is a directory)"),
+    ],
+)
+def test_reasons_have_no_words_of_parsers(fail, reason) -> None:
+    with pytest.raises(Exception) as caught:  # noqa: PT011
+        fail()
+    assert reason_of(caught.value) == reason
+    assert InvalidInput("file", found=caught.value).found == reason

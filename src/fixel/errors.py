@@ -19,6 +19,7 @@ A numerical failure is not raised by default: `simulate(...)` records a status, 
 from __future__ import annotations
 
 import errno
+import math
 import re
 import reprlib
 from collections.abc import Collection, Iterable, Sequence
@@ -64,10 +65,34 @@ class _Absent:
 
 
 _ABSENT: Final = _Absent()
+# What pydantic expects, by the kind of its error; other kinds have usable words of its own.
+_PHRASES: Final = {
+    "missing": "a value: this key is required",
+    "float_parsing": "a number",
+    **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "a whole number"),
+    "string_type": "text",
+    "string_pattern_mismatch": "one line of text of usual characters",
+    "string_too_long": "text of at most {max_length} characters",
+    "tuple_type": "a list",
+    **dict.fromkeys(("dict_type", "model_type"), "keys with values"),
+    "bool_type": "true or false",
+    "greater_than": "a number greater than {gt:g}",
+    "greater_than_equal": "a number of at least {ge:g}",
+    "less_than": "a number less than {lt:g}",
+    "less_than_equal": "a number of at most {le:g}",
+    "too_short": "a list of at least {min_length} entries",
+    "too_long": "at most {max_length} entries",
+    "value_error": "{error}",
+}
+_CAUSES: Final = {  # of damaged archives, by a word of their error
+    "CRC": "content that differs from its checksum",
+    "encrypted": "content with a password",
+}
 _MAX_BEFORE_HINT: Final = 20  # known names that an error with a suggestion lists
 _MAX_NAMED: Final = 40  # known names that an error lists
 _MAX_FOUND: Final = 300  # [characters] of a text that was found; it may be a whole file
 
+DECIMAL: Final = re.compile(r"\s*[-+]?[0-9]*,[0-9]+([eE][-+]?[0-9]+)?\s*")
 _PLACE: Final = re.compile(r"\b(line|row|frame) \d+$")  # place in a file, which is no value
 FULL: Final = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))  # no space on the disk
 
@@ -116,10 +141,8 @@ class InvalidInput(FixelError, ValueError):
         self.where = where
         if isinstance(found, OSError) and found.errno in FULL:
             expected, hint = "free space on the disk", None
-        if isinstance(found, FileNotFoundError):
-            found = "no such file or folder"
         if isinstance(found, Exception):
-            found = f"an error ({os_reason(found) if isinstance(found, OSError) else found})"
+            found = reason_of(found)
         is_long = isinstance(found, str) and len(found) > _MAX_FOUND
         self.found = f"{str(found)[:_MAX_FOUND]} ..." if is_long else found
         self.expected = expected
@@ -460,6 +483,60 @@ def check_name(where: str, name: object, known: Collection[str], *, more: str = 
     raise unknown_name(where, name, known, more=more)
 
 
+def number_of(text: str, where: str, expected: str = "a number") -> float:
+    """Return the finite number of a text in usual digits, unlike `1_0`; raise for other texts."""
+    with suppress(ValueError):
+        if text.isascii() and "_" not in text and math.isfinite(value := float(text)):
+            return value
+    hint = "write a decimal point" if DECIMAL.fullmatch(text) else None
+    raise InvalidInput(where, found=repr(text), expected=expected, hint=hint)
+
+
+def refused_value(
+    problem: Any, place: str = "", whole: str = "content", known: Collection[str] = ()
+) -> InvalidInput:
+    """Return the first error of a `ValidationError` of pydantic in words of fixel.
+
+    `place` is the file of the value, `whole` names its content, and `known` has the known keys.
+    """
+    first = problem.errors()[0]
+    key = ".".join(map(str, first["loc"]))
+    where = f"{place}: {key or whole}" if place else key or whole
+    if first["type"] == "extra_forbidden":
+        expected = f"one of {', '.join(known)}" if known else "a known key"
+        return InvalidInput(where, found="an unknown key", expected=expected)
+    found = None if first["type"] == "missing" else quoted(first["input"])
+    own = first["msg"].removeprefix("Input should be ").replace("valid ", "")
+    phrase, more = _PHRASES.get(first["type"]), first.get("ctx", {})
+    expected = phrase.format(**more) if phrase else own
+    if first["type"] == "model_type" and known and not key:
+        expected = f"a mapping with the keys {', '.join(known)}"
+    expected = getattr(more.get("error"), "expected", None) or expected
+    return InvalidInput(where, found=found, expected=expected)
+
+
+def reason_of(problem: Exception) -> str:
+    """Return the reason of an error without the words of Python and of foreign parsers."""
+    if isinstance(problem, FixelError):
+        return getattr(problem, "reason", None) or str(problem)
+    if isinstance(problem, FileNotFoundError):
+        return "no such file or folder"
+    if isinstance(problem, OSError) and problem.strerror and type(problem).__module__ == "builtins":
+        return f"an error ({os_reason(problem)})"
+    if hasattr(problem, "errors") and callable(problem.errors):  # of pydantic
+        return str(refused_value(problem))
+    if isinstance(problem, UnicodeError):
+        return "characters that are not UTF-8"
+    if isinstance(problem, RecursionError):
+        return "too deeply nested content"
+    if isinstance(problem, ArithmeticError):
+        return "numbers out of range"
+    if line := getattr(problem, "lineno", None):  # of text such as JSON
+        return f"an error (line {line}, column {getattr(problem, 'colno', 0)})"
+    causes = (cause for word, cause in _CAUSES.items() if word in str(problem))
+    return next(causes, "damaged, incomplete or foreign content")
+
+
 def os_reason(problem: OSError) -> str:
     """Return the reason that the operating system gives, such as "permission denied"."""
     return (problem.strerror or str(problem)).lower()
@@ -474,6 +551,11 @@ def machine_failure(problem: OSError) -> FixelError | None:
     place = f"{name[:80]}...: " if len(name) > 200 else f"{name}: " if name else ""
     hint = "free disk space, then repeat the command" if problem.errno in FULL else None
     return StoreRefused(f"{place}{reason}", hint=hint)
+
+
+def quoted(value: object) -> object:
+    """Return a value as `InvalidInput` shows it: a text in quotes."""
+    return repr(value) if isinstance(value, str) else value
 
 
 def _shown(found: object) -> str:

@@ -352,7 +352,7 @@ def test_damage(bundle):
     write(path, {"a": b""})
     refused(path, store, "only members")
     path.unlink()
-    refused(path, store, "No such file")
+    refused(path, store, "no such file")
 
 
 def test_another_version(bundle):

@@ -2,6 +2,7 @@
 
 import contextlib
 import gzip
+import os
 import random
 import shutil
 
@@ -9,6 +10,7 @@ import pytest
 from tests.datasets import push_files, recordings
 from tests.fixtures import refused
 
+import fixel
 from fixel.datasets import IMPORTERS, files
 from fixel.errors import FixelError
 
@@ -128,3 +130,16 @@ def test_json_nested_without_end_is_refused(tmp_path):
     path = tmp_path / f"{recordings.RECORD}.json"
     path.write_text('{"object_pose": ' + "[" * 100_000)
     refused(list, IMPORTERS["mit-push"].read(path).experiments())
+
+
+@pytest.mark.parametrize("name", ["a.jsonl", "a.db3", "a.mcap", "a.csv"])
+def test_pipes_are_refused_unread(name, tmp_path):
+    os.mkfifo(tmp_path / name)
+    for read in (fixel.read_experiments, fixel.load):
+        refused(read, tmp_path / name, match=f"{name}: found a pipe or a device")
+
+
+def test_digits_with_underscores_are_no_numbers(tmp_path):
+    rows = "".join(f"{0.1 * k},{k},0,{'1_0' if k == 3 else k}\n" for k in range(12))
+    (tmp_path / "a.csv").write_text("time_s,x_mm,y_mm,theta_deg\n" + rows)
+    refused(fixel.read_experiments, tmp_path / "a.csv", match="'1_0', but must be a finite number")

@@ -207,6 +207,7 @@ def test_camera_files_read_back(numbers, shift, tmp_path_factory):
     ("a.m", "\x00\xff", "fc"),
     ("a.mat", "not a mat file", "MATLAB"),
     ("a.mat", "MATLAB 7.3 MAT-file" + " " * 105 + "\x00\x02IM", "MATLAB"),
+    ("a.yaml", ROS.replace("image_height: 480", "image_height: []"), "must be a number"),
     ("a.yaml", KALIBR, "--which"),
     ("a.yaml", KALIBR.replace("pinhole", "omni"), "--which"),
     ("a.yaml", KALIBR[: KALIBR.index("cam1")].replace("pinhole", "omni"), "pinhole"),

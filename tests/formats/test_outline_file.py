@@ -311,7 +311,7 @@ def test_truncated_and_foreign_files(tmp_path, ending, share):
 def test_crossing_lines_missing_files_and_other_endings(tmp_path):
     path = svg(tmp_path / "a.svg", '<path d="M0 0L10 10V0L0 10Z"/>')
     refused(Polygon.from_file, path, match="Self-intersection")
-    refused(Polygon.from_file, tmp_path / "none.svg", match="No such file")
+    refused(Polygon.from_file, tmp_path / "none.svg", match="no such file")
     refused(Polygon.from_file, tmp_path / "a.step", match=r".svg, .dxf, .stl")
     refused(Polygon.from_file, path, tolerance=0.0, match="tolerance")
     refused(Polygon.from_file, svg(tmp_path / "b.svg", ""), match="no closed outline")

@@ -15,12 +15,16 @@ TRIALS = (
 )
 
 
-@pytest.fixture
-def path(tmp_path):
-    path = write_trials(tmp_path / "trials.csv", NONE)
+def written(path):
+    write_trials(path, NONE)
     append_trials(path, TRIALS[0], plan="a1")
     append_trials(path, *TRIALS[1:], plan="a1")
     return path
+
+
+@pytest.fixture
+def path(tmp_path):
+    return written(tmp_path / "trials.csv")
 
 
 def test_trials_are_read_as_they_were_appended(path, tmp_path):

@@ -1,5 +1,7 @@
 """Video files: exact times, and a reason for what cannot be read."""
 
+import struct
+import zlib
 from pathlib import Path
 
 import av
@@ -7,7 +9,7 @@ import numpy as np
 import pytest
 from tests.fixtures import refused
 
-from fixel.formats.video_file import VideoWriter, open_video
+from fixel.formats.video_file import VideoWriter, open_video, read_picture
 from fixel.vision.frame import Frame
 
 SIZE = (64, 48)
@@ -131,3 +133,18 @@ def test_a_writer_that_fails_leaves_nothing(tmp_path):
     assert list(tmp_path.iterdir()) == []
     refused(VideoWriter, tmp_path / "film.mp4", (63, 48), match="even")
     refused(VideoWriter, tmp_path / "film.mp4", SIZE, "vp9", match="codec")
+
+
+def test_small_files_of_giant_pictures_are_refused(tmp_path):
+    """A PNG of 900 million pixels has 0.1 MB."""
+    head = struct.pack(">IIBBBBB", 30_000, 30_000, 1, 0, 0, 0, 0)
+    pixels = zlib.compress(bytes(30_000 * 3751), 9)
+    path = tmp_path / "a.png"
+    path.write_bytes(
+        b"\x89PNG\r\n\x1a\n"
+        + b"".join(
+            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+            for kind, data in ((b"IHDR", head), (b"IDAT", pixels), (b"IEND", b""))
+        )
+    )
+    refused(read_picture, path, match=r"found more than \d+ million pixels")

@@ -51,7 +51,7 @@ def test_a_worker_ends_before_its_time(walltime, seconds, lifetime):
 
 @pytest.mark.parametrize(("content", "complaint"), [
     ({"walltime": "soon"}, "walltime is 'soon', but must be HH:MM:SS"),
-    ({"walltime": 3600}, "walltime is 3600, but must be a string"),
+    ({"walltime": 3600}, "walltime is 3600, but must be text"),
     ({"walltime": "00:00:01"}, "must be at least 00:00:10"),
     ({"wall_time": "01:00:00"},
      "wall_time: found an unknown key, but fixel needs one of scheduler"),
@@ -62,7 +62,7 @@ def test_a_worker_ends_before_its_time(walltime, seconds, lifetime):
     ({"prologue": ["a\nb"]}, "prologue.0 is 'a.*b', but must be one line"),
     ({"directives": "--x"}, "directives is '--x', but must be a list"),
     ({"scheduler": "pbs"}, "scheduler is 'pbs', but must be 'slurm'"),
-    ([], "needs a dictionary"),
+    ([], "must be a mapping with the keys scheduler, queue"),
 ])  # fmt: skip
 def test_what_a_site_may_not_say(content, complaint):
     with pytest.raises(InvalidInput, match=complaint):

@@ -81,6 +81,7 @@ def test_what_is_not_known_stands_last_either_way(bench):
     ("sort=no%22name", "column"),
     ("limit=0", "query.limit"),
     ("limit=501", "query.limit"),
+    ("limit=1_0", "query.limit"),
     ("offset=-1", "query.offset"),
     ("offset=99999999999999999999", "query.offset"),
     ("limt=3", "query"),

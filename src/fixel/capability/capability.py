@@ -17,19 +17,11 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from fixel.capability.options import TABLE, Option, is_group, members, options_of
-from fixel.errors import InvalidInput, unknown_name
+from fixel.errors import InvalidInput, refused_value, unknown_name
 
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
 
-_PHRASES: Final = {
-    "int_type": "an integer",
-    "int_parsing": "an integer",
-    "int_from_float": "an integer",
-    "float_parsing": "a number",
-    "tuple_type": "a list",
-    "too_long": "a list of {max_length}",
-}
 _LIMITS: Final = dict(  # of a JSON schema, by the field of a door
     minimum="least", exclusiveMinimum="above", maximum="most", exclusiveMaximum="below"
 )
@@ -308,10 +300,10 @@ class Capability:
         if kind == "missing":
             pair = ("only one of them", "both, or neither") if rest else (None, "a value")
             return InvalidInput(where, found=pair[0], expected=pair[1])
-        found = repr(first["input"]) if isinstance(first["input"], str) else first["input"]
-        phrase = _PHRASES.get(kind, first["msg"].removeprefix("Input should be "))
-        phrase = phrase.format(**first.get("ctx", {})).replace("valid ", "")
-        return InvalidInput(where, found=found, expected=phrase)
+        if kind == "too_long":  # of a pair
+            expected = f"a list of {first['ctx']['max_length']}"
+            return InvalidInput(where, found=first["input"], expected=expected)
+        return refused_value(problem).at(where)
 
 
 def named(error: InvalidInput, names: Mapping[str, str]) -> InvalidInput:

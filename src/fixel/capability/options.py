@@ -8,13 +8,14 @@ import operator
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, is_dataclass, replace
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Union, get_args, get_origin
 
 from fixel.docstrings import meanings
-from fixel.errors import InvalidInput, check_name
+from fixel.errors import InvalidInput, check_name, number_of
 
 if TYPE_CHECKING:
     from fixel.calibration.noise import Noise
@@ -281,31 +282,17 @@ def _parsed(option: Option, where: str, kind: Any, text: str) -> Any:
         if len(ends) != len(inner):
             expected = "two numbers with a colon, such as 2:4"
             raise InvalidInput(where, found=repr(text), expected=expected)
-        return tuple(_number(where, end) for end in ends)
+        return tuple(number_of(end, where) for end in ends)
     if kind is float:
-        return FACTORS.get(option.door.unit, 1.0) * _number(where, text)
+        return FACTORS.get(option.door.unit, 1.0) * number_of(text, where)
     if get_origin(kind) in (Union, UnionType):
-        return float(text) if _is_number(text) else text
-    if kind is int and re.fullmatch(r"[-+]?\d+", text.strip()):
+        with suppress(InvalidInput):
+            return number_of(text, where)
+    if kind is int and re.fullmatch(r"[-+]?[0-9]+", text.strip()):
         return int(text)
     if kind is bool:
         return text == _YES[0] if text in _YES else text
     return text
-
-
-def _number(where: str, text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        hint = "write a decimal point" if re.fullmatch(r"[-+]?\d*,\d+", text) else None
-        raise InvalidInput(where, found=repr(text), expected="a number", hint=hint) from None
-
-
-def _is_number(text: str) -> bool:
-    try:
-        return math.isfinite(float(text))
-    except ValueError:
-        return False
 
 
 def _text(option: Option, kind: Any, value: Any) -> str:

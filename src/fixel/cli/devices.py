@@ -23,7 +23,7 @@ from fixel.cli.screen import (
     print_answer,
     wrote,
 )
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, number_of
 from fixel.progress import show_progress, time_text
 from fixel.table import Table
 from fixel.workflows.acquisition import Camera
@@ -263,7 +263,7 @@ def _metres(text: str | None, where: str, n_axes: int) -> float | tuple[float, .
     if text is None:
         return None
     with suppress(ValueError):
-        values = tuple(1e-3 * float(part) for part in text.split(","))
+        values = tuple(1e-3 * number_of(part, where) for part in text.split(","))
         if len(values) == n_axes:
             return values if n_axes > 1 else values[0]
     expected = "a number [mm]" if n_axes == 1 else f"{n_axes} numbers with commas between [mm]"

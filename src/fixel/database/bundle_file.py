@@ -26,8 +26,8 @@ from fixel.database.engine import reading
 from fixel.database.project import ANALYSES, DATABASE, MEDIA
 from fixel.database.rows import media_path
 from fixel.database.store import Store
-from fixel.errors import InvalidInput, StoreRefused
-from fixel.io.atomic import INVALID_CONTENT, one_line
+from fixel.errors import InvalidInput, StoreRefused, reason_of, refused_value
+from fixel.io.atomic import INVALID_CONTENT
 from fixel.model.records import Estimate
 
 CHUNK: Final = 1 << 20  # [bytes]
@@ -82,10 +82,8 @@ def damage_refused(path: Path) -> Iterator[None]:
     """Raise any error of reading a bundle's records as `InvalidInput`."""
     try:
         yield
-    except StoreRefused as problem:
-        raise _refused(path, problem.reason, "complete records of a project") from None
-    except (*INVALID_CONTENT, sa.exc.SQLAlchemyError) as problem:
-        raise _refused(path, one_line(problem), "complete records of a project") from None
+    except (StoreRefused, *INVALID_CONTENT, sa.exc.SQLAlchemyError) as problem:
+        raise _refused(path, reason_of(problem), "complete records of a project") from None
 
 
 def _refused(path: Path, found: str, expected: str, hint: str | None = None) -> InvalidInput:
@@ -100,7 +98,7 @@ def _unpack(path: Path, folder: Path, limits: BundleLimits) -> None:
     try:
         archive = zipfile.ZipFile(path)
     except (OSError, zipfile.BadZipFile, NotImplementedError, ValueError) as problem:
-        raise _refused(path, str(problem) or "no zip file", "a complete bundle") from None
+        raise _refused(path, reason_of(problem), "a complete bundle") from None
     with archive:
         infos = archive.infolist()
         _check_members(path, infos, limits)
@@ -171,7 +169,8 @@ def _chunks(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Iter
                     )
                 yield data
     except (EOFError, OSError, zipfile.BadZipFile, zlib.error, RuntimeError) as problem:
-        raise _refused(path, f"{info.filename} damaged ({problem})", "a complete bundle") from None
+        found = f"{info.filename} damaged ({reason_of(problem)})"
+        raise _refused(path, found, "a complete bundle") from None
 
 
 # --- the database -------------------------------------------------------------------------------
@@ -209,11 +208,11 @@ def _check_pages(store: Store) -> None:
             # SQLite evaluates expressions when it checks the pages, and each may take hours.
             computed = kind in ("table", "index") and _COMPUTED.search(str(sql))
             if kind == "view" or (kind == "table" and not plain) or computed:
-                raise ValueError(f"the {kind} {name!r}, which no project has")
+                raise InvalidInput(f"the {kind} {name!r}, which no project has")
         for check in ("integrity_check", "foreign_key_check"):
             found = [str(row[0]) for row in connection.exec_driver_sql(f"PRAGMA {check}")]
             if found not in ([], ["ok"]):
-                raise ValueError(f"{check}: {found[0]}")
+                raise InvalidInput(f"{check}: {found[0]}")
 
 
 def _check_version(path: Path, store: Store) -> None:
@@ -229,11 +228,11 @@ def _check_values(store: Store, limits: BundleLimits) -> None:
         for table in schema.METADATA.tables.values():
             info = connection.exec_driver_sql(f'PRAGMA table_xinfo("{table.name}")').all()
             if {(row[1], row[6]) for row in info} != {(c.name, 0) for c in table.columns}:
-                raise ValueError(f"other columns in the table {table.name}")
+                raise InvalidInput(f"other columns in the table {table.name}")
             wrong = sa.select(*(sa.func.max(_is_wrong(column, limits)) for column in table.columns))
             for column, found in zip(table.columns, connection.execute(wrong).one(), strict=True):
                 if found:
-                    raise ValueError(f"a value of {table.name}.{column.name} that no project has")
+                    raise InvalidInput(f"a value of {table.name}.{column.name} that no project has")
                 if column.name in _CONTENT:
                     _check_content(connection, column)
         series = schema.series.c
@@ -242,7 +241,7 @@ def _check_values(store: Store, limits: BundleLimits) -> None:
     for file in (media_path(digest, store.media) for digest in files if digest is not None):
         largest = max(largest, file.stat().st_size if file.is_file() else 0)
     if largest > limits.in_memory:
-        raise ValueError(f"{largest} bytes in a series, which must fit in memory")
+        raise InvalidInput(f"{largest} bytes in a series, which must fit in memory")
 
 
 def _is_wrong(column: sa.Column[Any], limits: BundleLimits) -> Any:
@@ -265,5 +264,4 @@ def _check_content(connection: sa.Connection, column: sa.Column[Any]) -> None:
         for content in connection.scalars(sa.select(column).distinct()):
             _CONTENT[column.name].validate_python(content, strict=column.name != "estimates")
     except ValidationError as problem:
-        first = problem.errors()[0]["msg"].lower()
-        raise ValueError(f"{column.table.name}.{column.name}: {first}") from None
+        raise InvalidInput(str(refused_value(problem, column.table.name, column.name))) from None

@@ -30,7 +30,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fixel.database.store import ExperimentView, Store
 from fixel.datasets.experiments import ExperimentEntry, Experiments
-from fixel.errors import InvalidInput, StoreRefused, counted, machine_failure
+from fixel.errors import InvalidInput, StoreRefused, counted, machine_failure, refused_value
 from fixel.io.atomic import write_whole
 from fixel.io.document import read_document
 from fixel.model import Experiment
@@ -142,12 +142,8 @@ class Project:
         try:
             settle(self, folder=folder, settings=ProjectSettings.model_validate(content))
         except ValidationError as problem:
-            first = problem.errors()[0]
-            raise InvalidInput(
-                f"{path}: {'.'.join(map(str, first['loc'])) or 'settings'}",
-                found=f"an error ({first['msg'].lower()})",
-                expected="the keys name, database (for a server) and bench (for its devices)",
-            ) from None
+            known = ProjectSettings.model_fields
+            raise refused_value(problem, str(path), "settings", known) from None
         offered("project", "check_place")(folder, self.settings.database)
 
     def seen_through(self, view: ExperimentView | None) -> Project:

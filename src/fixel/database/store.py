@@ -16,8 +16,8 @@ import sqlalchemy as sa
 from fixel.database import marks, query, rows, schema
 from fixel.database.engine import insert_one, open_engine, reading, set_journal, writing
 from fixel.database.query import LIVE
-from fixel.errors import LIST_EXPERIMENTS, NotStored, StoreRefused, closest
-from fixel.io.atomic import INVALID_CONTENT, one_line, usable
+from fixel.errors import LIST_EXPERIMENTS, NotStored, StoreRefused, closest, reason_of
+from fixel.io.atomic import INVALID_CONTENT, usable
 from fixel.model import Experiment, Flag, Scene, records
 
 ABANDONED: Final = 86400.0  # [s] since its last change, an unfinished file has no program
@@ -35,7 +35,7 @@ def _damage_named(what: str) -> Iterator[None]:
     except NotStored:
         raise
     except INVALID_CONTENT as problem:
-        said = f"{what} is damaged: {one_line(problem)}"
+        said = f"{what} is damaged: {reason_of(problem)}"
         raise StoreRefused(said, hint="list all errors: fixel db check") from problem
 
 

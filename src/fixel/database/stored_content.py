@@ -15,8 +15,8 @@ import sqlalchemy as sa
 
 from fixel.database import rows, schema
 from fixel.database.project import ANALYSES, DATABASE_FILES, MEDIA, SETTINGS, VARIABLE
-from fixel.errors import FixelError, InvalidInput, StoreRefused
-from fixel.io.atomic import INVALID_CONTENT, one_line
+from fixel.errors import FixelError, InvalidInput, StoreRefused, reason_of
+from fixel.io.atomic import INVALID_CONTENT
 from fixel.io.document import read_document
 from fixel.model.trajectory import path_columns
 from fixel.simulation.trust import TrustedEntry, is_trusted, trust
@@ -194,7 +194,7 @@ def content_troubles(connection: sa.Connection, media: Path) -> Iterator[Trouble
             except StoreRefused:
                 continue  # a file that is missing or has changed, which is reported with its series
             except (FixelError, sa.exc.NoResultFound, *INVALID_CONTENT) as problem:
-                sentence = f"cannot be read: {one_line(problem)}"
+                sentence = f"cannot be read: {reason_of(problem)}"
             if sentence is not None:
                 yield Trouble(f"{table.name} {number}", sentence, RESTORE)
 

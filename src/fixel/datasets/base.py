@@ -153,7 +153,7 @@ def guarded(source: str) -> Iterator[None]:
     except _TRIPPED as problem:
         raise InvalidInput(
             source,
-            found=f"an error ({type(problem).__name__}: {problem})"[:200],
+            found=problem,
             expected="data in the format of this importer",
         ) from problem
 

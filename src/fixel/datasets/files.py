@@ -18,7 +18,8 @@ from typing import Any, Final, TextIO, final
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.errors import DatasetMissing, FixelError, InvalidInput, require
+from fixel.errors import DECIMAL, DatasetMissing, FixelError, InvalidInput, number_of, require
+from fixel.io.atomic import usable
 from fixel.model.fields import instance
 from fixel.typing import BoolArray, FloatArray
 
@@ -36,8 +37,8 @@ MAX_WHOLE: Final = 2**31
 # unpack to more than fits in memory.
 MAX_FILE = 500_000_000
 MAX_LINE = 1_000_000
-DECIMAL: Final = re.compile(r"\s*[-+]?\d*,\d+([eE][-+]?\d+)?\s*")  # number with a decimal comma
 MAX_CELLS = 20_000_000  # a gigabyte or two as text; the force log of 245 pushes has one million
+_USUAL: Final = re.compile(r"[-+.0-9eE ]*")  # characters of numbers, but not of `nan` or `1_0`
 
 
 @final
@@ -63,13 +64,12 @@ class CsvRows:
     def numbers(self, name: str, *, blank: bool = False) -> FloatArray:
         """Return one column as numbers, (n,); with `blank`, empty cells become NaN."""
         self.require([name])
-        return np.array(
-            [
-                math.nan if blank and not cell else self._number(name, row, cell)
-                for row, cell in enumerate(self.columns[name])
-            ],
-            dtype=np.float64,
-        )
+        cells = self.columns[name]
+        values = _fast_numbers(cells, blank=blank)
+        if values is None:
+            found = [self._number(name, row, cell, blank) for row, cell in enumerate(cells)]
+            values = np.array(found)
+        return values
 
     def whole_numbers(self, name: str, largest: int = MAX_WHOLE) -> NDArray[np.int64]:
         """Return one column as whole numbers (n,) from 0 to `largest`; raise for others."""
@@ -120,11 +120,9 @@ class CsvRows:
     def _damaged(self, name: str, *, whole: bool) -> Iterator[tuple[int, InvalidInput]]:
         """Yield the rows in which a cell is no number."""
         cells = self.columns[name]
-        with suppress(ValueError):
-            values = np.array([*map(float, cells)])
-            good = np.abs(values) <= LARGEST_NUMBER
-            if (good & _whole(values, MAX_WHOLE) if whole else good).all():
-                return
+        values = _fast_numbers(cells)
+        if values is not None and (not whole or _whole(values, MAX_WHOLE).all()):
+            return
         for row, cell in enumerate(cells):
             try:
                 value = self._number(name, row, cell)
@@ -158,17 +156,25 @@ class CsvRows:
         line = self.lines[row] if self.lines else row
         return f"{self.source}, row {line + 1}, column {name}"
 
-    def _number(self, name: str, row: int, cell: str) -> float:
-        try:
-            value = float(cell)
-        except ValueError:
-            value = math.nan
-        if not abs(value) <= LARGEST_NUMBER:
-            where, giant = self.place(name, row), f"a number within {LARGEST_NUMBER:g}"
-            expected = giant if math.isfinite(value) else "a finite number"
-            hint = "write a decimal point" if DECIMAL.fullmatch(cell) else None
-            raise InvalidInput(where, found=repr(cell), expected=expected, hint=hint)
-        return value
+    def _number(self, name: str, row: int, cell: str, blank: bool = False) -> float:
+        if blank and not cell:
+            return math.nan
+        with suppress(InvalidInput):  # the place is a text that most cells do not need
+            if abs(value := number_of(cell, "")) <= LARGEST_NUMBER:
+                return value
+        where = self.place(name, row)
+        number_of(cell, where, "a finite number")
+        raise InvalidInput(where, found=repr(cell), expected=f"a number within {LARGEST_NUMBER:g}")
+
+
+def _fast_numbers(cells: Sequence[str], *, blank: bool = False) -> FloatArray | None:
+    """Return the numbers (n,) in cells; None where a cell may be wrong, or be written unusually."""
+    with suppress(ValueError):
+        texts = [cell or "nan" for cell in cells] if blank else cells
+        values = np.array([*map(float, texts)], dtype=np.float64)
+        if _USUAL.fullmatch("".join(cells)) and not (np.abs(values) > LARGEST_NUMBER).any():
+            return values
+    return None
 
 
 def _whole(numbers: FloatArray, largest: int) -> BoolArray:
@@ -214,11 +220,8 @@ def read_table(path: Path, *, torn: bool = False) -> CsvRows:
         require("pyarrow", path.name, extra="parquet")
         import pyarrow
 
-        try:
+        with usable(path.name, "a Parquet file", (OSError, pyarrow.ArrowException)):
             return table_rows(_arrow_table(path), path.name)
-        except (OSError, pyarrow.ArrowException) as problem:
-            found = f"an error ({str(problem).splitlines()[0]})"
-            raise InvalidInput(path.name, found=found, expected="a Parquet file") from None
     opened = gzip.open if path.suffix == ".gz" else open
     try:
         with opened(path, "rt", encoding="utf-8-sig", newline="") as stream:
@@ -319,15 +322,10 @@ def _too_many_cells(source: str) -> InvalidInput:
 
 def read_json(path: Path) -> dict[str, Any]:
     """Load the JSON object in a file."""
-    try:
+    with usable(path.name, "a JSON file", (OSError, ValueError, RecursionError)):
         if path.stat().st_size > MAX_FILE:
-            raise ValueError(f"{path.stat().st_size} bytes")
+            raise InvalidInput(f"{path.stat().st_size} bytes")
         content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except RecursionError:
-        found = "too deeply nested lists"
-        raise InvalidInput(path.name, found=found, expected="a JSON file") from None
-    except (OSError, ValueError) as problem:
-        raise InvalidInput(path.name, found=str(problem), expected="a JSON file") from None
     instance(content, dict, path.name, "an object")
     return content
 

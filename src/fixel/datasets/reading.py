@@ -22,6 +22,7 @@ from fixel.datasets.rpi_2dgad import Rpi2dgad
 from fixel.datasets.table import DATASET as TABLE
 from fixel.datasets.table import CsvTable, plan_table
 from fixel.errors import DatasetMissing, InvalidInput, check_name
+from fixel.io.atomic import refuse_device
 from fixel.model import Body, Disk, Polygon, Provenance, Pusher, Scene, Tripod
 from fixel.model.scene import SceneChoice
 from fixel.progress import ProgressOption, show_progress
@@ -52,6 +53,7 @@ def importer_for(source: Path, name: str | None = None) -> Importer:
     source = Path(source)
     if not source.exists():
         raise DatasetMissing(source)
+    refuse_device(source, "a file or a folder")
     for importer in IMPORTERS.values():
         if importer.recognised(source):
             return importer

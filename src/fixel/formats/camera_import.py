@@ -6,12 +6,11 @@ though MATLAB itself counts from 1.
 
 from __future__ import annotations
 
-import io
 import re
 import shlex
 import struct
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -32,8 +31,11 @@ ASSIGNMENT: Final = re.compile(r"^\s*(\w+)\s*=\s*(\[[^\]]*\]|[-+.\deE]+)\s*;?", 
 COEFFICIENTS: Final = ("k1", "k2", "p1", "p2", "k3")
 NEARBY: Final = (0.01, 100.0)  # [m] plausible distances of a camera from its plate
 MAX_BRACKETS: Final = 10_000  # lists and mappings in an OpenCV storage, which has tens
-MATLAB: Final = ("double", "single", "int32", "int64")  # types of numbers, not of cells
+# Kinds of elements in a MATLAB file, its flag of complex numbers, and its types of numbers.
+_ARRAY, _COMPRESSED, _COMPLEX = 14, 15, 0x800
+_NUMBERS: Final = dict(zip((*range(1, 8), 9, 12, 13), "bBhHiIfdqQ", strict=True))
 MAX_UNPACKED: Final = 100_000_000  # [bytes] of a MATLAB file
+MAX_ARRAY: Final = 100_000  # [bytes] of its variables that are read
 PINHOLE: Final = {"plumb_bob": 5, "rational_polynomial": 8}
 
 
@@ -178,7 +180,7 @@ def _ros(path: Path) -> Lens:
         found, expected = f"{len(coefficients)} numbers", f"at most {most} for {model}"
         raise InvalidInput("distortion_coefficients", found=found, expected=expected)
     size = tuple(
-        int(numbers(raw, name, None)[0])
+        int(numbers(raw, name, 1)[0])
         for name in (("width", "height") if "width" in raw else ("image_width", "image_height"))
     )
     return lens_of(
@@ -210,7 +212,7 @@ def numbers(raw: Any, key: str, count: int | None, within_key: str = "") -> list
     row: list[Any] = value if isinstance(value, list) else [value]
     good = [float(n) for n in row if type(n) in (int, float) and abs(n) < 1e30]
     if len(good) < len(row) or (count is not None and len(row) != count):
-        found, expected = value, f"{count} numbers" if count and count > 1 else "numbers"
+        found, expected = value, {None: "numbers", 1: "a number"}.get(count, f"{count} numbers")
         raise InvalidInput(f"{within_key}{key}", found=found, expected=expected)
     return good
 
@@ -333,37 +335,42 @@ def _of_m(data: bytes) -> Variables:
     return found
 
 
-def _refuse_bomb(data: bytes) -> None:
-    """Raise `ValueError` for a MATLAB file whose compressed elements unpack to too much."""
-    place, left, order = 128, MAX_UNPACKED, "<" if data[126:128] == b"IM" else ">"
+def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
+    """Yield kind and content of the elements of a MATLAB file, or of one of its elements."""
+    place = 0
     while place + 8 <= len(data):
         kind, size = struct.unpack_from(f"{order}II", data, place)
-        place += 8 + size
-        if kind == 15:  # compressed
-            left -= len(zlib.decompressobj().decompress(data[place - size : place], left + 1))
-        if left < 0:
-            raise ValueError(f"more than {MAX_UNPACKED // 10**6} MB, unpacked")
+        begin = place + 8
+        place = begin + size + (0 if kind == _COMPRESSED else -size % 8)
+        if kind >> 16:  # at most 4 bytes, next to their size
+            kind, size, place = kind & 0xFFFF, min(kind >> 16, 4), begin
+            begin -= 4
+        yield kind, data[begin : begin + size]
 
 
 def _of_mat(data: bytes) -> Variables:
-    from scipy.io import loadmat, whosmat
-
+    """Return the arrays of real numbers; `scipy.io` ends the process on some damaged files."""
+    found: Variables = {}
+    order, left = {b"\0\1IM": "<", b"\1\0MI": ">"}.get(data[124:128]), MAX_UNPACKED
+    if order is None:
+        expected, hint = "a MATLAB file of version 5 to 7", "in MATLAB: save('Calib.mat', '-v7')"
+        raise InvalidInput("file", found="another format", expected=expected, hint=hint)
     try:
-        _refuse_bomb(data)
-        named = [own[0] for own in whosmat(io.BytesIO(data)) if own[2] in MATLAB]
-        content: dict[str, Any] = loadmat(io.BytesIO(data), variable_names=named)
-    except NotImplementedError:
-        expected, hint = "an older version", "in MATLAB: save('Calib_Results_v7.mat', '-v7')"
-        raise InvalidInput(
-            "file", found="MATLAB's format of version 7.3", expected=expected, hint=hint
-        ) from None
-    except Exception as problem:
-        # scipy lets any error of its parser pass: TypeError, zlib.error, MemoryError, ...
-        raise InvalidInput(
-            "file", found=f"a file that scipy cannot read ({problem})", expected="a MATLAB file"
-        ) from None
-    return {
-        name: np.asarray(value, dtype=np.float64)
-        for name, value in content.items()
-        if isinstance(value, np.ndarray) and value.dtype.kind in "iuf"
-    }
+        for kind, content in _elements(data[128:], order):
+            if kind == _COMPRESSED:
+                content = zlib.decompressobj().decompress(content, left + 1)
+                left -= len(content)
+                if left < 0:
+                    raise InvalidInput(f"more than {MAX_UNPACKED // 10**6} MB, unpacked")
+                ((kind, content),) = _elements(content, order)
+            if kind == _ARRAY:
+                (_, flags), (_, shape), (_, name), *rest = _elements(content, order)
+                (flag,) = struct.unpack_from(f"{order}I", flags)
+                is_real = 6 <= flag & 0xFF <= 15 and not flag & _COMPLEX
+                if is_real and len(rest[0][1]) < MAX_ARRAY:
+                    row = np.frombuffer(rest[0][1], order + _NUMBERS[rest[0][0]]).astype(float)
+                    sides = np.frombuffer(shape, f"{order}i4")
+                    found[name.decode()] = row.reshape(sides, order="F")
+    except Exception as problem:  # of damaged content: of several types
+        raise InvalidInput("file", found=problem, expected="a MATLAB file") from None
+    return found

@@ -108,13 +108,9 @@ def opencv_camera(path: Path, size: tuple[int, int] | None) -> MeasuredCamera:
             return _read(storage, size)
         finally:
             storage.release()
-    except cv2.error as problem:
-        found, expected = f"a file that OpenCV cannot read ({problem.err})", "an OpenCV storage"
+    except (cv2.error, SystemError):  # the second by its bindings when the parser fails
+        found, expected = "a file that OpenCV cannot read", "an OpenCV storage"
         raise InvalidInput("file", found=found, expected=expected) from None
-    except SystemError:  # raised by its bindings when the parser fails
-        raise InvalidInput(
-            "file", found="a file that OpenCV cannot read", expected="an OpenCV storage"
-        ) from None
 
 
 def save_opencv(lens: Lens, path: str | Path) -> None:
@@ -187,7 +183,7 @@ def _matrix(storage: Any, names: tuple[str, ...], what: str) -> FloatArray:
 def _number(storage: Any, names: tuple[str, ...]) -> float | None:
     for name in names:
         node = storage.getNode(name)
-        if not node.empty() and (node.isInt() or node.isReal()):
+        if (node.isInt() or node.isReal()) and abs(node.real()) < 1e9:
             return float(node.real())
     return None
 
@@ -195,7 +191,8 @@ def _number(storage: Any, names: tuple[str, ...]) -> float | None:
 def _pair(node: Any) -> tuple[int, int] | None:
     if node.empty() or not node.isSeq() or node.size() != 2:
         return None
-    return int(node.at(0).real()), int(node.at(1).real())
+    sides = node.at(0).real(), node.at(1).real()
+    return (int(sides[0]), int(sides[1])) if np.isfinite(sides).all() else None
 
 
 def _ros_matrix(matrix: FloatArray) -> dict[str, Any]:

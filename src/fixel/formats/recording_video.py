@@ -63,8 +63,8 @@ def decoded(data: bytes, where: str = "picture") -> Picture:
     try:
         image = Image.open(io.BytesIO(data), formats=["JPEG"]).convert("RGB")
         pixels = np.frombuffer(image.tobytes("raw", "BGR"), np.uint8)
-    except (OSError, SyntaxError, ValueError) as problem:
-        raise _spoilt(where, problem) from None
+    except (OSError, SyntaxError, ValueError):
+        raise _spoilt(where) from None
     return pixels.reshape(image.height, image.width, 3)
 
 
@@ -79,8 +79,8 @@ def brightness(data: bytes, reduced: int = 1, where: str = "picture") -> Gray:
         image = Image.open(io.BytesIO(data), formats=["JPEG"])
         image.draft("L", (image.width // reduced, image.height // reduced))
         return np.asarray(image.convert("L"), dtype=np.uint8)
-    except (OSError, SyntaxError, ValueError) as problem:
-        raise _spoilt(where, problem) from None
+    except (OSError, SyntaxError, ValueError):
+        raise _spoilt(where) from None
 
 
 def shrunk(picture: Picture) -> Gray:
@@ -108,20 +108,20 @@ def _fast(data: bytes, slow: Callable[..., Picture], mode: str, where: str) -> P
     except ImportError:
         return slow(data, where=where)
     if data.rfind(END) < 0:  # OpenCV would return the rest of a truncated picture as grey
-        raise _spoilt(where, "it is truncated")
+        raise _spoilt(where, " (truncated)")
     try:
         whole = cv2.imdecode(
             np.frombuffer(data, np.uint8), getattr(cv2, mode) | cv2.IMREAD_IGNORE_ORIENTATION
         )
-    except cv2.error as problem:
-        raise _spoilt(where, problem) from None
+    except cv2.error:
+        raise _spoilt(where) from None
     if whole is None:
-        raise _spoilt(where, "no picture")
+        raise _spoilt(where)
     return np.asarray(whole, dtype=np.uint8)
 
 
-def _spoilt(where: str, problem: object) -> InvalidInput:
-    return InvalidInput(where, found=f"damaged JPEG data ({problem})", expected="JPEG")
+def _spoilt(where: str, more: str = "") -> InvalidInput:
+    return InvalidInput(where, found=f"damaged JPEG data{more}", expected="JPEG")
 
 
 MICROSECOND: Final = Fraction(1, MICRO)
@@ -223,7 +223,7 @@ def packets(path: Path) -> Iterator[tuple[int, bytes]]:
     import av
 
     try:
-        with av.open(str(path.absolute())) as container:
+        with av.open(str(path.absolute()), metadata_errors="replace") as container:
             for packet in container.demux(container.streams.video[0]):
                 if packet.size and packet.pts is not None:
                     yield packet.pts, bytes(packet)

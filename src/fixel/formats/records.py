@@ -21,7 +21,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from fixel.docstrings import meanings
-from fixel.errors import InvalidInput, did_you_mean
+from fixel.errors import InvalidInput, did_you_mean, refused_value
 from fixel.model.fields import (
     FieldType,
     Value,
@@ -57,20 +57,6 @@ _OMITTED: Final = frozenset(
 )
 _ENDINGS: Final = {"m": "_mm", "rad": "_deg", "px": "_px"}  # of keys, by unit
 _UNIT = re.compile("(_mm|_deg|_px)+$")
-_PHRASES = {
-    "missing": "a value: this key is required",
-    "float_type": "a number",
-    "int_type": "a whole number",
-    "finite_number": "a finite number",
-    "string_type": "text",
-    "list_type": "a list",
-    "greater_than": "a number greater than {gt:g}",
-    "greater_than_equal": "a number of at least {ge:g}",
-    "less_than_equal": "a number of at most {le:g}",
-    "too_short": "a list of at least {min_length} entries",
-    "too_long": "at most {max_length} entries",
-    "literal_error": "{expected}",
-}
 
 
 class FileRecord(BaseModel):
@@ -461,12 +447,13 @@ def _explained(
     kind, path = first["type"], _path(first["loc"], raw, first["type"])
     if kind == "extra_forbidden":
         return unknown_key(root, path)
-    found = None if kind == "missing" else first["input"]
-    return InvalidInput(
-        written(path) or name,
-        found=repr(found) if isinstance(found, str) else found,
-        expected=_expected(kind, first.get("ctx", {}), first["msg"], root, path),
-    )
+    refused = refused_value(problems)
+    expected = str(refused.expected)
+    if kind == "model_type" and (record := record_at(root, path)):
+        expected = "a mapping with the keys " + ", ".join(record.model_fields)
+    elif description := description_at(root, path):
+        expected += f" ({description})"
+    return InvalidInput(written(path) or name, found=refused.found, expected=expected)
 
 
 def _path(location: tuple[int | str, ...], raw: Any, kind: str) -> KeyPath:
@@ -482,15 +469,3 @@ def _path(location: tuple[int | str, ...], raw: Any, kind: str) -> KeyPath:
             continue
         path.append(key)
     return tuple(path)
-
-
-def _expected(
-    kind: str, context: dict[str, Any], message: str, root: type[FileRecord], path: KeyPath
-) -> str:
-    record = record_at(root, path)
-    if record and kind == "model_type":
-        return "a mapping with the keys " + ", ".join(record.model_fields)
-    plain = message.removeprefix("Input should be ").replace("valid ", "")
-    phrase = _PHRASES[kind].format(**context) if kind in _PHRASES else plain
-    description = description_at(root, path)
-    return f"{phrase} ({description})" if description else phrase

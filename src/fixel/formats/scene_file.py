@@ -12,7 +12,7 @@ from typing import Annotated, Any, Final, Literal, final, get_origin
 
 from pydantic import ConfigDict, Field
 
-from fixel.errors import InvalidInput, closest
+from fixel.errors import InvalidInput, closest, number_of
 from fixel.formats import records
 from fixel.formats.records import content
 from fixel.io.atomic import write_whole
@@ -325,10 +325,7 @@ def split_settings(settings: Iterable[str]) -> tuple[list[str], dict[str, float]
         if not equals or closest(first, [*keys, *KNOWN_PARAMETERS]) in keys:
             overrides.append(setting)
             continue
-        try:
-            values[name] = factor * float(text)
-        except ValueError:
-            raise InvalidInput(name, found=repr(text), expected="a number") from None
+        values[name] = factor * number_of(text, name)
     return overrides, values
 
 
@@ -361,7 +358,7 @@ def _key(container: Any, segment: str, path: records.KeyPath) -> str | int:
         names = [item.get("name") if isinstance(item, dict) else None for item in container]
         if segment in names:
             return names.index(segment)
-        if segment.isdecimal() and int(segment) < len(container):
+        if segment.isascii() and segment.isdecimal() and int(segment) < len(container):
             return int(segment)
         there = ", ".join(str(name) for name in names if name is not None)
         expected = f"a number below {len(container)}" + (f", or one of {there}" if there else "")

@@ -18,7 +18,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, number_of
 from fixel.io.atomic import WRITABLE, read_bounded, usable, write_whole
 from fixel.io.lock import FileLock
 from fixel.model.bodies import POSE
@@ -115,7 +115,9 @@ def _head(line: str, path: Path) -> dict[str, Any]:
     try:
         head = json.loads(line.removeprefix("#"))
         known = head["fixel"] == "trials" and isinstance(head["plan"], str)
-        known = known and all(isinstance(head[name], float | int) for name in ("stated", "mean"))
+        known = known and all(
+            isinstance(head[name], float | int) for name in ("format", "stated", "mean")
+        )
     except (ValueError, KeyError, TypeError):
         known = False
     if not known or not line.startswith("# {"):
@@ -150,7 +152,7 @@ def _trial(row: list[str], number: int, where: str) -> PlanTrial:
     for pose in POSES:
         texts = [values[f"{pose}_{name}"] for name in COORDINATES]
         try:
-            poses[pose] = tuple(map(float, texts)) if any(texts) else None
+            poses[pose] = tuple(number_of(text, pose) for text in texts) if any(texts) else None
         except ValueError:
             expected = f"3 numbers: {POSE}"
             raise InvalidInput(f"{where}, {pose}", found=texts, expected=expected) from None

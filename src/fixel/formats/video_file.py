@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import os
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -83,7 +85,7 @@ def open_video(path: str | Path, *, threads: int = 0) -> VideoFile:
     """
     path = Path(path)
     with _opened(path) as container:
-        if not container.streams.video:
+        if not container.streams.video or container.streams.video[0].codec_context is None:
             raise InvalidInput(str(path), found="no pictures", expected="a video file")
         stream = container.streams.video[0]
         context = stream.codec_context
@@ -312,14 +314,12 @@ def _opened(path: Path) -> Any:
     import av
 
     try:
-        return av.open(str(path.absolute()))
-    except av.FFmpegError as problem:
+        return av.open(str(path.absolute()), metadata_errors="replace")
+    except av.FFmpegError:
         mp4 = path.suffix.lower() in (".mp4", ".mov")
         raise InvalidInput(
             str(path),
-            found="no index, since the recording was interrupted"
-            if mp4
-            else f"no video ({problem.strerror or problem})",
+            found="no index, since the recording was interrupted" if mp4 else "no video",
             expected="a complete video file",
             hint="record into .mkv, which survives interruptions" if mp4 else None,
         ) from None
@@ -399,20 +399,30 @@ def first_picture(path: Path) -> Picture:
 
 def read_picture(path: Path) -> Picture:
     """Load a picture as the sensor recorded it, without the rotation noted in its file."""
+    from PIL import Image
+
     cv2 = opencv()
     with usable(path, "a picture"):
         if path.stat().st_size > MAX_BYTES:
             raise InvalidInput(str(path), found="more than 200 MB", expected="a picture")
-        data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
-    flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+        data = path.read_bytes()
+    found = "a file that is not a picture"
+    picture: Picture | None = None
     try:
-        picture: Picture | None = cv2.imdecode(data, flags) if len(data) else None
-    except cv2.error:
+        with warnings.catch_warnings(action="ignore"):
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            image = Image.open(io.BytesIO(data))  # reads only the header, with the size
+            image.verify()  # checksums of PNG
+        if image.format == "JPEG" and b"\xff\xd9" not in data:
+            raise ValueError("truncated: OpenCV would return the rest as grey")
+        flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+        picture = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
+    except (Image.DecompressionBombError, Image.DecompressionBombWarning):
+        found = "more than 89 million pixels"  # 2**28 bytes of colours
+    except Exception:  # Pillow lets any error of its parsers pass
         picture = None
     if picture is None:
-        raise InvalidInput(
-            str(path), found="a file that is not a picture", expected="a file such as .png or .jpg"
-        )
+        raise InvalidInput(str(path), found=found, expected="a picture such as .png or .jpg")
     return picture
 
 

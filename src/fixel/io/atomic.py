@@ -89,26 +89,26 @@ def write_whole(path: str | Path, content: str | bytes, *, durable: bool = False
         unfinished.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
+def refuse_device(path: Path, expected: str) -> None:
+    """Raise `InvalidInput` for a pipe or a device, whose content may never come or end."""
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise InvalidInput(str(path), found="a pipe or a device", expected=expected)
+
+
 def read_bounded(path: Path, kind: str, most: int, hint: str | None = None) -> bytes:
     """Load a file of at most `most` bytes; errors describe it as `kind`, such as "a plan file".
 
     `hint` is for a larger file.
     """
-    where = str(path)
-    try:
-        if path.exists() and not path.is_file():
-            raise InvalidInput(where, found="a folder or a device", expected=kind)
-        with path.open("rb") as stream:
-            data = stream.read(most + 1) if path.stat().st_size <= most else None
-    except FileNotFoundError:
-        raise InvalidInput(where, found="no such file", expected=kind) from None
-    except (OSError, ValueError) as problem:
-        if isinstance(problem, InvalidInput):
-            raise
-        raise InvalidInput(where, found=problem, expected="a file that can be read") from None
+    with usable(path, kind, (OSError, ValueError)):
+        size, is_file = path.stat().st_size, path.is_file()
+    if not is_file:
+        raise InvalidInput(str(path), found="a folder or a device", expected=kind)
+    with usable(path, kind), path.open("rb") as stream:
+        data = stream.read(most + 1) if size <= most else None
     if data is None or len(data) > most:
         found, expected = f"more than {most // 1_000_000} MB", f"{kind} of at most that size"
-        raise InvalidInput(where, found=found, expected=expected, hint=hint)
+        raise InvalidInput(str(path), found=found, expected=expected, hint=hint)
     return data
 
 
@@ -166,10 +166,8 @@ def parsed(path: Path, hint: str | None = None) -> Iterator[None]:
     except FixelError:
         raise
     except Exception as problem:
-        reason = ": ".join(filter(None, (type(problem).__name__, str(problem))))[:200]
-        found = f"content that its reader rejects ({reason})"
         expected = f"a readable {path.suffix[1:].upper()} file"
-        raise InvalidInput(path.name, found=found, expected=expected, hint=hint) from problem
+        raise InvalidInput(path.name, found=problem, expected=expected, hint=hint) from problem
 
 
 def one_line(problem: Exception, most: int = 200) -> str:

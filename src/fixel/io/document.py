@@ -75,7 +75,7 @@ def parse_yaml(text: str, where: str) -> Any:
     except yaml.YAMLError as problem:
         mark = getattr(problem, "problem_mark", None)
         line = f"{where}, line {mark.line + 1}" if mark else where
-        found = f"an error ({getattr(problem, 'problem', None) or problem})"
+        found = f"an error ({getattr(problem, 'problem', None) or 'an unusual character'})"
         raise InvalidInput(line, found=found, expected="well-formed YAML") from None
 
 
@@ -85,13 +85,15 @@ def parse_json(text: str, where: str) -> Any:
         value = json.loads(text, object_pairs_hook=lambda pairs: _unique(pairs, where))
     except json.JSONDecodeError as problem:
         line = f"{where}, line {problem.lineno}"
-        raise InvalidInput(line, found=problem, expected="well-formed JSON") from None
+        found = f"an error at column {problem.colno}"
+        raise InvalidInput(line, found=found, expected="well-formed JSON") from None
     except RecursionError:
         raise _too_deep(where) from None
-    except ValueError as problem:
-        if isinstance(problem, InvalidInput):
-            raise
-        raise InvalidInput(where, found=problem, expected="numbers that can be read") from None
+    except InvalidInput:
+        raise
+    except ValueError:
+        found, expected = "a number of too many digits", "numbers that can be read"
+        raise InvalidInput(where, found=found, expected=expected) from None
     _refuse_depth(value, where)
     return value
 

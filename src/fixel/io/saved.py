@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from fixel.errors import FixelError, InvalidInput
 from fixel.io.array_bytes import KINDS, RATIO, SMALL, array_of
-from fixel.io.atomic import written_whole
+from fixel.io.atomic import refuse_device, written_whole
 from fixel.model.fields import path_of
 from fixel.registry import offers
 
@@ -116,6 +116,7 @@ def load(path: str | Path) -> Any:
     True
     """
     path = path_of(path, "path")
+    refuse_device(path, "a result saved by fixel")
     try:
         with zipfile.ZipFile(path) as file:
             _check_sizes(file, path)

@@ -27,7 +27,7 @@ from typing import Any, Final, Literal, TypeVar, get_args
 
 from pydantic import BaseModel, Field, ValidationError
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, refused_value
 from fixel.io.atomic import write_whole
 from fixel.io.document import read_document
 from fixel.io.journal import lock_of, writer_of
@@ -225,10 +225,4 @@ def _read(path: Path, kind: type[Record]) -> Record:
     try:
         return kind.model_validate(content)
     except ValidationError as problem:
-        first = problem.errors(include_url=False)[0]
-        where = ".".join(map(str, first["loc"]))
-        raise InvalidInput(
-            f"{path}: {where or 'content'}",
-            found=f"an error ({first['msg'].lower()})",
-            expected="a file written by this version of fixel",
-        ) from None
+        raise refused_value(problem, str(path), known=kind.model_fields) from None

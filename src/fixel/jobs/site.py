@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, refused_value
 from fixel.io.document import read_document
 from fixel.model.fields import path_of
 from fixel.simulation.trust import is_trusted, trust
@@ -16,11 +16,19 @@ from fixel.simulation.trust import is_trusted, trust
 # One directive, one line: a value in a template cannot add other lines to the script.
 _LINE: Final = r"[^\r\n]*"
 _WORD: Final = r"[^\s%]+"
-_MEMORY: Final = r"\d+(\.\d+)? ?[KMGT]i?B"
+_MEMORY: Final = r"[0-9]+(\.[0-9]+)? ?[KMGT]i?B"
 _WALLTIME: Final = re.compile(r"(?:(\d+)-)?(\d{1,3}):(\d{2}):(\d{2})")
 
 Line = Annotated[str, Field(pattern=f"^{_LINE}$")]
 Word = Annotated[str, Field(pattern=f"^{_WORD}$")]
+
+
+def _size(text: str) -> str:
+    """Return a size of memory; raise for another text."""
+    if not re.fullmatch(_MEMORY, text):
+        raise ValueError("a size such as 4 GB")
+    return text
+
 
 TEMPLATE: Final = """\
 # A cluster, for `fixel jobs submit --site THIS_FILE`. Edit the lines that your site requires.
@@ -53,7 +61,7 @@ class Site(BaseModel):
     account: Word | None = None
     walltime: Line = "01:00:00"  # time limit of one worker: `HH:MM:SS` or `D-HH:MM:SS`
     cores: int = Field(default=1, ge=1, le=1024)
-    memory: str = Field(default="2 GB", pattern=f"^{_MEMORY}$")  # memory of one worker: `4 GB`
+    memory: Annotated[str, AfterValidator(_size)] = "2 GB"  # memory of one worker: `4 GB`
     interface: Word = "lo"  # only network interface that the processes listen on
     max_jobs: int = Field(default=16, ge=1, le=10_000)  # maximum number of workers in the queue
     # Shortest time between two submissions [s].
@@ -97,7 +105,7 @@ def site_of(content: object, where: str) -> Site:
     try:
         site = Site.model_validate(content)
     except ValidationError as problem:
-        raise _refused(problem, where) from None
+        raise refused_value(problem, where, "site", Site.model_fields) from None
     if site.walltime_s < 10.0:
         raise InvalidInput(
             f"{where}: walltime", found=repr(site.walltime), expected="at least 00:00:10"
@@ -120,16 +128,3 @@ def check_site(site: Site) -> None:
             expected="the lines of a site template of yours",
             hint="read them, and name the template again: fixel jobs resume FOLDER --site FILE",
         )
-
-
-def _refused(problem: ValidationError, where: str) -> InvalidInput:
-    first = problem.errors(include_url=False)[0]
-    key = ".".join(map(str, first["loc"]))
-    if first["type"] == "extra_forbidden":
-        known = ", ".join(Site.model_fields)
-        return InvalidInput(f"{where}: {key}", found="an unknown key", expected=f"one of {known}")
-    if first["type"] == "string_pattern_mismatch":
-        expected = {"memory": "a size such as 4 GB"}.get(key.split(".")[0], "one line of text")
-        return InvalidInput(f"{where}: {key}", found=repr(first["input"]), expected=expected)
-    expected = first["msg"].removeprefix("Input should be ").replace("valid ", "")
-    return InvalidInput(f"{where}: {key or 'site'}", found=repr(first["input"]), expected=expected)

@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple, get_args, get_type_hints
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, number_of, quoted
 from fixel.typing import FloatArray
 
 MAX_WHOLE: Final = 2**63 - 1  # of databases and compiled code
@@ -98,16 +98,14 @@ def check_fields(instance: Any, where: str = "", leave_out: Collection[str] = ()
 def name_of(value: object, where: str) -> str:
     """Return a name, checked to be non-empty text on one line."""
     if not isinstance(value, str) or not value.strip() or not value.isprintable():
-        raise InvalidInput(where, found=_quoted(value), expected="a name of printable characters")
+        raise InvalidInput(where, found=quoted(value), expected="a name of printable characters")
     return value
 
 
 def pose_of(text: str, where: str) -> FloatArray:
     """Return a pose (3,) [m, m, rad] from text such as `120.5,3,-10` [mm, mm, deg]."""
     try:
-        x, y, angle = (float(part) for part in text.split(","))
-        if not all(map(math.isfinite, (x, y, angle))):
-            raise ValueError
+        x, y, angle = (number_of(part, where) for part in text.split(","))
     except ValueError:
         raise InvalidInput(
             where, found=repr(text), expected="x,y,angle in mm, mm and degrees: 120.5,3,-10"
@@ -165,7 +163,7 @@ def path_of(value: object, where: str) -> Path:
     """Return a path; raise for a value that cannot be one."""
     instance(value, str | PathLike, where, "a path")
     if "\0" in str(value):
-        raise InvalidInput(where, found=_quoted(value), expected="a path without null characters")
+        raise InvalidInput(where, found=quoted(value), expected="a path without null characters")
     return Path(value)  # type: ignore[arg-type]
 
 
@@ -178,7 +176,7 @@ def whole(value: object, where: str, least: int = 1, most: int = MAX_WHOLE) -> i
     if not least <= number <= most or isinstance(value, bool):
         is_open = number < least and most == MAX_WHOLE
         limits = f"of at least {least}" if is_open else f"from {least} to {most}"
-        raise InvalidInput(where, found=_quoted(value), expected=f"a whole number {limits}")
+        raise InvalidInput(where, found=quoted(value), expected=f"a whole number {limits}")
     return number
 
 
@@ -214,7 +212,7 @@ def _number(value: object, where: str, expected: str, fits: Callable[[float], bo
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
-        raise InvalidInput(where, found=_quoted(value), expected=expected)
+        raise InvalidInput(where, found=quoted(value), expected=expected)
     try:
         number = float(value)
     except OverflowError:
@@ -232,7 +230,7 @@ def floats(value: ArrayLike, where: str, expected: str) -> FloatArray:
             raise TypeError
         return raw.astype(np.float64)
     except (TypeError, ValueError, OverflowError):
-        raise InvalidInput(where, found=_quoted(value), expected=expected) from None
+        raise InvalidInput(where, found=quoted(value), expected=expected) from None
 
 
 def _check_finite(row: FloatArray, where: str, labels: str) -> None:
@@ -250,10 +248,6 @@ def _shape(array: FloatArray) -> str:
     if array.size == 0:
         return "an empty list"
     return "one row of " + str(len(array)) if array.ndim == 1 else f"an array of {array.shape}"
-
-
-def _quoted(value: object) -> object:
-    return repr(value) if isinstance(value, str) else value
 
 
 def _hashable(value: Any) -> Any:

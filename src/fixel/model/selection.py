@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal, NamedTuple, cast, final
 
-from fixel.errors import InvalidInput, check_name, closest, unknown_name
+from fixel.errors import InvalidInput, check_name, closest, number_of, unknown_name
 from fixel.model.experiment import Experiment, Flag
 from fixel.model.trajectory import turned
 
@@ -197,21 +197,14 @@ def _tokens(text: str) -> list[str]:
 
 def _bound(name: str, relation: str, typed: str) -> Bound:
     known, unit = NAMES.get(name, (name, 1.0))
-    number = None if known in TEXTS else _number(typed)
-    compares_text = known in TEXTS or (known not in COLUMNS and relation in ("=", "!="))
-    if number is None and not compares_text:
-        raise InvalidInput(f"filter: {name}", found=repr(typed), expected="a number")
-    value = typed if number is None else number * unit
+    value: float | str = typed
+    try:
+        value = number_of(typed, f"filter: {name}") * unit if known not in TEXTS else typed
+    except InvalidInput:
+        if known in COLUMNS or relation not in ("=", "!="):  # it compares no texts
+            raise
     text = "" if unit != 1.0 or typed in (value, repr(value)) else typed
     return Bound(known, cast(Relation, relation), value, text)
-
-
-def _number(text: str) -> float | None:
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
 
 
 # --- evaluation in memory -------------------------------------------------------------------------

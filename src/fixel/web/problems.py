@@ -67,23 +67,14 @@ def answer_errors(api: FastAPI) -> None:
     @api.exception_handler(RequestValidationError)
     def invalid(_: Request, error: RequestValidationError) -> JSONResponse:
         first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        found, expected = reprlib.repr(first.get("input")), str(first["msg"])
         no_json = first["type"] == "json_invalid"
         if no_json or (len(first["loc"]) == 1 and first["type"] != "value_error"):
+            found = reprlib.repr(first.get("input"))
             if no_json:
                 found = f"an error at character {first['loc'][1]} ({first['ctx']['error'].lower()})"
             json = "a JSON object, sent with Content-Type: application/json"
             return answer(problem_of(errors.InvalidInput("body", found=found, expected=json)))
-        return answer(
-            Refusal(
-                status=UNPROCESSABLE,
-                sentence=f"{where}: {expected[:1].lower()}{expected[1:]}",
-                where=where,
-                found=found,
-                expected=expected,
-            )
-        )
+        return answer(problem_of(errors.refused_value(error)))
 
     @api.exception_handler(OSError)
     def of_the_machine(_: Request, error: OSError) -> JSONResponse:

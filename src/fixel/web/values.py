@@ -23,7 +23,7 @@ from pydantic import (
     model_validator,
 )
 
-from fixel.errors import counted
+from fixel.errors import counted, number_of
 from fixel.progress import time_text
 from fixel.table import Table
 from fixel.typing import FloatArray, IntArray
@@ -32,14 +32,22 @@ from fixel.units import displayed, split_unit
 MAX_ID = 2**31 - 1  # largest integer of a database
 MAX_KEYS = 100  # keys of a request's body; those that are known are about ten
 
-# Ids, as they stand in addresses and in bodies.
-Id = Annotated[int, Field(ge=1, le=MAX_ID)]
+
+def _plain_number(value: Any) -> Any:
+    """Reject a text that pydantic takes for a number, such as `1_0`."""
+    return number_of(value, "number") if isinstance(value, str) else value
+
+
+# Numbers and ids, as they stand in addresses and in bodies.
+Number = Annotated[float, BeforeValidator(_plain_number)]
+Whole = Annotated[int, BeforeValidator(_plain_number)]
+Id = Annotated[Whole, Field(ge=1, le=MAX_ID)]
 
 
 def plain_text(text: str) -> str:
     """Reject what neither a database nor a browser can store."""
     if any(c < " " and c not in "\n\t" for c in text):
-        raise ValueError("control characters in a text")
+        raise ValueError("text without control characters")
     return text
 
 
@@ -72,7 +80,7 @@ class Answer(BaseModel):
 def _few_keys(body: Any) -> Any:
     """Reject a body with many unknown keys before each of them becomes an error."""
     if isinstance(body, dict) and len(body) > MAX_KEYS:
-        raise ValueError(f"{len(body)} keys; at most {MAX_KEYS} are allowed")
+        raise ValueError(f"at most {MAX_KEYS} keys, not {len(body)} keys")
     return body
 
 

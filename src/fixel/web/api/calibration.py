@@ -9,7 +9,7 @@ from fastapi.responses import Response
 from pydantic import Field
 
 from fixel.web.context import Context
-from fixel.web.values import Answer, Id
+from fixel.web.values import Answer, Id, Whole
 from fixel.web.views import calibration_views
 from fixel.web.views.calibration_views import LiveProgress
 
@@ -30,8 +30,8 @@ class CalibrationList(Answer):
 @router.get("", summary="List calibrations, grouped by run")
 def calibrations(
     context: Context,
-    limit: Annotated[int, Query(ge=1, le=MAX_LISTED)] = 100,
-    offset: Annotated[int, Query(ge=0, le=2**31 - 1)] = 0,
+    limit: Annotated[Whole, Query(ge=1, le=MAX_LISTED)] = 100,
+    offset: Annotated[Whole, Query(ge=0, le=2**31 - 1)] = 0,
 ) -> CalibrationList:
     # First: calibrations that are done become stored.
     running, unreadable = context.calibrations.unfinished()

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query
 from pydantic import Field
 
 from fixel.web.context import Context
-from fixel.web.values import Answer, Id, RequestBody
+from fixel.web.values import Answer, Id, Number, RequestBody
 from fixel.web.views.live_comparison import (
     ComparedSimulation,
     NewSimulations,
@@ -19,7 +19,7 @@ from fixel.web.views.motion_views import Animation, animation_of_experiment
 
 MAX_AT_ONCE: Final = 50  # about a second of work
 MAX_SIMULATIONS: Final = 8
-Value = Annotated[float, Field(allow_inf_nan=False)]
+Value = Annotated[Number, Field(allow_inf_nan=False)]
 
 router = APIRouter()
 

@@ -14,7 +14,7 @@ from fixel.io.document import plain_numbers
 from fixel.model import Flag
 from fixel.model.selection import ExperimentDetails, ExperimentRow, meant_filter
 from fixel.web.context import Context, ProjectContext
-from fixel.web.values import MAX_ID, Answer, Array, Id
+from fixel.web.values import MAX_ID, Answer, Array, Id, Whole
 from fixel.web.views.video import VideoOutlines, browser_video, outlines_in_video
 from fixel.workflows.project import filters
 from fixel.workflows.project.compare import summary
@@ -165,8 +165,8 @@ def table(
     filter: Filter = "",
     sort: Sort = "id",
     descending: bool = False,
-    limit: Annotated[int, Query(ge=1, le=MAX_ROWS)] = 100,
-    offset: Annotated[int, Query(ge=0, le=MAX_ID)] = 0,
+    limit: Annotated[Whole, Query(ge=1, le=MAX_ROWS)] = 100,
+    offset: Annotated[Whole, Query(ge=0, le=MAX_ID)] = 0,
 ) -> TablePage:
     view = filters.view_of(filter, sort=sort, descending=descending, limit=limit, offset=offset)
     page = context.store.experiments(view, details=True)
@@ -242,7 +242,7 @@ def trajectory(context: Context, number: Id) -> MeasuredTrack:
     summary="List the newest stored simulations of an experiment",
 )
 def simulations(
-    context: Context, number: Id, limit: Annotated[int, Query(ge=1, le=100)] = 10
+    context: Context, number: Id, limit: Annotated[Whole, Query(ge=1, le=100)] = 10
 ) -> StoredSimulations:
     context.store.content(number)  # raises if there is none
     stored = context.store.simulations(number)[::-1]

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Path, Query
 
 from fixel.web.context import Context
 from fixel.web.pages.run import FORMS, begin, form_of
-from fixel.web.values import Answer, OpenBody
+from fixel.web.values import Answer, OpenBody, Whole
 from fixel.web.views import job_list
 from fixel.web.views.job_list import JobLog, Worker
 from fixel.workflows import jobs
@@ -51,7 +51,7 @@ def one(context: Context, name: JobName) -> JobDetail:
 
 @router.get("/{name}/log", summary="Get the end of the log of a job")
 def log(
-    context: Context, name: JobName, lines: Annotated[int, Query(ge=1, le=MAX_LINES)] = 200
+    context: Context, name: JobName, lines: Annotated[Whole, Query(ge=1, le=MAX_LINES)] = 200
 ) -> JobLog:
     return job_list.log_tail(job_list.job_named(context.project.folder, name), lines)
 

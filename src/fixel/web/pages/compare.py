@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from fastapi import Request
 
-from fixel.errors import FixelError, InvalidInput, NotStored
+from fixel.errors import FixelError, NotStored, number_of
 from fixel.kernels.code_cache import share_compiled
 from fixel.model.selection import ExperimentQuery
 from fixel.simulation.engine_names import installed_engines
@@ -190,7 +190,7 @@ def _chosen(ids: list[str], offered: Mapping[str, StoredSet]) -> list[StoredSet]
             pairs = (value.partition("=") for value in values)
             found[text] = StoredSet(
                 id=text, label=f"set {id_.removeprefix(PINNED)}", kind="nominal", motion=motion,
-                parameters={name: _number(name, value) for name, _, value in pairs}, error_mm2=None,
+                parameters={name: number_of(own, name) for name, _, own in pairs}, error_mm2=None,
             )  # fmt: skip
     return list(found.values())
 
@@ -215,14 +215,7 @@ def _slider(
     )
     if not given or given == shown.text:
         return shown
-    return shown._replace(value=_number(one.name, given) / factor)
-
-
-def _number(name: str, text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise InvalidInput(name, found=repr(text), expected="a number") from None
+    return shown._replace(value=number_of(given, one.name) / factor)
 
 
 def _row(

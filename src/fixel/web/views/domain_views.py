@@ -17,8 +17,8 @@ from fixel.domain.cells import CellAxis, Cells
 from fixel.domain.claim import COLOURS, TRUSTED, CellVerdict, Claim
 from fixel.domain.domain import DomainMap
 from fixel.domain.evidence import value_of
-from fixel.errors import InvalidInput, JobRefused
-from fixel.web.values import Answer, Finite, several
+from fixel.errors import InvalidInput, JobRefused, refused_value
+from fixel.web.values import Answer, Finite, Number, several
 from fixel.workflows.analysis import StoredAnalysis, find_analysis
 from fixel.workflows.domain.evidence import DomainEvidence, ProjectRequest, load_evidence
 from fixel.workflows.domain.mapping import claimed, map_of
@@ -108,14 +108,14 @@ class MapDocument(Answer):
 class ClaimQuery(BaseModel):
     """Claim that a map is checked for; by default the one that it was made for."""
 
-    threshold: float | None = Field(
+    threshold: Number | None = Field(
         None,
         gt=0.0,
         le=1e6,
         description="threshold [mm], or as a share above the smallest error of the experiment",
     )
-    level: float | None = Field(None, gt=0.0, lt=1.0)
-    confidence: float | None = Field(None, gt=0.5, lt=1.0)
+    level: Number | None = Field(None, gt=0.0, lt=1.0)
+    confidence: Number | None = Field(None, gt=0.5, lt=1.0)
 
     def claim(self, view: MapView) -> Claim:
         """Return the claim for a map."""
@@ -294,10 +294,7 @@ def shown_map(view: MapView, query: Mapping[str, str], folder: Path) -> dict[str
     try:
         claim = ClaimQuery.model_validate(given).claim(view)
     except ValidationError as problem:
-        first = problem.errors()[0]
-        where = str(first["loc"][0])
-        expected = first["msg"].removeprefix("Input should be ").partition(",")[0]
-        raise InvalidInput(where, found=repr(first["input"]), expected=expected) from None
+        raise refused_value(problem) from None
     drawn = document(view, claim, folder)
     # The cell that was clicked now, or else before.
     group, _, cell = (query.get("cell") or query.get("picked") or "").partition(" ")

@@ -30,7 +30,7 @@ from fixel.calibration.objective import (
 )
 from fixel.calibration.target import Target
 from fixel.calibration.usual_parameters import usual_in
-from fixel.errors import InvalidInput, check_name
+from fixel.errors import InvalidInput, check_name, number_of
 from fixel.formats.records import arguments, record_of, validated, within
 from fixel.formats.scene_file import SceneRecord, scene_content, scene_of
 from fixel.io.array_bytes import arrays_of, bytes_of
@@ -338,21 +338,17 @@ def _fit(setting: str, scenes: Sequence[Scene]) -> Unknown:
     name, factor = _named("fit", written)
     if not limits:
         return usual_in(name, scenes)
-    try:
-        numbers = [factor * float(text) for text in limits.split(":")]
-    except ValueError:
-        numbers = []
+    where = f"fit {written}"
+    numbers = [factor * number_of(text, where) for text in limits.split(":")]
     if len(numbers) not in (2, 3):
-        raise InvalidInput(
-            f"fit {written}", found=repr(limits), expected="LOW:HIGH or LOW:HIGH:START"
-        )
+        raise InvalidInput(where, found=repr(limits), expected="LOW:HIGH or LOW:HIGH:START")
     low, high = numbers[0], numbers[1]
     unknown = usual_in(name, scenes, (low, high))
     if unknown.unit in _TOO_FAR:
         ending, word, limit = _TOO_FAR[unknown.unit]
         if max(abs(low), abs(high)) > max(limit, 2.0 * abs(unknown.low), 2.0 * abs(unknown.high)):
             raise InvalidInput(
-                f"fit {written}",
+                where,
                 found=f"{low:g} to {high:g} {unknown.unit}",
                 expected=f"bounds in {word}, such as {unknown.low:g} to {unknown.high:g}",
                 hint=f"write {unknown.name}{ending}=LOW:HIGH for other units",
@@ -367,10 +363,7 @@ def fixed_unknowns(settings: Sequence[str]) -> list[Unknown]:
     for setting in settings:
         written, _, text = setting.partition("=")
         name, factor = _named("fixed", written)
-        try:
-            value = factor * float(text)
-        except ValueError:
-            raise InvalidInput("fixed", found=repr(setting), expected="NAME=NUMBER") from None
+        value = factor * number_of(text, f"fixed {written}", f"a number, as in {written}=0.3")
         found.append(Unknown.fixed(name, value))
     check_once("fixed", [unknown.name for unknown in found])
     return found

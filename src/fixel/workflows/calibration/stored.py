@@ -25,7 +25,7 @@ from fixel.calibration.target import Target, target_of
 from fixel.calibration.usual_parameters import default_unknowns
 from fixel.database.project import DATABASE, Project
 from fixel.database.store import Store
-from fixel.errors import InvalidInput, NotStored, StoreRefused
+from fixel.errors import InvalidInput, NotStored, StoreRefused, reason_of
 from fixel.io.atomic import INVALID_CONTENT, readable
 from fixel.jobs.work import Answers, Round
 from fixel.model import Experiment, LoadMap, Parameters, Provenance, Scene
@@ -189,7 +189,7 @@ def request_in(record: CalibrationRecord) -> CalibrationRequest:
     if record.request is not None:
         content = dict(record.request)
         if content.pop("version", VERSION) > VERSION:
-            raise ValueError("a newer version of fixel stored its request")
+            raise InvalidInput("a newer version of fixel stored its request")
         return CalibrationRequest.model_validate(content)
     method = dict(record.method)
     searched = json.loads(str(method.get(SEARCHED, "[]")))
@@ -330,7 +330,7 @@ def _from_records(store: Store, records: Mapping[int, CalibrationRecord]) -> Cal
         request, result = request_in(ordered[0]), ordered[0].result or {}
         n_free = len(request.space.labels)
         if any((len(s.errors), len(s.point)) != (len(s.members), n_free) for s in sets):
-            raise ValueError("its result has other experiments or parameters than its request")
+            raise InvalidInput("its result has other experiments or parameters than its request")
         return Calibrations(
             request=request,
             outcome=CalibrationResult(
@@ -347,9 +347,9 @@ def _from_records(store: Store, records: Mapping[int, CalibrationRecord]) -> Cal
             ids=ids,
         )
     except INVALID_CONTENT as problem:
-        said = " ".join(str(problem).split())[:200]
         raise StoreRefused(
-            f"calibration {min(records)} is damaged: {said}", hint="list all errors: fixel db check"
+            f"calibration {min(records)} is damaged: {reason_of(problem)}",
+            hint="list all errors: fixel db check",
         ) from problem
 
 

@@ -120,10 +120,8 @@ def sizes_in(texts: Sequence[str]) -> dict[str, tuple[int, ...]]:
     found: dict[str, tuple[int, ...]] = {}
     for text in texts:
         axis, equals, numbers = text.rpartition("=")
-        try:
-            own = tuple(int(number) for number in numbers.split(","))
-        except ValueError:
-            own = ()
+        is_list = re.fullmatch(r" *[0-9]+ *(, *[0-9]+ *)*", numbers)
+        own = tuple(map(int, numbers.split(","))) if is_list else ()
         if not own or (equals and axis not in AXES):
             raise InvalidInput(
                 "sizes", found=repr(text), expected="numbers of samples, such as y=3,5 or 2,4"

@@ -18,7 +18,7 @@ from fixel.database.engine import open_engine, reading
 from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.database.stored_content import RESTORE, Trouble, content_troubles, schema_troubles
-from fixel.errors import InvalidInput, StoreRefused, counted, os_reason
+from fixel.errors import InvalidInput, StoreRefused, counted, os_reason, reason_of
 from fixel.io.atomic import written_whole
 
 OWNERS: Final = {
@@ -136,7 +136,7 @@ def _copy(database: Path, path: Path) -> None:
     except sqlite3.Error as problem:
         full = "is full" in str(problem)
         raise StoreRefused(
-            f"{database} cannot be copied: {problem}",
+            f"{database} cannot be copied: {'the disk is full' if full else reason_of(problem)}",
             hint="free disk space, then repeat the command" if full else SEE,
         ) from None
     if said != ["ok"]:
@@ -237,7 +237,7 @@ def _bad_series(connection: sa.Connection, media: Path) -> Iterator[Trouble]:
             row = connection.execute(sa.select(table).where(table.c.id == number)).one()
         except (ValueError, TypeError, sa.exc.NoResultFound) as problem:
             # Content that should be JSON or text is not, or an index leads to no row.
-            yield Trouble(f"series {number}", f"cannot be read: {problem}", RESTORE)
+            yield Trouble(f"series {number}", f"cannot be read: {reason_of(problem)}", RESTORE)
             continue
         where = f"{row.owner} {row.owner_id}, series {row.name!r}"
         complaint = _owner_gone(connection, row) or _unreadable(row, media)
