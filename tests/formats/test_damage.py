@@ -78,6 +78,12 @@ def test_random_damage_is_refused_or_read(make, read, tmp_path):
             read(path)
 
 
+@pytest.mark.parametrize("read", [fixel.load, fixel.read_experiments, open_video, read_picture])
+def test_names_that_are_too_long_are_refused(read, tmp_path):
+    with pytest.raises(InvalidInput, match="file name too long"):
+        read(tmp_path / ("a" * 300))
+
+
 @pytest.mark.parametrize("ending", [".png", ".jpg"])
 def test_truncated_pictures_are_refused(ending, tmp_path):
     path = picture(tmp_path / f"a{ending}")

@@ -51,9 +51,9 @@ def importer_for(source: Path, name: str | None = None) -> Importer:
         check_name("format", name, IMPORTERS)
         return IMPORTERS[name]
     source = Path(source)
+    refuse_device(source, "a file or a folder")
     if not source.exists():
         raise DatasetMissing(source)
-    refuse_device(source, "a file or a folder")
     for importer in IMPORTERS.values():
         if importer.recognised(source):
             return importer

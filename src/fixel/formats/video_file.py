@@ -14,7 +14,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from fixel.errors import InvalidInput, check_name, require
-from fixel.io.atomic import refuse_ending, refuse_unwritable, unfinished_path, usable
+from fixel.io.atomic import refuse_device, refuse_ending, refuse_unwritable, unfinished_path, usable
 from fixel.typing import FloatArray
 from fixel.vision.frame import Frame, Gray, Picture, opencv
 
@@ -305,6 +305,7 @@ def _decoded(container: Any, stream: Any, check: _FilmCheck) -> Iterator[Any]:
 
 
 def _opened(path: Path) -> Any:
+    refuse_device(path, "a video file")
     if not path.is_file():
         found = "a folder" if path.is_dir() else "no such file"
         raise InvalidInput(str(path), found=found, expected="a video or a recording")

@@ -91,7 +91,9 @@ def write_whole(path: str | Path, content: str | bytes, *, durable: bool = False
 
 def refuse_device(path: Path, expected: str) -> None:
     """Raise `InvalidInput` for a pipe or a device, whose content may never come or end."""
-    if path.exists() and not (path.is_file() or path.is_dir()):
+    with usable(path, expected):  # a name may be too long
+        is_device = path.exists() and not (path.is_file() or path.is_dir())
+    if is_device:
         raise InvalidInput(str(path), found="a pipe or a device", expected=expected)
 
 

@@ -16,6 +16,7 @@ from fixel.datasets import Experiments, plan_import
 from fixel.datasets.reading import collected
 from fixel.errors import InvalidInput
 from fixel.formats.recording import is_recording
+from fixel.io.atomic import refuse_device
 from fixel.model import Scene
 from fixel.model.fields import whole
 from fixel.model.scene import SceneChoice
@@ -135,6 +136,7 @@ def _ready(place: Any, scene: SceneChoice | None) -> Experiments | None:
     """Experiments of a recording or a bundle; None for another source."""
     if not isinstance(place, Path):
         return None
+    refuse_device(place, "a file or a folder")
     if is_recording(place):
         if scene is not None and not isinstance(scene, Path):
             found = "a Scene" if isinstance(scene, Scene) else "a function"
