@@ -198,3 +198,57 @@ def test_the_cameras_noise_is_that_of_frames_at_even_times():
     found = camera_noise(comparer, [0, 1], off)
     assert found.position_m == pytest.approx(NOISE.position_m, rel=0.4)
     assert found.angle_rad == pytest.approx(NOISE.angle_rad, rel=0.4)
+
+
+def test_noise_of_measured_starts_is_integrated_over_the_starts():
+    """Compared with weighted simulations from drawn starts, and with the full covariance."""
+    exact, n = measured(seed=2, truth=np.array([0.4, 0.035, 1e-4])), 3000
+    sd, rng = NOISE.standard_deviations, np.random.default_rng(4)
+    targets = [
+        own._replace(
+            starts_measured=True,
+            case=own.case._replace(
+                scene=moved(own.case.scene, rng.standard_normal(3) * sd),
+            ),
+        )
+        for own in exact.targets
+    ]
+    motion, stepper = exact.ensemble.motion, exact.ensemble.stepper
+    comparer = Comparer(targets, exact.space, motion=motion, stepper=stepper)
+    likelihood = LogLikelihood(comparer, [0, 1], NOISE, MODEL_ERROR)
+    points = np.array([[0.4, 0.035, 1e-4], [0.42, 0.034, 2e-4]])
+    without = likelihood(points)
+    likelihood.count_starts(TRUTH[:2], NOISE)
+    starts = [Unknown(name=f"start_{c}", low=-1, high=1, nominal=0.0) for c in ("x", "y", "theta")]
+    free = comparer.over(ParameterSpace(unknowns=(*comparer.space.unknowns, *starts)))
+    for point, found, ignored in zip(points, likelihood(points), without, strict=True):
+        expected = 0.0
+        for own in (0, 1):
+            share = likelihood.shares(own)
+            walk = np.minimum(share[:, None], share)
+            centre, root = np.zeros(3), np.eye(3)
+            for _ in range(4):  # importance sampling, about where the last weights were
+                z = rng.standard_normal((n, 3))
+                drawn = centre + z @ root.T
+                rows = np.column_stack((np.tile(point[:2], (n, 1)), drawn * sd))
+                difference, good, _ = free.differences(np.full(n, own), rows)
+                assert good.all()
+                log = norm.logpdf(drawn).sum(axis=1) - norm.logpdf(z).sum(axis=1)
+                log += np.linalg.slogdet(root)[1]
+                for c in range(3):
+                    tau = point[2] / MODEL_ERROR.sides[c]
+                    covariance = sd[c] ** 2 * np.eye(len(share)) + tau**2 * walk
+                    log += multivariate_normal(cov=covariance).logpdf(difference[:, :, c])
+                weight = np.exp(log - log.max())
+                value = log.max() + np.log(weight.mean())
+                centre = np.average(drawn, axis=0, weights=weight)
+                root = 1.3 * np.linalg.cholesky(np.cov(drawn.T, aweights=weight) + 1e-6 * np.eye(3))
+            expected += value
+        assert found == pytest.approx(expected, abs=0.3)
+        assert abs(ignored - expected) > 3.0
+
+
+def moved(scene, shift):
+    """Return a scene that begins elsewhere than it is measured to."""
+    body = scene.bodies[0]
+    return replace(scene, bodies=(replace(body, pose=tuple(np.add(body.pose, shift))),))

@@ -218,14 +218,26 @@ def draw_walks(
 
 
 def log_density(
-    rotated: FloatArray, variance: FloatArray, tau: FloatArray, white: FloatArray
+    rotated: FloatArray,
+    variance: FloatArray,
+    tau: FloatArray,
+    white: FloatArray,
+    start: FloatArray | None = None,
 ) -> FloatArray:
     """Return the Gaussian log density (k,) of residuals that are a walk plus white noise.
 
     Residuals (k, n, 3) are along the axes [m, m, rad]. The walk has a variance (n,) for tau = 1,
-    and standard deviations tau (k, 3); `white` (3,) are variances of the white noise.
+    and standard deviations tau (k, 3); `white` (3,) are variances of the white noise. Three more
+    errors, of standard deviation 1, change all residuals together, by `start` (n, 3, 3).
     """
     total = white + variance[:, None] * (tau**2)[:, None, :]
-    return np.asarray(
-        -0.5 * np.sum(rotated**2 / total + np.log(2.0 * math.pi * total), axis=(1, 2))
-    )
+    alone = -0.5 * np.sum(rotated**2 / total + np.log(2.0 * math.pi * total), axis=(1, 2))
+    if start is None:
+        return np.asarray(alone)
+    # Woodbury's identity, with (3, 3 n) matrices for each point.
+    common = start.reshape(-1, 3)
+    weighted = np.swapaxes(common / total.reshape(len(total), -1, 1), 1, 2)
+    pull = np.matmul(weighted, rotated.reshape(len(rotated), -1, 1))
+    information = np.eye(3) + np.matmul(weighted, common)
+    gained = np.sum(pull * np.linalg.solve(information, pull), axis=(1, 2))
+    return np.asarray(alone + 0.5 * (gained - np.linalg.slogdet(information)[1]))

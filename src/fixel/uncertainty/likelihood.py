@@ -7,7 +7,8 @@ principal axes of the random walk of the model error:
     log p = sum over axes i, channels c of log N(z_ic; 0, T s_c^2 + tau_c^2 w_i)
 
 with z the residuals along the axes, w the variances of the walk, s the noise, T its correlation:
-N correlated frames count as N / T independent ones (docs/theory/identifiability.md).
+N correlated frames count as N / T independent ones (docs/theory/identifiability.md). The error of a
+measured start is common to all frames of an experiment; it adds a covariance of rank three.
 """
 
 from __future__ import annotations
@@ -18,12 +19,15 @@ from typing import Final, final
 
 import numpy as np
 
+from fixel.calibration.honest import MM, STARTS, ShiftModel
+from fixel.calibration.least_squares import LeastSquares, NormalPrior, fit
 from fixel.calibration.noise import Noise, second_differences
 from fixel.calibration.objective import Comparer
+from fixel.calibration.optimiser import SearchBox
 from fixel.errors import InvalidInput
 from fixel.model.space import ParameterSpace
 from fixel.model.trajectory import wrapped
-from fixel.typing import FloatArray
+from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.error_terms import LABEL, ModelError, log_density, shares_of_way, walk_over
 
 # Log likelihood of a failed simulation: finite, but practically impossible for dynesty.
@@ -34,6 +38,11 @@ MAX_ROLLOUTS: Final = 4096
 
 # Maximum number of frames per experiment; of more, every second, third, ... from the last is used.
 MAX_FRAMES: Final = 400
+
+# Fit of measured starts with the parameters.
+START_FIT: Final = LeastSquares(
+    loss="soft_l1", width=3.0, differences="central", difference=0.2, most_iterations=30
+)
 
 # Standard deviation over the median absolute value of a normal variable.
 _SD_OF_MEDIAN: Final = 1.4826
@@ -113,6 +122,71 @@ class LogLikelihood:
         self._white = correlation[:, None] * noise.standard_deviations**2
         known = range(0 if model_error is None else len(self.members))
         self._walks = [walk_over(self.shares(k)[self._seen[k]]) for k in known]
+        # Unknowns of the simulations: columns of the parameters, and values of the others.
+        self._simulated, self._columns = comparer, list(range(len(comparer.space.labels)))
+        self._base = np.zeros((len(self.members), len(self._columns)))
+        self._starts: list[tuple[FloatArray, FloatArray]] = []
+
+    def count_starts(self, point: FloatArray, camera: Noise | None) -> None:
+        """Count the noise of the camera in measured starts, unless starts are among the unknowns.
+
+        Starts and parameters are fitted together, from a point (n_free,). Simulations then begin at
+        the fitted starts: likely ones are near these, and their effects are almost linear.
+        """
+        space, n, p = self.comparer.space, len(self.members), len(self._columns)
+        targets = [self.comparer.targets[m] for m in self.members]
+        measured = [target.starts_measured for target in targets]
+        if not camera or not any(measured) or any(u.name in STARTS for u in space.free):
+            return
+        shifted = ShiftModel(self.comparer)
+        starts = np.array([[shifted.columns[m][name] for name in STARTS] for m in self.members])
+        sd = np.outer(measured, camera.standard_deviations)
+        count = [len(target.pose) / len(shifted.instants[m])
+                 for m, target in zip(self.members, targets, strict=True)]  # fmt: skip
+        weight = np.sqrt(count)[:, None] / (MM * camera.standard_deviations)
+        self._simulated, self._columns = self.comparer.over(shifted.space), shifted.free
+        self._base = np.tile(shifted.space.nominal, (n, 1))
+
+        def rows_of(own: IntArray, values: FloatArray, shifts: FloatArray) -> FloatArray:
+            """Return points (k, n) of experiments, with starts shifted by standard deviations."""
+            rows = self._base[own]
+            rows[:, self._columns] = values
+            rows[np.arange(len(own))[:, None], starts[own]] += shifts * sd[own]
+            return rows
+
+        def residuals(points: FloatArray) -> FloatArray:
+            """Residuals (k, m) of points (k, p + 3 n), which have many simulations in common."""
+            table = np.zeros((len(points), n, p + 4))
+            table[:, :, 0], table[:, :, 1 : 1 + p] = np.arange(n), points[:, None, :p]
+            table[:, :, 1 + p :] = points[:, p:].reshape(-1, n, 3)
+            once, place = np.unique(table.reshape(-1, p + 4), axis=0, return_inverse=True)
+            k = once[:, 0].astype(np.int64)
+            rows = rows_of(k, once[:, 1 : 1 + p], once[:, 1 + p :])
+            found = shifted.differences(np.column_stack((self.members[k], rows)))
+            found = found.reshape(len(k), 3, -1) * weight[k, :, None]
+            return found[place.reshape(-1)].reshape(len(points), -1)
+
+        end = np.full(3 * n, 4.0)  # standard deviations
+        low, high = np.append(space.low, -end), np.append(space.high, end)
+        scale = np.append(0.05 * space.scale, np.ones(3 * n))
+        box = SearchBox(low, high, np.append(point, np.zeros(3 * n)), scale)
+        prior = NormalPrior(mean=np.zeros(p + 3 * n), sd=np.append(np.full(p, math.inf), end / 4.0))
+        best = fit(START_FIT.start(box, prior=prior), residuals).point
+        values, shifts = best[:p], best[p:].reshape(n, 3)
+        # The change by a standard deviation, from half of it to either side.
+        own = np.repeat(np.arange(n), 6)
+        sides = np.tile(np.kron(np.eye(3), [[0.5], [-0.5]]), (n, 1))
+        rows = rows_of(own, np.tile(values, (6 * n, 1)), shifts[own] + sides)
+        found, good, _ = self._simulated.differences(self.members[own], rows)
+        found = found.reshape(n, 3, 2, -1, 3)
+        change = np.moveaxis(found[:, :, 0] - found[:, :, 1], 1, -1)
+        change[~good.reshape(n, 6).all(axis=1)] = 0.0  # beside an overlap
+        self._base[np.arange(n)[:, None], starts] += shifts * sd
+        for k, seen in enumerate(self._seen):
+            each = change[k, seen]
+            if self._walks:  # along the axes
+                each = np.einsum("mi,mcp->icp", self._walks[k][0], each)
+            self._starts.append((each, each @ shifts[k]))
 
     def __call__(self, points: FloatArray) -> FloatArray:
         """Return (k,) values at points (k, n); `FLOOR` where an experiment cannot be simulated."""
@@ -127,10 +201,9 @@ class LogLikelihood:
     def _some(self, points: FloatArray) -> FloatArray:
         """Return (k,) values at a few points, computed in one batch with all experiments."""
         k, n = len(points), len(self.members)
-        free = np.ascontiguousarray(points[:, : len(self.comparer.space.labels)])
-        difference, good, _ = self.comparer.differences(
-            np.repeat(self.members, k), np.tile(free, (n, 1))
-        )
+        rows = np.repeat(self._base, k, axis=0)
+        rows[:, self._columns] = np.tile(points[:, : len(self._columns)], (n, 1))
+        difference, good, _ = self._simulated.differences(np.repeat(self.members, k), rows)
         error = self.prior.model_error
         tau = np.zeros((k, 3)) if error is None else np.asarray(points[:, -1:] / error.sides)
         total = np.zeros(k)
@@ -141,13 +214,18 @@ class LogLikelihood:
 
     def _one(self, own: int, difference: FloatArray, tau: FloatArray) -> FloatArray:
         """Return the log likelihood (k,) of one experiment from residuals (k, n_seen, 3)."""
-        white = self._white[own]
-        if not self._walks:
+        white, variance = self._white[own], np.zeros(difference.shape[1])
+        if not self._walks and not self._starts:
             scale = difference.shape[1] * float(np.log(2.0 * math.pi * white).sum())
             return np.asarray(-0.5 * (np.sum(difference**2 / white, axis=(1, 2)) + scale))
-        axes, variance = self._walks[own]
-        # (n, n) x (n, 3) for each point: bit for bit the same, whatever the size of the batch.
-        return log_density(np.matmul(axes.T, difference), variance, tau, white)
+        if self._walks:
+            axes, variance = self._walks[own]
+            # (n, n) x (n, 3) for each point: bit for bit the same, whatever the size of the batch.
+            difference = np.matmul(axes.T, difference)
+        if not self._starts:
+            return log_density(difference, variance, tau, white)
+        change, mean = self._starts[own]
+        return log_density(difference - mean, variance, tau, white, change)
 
     def shares(self, own: int) -> FloatArray:
         """Return the shares of the way (n_sample,) of one experiment, by its index in `members`."""

@@ -11,7 +11,7 @@ import numpy as np
 from fixel.calibration.assess import Frames, noise_from_repeated
 from fixel.calibration.known_pushes import KnownPushes
 from fixel.calibration.least_squares import LeastSquares, fit
-from fixel.calibration.noise import Noise, check_noise, noise_from_residuals
+from fixel.calibration.noise import Noise, check_noise, noise_from_differences, noise_from_residuals
 from fixel.calibration.objective import Comparer
 from fixel.calibration.result import NearOptimal, near_best
 from fixel.calibration.study import box_of
@@ -118,7 +118,7 @@ def sample(
     The noise is by default the one `stated` for a calibration, else estimated.
     """
     check_noise(noise)
-    members = list(range(n_used))
+    members, used = list(range(n_used)), comparer.targets[:n_used]
     usual = ModelError() if model_error else None
     own = model_error if isinstance(model_error, ModelError) else usual
     with show_progress(progress, "sampling") as report:
@@ -127,8 +127,8 @@ def sample(
         point = np.asarray(fit(rough, residuals).point)
         known = noise or stated or _noise(comparer, members, point, own is not None)
         likelihood = LogLikelihood(comparer, members, known, own)
+        likelihood.count_starts(point, noise or stated or noise_from_differences(used))
         found = NestedSampling(samples=samples).sample(likelihood, likelihood.prior, seed, report)
-    used = comparer.targets[:n_used]
     return replace(
         found,
         space=comparer.space,
