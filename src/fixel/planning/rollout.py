@@ -10,7 +10,7 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from fixel.kernels import codes
-from fixel.model import Scene, Shape, rotated
+from fixel.model import Disk, Scene, Shape, rotated
 from fixel.model.goals import BodyTrack, Goal, tolerance_of, touching
 from fixel.model.overlap import overlaps
 from fixel.model.trajectory import pose_difference
@@ -40,6 +40,11 @@ WORST_MARGIN: Final = -1e3  # of a run that failed, and limit of all margins
 START: Final = ("start_x", "start_y", "start_theta")
 REGISTRATION: Final = ("registration_x", "registration_y", "registration_theta")
 TOUCHED: Final = 1e-9  # smallest overlap of tool and part that counts, relative to the part
+# Share of the error after a mean motion that stays where a face of the tool lies on the part:
+# regions of CMU's two-finger pushes.
+FLUSH: Final = 0.4
+TILT: Final = 1e-3  # rotation that shows whether faces lie on each other [rad]
+WIDE: Final = 0.1  # least width of such faces, over the radius of the part
 STAYS: Final = 1e-3  # a part stays if no point of it moves farther than this, relative to it
 
 
@@ -188,7 +193,8 @@ class PlanSimulator:
             # The pushes share one draw; so divided, it has the variance of k independent ones.
             error = self._error(pose[:, -1], actual, scenarios) / np.sqrt(k)
             held = self._held(pose[:, -1], fixels, after, error)
-            pose[:, -1] += np.where(held[:, None], 0.0, error)
+            free = self._guided(error, pose[:, -1], actual, path[which], scenarios, k)
+            pose[:, -1] += np.where(held[:, None], 0.0, free)
             if scenarios.end_error is not None and held.any():
                 # Where something holds the part, it comes there off by its error.
                 own, along = np.flatnonzero(held), path[which[held], 1] - path[which[held], 0]
@@ -311,6 +317,31 @@ class PlanSimulator:
             error = error + size[:, None] * scenarios.misfit
         return error
 
+    def _guided(
+        self,
+        error: FloatArray,
+        end: FloatArray,
+        start: FloatArray,
+        path: FloatArray,
+        scenarios: Scenarios,
+        pushes: int,
+    ) -> FloatArray:
+        """Return errors (n, 3) of ends, with little of what a face of the tool on the part
+        undoes."""
+        tool, own = self.scene.pushers[0].shape, scenarios.end_error
+        if own is None or isinstance(tool, Disk) or not error.any():
+            return error
+        values = {**scenarios.values, **self._tool_errors(path, scenarios)}
+        farthest = path[:, max(1, path.shape[1] - 2), 1:]  # before the tool goes back
+        tools = composed(registration(values, len(path)), farthest)
+        normal = _flush(self.simulated.bodies[0].shape, end, tool, tools)
+        size = own.deviation(motion_of(start, end, arm_of(self.scene)))
+        least = np.minimum(size, FLUSH * own.size)[:, None] * scenarios.misfit / np.sqrt(pushes)
+        found = np.where(normal.any(axis=1)[:, None], error * (1.0, 1.0, 0.0), error)
+        found[:, 2] += np.where(normal.any(axis=1), least[:, 2], 0.0)
+        found[:, :2] += np.sum((least - error)[:, :2] * normal, axis=1)[:, None] * normal
+        return found
+
     def _held(
         self, end: FloatArray, fixels: FloatArray | None, others: FloatArray, error: FloatArray
     ) -> BoolArray:
@@ -326,6 +357,22 @@ class PlanSimulator:
 def _alone(scene: Scene) -> Scene:
     body = replace(scene.bodies[0], pose=np.zeros(3))
     return replace(scene, bodies=(body,), fixels=(), contact_friction=())
+
+
+def _flush(part: Shape, ends: FloatArray, tool: Shape, tools: FloatArray) -> FloatArray:
+    """Return the normals (n, 2) of faces of the tool that lie on faces of the part; else zero.
+
+    There, either rotation of the part overlaps the tool in the same direction.
+    """
+    place = rotated(ends - tools, -tools[:, 2])
+    relative = np.column_stack((place, ends[:, 2] - tools[:, 2]))
+    one, other = (
+        overlaps(part, relative + (0.0, 0.0, turn), tool, np.zeros(3)) for turn in (TILT, -TILT)
+    )
+    wide = one.depth + other.depth > WIDE * TILT * part.radius
+    near = np.maximum(one.depth, other.depth) < 2.0 * TILT * part.radius
+    same = np.sum(one.way * other.way, axis=1) > 0.9
+    return np.where((wide & near & same)[:, None], rotated(one.way, tools[:, 2]), 0.0)
 
 
 def _across(error: FloatArray, way: FloatArray) -> FloatArray:
