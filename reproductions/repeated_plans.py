@@ -21,7 +21,9 @@ from fixel.drawing.chart import WIDE, clean, legend_below, sheet
 from fixel.model import Experiment, Provenance, Trajectory
 from fixel.model.trajectory import pose_difference
 from fixel.planning.belief import Belief
+from fixel.planning.rollout import FLUSH, flush_normals, guided, registration
 from fixel.replay.base import Row
+from fixel.simulation.vary import composed
 from fixel.typing import FloatArray
 from fixel.uncertainty.predictive import motion_of
 from fixel.uncertainty.run_to_run import arm_of
@@ -113,7 +115,11 @@ def left_out(group: RepeatGroup, k: int, others: Sequence[RepeatGroup]) -> RunPr
     assert drawn.end_error is not None
     ends, start = runs.pose[runs.ended, -1], scene.bodies[0].pose + drawn.start[runs.ended]
     size = drawn.end_error.deviation(motion_of(start, ends, arm_of(scene)))
-    ends = ends + size[:, None] * drawn.misfit[runs.ended]
+    placed = registration(drawn.values, RUNS)[runs.ended]
+    fingers = composed(placed, group.path[-1, 1:])
+    normal = flush_normals(scene.bodies[0].shape, ends, scene.pushers[0].shape, fingers)
+    share = FLUSH * drawn.end_error.size / size
+    ends = ends + guided(size[:, None] * drawn.misfit[runs.ended], share, normal)
     centre = _mean(own.end)
     return RunPrediction(group.start_pose, _off(ends, centre), _off(group.end[k][None], centre)[0])
 

@@ -12,11 +12,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fixel.errors import InvalidInput
+from fixel.model import rotated
 from fixel.model.goals import BodyTrack
 from fixel.model.trajectory import wrapped
 from fixel.planning.belief import Belief, Scenarios
 from fixel.planning.candidates import embedded, goal_poses, poses_within, spread_pushes
-from fixel.planning.rollout import CARRIED_OUT, WORST_MARGIN, PlanSimulator
+from fixel.planning.rollout import CARRIED_OUT, FLUSH, WORST_MARGIN, PlanSimulator, guided
 from fixel.simulation.vary import composed, inverted
 from fixel.typing import BoolArray, FloatArray, IntArray
 from fixel.uncertainty.predictive import EndError, motion_of
@@ -85,6 +86,7 @@ class CorrectionTable:
     # (m, w, 3) float32: pose after it in the frame of the part before it, in w worlds; NaN where it
     # failed.
     moved: np.ndarray
+    normal: np.ndarray  # (m, w, 2) float32 of a face of the tool on the part then; zero without
     worlds: Scenarios  # these worlds (w,), without errors of the start or in proportion to motion
     arm: float  # radius of gyration of the part, at which rotations count [m]
     seed: int
@@ -134,7 +136,12 @@ class CorrectionTable:
         # On a shorter way along the same arc the tool turns less.
         numbers[:, :, 3:] *= np.minimum(length / high[2], 1.0)[..., None]
         inside = (length >= low[2]) & (length <= high[2]) & np.isfinite(moved).any(axis=(2, 3))
-        return cls(numbers[inside], moved[inside], worlds, arm_of(alone.scene), seed)
+        numbers, moved = numbers[inside], moved[inside]
+        path = alone.choice.motions(alone.scene, numbers, np.zeros((len(numbers), 3))).path
+        world = np.arange(WORLDS).repeat(len(path)).reshape(WORLDS, -1)
+        normal = [alone.normals(moved[:, k], path, exact.rows(own)) for k, own in enumerate(world)]
+        flush = np.stack(normal, axis=1).astype(np.float32)
+        return cls(numbers, moved, flush, worlds, arm_of(alone.scene), seed)
 
     @cached_property
     def tree(self) -> cKDTree:
@@ -151,15 +158,26 @@ class CorrectionTable:
         """Return poses (n, w, 3) after pushes `row` (n,) from poses (n, w, 3)."""
         ends = composed(start, self.moved[row].astype(np.float64))
         rest = rest_at(self.worlds.rest, ends[..., 2] - start[..., 2]) + self.worlds.drift
-        return np.asarray(ends + rest + self.deviation(start, ends) * self.draws[1])
+        return np.asarray(ends + rest + self.errors(row, start, ends, self.draws[1]))
 
-    def deviation(self, start: FloatArray, end: FloatArray) -> FloatArray:
-        """Return the scales (n, w, 3) of the model's error of ends [m, m, rad]."""
-        if self.worlds.end_error is None:
+    def errors(
+        self, row: IntArray, start: FloatArray, end: FloatArray, draws: FloatArray
+    ) -> FloatArray:
+        """Return the model's errors (n, w, 3) of ends of pushes `row`, drawn as `draws`."""
+        error = self.worlds.end_error
+        if error is None:
             return np.zeros_like(end)
         moved = motion_of(start.reshape(-1, 3), end.reshape(-1, 3), self.arm)
-        size = self.worlds.end_error.deviation(np.nan_to_num(moved)).reshape(end.shape[:-1])
-        return np.asarray(size[..., None] / np.array([1.0, 1.0, self.arm]))
+        moved = np.nan_to_num(moved).reshape(end.shape[:-1])
+        size = error.deviation(moved)
+        drawn = size[..., None] / np.array([1.0, 1.0, self.arm]) * draws
+        normal = rotated(self.normal[row], start[..., 2])
+        return guided(drawn, FLUSH * error.size / size, normal)
+
+    def deviation(self, row: IntArray, start: FloatArray, end: FloatArray) -> FloatArray:
+        """Return the scales (n, w, 3) of these errors [m, m, rad]."""
+        squares = [self.errors(row, start, end, unit) ** 2 for unit in np.eye(3)]
+        return np.asarray(np.sqrt(sum(squares)))
 
     def chosen(
         self, simulator: PlanSimulator, case: SeenParts, towards: FloatArray, refined: bool = True

@@ -278,7 +278,7 @@ class Policy:
         """Return the ends (n, w, 3) of chosen pushes in each world, and their deviations."""
         ends = composed(start, self.table.moved[found.row].astype(np.float64))
         ends = np.where((found.row >= 0)[:, None, None], ends, start)
-        deviation = self.table.deviation(start, ends)
+        deviation = self.table.deviation(found.row, start, ends)
         # The ends of a refined push are unknown, so that the next view changes no weights.
         deviation[(found.row >= 0) & found.refined] = UNKNOWN
         return ends, np.hypot(self.views.camera.deviation, deviation)

@@ -12,7 +12,7 @@ import numpy as np
 from fixel.kernels import codes
 from fixel.model import Disk, Scene, Shape, rotated
 from fixel.model.goals import BodyTrack, Goal, tolerance_of, touching
-from fixel.model.overlap import overlaps
+from fixel.model.overlap import Overlap, overlaps
 from fixel.model.trajectory import pose_difference
 from fixel.planning.belief import Scenarios, rows_of
 from fixel.planning.pushes import PushChoice, fixel_overlap, scene_of_push, swept, touches
@@ -40,8 +40,8 @@ WORST_MARGIN: Final = -1e3  # of a run that failed, and limit of all margins
 START: Final = ("start_x", "start_y", "start_theta")
 REGISTRATION: Final = ("registration_x", "registration_y", "registration_theta")
 TOUCHED: Final = 1e-9  # smallest overlap of tool and part that counts, relative to the part
-# Share of the error after a mean motion that stays where a face of the tool lies on the part:
-# regions of CMU's two-finger pushes.
+# Share of the error of ends after a mean motion that stays where a face of the tool lies on the
+# part: regions of CMU's two-finger pushes.
 FLUSH: Final = 0.4
 TILT: Final = 1e-3  # rotation that shows whether faces lie on each other [rad]
 WIDE: Final = 0.1  # least width of such faces, over the radius of the part
@@ -190,11 +190,10 @@ class PlanSimulator:
             pose, failed, stalled, peak, after = self._push(
                 start[which], path[which], fixels, scenarios, actual, others
             )
-            # The pushes share one draw; so divided, it has the variance of k independent ones.
-            error = self._error(pose[:, -1], actual, scenarios) / np.sqrt(k)
-            held = self._held(pose[:, -1], fixels, after, error)
-            free = self._guided(error, pose[:, -1], actual, path[which], scenarios, k)
-            pose[:, -1] += np.where(held[:, None], 0.0, free)
+            held = self._held(pose[:, -1], fixels, after, scenarios)
+            error = self._error(pose[:, -1], actual, path[which], scenarios, held)
+            error /= np.sqrt(k)  # the pushes share one draw: the variance of k independent ones
+            pose[:, -1] += np.where(held[:, None], 0.0, error)
             if scenarios.end_error is not None and held.any():
                 # Where something holds the part, it comes there off by its error.
                 own, along = np.flatnonzero(held), path[which[held], 1] - path[which[held], 0]
@@ -226,7 +225,7 @@ class PlanSimulator:
         if scenarios is None:
             values = {name: np.full(n, x) for name, x in self.nominal.items()}
         else:
-            values = {**scenarios.values, **self._tool_errors(path, scenarios)}
+            values = self._values(path, scenarios)
         first = path[:, 0, 1:]
         tool = composed(registration(values, n), first)
         if others.shape[1]:
@@ -295,10 +294,10 @@ class PlanSimulator:
             scene.bodies[0].shape, part, obstacles
         )
 
-    def _tool_errors(self, path: FloatArray, scenarios: Scenarios) -> dict[str, FloatArray]:
-        """Return the registration of tools that miss their paths, instead of the calibrated."""
+    def _values(self, path: FloatArray, scenarios: Scenarios) -> dict[str, FloatArray]:
+        """Return the parameters, with the registration of tools that miss their paths."""
         if not scenarios.tool.any():
-            return {}
+            return dict(scenarios.values)
         begin, way = path[:, 0, 1:3], path[:, 1, 1:3] - path[:, 0, 1:3]
         along = way / np.maximum(np.hypot(*way.T), 1e-12)[:, None]  # a stroke may be zero
         across = np.column_stack((-along[:, 1], along[:, 0]))
@@ -306,48 +305,39 @@ class PlanSimulator:
         shift = travel[:, None] * along + aside[:, None] * across
         error = np.column_stack((begin - rotated(begin, heading) + shift, heading))
         own = composed(registration(scenarios.values, len(path)), error)
-        return dict(zip(REGISTRATION, own.T.copy(), strict=True))
+        return {**scenarios.values, **dict(zip(REGISTRATION, own.T.copy(), strict=True))}
 
-    def _error(self, end: FloatArray, start: FloatArray, scenarios: Scenarios) -> FloatArray:
-        """Return the errors (n, 3) of the model for ends that touch nothing."""
-        error = rest_at(scenarios.rest, end[:, 2] - start[:, 2]) + scenarios.drift
-        if scenarios.end_error is not None:
-            moved = motion_of(start, end, arm_of(self.scene))
-            size = scenarios.end_error.deviation(moved)
-            error = error + size[:, None] * scenarios.misfit
-        return error
-
-    def _guided(
+    def _error(
         self,
-        error: FloatArray,
         end: FloatArray,
         start: FloatArray,
         path: FloatArray,
         scenarios: Scenarios,
-        pushes: int,
+        held: BoolArray,
     ) -> FloatArray:
-        """Return errors (n, 3) of ends, with little of what a face of the tool on the part
-        undoes."""
-        tool, own = self.scene.pushers[0].shape, scenarios.end_error
-        if own is None or isinstance(tool, Disk) or not error.any():
+        """Return the errors (n, 3) of the model for ends; a tool guides those that are not held."""
+        error = rest_at(scenarios.rest, end[:, 2] - start[:, 2]) + scenarios.drift
+        own, free, normal = scenarios.end_error, np.flatnonzero(~held), np.zeros((len(end), 2))
+        if own is None or not scenarios.misfit.any():
             return error
-        values = {**scenarios.values, **self._tool_errors(path, scenarios)}
-        farthest = path[:, max(1, path.shape[1] - 2), 1:]  # before the tool goes back
-        tools = composed(registration(values, len(path)), farthest)
-        normal = _flush(self.simulated.bodies[0].shape, end, tool, tools)
         size = own.deviation(motion_of(start, end, arm_of(self.scene)))
-        least = np.minimum(size, FLUSH * own.size)[:, None] * scenarios.misfit / np.sqrt(pushes)
-        found = np.where(normal.any(axis=1)[:, None], error * (1.0, 1.0, 0.0), error)
-        found[:, 2] += np.where(normal.any(axis=1), least[:, 2], 0.0)
-        found[:, :2] += np.sum((least - error)[:, :2] * normal, axis=1)[:, None] * normal
-        return found
+        normal[free] = self.normals(end[free], path[free], scenarios.rows(free))
+        return guided(error + size[:, None] * scenarios.misfit, FLUSH * own.size / size, normal)
+
+    def normals(self, ends: FloatArray, path: FloatArray, scenarios: Scenarios) -> FloatArray:
+        """Return normals (n, 2) of faces of tools that lie on parts at `ends` (n, 3); else zero."""
+        part, tool = self.simulated.bodies[0].shape, self.scene.pushers[0].shape
+        if scenarios.end_error is None or isinstance(tool, Disk):
+            return np.zeros((len(ends), 2))
+        farthest = path[:, max(1, path.shape[1] - 2), 1:]  # before the tool goes back
+        tools = composed(registration(self._values(path, scenarios), len(path)), farthest)
+        return flush_normals(part, ends, tool, tools)
 
     def _held(
-        self, end: FloatArray, fixels: FloatArray | None, others: FloatArray, error: FloatArray
+        self, end: FloatArray, fixels: FloatArray | None, others: FloatArray, scenarios: Scenarios
     ) -> BoolArray:
-        """Return which ends (n, 3) touch a fixel or another part, where there is an error at
-        all."""
-        if not error.any():
+        """Return which ends (n, 3) touch a fixel or another part, if ends have errors at all."""
+        if not any(own.any() for own in (scenarios.rest, scenarios.drift, scenarios.misfit)):
             return np.zeros(len(end), bool)
         scene, body = self.simulated, self.simulated.bodies[0]
         near = others_overlap(scene, body.shape, end, others) > -tolerance_of(None, body)
@@ -359,20 +349,31 @@ def _alone(scene: Scene) -> Scene:
     return replace(scene, bodies=(body,), fixels=(), contact_friction=())
 
 
-def _flush(part: Shape, ends: FloatArray, tool: Shape, tools: FloatArray) -> FloatArray:
-    """Return the normals (n, 2) of faces of the tool that lie on faces of the part; else zero.
+def guided(error: FloatArray, share: FloatArray, normal: FloatArray) -> FloatArray:
+    """Return errors (..., 3) of which a share (...), at most all, stays where faces lie on others.
 
-    There, either rotation of the part overlaps the tool in the same direction.
+    It is that along normals (..., 2) of these faces, and in rotation. Where they are zero, all
+    stays.
     """
-    place = rotated(ends - tools, -tools[:, 2])
-    relative = np.column_stack((place, ends[:, 2] - tools[:, 2]))
-    one, other = (
-        overlaps(part, relative + (0.0, 0.0, turn), tool, np.zeros(3)) for turn in (TILT, -TILT)
-    )
-    wide = one.depth + other.depth > WIDE * TILT * part.radius
-    near = np.maximum(one.depth, other.depth) < 2.0 * TILT * part.radius
+    lies = normal.any(axis=-1, keepdims=True)
+    if not lies.any():
+        return error
+    lost = np.maximum(1.0 - share, 0.0)[..., None]
+    across = np.sum(error[..., :2] * normal, axis=-1, keepdims=True) * normal
+    return np.asarray(error - lost * np.concatenate((across, lies * error[..., 2:]), axis=-1))
+
+
+def flush_normals(part: Shape, ends: FloatArray, tool: Shape, tools: FloatArray) -> FloatArray:
+    """Return the normals (n, 2) of faces of tools (n, 3) that lie on faces of parts; else zero.
+
+    There, either rotation of the part makes them overlap more, in the same direction.
+    """
+    tilt = np.outer((1.0, 0.0, -1.0), (0.0, 0.0, TILT))
+    one, now, other = (_overlap(part, ends + turn, tool, tools) for turn in tilt)
+    wide = one.depth + other.depth - 2.0 * now.depth > WIDE * TILT * part.radius
+    near = np.abs(now.depth) < 0.5 * TILT * part.radius  # poses of a step are off by its error
     same = np.sum(one.way * other.way, axis=1) > 0.9
-    return np.where((wide & near & same)[:, None], rotated(one.way, tools[:, 2]), 0.0)
+    return np.where((wide & near & same)[:, None], rotated(now.way, tools[:, 2]), 0.0)
 
 
 def _across(error: FloatArray, way: FloatArray) -> FloatArray:
@@ -399,7 +400,7 @@ def registration(values: Mapping[str, FloatArray], n: int) -> FloatArray:
 
 def tool_overlap(scene: Scene, parts: FloatArray, tools: FloatArray) -> FloatArray:
     """Return the overlap (n,) of the part at poses (n, 3) with the tool at poses (n, 3) [m]."""
-    return _overlap(scene.bodies[0].shape, parts, scene.pushers[0].shape, tools)
+    return _overlap(scene.bodies[0].shape, parts, scene.pushers[0].shape, tools).depth
 
 
 def others_overlap(scene: Scene, shape: Shape, poses: FloatArray, others: FloatArray) -> FloatArray:
@@ -407,14 +408,16 @@ def others_overlap(scene: Scene, shape: Shape, poses: FloatArray, others: FloatA
     poses (n, n_other, 3) [m]."""
     deepest = np.full(len(poses), -np.inf)
     for k, other in enumerate(scene.bodies[1:]):
-        deepest = np.maximum(deepest, _overlap(shape, poses, other.shape, others[:, k]))
+        depth = _overlap(shape, poses, other.shape, others[:, k]).depth
+        deepest = np.maximum(deepest, depth)
     return deepest
 
 
-def _overlap(shape: Shape, poses: FloatArray, other: Shape, others: FloatArray) -> FloatArray:
+def _overlap(shape: Shape, poses: FloatArray, other: Shape, others: FloatArray) -> Overlap:
+    """Return the overlap of a shape at poses (n, 3) with another at poses (n, 3), in its frame."""
     place = rotated(poses - others, -others[:, 2])
     relative = np.column_stack((place, poses[:, 2] - others[:, 2]))
-    return overlaps(shape, relative, other, np.zeros(3)).depth
+    return overlaps(shape, relative, other, np.zeros(3))
 
 
 def part_overlap(scene: Scene, poses: FloatArray, fixels: FloatArray | None) -> FloatArray:
