@@ -130,3 +130,9 @@ def test_reasons_have_no_words_of_parsers(fail, reason) -> None:
         fail()
     assert reason_of(caught.value) == reason
     assert InvalidInput("file", found=caught.value).found == reason
+
+
+def test_a_long_text_of_backslashes_is_an_error_at_once():
+    """Texts of strangers are cut before their closing quote; the search for it had no end."""
+    found = repr("\\\n" * 400)
+    assert len(str(InvalidInput("name", found=found, expected="a name"))) < 400

@@ -99,7 +99,7 @@ FULL: Final = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))  # no space
 # Strings that are values, not phrases: a quoted text, a length or a range with its unit.
 _NUMBER: Final = r"[-+]?[\d.]+(e[-+]?\d+)?"
 _VALUE: Final = re.compile(
-    r"""(['"])(\\.|(?!\1).)*\1|"""
+    r"""(['"])(\\.|(?!\1)[^\\])*\1|"""
     rf"{_NUMBER}( to {_NUMBER})?( ?([cm]?m|deg|m?rad|m?s|kg|px|MB|[cm]?m/s|%))?",
     re.DOTALL,
 )

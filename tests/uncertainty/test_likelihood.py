@@ -200,8 +200,10 @@ def test_the_cameras_noise_is_that_of_frames_at_even_times():
     assert found.angle_rad == pytest.approx(NOISE.angle_rad, rel=0.4)
 
 
-def test_noise_of_measured_starts_is_integrated_over_the_starts():
+@pytest.mark.parametrize("together", [1, 10])
+def test_noise_of_measured_starts_is_integrated_over_the_starts(together, monkeypatch):
     """Compared with weighted simulations from drawn starts, and with the full covariance."""
+    monkeypatch.setattr("fixel.uncertainty.likelihood.TOGETHER", together)
     exact, n = measured(seed=2, truth=np.array([0.4, 0.035, 1e-4])), 3000
     sd, rng = NOISE.standard_deviations, np.random.default_rng(4)
     targets = [

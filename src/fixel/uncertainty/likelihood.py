@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import Final, final
 
 import numpy as np
@@ -39,7 +40,9 @@ MAX_ROLLOUTS: Final = 4096
 # Maximum number of frames per experiment; of more, every second, third, ... from the last is used.
 MAX_FRAMES: Final = 400
 
-# Fit of measured starts with the parameters.
+# Fit of measured starts with the parameters, and number of experiments that are fitted together:
+# its cost grows with the square of that number.
+TOGETHER: Final = 10
 START_FIT: Final = LeastSquares(
     loss="soft_l1", width=3.0, differences="central", difference=0.2, most_iterations=30
 )
@@ -134,16 +137,15 @@ class LogLikelihood:
         the fitted starts: likely ones are near these, and their effects are almost linear.
         """
         space, n, p = self.comparer.space, len(self.members), len(self._columns)
-        targets = [self.comparer.targets[m] for m in self.members]
-        measured = [target.starts_measured for target in targets]
+        measured = [self.comparer.targets[m].starts_measured for m in self.members]
         if not camera or not any(measured) or any(u.name in STARTS for u in space.free):
             return
         shifted = ShiftModel(self.comparer)
         starts = np.array([[shifted.columns[m][name] for name in STARTS] for m in self.members])
         sd = np.outer(measured, camera.standard_deviations)
-        count = [len(target.pose) / len(shifted.instants[m])
-                 for m, target in zip(self.members, targets, strict=True)]  # fmt: skip
-        weight = np.sqrt(count)[:, None] / (MM * camera.standard_deviations)
+        instants = [len(shifted.instants[m]) for m in self.members]
+        weight = np.sqrt(self.comparer.length(self.members) / instants)
+        weight = weight[:, None] / (MM * camera.standard_deviations)
         self._simulated, self._columns = self.comparer.over(shifted.space), shifted.free
         self._base = np.tile(shifted.space.nominal, (n, 1))
 
@@ -154,29 +156,26 @@ class LogLikelihood:
             rows[np.arange(len(own))[:, None], starts[own]] += shifts * sd[own]
             return rows
 
-        def residuals(points: FloatArray) -> FloatArray:
-            """Residuals (k, m) of points (k, p + 3 n), which have many simulations in common."""
-            table = np.zeros((len(points), n, p + 4))
-            table[:, :, 0], table[:, :, 1 : 1 + p] = np.arange(n), points[:, None, :p]
-            table[:, :, 1 + p :] = points[:, p:].reshape(-1, n, 3)
-            once, place = np.unique(table.reshape(-1, p + 4), axis=0, return_inverse=True)
-            k = once[:, 0].astype(np.int64)
-            rows = rows_of(k, once[:, 1 : 1 + p], once[:, 1 + p :])
-            found = shifted.differences(np.column_stack((self.members[k], rows)))
-            found = found.reshape(len(k), 3, -1) * weight[k, :, None]
-            return found[place.reshape(-1)].reshape(len(points), -1)
+        def residuals(some: IntArray, points: FloatArray) -> FloatArray:
+            """Residuals (k, m) of some experiments at points (k, p + 3 n)."""
+            k, own = len(points), np.tile(some, len(points))
+            rows = rows_of(own, points[:, :p].repeat(len(some), 0), points[:, p:].reshape(-1, 3))
+            found = shifted.differences(np.column_stack((self.members[own], rows)))
+            return (found.reshape(len(own), 3, -1) * weight[own, :, None]).reshape(k, -1)
 
-        end = np.full(3 * n, 4.0)  # standard deviations
-        low, high = np.append(space.low, -end), np.append(space.high, end)
-        scale = np.append(0.05 * space.scale, np.ones(3 * n))
-        box = SearchBox(low, high, np.append(point, np.zeros(3 * n)), scale)
-        prior = NormalPrior(mean=np.zeros(p + 3 * n), sd=np.append(np.full(p, math.inf), end / 4.0))
-        best = fit(START_FIT.start(box, prior=prior), residuals).point
-        values, shifts = best[:p], best[p:].reshape(n, 3)
+        values, shifts = np.zeros((n, p)), np.zeros((n, 3))
+        for some in np.array_split(np.arange(n), math.ceil(n / TOGETHER)):
+            end = np.full(3 * len(some), 4.0)  # standard deviations
+            low, high = np.append(space.low, -end), np.append(space.high, end)
+            scale = np.append(0.05 * space.scale, np.ones(end.size))
+            box = SearchBox(low, high, np.append(point, 0.0 * end), scale)
+            prior = NormalPrior(mean=box.start, sd=np.append(np.full(p, math.inf), end / 4.0))
+            best = fit(START_FIT.start(box, prior=prior), partial(residuals, some)).point
+            values[some], shifts[some] = best[:p], best[p:].reshape(-1, 3)
         # The change by a standard deviation, from half of it to either side.
         own = np.repeat(np.arange(n), 6)
         sides = np.tile(np.kron(np.eye(3), [[0.5], [-0.5]]), (n, 1))
-        rows = rows_of(own, np.tile(values, (6 * n, 1)), shifts[own] + sides)
+        rows = rows_of(own, values[own], shifts[own] + sides)
         found, good, _ = self._simulated.differences(self.members[own], rows)
         found = found.reshape(n, 3, 2, -1, 3)
         change = np.moveaxis(found[:, :, 0] - found[:, :, 1], 1, -1)
