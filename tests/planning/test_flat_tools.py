@@ -39,9 +39,7 @@ class Push:
         )
         choose = FreePushes(tool=tool, length=(1 * mm, 150 * mm))
         self.scene = choose.prepared(Scene(bodies=(body,), duration=1.0))
-        self.simulator = simulator_of(
-            self.scene, GOAL, choose, Belief(), None, None, threads
-        )  # fmt: skip
+        self.simulator = simulator_of(self.scene, GOAL, choose, Belief(), None, None, threads)
         self.planned = self.simulator.planned(np.array(push, float)[None, None])
         self.end = self.planned.nominal.pose[0, -1]
         off = self.end - np.asarray(pose)
@@ -88,9 +86,7 @@ def test_after_a_short_way_the_error_is_no_larger_than_without_a_face():
 @pytest.mark.parametrize("contact", [FACE, 0.82])
 def test_errors_after_pushes_by_a_round_tool_keep_their_bits(contact):
     push = Push(ROUND, (contact, 0.1, 40 * mm))
-    off = push.end - 0.0
-    motion = np.hypot(*off[:2]) + ARM * np.abs(off[2])
-    error = (SCALE * np.clip(motion / USUAL, 0.2, 3.0)) * MISFIT
+    error = (SCALE * np.clip(push.motion / USUAL, 0.2, 3.0)) * MISFIT
     found = push.errors() + push.end
     np.testing.assert_allclose(found - push.end, error, rtol=1e-12, atol=1e-16)
     drawn = Belief().scenarios(push.scene, worlds=4, runs=1)
@@ -98,7 +94,7 @@ def test_errors_after_pushes_by_a_round_tool_keep_their_bits(contact):
     which = np.zeros(4, int)
     exact = push.simulator.run(push.planned, which, drawn._replace(misfit=np.zeros((4, 3))))
     some = push.simulator.run(push.planned, which, drawn)
-    size = EndError(SCALE, USUAL).deviation(np.full(4, motion))
+    size = EndError(SCALE, USUAL).deviation(np.full(4, push.motion))
     np.testing.assert_array_equal(some.pose[:, -1], exact.pose[:, -1] + size[:, None] * MISFIT)
 
 
@@ -145,7 +141,7 @@ def test_corrections_expect_the_error_that_plans_have():
 
 
 def test_faces_that_are_apart_or_tilted_do_not_lie_on_each_other():
-    """By 0.2 mm, or by 4 mrad about a corner of the tool that touches."""
+    """A part 0.2 mm off, or tilted by 4 mrad about a corner that touches, has no normal."""
     push = Push(FLAT, (FACE, 0.0, 40 * mm))
     path = push.planned.path[:, 0]
     drawn = Belief().scenarios(push.scene, worlds=4, runs=1)
