@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 from unittest.mock import patch
 
 from benchmarks.figures import Figure, Size, at_most
+from fixel.calibration.usual_parameters import searched_unknowns
 from fixel.database.project import Project
 from fixel.formats.recording import RIG_FILE, SCENE_FILE
 from fixel.formats.rig_file import rig_of
@@ -34,7 +35,6 @@ from fixel.workflows.bench.estimates import LiveAnswer, estimate_rows
 from fixel.workflows.bench.judge import track_attempt
 from fixel.workflows.bench.loop import Background
 from fixel.workflows.bench.run import open_bench
-from fixel.workflows.calibration.request import searched_unknowns
 
 TRACKED_WITHIN = ESTIMATED_WITHIN = 10.0  # [s]
 TRAVEL, QUICK = 0.12, 0.06  # [m], [m/s]

@@ -25,14 +25,13 @@ from fixel.calibration.noise import Noise
 from fixel.calibration.objective import ANGLE_SCALE, Comparer
 from fixel.calibration.study import box_of
 from fixel.calibration.target import targets_of
-from fixel.calibration.usual_parameters import default_unknowns
+from fixel.calibration.usual_parameters import default_unknowns, searched_unknowns
 from fixel.model import Experiment, PlannedExperiment
 from fixel.model.space import ParameterSpace
 from fixel.sampling.published import thesis_plan
 from fixel.simulation import Dynamic
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.typing import FloatArray
-from fixel.workflows.calibration.request import searched_unknowns
 
 # Seeds from here on were never looked at while the method was chosen; that used those from 1.
 FIRST_SEED: Final = 7001

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from tests.fixtures import project_of
 
+from fixel.calibration.usual_parameters import searched_unknowns
 from fixel.model.selection import ExperimentQuery
 from fixel.workflows import jobs
 from fixel.workflows.calibration import calibration
@@ -13,12 +14,7 @@ from fixel.workflows.calibration.execution import (
     select_experiments,
 )
 from fixel.workflows.calibration.plan import CalibrationPlan, plan_in
-from fixel.workflows.calibration.request import (
-    CalibrationRequest,
-    NamedOptions,
-    options_of,
-    searched_unknowns,
-)
+from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions, options_of
 from fixel.workflows.calibration.stored import add_to_project
 from fixel.workflows.capabilities import CAPABILITIES
 from fixel.workflows.capabilities import prepare as prepare_job

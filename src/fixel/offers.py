@@ -116,7 +116,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     "saved classes": {
         "fixel.calibration.known_pushes": "KnownPushes",
         "fixel.calibration.noise": "Noise",
-        "fixel.calibration.result": "CalibrationResult ParameterSet",
+        "fixel.calibration.result": "CalibratedValues CalibrationResult ParameterSet",
         "fixel.calibration.study": "Trace",
         "fixel.calibration.target": "Target",
         "fixel.datasets.experiments": "ExperimentEntry Experiments",
@@ -172,7 +172,6 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "fixel.uncertainty.run_to_run": "RunToRun",
         "fixel.workflows.calibration.calibration": "Calibration Calibrations",
         "fixel.workflows.calibration.request": "CalibrationRequest NamedOptions",
-        "fixel.workflows.calibration.stored": "CalibratedValues",
         "fixel.workflows.planning.request": "FoundPlan PlanFile PlanRequest",
         "fixel.workflows.project.compare": "PathComparison RunComparison",
         "fixel.workflows.project.comparison": "ComparedModel Comparison",

@@ -9,6 +9,7 @@ from tests import calibrating as calibrations
 from tests.fixtures import project_of
 from tests.jobs.helpers import blocks_written, names_in
 
+from fixel.calibration.usual_parameters import searched_unknowns
 from fixel.jobs import folder as files
 from fixel.jobs.coordinator import coordinate
 from fixel.jobs.work import LocalEngine, block_name
@@ -17,7 +18,7 @@ from fixel.sampling.published import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing.toy_work import MAKER, make_toy_work
 from fixel.workflows.calibration.plan import outcome_bytes, outcome_of
-from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions, searched_unknowns
+from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 from fixel.workflows.jobs import prepare_job
 
 

@@ -12,17 +12,23 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
+from functools import cached_property
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.calibration.noise import correlation_time
+from fixel.calibration.objective import ERRORS, AbstractError, MeanSquare
 from fixel.calibration.optimiser import Best
 from fixel.calibration.study import Trace
 from fixel.errors import InvalidInput
+from fixel.model import Experiment
 from fixel.model.fields import non_negative, positive, settle
-from fixel.model.records import Estimate, Evaluations, ProfileRecord
+from fixel.model.parameters import is_parameter
+from fixel.model.records import CalibrationRecord, Estimate, Evaluations, ProfileRecord
+from fixel.model.space import meets, split_label
+from fixel.simulation.motion import AbstractMotionModel, motion_model
 from fixel.typing import FloatArray
 
 
@@ -338,3 +344,53 @@ def near_best(tried: Evaluations, series: Sequence[FloatArray]) -> NearOptimal |
     count = 3.0 * sum(map(len, series)) / correlation_time(series)
     rise = rise_of(float(tried.error[finite].min()), count, len(tried.names))
     return near_optimal(np.array(tried.values), np.array(tried.error), rise, names=tried.names)
+
+
+@final
+@dataclass(frozen=True)
+class CalibratedValues:
+    """Calibrated parameters with the method that found them."""
+
+    id: int
+    record: CalibrationRecord
+
+    @property
+    def members(self) -> frozenset[int]:
+        """Ids of the experiments of the calibration."""
+        return frozenset(member.experiment_id for member in self.record.members)
+
+    @property
+    def is_for_several(self) -> bool:
+        """Whether a single set of parameters was calibrated to several experiments."""
+        how = self.record.method.get("how")
+        return len(self.record.members) > 1 and how not in (FitKind.ALONE, FitKind.NEIGHBOUR)
+
+    @cached_property
+    def motion(self) -> AbstractMotionModel:
+        """Motion model of the calibration, or its engine."""
+        return motion_model(self.record.motion or None)
+
+    @cached_property
+    def error(self) -> AbstractError:
+        """Error that the calibration minimised."""
+        method = self.record.method
+        kind = next((own for own in ERRORS if own.name == method.get("error")), MeanSquare)
+        options = {field.name: method.get(f"error.{field.name}") for field in fields(kind)}
+        return kind(**{name: float(value) for name, value in options.items() if value is not None})
+
+    def values(self, conditions: Mapping[str, str | float]) -> dict[str, float]:
+        """Return the parameters for an experiment under these conditions, by name [SI].
+
+        Conditions include the experiment's key as `"experiment"`.
+        """
+        found: dict[str, float] = {}
+        for label, value in self.record.best_fit.items():
+            name, where = split_label(label)
+            if meets(conditions, where):
+                found.setdefault(name, value)  # the first that applies, as in `values_under`
+        return found
+
+    def values_for(self, experiment: Experiment) -> dict[str, float]:
+        """Return the parameters for an experiment that this version knows, by name [SI]."""
+        values = self.values({**experiment.conditions, "experiment": experiment.key})
+        return {name: value for name, value in values.items() if is_parameter(name)}

@@ -1,7 +1,8 @@
-"""Parameters that a calibration searches by default, with their usual bounds."""
+"""Parameters that a calibration searches: the usual ones with their bounds, and stated ones."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
@@ -9,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from fixel.calibration.target import Target
-from fixel.errors import InvalidInput, unknown_name
+from fixel.errors import InvalidInput, number_of, unknown_name
 from fixel.model import (
     Disk,
     Ellipsoid,
@@ -22,7 +23,7 @@ from fixel.model import (
 )
 from fixel.model.fields import instance, texts
 from fixel.model.parameters import KNOWN_PARAMETERS, in_si, info_of
-from fixel.model.space import Parameter, ParameterSpace, Unknown, split_label
+from fixel.model.space import Parameter, ParameterSpace, Unknown, check_once, split_label
 from fixel.simulation.load_profile import TABLE_NAMES
 from fixel.table import Table
 
@@ -307,3 +308,61 @@ def _reach(scene: Scene) -> float:
     if isinstance(shape, Disk):
         return float(shape.radius + np.hypot(*body.com))
     return float(np.hypot(*(shape.outline - body.com).T).max())
+
+
+# --- parameters as options state them ------------------------------------------------------------
+
+# Other unit, name of the SI unit, and bound beyond which values are in another unit.
+_TOO_FAR: Final = {"m": ("_mm", "metres", 1.0), "rad": ("_deg", "radians", math.pi)}
+
+
+def searched_unknowns(settings: Sequence[str], scenes: Sequence[Scene]) -> list[Unknown]:
+    """Parse `--fit NAME`, `--fit NAME=LOW:HIGH` or `--fit NAME=LOW:HIGH:START`, in SI units or
+    with the unit in the name: `tripod_radius_mm=10:60`."""
+    found = [_fit(setting, scenes) for setting in settings]
+    check_once("fit", [unknown.name for unknown in found])
+    return found
+
+
+def _fit(setting: str, scenes: Sequence[Scene]) -> Unknown:
+    where, name, factor, limits = _stated("fit", setting)
+    if not limits:
+        return usual_in(name, scenes)
+    numbers = [factor * number_of(text, where) for text in limits.split(":")]
+    if len(numbers) not in (2, 3):
+        raise InvalidInput(where, found=repr(limits), expected="LOW:HIGH or LOW:HIGH:START")
+    low, high = numbers[0], numbers[1]
+    unknown = usual_in(name, scenes, (low, high))
+    if unknown.unit in _TOO_FAR:
+        ending, word, limit = _TOO_FAR[unknown.unit]
+        if max(abs(low), abs(high)) > max(limit, 2.0 * abs(unknown.low), 2.0 * abs(unknown.high)):
+            raise InvalidInput(
+                where,
+                found=f"{low:g} to {high:g} {unknown.unit}",
+                expected=f"bounds in {word}, such as {unknown.low:g} to {unknown.high:g}",
+                hint=f"write {unknown.name}{ending}=LOW:HIGH for other units",
+            )
+    nominal = numbers[2] if len(numbers) == 3 else unknown.nominal
+    return replace(unknown, low=low, high=high, nominal=nominal, scale=None)
+
+
+def fixed_unknowns(settings: Sequence[str]) -> list[Unknown]:
+    """Parse `--set NAME=VALUE` into parameters that are fixed at a value."""
+    found = []
+    for setting in settings:
+        where, name, factor, text = _stated("fixed", setting)
+        value = number_of(text, where, f"a number, as in {where.partition(' ')[2]}=0.3")
+        found.append(Unknown.fixed(name, factor * value))
+    check_once("fixed", [unknown.name for unknown in found])
+    return found
+
+
+def _stated(option: str, setting: str) -> tuple[str, str, float, str]:
+    """Return where `NAME=...` is stated, the parameter, its factor to SI, and what follows."""
+    written, _, text = setting.partition("=")
+    name, factor = in_si(written.strip())
+    try:
+        info_of(name)
+    except InvalidInput as problem:
+        raise problem.at(option + problem.where.removeprefix("parameters")) from None
+    return f"{option} {written}", name, factor, text

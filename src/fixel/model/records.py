@@ -336,6 +336,11 @@ class CalibrationRecord(Comparable):
         return str(self.method.get("error_unit", "mm^2"))
 
     @property
+    def misfit(self) -> list[str]:
+        """Warning that the model is wrong, by sentences; empty if it is not."""
+        return str(self.method.get("misfit", "")).splitlines()
+
+    @property
     def errors(self) -> tuple[float, ...]:
         """Errors of the members in the unit of the minimised error."""
         squares = [member.error_mm2 for member in self.members]

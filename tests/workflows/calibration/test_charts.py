@@ -8,6 +8,7 @@ import pytest
 from tests import calibrating as run
 from tests.fixtures import project_of
 
+from fixel.calibration.usual_parameters import searched_unknowns
 from fixel.errors import InvalidInput
 from fixel.model.records import Estimate, ProfileRecord
 from fixel.model.selection import ExperimentQuery
@@ -16,7 +17,7 @@ from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views import calibration_views
 from fixel.workflows.analysis import write_picture
 from fixel.workflows.calibration.report import _ChartData, pictures_of
-from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions, searched_unknowns
+from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 
 PLANNED = thesis_plan().experiments
 QUICK = NamedOptions(name="pattern-search", options={"threshold_delta": 0.2})

@@ -11,6 +11,7 @@ from tests import calibrating as run
 from tests.fixtures import project_of
 
 from fixel.calibration.target import scene_of
+from fixel.calibration.usual_parameters import searched_unknowns
 from fixel.model import Parameters
 from fixel.model.selection import ExperimentQuery
 from fixel.sampling.published import thesis_plan
@@ -18,12 +19,7 @@ from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views.calibration_views import load_detail
 from fixel.web.views.live_comparison import LiveComparison
 from fixel.workflows.calibration.report import pictures_of
-from fixel.workflows.calibration.request import (
-    CalibrationRequest,
-    NamedOptions,
-    enlarged_command,
-    searched_unknowns,
-)
+from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions, enlarged_command
 from fixel.workflows.calibration.stored import load_values, searched_space
 from fixel.workflows.demo.laboratory_demo import _compared_with_truth
 from fixel.workflows.report.sections import calibration_warnings, parameters_section

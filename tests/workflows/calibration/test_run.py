@@ -14,7 +14,7 @@ from tests.fixtures import project_of, refused
 
 from fixel.calibration import search
 from fixel.calibration.objective import outliers
-from fixel.calibration.usual_parameters import default_unknowns
+from fixel.calibration.usual_parameters import default_unknowns, fixed_unknowns, searched_unknowns
 from fixel.database.project import Project
 from fixel.errors import InvalidInput
 from fixel.jobs.work import StopRequest
@@ -31,11 +31,8 @@ from fixel.workflows.calibration.request import (
     CalibrationRequest,
     NamedOptions,
     command_of,
-    fixed_unknowns,
     options_of,
-    read_space,
     read_targets,
-    searched_unknowns,
     target_files,
 )
 from fixel.workflows.calibration.stored import load_values, searched_space
@@ -371,37 +368,6 @@ def test_a_table_may_be_searched_under_even_pressure(chosen):
     found = searched_unknowns(TABLE_NAMES, [replace(scene, bodies=(body,))])
     assert [u.name for u in found] == list(TABLE_NAMES)
     assert all(u.low == -u.high and u.nominal == 0.0 for u in found)
-
-
-def test_a_space_file(tmp_path):
-    file = tmp_path / "space.yaml"
-    file.write_text(
-        "mu_pusher: {low: 0, high: 1, start: 0.2}\n"
-        "tripod_radius_mm: {low: 10, high: 60, start: 40, prior: 5}\n"
-        "mu_fixel: {low: 0, high: 1, start: 0.2, frozen: true}\n"
-        "mu_support:\n"
-        "  - {low: 0, high: 1, start: 0.2, where: {surface: abs}}\n"
-        "  - {low: 0, high: 1, start: 0.3}\n"
-    )
-    space = read_space(file)
-    assert space.labels == ("mu_pusher", "tripod_radius", "mu_support[surface=abs]", "mu_support")
-    assert space.free[1].prior == pytest.approx(5e-3)
-
-
-@pytest.mark.parametrize(("content", "said"), [
-    ("[1, 2]", "no parameters"),
-    ("mu_pusher: 3", "low, high, start"),
-    ("mu_pusher: {low: 0, high: 1}", "space.yaml: mu_pusher.start is missing"),
-    ("mu_pusher: {low: , high: 1, start: 0.2}", "mu_pusher.low is missing"),
-    ("mu_pusher: {low: 0, high: 1, start: 2}", "outside the bounds"),
-    ("mu_pusher: {low: 0, high: x, start: 0.2}", "mu_pusher.high is 'x'"),
-    ("mu_pusher: {low: 0, high: 1, start: 0.2, frozen: no}", "mu_pusher.frozen is 'no'"),
-    ("mu_pushr: {low: 0, high: 1, start: 0.2}", "did you mean 'mu_pusher'"),
-])  # fmt: skip
-def test_space_files_that_cannot_be(tmp_path, content, said):
-    file = tmp_path / "space.yaml"
-    file.write_text(content)
-    refused(read_space, file, match=said)
 
 
 def test_the_command_for_the_same_calibration_says_all_of_it(chosen):

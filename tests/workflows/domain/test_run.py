@@ -8,6 +8,7 @@ from tests.fixtures import calibration_record, project_of, refused
 
 from fixel.calibration.objective import Comparer, Evaluation, MeanSquare, RootMeanSquare
 from fixel.calibration.target import targets_of
+from fixel.calibration.usual_parameters import searched_unknowns
 from fixel.domain.cells import coordinates_of, label_of
 from fixel.domain.held_out import Apart, CalibrationModel, held_out, noise_floor, stepper_for
 from fixel.errors import InvalidInput
@@ -17,7 +18,6 @@ from fixel.sampling.published import thesis_plan
 from fixel.simulation import Dynamic
 from fixel.simulation.stepping import Adaptive
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.workflows.calibration.request import searched_unknowns
 from fixel.workflows.domain.evidence import ProjectRequest, own_best, stored_model
 from fixel.workflows.domain.run import DOMAIN, map_stored
 

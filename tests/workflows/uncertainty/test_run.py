@@ -15,12 +15,12 @@ from typer.testing import CliRunner
 
 import fixel
 from fixel.calibration.noise import Noise
+from fixel.calibration.result import CalibratedValues
 from fixel.cli.main import app
 from fixel.database.project import Project
 from fixel.errors import InvalidInput, NotStored
 from fixel.model.records import Estimate
 from fixel.workflows.analysis import load_analyses
-from fixel.workflows.calibration.stored import CalibratedValues
 from fixel.workflows.capabilities import run
 from fixel.workflows.uncertainty import report
 from fixel.workflows.uncertainty.run import UNCERTAINTY

@@ -35,7 +35,6 @@ from fixel.workflows.calibration.plan import plan_in
 from fixel.workflows.calibration.request import command_of
 from fixel.workflows.calibration.stored import (
     add_to_project,
-    misfit_of,
     stored_calibration,
     stored_in_run,
 )
@@ -160,7 +159,7 @@ def load_detail(project: Project, store: Store, calibration_id: int) -> StoredCa
         residuals=residuals,
         worst=residuals[:WORST],
         objective=None if tried is None or not len(tried.error) else tried.error / share,
-        misfit=misfit_of(record),
+        misfit=record.misfit,
         ended=str(method.get("ended", "")),
         method={k: v for k, v in method.items() if isinstance(v, str) or math.isfinite(v)},
         complete=fit is not None,
@@ -211,7 +210,7 @@ def _of_record(record: CalibrationRecord, note: str = "") -> dict[str, Any]:
         title=record.name,
         question={},
         headline=(record.name,),
-        warnings=(*misfit_of(record), note),
+        warnings=(*record.misfit, note),
         tables=(estimate_table(estimates, None),),
         notes=tuple(f"{own.label}: {own.reason}" for own in estimates if own.reason),
     )

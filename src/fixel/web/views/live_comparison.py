@@ -12,7 +12,7 @@ from typing import Final, Literal, final
 import numpy as np
 from pydantic import Field
 
-from fixel.calibration.result import FitKind
+from fixel.calibration.result import CalibratedValues, FitKind
 from fixel.calibration.target import scene_of, target_of
 from fixel.calibration.usual_parameters import default_unknowns, usual_unknown
 from fixel.database.store import Store
@@ -28,7 +28,7 @@ from fixel.simulation.simulate import INSTANT, get_ready
 from fixel.simulation.stepping import Adaptive
 from fixel.web.values import Answer, Finite
 from fixel.web.views.motion_views import MotionView, compared_motion, stored_motion
-from fixel.workflows.calibration.stored import CalibratedValues, known_pushes
+from fixel.workflows.calibration.stored import known_pushes
 from fixel.workflows.project.compare import RunComparison, compare_run
 
 DYNAMIC: Final = "dynamic"

@@ -34,7 +34,7 @@ from fixel.calibration.profile_branch import Slice
 from fixel.calibration.search import with_assessment
 from fixel.calibration.study import run_study
 from fixel.calibration.target import Target
-from fixel.calibration.usual_parameters import Space
+from fixel.calibration.usual_parameters import Space, searched_unknowns
 from fixel.calibration.verdict import judge
 from fixel.errors import InvalidInput, check_name, unknown_name
 from fixel.model import Experiment, PlannedExperiment
@@ -46,7 +46,6 @@ from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.units import deg, displayed, mm, mrad, um
 from fixel.workflows.calibration.calibration import Calibration
-from fixel.workflows.calibration.request import searched_unknowns
 from fixel.workflows.calibration.run import calibrate
 
 AHEAD: Final = 5  # rows after which the intervals are predicted

@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, final
 
+from fixel.calibration.usual_parameters import searched_unknowns
 from fixel.database.project import Project
 from fixel.errors import DeviceFailed, FixelError, InvalidInput, JobRefused
 from fixel.formats.recording import RIG_FILE, SCENE_FILE, VIDEO
@@ -38,7 +39,6 @@ from fixel.workflows.bench.campaign import Attempt, Campaign
 from fixel.workflows.bench.devices import NO_ZERO, BenchDevices
 from fixel.workflows.bench.estimates import LiveAnswer, estimate_rows
 from fixel.workflows.bench.judge import TrackedAttempt, track_attempt
-from fixel.workflows.calibration.request import searched_unknowns
 
 LEAD: Final = 0.5  # [s] of recording before the push
 REST: Final = 0.8  # [s] of recording after it

@@ -16,11 +16,17 @@ from typing import TYPE_CHECKING, Any, Final, final
 from fixel.calibration.result import FitKind, ParameterSet, found_of
 from fixel.calibration.search import VERDICTS, CalibrationSearch, CalibrationTask
 from fixel.calibration.target import Target, spread_sample, target_of, targets_of
-from fixel.calibration.usual_parameters import Space, default_unknowns, search_space
+from fixel.calibration.usual_parameters import (
+    Space,
+    default_unknowns,
+    fixed_unknowns,
+    search_space,
+    searched_unknowns,
+)
 from fixel.database.project import SETTINGS, Project, check_known_names
 from fixel.database.store import Store
 from fixel.errors import FixelError, Interrupted, InvalidInput, no_experiments
-from fixel.formats.dakota_file import load_dakota
+from fixel.formats.space_file import load_dakota, read_space
 from fixel.io.array_bytes import arrays_of
 from fixel.io.journal import read_journal
 from fixel.jobs import folder as files
@@ -41,14 +47,7 @@ from fixel.workflows.calibration.plan import (
     outcome_of,
     rounds,
 )
-from fixel.workflows.calibration.request import (
-    NamedOptions,
-    fixed_unknowns,
-    named_options,
-    options_of,
-    read_space,
-    searched_unknowns,
-)
+from fixel.workflows.calibration.request import NamedOptions, named_options, options_of
 from fixel.workflows.calibration.stored import add_to_project
 
 if TYPE_CHECKING:

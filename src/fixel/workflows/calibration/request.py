@@ -1,15 +1,10 @@
-"""Input of a calibration, as stored in its job folder: parameters, methods and experiments.
-
-Parameters are stated by `--fit` and `--set`, or in a file; commands and calls repeat a request.
-"""
+"""Input of a calibration, as stored in its job folder: parameters, methods and experiments."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Self, TypeVar, get_args
@@ -29,17 +24,13 @@ from fixel.calibration.objective import (
     lengths_of,
 )
 from fixel.calibration.target import Target
-from fixel.calibration.usual_parameters import usual_in
-from fixel.errors import InvalidInput, check_name, number_of
-from fixel.formats.records import arguments, record_of, validated, within
+from fixel.errors import InvalidInput, check_name
 from fixel.formats.scene_file import SceneRecord, scene_content, scene_of
 from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.io.atomic import readable
-from fixel.io.document import document
-from fixel.model import Scene
 from fixel.model.fields import name_of
-from fixel.model.parameters import in_si, info_of
-from fixel.model.space import SHARE_OF_RANGE, ParameterSpace, Unknown, check_once
+from fixel.model.parameters import in_si
+from fixel.model.space import SHARE_OF_RANGE, ParameterSpace, Unknown
 from fixel.registry import offered
 from fixel.simulation.motion import AbstractMotionModel, motion_model
 from fixel.simulation.rollouts import RolloutCase
@@ -313,105 +304,14 @@ def read_targets(folder: Path) -> list[Target]:
         ]
 
 
-# --- parameters as commands and files state them --------------------------------------------------
+# --- options of a stored request ----------------------------------------------------------------
 
-# Other unit, name of the SI unit, and bound beyond which values are in another unit.
-_TOO_FAR: Final = {"m": ("_mm", "metres", 1.0), "rad": ("_deg", "radians", math.pi)}
 # Functions that begin a run of another mode than joint or stored.
 FUNCTIONS: Final = {"each": "calibrate_each", "campaign": "calibrate_campaign"}
 # Parameters that let a wrong model fit better: pressure is hardly ever centred...
 CENTRE: Final = ("friction_centre_x", "friction_centre_y")
 PRESSURE: Final = "pressure_spread"  # ... and hardly ever on a tripod
 IDEAL: Final = ("tripod_radius", "ellipsoid_force", "ellipsoid_torque")  # replaced by PRESSURE
-
-
-def searched_unknowns(settings: Sequence[str], scenes: Sequence[Scene]) -> list[Unknown]:
-    """Parse `--fit NAME`, `--fit NAME=LOW:HIGH` or `--fit NAME=LOW:HIGH:START`, in SI units or
-    with the unit in the name: `tripod_radius_mm=10:60`."""
-    found = [_fit(setting, scenes) for setting in settings]
-    check_once("fit", [unknown.name for unknown in found])
-    return found
-
-
-def _fit(setting: str, scenes: Sequence[Scene]) -> Unknown:
-    written, _, limits = setting.partition("=")
-    name, factor = _named("fit", written)
-    if not limits:
-        return usual_in(name, scenes)
-    where = f"fit {written}"
-    numbers = [factor * number_of(text, where) for text in limits.split(":")]
-    if len(numbers) not in (2, 3):
-        raise InvalidInput(where, found=repr(limits), expected="LOW:HIGH or LOW:HIGH:START")
-    low, high = numbers[0], numbers[1]
-    unknown = usual_in(name, scenes, (low, high))
-    if unknown.unit in _TOO_FAR:
-        ending, word, limit = _TOO_FAR[unknown.unit]
-        if max(abs(low), abs(high)) > max(limit, 2.0 * abs(unknown.low), 2.0 * abs(unknown.high)):
-            raise InvalidInput(
-                where,
-                found=f"{low:g} to {high:g} {unknown.unit}",
-                expected=f"bounds in {word}, such as {unknown.low:g} to {unknown.high:g}",
-                hint=f"write {unknown.name}{ending}=LOW:HIGH for other units",
-            )
-    nominal = numbers[2] if len(numbers) == 3 else unknown.nominal
-    return replace(unknown, low=low, high=high, nominal=nominal, scale=None)
-
-
-def fixed_unknowns(settings: Sequence[str]) -> list[Unknown]:
-    """Parse `--set NAME=VALUE` into parameters that are fixed at a value."""
-    found = []
-    for setting in settings:
-        written, _, text = setting.partition("=")
-        name, factor = _named("fixed", written)
-        value = factor * number_of(text, f"fixed {written}", f"a number, as in {written}=0.3")
-        found.append(Unknown.fixed(name, value))
-    check_once("fixed", [unknown.name for unknown in found])
-    return found
-
-
-def _named(option: str, written: str) -> tuple[str, float]:
-    """Return name and factor of a parameter; raise at its option if there is no such one."""
-    name, factor = in_si(written.strip())
-    try:
-        info_of(name)
-    except InvalidInput as problem:
-        raise problem.at(option + problem.where.removeprefix("parameters")) from None
-    return name, factor
-
-
-def read_space(path: Path) -> ParameterSpace:
-    """Load a space file: YAML or JSON, a mapping from names to low, high and start.
-
-    A name may have a list of these, each for other conditions. Names may end in `_mm`, `_deg` or
-    `_mrad`; otherwise values are SI.
-    """
-    with document(path, "space file") as content:
-        entries = content.get("parameters", content) if isinstance(content, Mapping) else None
-        if not isinstance(entries, Mapping) or not entries:
-            expected = "NAME: {low, high, start}"
-            raise InvalidInput("parameters", found="no parameters", expected=expected)
-        several = {str(k): own if isinstance(own, list) else [own] for k, own in entries.items()}
-        return ParameterSpace(unknowns=tuple(_entry(k, own) for k in several for own in several[k]))
-
-
-_Entry: Final = record_of(
-    Unknown,
-    "parameter",
-    names={"nominal": "start"},
-    leave_out=("name",),
-    where=dict[str, str | float],
-)
-
-
-def _entry(written: str, entry: Any) -> Unknown:
-    name, factor = in_si(written)
-    with within(written, name, "parameters"):
-        own = arguments(validated(_Entry, entry, ""))
-        own = {k: factor * value if isinstance(value, float) else value for k, value in own.items()}
-        return Unknown(name=name, **own)
-
-
-# --- options of a stored request ----------------------------------------------------------------
 
 
 def options_of(request: CalibrationRequest, experiments: Iterable[int | str]) -> dict[str, Any]:

@@ -8,32 +8,36 @@ import math
 from collections import Counter
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final, final, overload
+from typing import Any, Final, overload
 
 import numpy as np
 
 from fixel.calibration.known_pushes import KnownPushes
-from fixel.calibration.objective import ERRORS, AbstractError, MeanSquare, root_mean
-from fixel.calibration.result import CalibrationResult, FitKind, ParameterSet, set_content, set_of
+from fixel.calibration.objective import MeanSquare, root_mean
+from fixel.calibration.result import (
+    CalibratedValues,
+    CalibrationResult,
+    FitKind,
+    ParameterSet,
+    set_content,
+    set_of,
+)
 from fixel.calibration.search import CalibrationSearch
 from fixel.calibration.study import Trace
 from fixel.calibration.target import Target, target_of
-from fixel.calibration.usual_parameters import default_unknowns
+from fixel.calibration.usual_parameters import default_unknowns, searched_unknowns
 from fixel.database.project import DATABASE, Project
 from fixel.database.store import Store
 from fixel.errors import InvalidInput, NotStored, StoreRefused, reason_of
 from fixel.io.atomic import INVALID_CONTENT, readable
 from fixel.jobs.work import Answers, Round
-from fixel.model import Experiment, LoadMap, Parameters, Provenance, Scene
-from fixel.model.parameters import is_parameter
+from fixel.model import LoadMap, Parameters, Provenance, Scene
 from fixel.model.records import CalibrationRecord, Evaluations, Member
-from fixel.model.space import ParameterSpace, Unknown, meets, split_label
+from fixel.model.space import ParameterSpace, Unknown, split_label
 from fixel.simulation.engine_names import EngineName
-from fixel.simulation.motion import AbstractMotionModel, motion_model
 from fixel.simulation.trust import repeatable
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
@@ -45,68 +49,12 @@ from fixel.workflows.calibration.request import (
     NamedOptions,
     command_of,
     options_of,
-    searched_unknowns,
 )
 
 RUN: Final = "run"  # in the method of a record: checksum that all calibrations of a run share
 EARLIER: Final = {"faulty": "flagged"}  # names of options in records of earlier versions
 SEARCHED: Final = "unknowns"  # in the method of earlier records: the parameters, as JSON
 VERSION: Final = 1  # of stored requests; those without one are as of version 1
-
-
-@final
-@dataclass(frozen=True)
-class CalibratedValues:
-    """Calibrated parameters with the method that found them."""
-
-    id: int
-    record: CalibrationRecord
-
-    @property
-    def members(self) -> frozenset[int]:
-        """Ids of the experiments of the calibration."""
-        return frozenset(member.experiment_id for member in self.record.members)
-
-    @property
-    def is_for_several(self) -> bool:
-        """Whether a single set of parameters was calibrated to several experiments."""
-        how = self.record.method.get("how")
-        return len(self.record.members) > 1 and how not in (FitKind.ALONE, FitKind.NEIGHBOUR)
-
-    @cached_property
-    def motion(self) -> AbstractMotionModel:
-        """Motion model of the calibration, or its engine."""
-        return motion_model(self.record.motion or None)
-
-    @cached_property
-    def error(self) -> AbstractError:
-        """Error that the calibration minimised."""
-        method = self.record.method
-        kind = next((own for own in ERRORS if own.name == method.get("error")), MeanSquare)
-        options = {field.name: method.get(f"error.{field.name}") for field in fields(kind)}
-        return kind(**{name: float(value) for name, value in options.items() if value is not None})
-
-    def values(self, conditions: Mapping[str, str | float]) -> dict[str, float]:
-        """Return the parameters for an experiment under these conditions, by name [SI].
-
-        Conditions include the experiment's key as `"experiment"`.
-        """
-        found: dict[str, float] = {}
-        for label, value in self.record.best_fit.items():
-            name, where = split_label(label)
-            if meets(conditions, where):
-                found.setdefault(name, value)  # the first that applies, as in `values_under`
-        return found
-
-    def values_for(self, experiment: Experiment) -> dict[str, float]:
-        """Return the parameters for an experiment that this version knows, by name [SI]."""
-        values = self.values({**experiment.conditions, "experiment": experiment.key})
-        return {name: value for name, value in values.items() if is_parameter(name)}
-
-
-def misfit_of(record: CalibrationRecord) -> list[str]:
-    """Return the warning stored with a calibration that the model is wrong, by sentences."""
-    return str(record.method.get("misfit", "")).splitlines()
 
 
 def load_values(
@@ -380,7 +328,7 @@ def _set_of(record: CalibrationRecord) -> ParameterSet:
         errors=np.array(record.errors),
         trace=trace,
         estimates=record.estimates,
-        misfit=tuple(misfit_of(record)),
+        misfit=tuple(record.misfit),
         misfit_ratio=float(method.get("misfit_ratio", math.nan)),
     )
 

@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from fixel.calibration.objective import ANGLE_SCALE, AbstractError, EndPose, MeanSquare
-from fixel.calibration.result import FitKind
+from fixel.calibration.result import CalibratedValues, FitKind
 from fixel.calibration.target import Target, same_configuration
 from fixel.calibration.usual_parameters import Space, search_space
 from fixel.database.project import ANALYSES, Project
@@ -43,7 +43,6 @@ from fixel.workflows.calibration.execution import select_experiments
 from fixel.workflows.calibration.plan import other_call
 from fixel.workflows.calibration.request import target_files
 from fixel.workflows.calibration.stored import (
-    CalibratedValues,
     known_pushes,
     load_values,
     newest_calibration,

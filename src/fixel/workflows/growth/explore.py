@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 
 from fixel.calibration.objective import Comparer, Evaluation
-from fixel.calibration.result import FitKind
+from fixel.calibration.result import CalibratedValues, FitKind
 from fixel.database.store import Store
 from fixel.domain.along_axis import SIZES, AxisStudies, AxisStudy
 from fixel.domain.growth import (
@@ -34,7 +34,6 @@ from fixel.model.records import CalibrationRecord, Member
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.progress import Reporter
 from fixel.simulation.simulate import get_ready
-from fixel.workflows.calibration.stored import CalibratedValues
 from fixel.workflows.growth.samples import GrowthSamples, read_samples
 
 # Threshold of the thesis, read off figure 6.5 (section 6.3.1) [mm^2].

@@ -16,6 +16,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from fixel.calibration.result import CalibratedValues
 from fixel.database.project import Project
 from fixel.drawing.chart import save_figure
 from fixel.errors import InvalidInput
@@ -27,12 +28,7 @@ from fixel.simulation.trust import repeatable
 from fixel.typing import Notify
 from fixel.workflows.analysis import ENDINGS, StoredAnalysis, load_analyses, new_folder
 from fixel.workflows.calibration.calibration import Calibration
-from fixel.workflows.calibration.stored import (
-    CalibratedValues,
-    load_values,
-    stored_calibration,
-    stored_in_run,
-)
+from fixel.workflows.calibration.stored import load_values, stored_calibration, stored_in_run
 from fixel.workflows.report.sections import (
     Content,
     Figure,

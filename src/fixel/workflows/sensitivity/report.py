@@ -12,6 +12,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from fixel.calibration.result import CalibratedValues
 from fixel.database.project import Project
 from fixel.drawing.sensitivity import indices_chart, sensitivity_chart
 from fixel.errors import InvalidInput
@@ -36,7 +37,7 @@ from fixel.workflows.analysis import (
     banner_over,
     store_analysis,
 )
-from fixel.workflows.calibration.stored import CalibratedValues, load_values, newest_calibration
+from fixel.workflows.calibration.stored import load_values, newest_calibration
 from fixel.workflows.sentences import rounded, sentences
 
 JSON: Final = ("folder", "files")  # what `--json` has besides numbers

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fixel.calibration.result import NearOptimal
+from fixel.calibration.result import CalibratedValues, NearOptimal
 from fixel.database.project import Project
 from fixel.drawing.chart import display_unit
 from fixel.drawing.uncertainty import (
@@ -37,7 +37,6 @@ from fixel.workflows.analysis import (
     banner_over,
     store_analysis,
 )
-from fixel.workflows.calibration.stored import CalibratedValues, misfit_of
 from fixel.workflows.sentences import rounded, sentences
 from fixel.workflows.uncertainty.sampling import ExperimentPrediction, Uncertainty, predicted_by
 
@@ -217,7 +216,7 @@ def _warnings(found: Uncertainty) -> tuple[str, ...]:
         posterior=posterior,
         requested=found.requested,
         number=None if compared is None else compared.id,
-        misfit=[] if compared is None else misfit_of(compared.record)[:1],
+        misfit=[] if compared is None else compared.record.misfit[:1],
         contradictions=[] if compared is None else list(_contradictions(found, compared)),
         own=sum(not one.held_out for one in found.predicted),
         calibrated=0 if compared is None else len(compared.record.members),

@@ -13,7 +13,7 @@ from fixel.calibration.known_pushes import KnownPushes
 from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.noise import Noise, check_noise, noise_from_differences, noise_from_residuals
 from fixel.calibration.objective import Comparer
-from fixel.calibration.result import NearOptimal, near_best
+from fixel.calibration.result import CalibratedValues, NearOptimal, near_best
 from fixel.calibration.study import box_of
 from fixel.calibration.target import Target, target_of
 from fixel.database.project import Project
@@ -29,12 +29,7 @@ from fixel.uncertainty.likelihood import LogLikelihood, camera_noise
 from fixel.uncertainty.posterior import NestedSampling, Posterior
 from fixel.uncertainty.prediction import Prediction
 from fixel.uncertainty.repetition import predict_repetition
-from fixel.workflows.calibration.stored import (
-    CalibratedValues,
-    load_values,
-    newest_calibration,
-    searched_space,
-)
+from fixel.workflows.calibration.stored import load_values, newest_calibration, searched_space
 
 # Noise assumed by the rough fit from which the noise is estimated.
 FIRST_NOISE: Final = Noise(position_m=5e-4, angle_rad=5e-3)

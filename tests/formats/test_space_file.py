@@ -8,7 +8,7 @@ from tests.fixtures import refused
 
 from fixel.calibration import PatternSearch
 from fixel.errors import InvalidInput
-from fixel.formats.dakota_file import DakotaFile, dakota_from_text, load_dakota
+from fixel.formats.space_file import DakotaFile, dakota_from_text, load_dakota, read_space
 
 # Appendix C.7 of the thesis (RPI), with what the printed page lost put back: underscores,
 # minus signs, and the gaps in the bounds.
@@ -169,3 +169,34 @@ def test_files(tmp_path):
     path.write_bytes(b"\xff\xfe method")
     refused(load_dakota, path, match="fixel needs a text file")
     refused(load_dakota, tmp_path)
+
+
+def test_a_space_file(tmp_path):
+    file = tmp_path / "space.yaml"
+    file.write_text(
+        "mu_pusher: {low: 0, high: 1, start: 0.2}\n"
+        "tripod_radius_mm: {low: 10, high: 60, start: 40, prior: 5}\n"
+        "mu_fixel: {low: 0, high: 1, start: 0.2, frozen: true}\n"
+        "mu_support:\n"
+        "  - {low: 0, high: 1, start: 0.2, where: {surface: abs}}\n"
+        "  - {low: 0, high: 1, start: 0.3}\n"
+    )
+    space = read_space(file)
+    assert space.labels == ("mu_pusher", "tripod_radius", "mu_support[surface=abs]", "mu_support")
+    assert space.free[1].prior == pytest.approx(5e-3)
+
+
+@pytest.mark.parametrize(("content", "said"), [
+    ("[1, 2]", "no parameters"),
+    ("mu_pusher: 3", "low, high, start"),
+    ("mu_pusher: {low: 0, high: 1}", "space.yaml: mu_pusher.start is missing"),
+    ("mu_pusher: {low: , high: 1, start: 0.2}", "mu_pusher.low is missing"),
+    ("mu_pusher: {low: 0, high: 1, start: 2}", "outside the bounds"),
+    ("mu_pusher: {low: 0, high: x, start: 0.2}", "mu_pusher.high is 'x'"),
+    ("mu_pusher: {low: 0, high: 1, start: 0.2, frozen: no}", "mu_pusher.frozen is 'no'"),
+    ("mu_pushr: {low: 0, high: 1, start: 0.2}", "did you mean 'mu_pusher'"),
+])  # fmt: skip
+def test_space_files_that_cannot_be(tmp_path, content, said):
+    file = tmp_path / "space.yaml"
+    file.write_text(content)
+    refused(read_space, file, match=said)

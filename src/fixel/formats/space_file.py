@@ -1,7 +1,7 @@
-"""Dakota input files of a pattern search, such as those of the thesis.
+"""Files of the parameters to search: space files, and Dakota input files as in the thesis.
 
-The method `coliny_pattern_search` and one block of continuous design variables are read. Missing
-keywords take Dakota's defaults, not fixel's. Blocks on how Dakota was run are skipped.
+Of Dakota, the method `coliny_pattern_search` and one block of continuous design variables are
+read. Missing keywords take Dakota's defaults. Blocks on how Dakota was run are skipped.
 
 Source: Dakota reference manual, input file formatting and `coliny_pattern_search`; SCOLIB for
 defaults; appendix C.7 of the thesis (RPI).
@@ -10,16 +10,17 @@ defaults; appendix C.7 of the thesis (RPI).
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from fixel.calibration.direct_search import PatternSearch
 from fixel.errors import InvalidInput, did_you_mean, unknown_name
-from fixel.formats.records import within
+from fixel.formats.records import arguments, record_of, validated, within
 from fixel.io.atomic import read_bounded, usable
-from fixel.model.parameters import KNOWN_PARAMETERS, is_parameter
+from fixel.io.document import document
+from fixel.model.parameters import KNOWN_PARAMETERS, in_si, is_parameter
 from fixel.model.space import ParameterSpace, Unknown
 
 MAX_BYTES: Final = 1_000_000
@@ -349,3 +350,35 @@ def _name(descriptor: str, where: str) -> tuple[str, float]:
     if is_parameter(descriptor):
         return descriptor, 1.0
     raise unknown_name(where, descriptor, [*DESCRIPTORS, *KNOWN_PARAMETERS])
+
+
+def read_space(path: Path) -> ParameterSpace:
+    """Load a space file: YAML or JSON, a mapping from names to low, high and start.
+
+    A name may have a list of these, each for other conditions. Names may end in `_mm`, `_deg` or
+    `_mrad`; otherwise values are SI.
+    """
+    with document(path, "space file") as content:
+        entries = content.get("parameters", content) if isinstance(content, Mapping) else None
+        if not isinstance(entries, Mapping) or not entries:
+            expected = "NAME: {low, high, start}"
+            raise InvalidInput("parameters", found="no parameters", expected=expected)
+        several = {str(k): own if isinstance(own, list) else [own] for k, own in entries.items()}
+        return ParameterSpace(unknowns=tuple(_entry(k, own) for k in several for own in several[k]))
+
+
+_Entry: Final = record_of(
+    Unknown,
+    "parameter",
+    names={"nominal": "start"},
+    leave_out=("name",),
+    where=dict[str, str | float],
+)
+
+
+def _entry(written: str, entry: Any) -> Unknown:
+    name, factor = in_si(written)
+    with within(written, name, "parameters"):
+        own = arguments(validated(_Entry, entry, ""))
+        own = {k: factor * value if isinstance(value, float) else value for k, value in own.items()}
+        return Unknown(name=name, **own)
