@@ -55,6 +55,7 @@ def test_rows_and_trouble_are_printed_once_without_a_terminal(capsys, monkeypatc
             show()
 
     show()
+    reports(0.1, row="", number=0)
     for problems in ([], ["no camera"], ["no camera"], [], ["no camera"], ["no drive"], []):
         reports(0.1, problems=problems)
     full = {"name": "disk", "passed": False, "words": "full"}

@@ -96,7 +96,9 @@ def _reporter(session: "BenchSession") -> Callable[[], None]:
         checks = report["checks"] if report["phase"] == "placing" else ()
         words = [f"{own['name']}: {own['words']}" for own in checks if not own["passed"]]
         words = report["problems"] or words
-        before, row = row, f"row {report['number']}/{report['rows']} {report['row']}"
+        before = row
+        if report["row"]:
+            row = f"row {report['number']}/{report['rows']} {report['row']}"
         if terminal:
             line = plain(f"{row}: {report['phase']} {'; '.join(words)}")
             if line != last:
