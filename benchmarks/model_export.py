@@ -25,9 +25,9 @@ from typing import Any
 import numpy as np
 
 import fixel
+from fixel.engine_names import installed_engines
 from fixel.model import Scene, pose_error
 from fixel.simulation import Dynamic
-from fixel.simulation.engine_names import installed_engines
 from fixel.testing.scenes import grasp, pushed_square
 from fixel.typing import FloatArray
 from fixel.uncertainty.start_ensemble import simulate_starts

@@ -19,7 +19,6 @@ from fixel.calibration.known_pushes import (
     PushedContacts,
     TouchedPlaces,
     contacts_of,
-    gaps_and_normals,
 )
 from fixel.datasets.mit_push_records import TIP
 from fixel.domain.error_bound import (
@@ -30,6 +29,7 @@ from fixel.domain.error_bound import (
     min_experiments,
 )
 from fixel.model import wrapped
+from fixel.model.overlap import gaps_and_normals
 from fixel.replay.base import Row
 from fixel.typing import BoolArray, FloatArray, IntArray
 from reproductions.charts.error_bounds import new_sides_figure

@@ -12,10 +12,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fixel.calibration.known_pushes import gaps_and_normals
 from fixel.errors import InvalidInput
 from fixel.model import Shape
 from fixel.model.fields import positive
+from fixel.model.overlap import gaps_and_normals
 from fixel.typing import BoolArray, FloatArray
 
 # Gaps above this belong to pushers that have left the object [m].

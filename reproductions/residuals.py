@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from fixel.calibration.known_pushes import Configurations, contacts_of, gaps_and_normals
+from fixel.calibration.known_pushes import Configurations, contacts_of
 from fixel.datasets.mit_push_records import TIP
 from fixel.domain.features import (
     Features,
@@ -19,6 +19,7 @@ from fixel.domain.features import (
 )
 from fixel.errors import InvalidInput
 from fixel.model import rotated, wrapped
+from fixel.model.overlap import gaps_and_normals
 from fixel.typing import BoolArray, FloatArray, IntArray
 from reproductions.fitting import FittedPushes
 from reproductions.pushes import PushGroup

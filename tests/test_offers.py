@@ -18,7 +18,7 @@ CALLED = [(kind, name) for kind in OFFERS if kind != "saved classes" for name in
 
 @pytest.mark.parametrize(("kind", "name"), CALLED)
 def test_an_offer_can_be_imported(kind, name):
-    assert callable(offered(kind, name)) or kind in ("jobs", "capability")
+    assert callable(offered(kind, name)) or kind in ("jobs", "capability", "programs")
 
 
 def _inside(hint):

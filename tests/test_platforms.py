@@ -49,7 +49,7 @@ class Kernel:
 
 def import_all():
     import fixel
-    from fixel.simulation.engine_names import ENGINES, installed_engines
+    from fixel.engine_names import ENGINES, installed_engines
 
     # An adapter needs its engine, of which Drake is not installed everywhere.
     absent = {

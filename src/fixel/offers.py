@@ -73,6 +73,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "Posterior": "fixel.workflows.uncertainty.report:store_posterior",
         "Sensitivity": "fixel.workflows.sensitivity.report:store_sensitivity",
     },
+    "programs": {"serve": "fixel.simulation.engines.serve"},
     # What methods of a project call.
     "project": {
         "analyses": "fixel.workflows.analysis:load_analyses",

@@ -3,6 +3,8 @@
 import math
 import pickle
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -111,6 +113,17 @@ def test_an_export_of_nothing_or_to_nothing_is_refused(lab, capsys, tmp_path):
 
 def test_a_dry_run_needs_no_project(recording, capsys):
     assert "1 experiment, read as csv" in output(capsys, "import", recording, "--dry-run")
+
+
+def test_a_command_that_simulates_nothing_loads_no_simulator(lab):
+    code = f"""import sys
+from fixel.cli.main import run
+try:
+    run(["list", "--project", {str(lab)!r}])
+except SystemExit:
+    print(sorted({{"alembic", "numba"}} & {{*sys.modules}}))"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
 
 
 def test_a_plan_on_the_simulated_testbed(lab, capsys):

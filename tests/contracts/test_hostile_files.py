@@ -32,6 +32,7 @@ from tests.formats.test_goal_file import FULL
 from tests.formats.test_outline_file import dxf, slot, svg, trimesh
 
 import fixel
+from fixel import trust
 from fixel.database.bundle import export_bundle, import_bundle
 from fixel.database.project import Project
 from fixel.errors import FixelError
@@ -42,7 +43,6 @@ from fixel.io.saved import save
 from fixel.jobs.site import TEMPLATE, load_site
 from fixel.kernels.code_cache import cache_folder
 from fixel.sampling import thesis_plan
-from fixel.simulation import trust
 from fixel.testing.pushes import example_pushes
 from fixel.testing.scenes import pushed_square
 from fixel.workflows import jobs

@@ -5,7 +5,7 @@ import pytest
 from reproductions.registration import registration_from_gaps
 
 from fixel import Disk, InvalidInput, Polygon
-from fixel.calibration.known_pushes import gaps_and_normals
+from fixel.model.overlap import gaps_and_normals
 
 SQUARE = Polygon([[0.03, 0.03], [-0.03, 0.03], [-0.03, -0.03], [0.03, -0.03]])
 RADIUS = 4.75e-3

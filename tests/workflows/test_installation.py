@@ -1,5 +1,7 @@
 """The doctor: a healthy machine passes, and a broken part is one FAIL, not a crash."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from fixel.workflows import installation
@@ -48,11 +50,18 @@ def test_a_package_that_is_missing_is_named():
 
 
 @pytest.mark.parametrize(
-    ("ports", "sentence"), [([], "none; optional"), (["/dev/ttyACM0"], "/dev/ttyACM0")]
+    ("cameras", "ports", "sentence"),
+    [
+        ([], [], "none; optional"),
+        (["video1", "video0"], ["/dev/ttyACM0"], "/dev/video0, /dev/video1, /dev/ttyACM0"),
+    ],
 )
-def test_the_bench_is_reported_and_none_is_fine(monkeypatch, ports, sentence):
-    monkeypatch.setattr(installation, "_cameras", list)
-    monkeypatch.setattr(installation, "_serial_ports", lambda: ports)
+def test_the_bench_is_reported_and_none_is_fine(tmp_path, monkeypatch, cameras, ports, sentence):
+    for name in cameras:
+        (tmp_path / name).touch()
+    monkeypatch.setattr(installation, "Path", lambda _: tmp_path)
+    found_ports = [SimpleNamespace(port=port) for port in ports]
+    monkeypatch.setattr("fixel.testbed.serial_port.found_ports", lambda: found_ports)
 
     found = installation._bench_check()
 

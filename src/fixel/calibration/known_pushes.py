@@ -15,13 +15,13 @@ from functools import cached_property
 from typing import Final, NamedTuple, Self, final
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 
 from fixel.calibration.target import NUMBERING, TRUTH, Target, target_of
 from fixel.errors import InvalidInput, some_of
 from fixel.model import Disk, Experiment, Scene, Shape, rotated, wrapped
 from fixel.model.fields import Comparable, frozen, instance, settle
+from fixel.model.overlap import gaps_and_normals
 from fixel.simulation.pack import pusher_path
 from fixel.simulation.rollouts import RolloutCase
 from fixel.typing import FloatArray, IntArray
@@ -148,35 +148,6 @@ def _check(contacts: TouchedPlaces, n: int) -> None:
         )
     if (contacts.speed <= 0.0).any():
         raise InvalidInput("contacts.speed", found="0 or less", expected="positive speeds [m/s]")
-
-
-def gaps_and_normals(
-    shape: Shape, radius: float, pose: FloatArray, tip: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the gaps (n,) between round tips and an outline, and the outward normals (n, 2).
-
-    Poses (n, 3) of the object [m, m, rad] and centres (n, 2) of the tip [m] are in the world, and
-    so are normals. Gaps [m] are negative for overlap. Exact for convex outlines.
-    """
-    local = rotated(tip - pose[:, :2], -pose[:, 2])
-    if isinstance(shape, Disk):
-        distance, away = np.hypot(*local.T) - shape.radius, local
-    else:
-        distance, away = _from_polygon(shape.outline, local)
-    length = np.hypot(*away.T)[:, None]
-    normal = np.divide(away, length, out=np.zeros_like(away), where=length > 0.0)
-    return distance - radius, rotated(normal, pose[:, 2])
-
-
-def _from_polygon(outline: FloatArray, point: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return signed distances (n,), and vectors (n, 2) that point outward."""
-    polygon = shapely.Polygon(outline)
-    points = shapely.points(point)
-    along = shapely.line_locate_point(polygon.exterior, points)
-    nearest = shapely.get_coordinates(shapely.line_interpolate_point(polygon.exterior, along))
-    sign = np.where(shapely.contains(polygon, points), -1.0, 1.0)
-    away = sign[:, None] * (point - nearest)
-    return sign * np.hypot(*away.T), away
 
 
 PARTS: Final = ("shape", "part", "object", "object_id")

@@ -170,7 +170,7 @@ def texts_of(capability: Capability, given: Mapping[str, Any]) -> dict[str, list
 
 def _request(capability: Capability, given: Mapping[str, Any]) -> "BaseModel":
     """Return the checked request, and permit programs that the user of this command has typed."""
-    from fixel.simulation.trust import permit
+    from fixel.trust import permit
 
     request = capability.from_texts(texts_of(capability, given))
     permit(*capability.programs(request))

@@ -238,7 +238,7 @@ def trust(
     """
     from fixel.database.project import SETTINGS
     from fixel.database.stored_content import trust_place
-    from fixel.simulation.trust import distrust, trust_program, trusted_entries
+    from fixel.trust import distrust, trust_program, trusted_entries
 
     if remove:
         removed = [] if program is None else distrust(program)

@@ -13,10 +13,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import sqlalchemy as sa
-from alembic import command, op
-from alembic.config import Config
-from alembic.runtime.migration import MigrationContext
-from alembic.script import ScriptDirectory
 
 from fixel.errors import StoreRefused
 
@@ -204,14 +200,6 @@ filter_run = _table(
 
 
 MIGRATIONS: Final = Path(__file__).with_name("migrations")
-FROZEN: Final = "finished records cannot change; write a new one"  # message of the triggers
-
-
-def _config(connection: sa.Connection | None = None) -> Config:
-    config = Config()
-    config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
-    config.attributes["connection"] = connection
-    return config
 
 
 def newest() -> str:
@@ -222,13 +210,14 @@ def newest() -> str:
 @functools.cache
 def versions() -> tuple[str, ...]:
     """All schema versions that this program knows, oldest first."""
-    scripts = ScriptDirectory.from_config(_config()).walk_revisions()
-    return tuple(reversed([script.revision for script in scripts]))
+    return tuple(sorted(path.name[1:5] for path in MIGRATIONS.glob("versions/m*.py")))
 
 
 def version_of(connection: sa.Connection) -> str | None:
     """Schema version of a database; None for an empty one."""
-    heads = MigrationContext.configure(connection).get_current_heads()
+    if not sa.inspect(connection).has_table("alembic_version"):
+        return None
+    heads = connection.scalars(sa.text("SELECT version_num FROM alembic_version")).all()
     if len(heads) > 1:
         raise StoreRefused(
             f"the database has two schemas: {' and '.join(sorted(heads))}",
@@ -246,7 +235,13 @@ def upgrade(connection: sa.Connection, version: str = "head") -> None:
         raise StoreRefused(
             "the database has tables that do not belong to fixel", hint="use an empty database"
         )
-    command.upgrade(_config(connection), version)
+    # Imported here: a project of today's version is opened without it, which takes long to load.
+    from alembic import command
+    from alembic.config import Config
+
+    config = Config(attributes={"connection": connection})
+    config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
+    command.upgrade(config, version)
 
 
 def check_known(connection: sa.Connection) -> str | None:
@@ -275,33 +270,3 @@ def check_newest(connection: sa.Connection, command: str = "fixel db upgrade") -
         raise StoreRefused(
             f"the database {what}; this version of fixel needs {newest()}", hint=f"run: {command}"
         )
-
-
-# --- triggers ------------------------------------------------------------------------------------
-
-
-def freeze(table: str) -> None:
-    """Reject every DELETE from a table, and every UPDATE except of `deleted_at_utc`.
-
-    Deletion is soft. Called by migrations, for SQLite and PostgreSQL.
-    """
-    connection = op.get_bind()
-    columns = [column["name"] for column in sa.inspect(connection).get_columns(table)]
-    frozen = ", ".join(f'"{name}"' for name in columns if name != "deleted_at_utc")
-    if connection.dialect.name == "sqlite":
-        refuse = f"BEGIN SELECT RAISE(ABORT, '{FROZEN}'); END"
-    else:
-        refuse = "FOR EACH ROW EXECUTE FUNCTION fixel_refuse()"
-        op.execute(
-            "CREATE OR REPLACE FUNCTION fixel_refuse() RETURNS trigger LANGUAGE plpgsql AS "
-            f"$$ BEGIN RAISE EXCEPTION '{FROZEN}'; END $$"
-        )
-    op.execute(f'CREATE TRIGGER "{table}_frozen" BEFORE UPDATE OF {frozen} ON "{table}" {refuse}')
-    op.execute(f'CREATE TRIGGER "{table}_kept" BEFORE DELETE ON "{table}" {refuse}')
-
-
-def unfreeze(table: str) -> None:
-    """Remove the triggers of `freeze` from a table whose columns a migration has changed."""
-    on = "" if op.get_bind().dialect.name == "sqlite" else f' ON "{table}"'
-    for kind in ("frozen", "kept"):
-        op.execute(f'DROP TRIGGER "{table}_{kind}"{on}')

@@ -19,7 +19,7 @@ from fixel.errors import FixelError, InvalidInput, StoreRefused, reason_of
 from fixel.io.atomic import INVALID_CONTENT
 from fixel.io.document import read_document
 from fixel.model.trajectory import path_columns
-from fixel.simulation.trust import TrustedEntry, is_trusted, trust
+from fixel.trust import TrustedEntry, is_trusted, trust
 
 RESTORE: Final = "replace experiments.db with a backup, which fixel db backup wrote"
 ADVICE: Final = "copy the experiments into a new project with: fixel export"

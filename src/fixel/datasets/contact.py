@@ -7,10 +7,10 @@ from typing import Final
 
 import numpy as np
 
-from fixel.calibration.known_pushes import gaps_and_normals
 from fixel.datasets.base import remark, scene_or_flag
 from fixel.datasets.files import MM
 from fixel.model import Body, Disk, Flag, PathDrive, Pusher, Scene, Shape
+from fixel.model.overlap import gaps_and_normals
 from fixel.typing import FloatArray
 
 # Registration errors up to this depth are corrected by moving the pusher to contact; with larger

@@ -9,7 +9,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from fixel.calibration.known_pushes import gaps_and_normals
 from fixel.datasets import contact
 from fixel.datasets.base import trajectory_of
 from fixel.errors import InvalidInput
@@ -17,6 +16,7 @@ from fixel.formats.scene_file import FILL_IN, scene_of, scene_record
 from fixel.io.document import document, yaml_text
 from fixel.model import Disk, Experiment, Flag, PathDrive, Pusher, Scene, Shape, Trajectory
 from fixel.model.fields import instance
+from fixel.model.overlap import gaps_and_normals
 from fixel.model.scene import SceneChoice
 from fixel.model.shape import rotated
 from fixel.typing import FloatArray

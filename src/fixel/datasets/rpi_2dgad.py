@@ -15,7 +15,6 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.calibration.target import errors_of, squared_error
 from fixel.datasets import base, files
 from fixel.errors import FixelError, InvalidInput
 from fixel.model import (
@@ -291,6 +290,9 @@ def _experiment(folder: _Folder, row: int) -> Experiment:
 
 def _simulation(folder: _Folder, row: int, experiment: Experiment) -> SimulationRecord | None:
     """Return the laboratory's simulation of an experiment, on the clock of the experiment."""
+    # Imported here: it loads the simulator, which no other importer needs.
+    from fixel.calibration.target import errors_of, squared_error
+
     name, pusher = experiment.name, None
     lab = lab_simulation(folder.path, int(name)) if name in folder.complete else None
     if lab is not None:

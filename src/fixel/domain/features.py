@@ -13,9 +13,10 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from fixel.calibration.known_pushes import Configurations, gaps_and_normals
+from fixel.calibration.known_pushes import Configurations
 from fixel.calibration.objective import ANGLE_SCALE
 from fixel.model import Disk, Shape, rotated, wrapped
+from fixel.model.overlap import gaps_and_normals
 from fixel.model.trajectory import pose_difference
 from fixel.typing import BoolArray, FloatArray, IntArray
 

@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, final, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, final, get_origin
 
 from pydantic import ConfigDict, Field
 
@@ -41,7 +41,9 @@ from fixel.model import (
     UniformPressure,
 )
 from fixel.model.parameters import KNOWN_PARAMETERS, in_si
-from fixel.simulation.stepping import AbstractStepper, Adaptive, StewartTrinkle
+
+if TYPE_CHECKING:
+    from fixel.simulation.stepping import AbstractStepper
 
 MAX_KEYS = 1000  # maximum number of keys in one mapping; scenes have about ten
 
@@ -228,6 +230,8 @@ class SceneFile:
     @property
     def stepper(self) -> AbstractStepper:
         """Stepper with the step of the file; adaptive if it has none."""
+        from fixel.simulation.stepping import Adaptive, StewartTrinkle
+
         return Adaptive() if self.step is None else StewartTrinkle(step=self.step)
 
 

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from fixel.errors import InvalidInput, refused_value
 from fixel.io.document import read_document
 from fixel.model.fields import path_of
-from fixel.simulation.trust import is_trusted, trust
+from fixel.trust import is_trusted, trust
 
 # One directive, one line: a value in a template cannot add other lines to the script.
 _LINE: Final = r"[^\r\n]*"

@@ -1,4 +1,4 @@
-"""Overlap of placed shapes, to check scenes and goals; simulations do not use it."""
+"""Overlaps and gaps of placed shapes, for checks and features; simulations do not use them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import shapely
 
 from fixel.model.shape import Disk, Shape, placed, rotated
 from fixel.typing import FloatArray
@@ -126,3 +127,32 @@ def _box(shape: Shape, pose: FloatArray) -> FloatArray:
         return np.concatenate((pose[:2] - shape.radius, pose[:2] + shape.radius))
     corners = placed(shape.outline, pose)
     return np.concatenate((corners.min(axis=0), corners.max(axis=0)))
+
+
+def gaps_and_normals(
+    shape: Shape, radius: float, pose: FloatArray, tip: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the gaps (n,) between round tips and an outline, and the outward normals (n, 2).
+
+    Poses (n, 3) of the object [m, m, rad] and centres (n, 2) of the tip [m] are in the world, and
+    so are normals. Gaps [m] are negative for overlap. Exact for convex outlines.
+    """
+    local = rotated(tip - pose[:, :2], -pose[:, 2])
+    if isinstance(shape, Disk):
+        distance, away = np.hypot(*local.T) - shape.radius, local
+    else:
+        distance, away = _from_polygon(shape.outline, local)
+    length = np.hypot(*away.T)[:, None]
+    normal = np.divide(away, length, out=np.zeros_like(away), where=length > 0.0)
+    return distance - radius, rotated(normal, pose[:, 2])
+
+
+def _from_polygon(outline: FloatArray, point: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return signed distances (n,), and vectors (n, 2) that point outward."""
+    polygon = shapely.Polygon(outline)
+    points = shapely.points(point)
+    along = shapely.line_locate_point(polygon.exterior, points)
+    nearest = shapely.get_coordinates(shapely.line_interpolate_point(polygon.exterior, along))
+    sign = np.where(shapely.contains(polygon, points), -1.0, 1.0)
+    away = sign[:, None] * (point - nearest)
+    return sign * np.hypot(*away.T), away

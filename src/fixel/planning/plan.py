@@ -47,8 +47,8 @@ from fixel.simulation.motion import AbstractMotionModel, motion_model
 from fixel.simulation.result import Simulation
 from fixel.simulation.simulate import simulate
 from fixel.simulation.stepping import AbstractStepper
-from fixel.simulation.trust import permit
 from fixel.table import Column, Table
+from fixel.trust import permit
 from fixel.typing import FloatArray, IntArray
 
 SAMPLES: Final = 12  # poses of each push that goals about the whole motion regard

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import ClassVar, TypeVar, final
 
+from fixel.engine_names import EngineName, engine_names, is_engine
 from fixel.errors import InvalidInput, unknown_name
 from fixel.kernels import codes, entries
 from fixel.kernels.arrays import Model, Problem, State
 from fixel.model.fields import instance
-from fixel.simulation.engine_names import EngineName, engine_names, is_engine
 from fixel.typing import FloatArray
 
 

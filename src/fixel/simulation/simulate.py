@@ -56,8 +56,8 @@ from fixel.simulation.threads import (
     rollout_in_threads,
     shape_poses,
 )
-from fixel.simulation.trust import permit
 from fixel.simulation.vary import AS_IT_IS, Variation, check_one_pusher, variation_of
+from fixel.trust import permit
 from fixel.typing import FloatArray, IntArray
 
 MAX_STEPS = 1_000_000  # of a stepper without a limit

@@ -40,8 +40,8 @@ from fixel.simulation.engines import shared_program
 from fixel.simulation.motion import AbstractMotionModel, Dynamic, OtherEngine, motion_model
 from fixel.simulation.rollouts import EnsembleOutcome, RolloutCase, Rollouts, ensemble_of
 from fixel.simulation.stepping import Adaptive
-from fixel.simulation.trust import permit
 from fixel.testing.scenes import box, grasp, moved, row, sliding_block
+from fixel.trust import permit
 from fixel.typing import FloatArray
 
 G = 9.81  # [m/s^2]

@@ -28,8 +28,8 @@ from fixel.io.atomic import each_readable, readable, usable, write_whole
 from fixel.io.document import plain_numbers
 from fixel.model import Experiment
 from fixel.results import Result
-from fixel.simulation.trust import repeatable
 from fixel.table import Table
+from fixel.trust import repeatable
 from fixel.typing import FloatArray
 
 CONTENT: Final = "analysis.json"

@@ -64,7 +64,7 @@ def run(
     `plot` is a folder or file for figures. What the function refuses, and a program that the user
     has not permitted, raises `InvalidInput`.
     """
-    from fixel.simulation.trust import check_named
+    from fixel.trust import check_named
 
     check_named(*capability.programs(request))
     begun = time.monotonic()
@@ -99,7 +99,7 @@ def call(project: Project, name: str, /, *, progress: ProgressOption = None, **o
 
     The options are arguments of its function, as plain values.
     """
-    from fixel.simulation.trust import permit
+    from fixel.trust import permit
 
     capability = CAPABILITIES[name]
     request = capability.request(options)
@@ -245,7 +245,7 @@ def run_request(inputs: Path, options: Mapping[str, Any]) -> Work:
     repeats what it has not stored itself when the job is resumed.
     """
     from fixel.jobs.work import report_stage
-    from fixel.simulation.trust import check_named
+    from fixel.trust import check_named
 
     capability, request, project = request_of(inputs)
     check_named(*capability.programs(request))
@@ -315,7 +315,7 @@ def prepare_in(
     folder: Path, capability: Capability, request: BaseModel, inputs: Mapping[str, bytes | Path]
 ) -> None:
     """Prepare the job of a request in a folder, if it is not there."""
-    from fixel.simulation.trust import remember
+    from fixel.trust import remember
     from fixel.workflows import jobs
 
     if not (folder / "job.json").is_file():

@@ -11,6 +11,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
@@ -236,22 +237,12 @@ def _film_check() -> SelfCheck:
 
 def _bench_check() -> SelfCheck:
     """Report cameras and serial ports; having none is no failure."""
-    name = "cameras and serial ports"
-    found = _cameras() + _serial_ports()
-    return SelfCheck(name, True, ", ".join(found) if found else "none; optional")
-
-
-def _cameras() -> list[str]:
-    return [f"/dev/{path.name}" for path in sorted(Path("/dev").glob("video*"))]
-
-
-def _serial_ports() -> list[str]:
     from fixel.testbed.serial_port import found_ports
 
-    try:
-        return [port.port for port in found_ports()]
-    except MissingExtra:
-        return []
+    found = [f"/dev/{path.name}" for path in sorted(Path("/dev").glob("video*"))]
+    with suppress(MissingExtra):
+        found += [port.port for port in found_ports()]
+    return SelfCheck("cameras and serial ports", True, ", ".join(found) or "none; optional")
 
 
 @final

@@ -23,7 +23,7 @@ from fixel.progress import ProgressOption, show_progress
 from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
 from fixel.simulation.simulate import SceneWithMethod
 from fixel.simulation.stepping import AbstractStepper
-from fixel.simulation.trust import permit
+from fixel.trust import permit
 from fixel.typing import FloatArray
 from fixel.uncertainty.error_terms import LABEL, ModelError, StartError, draw_walks, shares_of_way
 from fixel.uncertainty.posterior import Posterior

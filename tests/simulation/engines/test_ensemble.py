@@ -18,8 +18,8 @@ from fixel.simulation.engines import program_of
 from fixel.simulation.engines.ensemble import EngineEnsemble
 from fixel.simulation.motion import OtherEngine, motion_model
 from fixel.simulation.rollouts import INFEASIBLE, RolloutCase, ensemble_of
-from fixel.simulation.trust import permit
 from fixel.testing.scenes import pushed_square
+from fixel.trust import permit
 
 SCENE = pushed_square()
 TIMES = np.linspace(0.1, 2.0, 5)

@@ -8,14 +8,14 @@ import sys
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, entry_points, version
 
+from fixel.engine_names import ENGINES, GROUP, EngineName
 from fixel.errors import InvalidInput, MissingExtra, unknown_name
-from fixel.simulation.engine_names import ENGINES, GROUP, EngineName
 from fixel.simulation.engines.contract import AbstractPhysicsEngine, EngineInfo
 from fixel.simulation.engines.program import Program, ProgramFailed
 from fixel.simulation.engines.scripts.drive import EngineFailed
 from fixel.simulation.engines.serve import serve
 from fixel.simulation.engines.task import PlainTask
-from fixel.simulation.trust import SERVE, command_of
+from fixel.trust import SERVE, command_of
 
 __all__ = [
     "ENGINES",

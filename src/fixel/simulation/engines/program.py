@@ -24,7 +24,7 @@ from typing import Any, final
 from fixel.errors import InvalidInput
 from fixel.model.parameters import ParameterInfo
 from fixel.simulation.engines.contract import EngineInfo
-from fixel.simulation.trust import check_command
+from fixel.trust import check_command
 
 PROTOCOL = 1
 START_LIMIT = 60.0  # [s] until a program answers for the first time: some load large libraries
@@ -41,7 +41,7 @@ class ProgramFailed(Exception):
 class Program:
     """Process of an engine. It is started at the first question, and again after a failure.
 
-    Its command is started only with the permission of `fixel.simulation.trust`.
+    Its command is started only with the permission of `fixel.trust`.
     """
 
     def __init__(self, command: Sequence[str]) -> None:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from fastapi import Request
 
+from fixel.engine_names import installed_engines
 from fixel.errors import FixelError, NotStored, number_of
 from fixel.kernels.code_cache import share_compiled
 from fixel.model.selection import ExperimentQuery
-from fixel.simulation.engine_names import installed_engines
 from fixel.simulation.first_code import ENTRY
 from fixel.units import displayed
 from fixel.web.views.live_comparison import (

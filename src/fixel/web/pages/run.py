@@ -21,7 +21,7 @@ from fixel.capability.options import Option
 from fixel.errors import FixelError, InvalidInput, NotStored
 from fixel.jobs import folder as files
 from fixel.model.selection import ExperimentQuery
-from fixel.simulation.trust import check_named
+from fixel.trust import check_named
 from fixel.web.api.analyses import trials_of
 from fixel.web.context import ProjectContext
 from fixel.web.problems import problem_of

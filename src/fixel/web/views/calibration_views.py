@@ -20,12 +20,12 @@ from fixel.calibration.search import NEARLY
 from fixel.database.project import Project
 from fixel.database.query import ALL_EXPERIMENTS
 from fixel.database.store import Store
+from fixel.engine_names import is_engine
 from fixel.errors import FixelError, NotStored
 from fixel.io.atomic import each_readable
 from fixel.jobs import folder as files
 from fixel.model.records import CalibrationRecord, Estimate, estimate_table
-from fixel.simulation.engine_names import is_engine
-from fixel.simulation.trust import repeatable
+from fixel.trust import repeatable
 from fixel.web.values import Answer, Array, Finite
 from fixel.workflows import jobs
 from fixel.workflows.analysis import Analysis

@@ -16,13 +16,13 @@ from fixel.calibration.result import CalibratedValues, FitKind
 from fixel.calibration.target import scene_of, target_of
 from fixel.calibration.usual_parameters import default_unknowns, usual_unknown
 from fixel.database.store import Store
+from fixel.engine_names import EngineName, motion_words
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters
 from fixel.model.parameters import KNOWN_PARAMETERS, info_of
 from fixel.model.records import CalibrationRecord, SimulationRecord
 from fixel.model.selection import ExperimentQuery
 from fixel.simulation import simulate
-from fixel.simulation.engine_names import EngineName, motion_words
 from fixel.simulation.motion import motion_model
 from fixel.simulation.simulate import INSTANT, get_ready
 from fixel.simulation.stepping import Adaptive

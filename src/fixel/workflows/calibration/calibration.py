@@ -33,6 +33,7 @@ from fixel.calibration.objective import (
 from fixel.calibration.result import PLAIN, CalibrationResult, FitKind, ParameterSet
 from fixel.calibration.study import MADE, OUT_OF_BUDGET
 from fixel.calibration.target import Target, target_of
+from fixel.engine_names import EngineName
 from fixel.errors import InvalidInput, counted, some_of
 from fixel.io.atomic import readable
 from fixel.jobs import folder as files
@@ -40,7 +41,6 @@ from fixel.model import Experiment, Parameters, Scene
 from fixel.model.records import Estimate, estimate_table
 from fixel.model.space import ParameterSpace, values_under
 from fixel.results import Result, Summary
-from fixel.simulation.engine_names import EngineName
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.table import Column, Table, shortened
 from fixel.typing import FloatArray

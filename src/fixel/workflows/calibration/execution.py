@@ -37,7 +37,7 @@ from fixel.model.selection import ExperimentQuery, parse_filter
 from fixel.model.space import ParameterSpace
 from fixel.progress import Progress, show_progress
 from fixel.registry import offered
-from fixel.simulation.trust import permit
+from fixel.trust import permit
 from fixel.workflows import jobs
 from fixel.workflows.calibration.calibration import Calibration, Calibrations, collect
 from fixel.workflows.calibration.plan import (

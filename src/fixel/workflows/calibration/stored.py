@@ -31,15 +31,15 @@ from fixel.calibration.target import Target, target_of
 from fixel.calibration.usual_parameters import default_unknowns, searched_unknowns
 from fixel.database.project import DATABASE, Project
 from fixel.database.store import Store
+from fixel.engine_names import EngineName
 from fixel.errors import InvalidInput, NotStored, StoreRefused, reason_of
 from fixel.io.atomic import INVALID_CONTENT, readable
 from fixel.jobs.work import Answers, Round
 from fixel.model import LoadMap, Parameters, Provenance, Scene
 from fixel.model.records import CalibrationRecord, Evaluations, Member
 from fixel.model.space import ParameterSpace, Unknown, split_label
-from fixel.simulation.engine_names import EngineName
-from fixel.simulation.trust import repeatable
 from fixel.table import Column, Table
+from fixel.trust import repeatable
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration, Calibrations, finite
 from fixel.workflows.calibration.plan import load_task, outcome_bytes, outcome_of, plan_in, rounds

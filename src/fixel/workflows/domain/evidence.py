@@ -36,7 +36,7 @@ from fixel.io.atomic import readable, write_whole
 from fixel.model.selection import ExperimentQuery, parse_filter
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.motion import motion_model, stated_name
-from fixel.simulation.trust import permit
+from fixel.trust import permit
 from fixel.typing import FloatArray, ProgressCallback
 from fixel.workflows.calibration.calibration import Calibration
 from fixel.workflows.calibration.execution import select_experiments

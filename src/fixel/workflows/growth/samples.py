@@ -82,7 +82,10 @@ def read_samples(
     again = sum(len(found) - 1 for found in seated.values())
     if again:
         warnings.append(f"{counted(again, 'repetition')} skipped; the first at an offset counts.")
-    first = {seat: min(found, key=_repetition) for seat, found in seated.items()}
+    first = {
+        seat: min(found, key=lambda own: (float(own.conditions.get("repetition", 1.0)), own.id))
+        for seat, found in seated.items()
+    }
     return _read(store, first, warnings)
 
 
@@ -99,10 +102,6 @@ def _seat_of(summary: ExperimentRow) -> _Seat | None:
     if axis not in AXES or round(step) == 0:
         return None
     return _Seat(str(own["shape"]), str(own["layout"]), AxisPlace(str(axis), round(step)))
-
-
-def _repetition(summary: ExperimentRow) -> tuple[float, int]:
-    return float(summary.conditions.get("repetition", 1.0)), summary.id
 
 
 def _refuse_none(seated: dict[_Seat, list[ExperimentRow]], shape: str | None) -> None:

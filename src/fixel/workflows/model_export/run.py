@@ -17,13 +17,13 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from fixel.drawing.view import evenly
+from fixel.engine_names import EngineName
 from fixel.errors import InvalidInput, check_name
 from fixel.formats.frames_file import folder_whole, refuse_folder
 from fixel.model import Experiment, Scene, pose_error
 from fixel.model.fields import instance, path_of, whole
 from fixel.progress import ProgressOption, show_progress
 from fixel.simulation import AbstractMotionModel, AbstractStepper
-from fixel.simulation.engine_names import EngineName
 from fixel.simulation.engines import AbstractPhysicsEngine, engine_of
 from fixel.simulation.engines.contract import model_of
 from fixel.simulation.engines.mujoco import mjcf

@@ -121,7 +121,7 @@ def plan(
     from fixel.progress import show_progress
     from fixel.simulation.motion import motion_model
     from fixel.simulation.simulate import scene_file
-    from fixel.simulation.trust import permit
+    from fixel.trust import permit
     from fixel.uncertainty.error_terms import RPI_CAMERA
     from fixel.workflows.planning.request import answers_in
 

@@ -19,8 +19,8 @@ from fixel.progress import ProgressOption, show_progress
 from fixel.results import Result, Summary
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.motion import motion_model
-from fixel.simulation.trust import permit
 from fixel.table import Column, Table
+from fixel.trust import permit
 from fixel.workflows.project.compare import PathComparison, compare_path, compare_run
 
 Model = Mapping[str, float] | None  # values of parameters, a Calibration, or the scene's own values

@@ -24,7 +24,7 @@ from fixel.io.atomic import write_whole
 from fixel.model.fields import instance, path_of
 from fixel.registry import offers
 from fixel.results import Result
-from fixel.simulation.trust import repeatable
+from fixel.trust import repeatable
 from fixel.typing import Notify
 from fixel.workflows.analysis import ENDINGS, StoredAnalysis, load_analyses, new_folder
 from fixel.workflows.calibration.calibration import Calibration

@@ -97,7 +97,7 @@ def sensitivity(
     """
     from fixel.model.fields import instance
     from fixel.progress import show_progress
-    from fixel.simulation.trust import permit
+    from fixel.trust import permit
     from fixel.uncertainty.error_terms import StartError
     from fixel.uncertainty.indices import indices_of
     from fixel.uncertainty.outcomes import sensitivity_of

@@ -20,8 +20,8 @@ from fixel.drawing.uncertainty import (
     final_pose_chart,
     label_text,
 )
+from fixel.engine_names import compare_words
 from fixel.filtering.particle_filter import UniformPrior
-from fixel.simulation.engine_names import compare_words
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
 from fixel.uncertainty.error_terms import LABEL

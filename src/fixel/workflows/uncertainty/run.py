@@ -94,7 +94,7 @@ def posterior(
     from fixel.calibration.usual_parameters import search_space
     from fixel.model import Experiment
     from fixel.simulation.motion import motion_model
-    from fixel.simulation.trust import permit
+    from fixel.trust import permit
     from fixel.workflows.calibration.calibration import Calibration
     from fixel.workflows.uncertainty.sampling import sample
 

@@ -6,7 +6,8 @@ columns to tables must write the tables of this one out.
 
 from alembic import op
 
-from fixel.database.schema import METADATA, freeze
+from fixel.database.migrations import freeze
+from fixel.database.schema import METADATA
 
 revision = "0004"
 down_revision = None

@@ -3,7 +3,7 @@
 import sqlalchemy as sa
 from alembic import op
 
-from fixel.database.schema import freeze, unfreeze
+from fixel.database.migrations import freeze, unfreeze
 
 revision = "0005"
 down_revision = "0004"

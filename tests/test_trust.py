@@ -10,10 +10,9 @@ from tests.cli.shell import json_of, output, refusal
 from tests.fixtures import project_of, refused
 
 import fixel
-from fixel import InvalidInput, Project
+from fixel import InvalidInput, Project, trust
 from fixel.jobs.pool import job_script
 from fixel.jobs.site import Site, trust_site
-from fixel.simulation import trust
 from fixel.simulation.engines import program_of
 from fixel.simulation.engines.program import Program
 from fixel.simulation.motion import OtherEngine

@@ -20,10 +20,11 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from fixel.engine_names import EngineName
 from fixel.errors import InvalidInput, os_reason
-from fixel.simulation.engine_names import EngineName
+from fixel.registry import offers
 
-SERVE: Final = (sys.executable, "-m", "fixel.simulation.engines.serve")  # engines of packages
+SERVE: Final = (sys.executable, "-m", offers("programs")["serve"])  # engines of packages
 MAX_ENTRY: Final = 1_000_000  # [bytes] of a file of the list
 _HIDDEN: Final = re.compile(r" (trust |--(engine|motion|site)=)")  # in commands of files
 _permitted: dict[str, list[str]] = {}  # commands that calls of this process named, by checksum
