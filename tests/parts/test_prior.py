@@ -37,6 +37,45 @@ def test_the_mean_of_many_parts_is_found_and_the_share_scales_it():
     assert none == 0.0
 
 
+def test_pushes_that_hardly_determine_a_part_do_not_draw_the_mean_to_that_before_any_push():
+    """The posterior mean of a part lies between the truth and the prior, that of many must not."""
+    rng = np.random.default_rng(3)
+    sd = np.array([spread.sd for spread in UNPUSHED.values()])
+    start = SupportPrior.unpushed().mean
+    truth = start + np.where(np.arange(len(NAMES)) == RIM, 1.5, 0.0)
+    rows = []
+    for k in range(400):
+        noise = sd * (0.2 if k % 4 == 0 else 2.0)  # one part in four is pushed often
+        measured = rng.normal(rng.normal(truth, sd), noise)
+        variance = 1.0 / (1.0 / sd**2 + 1.0 / noise**2)
+        value = variance * (start / sd**2 + measured / noise**2)
+        rows.append(PartValues(f"part-{k}", "wood", value, np.diag(variance)))
+    assert np.mean([own.values[RIM] for own in rows]) < 0.8
+    found = learned_prior(rows, "wood", 1.0).mean
+    assert found[RIM] == pytest.approx(1.5, abs=0.25)
+    assert found[SHIFT] == pytest.approx(0.0, abs=2e-4)
+
+
+def test_the_mean_is_that_of_generalised_least_squares():
+    """Weights are the inverse of the spread of parts plus the uncertainty of each measurement."""
+    rng = np.random.default_rng(4)
+    prior = SupportPrior.unpushed()
+    rows, weights, products = [], [np.linalg.inv(prior.covariance)], [0.0 * prior.mean]
+    for k in range(5):
+        away = rng.normal(size=2 * [len(NAMES)]) * np.sqrt(np.diag(prior.covariance))
+        uncertain = away.T @ away  # covariance of what pushes say alone
+        measured = rng.multivariate_normal(prior.mean, prior.covariance + uncertain)
+        gain = prior.covariance @ np.linalg.inv(prior.covariance + uncertain)
+        value = prior.mean + gain @ (measured - prior.mean)
+        rows.append(PartValues(f"{k}", "wood", value, prior.covariance - gain @ prior.covariance))
+        weights.append(np.linalg.inv(prior.covariance + uncertain))
+        products.append(weights[-1] @ (measured - prior.mean))
+    expected = prior.mean + np.linalg.solve(sum(weights), sum(products))
+    free = [k for k, own in enumerate(UNPUSHED.values()) if not own.symmetric]
+    found = learned_prior(rows, "wood", 1.0).mean
+    np.testing.assert_allclose(found[free], expected[free], rtol=1e-6, atol=1e-9)
+
+
 def test_what_belongs_to_a_surface_is_learned_from_its_parts_only():
     rows = fits(100, table_bend_xy__wood=-1.5, registration_x__steel=2e-3)
     wood, steel = (learned_prior(rows, surface, 1.0).mean for surface in ("wood", "steel"))

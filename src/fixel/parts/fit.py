@@ -95,9 +95,10 @@ class PartValues(NamedTuple):
     part: str
     surface: str
     values: FloatArray  # (n,)
+    covariance: FloatArray | float = 0.0  # (n, n) of the values, after the pushes
 
 
-# Number of imaginary parts, spread as before any push, that the covariance is learned with.
+# Number of imaginary parts, spread as before any push, that mean and covariance are learned with.
 IMAGINARY: Final = 1.0
 # Factor on the learned covariance: a handful of parts shows less spread than there is, and their
 # model misfits. Of 1, 2 and 4, leaving plates out preferred 2 for random pushes and 4 for chosen.
@@ -120,26 +121,25 @@ def learned_prior(fits: Sequence[PartValues], surface: str, share: float) -> Sup
         return prior
     table = np.array([own.values for own in fits])
     on = np.array([own.surface for own in fits])
-    centres = {name: _centre(table[on == name]) for name in dict.fromkeys(on.tolist())}
-    overall = _centre(table)
+    overall, known = _centre(fits, prior), dict.fromkeys(on.tolist())
+    centres = {name: _centre([own for own in fits if own.surface == name], prior) for name in known}
     of_surface = np.array([name.startswith(ON_SURFACE) for name in NAMES])
     here = np.where(of_surface, centres.get(surface, overall), overall)
     away = table - np.where(of_surface, [centres[name] for name in on.tolist()], overall)
     n_part = len({own.part for own in fits})
-    weight = n_part / max(n_part - 1, 1) / len(fits)
-    scatter = weight * away.T @ away
+    scatter = n_part / max(n_part - 1, 1) / len(fits) * away.T @ away
     scatter = CORRELATED * scatter + (1.0 - CORRELATED) * np.diag(np.diag(scatter))
-    total = n_part + IMAGINARY
-    covariance = WIDER * (n_part * scatter + IMAGINARY * prior.covariance) / total
+    covariance = WIDER * (n_part * scatter + IMAGINARY * prior.covariance) / (n_part + IMAGINARY)
     kept = np.array([1.0 if name.startswith(ALWAYS) else share for name in NAMES])
     kept[[UNPUSHED[name].symmetric for name in NAMES]] = 0.0
     return SupportPrior(prior.mean + kept * (here - prior.mean), covariance)
 
 
-def _centre(table: FloatArray) -> FloatArray:
-    """Return means (n,) of parameters; medians of shifts, of which single sessions are far off."""
-    shifts = np.array([name.startswith("registration") for name in NAMES])
-    return np.where(shifts, np.median(table, axis=0), table.mean(axis=0))
+def _centre(fits: Sequence[PartValues], prior: SupportPrior) -> FloatArray:
+    """Return the mean parameters (n,) of parts; each counts as far as its pushes determine it."""
+    start, one, spread = prior.mean, np.eye(len(prior.mean)), np.diag(prior.covariance)
+    known = IMAGINARY * one + sum(one - own.covariance / spread for own in fits)
+    return np.asarray(start + np.linalg.solve(known, sum(own.values - start for own in fits)))
 
 
 WIDTH: Final = 2e-3  # error at which the loss changes from square to linear [m]

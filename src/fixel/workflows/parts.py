@@ -92,7 +92,7 @@ def part_model(
     fits = []
     with show_progress(progress, "fitting parts") as report:
         for done, ((on, name), group) in enumerate(groups.items()):
-            fits.append(PartValues(name, on, fitted_values(group, seed, cache, f"{on}_{name}")))
+            fits.append(PartValues(name, on, *fitted_values(group, seed, cache, f"{on}_{name}")))
             report(done + 1, len(groups), name)
     share = best_share(groups, fits, seed)
     with show_progress(progress, "leaving parts out") as report:
@@ -125,20 +125,20 @@ def pushes_of_parts(
     return used, part or _condition(used, PARTS, "part"), surface or _condition(used, SURFACES, "")
 
 
-def fitted_values(group: PartPushes, seed: int, cache: ResultCache, name: str) -> np.ndarray:
-    """Return the values fitted to a part on a surface."""
+def fitted_values(group: PartPushes, seed: int, cache: ResultCache, name: str) -> list[np.ndarray]:
+    """Return the values fitted to a part on a surface, and their covariance."""
     which = np.sort(np.random.default_rng(seed).permutation(len(group))[:MAX_FIT])
 
     def compute() -> dict[str, Any]:
-        noise = np.full(len(which), NOISE_OF_MANY)
-        return {"values": listed(fit_part(group, which, SupportPrior.unpushed(), noise).mean)}
+        found = fit_part(group, which, SupportPrior.unpushed(), np.full(len(which), NOISE_OF_MANY))
+        return {"values": listed(found.mean), "covariance": found.covariance.tolist()}
 
     of = [group.start[which], group.end[which], group.tip_start[which], group.tip_end[which]]
     uneven = group.cases[0].scene.plane.load_map
     of += [] if uneven is None else [uneven.origin, uneven.cell, uneven.log_load]
     outline = getattr(group.body.shape, "outline", group.radius)
-    found = cache.get(name, [*of, outline, repr(UNPUSHED), NOISE_OF_MANY], compute)
-    return np.array(found["values"], np.float64)
+    found = cache.get(name, [*of, outline, repr(UNPUSHED), NOISE_OF_MANY, "covariance"], compute)
+    return [np.array(found[own], np.float64) for own in ("values", "covariance")]
 
 
 def _condition(experiments: tuple[Experiment, ...], names: tuple[str, ...], needed: str) -> str:

@@ -102,7 +102,7 @@ def table_map(
     with show_progress(progress, "fitting parts") as report:
         for done, (name, group) in enumerate(groups.items()):
             if calibrations is None:
-                found = fitted_values(group, 0, cache, f"{names[0]}_{name}")
+                found = fitted_values(group, 0, cache, f"{names[0]}_{name}")[0]
                 values[name] = dict(zip(NAMES, found.tolist(), strict=True))
             else:
                 values[name] = _values(calibrations, name, names[0], group.targets[0].conditions)
