@@ -62,10 +62,68 @@ def test_sets_that_reproduce_the_recorded_ends_come_more_often(fit):
     """Parameter sets near the values of the twin come more often than others of the space."""
     space, best = fit.space, fit.found.point
     points = np.random.default_rng(0).uniform(space.low, space.high, (512, 2))
-    found = predictive_of(fit.targets, space, fit.motion, best, best, points)
+    far = np.ones((5, 2)) * (0.5, 20 * mm)  # so that no sample misses more than left-out pushes
+    found = predictive_of(fit.targets, space, fit.motion, best, best, points, far)
     shrunk = best + 0.7 * (points - best)
     off, usual = (np.abs(own - best).mean(axis=0) for own in (found.points, shrunk))
     assert (off < 0.97 * usual).all()
+
+
+def _misses(recorded, points):
+    """Sum over pushes of squared misses of ends (n,) at points (n, 2), by single simulations."""
+    total = np.zeros(len(points))
+    for own in recorded:
+        arm = np.sqrt(own.scene.bodies[0].shape.unit_inertia)
+        for k, point in enumerate(points):
+            values = dict(zip(_SPACE, point.tolist(), strict=True))
+            end = fixel.simulate(own.scene, values).pose["part"][-1]
+            off = (end - own.trajectory.pose[-1]) * (1.0, 1.0, arm)
+            total[k] += (off**2).sum()
+    return total
+
+
+@pytest.fixture(scope="module")
+def wide_samples(fit):
+    """Samples, and how far the fit moves without one push."""
+    rng = np.random.default_rng(3)
+    moved = rng.choice((-1.0, 1.0), (5, 2)) * (0.06, 3 * mm)
+    points = fit.found.point + rng.standard_normal((256, 2)) * (0.18, 8 * mm)
+    return np.clip(points, fit.space.low, fit.space.high), moved
+
+
+def test_samples_miss_recorded_ends_as_far_as_fits_without_them_do(fit, recorded, wide_samples):
+    points, moved = wide_samples
+    best = fit.found.point
+    found = predictive_of(fit.targets, fit.space, fit.motion, best, best, points, moved)
+    left_out = sum(
+        _misses([own], best + step[None])[0] for own, step in zip(recorded, moved, strict=True)
+    )
+    assert np.median(_misses(recorded, best + 0.7 * (points[:64] - best))) > 1.3 * left_out
+    usual = np.median(_misses(recorded, found.points[::4]))
+    assert 0.4 * left_out < usual < 1.1 * left_out  # likelier sets come more often
+    assert (np.abs(found.points - best) < 0.7 * np.abs(points - best).max(axis=0)).all()
+
+
+def test_samples_keep_some_distance_from_the_values(fit, wide_samples):
+    """Fits that do not move at all would leave no distance."""
+    points, moved = wide_samples
+    best = fit.found.point
+    found = predictive_of(fit.targets, fit.space, fit.motion, best, best, points, 0.0 * moved)
+    allowed = best + 0.3 * (points - best)
+    assert all(np.isclose(allowed, own, rtol=1e-9).all(axis=1).any() for own in found.points)
+
+
+def test_ends_among_fixels_do_not_move_samples(fit, wide_samples):
+    points, moved = wide_samples
+    best = fit.found.point
+    pin = Fixel("pin", Disk(5 * mm), pose=(1.0, 1.0, 0.0), friction=0.2)
+    targets = [
+        own._replace(case=own.case._replace(scene=replace(own.case.scene, fixels=(pin,))))
+        for own in fit.targets
+    ]
+    found = predictive_of(targets, fit.space, fit.motion, best, best, points, 0.0 * moved)
+    allowed = best + 0.7 * (points - best)
+    assert all(np.isclose(allowed, own, rtol=1e-9).all(axis=1).any() for own in found.points)
 
 
 def test_a_belief_takes_the_error_of_the_calibration_unless_scatter_is_given(fit):

@@ -169,12 +169,7 @@ def mixed_study(
     covariance = np.linalg.inv(fit.information.sum(axis=0) + weak)
     spread, effective = jackknife(fit.information, fit.gradient, covariance, cluster)
     variance = np.maximum(np.diag(covariance), np.diag(spread))
-    return MixedStudyFit(
-        value=theta,
-        sd=np.sqrt(variance) * space.scale,
-        effective=effective,
-        clusters=int(cluster.max()) + 1,
-    )
+    return MixedStudyFit(theta, np.sqrt(variance) * space.scale, effective, int(cluster.max()) + 1)
 
 
 class Probes:
@@ -268,7 +263,8 @@ def linear_data(
             continue
         common[k], single[k] = one.slopes(part, space.scale, unit)
         y[k] = single[k] @ own[k] - part[0]
-        share[k] = _share(shifted, one.member)
+        at, times = shifted.instants[one.member], shifted.targets[one.member].case.times
+        share[k, : len(at)] = times[at] / times[-1]  # of the time; zero beyond the last
     white = MM * noise.standard_deviations
     return Linear(y, common, single, share, white, np.ones(n), np.zeros((p, p)), np.zeros(p))
 
@@ -301,14 +297,6 @@ def _instants(length: int) -> IntArray:
     """Evenly spread frames of an experiment, the last among them."""
     count = min(length, INSTANTS)
     return np.asarray(np.round(np.linspace(length / count, length, count)) - 1, np.int64)
-
-
-def _share(shifted: ShiftModel, member: int) -> FloatArray:
-    """(INSTANTS,) share of the time that has passed; zero beyond the last."""
-    own, times = shifted.instants[member], shifted.targets[member].case.times
-    out = np.zeros(INSTANTS)
-    out[: len(own)] = times[own] / times[-1]
-    return out
 
 
 def condition_of(target: Target) -> object:

@@ -1,14 +1,11 @@
 """Parameters and errors with which a calibration predicts pushes that were not recorded.
 
-The intervals of a calibration bound parameters of a model that may be wrong. For predictions they
-are too wide where few pushes were recorded, and too narrow where many were, since the error of the
-model itself does not shrink with more of them. So the samples of a calibration are moved towards
-its values, weighted weakly by how well they reproduce the recorded ends, and an error of the end
-is added that grows with the motion of the part.
+Intervals bound parameters of a model that may be wrong: too wide for predictions from few pushes,
+too narrow from many, since the error of the model itself does not shrink. So samples are moved
+towards the calibrated values, as near as left-out pushes allow, weighted weakly by how well they
+reproduce the recorded ends, and an error of the end is added that grows with the motion.
 
-Source: the first two constants were chosen among 120 settings on 43 simulated tasks with 4, 8 and
-20 recorded pushes, the third and the tails of the error among 50 on 12 others and on recorded
-pushes of 12 public groups. See `docs/theory/planning.md`.
+See `docs/theory/planning.md` for the worlds and recorded pushes by which constants were chosen.
 """
 
 from __future__ import annotations
@@ -29,6 +26,7 @@ from fixel.simulation.motion import AbstractMotionModel
 from fixel.typing import FloatArray, IntArray
 
 SHRINK: Final = 0.7  # distance of samples from the calibrated values, relative to the intervals
+NEAREST: Final = 0.3  # the same where samples miss recorded ends by more than left-out ones miss
 POWER: Final = 0.1  # of the likelihood of a recorded push, by the sum of squares of all ends
 SHARE: Final = 0.6  # scale of the error of fresh ends, over the residual error of recorded ones
 RANGE: Final = (0.2, 3.0)  # of motions over the mean one within which the error grows in proportion
@@ -110,18 +108,31 @@ def predictive_of(
     best: FloatArray,
     value: FloatArray,
     points: FloatArray,
+    moved: FloatArray,
 ) -> Predictive:
     """Return the parameters and the error with which to predict pushes that were not recorded.
 
     Parameters (n_free,) that fit best, calibrated values (n_free,) and samples (n, n_free) are
-    those of a calibration with the recorded pushes.
+    those of a calibration with the recorded pushes. `moved` is as in `check_predictions`.
     """
-    shrunk = value + SHRINK * (points - value)
     ends = [_end_of(own) for own in targets]
     residual = end_residuals(ends, space, motion, best[None])[:, 0]
     some = _spread(len(ends))
-    found = end_residuals([ends[k] for k in some], space, motion, shrunk)
-    squares = (found**2).sum(axis=(0, 2))
+
+    def squares_at(points: FloatArray) -> FloatArray:
+        off = end_residuals([ends[k] for k in some], space, motion, points)
+        return np.asarray((off**2).sum(axis=(0, 2)))
+
+    shrunk = value + SHRINK * (points - value)
+    squares = squares_at(shrunk)
+    usual = float(np.median(squares))
+    # Samples miss no more than fits without these pushes do. Among fixels ends do not show it.
+    left_out = np.clip(best + moved[some], space.low, space.high)[:, None]
+    enough, least = (float(squares_at(own)[0]) for own in (left_out, value[None]))
+    if usual > max(enough, least) and not any(own.case.scene.fixels for own in targets):
+        nearer = math.sqrt(max(enough - least, 0.0) / (usual - least))
+        shrunk = value + max(nearer, NEAREST / SHRINK) * (shrunk - value)
+        squares = squares_at(shrunk)
     least = min(float((residual[some] ** 2).sum()), float(squares.min()))
     likelihood = -0.5 * POWER * len(some) * np.log(squares / max(least, 1e-18))
     weight = np.exp(likelihood - likelihood.max())
@@ -130,8 +141,8 @@ def predictive_of(
     rows = np.searchsorted(np.cumsum(weight) / weight.sum(), places)
     free = max(1, 3 * len(ends) - len(space.labels))
     size = SHARE * math.sqrt(float((residual**2).sum()) / free)
-    moved = np.concatenate([_motions(own, np.zeros(3)) for own in ends])
-    return Predictive(space, shrunk[rows], EndError(size, max(float(moved.mean()), 1e-9)))
+    motions = np.concatenate([_motions(own, np.zeros(3)) for own in ends])
+    return Predictive(space, shrunk[rows], EndError(size, max(float(motions.mean()), 1e-9)))
 
 
 def check_predictions(

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import shlex
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
@@ -353,15 +353,15 @@ class Calibration(Result, Mapping[str, float]):
         Simulated when first asked.
         """
         value = np.array([self.estimates[label].value for label in self.space.labels])
-        points = self._draw(POOL, 0)
-        return predictive_of(self.targets, self.space, self.motion, self.found.point, value, points)
+        of = (self.targets, self.space, self.motion, self.found.point)
+        near = linear_fit(Comparer(self.targets, self.space, None, self.motion), self.found.point)
+        return predictive_of(*of, value, self._draw(POOL, 0), near.left_out())
 
-    @property
-    def _draw(self) -> Callable[[int, int], FloatArray]:
-        """Function of a number and a seed that draws samples (n, n_free) of the parameters."""
+    def _draw(self, *count_and_seed: int) -> FloatArray:
+        """Draw samples (n, n_free) of the parameters."""
         space = self.space
         value, sd = quoted(self.estimates.values(), space.labels, self.level)
-        return partial(draw_joint, value, space.low, space.high, sd, self.correlation)
+        return draw_joint(value, space.low, space.high, sd, self.correlation, *count_and_seed)
 
     @cached_property
     def known(self) -> KnownPushes:

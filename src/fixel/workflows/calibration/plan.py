@@ -250,13 +250,13 @@ def answer_bytes(task: CalibrationTask, payload: bytes) -> bytes:
 def _ends(task: CalibrationTask, rows: Rows) -> dict[str, Any]:
     """Number of recorded ends in the regions predicted from the other experiments, and of all."""
     comparer, (best, value, sd) = task.comparer, (rows[k][0] for k in ("point", "value", "sd"))
-    if len(comparer.targets) < LEAST:
+    targets, space, motion = comparer.targets, comparer.space, comparer.ensemble.motion
+    if len(targets) < LEAST:
         return {"count": [0, 0]}
-    space, motion = comparer.space, comparer.ensemble.motion
     near = linear_fit(comparer, best)
     drawn = draw_joint(value, space.low, space.high, sd, near.correlation, DRAWS, 0)
-    predictive = predictive_of(comparer.targets, space, motion, best, value, drawn)
-    return {"count": check_predictions(predictive, comparer.targets, motion, best, near.left_out())}
+    predictive = predictive_of(targets, space, motion, best, value, drawn, near.left_out())
+    return {"count": check_predictions(predictive, targets, motion, best, near.left_out())}
 
 
 ANSWERS: Final = {**search.ANSWERS, "ends": _ends}
