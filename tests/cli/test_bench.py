@@ -1,6 +1,7 @@
 """Output of `fixel bench`: trouble without a terminal, and the next command."""
 
 import json
+import socket
 from types import SimpleNamespace
 
 import pytest
@@ -71,3 +72,17 @@ def test_rows_and_trouble_are_printed_once_without_a_terminal(capsys, monkeypatc
     assert lines == [f"trouble: no {own}" for own in ("camera", "camera", "drive")] + [
         "trouble: disk: full"
     ]
+
+
+@pytest.mark.usefixtures("small_laboratory")
+def test_a_dry_run_serves_no_page(tmp_path, capsys, monkeypatch):
+    plan, lab = tmp_path / "few.yaml", tmp_path / "lab"
+    plan.write_text(plan_text(short_plan()))
+    with pytest.raises(SystemExit):
+        run(["new", str(lab)])
+    monkeypatch.setattr(socket.socket, "listen", lambda *_: pytest.fail("a port was opened"))
+    capsys.readouterr()
+    printed = performed(capsys, plan, "--project", lab, "--emulated", "--dry-run")
+    assert "Open http" not in printed.err
+    assert "the drive can perform every row" in printed.out
+    assert printed.out.splitlines()[-1] == f"Next: fixel bench {plan} --emulated --project {lab}"

@@ -4,7 +4,7 @@ import json
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from select import select
 from typing import TYPE_CHECKING, Any, Final
@@ -42,9 +42,12 @@ def _perform(request: "BaseModel", folder: Path, as_json: bool) -> None:
     try:
         loop = session.start(BENCH.function(context.project, **BENCH.arguments(request)))
         # The operator of a manual drive answers in the terminal.
-        keys = sys.stdin.isatty() and loop.devices.drive.name != ManualActuator.name
-        with project_server(context) as server, _pressed_keys(keys) as pressed:
-            notify(f"Open {server.address}bench?token={server.gate.token}")
+        manual = loop.devices.drive.name == ManualActuator.name
+        keys = sys.stdin.isatty() and not (manual or loop.dry_run)
+        page = nullcontext() if loop.dry_run else project_server(context)
+        with page as server, _pressed_keys(keys) as pressed:
+            if server is not None:
+                notify(f"Open {server.address}bench?token={server.gate.token}")
             if keys:
                 notify(SAID)
             show = _reporter(session)

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -72,12 +73,42 @@ def test_skipped_rows_stay_skipped(tmp_path):
 
 
 def test_another_plan_under_the_same_name_is_refused(tmp_path):
-    opened(tmp_path).close()
+    campaign = opened(tmp_path)
+    campaign.begin(NAMES[0])
+    campaign.close()
     slower = replace(ROWS[0], scene=replace(ROWS[0].scene, gravity=1.6))
     folder = tmp_path / "bench" / "pushes"
     error = refused(Campaign, folder, [slower, *ROWS[1:]], match="other rows than those")
     assert "--name" in error.hint
     opened(tmp_path).close()  # the refusal has let go of the journal
+
+
+def test_a_plan_is_free_to_change_before_the_first_attempt(tmp_path):
+    """A dry run or a check of the bench opens a campaign, and must not commit its plan."""
+    opened(tmp_path).close()
+    folder = tmp_path / "bench" / "pushes"
+    fewer = Campaign(folder, ROWS[:2])
+    fewer.skip(NAMES[0])
+    fewer.close()
+    refused(Campaign, folder, ROWS, match="other rows than those")
+    again = Campaign(folder, ROWS[:2])
+    assert [row.name for row in again.left] == [NAMES[1]]
+    again.close()
+
+
+def test_a_rehearsal_is_never_continued_with_real_devices(tmp_path):
+    """Else the rows of the rehearsal would count as done, and their dataset would be mixed."""
+    folder = tmp_path / "bench" / "pushes"
+    for first in (True, False):
+        campaign = Campaign(folder / str(first), ROWS, emulated=first)
+        campaign.note(campaign.begin(NAMES[0]), "accepted", experiment=1)
+        campaign.close()
+        other = partial(Campaign, folder / str(first), ROWS, emulated=not first)
+        named = "real devices, other than" if first else "an emulated bench, other than"
+        assert "--name" in refused(other, match=named).hint
+        again = Campaign(folder / str(first), ROWS, emulated=first)
+        assert len(again.accepted) == 1
+        again.close()
 
 
 def test_two_programs_cannot_perform_the_same_campaign(tmp_path):

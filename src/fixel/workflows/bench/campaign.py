@@ -22,7 +22,8 @@ from fixel.sampling.rig import plain_name
 
 BENCH: Final = "bench"  # folder of a project
 JOURNAL: Final = "journal"
-ROWS: Final = "rows"  # its first block, the checksum of the rows
+ROWS: Final = "rows"  # its first block, the checksum of the rows, and `EMULATED`
+EMULATED: Final = b" emulated"
 
 # Of an attempt: begun -> recorded -> tracked -> accepted or repeated; stopped where it has no push.
 State = Literal["begun", "stopped", "recorded", "tracked", "accepted", "repeated"]
@@ -49,12 +50,13 @@ class Attempt(NamedTuple):
 class Campaign:
     """Campaign of experiments at the bench in a folder, open in this process only.
 
-    Raise `InvalidInput` without rows, or if it was begun with other rows, and `JobRefused` if
-    another process performs it.
+    Raise `InvalidInput` without rows, or if attempts were made at other rows or another bench, and
+    `JobRefused` if another process performs it.
     """
 
     folder: Path
     rows: Sequence[PlannedExperiment]  # of the plan, in order
+    emulated: bool = False  # whether its pushes are simulated
     attempts: dict[str, Attempt] = field(default_factory=dict, init=False)  # by name, in order
     skipped: set[str] = field(default_factory=set, init=False)
 
@@ -82,15 +84,20 @@ class Campaign:
             for row in self.rows
         ]
         digest = hashlib.sha256(json.dumps(content).encode()).hexdigest().encode()
-        known = self._journal.get(ROWS)
-        if known is not None and known != digest:
+        begun = digest + EMULATED * self.emulated
+        known = self._journal.get(ROWS) or begun
+        if known != begun and any(name != ROWS for name in self._journal):
+            bench = "an emulated bench" if self.emulated else "real devices"
+            found = f"{bench}, other" if known.removesuffix(EMULATED) == digest else "other rows"
             raise InvalidInput(
                 "plan",
-                found=f"other rows than those with which {self.folder.name} was begun",
-                expected="the same plan",
-                hint="perform the new plan under another --name",
+                found=f"{found} than those with which {self.folder.name} was begun",
+                expected="the same plan at the same bench",
+                hint="perform this plan under another --name",
             )
-        self._journal.append([(ROWS, digest)])
+        if known != begun:
+            self._journal.drop(0)  # of a dry run or a check of the bench, which begin nothing
+        self._journal.append([(ROWS, begun)])
 
     # --- events ---------------------------------------------------------------------------------
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -263,22 +263,15 @@ def open_devices(settings: Mapping[str, Any]) -> Iterator[BenchDevices]:
     rig = rig_of(settings["rig"])
     size = rig.camera.lens.image_size
     with ExitStack() as stack:
-        camera = SharedCamera(
-            partial(source_of, settings["camera"], size=size, rate=settings["rate"])
-        )
+        camera_opener = partial(source_of, settings["camera"], size=size, rate=settings["rate"])
+        camera = SharedCamera(camera_opener)
         stack.callback(camera.close)
         check_size(camera.stream, size, camera.source.name)
-        tactile: TouchReader | None = None
-        if settings["tactile"]:
-            tactile = stack.enter_context(_connected(TactileReader(settings["tactile"])))
+        board = settings["tactile"]
+        tactile = stack.enter_context(_connected(TactileReader(board))) if board else None
+        own = settings["driver"], settings["port"] or None
         drive = stack.enter_context(
-            chosen_actuator(
-                settings["driver"],
-                settings["port"] or None,
-                axes=settings["axes"],
-                notify=print,
-                keys=False,
-            )
+            chosen_actuator(*own, axes=settings["axes"], notify=print, keys=False)
         )
         yield BenchDevices(camera, rig, tactile, drive, _frame(settings["drive_pose"], drive))
 
@@ -333,11 +326,8 @@ def emulated_devices(
     )
     laboratory.prepare(rows[0])
     camera = SharedCamera(lambda: laboratory.source)
-    try:
-        with laboratory.drive as drive:
-            yield BenchDevices(
-                camera, laboratory.rig, laboratory.tactile, drive, np.zeros(3), laboratory.clock,
-                laboratory,
-            )  # fmt: skip
-    finally:
-        camera.close()
+    with closing(camera), laboratory.drive as drive:
+        yield BenchDevices(
+            camera, laboratory.rig, laboratory.tactile, drive, np.zeros(3), laboratory.clock,
+            laboratory,
+        )  # fmt: skip

@@ -197,9 +197,9 @@ class BenchLoop:
             while self.check and not self.finish:
                 if not self._in_trouble():
                     self._measure()
-            for attempt in [] if self.finish else self.campaign.undecided:
-                self._track(attempt)
-            if not self.check:
+            if not self.finish:  # as that of a dry run or a check
+                for attempt in self.campaign.undecided:
+                    self._track(attempt)
                 self._estimate()
             while not self._is_over():
                 if self._in_trouble():

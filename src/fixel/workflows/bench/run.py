@@ -160,7 +160,7 @@ def _opened(
             opened.check(row)
             things = row.scene.bodies[0], row.scene.pushers[0]
             Locator(opened.rig, row.scene, tuple(own.name for own in things))
-        campaign = Campaign(project.folder / FOLDER / options["name"], rows)
+        campaign = Campaign(project.folder / FOLDER / options["name"], rows, options["emulated"])
         with closing(campaign):
             own = {one.name: options[one.name] for one in fields(BenchLoop) if one.kw_only}
             yield BenchLoop(project, campaign, opened, **own)
