@@ -134,7 +134,11 @@ def test_conditions_are_compared(capsys, lab):
         listed = json_of(capsys, "list", "--where", condition, "--project", lab)
         assert [row["id"] for row in listed["experiments"]] == ids, condition
     for condition in ("speed_m_s>fast", "surface>0"):
-        refusal(capsys, "list", "--where", condition, "--project", lab)
+        assert "--where" in refusal(capsys, "list", "--where", condition, "--project", lab)
+    # A filter that is no comparison, and a name that no experiment has.
+    for condition in ("x", '"open', "speed>1"):
+        words = refusal(capsys, "list", "--where", condition, "--project", lab)
+        assert words.startswith("fixel: --where")
 
 
 @pytest.mark.parametrize(("words", "code", "kind"), [

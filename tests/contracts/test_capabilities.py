@@ -269,6 +269,8 @@ def test_refusals_have_the_name_of_the_door(capability):
     ("sensitivity", {"seed": 2**32}, "seed is 4294967296, but must be at most 4294967295"),
     ("uncertainty", {"noise": {"position_m": 1e-300, "angle_rad": 1e-3}},
      "noise.position_m is 1e-297 mm, but must be at least 1e-06"),
+    ("uncertainty", {"noise": {"position": 3e-4, "angle": 4e-3}},
+     "noise is 'position', but must be one of position_m, angle_rad; did you mean 'position_m'?"),
     ("domain", {"cells": {"push_angle_rad": 1e-300}},
      "cells push_angle_rad is 1e-300, but must be at least 1e-09"),
     ("calibrate", {"angle_scale": 1e300},

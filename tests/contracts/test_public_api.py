@@ -427,7 +427,7 @@ def test_polygons_about_their_origin() -> None:
 
 @pytest.mark.parametrize(("where", "call"), [
     ("start", lambda p: fixel.calibrate(p, {"mu_pusher": (0, 1)}, start={"mu_pushr": 0.3})),
-    ("mu_pusher.nominal", lambda p: fixel.calibrate(p, ["mu_pusher"], start={"mu_pusher": 7})),
+    ("mu_pusher.start", lambda p: fixel.calibrate(p, ["mu_pusher"], start={"mu_pusher": 7})),
     ("noise of poses", lambda p: fixel.calibrate(p, ["mu_pusher"], noise=0.0002)),
     ("experiments", lambda p: fixel.calibrate(p[0], ["mu_pusher"])),
     ("experiments", lambda _: fixel.compare(5)),

@@ -130,7 +130,7 @@ def test_what_is_left_out_is_as_dakota_has_it():
     ("'sFC'", "'sFC2'", r"line 29: found 'sFC2', .*did you mean 'sFC'"),
     ("'sFC'", "'fC'", r"found mu_fixel twice"),
     ("1 1 60 1", "1 0 60 1", r"line 25\.mu_pusher: found bounds 0 to 0"),
-    ("0.2 0.2 25", "0.2 1.2 25", r"line 25\.mu_pusher\.nominal: .*move the start"),
+    ("0.2 0.2 25", "0.2 1.2 25", r"line 25\.mu_pusher\.start: .*move the start"),
     ("    upper_bounds 1 1 60 1\n", "", r"line 24: found variables without upper_bounds"),
     ("1 1 60 1", "1 1 inf 1", r"line 28: found inf, but fixel needs a finite number"),
     ("0 0 0 0", "0 0 0 -Inf", r"line 27: found -Inf, but fixel needs a finite number"),

@@ -285,7 +285,8 @@ class Capability:
         return {name.partition(".")[0]: label for name, label in reversed(own.items())} | own
 
     def _refusal(self, problem: ValidationError) -> InvalidInput:
-        first = problem.errors(include_url=False)[0]
+        extra = "unexpected_keyword_argument"  # perhaps of a name that is missing: spelled wrongly
+        first = min(problem.errors(include_url=False), key=lambda one: one["type"] != extra)
         kind = first["type"]
         if not first["loc"]:  # of a text that is no JSON, or no object
             return InvalidInput("request", found="another text", expected="an object in JSON")
@@ -293,7 +294,7 @@ class Capability:
         if name not in self.options:
             return unknown_name(f"option of {self.name}", name, tuple(self.options))
         own = f"{name}.{rest[0]}" if rest else name
-        if kind == "unexpected_keyword_argument":
+        if kind == extra:
             known = [k.partition(".")[2] for k in self.shown if k.startswith(f"{name}.")]
             return unknown_name(name, rest[0], known)
         where = own if own in self.shown else " ".join([name, *rest[:1]])
@@ -309,10 +310,11 @@ class Capability:
 def named(error: InvalidInput, names: Mapping[str, str]) -> InvalidInput:
     """Return an error with the names of a door instead of those of arguments.
 
-    The `where` of the error begins with an argument (`nominal side`); its hint may set one
-    (`folds=2`). `names` has the name of each argument at the door.
+    The `where` of the error begins with an argument (`nominal side`), or `filter`, which is that
+    of `where`; its hint may set one (`folds=2`). `names` has the name of each argument at the door.
     """
-    name, space, rest = error.where.partition(" ")
+    place = re.sub("^filter:?(?= |$)", "where", error.where) if "where" in names else error.where
+    name, space, rest = place.partition(" ")
     where, hint = f"{names.get(name, name)}{space}{rest}", named_hint(error.hint or "", names)
     return InvalidInput(where, found=error.found, expected=error.expected, hint=hint or None)
 

@@ -131,7 +131,7 @@ class Unknown(Comparable):
         _check_bounds(low, high, self.name)
         if not low <= nominal <= high:
             raise InvalidInput(
-                f"{self.name}.nominal",
+                f"{self.name}.start",
                 found=f"{nominal:g} outside the bounds {low:g} to {high:g}",
                 expected="a start within them",
                 hint="move the start, or widen the bounds",
