@@ -57,6 +57,17 @@ def test_nothing_wrong(store, folder):
     assert (found.media_files, found.unused_files) == (1, 0)
 
 
+@pytest.mark.parametrize("content", ["[]", "{}", '{"kind": 3}', "no JSON"])
+def test_a_stored_result_that_cannot_be_read(folder, content):
+    path = folder / "analyses" / "domain-1" / "analysis.json"
+    path.parent.mkdir(parents=True)
+    path.write_text(content)
+    where, sentence, hint = only_trouble(folder)
+    assert where == "results"
+    assert sentence.startswith(f"{path} cannot be read")
+    assert hint == f"delete the folder {path.parent} and run the analysis again"
+
+
 def test_a_media_file_that_is_gone(folder):
     media_of(folder).unlink()
     where, sentence, hint = only_trouble(folder)

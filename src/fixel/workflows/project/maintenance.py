@@ -20,6 +20,7 @@ from fixel.database.store import Store
 from fixel.database.stored_content import RESTORE, Trouble, content_troubles, schema_troubles
 from fixel.errors import InvalidInput, StoreRefused, counted, os_reason, reason_of
 from fixel.io.atomic import written_whole
+from fixel.workflows.analysis import load_with_errors
 
 OWNERS: Final = {
     "experiment": schema.experiment,
@@ -179,9 +180,8 @@ def _checked(engine: sa.Engine, project: Project) -> CheckResult:
             troubles += _without_motion(connection)
             troubles += _missing_videos(connection, media)
             reported = {trouble.where.partition(",")[0] for trouble in troubles}
-            troubles += (
-                one for one in content_troubles(connection, media) if one.where not in reported
-            )
+            found = content_troubles(connection, media)
+            troubles += (one for one in found if one.where not in reported)
             used, videos = _used(connection)
     except StoreRefused as refused:
         # A damaged file may be readable up to some point only; report what was found until there.
@@ -191,6 +191,8 @@ def _checked(engine: sa.Engine, project: Project) -> CheckResult:
         troubles.append(Trouble("database", refused.reason, hint))
         used, videos = set(), set()
     files, bad = _media_files(media, read_already=used)
+    for own in load_with_errors(project)[1]:
+        bad.append(Trouble("results", reason_of(own), getattr(own, "hint", None) or RESTORE))
     return CheckResult(
         engine=engine.dialect.name,
         version=version,
@@ -222,8 +224,7 @@ def _broken_references(connection: sa.Connection) -> Iterator[Trouble]:
                 .where(column.is_not(None))
                 .where(~sa.exists().where(target.c[key.column.name] == column))
             )
-            n = connection.scalar(lost)
-            if n:
+            if n := connection.scalar(lost):
                 sentence = f"{counted(n, 'row')} of {table.name} without their {column.name}"
                 yield Trouble(table.name, sentence, RESTORE)
 
@@ -240,8 +241,7 @@ def _bad_series(connection: sa.Connection, media: Path) -> Iterator[Trouble]:
             yield Trouble(f"series {number}", f"cannot be read: {reason_of(problem)}", RESTORE)
             continue
         where = f"{row.owner} {row.owner_id}, series {row.name!r}"
-        complaint = _owner_gone(connection, row) or _unreadable(row, media)
-        if complaint is not None:
+        if complaint := _owner_gone(connection, row) or _unreadable(row, media):
             yield Trouble(where, *complaint)
 
 
@@ -304,8 +304,7 @@ def _media_files(media: Path, read_already: set[str]) -> tuple[set[str], list[Tr
         if not re.fullmatch(r"[0-9a-f]{64}", path.name):
             continue
         files.add(path.name)
-        sentence = None if path.name in read_already else _file_trouble(path)
-        if sentence is not None:
+        if path.name not in read_already and (sentence := _file_trouble(path)):
             bad.append(Trouble(f"file {path}", sentence, RESTORE_MEDIA))
     return files, bad
 
