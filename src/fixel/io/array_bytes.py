@@ -11,6 +11,7 @@ import json
 import math
 import zipfile
 from collections.abc import Callable
+from os import PathLike
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fixel.io.atomic import write_whole
+from fixel.model.fields import path_of
 from fixel.typing import FloatArray
 
 SMALL: Final = 64_000_000  # [bytes] that any file may unpack to
@@ -73,10 +75,10 @@ VERSION: Final = 1
 class ResultCache:
     """Results by name in a folder, each with a checksum of its inputs; without one, not stored."""
 
-    def __init__(self, folder: Path | None) -> None:
-        self.folder = folder
-        if folder is not None:
-            folder.mkdir(parents=True, exist_ok=True)
+    def __init__(self, folder: str | PathLike[str] | None) -> None:
+        self.folder = None if folder is None else path_of(folder, "store")
+        if self.folder is not None:
+            self.folder.mkdir(parents=True, exist_ok=True)
 
     def get(self, name: str, of: object, compute: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         """Return the result stored under a name for the same inputs, or compute and store it.
@@ -87,8 +89,7 @@ class ResultCache:
         if self.folder is None:
             return compute()
         path = self.folder / f"{name}.json"
-        kept = _read(path)
-        if kept is not None and kept.get("of") == mark:
+        if (kept := _read(path)) and kept.get("of") == mark:
             return dict(kept["answer"])
         answer = compute()
         write_whole(path, json.dumps({"of": mark, "answer": answer}))

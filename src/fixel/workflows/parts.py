@@ -88,7 +88,7 @@ def part_model(
     targets = [target_of(own) for own in used]
     named = [own._replace(conditions={part: "", surface: "", **own.conditions}) for own in targets]
     groups = grouped(named, surface, part, threads)
-    cache = ResultCache(None if store is None else Path(store))
+    cache = ResultCache(store)
     fits = []
     with show_progress(progress, "fitting parts") as report:
         for done, ((on, name), group) in enumerate(groups.items()):

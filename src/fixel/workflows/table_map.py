@@ -97,7 +97,7 @@ def table_map(
         what, expected = f"{surface}={' and '.join(names)}", "experiments on one table"
         raise InvalidInput("experiments", found=what, expected=expected, hint="make a map of each")
     groups = by_part(used, part, threads)
-    cache = ResultCache(None if store is None else Path(store))
+    cache = ResultCache(store)
     values = {}
     with show_progress(progress, "fitting parts") as report:
         for done, (name, group) in enumerate(groups.items()):

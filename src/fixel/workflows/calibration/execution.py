@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Final, final
@@ -33,6 +34,7 @@ from fixel.jobs import folder as files
 from fixel.jobs.site import Site, load_site
 from fixel.jobs.work import JobProgress, LocalEngine, Round, Show, block_name, run_work, unframed
 from fixel.model import Experiment, Scene
+from fixel.model.fields import path_of
 from fixel.model.selection import ExperimentQuery, parse_filter
 from fixel.model.space import ParameterSpace
 from fixel.progress import Progress, show_progress
@@ -76,7 +78,7 @@ def run_plan(plan: CalibrationPlan, asked: SimpleNamespace) -> Calibrations:
         with tempfile.TemporaryDirectory(prefix="fixel-") as temporary:
             return replace(_run_in_folder(plan, Path(temporary) / "job", asked), folder=None)
     is_path = not isinstance(asked.store, Project)
-    if is_path and not (Path(asked.store) / SETTINGS).is_file():
+    if is_path and not (path_of(asked.store, "store folder") / SETTINGS).is_file():
         return _run_in_folder(plan, Path(asked.store), asked)
     project = Project(asked.store) if is_path else asked.store
     keys = [target.key for target in plan.targets]
@@ -223,10 +225,9 @@ def select_experiments(
     not are left out with a reason.
     """
     ids = list(dict.fromkeys(map(store.find, dict.fromkeys(keys))))
+    ids = ids or [summary.id for summary in store.experiments(query).rows]
     if not ids:
-        ids = [summary.id for summary in store.experiments(query).rows]
-        if not ids:
-            check_known_names(store, query)
+        check_known_names(store, query)
     targets: dict[int, Target] = {}
     left_out: dict[str, str] = {}
     for experiment_id in ids:
@@ -259,13 +260,10 @@ def draw_sample(chosen: ExperimentSelection, count: int, seed: int) -> Experimen
 
 def stored_points(project: Project, space: ParameterSpace) -> list[list[float]]:
     """Values of the free parameters in all stored calibrations that have them, each set once."""
-    labels = space.labels
-    points: dict[tuple[float, ...], None] = {}
+    own = space.labels
     with project.store() as store:
-        for record in store.calibration_summaries().values():
-            best = record.best_fit
-            if all(label in best for label in labels):
-                points[tuple(best[label] for label in labels)] = None
+        found = [record.best_fit for record in store.calibration_summaries().values()]
+    points = dict.fromkeys(tuple(best[k] for k in own) for best in found if {*own} <= {*best})
     return [list(point) for point in points]
 
 
@@ -277,10 +275,9 @@ def plan_in_project(project: Project, request: BaseModel) -> CalibrationPlan:
     given = "dataset" if asked.dataset else "where" if asked.where else ""
     if asked.experiments and given:
         raise InvalidInput(given, found="names of experiments too", expected="one of them")
-    for file, own in (("dakota", ("space", "fit", "option")), ("space", ("fit",))):
-        for name in own:
-            if getattr(asked, file) is not None and getattr(asked, name):
-                raise InvalidInput(file, found=f"{name} too", expected="one of them")
+    for file, name in (*combinations(("dakota", "space", "fit"), 2), ("dakota", "option")):
+        if getattr(asked, file) is not None and getattr(asked, name):
+            raise InvalidInput(file, found=f"{name} too", expected="one of them")
     query = parse_filter(*asked.where, dataset=asked.dataset or None, include_faulty=asked.flagged)
     with project.store() as store:
         chosen = select_experiments(store, asked.experiments, query)

@@ -178,9 +178,10 @@ def fit_store(
 
     A folder of a call that needs other fits raises `InvalidInput` with the difference.
     """
-    if folder is None:
-        return ResultCache(None).get
-    folder = Path(folder)
+    cache = ResultCache(folder)
+    if cache.folder is None:
+        return cache.get
+    folder = cache.folder
     own = _arguments(targets, model, apart)
     path = folder / CALL
     if (folder / JOB).is_file():
@@ -194,8 +195,7 @@ def fit_store(
                     raise other_call(folder, "a call with other experiments")
                 found = f"a call with another {name}: {before.get(name)}"
                 raise other_call(folder, found, f", which has {now} now")
-        return ResultCache(folder).get
-    cache = ResultCache(folder)
+        return cache.get
     write_whole(path, json.dumps(own, indent=1))
     return cache.get
 
