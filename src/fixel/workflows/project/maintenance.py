@@ -20,7 +20,6 @@ from fixel.database.store import Store
 from fixel.database.stored_content import RESTORE, Trouble, content_troubles, schema_troubles
 from fixel.errors import InvalidInput, StoreRefused, counted, os_reason, reason_of
 from fixel.io.atomic import written_whole
-from fixel.workflows.analysis import load_with_errors
 
 OWNERS: Final = {
     "experiment": schema.experiment,
@@ -191,8 +190,10 @@ def _checked(engine: sa.Engine, project: Project) -> CheckResult:
         troubles.append(Trouble("database", refused.reason, hint))
         used, videos = set(), set()
     files, bad = _media_files(media, read_already=used)
-    for own in load_with_errors(project)[1]:
-        bad.append(Trouble("results", reason_of(own), getattr(own, "hint", None) or RESTORE))
+    try:
+        len(project.analyses)
+    except StoreRefused as refused:  # the first that cannot be read
+        bad.append(Trouble("results", refused.reason, refused.hint or RESTORE))
     return CheckResult(
         engine=engine.dialect.name,
         version=version,
