@@ -429,7 +429,7 @@ def test_polygons_about_their_origin() -> None:
     ("start", lambda p: fixel.calibrate(p, {"mu_pusher": (0, 1)}, start={"mu_pushr": 0.3})),
     ("mu_pusher.start", lambda p: fixel.calibrate(p, ["mu_pusher"], start={"mu_pusher": 7})),
     ("noise of poses", lambda p: fixel.calibrate(p, ["mu_pusher"], noise=0.0002)),
-    ("store folder", lambda p: fixel.calibrate(p, ["mu_pusher"], store=3)),
+    ("store", lambda p: fixel.calibrate(p, ["mu_pusher"], store=3)),
     ("store", lambda p: fixel.map_domain(p, ["mu_pusher"], store=3)),
     ("store", lambda p: fixel.plan(p[0].scene, GOAL, store=3)),
     ("experiments", lambda p: fixel.calibrate(p[0], ["mu_pusher"])),

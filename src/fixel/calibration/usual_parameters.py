@@ -331,7 +331,7 @@ def _fit(setting: str, scenes: Sequence[Scene]) -> Unknown:
     numbers = [factor * number_of(text, where) for text in limits.split(":")]
     if len(numbers) not in (2, 3):
         raise InvalidInput(where, found=repr(limits), expected="LOW:HIGH or LOW:HIGH:START")
-    low, high = numbers[0], numbers[1]
+    low, high, *start = numbers
     unknown = usual_in(name, scenes, (low, high))
     if unknown.unit in _TOO_FAR:
         ending, word, limit = _TOO_FAR[unknown.unit]
@@ -342,8 +342,7 @@ def _fit(setting: str, scenes: Sequence[Scene]) -> Unknown:
                 expected=f"bounds in {word}, such as {unknown.low:g} to {unknown.high:g}",
                 hint=f"write {unknown.name}{ending}=LOW:HIGH for other units",
             )
-    nominal = numbers[2] if len(numbers) == 3 else unknown.nominal
-    return replace(unknown, low=low, high=high, nominal=nominal, scale=None)
+    return replace(unknown, low=low, high=high, nominal=[*start, unknown.nominal][0], scale=None)
 
 
 def fixed_unknowns(settings: Sequence[str]) -> list[Unknown]:

@@ -128,9 +128,9 @@ def predictive_of(
     usual = float(np.median(squares))
     # Samples miss no more than fits without these pushes do. Among fixels ends do not show it.
     left_out = np.clip(best + moved[some], space.low, space.high)[:, None]
-    enough, least = (float(squares_at(own)[0]) for own in (left_out, value[None]))
-    if usual > max(enough, least) and not any(own.case.scene.fixels for own in targets):
-        nearer = math.sqrt(max(enough - least, 0.0) / (usual - least))
+    enough, at_value = (float(squares_at(own)[0]) for own in (left_out, value[None]))
+    if usual > max(enough, at_value) and not any(own.case.scene.fixels for own in targets):
+        nearer = math.sqrt(max(enough - at_value, 0.0) / (usual - at_value))
         shrunk = value + max(nearer, NEAREST / SHRINK) * (shrunk - value)
         squares = squares_at(shrunk)
     least = min(float((residual[some] ** 2).sum()), float(squares.min()))

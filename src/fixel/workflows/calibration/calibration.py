@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import shlex
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
@@ -357,11 +357,12 @@ class Calibration(Result, Mapping[str, float]):
         near = linear_fit(Comparer(self.targets, self.space, None, self.motion), self.found.point)
         return predictive_of(*of, value, self._draw(POOL, 0), near.left_out())
 
-    def _draw(self, *count_and_seed: int) -> FloatArray:
-        """Draw samples (n, n_free) of the parameters."""
+    @property
+    def _draw(self) -> Callable[[int, int], FloatArray]:
+        """Function of a number and a seed that draws samples (n, n_free) of the parameters."""
         space = self.space
         value, sd = quoted(self.estimates.values(), space.labels, self.level)
-        return draw_joint(value, space.low, space.high, sd, self.correlation, *count_and_seed)
+        return partial(draw_joint, value, space.low, space.high, sd, self.correlation)
 
     @cached_property
     def known(self) -> KnownPushes:

@@ -43,6 +43,7 @@ from fixel.trust import permit
 from fixel.workflows import jobs
 from fixel.workflows.calibration.calibration import Calibration, Calibrations, collect
 from fixel.workflows.calibration.plan import (
+    STORE,
     CalibrationPlan,
     answer_bytes,
     check_same,
@@ -78,13 +79,13 @@ def run_plan(plan: CalibrationPlan, asked: SimpleNamespace) -> Calibrations:
         with tempfile.TemporaryDirectory(prefix="fixel-") as temporary:
             return replace(_run_in_folder(plan, Path(temporary) / "job", asked), folder=None)
     is_path = not isinstance(asked.store, Project)
-    if is_path and not (path_of(asked.store, "store folder") / SETTINGS).is_file():
+    if is_path and not (path_of(asked.store, STORE) / SETTINGS).is_file():
         return _run_in_folder(plan, Path(asked.store), asked)
     project = Project(asked.store) if is_path else asked.store
-    keys = [target.key for target in plan.targets]
     if not plan.asked:
         with project.store() as store:
-            plan = replace(plan, asked=options_of(plan.request, map(store.find, keys)))
+            ids = map(store.find, (target.key for target in plan.targets))
+            plan = replace(plan, asked=options_of(plan.request, ids))
     folder = offered("methods", "prepare")(*_job(plan), project, plan.inputs)
     return add_to_project(project, _run_job(plan, folder, asked))
 

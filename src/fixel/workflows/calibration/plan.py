@@ -44,6 +44,7 @@ from fixel.workflows.calibration.request import (
 
 REQUEST: Final = "request.json"
 ABOUT: Final = "about.json"  # fields of the plan that no result depends on
+STORE: Final = "store"  # argument of calls, in errors
 PREFLIGHT: Final = 16  # experiments that are simulated before any work starts
 JAMMED: Final = codes.STATUS_NAMES[codes.JAMMED]
 
@@ -183,7 +184,7 @@ def check_same(plan: CalibrationPlan, folder: Path) -> None:
 def other_call(folder: Path, found: str, now: str = "") -> InvalidInput:
     """Return the error for a folder of finished results that belongs to another call."""
     return InvalidInput(
-        "store",
+        STORE,
         found=f"{folder}, which belongs to {found}",
         expected=f"the same call again{now}",
         hint="give this call a folder of its own",

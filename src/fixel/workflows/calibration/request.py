@@ -243,8 +243,7 @@ class CalibrationRequest(_Fields):
                 expected="mode joint and a sum or mean of squares",
                 hint="choose pattern-search or nelder-mead",
             )
-        for _ in (self.space, self.made_error, self.made_motion, self.noise):
-            pass
+        _ = self.space, self.made_error, self.made_motion, self.noise
 
 
 NAMED: Final = tuple(
