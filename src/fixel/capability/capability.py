@@ -285,7 +285,7 @@ class Capability:
         return {name.partition(".")[0]: label for name, label in reversed(own.items())} | own
 
     def _refusal(self, problem: ValidationError) -> InvalidInput:
-        extra = "unexpected_keyword_argument"  # perhaps of a name that is missing: spelled wrongly
+        extra = "unexpected_keyword_argument"  # if a name is misspelled, it is also missing
         first = min(problem.errors(include_url=False), key=lambda one: one["type"] != extra)
         kind = first["type"]
         if not first["loc"]:  # of a text that is no JSON, or no object
