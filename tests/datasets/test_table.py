@@ -53,6 +53,13 @@ def test_headers_of_spreadsheets(tmp_path):
     assert experiment.trajectory.pose[0] == pytest.approx([0.001, 0.002, math.pi])
 
 
+def test_the_motion_of_the_object_is_stated(tmp_path):
+    """A user who has mistaken metres for millimetres reads it there."""
+    rows = "0,0,0,170\n0.5,0.003,0,180\n1.0,0.003,-0.004,-178\n"
+    first, *_ = plan_of(tmp_path, f"time_s,x_mm,y_mm,theta_deg\n{rows}").understood
+    assert first.endswith("The object moves 0.005 mm and turns 12 degrees.")
+
+
 def test_guesses_are_stated_and_flagged(tmp_path):
     plan = plan_of(tmp_path, "t,x,y,theta\n0,120,3,178\n33,121,3,-179\n66,122,3,-176\n")
 

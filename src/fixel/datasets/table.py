@@ -658,14 +658,14 @@ def _conditions(reading: _TableReading) -> dict[str, str | float]:
 
 
 def _understood(reading: _TableReading, experiment: Experiment, time: FloatArray) -> Iterator[str]:
-    rate = rate_of(time)
+    x, y, turn = experiment.trajectory.pose[-1] - experiment.trajectory.pose[0]
     yield (
-        f"One experiment of {len(time)} rows at {rate:.4g} Hz over {time[-1]:.4g} s; its clock"
-        " starts at the first row."
+        f"One experiment of {len(time)} rows at {rate_of(time):.4g} Hz over {time[-1]:.4g} s from"
+        f" the first row on. The object moves {1e3 * math.hypot(x, y):.4g} mm and turns"
+        f" {math.degrees(turn):.4g} degrees."
     )
     for role, column in reading.roles.items():
-        assert column.unit is not None
-        if column.unit.kind == "ratio":
+        if column.unit is None or column.unit.kind == "ratio":
             continue
         unit, si = _name(column.unit), column.unit.si
         into = f"{unit} to {si}" if unit != si else si
