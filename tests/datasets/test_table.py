@@ -54,7 +54,7 @@ def test_headers_of_spreadsheets(tmp_path):
 
 
 def test_the_motion_of_the_object_is_stated(tmp_path):
-    """A user who has mistaken metres for millimetres reads it there."""
+    """The first sentence about a table states a motion: it shows metres taken for millimetres."""
     rows = "0,0,0,170\n0.5,0.003,0,180\n1.0,0.003,-0.004,-178\n"
     first, *_ = plan_of(tmp_path, f"time_s,x_mm,y_mm,theta_deg\n{rows}").understood
     assert first.endswith("The object moves 0.005 mm and turns 12 degrees.")

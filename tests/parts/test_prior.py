@@ -38,7 +38,7 @@ def test_the_mean_of_many_parts_is_found_and_the_share_scales_it():
 
 
 def test_pushes_that_hardly_determine_a_part_do_not_draw_the_mean_to_that_before_any_push():
-    """The posterior mean of a part lies between the truth and the prior, that of many must not."""
+    """Fits of parts lie between truth and prior; the mean of many parts must be near the truth."""
     rng = np.random.default_rng(3)
     sd = np.array([spread.sd for spread in UNPUSHED.values()])
     start = SupportPrior.unpushed().mean

@@ -84,7 +84,7 @@ def _misses(recorded, points):
 
 @pytest.fixture(scope="module")
 def wide_samples(fit):
-    """Samples, and how far the fit moves without one push."""
+    """Wide samples of the parameters, and how far the fit moves without one push."""
     rng = np.random.default_rng(3)
     moved = rng.choice((-1.0, 1.0), (5, 2)) * (0.06, 3 * mm)
     points = fit.found.point + rng.standard_normal((256, 2)) * (0.18, 8 * mm)
@@ -105,7 +105,7 @@ def test_samples_miss_recorded_ends_as_far_as_fits_without_them_do(fit, recorded
 
 
 def test_samples_keep_some_distance_from_the_values(fit, wide_samples):
-    """Fits that do not move at all would leave no distance."""
+    """Samples keep 0.3 of their distance, even where fits without a push do not move."""
     points, moved = wide_samples
     best = fit.found.point
     found = predictive_of(fit.targets, fit.space, fit.motion, best, best, points, 0.0 * moved)

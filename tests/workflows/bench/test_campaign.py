@@ -97,7 +97,7 @@ def test_a_plan_is_free_to_change_before_the_first_attempt(tmp_path):
 
 
 def test_a_rehearsal_is_never_continued_with_real_devices(tmp_path):
-    """Else the rows of the rehearsal would count as done, and their dataset would be mixed."""
+    """Devices continue no emulated campaign: its rows would count as done."""
     folder = tmp_path / "bench" / "pushes"
     for first in (True, False):
         campaign = Campaign(folder / str(first), ROWS, emulated=first)
