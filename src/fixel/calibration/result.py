@@ -362,8 +362,8 @@ class CalibratedValues:
     @property
     def is_for_several(self) -> bool:
         """Whether a single set of parameters was calibrated to several experiments."""
-        how = self.record.method.get("how")
-        return len(self.record.members) > 1 and how not in (FitKind.ALONE, FitKind.NEIGHBOUR)
+        single = [kind for kind in FitKind if kind.is_single]
+        return len(self.record.members) > 1 and self.record.method.get("how") not in single
 
     @cached_property
     def motion(self) -> AbstractMotionModel:

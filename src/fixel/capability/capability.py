@@ -313,8 +313,8 @@ def named(error: InvalidInput, names: Mapping[str, str]) -> InvalidInput:
     The `where` of the error begins with an argument (`nominal side`), or `filter`, which is that
     of `where`; its hint may set one (`folds=2`). `names` has the name of each argument at the door.
     """
-    place = re.sub("^filter:?(?= |$)", "where", error.where) if "where" in names else error.where
-    name, space, rest = place.partition(" ")
+    name, space, rest = error.where.partition(" ")
+    name = "where" if name.rstrip(":") == "filter" and "where" in names else name
     where, hint = f"{names.get(name, name)}{space}{rest}", named_hint(error.hint or "", names)
     return InvalidInput(where, found=error.found, expected=error.expected, hint=hint or None)
 

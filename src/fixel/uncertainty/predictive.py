@@ -3,9 +3,8 @@
 Intervals bound parameters of a model that may be wrong: too wide for predictions from few pushes,
 too narrow from many, since the error of the model itself does not shrink. So samples are moved
 towards the calibrated values, as near as left-out pushes allow, weighted weakly by how well they
-reproduce the recorded ends, and an error of the end is added that grows with the motion.
-
-See `docs/theory/planning.md` for the worlds and recorded pushes by which constants were chosen.
+reproduce the recorded ends, and an error of the end is added that grows with the motion. See
+`docs/theory/planning.md` for the worlds and recorded pushes by which constants were chosen.
 """
 
 from __future__ import annotations

@@ -256,8 +256,9 @@ def _ends(task: CalibrationTask, rows: Rows) -> dict[str, Any]:
         return {"count": [0, 0]}
     near = linear_fit(comparer, best)
     drawn = draw_joint(value, space.low, space.high, sd, near.correlation, DRAWS, 0)
-    predictive = predictive_of(targets, space, motion, best, value, drawn, near.left_out())
-    return {"count": check_predictions(predictive, targets, motion, best, near.left_out())}
+    moved = near.left_out()
+    predictive = predictive_of(targets, space, motion, best, value, drawn, moved)
+    return {"count": check_predictions(predictive, targets, motion, best, moved)}
 
 
 ANSWERS: Final = {**search.ANSWERS, "ends": _ends}

@@ -79,8 +79,7 @@ def read_samples(
     warnings = []
     if listing.left_out:
         warnings.append(f"faults in the data: {counted(listing.left_out, 'experiment')} skipped.")
-    again = sum(len(found) - 1 for found in seated.values())
-    if again:
+    if again := sum(len(found) - 1 for found in seated.values()):
         warnings.append(f"{counted(again, 'repetition')} skipped; the first at an offset counts.")
     first = {
         seat: min(found, key=lambda own: (float(own.conditions.get("repetition", 1.0)), own.id))
