@@ -26,6 +26,11 @@ from tests.fixtures import refused
 
 import fixel
 from fixel.model import PlannedExperiment
+from fixel.model.goals import BodyTrack
+from fixel.planning.belief import Belief
+from fixel.planning.geometric import alignment_distance, fence_pushes, flush_distance, point_push
+from fixel.planning.success import lower_bound, rate_quantile
+from fixel.planning.trials import evidence_against, prior_counts
 from fixel.registry import offers
 from fixel.results import MAX_COLUMNS, MAX_HTML, MAX_LINES, Result
 from fixel.simulation import StewartTrinkle
@@ -39,6 +44,7 @@ HEAVY = "{*'numpy numba scipy pydantic matplotlib pandas sqlalchemy pyarrow rich
 SPACE = {"mu_pusher": (0.0, 1.0), "tripod_radius": 0.038}
 START = fixel.StartError(x=1 * mm, y=1 * mm, theta=1 * deg, kind="uniform")
 GOAL = fixel.PoseRegion((0.0, 0.0, 0.0), position=3 * mm)
+HILL = fixel.LoadMap(origin=(0, 0), cell=(0.1, 0.1), log_load=[[0, 0], [0, 1]])
 QUIET: dict[str, Any] = {"progress": False}
 pytestmark = pytest.mark.usefixtures("few_live")
 
@@ -496,6 +502,27 @@ def test_polygons_about_their_origin() -> None:
     ("path", lambda _: fixel.report([], 3)),
     ("path", lambda _: fixel.run_on_testbed(3)),
     ("place", lambda _: fixel.Project(3)),
+    ("test", lambda p: p.split("a")),
+    ("test", lambda p: p.split(math.nan)),
+    ("n", lambda p: p.sample("a")),
+    ("filter", lambda p: p.where(3)),
+    ("regular.n", lambda _: fixel.Polygon.regular(math.nan, 1.0)),
+    ("time", lambda p: p[0].trajectory.at(math.nan)),
+    ("time", lambda _: fixel.PathDrive([[0, 0, 0, 0], [1, 1, 0, 0]]).pose_at(math.nan)),
+    ("duration", lambda _: fixel.LineDrive(speed=0.02).distance(math.nan)),
+    ("position", lambda _: HILL.at((0, math.nan))),
+    ("worlds", lambda p: Belief(parameters={"mu_pusher": [0.2, 0.3]}).scenarios(p[0].scene, worlds="a", runs=1)),
+    ("poses", lambda _: BodyTrack.of_ends([[0, 0, math.nan]])),
+    ("successes", lambda _: lower_bound(3, 2)),
+    ("n", lambda _: lower_bound(0, math.inf)),
+    ("successes", lambda _: rate_quantile([math.nan], 3)),
+    ("mean", lambda _: prior_counts(math.nan, 0.8)),
+    ("stated", lambda _: evidence_against(math.inf, [True])),
+    ("contact", lambda _: point_push((math.nan, 0), 0, 0.02, 0.04)),
+    ("length", lambda _: point_push((0.05, 0), 0, math.inf, 0.04)),
+    ("start", lambda _: alignment_distance(0.08, -1, 0.7, 0.08)),
+    ("angles", lambda _: flush_distance(fixel.Polygon.rectangle(0.1, 0.1), math.nan)),
+    ("most", lambda p: fence_pushes(p[0].scene.bodies[0], 0, most=math.nan, length=(0.02, 0.1))),
 ])  # fmt: skip
 def test_values_of_another_kind_are_refused_by_name(where, call):
     assert refused(call, fixel.datasets.example()[:2]).where == where

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple, final, overload
 
 import numpy as np
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, quoted
 from fixel.model import Experiment, selection
-from fixel.model.fields import instance
+from fixel.model.fields import instance, whole
 from fixel.model.records import SimulationRecord
 from fixel.model.scene import SceneChoice
 from fixel.results import Result, Summary
@@ -175,8 +175,7 @@ class Experiments(Result, Sequence[Experiment]):
         seed : int
             Seed of the random number generator.
         """
-        if not 0 < n <= len(self):
-            raise InvalidInput("n", found=n, expected=f"a number from 1 to {len(self)}")
+        whole(n, "n", most=len(self))
         drawn = np.random.default_rng(seed).choice(len(self), n, replace=False)
         return self._with(self.entries[k] for k in sorted(drawn.tolist()))
 
@@ -200,10 +199,12 @@ class Experiments(Result, Sequence[Experiment]):
             Both in the order of the experiments.
         """
         groups = [*self.groupby(by).values()] if by else [self._with([e]) for e in self.entries]
-        wanted = max(1, round(test * len(groups))) if isinstance(test, float) else test
-        if isinstance(test, bool) or not 0 < wanted < len(groups):
+        is_share = isinstance(test, float) and 0.0 < test < 1.0
+        wanted: Any = max(1, round(test * len(groups))) if is_share else test
+        is_number = isinstance(wanted, int | np.integer) and not isinstance(test, bool)
+        if not is_number or not 0 < wanted < len(groups):
             expected = f"a number from 1 to {len(groups) - 1}, or a share below 1.0"
-            raise InvalidInput("test", found=test, expected=expected)
+            raise InvalidInput("test", found=quoted(test), expected=expected)
         drawn = np.random.default_rng(seed).choice(len(groups), wanted, replace=False)
         keys = {(e.row.id, e.row.key) for k in drawn.tolist() for e in groups[k].entries}
         chosen = [(e.row.id, e.row.key) in keys for e in self.entries]

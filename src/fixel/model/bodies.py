@@ -16,6 +16,7 @@ from fixel.model.fields import (
     Comparable,
     Value,
     check_fields,
+    finite,
     fraction,
     frozen,
     instance,
@@ -190,7 +191,7 @@ class LineDrive(Comparable):
         >>> LineDrive(speed=0.02, travel=0.05).distance(2.0)
         0.04
         """
-        return min(self.travel, self.speed * duration)
+        return min(self.travel, self.speed * non_negative(duration, "duration", "s"))
 
 
 @final
@@ -228,7 +229,7 @@ class PathDrive(Comparable):
 
     def pose_at(self, time: float) -> FloatArray:
         """Return the pose (3,) of the path at a time [m, m, rad]."""
-        instants = self.waypoints[:, 0]
+        instants, time = self.waypoints[:, 0], finite(time, "time", "s")
         return np.array([np.interp(time, instants, column) for column in self.waypoints.T[1:]])
 
 

@@ -201,6 +201,13 @@ def table(value: ArrayLike, where: str, labels: str) -> FloatArray:
     return frozen(rows)
 
 
+def numbers(value: ArrayLike, where: str) -> FloatArray:
+    """Return an array of finite numbers, of any shape."""
+    array = floats(value, where, "finite numbers")
+    _check_finite(array, where, "one or an array")
+    return array
+
+
 def frozen(array: ArrayLike) -> FloatArray:
     """Return a read-only C-ordered copy; minus zero becomes zero."""
     copy: FloatArray = np.add(np.asarray(array, np.float64), 0.0, order="C")

@@ -20,6 +20,7 @@ from fixel.model.fields import (
     check_fields,
     finite,
     instance,
+    numbers,
     optional_positive,
     positive,
     settle,
@@ -62,7 +63,7 @@ class BodyTrack(NamedTuple):
     @classmethod
     def of_ends(cls, poses: ArrayLike) -> BodyTrack:
         """Return the track of end poses (n, 3) alone [m, m, rad]."""
-        return cls(np.asarray(poses, np.float64).reshape(-1, 1, 3))
+        return cls(numbers(poses, "poses").reshape(-1, 1, 3))
 
 
 Tracks = BodyTrack | Mapping[str, BodyTrack]

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import inner_share
+from fixel.model.fields import inner_share, whole
 
 
 def stream(seed: int, *purpose: str) -> np.random.Generator:
@@ -56,8 +56,8 @@ class Probability(NamedTuple):
         from scipy.special import betaincinv
 
         inner_share(level, "level")
-        if not 0 <= good <= n or n < 1:
-            raise InvalidInput("cases", found=f"{good} of {n}", expected="at least one case")
+        if not 0 <= whole(good, "good", 0) <= whole(n, "n"):
+            raise InvalidInput("cases", found=f"{good} of {n}", expected="cases among these")
         tail = 0.5 * (1.0 - level)
         low = float(betaincinv(good, n - good + 1, tail)) if good else 0.0
         high = float(betaincinv(good + 1, n - good, 1.0 - tail)) if good < n else 1.0

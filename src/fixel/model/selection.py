@@ -16,6 +16,7 @@ from typing import Any, Final, Literal, NamedTuple, cast, final
 
 from fixel.errors import InvalidInput, check_name, closest, number_of, unknown_name
 from fixel.model.experiment import Experiment, Flag
+from fixel.model.fields import instance
 from fixel.model.trajectory import turned
 
 Relation = Literal["=", "!=", "<", "<=", ">", ">="]
@@ -177,6 +178,7 @@ def parse_filter(*filters: str, **options: Any) -> ExperimentQuery:
 
 
 def _tokens(text: str) -> list[str]:
+    instance(text, str, "filter", "a text")
     if len(text) > MAX_FILTER:
         raise InvalidInput(
             "filter", found=f"{len(text)} characters", expected=f"at most {MAX_FILTER}"

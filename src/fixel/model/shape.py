@@ -13,7 +13,7 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import Comparable, Value, frozen, positive, settle, table
+from fixel.model.fields import Comparable, Value, frozen, positive, settle, table, whole
 from fixel.registry import offered
 from fixel.typing import BoolArray, FloatArray
 
@@ -132,9 +132,7 @@ class Polygon(Comparable):
         >>> len(Polygon.regular(6, 0.05).vertices)
         6
         """
-        if n < 3 or n != int(n):
-            raise InvalidInput("regular.n", found=n, expected="a whole number of at least 3")
-        angle = np.arange(n) * (2.0 * pi / n)
+        angle = np.arange(whole(n, "regular.n", 3)) * (2.0 * pi / n)
         corners = np.column_stack((np.cos(angle), np.sin(angle)))
         return cls(positive(radius, "regular.radius", "m") * corners)
 

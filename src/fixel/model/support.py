@@ -25,6 +25,7 @@ from fixel.model.fields import (
     inner_share,
     instance,
     non_negative,
+    numbers,
     positive,
     settle,
     table,
@@ -620,7 +621,7 @@ def _bilinear(
 ) -> FloatArray:
     """Interpolate a grid (n_y, n_x) at positions (..., 2)."""
     n_y, n_x = grid.shape
-    node = (np.asarray(position, dtype=np.float64) - origin) / cell
+    node = (numbers(position, "position") - origin) / cell
     column = np.clip(node[..., 0], 0.0, n_x - 1.0)
     row = np.clip(node[..., 1], 0.0, n_y - 1.0)
     left = np.minimum(column.astype(np.intp), max(n_x - 2, 0))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import Comparable, floats, frozen, settle, table
+from fixel.model.fields import Comparable, floats, frozen, numbers, settle, table
 from fixel.typing import FloatArray
 
 
@@ -101,7 +101,7 @@ class Trajectory(Comparable):
     def at(self, time: ArrayLike) -> FloatArray:
         """Interpolate poses (..., 3) at times (...) [s], angles the short way; constant at ends."""
         x, y, angle = self.pose.T
-        instants = np.asarray(time, dtype=np.float64)
+        instants = numbers(time, "time")
         columns = (x, y, np.unwrap(angle))
         return np.stack([np.interp(instants, self.time, column) for column in columns], axis=-1)
 

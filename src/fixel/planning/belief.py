@@ -15,7 +15,7 @@ from fixel.calibration.known_pushes import push_target
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters, Scene
 from fixel.model.experiment import conditions_of
-from fixel.model.fields import Value, check_fields, instance, non_negative, settle
+from fixel.model.fields import Value, check_fields, instance, non_negative, settle, whole
 from fixel.parts.fit import NAMES
 from fixel.parts.model import PartModel
 from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
@@ -251,7 +251,7 @@ class Belief:
         Scenarios
             Runs of one sample of the parameters follow each other.
         """
-        n = worlds * runs
+        n = whole(worlds, "worlds") * whole(runs, "runs")
         world = np.repeat(np.arange(worlds), runs)
         columns, error = self._drawn(scene, worlds, seed)
         values = {name: column[world] for name, column in columns.items()}

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
 from fixel.model import Body, Ellipsoid, NoSupport, Shape
-from fixel.model.fields import non_negative, positive, vector
+from fixel.model.fields import finite, non_negative, numbers, positive, vector, whole
 from fixel.model.support import support_points
 from fixel.model.trajectory import pose_error, wrapped
 from fixel.planning.orienting import OrientingPlan, PushFunction, hull_of, surviving_plan
@@ -82,7 +82,7 @@ def geometric_pushes(
     >>> geometric_pushes(part, (0.02, 0, 0), n=1).round(3)
     array([[0.875, 0.   , 0.02 ]])
     """
-    non_negative(friction, "friction"), positive(tool_radius, "tool_radius", "m")
+    non_negative(friction, "friction"), positive(tool_radius, "tool_radius", "m"), whole(n, "n")
     x, y, turn = vector(displacement, "displacement", "x [m], y [m], angle [rad]").tolist()
     arm = friction_arm(part)
     # Motion of the centre of mass.
@@ -152,6 +152,8 @@ def fence_pushes(
     >>> [plan.shape for plan in fence_pushes(part, 0.0, most=2, angle=1.0, length=(0.02, 0.1))]
     [(2, 3)]
     """
+    finite(target, "target", "rad"), whole(most, "most"), non_negative(angle, "angle", "rad")
+    vector(length, "length", "shortest [m], longest [m]")
     plans = [surviving_plan(part, error) for error in ANGLE_ERRORS]
     found = {tuple(plan.rotations): plan for plan in plans if plan and plan.pushes <= most}
     pushes = [_carried_out(part, target, plan, angle, length) for plan in found.values()]
@@ -206,8 +208,8 @@ def point_push(contact: ArrayLike, heading: ArrayLike, length: ArrayLike, arm: f
     >>> point_push((-0.05, 0.0), 0.0, 0.02, 0.038)
     array([0.02, 0.  , 0.  ])
     """
-    contact = np.asarray(contact, np.float64)
-    heading, length = np.asarray(heading, np.float64), np.asarray(length, np.float64)
+    contact, heading = numbers(contact, "contact"), numbers(heading, "heading")
+    length, arm = numbers(length, "length"), positive(arm, "arm", "m")
     lever = np.hypot(contact[..., 0], contact[..., 1])
     ahead = np.arctan2(-contact[..., 1], -contact[..., 0]) - heading
     start = wrapped(ahead)
@@ -316,7 +318,11 @@ def alignment_distance(
     >>> float(alignment_distance(0.076, 0.7, 0.785, 0.076).round(4))
     0.0139
     """
-    lever, start, end, arm = (np.asarray(x, np.float64) for x in (lever, start, end, arm))
+    lever, arm = numbers(lever, "lever"), numbers(arm, "arm")
+    start, end = numbers(start, "start"), numbers(end, "end")
+    for name, angles in (("start", start), ("end", end)):
+        if not ((angles >= 0.0) & (angles <= pi)).all():
+            raise InvalidInput(name, found=angles.tolist(), expected="angles from 0 to pi [rad]")
     with np.errstate(divide="ignore"):
         turned = np.log(np.tan(0.5 * end) / np.tan(0.5 * start))
     return np.asarray(lever * (np.cos(start) - np.cos(end)) + arm**2 / lever * turned)
@@ -359,7 +365,7 @@ def flush_distance(part: Body | Shape, angles: ArrayLike, arm: float | None = No
     levers, polar = np.hypot(*corners.T), np.arctan2(corners[:, 1], corners[:, 0])
     arm = float(levers.max()) if arm is None else positive(arm, "arm", "m")
     function = PushFunction.of(part)
-    directions = np.mod(pi - np.asarray(angles, np.float64), tau)
+    directions = np.mod(pi - numbers(angles, "angles"), tau)
     turn = wrapped(function.stable[function.rest(directions)] - directions)
     # Each corner touches while the fence is between the normals of its two edges.
     along = np.roll(corners, -1, axis=0) - corners
@@ -368,8 +374,8 @@ def flush_distance(part: Body | Shape, angles: ArrayLike, arm: float | None = No
     distance = np.zeros(directions.shape)
     for k, lever in enumerate(levers):
         start = wrapped(directions - polar[k])
-        for whole in (-tau, 0.0, tau):
-            ends = np.clip([start + whole, start + turn + whole], low[k], high[k])
+        for full_turn in (-tau, 0.0, tau):
+            ends = np.clip([start + full_turn, start + turn + full_turn], low[k], high[k])
             inner, outer = np.sort(np.abs(ends), axis=0)
             touches = outer > inner
             inner, outer = np.where(touches, inner, 1.0), np.where(touches, outer, 1.0)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput, counted
 from fixel.model import Body, Disk, Shape
-from fixel.model.fields import Comparable, frozen, instance, non_negative
+from fixel.model.fields import Comparable, frozen, instance, non_negative, numbers
 from fixel.model.trajectory import wrapped
 from fixel.results import Result, Summary
 from fixel.table import Column, Table
@@ -150,7 +150,7 @@ class OrientingPlan(Result):
 
     def track(self, angles: ArrayLike, errors: ArrayLike = 0.0) -> FloatArray:
         """Compute the angle of the part after each push, (n, ...), as `ends` does for the last."""
-        rest = self.function.rest(pi - np.asarray(angles, np.float64))
+        rest = self.function.rest(pi - numbers(angles, "angles"))
         off = np.broadcast_to(errors, (*rest.shape, len(self.rotations)))
         found = [rest]
         for k, rotation in enumerate(self.rotations):

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.special import betaincinv, chdtrc, stdtrit
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import inner_share, settle
+from fixel.model.fields import floats, inner_share, numbers, positive, settle, whole
 from fixel.results import Result, Summary
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
@@ -23,7 +23,7 @@ CERTAIN: Final = 0.01  # chance of a spread of equal draws below which they coun
 
 def finite_margins(margins: ArrayLike, n_dims: int, where: str = "margins") -> FloatArray:
     """Return margins as an array with `n_dims` dimensions; reject empty ones and NaN."""
-    found = np.asarray(margins, dtype=np.float64)
+    found = floats(margins, where, "numbers")
     if found.ndim != n_dims or not found.size:
         raise InvalidInput(where, found=f"shape {found.shape}", expected=f"{n_dims} dimensions")
     if not np.isfinite(found).all():
@@ -46,7 +46,9 @@ def lower_bound(successes: float, n: float, confidence: float = 0.95) -> float:
     >>> round(lower_bound(299, 299), 3)
     0.99
     """
-    if successes <= 0.0:
+    if not 0.0 <= successes <= positive(n, "n"):
+        raise InvalidInput("successes", found=successes, expected=f"a number from 0 to {n}")
+    if successes == 0.0:
         return 0.0
     return float(betaincinv(successes, n - successes + 1.0, 1.0 - confidence))
 
@@ -80,14 +82,14 @@ def rate_quantile(
     >>> round(float(rate_quantile(successes, 64)), 2)
     0.25
     """
-    rates = np.asarray(successes, dtype=np.float64) / n_runs
+    rates = numbers(successes, "successes") / whole(n_runs, "n_runs", 2)
     mean = rates.mean(axis=-1, keepdims=True)
     n_worlds = rates.shape[-1]
     spread = np.sum((rates - mean) ** 2, axis=-1, keepdims=True) / max(1, n_worlds - 1)
     noise = np.mean(rates * (1.0 - rates), axis=-1, keepdims=True) / (n_runs - 1)
     scale = np.sqrt(np.maximum(0.0, spread - noise) / np.where(spread > 0.0, spread, 1.0))
     middle = mean if centre is None else centre
-    moved, at = middle + scale * (rates - middle), np.asarray(share, dtype=np.float64)
+    moved, at = middle + scale * (rates - middle), numbers(share, "share")
     return np.asarray(np.quantile(moved, at, axis=-1, method="weibull"))
 
 
@@ -161,7 +163,7 @@ class SuccessProbability(Result):
         Clopper & Pearson (1934); Korn & Graubard (1998), Survey Methodology 24, 193-201.
         """
         inner_share(confidence, "confidence")
-        flat = np.asarray(margins, dtype=np.float64)
+        flat = floats(margins, "margins", "numbers")
         own = finite_margins(flat[:, None] if flat.ndim == 1 else flat, 2)
         n_runs = own.shape[1]
         rows, successes = own, np.sum(own >= 0.0, axis=1)

@@ -15,7 +15,7 @@ from scipy.special import betainc, betaincinv, betaln
 
 from fixel.errors import InvalidInput, counted
 from fixel.model.bodies import POSE
-from fixel.model.fields import name_of, settle, vector
+from fixel.model.fields import fraction, name_of, settle, vector
 from fixel.model.probability import Probability
 from fixel.planning.success import WORST, probability_text
 from fixel.results import Result, Summary
@@ -127,9 +127,9 @@ class Trials(Result):
 
     def __post_init__(self) -> None:
         name_of(self.plan, "plan")
-        if not 0.0 <= self.stated < 1.0:
+        if not fraction(self.stated, "stated") < 1.0:
             raise InvalidInput("stated", found=self.stated, expected="at least 0 and below 1")
-        if not self.stated <= self.mean <= 1.0:
+        if not self.stated <= fraction(self.mean, "mean"):
             raise InvalidInput("mean", found=self.mean, expected=f"from {self.stated} to 1")
         settle(self, mean=float(self.mean), stated=float(self.stated), trials=tuple(self.trials))
 
@@ -225,6 +225,7 @@ def prior_counts(mean: float, stated: float) -> tuple[float, float]:
     >>> [round(count, 1) for count in prior_counts(0.95, 0.8)]
     [4.5, 0.2]
     """
+    mean, stated = fraction(mean, "mean"), fraction(stated, "stated")
     middle = min(max(mean, 1e-3), 1.0 - 1e-3)
     spread = max(mean - stated, 1e-6) / NORMAL_QUANTILE
     total = middle * (1.0 - middle) / spread**2 - 1.0
@@ -272,7 +273,7 @@ def evidence_against(stated: float, met: Sequence[bool] | Iterable[bool]) -> Flo
     True
     """
     outcomes = np.asarray(list(met), dtype=bool)
-    if stated <= 0.0 or not outcomes.size:
+    if fraction(stated, "stated") == 0.0 or not outcomes.size:
         return np.ones(len(outcomes))
     fixed = _fixed_test(stated)
     n = np.arange(1, len(outcomes) + 1)

@@ -358,25 +358,18 @@ class Look(NamedTuple):
         }
 
     def _part_summary(self, part: PartLook) -> dict[str, Any]:
-        error = part.error
-        seen: dict[str, Any] = {
+        seen = part.error is not None
+        x, y, turn = [math.nan] * 3 if part.error is None else part.error.tolist()
+        return {
             "name": part.name,
-            "seen": error is not None,
+            "seen": seen,
             "reason": part.reason,
             "within": part.within,
-            "dx_mm": None,
-            "dy_mm": None,
-            "angle_deg": None,
-            "distance_mm": None,
+            "dx_mm": _rounded(1e3 * x) if seen else None,
+            "dy_mm": _rounded(1e3 * y) if seen else None,
+            "angle_deg": _rounded(math.degrees(turn)) if seen and not part.round else None,
+            "distance_mm": _rounded(1e3 * math.hypot(x, y)) if seen else None,
             "push_screen_deg": self._push_on_screen(part),
-        }
-        if error is None:
-            return seen
-        return seen | {
-            "dx_mm": _rounded(1e3 * error[0]),
-            "dy_mm": _rounded(1e3 * error[1]),
-            "angle_deg": None if part.round else _rounded(math.degrees(error[2])),
-            "distance_mm": _rounded(1e3 * np.hypot(*error[:2])),
         }
 
     def _push_on_screen(self, part: PartLook) -> float | None:
