@@ -103,9 +103,7 @@ def typer_command(
 
 
 def command(
-    function: Callable[..., CommandAnswer | None],
-    *,
-    of: Callable[..., Any] | None = None,
+    function: Callable[..., CommandAnswer | None], *, of: Callable[..., Any] | None = None
 ) -> Callable[..., None]:
     """Return the command of a function whose answer is only printed.
 

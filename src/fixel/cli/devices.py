@@ -43,16 +43,11 @@ BoardPort = Annotated[
     str | None, Door(metavar="PORT", meaning="Serial port of the board: /dev/ttyACM0, COM4.")
 ]
 DrivePort = Annotated[
-    str | None,
-    Door(metavar="PORT", meaning="Serial port of the controller: /dev/ttyUSB0, COM5."),
+    str | None, Door(metavar="PORT", meaning="Serial port of the controller: /dev/ttyUSB0, COM5.")
 ]
 Driver = Annotated[str, Door(metavar="DRIVER", meaning="Kind of drive: grbl, manual or simulated.")]
 Axes = Annotated[
-    str,
-    Door(
-        metavar="AXES",
-        meaning="Axes of the controller: X, Y, Z, A, or several such as XY.",
-    ),
+    str, Door(metavar="AXES", meaning="Axes of the controller: X, Y, Z, A, or several such as XY.")
 ]
 DEAD_MAN = "0.5, or longer if the acceleration of the controller requires it"
 

@@ -28,8 +28,7 @@ def submit(
     *,
     site: Path | None = None,
     workers: Annotated[
-        int | None,
-        Door(least=0, most=MAX_WORKERS, metavar="N", usual="0, or that of the last run"),
+        int | None, Door(least=0, most=MAX_WORKERS, metavar="N", usual="0, or that of the last run")
     ] = None,
     detach: Annotated[bool, Door(flag="--detach")] = False,
     coordinator: Annotated[Literal["here", "slurm"], Door(metavar="PLACE")] = "here",

@@ -152,9 +152,7 @@ def guarded(source: str) -> Iterator[None]:
         raise
     except _TRIPPED as problem:
         raise InvalidInput(
-            source,
-            found=problem,
-            expected="data in the format of this importer",
+            source, found=problem, expected="data in the format of this importer"
         ) from problem
 
 

@@ -33,11 +33,7 @@ from fixel.workflows.calibration.calibration import Calibration, collect
 from fixel.workflows.calibration.execution import LiveSearch
 from fixel.workflows.calibration.plan import plan_in
 from fixel.workflows.calibration.request import command_of
-from fixel.workflows.calibration.stored import (
-    add_to_project,
-    stored_calibration,
-    stored_in_run,
-)
+from fixel.workflows.calibration.stored import add_to_project, stored_calibration, stored_in_run
 
 WORST: Final = 3
 PLOTS: Final = ("search", "starts", "profiles")

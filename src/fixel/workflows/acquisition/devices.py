@@ -137,11 +137,7 @@ class TactileCheck(NamedTuple):
 
 
 def check_tactile(
-    port: str | None,
-    *,
-    readings: int,
-    deadline: float,
-    progress: ProgressCallback | None = None,
+    port: str | None, *, readings: int, deadline: float, progress: ProgressCallback | None = None
 ) -> TactileCheck:
     """Request a number of readings as fast as possible and count the answers."""
     start = time.perf_counter()
@@ -165,11 +161,7 @@ def check_tactile(
 
 
 def watch_tactile(
-    port: str | None,
-    *,
-    rate: float,
-    duration: float | None = None,
-    threshold: int | None = None,
+    port: str | None, *, rate: float, duration: float | None = None, threshold: int | None = None
 ) -> Iterator[tuple[TactileReader, TactileReading]]:
     """Yield readings until the time is over or the caller stops; reconnect after a pulled plug."""
     thresholds = None if threshold is None else (threshold,) * 3

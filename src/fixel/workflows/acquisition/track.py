@@ -193,9 +193,7 @@ def _file_next_to(source: Path, name: str, argument: str) -> Path:
     folder = source if source.is_dir() else source.parent
     if not (folder / name).is_file():
         raise InvalidInput(
-            argument,
-            found=f"no {name} next to the film",
-            expected="that file, or another",
+            argument, found=f"no {name} next to the film", expected="that file, or another"
         )
     return folder / name
 

@@ -52,10 +52,7 @@ AHEAD: Final = 5  # rows after which the intervals are predicted
 MOST: Final = 48  # candidates of one choice; of more, others are compared each time
 LITTLE: Final = 0.05  # share by which all candidates together must narrow an interval
 USUAL: Final = 0.05  # half-width that is wanted if none is stated [ranges]
-UNITS: Final = {
-    "m": {"m": 1.0, "mm": mm, "um": um},
-    "rad": {"rad": 1.0, "deg": deg, "mrad": mrad},
-}
+UNITS: Final = {"m": {"m": 1.0, "mm": mm, "um": um}, "rad": {"rad": 1.0, "deg": deg, "mrad": mrad}}
 
 
 class _Scatter(NamedTuple):

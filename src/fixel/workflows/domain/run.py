@@ -25,8 +25,7 @@ AxisValues = Annotated[
     Mapping[str, str | float] | None, Door(metavar="AXIS=VALUE[,AXIS=VALUE]", commas=True)
 ]
 Widths = Annotated[
-    Mapping[str, float] | None,
-    Door(metavar="AXIS=WIDTH", commas=True, above=0.0, also=("--step",)),
+    Mapping[str, float] | None, Door(metavar="AXIS=WIDTH", commas=True, above=0.0, also=("--step",))
 ]
 Facets = Annotated[
     Sequence[str], Door(plain=tuple[str, ...], metavar="NAME[,NAME]", commas=True, also=("--by",))

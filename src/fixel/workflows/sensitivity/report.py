@@ -308,10 +308,7 @@ def _subjects(project: Project | None, own: Any) -> tuple[list[Subject], dict[st
 
 
 def _subject(
-    what: str | Experiment,
-    own: Any,
-    model: CalibratedValues | None,
-    number: int | None = None,
+    what: str | Experiment, own: Any, model: CalibratedValues | None, number: int | None = None
 ) -> Subject:
     """Return the push of a scene file or of an experiment, with the values of a calibration."""
     push, banner = push_of(what, None, own.engine or None), ""
