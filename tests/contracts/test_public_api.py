@@ -44,6 +44,7 @@ HEAVY = "{*'numpy numba scipy pydantic matplotlib pandas sqlalchemy pyarrow rich
 SPACE = {"mu_pusher": (0.0, 1.0), "tripod_radius": 0.038}
 START = fixel.StartError(x=1 * mm, y=1 * mm, theta=1 * deg, kind="uniform")
 GOAL = fixel.PoseRegion((0.0, 0.0, 0.0), position=3 * mm)
+BELIEF = Belief(parameters={"mu_pusher": [0.2, 0.3]})
 HILL = fixel.LoadMap(origin=(0, 0), cell=(0.1, 0.1), log_load=[[0, 0], [0, 1]])
 QUIET: dict[str, Any] = {"progress": False}
 pytestmark = pytest.mark.usefixtures("few_live")
@@ -511,7 +512,7 @@ def test_polygons_about_their_origin() -> None:
     ("time", lambda _: fixel.PathDrive([[0, 0, 0, 0], [1, 1, 0, 0]]).pose_at(math.nan)),
     ("duration", lambda _: fixel.LineDrive(speed=0.02).distance(math.nan)),
     ("position", lambda _: HILL.at((0, math.nan))),
-    ("worlds", lambda p: Belief(parameters={"mu_pusher": [0.2, 0.3]}).scenarios(p[0].scene, worlds="a", runs=1)),
+    ("worlds", lambda p: BELIEF.scenarios(p[0].scene, worlds="a", runs=1)),
     ("poses", lambda _: BodyTrack.of_ends([[0, 0, math.nan]])),
     ("successes", lambda _: lower_bound(3, 2)),
     ("n", lambda _: lower_bound(0, math.inf)),
