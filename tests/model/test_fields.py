@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tests.fixtures import refused
 
+import fixel
 from fixel import Beyond, Contact, FreePushes, Inside, PoseRegion, RigError, RigPushes, StartError
 from fixel.model import (
     Body,
@@ -24,6 +25,7 @@ from fixel.model import (
 )
 from fixel.model.fields import field_types, finite, fraction, non_negative, positive, table, vector
 from fixel.sampling import PlannedShape, RegularPolygon
+from fixel.testing.scenes import grasp, pushed_square
 from fixel.vision.marks import MarkedPart, Sticker, Tag
 
 SQUARE = Polygon([[0, 0], [2, 0], [2, 2], [0, 2]])
@@ -87,3 +89,14 @@ def test_values_are_stored_as_floats_and_frozen_arrays():
     assert not np.signbit(body.pose[1])
     with pytest.raises(ValueError, match="read-only"):
         body.pose[0] = 1.0
+
+
+@pytest.mark.parametrize("scene", [pushed_square(), grasp("seated")], ids=["push", "grasp"])
+def test_a_printed_scene_is_the_call_that_makes_it(scene):
+    assert eval(repr(scene), vars(fixel)) == scene
+    assert "inertia" not in repr(scene)  # a usual value
+
+
+def test_a_long_path_is_printed_by_its_shape():
+    points = np.column_stack((np.arange(61.0), np.zeros((61, 3))))
+    assert repr(fixel.PathDrive(points)) == "PathDrive(waypoints=<array of (61, 4)>)"

@@ -38,7 +38,7 @@ POSE: Final = "x [m], y [m], angle [rad]"
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Spring(Comparable):
     """Spring of zero rest length that pulls the centre of mass to a point of the world.
 
@@ -58,7 +58,7 @@ class Spring(Comparable):
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Body(Comparable):
     """Free body on the plane.
 
@@ -142,7 +142,7 @@ def _named(thing: Body | Pusher | Fixel, kind: str) -> Iterator[None]:
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class LineDrive(Comparable):
     """Straight motion without rotation, at constant speed.
 
@@ -195,7 +195,7 @@ class LineDrive(Comparable):
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class PathDrive(Comparable):
     """Measured path, linear between its waypoints, at rest before the first and after the last.
 
@@ -237,7 +237,7 @@ Drive = LineDrive | PathDrive
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Pusher(Comparable):
     """Driven body.
 
@@ -327,7 +327,7 @@ def _check_angles(angle: FloatArray) -> None:
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Fixel(Comparable):
     """Fixed body.
 

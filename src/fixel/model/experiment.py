@@ -235,6 +235,8 @@ class Experiment(Comparable, Result):
     flags: tuple[Flag, ...] = ()
     video: str = ""
 
+    __repr__ = Result.__repr__
+
     def __post_init__(self) -> None:
         name_of(self.dataset, "experiment.dataset")
         where = f"experiment {self.dataset}/{name_of(self.name, 'experiment.name')}"

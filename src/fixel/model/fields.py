@@ -19,14 +19,26 @@ from numpy.typing import ArrayLike
 from fixel.errors import InvalidInput, number_of, quoted
 from fixel.typing import FloatArray
 
+MAX_SHOWN: Final = 60  # numbers of an array that are printed
 MAX_WHOLE: Final = 2**63 - 1  # of databases and compiled code
 MAX_SEED: Final = 2**32 - 1  # of NumPy's old generator, which SciPy and others use
 
 
 class Comparable:
-    """Equality and hash by fields, for dataclasses with `eq=False` and arrays or mappings."""
+    """Equality, hash and text by fields, for dataclasses with `eq=False` and arrays or mappings.
+
+    With `repr=False`, the text is a call with the fields that differ from their defaults.
+    """
 
     __slots__ = ()
+
+    def __repr__(self) -> str:
+        given = (
+            f"{own.name}={_shown(value)}"
+            for own in dataclasses.fields(self)  # type: ignore[arg-type]
+            if own.repr and not _is_usual(value := getattr(self, own.name), own)
+        )
+        return f"{type(self).__name__}({', '.join(given)})"
 
     def _compared(self) -> tuple[Any, ...]:
         named = dataclasses.fields(self)  # type: ignore[arg-type]
@@ -255,6 +267,19 @@ def _shape(array: FloatArray) -> str:
     if array.size == 0:
         return "an empty list"
     return "one row of " + str(len(array)) if array.ndim == 1 else f"an array of {array.shape}"
+
+
+def _is_usual(value: Any, field: dataclasses.Field[Any]) -> bool:
+    if field.default_factory is not dataclasses.MISSING:
+        return bool(value == field.default_factory())
+    return field.default is not dataclasses.MISSING and np.array_equal(value, field.default)
+
+
+def _shown(value: Any) -> str:
+    """Return an array as a list, a long one by its shape, and other values as they are."""
+    if not isinstance(value, np.ndarray):
+        return repr(value)
+    return repr(value.tolist()) if value.size <= MAX_SHOWN else f"<array of {value.shape}>"
 
 
 def _hashable(value: Any) -> Any:

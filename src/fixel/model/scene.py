@@ -37,7 +37,7 @@ TOUCHING = 1e-6
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class PairFriction(Comparable):
     """Friction of a named pair, which overrides that of its obstacle.
 
@@ -98,7 +98,7 @@ class PairFriction(Comparable):
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Scene(Comparable):
     """Bodies, pushers and fixels on a plane, with gravity and duration.
 

@@ -32,7 +32,7 @@ DRAWN_CORNERS = 64
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Polygon(Comparable):
     """Simple polygon, convex or not.
 
@@ -190,7 +190,7 @@ class Polygon(Comparable):
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Disk(Comparable):
     """Disk about the origin of its frame.
 

@@ -185,7 +185,7 @@ LOAD_ROUNDING = 1e-12
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Tripod(Comparable):
     """Three equal support points, equilateral about the centre of mass.
 
@@ -214,7 +214,7 @@ class Tripod(Comparable):
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class SupportPoints(Comparable):
     """Support at given points.
 
@@ -255,7 +255,7 @@ class SupportPoints(Comparable):
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class UniformPressure(Comparable):
     """Even pressure over the footprint, as quadrature points.
 
@@ -288,7 +288,7 @@ class UniformPressure(Comparable):
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Ellipsoid(Comparable):
     """Ellipsoidal limit surface. Prefer points where the pressure is known.
 
@@ -320,7 +320,7 @@ class Ellipsoid(Comparable):
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class NoSupport(Comparable):
     """Support without friction.
 
@@ -485,7 +485,7 @@ def _check_loads(loads: FloatArray) -> None:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class FrictionMap(Comparable):
     """Multiplier of support friction that depends on the place.
 
@@ -506,17 +506,13 @@ class FrictionMap(Comparable):
     factor: FloatArray
 
     def __post_init__(self) -> None:
-        check_fields(self, "friction_map")
-        _check_cell(self.cell, "friction_map.cell")
-        factor = _grid(self.factor, "friction_map.factor", "factor")
-        if (factor <= 0.0).any():
-            row, column = np.argwhere(factor <= 0.0)[0].tolist()
+        _check_grid(self, "friction_map", "factor")
+        for row, column in np.argwhere(self.factor <= 0.0).tolist():
             raise InvalidInput(
                 f"friction_map.factor[{row}][{column}]",
-                found=float(factor[row, column]),
+                found=float(self.factor[row, column]),
                 expected="a factor greater than 0",
             )
-        settle(self, factor=factor)
 
     def at(self, position: ArrayLike) -> FloatArray:
         """Interpolate the multipliers (...) at world positions (..., 2) [m]."""
@@ -524,7 +520,7 @@ class FrictionMap(Comparable):
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class LoadMap(Comparable):
     """Unevenness of a table, as the logarithm of a factor of the loads on support points by place.
 
@@ -554,9 +550,7 @@ class LoadMap(Comparable):
     log_load: FloatArray
 
     def __post_init__(self) -> None:
-        check_fields(self, "load_map")
-        _check_cell(self.cell, "load_map.cell")
-        settle(self, log_load=_grid(self.log_load, "load_map.log_load", "log_load"))
+        _check_grid(self, "load_map", "log_load")
 
     def at(self, position: ArrayLike) -> FloatArray:
         """Interpolate the logarithms (...) at world positions (..., 2) [m]."""
@@ -564,7 +558,7 @@ class LoadMap(Comparable):
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Plane(Comparable):
     """Multipliers of the friction of all supports.
 
@@ -595,25 +589,24 @@ class Plane(Comparable):
         if (self.anisotropy <= 0.0).any():
             found = self.anisotropy.tolist()
             raise InvalidInput("plane.anisotropy", found=found, expected="factors greater than 0")
-        instance(
-            self.friction_map, FrictionMap | None, "plane.friction_map", "a FrictionMap, or None"
-        )
-        instance(self.load_map, LoadMap | None, "plane.load_map", "a LoadMap, or None")
+        for name, kind in (("friction_map", FrictionMap), ("load_map", LoadMap)):
+            expected = f"a {kind.__name__}, or None"
+            instance(getattr(self, name), kind | None, f"plane.{name}", expected)
 
 
-def _check_cell(cell: FloatArray, where: str) -> None:
-    if (cell <= 0.0).any():
-        raise InvalidInput(where, found=cell.tolist(), expected="numbers greater than 0 [m]")
-
-
-def _grid(values: ArrayLike, where: str, name: str) -> FloatArray:
-    """Return values (n_y, n_x) of the nodes of a grid; raise for rows of different lengths."""
+def _check_grid(own: FrictionMap | LoadMap, where: str, name: str) -> None:
+    """Check the fields of a map and store them; its values (n_y, n_x) are rows of equal length."""
+    check_fields(own, where)
+    if (own.cell <= 0.0).any():
+        found = own.cell.tolist()
+        raise InvalidInput(f"{where}.cell", found=found, expected="numbers greater than 0 [m]")
+    values = getattr(own, name)
     try:
-        width = len(values[0])  # type: ignore[index,arg-type]
+        width = len(values[0])
     except (TypeError, IndexError, KeyError):
         found = f"the type {type(values).__name__}"
-        raise InvalidInput(where, found=found, expected=f"rows of {name}s") from None
-    return table(values, where, ", ".join([name] * width))
+        raise InvalidInput(f"{where}.{name}", found=found, expected=f"rows of {name}s") from None
+    settle(own, **{name: table(values, f"{where}.{name}", ", ".join([name] * width))})
 
 
 def _bilinear(

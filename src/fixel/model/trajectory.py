@@ -36,7 +36,7 @@ class Pose(NamedTuple):
     theta: Any
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Trajectory(Comparable):
     """Pose of one body against time.
 
@@ -107,8 +107,7 @@ class Trajectory(Comparable):
 
     def resampled(self, time: ArrayLike) -> Trajectory:
         """Return the trajectory at other times (n,) [s]."""
-        instants = np.asarray(time, dtype=np.float64)
-        return Trajectory(time=instants, pose=self.at(instants))
+        return Trajectory(time=time, pose=self.at(time))
 
     def position_rms(self, other: Trajectory) -> float:
         """Root mean square distance to another trajectory, at the times of this one [m]."""
