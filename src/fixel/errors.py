@@ -18,13 +18,13 @@ A numerical failure is not raised by default: `simulate(...)` records a status, 
 
 from __future__ import annotations
 
+import copyreg
 import errno
 import math
 import re
 import reprlib
 from collections.abc import Collection, Iterable, Sequence
 from contextlib import suppress
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final, final
@@ -53,18 +53,10 @@ class FixelError(Exception):
     def __str__(self) -> str:
         return plain(super().__str__())
 
-
-class _Absent:
-    """Default of an argument for which `None` is a value."""
-
-    def __repr__(self) -> str:
-        return "ABSENT"
-
-    def __reduce__(self) -> str:
-        return "_ABSENT"
+    def __reduce__(self) -> tuple[Any, ...]:
+        return copyreg.__newobj__, (type(self), *self.args), vars(self)  # type: ignore[attr-defined]
 
 
-_ABSENT: Final = _Absent()
 # What pydantic expects, by the kind of its error; other kinds have usable words of its own.
 _PHRASES: Final = {
     "missing": "a value: this key is required",
@@ -88,6 +80,7 @@ _CAUSES: Final = {  # of damaged archives, by a word of their error
     "CRC": "content that differs from its checksum",
     "encrypted": "content with a password",
 }
+DAMAGED: Final = "damaged, incomplete or foreign content"
 _MAX_BEFORE_HINT: Final = 20  # known names that an error with a suggestion lists
 _MAX_NAMED: Final = 40  # known names that an error lists
 _MAX_FOUND: Final = 300  # [characters] of a text that was found; it may be a whole file
@@ -134,7 +127,7 @@ class InvalidInput(FixelError, ValueError):
         self,
         where: str,
         *,
-        found: object = _ABSENT,
+        found: object = ...,
         expected: str | None = None,
         hint: str | None = None,
     ) -> None:
@@ -156,26 +149,21 @@ class InvalidInput(FixelError, ValueError):
 
     def at(self, where: str, hint: str | None = None) -> InvalidInput:
         """Return the error at another place, with a hint if it has none."""
-        hint = self.hint or hint
-        return InvalidInput(where, found=self.found, expected=self.expected, hint=hint)
+        return InvalidInput(where, found=self.found, expected=self.expected, hint=self.hint or hint)
 
     def _sentence(self) -> str:
         sentence, found, expected = self.where, self.found, self.expected
-        is_value = _VALUE.fullmatch(found) if isinstance(found, str) else found is not _ABSENT
+        is_value = _VALUE.fullmatch(found) if isinstance(found, str) else found is not ...
         if found is None:
             sentence += " is missing" + (f": give {expected}" if expected else "")
         elif is_value and not _PLACE.search(self.where):
             sentence += f" is {_shown(found)}" + (f", but must be {expected}" if expected else "")
-        elif found is not _ABSENT:
+        elif found is not ...:
             sentence += f": found {_shown(found)}"
             sentence += f", but fixel needs {expected}" if expected else ""
         elif expected:
             sentence += f": fixel needs {expected}"
         return f"{sentence}; {self.hint}" if self.hint else sentence
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        make = partial(InvalidInput, found=self.found, expected=self.expected, hint=self.hint)
-        return make, (self.where,)
 
 
 @final
@@ -210,10 +198,6 @@ class SolveFailed(FixelError, RuntimeError):
         self.stopped_at = stopped_at
         super().__init__(message)
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        make = partial(SolveFailed, status=self.status, stopped_at=self.stopped_at)
-        return make, (self.message,)
-
 
 @final
 class DatasetMissing(FixelError, LookupError):
@@ -235,13 +219,9 @@ class DatasetMissing(FixelError, LookupError):
         self.folder = str(folder)
         self.expected = expected
         self.hint = hint
-        sentence = f"{self.folder}: no such file or folder"
-        if expected:
-            sentence = f"{self.folder}: found no dataset, but fixel needs {expected}"
-        super().__init__(f"{sentence}; {hint}" if hint else sentence)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return DatasetMissing, (self.folder, self.expected, self.hint)
+        lacking = f"found no dataset, but fixel needs {expected}"
+        sentence = f"{folder}: {lacking if expected else 'no such file or folder'}"
+        super().__init__(sentence + (f"; {hint}" if hint else ""))
 
 
 @final
@@ -259,11 +239,7 @@ class NotStored(FixelError, LookupError):
     def __init__(self, what: str, hint: str | None = None) -> None:
         self.what = what
         self.hint = hint
-        sentence = f"there is no {what}"
-        super().__init__(f"{sentence}; {hint}" if hint else sentence)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return NotStored, (self.what, self.hint)
+        super().__init__(f"there is no {what}" + (f"; {hint}" if hint else ""))
 
 
 class _WithHint(FixelError, RuntimeError):
@@ -274,9 +250,6 @@ class _WithHint(FixelError, RuntimeError):
         self.hint = hint
         self.is_input = is_input
         super().__init__(f"{reason}; {hint}" if hint else reason)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return partial(type(self), is_input=self.is_input), (self.reason, self.hint)
 
 
 @final
@@ -355,9 +328,6 @@ class MissingExtra(FixelError, ImportError):
         self.package = package
         self.command = command or f"pip install 'fixel[{extra}]'"
         super().__init__(f"{feature} needs the package {package}; run: {self.command}")
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return partial(MissingExtra, command=self.command), (self.feature, self.package)
 
 
 def require(package: str, feature: str, **how: str) -> None:
@@ -534,7 +504,7 @@ def reason_of(problem: Exception) -> str:
     if line := getattr(problem, "lineno", None):  # of text such as JSON
         return f"an error (line {line}, column {getattr(problem, 'colno', 0)})"
     causes = (cause for word, cause in _CAUSES.items() if word in str(problem))
-    return next(causes, "damaged, incomplete or foreign content")
+    return next(causes, DAMAGED)
 
 
 def os_reason(problem: OSError) -> str:

@@ -222,10 +222,9 @@ def _content(command: Sequence[str]) -> dict[str, Any]:
 
 def _is_file(word: str) -> bool:
     # Programs are started in an empty folder, where a relative name is no file.
-    try:
+    with contextlib.suppress(ValueError):
         return os.path.isabs(word) and os.path.isfile(word)
-    except ValueError:
-        return False
+    return False
 
 
 def _checksum(path: Path) -> str:

@@ -155,6 +155,13 @@ def test_errors_are_json_where_answers_are(capsys, lab, words, code, kind):
     assert error["sentence"]
 
 
+def test_an_option_of_an_importer_is_named_as_one(capsys, lab):
+    words = ("import", "x.csv", "--split-by", "push", "--project", lab, "--json")
+    error = json.loads(fixel(capsys, *words)[1])["error"]
+    assert error["sentence"].startswith("No such option: --split-by")
+    assert "--option split_by=VALUE" in error["sentence"]
+
+
 def test_help_is_in_the_order_of_a_day(capsys):
     _, out, _ = fixel(capsys, "--help")
     known = typer.main.get_command(app).commands

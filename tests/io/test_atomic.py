@@ -5,12 +5,13 @@ Errors while a project's file is read: only damage is called damage.
 import os
 import resource
 import stat
+import zipfile
 from pathlib import Path
 
 import pytest
 
 from fixel.errors import InvalidInput, StoreRefused
-from fixel.io.atomic import readable, write_whole, written_whole
+from fixel.io.atomic import parsed, readable, write_whole, written_whole
 
 
 def test_the_unfinished_file_has_a_name_that_others_cannot_guess(tmp_path: Path) -> None:
@@ -61,3 +62,20 @@ def test_a_failure_of_the_machine_does_not_advise_to_delete_the_file(tmp_path):
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, usual)
     assert refusal.value.hint is None
+
+
+@pytest.mark.parametrize(("content", "found"), [
+    (b"", "an empty file"),
+    (b"\n<!DOCTYPE html><html>Sign in</html>", "a web page"),
+    (b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n", "a pointer of Git LFS"),
+    (bytes(3000), "damaged, incomplete or foreign content"),
+])  # fmt: skip
+def test_a_file_that_no_parser_can_read_is_described(tmp_path, content, found):
+    path = tmp_path / "push.zip"
+    path.write_bytes(content)
+    with pytest.raises(InvalidInput) as refusal, parsed(path):
+        zipfile.ZipFile(path)
+
+    error = refusal.value
+    assert (error.where, error.found, error.expected) == ("push.zip", found, "a readable ZIP file")
+    assert f"size of {len(content):,} bytes" in error.hint

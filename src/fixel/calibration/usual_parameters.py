@@ -342,7 +342,8 @@ def _fit(setting: str, scenes: Sequence[Scene]) -> Unknown:
                 expected=f"bounds in {word}, such as {unknown.low:g} to {unknown.high:g}",
                 hint=f"write {unknown.name}{ending}=LOW:HIGH for other units",
             )
-    return replace(unknown, low=low, high=high, nominal=[*start, unknown.nominal][0], scale=None)
+    nominal = start[0] if start else unknown.nominal
+    return replace(unknown, low=low, high=high, nominal=nominal, scale=None)
 
 
 def fixed_unknowns(settings: Sequence[str]) -> list[Unknown]:

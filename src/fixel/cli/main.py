@@ -117,6 +117,12 @@ class InSections(TyperGroup):
             return super().invoke(ctx)
         except KeyboardInterrupt as stop:  # Typer would end without its hint
             raise SystemExit(INTERRUPTED) from stop
+        except ClickException as problem:
+            error: Any = problem
+            name = getattr(error, "option_name", "").lstrip("-").replace("-", "_")
+            if name and "option" in (own.name for own in error.ctx.command.params):
+                error.possibilities = [*(error.possibilities or ()), f"--option {name}=VALUE"]
+            raise
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         width = formatter.width - 6 - max(map(len, self.commands))
@@ -251,7 +257,7 @@ def _exit(code: int, error: BaseException | None, as_json: bool) -> None:
     content["exit_code"] = code
     for name in ("where", "found", "expected", "hint"):
         value = getattr(error, name, None)
-        if value is not None:
+        if value is not None and value is not ...:
             plain = isinstance(value, str | int) or (isinstance(value, float) and isfinite(value))
             content[name] = value if plain else repr(value)
     print(json.dumps({"error": content}, allow_nan=False), flush=True)

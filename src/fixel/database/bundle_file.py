@@ -27,7 +27,7 @@ from fixel.database.project import ANALYSES, DATABASE, MEDIA
 from fixel.database.rows import media_path
 from fixel.database.store import Store
 from fixel.errors import InvalidInput, StoreRefused, reason_of, refused_value
-from fixel.io.atomic import INVALID_CONTENT
+from fixel.io.atomic import INVALID_CONTENT, unreadable
 from fixel.model.records import Estimate
 
 CHUNK: Final = 1 << 20  # [bytes]
@@ -98,7 +98,7 @@ def _unpack(path: Path, folder: Path, limits: BundleLimits) -> None:
     try:
         archive = zipfile.ZipFile(path)
     except (OSError, zipfile.BadZipFile, NotImplementedError, ValueError) as problem:
-        raise _refused(path, reason_of(problem), "a complete bundle") from None
+        raise unreadable(path, problem, "a complete bundle") from None
     with archive:
         infos = archive.infolist()
         _check_members(path, infos, limits)

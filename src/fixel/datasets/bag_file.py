@@ -158,7 +158,7 @@ def read_bag(source: Path) -> Bag:
         raise DatasetMissing(source, f"a file that ends in {', '.join(readers)}")
     for path in files:
         hint = "mcap recover FILE saves what is left of a torn MCAP file"
-        with parsed(path, hint if path.suffix == ".mcap" else None):
+        with parsed(path, hint if path.suffix == ".mcap" else ""):
             for message in readers[path.suffix.lower()](path):
                 bag.add(message)
     for name, track in bag.tracks.items():

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fixel.errors import DECIMAL, DatasetMissing, FixelError, InvalidInput, number_of, require
-from fixel.io.atomic import usable
+from fixel.io.atomic import parsed, usable
 from fixel.model.fields import instance
 from fixel.typing import BoolArray, FloatArray
 
@@ -218,10 +218,9 @@ def read_table(path: Path, *, torn: bool = False) -> CsvRows:
     """
     if path.suffix == ".parquet":
         require("pyarrow", path.name, extra="parquet")
-        import pyarrow
-
-        with usable(path.name, "a Parquet file", (OSError, pyarrow.ArrowException)):
-            return table_rows(_arrow_table(path), path.name)
+        with parsed(path):
+            columns = _arrow_table(path)
+        return table_rows(columns, path.name)
     opened = gzip.open if path.suffix == ".gz" else open
     try:
         with opened(path, "rt", encoding="utf-8-sig", newline="") as stream:

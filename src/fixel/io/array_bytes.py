@@ -71,14 +71,21 @@ def array_of(data: bytes) -> NDArray[Any]:
 VERSION: Final = 1
 
 
+def stored_in(folder: str | PathLike[str] | None) -> Path | None:
+    """Return the folder that an option names for results, created if missing."""
+    if folder is None:
+        return None
+    path = path_of(folder, "store")
+    path.mkdir(parents=True, exist_ok=True)
+    return path
+
+
 @final
 class ResultCache:
     """Results by name in a folder, each with a checksum of its inputs; without one, not stored."""
 
     def __init__(self, folder: str | PathLike[str] | None) -> None:
-        self.folder = None if folder is None else path_of(folder, "store")
-        if self.folder is not None:
-            self.folder.mkdir(parents=True, exist_ok=True)
+        self.folder = stored_in(folder)
 
     def get(self, name: str, of: object, compute: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         """Return the result stored under a name for the same inputs, or compute and store it.

@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final, TypeVar
 
-from fixel.errors import FixelError, InvalidInput, StoreRefused, machine_failure
+from fixel.errors import DAMAGED, FixelError, InvalidInput, StoreRefused, machine_failure, reason_of
 
 WRITABLE: Final = "a file that can be written"
 
@@ -134,6 +134,7 @@ INVALID_CONTENT: Final = (
     *(TypeError, ValueError),
 )
 # Exceptions while a file is read: of its content, its archive, or the file itself.
+_KINDS: Final = {b"<": "a web page", b"version https://git-lfs": "a pointer of Git LFS"}
 _DAMAGE: Final = (
     *(*INVALID_CONTENT, EOFError, MemoryError, OSError, RuntimeError),
     *(struct.error, zipfile.BadZipFile, zlib.error),
@@ -161,7 +162,7 @@ def readable(path: Path, hint: str = "") -> Iterator[None]:
 
 
 @contextmanager
-def parsed(path: Path, hint: str | None = None) -> Iterator[None]:
+def parsed(path: Path, hint: str = "") -> Iterator[None]:
     """Raise `InvalidInput` for whatever the parser of another package raises on a damaged file."""
     try:
         yield
@@ -169,7 +170,20 @@ def parsed(path: Path, hint: str | None = None) -> Iterator[None]:
         raise
     except Exception as problem:
         expected = f"a readable {path.suffix[1:].upper()} file"
-        raise InvalidInput(path.name, found=problem, expected=expected, hint=hint) from problem
+        raise unreadable(path, problem, expected, hint).at(path.name) from problem
+
+
+def unreadable(path: Path, problem: Exception, expected: str, hint: str = "") -> InvalidInput:
+    """Return the error for a file whose parser failed: another kind of file, or damage."""
+    reason, advice = reason_of(problem), "copy or download it again"
+    if reason == DAMAGED:
+        with suppress(OSError), path.open("rb") as stream:
+            size, start = os.fstat(stream.fileno()).st_size, stream.read(40)
+            kinds = (what for front, what in _KINDS.items() if start.lstrip().startswith(front))
+            reason = next(kinds, reason if start else "an empty file")
+            advice += f", and compare its size of {size:,} bytes with that of the source"
+    hint = (hint if reason == DAMAGED else "") or advice
+    return InvalidInput(str(path), found=reason, expected=expected, hint=hint)
 
 
 def one_line(problem: Exception, most: int = 200) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import reprlib
 import threading
-from typing import Any, Final
+from typing import Final
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
@@ -18,6 +18,12 @@ OUR_MISTAKE = "Internal error of fixel. The terminal in which the server runs sh
 UNPROCESSABLE = 422
 ABSENT = 404
 CONFLICT = 409
+_STATUS: Final[dict[type[errors.FixelError], int]] = {
+    errors.NotStored: ABSENT,
+    errors.DatasetMissing: ABSENT,
+    errors.StoreRefused: CONFLICT,
+    errors.JobRefused: CONFLICT,
+}
 GENERATES: Final = threading.Lock()  # the documentation of an API; not safe in several threads
 
 
@@ -34,27 +40,18 @@ class Refusal(BaseModel):
 
 def problem_of(error: errors.FixelError) -> Refusal:
     """Convert an error that fixel raises on purpose to its document."""
-    sentence = str(error)
-    match error:
-        case errors.InvalidInput():
-            found: Any = error.found
-            missing = repr(found) == "ABSENT"
-            return Refusal(
-                status=UNPROCESSABLE,
-                sentence=sentence,
-                where=error.where,
-                found=None if missing else found if isinstance(found, str) else reprlib.repr(found),
-                expected=error.expected,
-                hint=error.hint,
-            )
-        case errors.NotStored():
-            return Refusal(status=ABSENT, sentence=sentence, where=error.what, hint=error.hint)
-        case errors.DatasetMissing():
-            return Refusal(status=ABSENT, sentence=sentence, where=error.folder, hint=error.hint)
-        case errors.StoreRefused() | errors.JobRefused():
-            return Refusal(status=CONFLICT, sentence=sentence, where=error.reason, hint=error.hint)
-        case _:
-            return Refusal(status=UNPROCESSABLE, sentence=sentence)
+    codes = (code for kind, code in _STATUS.items() if isinstance(error, kind))
+    places = (getattr(error, name, None) for name in ("where", "what", "folder", "reason"))
+    found = getattr(error, "found", None)
+    missing = found is None or found is ...
+    return Refusal(
+        status=next(codes, UNPROCESSABLE),
+        sentence=str(error),
+        where=next(filter(None, places), None),
+        found=None if missing else found if isinstance(found, str) else reprlib.repr(found),
+        expected=getattr(error, "expected", None),
+        hint=getattr(error, "hint", None),
+    )
 
 
 def answer_errors(api: FastAPI) -> None:

@@ -21,7 +21,7 @@ from fixel.errors import InvalidInput
 from fixel.formats.goal_file import GoalFile, goal_file_from_dict, load_goal
 from fixel.formats.scene_file import load_scene
 from fixel.formats.trials_file import append_trials, read_trials, write_trials
-from fixel.io.array_bytes import ResultCache, array_of
+from fixel.io.array_bytes import array_of, stored_in
 from fixel.io.atomic import usable
 from fixel.io.journal import Journal
 from fixel.io.saved import load, save
@@ -311,7 +311,7 @@ class StoredAnswers(dict[str, FloatArray]):
 @contextmanager
 def answers_in(folder: PathLike[str] | str | None) -> Iterator[dict[str, FloatArray]]:
     """Yield the arrays by name that are stored in a folder; without one they are in memory."""
-    place = ResultCache(folder).folder
+    place = stored_in(folder)
     if place is None:
         yield {}
         return
