@@ -29,7 +29,7 @@ from fixel.capability.options import FACTORS, Door, Level, Motion, Names, NoiseO
 from fixel.cli.capability import texts_of, typer_command
 from fixel.cli.main import app
 from fixel.database.project import Project
-from fixel.errors import InvalidInput, StoreRefused
+from fixel.errors import InvalidInput, NotStored, StoreRefused
 from fixel.formats.scene_file import SceneFile, save_scene
 from fixel.jobs.folder import read_job
 from fixel.testing.pushes import example_parts
@@ -304,6 +304,81 @@ def test_options_are_refused_by_the_name_of_the_flag(words, where, expected):
     refused = named(problem.value, SPECIMEN.flags())
     assert refused.where in where.split("|")
     assert expected in str(refused)
+
+
+WRONG = [  # words of a command whose fault only the function finds, and the begin of its error
+    ("sensitivity push-1 --vary nonsense=1:2", "--vary nonsense"),
+    ("sensitivity push-1 --vary mu_pusher=2:1", "--vary mu_pusher"),
+    ("sensitivity push-1 --set nonsense=1", "--set"),
+    ("sensitivity push-1 --engine nonsense", "--engine"),
+    ("sensitivity push-1 --preset nonsense", "--preset"),
+    ("sensitivity push-1 --start-error-mm -1 --uniform", "--start-error-mm"),
+    ("filter push-1 --prior nonsense=1:2", "--prior nonsense"),
+    ("filter push-1 --prior mu_pusher=2:1", "--prior mu_pusher"),
+    ("filter push-1 --motion ./engine", "--motion"),
+    ("calibrate push-1 --motion ./engine", "--motion"),
+    ("calibrate push-1 --motion nonsense", "--motion"),
+    ("uncertainty push-1 --motion nonsense", "--motion"),
+    ("compare push-1 --set nonsense=1", "--set"),
+    ("next --part part-4 --surface nonsense", "--surface"),
+    ("table check --where part=part-1 --surface nonsense", "--surface"),
+    ("table check --where part=part-1 --session nonsense", "--session"),
+]
+
+
+@pytest.mark.parametrize(("words", "where"), WRONG, ids=[words for words, _ in WRONG])
+def test_faults_that_a_run_finds_have_the_name_of_the_flag(words, where, project):
+    answer = CliRunner().invoke(app, [*words.split(), "--project", str(project.folder)])
+
+    assert isinstance(answer.exception, InvalidInput), answer.output
+    assert answer.exception.where == where
+
+
+READING = [
+    (own, option)
+    for own in CAPABILITIES.values()
+    for option in own.options.values()
+    if option.kind is Path and not option.door.writes and option.name not in ("site", "store")
+]
+
+
+@pytest.mark.parametrize(
+    ("capability", "option"), READING, ids=[f"{own.name} {o.name}" for own, o in READING]
+)
+def test_a_missing_file_that_is_named_like_an_option_has_its_own_name(
+    capability, option, project, tmp_path, monkeypatch
+):
+    """A file `seed` is not the option `--seed`."""
+    monkeypatch.chdir(tmp_path)
+    like = next(o for o in capability.options.values() if o is not option and not o.place)
+    needed = [o.name for o in capability.options.values() if o.required and o is not option]
+    words = [*capability.path, *(SHORT[capability.name][name] for name in needed)]
+    words += [like.name] if option.place else [option.flag, like.name]
+    folder = ["--project", str(project.folder)] if capability.on_project else []
+    answer = CliRunner().invoke(app, [*words, *folder])
+
+    assert isinstance(answer.exception, InvalidInput), answer.output
+    assert answer.exception.where == like.name
+
+
+def test_a_missing_plan_of_a_bench_that_is_named_like_an_option(project, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    answer = CliRunner().invoke(app, ["bench", "check", "--project", str(project.folder)])
+    assert answer.exception.where == "check"
+
+
+@pytest.mark.parametrize("name", [k for k in CAPABILITIES if CAPABILITIES[k].on_project])
+def test_no_job_is_prepared_for_records_that_are_not_stored(name, project):
+    capability, wrong = CAPABILITIES[name], []
+    if {"experiment", "experiments"} & {*capability.options}:
+        option = "experiment" if "experiment" in capability.options else "experiments"
+        wrong.append({option: "push-99" if option == "experiment" else ("push-99",)})
+    if "calibration" in capability.options:
+        wrong.append({"calibration": 99})
+    for values in wrong:
+        request = capability.request(SHORT[name] | values)
+        with pytest.raises(NotStored, match=r"no (experiment 'push-99'|calibration 99)"):
+            prepare(capability, request, project)
 
 
 def test_a_request_never_permits_a_program_by_itself(project, tmp_path):

@@ -140,6 +140,13 @@ def test_several_tables_are_refused():
     refused(table_check, [*pushes, *others], match=r"'board' and 'steel'.*where=surface=steel")
 
 
+@pytest.mark.parametrize("name", ["part", "surface", "session"])
+def test_conditions_that_no_experiment_has_are_refused(name):
+    """A misspelled surface would count pushes on several tables as pushes on one."""
+    pushes = over_a_table(noise=NOISE)
+    refused(table_check, pushes, match=f"^{name} is 'nonsense', but must be", **{name: "nonsense"})
+
+
 def test_repeats_of_the_mit_dataset(data_root):
     """Means of the differences of equal pushes on the board of ABS, from a separate study."""
     plan = plan_import(data_root / "mit_push_endpoints")

@@ -276,13 +276,20 @@ class Capability:
 
     def flags(self) -> dict[str, str]:
         """Return the flag of each argument, for errors of the command."""
-        own = {name: option.flag for name, option in self.shown.items() if not option.place}
-        return {name.partition(".")[0]: flag for name, flag in reversed(own.items())} | own
+        return self._names({k: o.flag for k, o in self.shown.items() if not o.place})
 
     def labels(self) -> dict[str, str]:
         """Return the label of each argument, for errors of the page."""
-        own = {name: option.label for name, option in self.shown.items()}
-        return {name.partition(".")[0]: label for name, label in reversed(own.items())} | own
+        return self._names({name: option.label for name, option in self.shown.items()})
+
+    def _names(self, own: dict[str, str]) -> dict[str, str]:
+        """Add the names of groups, and those that errors of programs and parameters have."""
+        found = {name.partition(".")[0]: text for name, text in reversed(own.items())} | own
+        for name, text in own.items():
+            door = self.shown[name].door
+            words = "motion engine " * door.program + "parameters" * (door.flag == "--set")
+            found = dict.fromkeys(words.split(), text) | found
+        return found
 
     def _refusal(self, problem: ValidationError) -> InvalidInput:
         extra = "unexpected_keyword_argument"  # if a name is misspelled, it is also missing
@@ -314,7 +321,8 @@ def named(error: InvalidInput, names: Mapping[str, str]) -> InvalidInput:
     of `where`; its hint may set one (`folds=2`). `names` has the name of each argument at the door.
     """
     name, space, rest = error.where.partition(" ")
-    name = "where" if name.rstrip(":") == "filter" and "where" in names else name
+    is_filter = name.rstrip(":") == "filter" and "where" in names
+    name = "where" if is_filter else name.removeprefix("filter.")
     where, hint = f"{names.get(name, name)}{space}{rest}", named_hint(error.hint or "", names)
     return InvalidInput(where, found=error.found, expected=error.expected, hint=hint or None)
 

@@ -124,9 +124,8 @@ class Option:
     @property
     def choices(self) -> tuple[str, ...]:
         """Texts of all values, where there are few."""
-        if self.door.among is not None:
-            return tuple(self.door.among())
-        return _YES if self.kind is bool else get_args(self.kind) if _is_choice(self.kind) else ()
+        texts = get_args(self.kind) if get_origin(self.kind) is Literal else ()
+        return tuple(self.door.among()) if self.door.among else _YES if self.kind is bool else texts
 
     def check(self, value: Any, where: str = "") -> None:
         """Raise `InvalidInput` for a number beyond the limits, or a text that is not registered."""
@@ -157,8 +156,7 @@ class Option:
         from pydantic_core import PydanticCustomError
 
         if self.kind in (int, float) and isinstance(value, str | bytes | bool):
-            number = "an integer" if self.kind is int else "a number"
-            raise PydanticCustomError("number", number)
+            raise PydanticCustomError("number", "an integer" if self.kind is int else "a number")
         if not is_group(self.kind) or value is None or isinstance(value, Mapping):
             return value
         names = inspect.get_annotations(self.kind)
@@ -247,10 +245,6 @@ def _bare(hint: Any) -> Any:
             return hint
 
 
-def _is_choice(kind: Any) -> bool:
-    return get_origin(kind) is Literal
-
-
 def _item(kind: Any) -> Any:
     """Type of one of the values of an option that may be repeated."""
     inner = get_args(kind)
@@ -263,7 +257,7 @@ def _metavar(kind: Any) -> str:
         return f"NAME={_metavar(_bare(inner[1])).replace('FLOAT', 'VALUE')}"
     if get_origin(kind) is tuple:
         return _metavar(inner[0]) if inner[1:] == (...,) else "LOW:HIGH"
-    return "|".join(inner) if _is_choice(kind) else _METAVARS.get(kind, "TEXT")
+    return "|".join(inner) if get_origin(kind) is Literal else _METAVARS.get(kind, "TEXT")
 
 
 def _parsed(option: Option, where: str, kind: Any, text: str) -> Any:
@@ -291,7 +285,8 @@ def _parsed(option: Option, where: str, kind: Any, text: str) -> Any:
     if kind is int and re.fullmatch(r"[-+]?[0-9]+", text.strip()):
         return int(text)
     if kind is bool:
-        return text == _YES[0] if text in _YES else text
+        check_name(where, text, _YES)
+        return text == _YES[0]
     return text
 
 
@@ -309,12 +304,8 @@ def _text(option: Option, kind: Any, value: Any) -> str:
 
 
 def in_unit(value: float, unit: str) -> float:
-    """Return the number that states an SI value in a unit of `FACTORS`."""
-    return _preimage(value, FACTORS[unit])
-
-
-def _preimage(value: float, factor: float) -> float:
-    """Return the shortest number whose product with a factor is the value, or the nearest."""
+    """Return the shortest number that states an SI value in a unit of `FACTORS`, or the nearest."""
+    factor = FACTORS[unit]
     near = value / factor
     tried = [near, *_neighbours(near, math.inf), *_neighbours(near, -math.inf)]
     exact = [number for number in tried if factor * number == value]

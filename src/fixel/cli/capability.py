@@ -82,7 +82,10 @@ def typer_command(
             else:
                 _run(capability, request, project, plot, as_json)
         except InvalidInput as error:
-            raise named(error, capability.flags() | {"project": "--project"}) from None
+            names = capability.flags() | {"project": "--project"}
+            files = [own for own in capability.shown.values() if own.kind is Path]
+            typed = {path for own in files for path in texts_of(capability, given)[own.name]}
+            raise named(error, {k: v for k, v in names.items() if k not in typed}) from None
         except Interrupted as stop:
             stop.hint = named_hint(stop.hint, capability.flags())
             raise

@@ -164,7 +164,7 @@ def next_(
     target = out or plan.with_name(f"{plan.stem}-next{ENDING}")
     save_plan(found, target)
     analysis = analysis_of(found)
-    after = command_of("plan", "run", target, project=_folder(project))
+    after = command_of("plan", "run", target, project=getattr(project, "folder", Path()))
     return CommandAnswer(
         {"met": False, **analysis.numbers, **analysis.texts(), "files": [str(target)]},
         paragraphs(analysis.lines(), wrote([target]), [f"Next: {after}"]),
@@ -240,7 +240,7 @@ def run(
         content |= {"low": own.low, "high": own.high, "stated": stated}
         line = f"Held in {engine}: {own}; stated success probability {stated:.4f}"
         return CommandAnswer(content, [line])
-    again = command_of("plan", "check", plan, project=_folder(project))
+    again = command_of("plan", "check", plan, project=getattr(project, "folder", Path()))
     if present_belief(project, found)[1] != found.calibration:
         notify(f"The calibration has changed since: {again}")
     if driver == TESTBED:
@@ -293,8 +293,3 @@ def _asked_poses(*given: str | None) -> Callable[[str], "FloatArray"]:
         return pose_of(text or typer.prompt("Seen pose [mm, mm, deg]"), "seen pose")
 
     return seen
-
-
-def _folder(project: "Project | None") -> Path:
-    """Return the folder of a project; the present one without a project."""
-    return Path() if project is None else project.folder

@@ -193,9 +193,9 @@ def checked_priors(
     instance(priors, Mapping, "filter.priors", "ranges by name of parameter")
     found: dict[str, tuple[float, float] | None] = {}
     for name, bounds in priors.items():
-        where = f"filter.priors.{name}"
+        where = f"filter.priors {name}"
         if name not in DEFAULT_PRIORS:
-            info_of(name)  # speaks for names that nothing in fixel knows
+            info_of(name, where)  # speaks for names that nothing in fixel knows
             raise InvalidInput(
                 where,
                 found="a parameter that particles cannot have",
@@ -228,7 +228,7 @@ def prior_for(scene: Scene, priors: Mapping[str, tuple[float, float] | None]) ->
     for name in idle:
         if priors.get(name) is not None:
             raise InvalidInput(
-                f"filter.priors.{name}",
+                f"filter.priors {name}",
                 found=f"a fixed value ({idle[name]})",
                 expected="a parameter that changes the scene",
             )

@@ -208,7 +208,7 @@ def in_si(written: str) -> tuple[str, float]:
     return written, 1.0
 
 
-def info_of(name: str) -> ParameterInfo:
+def info_of(name: str, where: str = "parameters") -> ParameterInfo:
     """Return unit, range and meaning of a parameter; raise for unknown names."""
     if name in KNOWN_PARAMETERS:
         return KNOWN_PARAMETERS[name]
@@ -220,12 +220,12 @@ def info_of(name: str) -> ParameterInfo:
         return engine_parameter(name)
     if "[" in str(name):
         raise InvalidInput(
-            "parameters",
+            where,
             found=f"{name!r}, a value for some conditions only",
             expected="one value for each parameter",
             hint="fit.values_for(...) selects them",
         )
-    raise unknown_name("parameters", name, KNOWN_PARAMETERS, more=", load_1, load_2, ...")
+    raise unknown_name(where, name, KNOWN_PARAMETERS, more=", load_1, load_2, ...")
 
 
 def check_supports(names: Iterable[str]) -> None:

@@ -234,17 +234,18 @@ def scalars(ensemble: Prediction) -> FloatArray:
 
 
 def _ranged(name: str, interval: tuple[float, float]) -> Factor:
-    info = info_of(name)
-    low, high = vector(interval, f"vary.{name}", "low, high").tolist()
+    where = f"vary {name}"
+    info = info_of(name, where)
+    low, high = vector(interval, where, "low, high").tolist()
     if not info.lowest <= low < high:
         raise InvalidInput(
-            f"vary.{name}",
+            where,
             found=f"{low:g} to {high:g}",
             expected=f"a range from {info.lowest:g} [{info.unit}] up, the lower end first",
         )
     if name in START:
         raise InvalidInput(
-            f"vary.{name}",
+            where,
             found="an error of the start",
             expected="a parameter",
             hint="it is already in the start error",

@@ -296,7 +296,12 @@ def prepare(
         # Its processes may work in another folder.
         paths = {k: x.resolve() for k, x in request if isinstance(x, Path) and k != TABLE.name}
         request = request.model_copy(update=paths)
+        own = getattr(request, "experiment", "")  # a job that lacks its records would fail
         with project.store() as store:
+            for key in (*getattr(request, "experiments", ()), *([own] if own else [])):
+                store.find(key)
+            if (number := getattr(request, "calibration", None)) is not None:
+                store.calibration(number)
             of = [request.model_dump(mode="json"), store.record_ids(), capability.reads(request)]
     of += [stamp(), table and table.sha256]
     digest = hashlib.sha256(json.dumps(of, sort_keys=True).encode()).hexdigest()

@@ -17,7 +17,7 @@ from fixel.calibration.target import target_of
 from fixel.database.project import Project
 from fixel.domain.error_bound import min_experiments
 from fixel.drawing.parts import next_pushes_chart
-from fixel.errors import InvalidInput, counted, unknown_name
+from fixel.errors import InvalidInput, check_name, counted, unknown_name
 from fixel.formats.plan_file import load_plan, plan_text
 from fixel.formats.scene_file import load_scene
 from fixel.io.atomic import write_whole
@@ -198,8 +198,13 @@ def select(project: Project, asked: Any) -> NextSelection:
         )
     if first is None and not offered and not mine:
         raise _no_part(of_part, known)
+    surfaces = sorted({str(own.conditions.get(of_surface.name, "")) for own in mine})
     if not of_surface.value:
-        of_surface = _only_surface(mine, of_surface.name)
+        if len(surfaces) > 1:
+            raise InvalidInput("surface", found="none", expected="one of " + ", ".join(surfaces))
+        of_surface = Condition(of_surface.name, surfaces[0] if surfaces else "")
+    elif first is None and not offered:
+        check_name("surface", of_surface.value, surfaces)
     if of_surface.value:
         mine = [own for own in mine if of_surface.is_of(own)]
     return NextSelection(
@@ -262,13 +267,6 @@ def _no_part(part: Condition, known: Sequence[Experiment]) -> InvalidInput:
         found = f"{part.value!r}, of which there is no experiment"
         expected = unknown_name("part", part.value, values).expected or expected
     return InvalidInput("part", found=found, expected=expected, hint=hint)
-
-
-def _only_surface(mine: Sequence[Experiment], surface: str) -> Condition:
-    values = sorted({str(own.conditions.get(surface, "")) for own in mine})
-    if len(values) > 1:
-        raise InvalidInput("surface", found="none", expected="one of " + ", ".join(values))
-    return Condition(surface, values[0] if values else "")
 
 
 def _span(experiment: Experiment) -> tuple[float, float]:

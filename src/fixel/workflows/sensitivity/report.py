@@ -254,7 +254,7 @@ def selected(
     nothing can be simulated, `InvalidInput` is raised.
     """
     for name in asked.vary or ():
-        info_of(name)
+        info_of(name, f"vary {name}")
     number, engine = asked.calibration, asked.engine or ""
     if project is not None and number is None:
         with project.store() as store:

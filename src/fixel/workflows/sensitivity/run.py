@@ -141,8 +141,8 @@ class StartSizes:
         without any size the default is uniform.
     """
 
-    place: Annotated[float, Door(flag="--start-error-mm", unit="mm")] = 1e-3 * 0.3
-    angle: Annotated[float, Door(flag="--start-error-deg", unit="deg")] = math.radians(0.5)
+    place: Annotated[float, Door(flag="--start-error-mm", unit="mm", least=0.0)] = 1e-3 * 0.3
+    angle: Annotated[float, Door(flag="--start-error-deg", unit="deg", least=0.0)] = math.pi / 360.0
     uniform: Annotated[bool | None, Door(flag="--uniform/--normal")] = None
 
     def build(self) -> StartError:
@@ -250,22 +250,11 @@ def in_project(request: Any) -> bool:
     return bool(request.calibration) or not things or not all(map(is_scene_file, things))
 
 
-def _settled(project: Project, request: Any) -> Any:
-    """Return the request; raise for files, which the browser that starts a job must not name."""
-    from fixel.workflows.sensitivity.report import is_scene_file
-
-    if files := list(filter(is_scene_file, request.experiments)):
-        expected = "experiments of the project, where a job computes"
-        raise InvalidInput("experiments", found=files[0], expected=expected)
-    return request
-
-
 SENSITIVITY: Final = Capability(
     name="sensitivity",
     function=sensitivity_of_pushes,
     of=sensitivity,
     leave_out=("scene", "start", "model", "motion", "stepper"),
     in_project=in_project,
-    settled=_settled,
     on_table=True,
 )
