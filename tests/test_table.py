@@ -63,7 +63,7 @@ def test_values_remain_in_csv_and_json() -> None:
     records = TABLE.records()
     assert records[0] == {"name": "a<b>", "error": 0.523, "verdict": "not told apart"}
     assert json.loads(json.dumps(records, allow_nan=False))[2]["error"] is None
-    assert TABLE.text()["rows"][1] == ["c", "-", ""]
+    assert TABLE.content()["rows"][1] == ["c", None, ""]
 
 
 @pytest.mark.parametrize(

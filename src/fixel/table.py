@@ -167,10 +167,10 @@ class Table:
         names = [column.name for column in self.columns]
         return [dict(zip(names, row, strict=True)) for row in self.rows]
 
-    def text(self) -> dict[str, Any]:
-        """Return title, head and rows as texts for people, as JSON can hold them."""
-        rows = [list(cells) for cells in self.cells]
-        return {"title": self.title, "head": list(self.head), "rows": rows, "left": self.left}
+    def content(self) -> dict[str, Any]:
+        """Return title, head, rows of values and their formats, as JSON can hold them."""
+        own = {"title": self.title, "head": list(self.head), "rows": list(map(list, self.rows))}
+        return own | {"formats": [column.format for column in self.columns], "left": self.left}
 
 
 def csv_cell(value: Value) -> Value:

@@ -494,6 +494,8 @@ def test_a_stored_result_prints_the_same_text_in_a_new_process(name, labs, here,
     assert capability.request(kept.analysis.request) == request
     assert kept.analysis.command == capability.command(request, project.folder)
     assert printed[name] == "\n".join(here[name].lines()).splitlines()
+    # Terminals print JSON from the result, and the interface for programs from what is stored.
+    assert json.dumps(kept.analysis.texts()) == json.dumps(here[name].texts())
 
 
 @pytest.mark.parametrize("name", BY_JOB)
@@ -507,7 +509,7 @@ def test_a_job_stores_the_same_analysis_and_shows_its_progress(name, labs, here)
     (kept,) = load_analyses(project, name)
     assert (status.state, (folder / "result").read_text()) == ("done", kept.folder.name)
     assert kept.analysis.question == here[name].question
-    assert [one.text() for one in kept.analysis.tables] == [t.text() for t in here[name].tables]
+    assert [t.content() for t in kept.analysis.tables] == [t.content() for t in here[name].tables]
     assert kept.analysis.request == json.loads(request.model_dump_json())
     assert any(one.text for one in shown)
 

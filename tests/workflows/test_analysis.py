@@ -1,5 +1,6 @@
 """Analyses are kept whole, with their pictures, and found again."""
 
+import json
 import os
 from datetime import UTC, datetime, timedelta
 
@@ -8,7 +9,8 @@ import pytest
 
 from fixel.database.project import Project
 from fixel.drawing.calibration import seconds_chart
-from fixel.table import Table
+from fixel.errors import StoreRefused
+from fixel.table import Column, Table
 from fixel.workflows.analysis import CONTENT, Analysis, Picture, load_analyses, store_analysis
 
 
@@ -43,6 +45,27 @@ def test_what_was_kept_comes_back(project):
     np.testing.assert_array_equal(again.arrays["error"], [0.0, 1.0, 2.0])
     assert all(again.picture("map", ending).stat().st_size for ending in ("png", "pdf", "csv"))
     assert load_analyses(project, "growth") == []
+
+
+def test_tables_come_back_with_their_values_and_texts(project):
+    rows = [("a", 0.1 + 0.2, 3), ("b", None, 4)]
+    table = Table(("cell", Column("error", "mm", ".2f"), "pushes"), rows, title="Cells", left=2)
+    one = store_analysis(project, _analysis().model_copy(update={"tables": (table,)}))
+    (again,) = load_analyses(project)
+    (own,) = again.analysis.tables
+    assert own.rows == rows
+    assert (own.lines(), own.left) == (table.lines(), 2)
+    content = json.loads((one.folder / CONTENT).read_text())
+
+    # Earlier versions stored texts.
+    content["tables"] = [{"title": "", "head": ["cell", "error [mm]"], "rows": [["a", "0.30"]]}]
+    (one.folder / CONTENT).write_text(json.dumps(content))
+    assert load_analyses(project)[0].analysis.tables[0].cells == [("a", "0.30")]
+    # A format of a stranger would fill the memory.
+    content["tables"][0]["formats"] = ["", ".999999999f"]
+    (one.folder / CONTENT).write_text(json.dumps(content))
+    with pytest.raises(StoreRefused, match="cannot be read"):
+        load_analyses(project)
 
 
 def test_the_same_question_takes_the_place_of_its_answer(project):

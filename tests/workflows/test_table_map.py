@@ -154,7 +154,7 @@ def test_a_job_has_the_map_and_does_not_read_the_file_again(lab, file):
     assert jobs.run_here(folder).state == "done"
     (kept,) = lab.analyses
     assert (folder / "result").read_text() == kept.folder.name == here.folder.name
-    assert kept.analysis.tables[0].text() == here.analysis.tables[0].text()
+    assert kept.analysis.tables[0].content() == here.analysis.tables[0].content()
 
 
 def test_a_plan_is_made_on_the_table(lab, pushes, file, tmp_path):

@@ -28,7 +28,7 @@ from fixel.io.atomic import each_readable, readable, usable, write_whole
 from fixel.io.document import plain_numbers
 from fixel.model import Experiment
 from fixel.results import Result
-from fixel.table import Table
+from fixel.table import Column, Table, Value
 from fixel.trust import repeatable
 from fixel.typing import FloatArray
 
@@ -38,24 +38,27 @@ ENDINGS: Final = ("png", "pdf", "csv")
 MAX_BANNER: Final = 80  # characters of a banner that fit across a chart one column wide
 
 
-class _TextTable(BaseModel, extra="forbid", frozen=True):
+class _TableContent(BaseModel, extra="forbid", frozen=True):
     title: str
     head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
+    rows: tuple[tuple[Value, ...], ...]  # earlier versions stored the texts of the cells
+    formats: tuple[Annotated[str, Field(pattern=r"^\+?(\.\d[efg])?$")], ...] = ()
     left: int = 1
 
 
-def _table_from_text(value: Any) -> Any:
-    """Convert the stored texts of a table into a `Table`; return anything else unchanged."""
+def _table_of(value: Any) -> Any:
+    """Convert the stored content of a table into a `Table`; return anything else unchanged."""
     if not isinstance(value, dict):
         return value
-    text = _TextTable.model_validate(value)
-    return Table(text.head, text.rows, title=text.title, left=text.left)
+    own = _TableContent.model_validate(value)
+    formats = own.formats or ("",) * len(own.head)
+    columns = [Column(name, "", form) for name, form in zip(own.head, formats, strict=True)]
+    return Table(columns, own.rows, title=own.title, left=own.left)
 
 
-# Stored as texts for people: title, head with units, rows.
+# Stored with head with units, values and formats.
 StoredTable = Annotated[
-    Table, BeforeValidator(_table_from_text), InstanceOf(), PlainSerializer(Table.text)
+    Table, BeforeValidator(_table_of), InstanceOf(), PlainSerializer(Table.content)
 ]
 
 
