@@ -45,6 +45,14 @@ def test_a_filter_selects_like_a_loop(pushes):
     assert len(pushes.where("real")) == 0
 
 
+def test_an_experiment_is_found_by_its_name(pushes):
+    assert pushes["07"] == pushes["example/07"] == pushes[7]
+    refused(lambda: pushes["exmple/07"], match="did you mean 'example/07'")
+    others = Experiments.of([*pushes, replace(pushes[7], dataset="other")])
+    assert others["other/07"].dataset == "other"
+    refused(lambda: others["07"], match="must be one of example/07, other/07$")
+
+
 @pytest.mark.parametrize(("text", "complaint"), [
     ("surfce=abs", "did you mean 'surface'"),
     ("surface=plywod", "did you mean 'plywood'"),

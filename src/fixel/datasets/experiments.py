@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, final, overload
 
 import numpy as np
 
-from fixel.errors import InvalidInput, quoted
+from fixel.errors import InvalidInput, quoted, unknown_name
 from fixel.model import Experiment, selection
 from fixel.model.fields import instance, whole
 from fixel.model.records import SimulationRecord
@@ -105,12 +105,18 @@ class Experiments(Result, Sequence[Experiment]):
         return len(self.entries)
 
     @overload
-    def __getitem__(self, index: int) -> Experiment: ...
+    def __getitem__(self, index: int | str) -> Experiment: ...
     @overload
     def __getitem__(self, index: slice) -> Experiments: ...
-    def __getitem__(self, index: int | slice) -> Experiment | Experiments:
+    def __getitem__(self, index: int | str | slice) -> Experiment | Experiments:
         if isinstance(index, slice):
             return self._with(self.entries[index])
+        if isinstance(index, str):  # a name, or dataset/name
+            rows = enumerate(entry.row for entry in self.entries)
+            own = {k: row.key for k, row in rows if index in (row.name, row.key)}
+            if len(own) != 1:
+                raise unknown_name("experiments", index, tuple(own.values()) or self.keys)
+            (index,) = own
         entry = self.entries[index]
         if entry.experiment is not None:
             return entry.experiment
