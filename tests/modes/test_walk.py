@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from benchmarks.seated import seated_grasp
 from benchmarks.varied import varied_grasp
+from tests.simulation.random_grasps import random_grasp
 
 from fixel import load
 from fixel.errors import InvalidInput
@@ -68,6 +69,18 @@ def test_other_motion_is_compared_with_fixed_steps():
     assert push.accuracy.verdict == "agreed"
     assert push.accuracy.reason == "contact modes describe quasi-static motion only"
     assert push.summary()["accuracy"]["verdict"] == "agreed"
+
+
+def test_two_motions_are_reported_where_two_ways_differ():
+    """Wide steps, small ones and the stepper each end elsewhere, by more than a quarter mm."""
+    scene = random_grasp(920862)
+    push = simulate(scene, accuracy=True)
+    ends = [push.final["part"], push.accuracy.other[0]]
+    ends.append(simulate(scene, stepper=Midpoint(step=2e-3)).final["part"])
+    for k in range(3):
+        assert _apart(ends[k], ends[k - 1])[0] > 0.25
+    assert push.accuracy.verdict == "uncertain"
+    assert "two motions may be possible" in push.accuracy.reason
 
 
 def test_several_parts_are_compared_with_fixed_steps():

@@ -198,7 +198,8 @@ BOUNCES = 34  # whether a contact of the trial gives back speed
 SMOOTH = 35  # whether velocities changed as expected
 PARTED = 36  # whether a contact that pressed in the last step has come off in the trial
 TAKEN_CONTACTS = 37  # contacts of the last step taken
-N_CONTROL = 38
+WEDGED = 38  # whether the last trial left overlaps, with no shorter one to try
+N_CONTROL = 39
 
 
 class StepMethod(NamedTuple):

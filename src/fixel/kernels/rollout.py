@@ -352,10 +352,9 @@ def _solve_trial(
             return codes.CONVERGED, math.inf
     early = control[at.GIVE_UP_EARLY] > 0.0
     at_once = control[at.GIVE_UP_EARLY] == AT_ONCE
-    max_attempts = MAX_ATTEMPTS_EARLY if early else MAX_ATTEMPTS
-    if at_once:
-        max_attempts = 0
+    most = 0 if at_once else MAX_ATTEMPTS_EARLY if early else MAX_ATTEMPTS
     leaves = at_once
+    max_attempts = 0 if control[at.WEDGED] == 1.0 and not early else most
     while True:
         residual, fell_back = solve(
             problem, work, guess, method.solver, method.effort, max_attempts
@@ -364,10 +363,12 @@ def _solve_trial(
         if residual <= TOLERANCE:
             if not (elastic and creates_energy(model, state, problem)):
                 break
-        elif leaves or not leave_overlaps(model, control, problem, work):
-            break
-        else:
+        elif not leaves and leave_overlaps(model, control, problem, work):
             leaves = True
+        elif max_attempts == most:
+            break
+        max_attempts = most
+    control[at.WEDGED] = 1.0 if leaves and not early else 0.0
     if not residual <= TOLERANCE:
         if not at_once and may_jam(problem, work, early):
             return codes.JAMMED, residual

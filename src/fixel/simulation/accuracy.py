@@ -46,12 +46,9 @@ class Confirmation(NamedTuple):
 
     def __getitem__(self, k: int) -> Accuracy:  # type: ignore[override]
         return Accuracy(
-            verdict=str(self.verdict[k]),
-            distance=float(self.distance[k]),
-            angle=float(self.angle[k]),
-            other=self.other[k],
-            reason=self.reason[k],
-        )
+            verdict=str(self.verdict[k]), distance=float(self.distance[k]),
+            angle=float(self.angle[k]), other=self.other[k], reason=self.reason[k],
+        )  # fmt: skip
 
 
 def confirm(
@@ -112,14 +109,12 @@ def _apart(one: FloatArray, other: FloatArray) -> FloatArray:
 
 def _reason(verdict: str, method: StepMethod, ended: int, folds: bool, stopped: bool) -> str:
     """Return what is behind a verdict on a simulation that reached its end."""
-    if verdict == CERTIFIED:
-        return ""
-    if stopped:
-        return "small fixed steps stopped early"
-    lost = _LOST.get(ended, "a contact mode ended in a jump" if folds else "")
-    if method.motion != codes.QUASI_STATIC:
-        lost = "contact modes describe quasi-static motion only"
-    return lost or "two ways differ, so that two motions may be possible"
+    if verdict == UNCERTAIN:
+        differ = "two ways differ, so that two motions may be possible"
+        return "small fixed steps stopped early" if stopped else differ
+    if verdict == AGREED and method.motion != codes.QUASI_STATIC:
+        return "contact modes describe quasi-static motion only"
+    return _LOST.get(ended, "a contact mode ended in a jump" if folds else "")
 
 
 def empty_modes(n: int) -> walk.ModeRecord:

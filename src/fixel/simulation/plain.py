@@ -96,18 +96,20 @@ class _Loop:
             if closing < math.inf:
                 return StepTrial(codes.CONVERGED, math.inf, closing=closing)
         leaves = give_up_early == AT_ONCE
+        give_up = int(AT_ONCE) if control[at.WEDGED] and not give_up_early else give_up_early
         while True:
-            residual, fell_back = self.solver.solve(problem, work, guess, give_up_early)
+            residual, fell_back = self.solver.solve(problem, work, guess, give_up)
             self.fallbacks += fell_back
-            solved = residual <= TOLERANCE
-            if solved:
+            if residual <= TOLERANCE:
                 if not entries.gains_energy(model, state, problem):
                     break
-            elif leaves or not entries.leave_overlaps(model, control, problem, work):
-                break
-            else:
+            elif not leaves and entries.leave_overlaps(model, control, problem, work):
                 leaves = True
-        if not solved:
+            elif give_up == give_up_early:
+                break
+            give_up = give_up_early
+        control[at.WEDGED] = float(leaves and not give_up_early)
+        if not residual <= TOLERANCE:
             if give_up_early != AT_ONCE and entries.may_jam(problem, work, give_up_early > 0):
                 return StepTrial(codes.JAMMED, residual)
             failed = codes.NON_FINITE if math.isinf(residual) else codes.MAX_ITERATIONS
