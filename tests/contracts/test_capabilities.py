@@ -389,8 +389,10 @@ def test_a_request_never_permits_a_program_by_itself(project, tmp_path):
     asking = replace(capability, name="filter")
     object.__setattr__(asking.options["motion"], "door", door)
     request = asking.request({"experiment": "push-1", "motion": str(program)})
-    with pytest.raises(InvalidInput, match="was named by a file, not by you"):
+    with pytest.raises(InvalidInput, match="was named by a file, not by you") as problem:
         run(asking, request, project.folder, progress=False)
+    # The user has typed no option that the error could be about.
+    assert named(problem.value, CAPABILITIES["compare"].flags()).where == "program"
 
 
 def test_hints_have_the_name_of_the_door():
