@@ -144,6 +144,7 @@ def test_prints(capsys, tmp_path):
     (("place", "{}/camera.yaml", "{}/flat.png", "--rig", "microscope"), "no tags"),
     (("place", "{}/camera.yaml", "{}/flat.png", "--rig", "thesis-tags"), "at least 2"),
     (("place", "{}/camera.yaml", "{}/camera.yaml", "--board", BOARD), "ending"),
+    (("place", ".", "{}/flat.png", "--board", BOARD), "folder"),
     (("check", "nowhere.yaml"), "no such file"),
     (("import", "{}/flat.png"), "unknown format"),
     (("import", "{}/camera.yaml"), "already"),

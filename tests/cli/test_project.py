@@ -138,6 +138,17 @@ def test_a_plan_on_the_simulated_testbed(lab, capsys):
     assert len(found["experiments"]) == 2
 
 
+def test_experiments_that_replace_others_are_counted_and_named(lab, capsys):
+    for seed in (5, 6):
+        made = output(capsys, "testbed", "run", "-p", lab, "--limit", "2", "--seed", seed)
+    assert "replaced 2 earlier experiments of the same name" in made
+    assert json_of(capsys, "list", "-p", lab, "--where", "replaced")["total"] == 4
+    shown = output(capsys, "show", "1", "-p", lab)
+    assert "replaced by experiment 3 of the same name" in shown
+    assert "Next: fixel show id:1 --plot" in shown
+    assert "replaced" not in output(capsys, "show", "3", "-p", lab)
+
+
 def test_the_environment_names_another_database(lab, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("FIXEL_DATABASE", f"sqlite:///{tmp_path}/elsewhere.db")
     for words in (("list", "--project", lab), ("serve", lab)):

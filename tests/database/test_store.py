@@ -54,10 +54,12 @@ def test_the_same_again_adds_nothing(store):
 
 def test_a_correction_takes_the_place(store):
     old, new = stored(store, experiment(), experiment(contact_mode="110"))
+    assert (store.replacement(old), store.replacement(new)) == (new, None)
     assert [s.id for s in store.experiments().rows] == [new]
     assert store.experiments(ExperimentQuery(marks=("replaced",))).total == 2
     assert store.experiment(old).contact_mode == "010"
     store.delete([new])
+    assert store.replacement(old) is None
     assert [s.id for s in store.experiments().rows] == [old]
 
 

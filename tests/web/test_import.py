@@ -28,7 +28,12 @@ def test_a_table_without_a_scene_is_answered_with_a_template(bench):
     first, second = (bench.post("/import", asked) for _ in range(2))
     assert (first["has_scene"], first["stored"], first["known"]) == (True, True, False)
     assert (second["stored"], second["known"]) == (False, True)
+    assert not first["replaced"]
+    other = bench.post("/import", asked | {"table": TABLE.replace("0.1", "0.2")})
+    assert (other["stored"], other["replaced"]) == (True, True)
     number = bench.context.store.find("csv/mine")
+    old = bench.context.store.find("id:1")
+    assert bench.get(f"/experiments/{old}")["replaced_by"] == number
     assert bench.context.store.experiment(number).scene is not None
 
 

@@ -158,6 +158,11 @@ def imported(done: "AddSummary", content: dict[str, Any], folder: Path) -> Comma
             "The experiments have no scene, so they cannot be simulated or calibrated. Fill in "
             f"{content['template']}, then import the table again with --scene.",
         )
+    if done.replaced:
+        lines.append(
+            f"replaced {counted(done.replaced, 'earlier experiment')} of the same name; fixel list"
+            " --where replaced lists these, too"
+        )
     if done.faulty:
         lines.append(
             f"{done.faulty} of them have faults in their data; list them with fixel list --all"

@@ -49,20 +49,24 @@ def show(
     require_picture(plot)
     with project.store() as store:
         number = store.find(experiment)
-        found = store.experiment(number)
+        found, replaced_by = store.experiment(number), store.replacement(number)
     if plot is not None:
         from fixel.drawing.chart import save_figure
         from fixel.drawing.experiment import experiment_figure
 
         save_figure(lambda: experiment_figure(found), plot)
     files = {} if plot is None else {"plot": str(plot)}
-    content = {"id": number, **summary(found), "files": files}
-    return CommandAnswer(content, _show_lines(number, found, project.folder, plot))
+    content = {"id": number, "replaced_by": replaced_by, **summary(found), "files": files}
+    about = [origin_of(found), f"experiment {number} of dataset {found.dataset}"]
+    key = found.key
+    if replaced_by is not None:
+        about.append(f"replaced by experiment {replaced_by} of the same name")
+        key = f"id:{number}"
+    following = f"Next: {_next_show(found, key, project.folder, plot)}"
+    return CommandAnswer(content, paragraphs(about, *_blocks(found), wrote([plot]), [following]))
 
 
-def _show_lines(
-    number: int, experiment: "Experiment", project: Path, plot: Path | None
-) -> list[str]:
+def _blocks(experiment: "Experiment") -> list[list[str]]:
     """About a screen of text."""
     conditions = {
         name: value if isinstance(value, str) else f"{value:.6g}"
@@ -72,8 +76,7 @@ def _show_lines(
         (channel.name, f"{counted(len(channel.time), 'reading')} of {', '.join(channel.columns)}")
         for channel in experiment.channels
     ]
-    return paragraphs(
-        [origin_of(experiment), f"experiment {number} of dataset {experiment.dataset}"],
+    return [
         _frames(experiment),
         _poses(experiment),
         [f"contact mode at the end: {experiment.contact_mode or 'unknown'}"],
@@ -82,9 +85,7 @@ def _show_lines(
         _listed("remarks", [(f.name, f.detail) for f in experiment.flags if not f.fault]),
         _listed("channels", channels),
         _provenance(experiment),
-        wrote([plot]),
-        [f"Next: {_next_show(experiment, project, plot)}"],
-    )
+    ]
 
 
 def _frames(experiment: "Experiment") -> list[str]:
@@ -137,13 +138,13 @@ def _provenance(experiment: "Experiment") -> list[str]:
     return _listed("provenance", [(name, value) for name, value in values.items() if value])
 
 
-def _next_show(experiment: "Experiment", project: Path, plot: Path | None) -> str:
-    """Return the command that most users need next."""
+def _next_show(experiment: "Experiment", key: str, project: Path, plot: Path | None) -> str:
+    """Return the command that most users need next for an experiment, named by its key or id."""
     if plot is None:
         picture = experiment.name.replace("/", "-") + ".png"
-        return command_of("show", experiment.key, "--plot", picture, project=project)
+        return command_of("show", key, "--plot", picture, project=project)
     if experiment.scene is not None:
-        return command_of("compare", experiment.key, project=project)
+        return command_of("compare", key, project=project)
     return command_of("list", project=project)
 
 

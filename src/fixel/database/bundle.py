@@ -278,7 +278,7 @@ class _Copy:
             is_new = copied is None
             if copied is None:
                 bare = dataclasses.replace(experiment, flags=())  # flags follow, with their times
-                copied = self._target._insert(connection, bare, row, series)
+                copied = self._target._insert(connection, bare, row, series).id
             else:
                 flags = [flag for flag in flags if flag["deleted_at_utc"] is None]
             added = _add_missing(connection, schema.flag, copied, flags, ("name", "detail"))

@@ -75,6 +75,7 @@ class AddSummary(NamedTuple):
     known: int  # stored before, and left unchanged
     faulty: int  # of the new, those that listings leave out by default
     wall_time_s: float
+    replaced: int = 0  # earlier experiments with the names of new ones
 
 
 @final
@@ -527,7 +528,7 @@ def add_experiments(
     command = typed()
     published: Mapping[str, SimulationRecord] = getattr(experiments, "simulations", {})
     total = len(experiments) if isinstance(experiments, Sized) else total
-    new = known = faulty = 0
+    new = known = faulty = replaced = 0
     for made in experiments:
         instance(made, Experiment, "what", "experiments, or a result")
         experiment = replace(made, provenance=replace(made.provenance, command=command))
@@ -536,12 +537,13 @@ def add_experiments(
             _add_published(store, stored.id, simulation)
         if stored.new:
             new += 1
+            replaced += stored.replaced is not None
             faulty += any(flag.fault for flag in experiment.flags)
         else:
             known += 1
         if report is not None:
             report(new + known, max(total, new + known))
-    return AddSummary(new, known, faulty, time.monotonic() - begun)
+    return AddSummary(new, known, faulty, time.monotonic() - begun, replaced)
 
 
 def _add_published(store: Store, experiment_id: int, simulation: SimulationRecord) -> None:

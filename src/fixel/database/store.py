@@ -68,6 +68,7 @@ class AddResult(NamedTuple):
 
     id: int
     new: bool  # False if the same record was already stored
+    replaced: int | None = None  # earlier experiment of the same name
 
 
 @final
@@ -144,7 +145,7 @@ class Store:
             known = self._known(connection, row["content_sha256"])
             if known is not None:
                 return AddResult(known, False)
-            return AddResult(self._insert(connection, experiment, row, measured), True)
+            return self._insert(connection, experiment, row, measured)
 
     def _known(self, connection: sa.Connection, content: str) -> int | None:
         key = schema.experiment.c
@@ -159,7 +160,7 @@ class Store:
         experiment: Experiment,
         row: dict[str, Any],
         measured: list[dict[str, Any]],
-    ) -> int:
+    ) -> AddResult:
         table = schema.experiment
         heights = experiment.height, experiment.pusher_height
         object_row, pusher_row = rows.geometries_of(row["scene"], experiment.object_name, *heights)
@@ -179,7 +180,7 @@ class Store:
         flags = [marks.flag_row(experiment_id, flag) for flag in experiment.flags]
         if flags:
             connection.execute(sa.insert(schema.flag), flags)
-        return experiment_id
+        return AddResult(experiment_id, True, replaced)
 
     def experiment(self, experiment_id: int) -> Experiment:
         """Load an experiment by its id."""
@@ -227,6 +228,14 @@ class Store:
         if not found:
             raise _absent(f"experiment {key!r}", self._resembling(key))
         return next(iter(found))
+
+    def replacement(self, experiment_id: int) -> int | None:
+        """Return the id of the experiment of the same name that replaced this one, if any."""
+        key = schema.experiment.c
+        later = (key.replaces_id == experiment_id, key.deleted_at_utc.is_(None))
+        with reading(self._engine) as connection:
+            found: int | None = connection.scalar(sa.select(key.id).where(*later))
+        return found
 
     def _resembling(self, key: str) -> str | None:
         """Hint with the stored name closest to an unknown one; None if none is close."""

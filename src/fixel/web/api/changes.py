@@ -80,6 +80,7 @@ class TableResult(Answer):
     known: bool = Field(
         description="whether the experiment was already stored; then it is unchanged"
     )
+    replaced: bool = Field(description="whether it replaces an earlier one of the same name")
 
 
 @router.post("/experiments/flag", summary="Add a flag to experiments", tags=["marks"])
@@ -134,4 +135,5 @@ def import_table(context: Context, wanted: TableRequest) -> TableResult:
         template=template,
         stored=bool(done.new),
         known=bool(done.known),
+        replaced=bool(done.replaced),
     )

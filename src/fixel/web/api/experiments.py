@@ -155,6 +155,7 @@ class ExperimentDetail(Answer):
     key: str
     notes: list[NoteText]
     deleted: bool
+    replaced_by: int | None
     content: str
     has_video: bool
 
@@ -218,6 +219,7 @@ def experiment(context: Context, number: Id) -> ExperimentDetail:
             "key": one.key,
             "notes": store.notes(number),
             "deleted": store.deleted(number),
+            "replaced_by": store.replacement(number),
             "content": store.content(number)[:16],
             "has_video": bool(one.video),
             **plain_numbers(summary(one)),

@@ -56,6 +56,7 @@ def experiment_page(context: ProjectContext, request: Request) -> dict[str, Any]
         "real": experiment.real,
         "simulated_by": experiment.simulated_by,
         "deleted": store.deleted(number),
+        "replacement": store.replacement(number),
         "flags": experiment.flags,
         "flag_names": list(store.flags()),
         "notes": store.notes(number),

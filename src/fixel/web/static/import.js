@@ -22,9 +22,9 @@ export function offerImport(done) {
     try {
       const { answers, skipped } = await each(false);
       dialog.close();
-      const known = answers.filter((answer) => answer.known).length;
-      toast(`Imported ${several(answers.length - known, "experiment")}${known ? `; ${known} were already stored` : ""}${
-        skipped.length ? `; skipped ${skipped.join("; ")}` : ""}.`);
+      const [known, replaced] = ["known", "replaced"].map((name) => answers.filter((answer) => answer[name]).length);
+      const more = [replaced && `replaced ${several(replaced, "earlier experiment")} of the same name`, known && `${known} were already stored`, skipped.length && `skipped ${skipped.join("; ")}`];
+      toast(`Imported ${[several(answers.length - known, "experiment"), ...more.filter(Boolean)].join("; ")}.`);
       await done();
     } catch (problem) {
       refused(problem);

@@ -145,7 +145,7 @@ def track_film(
     if opened is not None:
         with opened.store() as store:
             experiment = replace(experiment, video=store.add_video(film.video))
-            number, new = store.add_experiment(experiment)
+            number, new, _ = store.add_experiment(experiment)
     found = actuator_motion(tracked, planned)
     return TrackAnswer(
         film=film,

@@ -82,6 +82,7 @@ def exported(asked: Any) -> CameraAnswer:
 def placed(asked: Any) -> CameraAnswer:
     """Find the pose of a camera above the plate, and save the camera with its pose."""
     path, pose = asked.camera, pose_of(asked.at, "at").tolist()
+    measured = load_camera(path)
     out = asked.out or path.with_name(f"{path.stem}-placed.yaml")
     rigs = [folder / RIG_FILE for folder in (path.parent, asked.picture.parent)]
     rig = asked.rig or next((str(file) for file in rigs if has_plate(file)), None)
@@ -89,7 +90,7 @@ def placed(asked: Any) -> CameraAnswer:
         raise InvalidInput("place", found="neither", expected="--board or --rig, or both")
     require_file(out, CAMERA_ENDINGS, "camera")
     require_file(asked.plot)
-    measured, seen = load_camera(path), first_picture(asked.picture)
+    seen = first_picture(asked.picture)
     found, remark = _place(measured, seen, asked.board, pose, asked.thickness, rig)
     save_camera(found.camera, out)
     return CameraAnswer(
