@@ -29,10 +29,10 @@ def test_a_table_without_a_scene_is_answered_with_a_template(bench):
     assert (first["has_scene"], first["stored"], first["known"]) == (True, True, False)
     assert (second["stored"], second["known"]) == (False, True)
     assert not first["replaced"]
-    other = bench.post("/import", asked | {"table": TABLE.replace("0.1", "0.2")})
+    old = bench.context.store.find("csv/mine")
+    other = bench.post("/import", asked | {"table": table_text(*push(0.15, 0.03, duration=0.4))})
     assert (other["stored"], other["replaced"]) == (True, True)
     number = bench.context.store.find("csv/mine")
-    old = bench.context.store.find("id:1")
     assert bench.get(f"/experiments/{old}")["replaced_by"] == number
     assert bench.context.store.experiment(number).scene is not None
 
