@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated, Final, Literal
 
 from fastapi import APIRouter, Query
 from fastapi.responses import FileResponse
@@ -78,19 +78,13 @@ def picture(context: Context, name: str, picture: str, ending: str) -> FileRespo
     return FileResponse(path, media_type=TYPES[ending])
 
 
-class PlanTrialAnswer(Answer):
-    """Trials of a stored plan, as lines of text."""
-
-    lines: list[str]
-
-
 @plans.post("/{name}/trials", summary="Carry out a plan 20 times on the simulated testbed")
-def trials(context: Context, name: str) -> PlanTrialAnswer:
+def trials(context: Context, name: str) -> dict[Literal["lines"], list[str]]:
     own = find_analysis(context.project, name, "plan")
     if not (own.folder / FILE).is_file():
         raise NotStored(f"plan {name!r}", hint="/analyses lists all")
     run_on_testbed(own.folder / FILE, trials=20)
-    return PlanTrialAnswer(lines=trials_of(own.folder))
+    return {"lines": trials_of(own.folder)}
 
 
 def trials_of(folder: Path) -> list[str]:
@@ -103,12 +97,6 @@ def trials_of(folder: Path) -> list[str]:
     except FixelError as problem:
         return [str(problem)]
     return str(found).splitlines() if found.n else []
-
-
-class NextExperiments(Answer):
-    """Experiments to try next."""
-
-    proposals: list[SuggestedExperiment]
 
 
 def _view(context: ProjectContext, name: str) -> MapView:
@@ -124,6 +112,6 @@ def at_threshold(context: Context, name: str, query: Annotated[ClaimQuery, Query
 @maps.get("/{name}/next", summary="Get suggested experiments")
 def next_experiments(
     context: Context, name: str, query: Annotated[ClaimQuery, Query()]
-) -> NextExperiments:
+) -> dict[Literal["proposals"], list[SuggestedExperiment]]:
     one = _view(context, name)
-    return NextExperiments(proposals=domain_views.suggested(one, query.claim(one)))
+    return {"proposals": domain_views.suggested(one, query.claim(one))}

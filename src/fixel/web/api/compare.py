@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final
+from typing import Annotated, Final, Literal
 
 from fastapi import APIRouter, Query
 from pydantic import Field
@@ -47,12 +47,6 @@ class NominalRequest(RequestBody):
     """Experiments to simulate."""
 
     ids: list[Id] = Field(min_length=1, max_length=MAX_AT_ONCE)
-
-
-class NewSimulation(Answer):
-    """A stored simulation."""
-
-    id: Id
 
 
 @router.get(
@@ -108,11 +102,11 @@ def stored_simulation(context: Context, number: Id, simulation: Id) -> ComparedS
 
 
 @router.post("/experiments/{number}/simulations", summary="Store a simulation", tags=["compare"])
-def keep_simulation(context: Context, number: Id, wanted: ComparisonRequest) -> NewSimulation:
-    folder = context.folder
-    return NewSimulation(
-        id=context.comparison.keep(number, wanted.parameters, wanted.motion, folder)
-    )
+def keep_simulation(
+    context: Context, number: Id, wanted: ComparisonRequest
+) -> dict[Literal["id"], int]:
+    kept = context.comparison.keep(number, wanted.parameters, wanted.motion, context.folder)
+    return {"id": kept}
 
 
 @router.post(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Literal
 
 from fastapi import APIRouter, Query
 from fastapi.responses import FileResponse, Response
@@ -73,12 +73,6 @@ class TablePage(Answer):
     meant: str | None = Field(description="filter that was probably meant, if nothing matches")
 
 
-class ExperimentIds(Answer):
-    """Ids of experiments."""
-
-    ids: list[int]
-
-
 class PoseTrack(Answer):
     """Poses against time."""
 
@@ -132,12 +126,6 @@ class TactileSignals(Answer):
     fixels: list[str]
 
 
-class ExperimentOutlines(Answer):
-    """Outlines over a video."""
-
-    outlines: VideoOutlines | None = Field(description="outlines; null if the rig is unknown")
-
-
 class NoteText(Answer):
     """Note on an experiment."""
 
@@ -182,17 +170,17 @@ def table(
 @router.get("/experiments/ids", summary="List ids of all matching experiments, in order")
 def ids(
     context: Context, filter: Filter = "", sort: Sort = "id", descending: bool = False
-) -> ExperimentIds:
+) -> dict[Literal["ids"], list[int]]:
     view = filters.view_of(filter, sort=sort, descending=descending)
-    return ExperimentIds(ids=context.store.experiment_ids(view))
+    return {"ids": context.store.experiment_ids(view)}
 
 
 @router.get(
     "/experiments/unsimulated",
     summary="List ids of matching experiments without a simulation with nominal values",
 )
-def unsimulated(context: Context, filter: Filter = "") -> ExperimentIds:
-    return ExperimentIds(ids=context.store.unsimulated_ids(filters.view_of(filter)))
+def unsimulated(context: Context, filter: Filter = "") -> dict[Literal["ids"], list[int]]:
+    return {"ids": context.store.unsimulated_ids(filters.view_of(filter))}
 
 
 @router.get("/vocabulary", summary="List conditions and their values")
@@ -306,9 +294,9 @@ def video(context: Context, number: Id) -> Response:
 
 
 @router.get("/experiments/{number}/outlines", summary="Get the outline of the object in the video")
-def outlines(context: Context, number: Id) -> ExperimentOutlines:
+def outlines(context: Context, number: Id) -> dict[Literal["outlines"], VideoOutlines | None]:
     one = context.store.experiment(number)
-    return ExperimentOutlines(outlines=outlines_in_video(context.project, one))
+    return {"outlines": outlines_in_video(context.project, one)}
 
 
 def _table_row(row: ExperimentRow, details: ExperimentDetails) -> TableRow:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path as FilePath
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Literal
 
 from fastapi import APIRouter, Path, Query
 
@@ -25,12 +25,6 @@ router = APIRouter(prefix="/jobs", tags=["jobs"])
 runs = APIRouter(prefix="/run", tags=["capabilities"])
 
 
-class JobList(Answer):
-    """All jobs, the newest first."""
-
-    jobs: list[JobStatus]
-
-
 class JobDetail(Answer):
     """A job and its workers."""
 
@@ -39,8 +33,8 @@ class JobDetail(Answer):
 
 
 @router.get("", summary="List jobs of the project, the newest first")
-def all_jobs(context: Context) -> JobList:
-    return JobList(jobs=jobs.jobs_in(context.project.folder))
+def all_jobs(context: Context) -> dict[Literal["jobs"], list[JobStatus]]:
+    return {"jobs": jobs.jobs_in(context.project.folder)}
 
 
 @router.get("/{name}", summary="Get a job and its workers")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, HTTPException, Path, Request
 from pydantic import AfterValidator, Field
@@ -43,12 +43,6 @@ class SceneAnswer(Answer):
     scene: dict[str, Any]
 
 
-class SceneText(Answer):
-    """A scene file."""
-
-    text: str = Field(description="YAML")
-
-
 @router.get("/scenes/examples", summary="List example scenes")
 def examples() -> list[SceneExample]:
     return scene_editor.examples()
@@ -75,8 +69,8 @@ def check(wanted: SceneRequest) -> None:
 
 
 @router.post("/scenes/write", summary="Write a scene as the text of a scene file")
-def write(wanted: SceneRequest) -> SceneText:
-    return SceneText(text=scene_editor.write_scene(wanted.scene))
+def write(wanted: SceneRequest) -> dict[Literal["text"], str]:
+    return {"text": scene_editor.write_scene(wanted.scene)}
 
 
 @router.post(
