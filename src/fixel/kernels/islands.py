@@ -11,15 +11,7 @@ Source: George & Liu (1981), section 4.3, for the numbering.
 
 from typing import NamedTuple
 
-from fixel.kernels.arrays import (
-    N_CONTACT,
-    N_DOF,
-    N_ELEMENT,
-    N_FREE_DOF,
-    N_SIZE,
-    Problem,
-    Workspace,
-)
+from fixel.kernels.arrays import N_CONTACT, N_DOF, N_ELEMENT, N_FREE_DOF, N_SIZE, Problem, Workspace
 from fixel.kernels.jit import kernel, view
 from fixel.typing import FloatArray, IntArray
 

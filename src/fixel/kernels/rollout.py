@@ -42,27 +42,14 @@ from fixel.kernels.arrays import (
 )
 from fixel.kernels.contacts import place_bodies
 from fixel.kernels.islands import island_room
-from fixel.kernels.jit import (
-    allocating_kernel,
-    entry,
-    kernel,
-    large_kernel,
-    spliced_kernel,
-    view,
-)
+from fixel.kernels.jit import allocating_kernel, entry, kernel, large_kernel, spliced_kernel, view
 from fixel.kernels.josephy import MAX_CONTACTS, MAX_DRIVES
 from fixel.kernels.linear import DENSE_LIMIT
 from fixel.kernels.path import path_direction
 from fixel.kernels.residual import SCRATCH
 from fixel.kernels.samples import is_due, write_samples
 from fixel.kernels.solve import MAX_ATTEMPTS, MAX_ATTEMPTS_EARLY, TOLERANCE, may_jam, solve
-from fixel.kernels.step import (
-    creates_energy,
-    keep_impulses,
-    leave_overlaps,
-    move,
-    prepare_step,
-)
+from fixel.kernels.step import creates_energy, keep_impulses, leave_overlaps, move, prepare_step
 from fixel.kernels.step_control import (
     AT_ONCE,
     begin_control,

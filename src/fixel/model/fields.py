@@ -33,11 +33,12 @@ class Comparable:
     __slots__ = ()
 
     def __repr__(self) -> str:
-        given = (
-            f"{own.name}={_shown(value)}"
-            for own in dataclasses.fields(self)  # type: ignore[arg-type]
-            if own.repr and not _is_usual(value := getattr(self, own.name), own)
-        )
+        given = []
+        for own in dataclasses.fields(self):  # type: ignore[arg-type]
+            value, factory = getattr(self, own.name), own.default_factory
+            usual: Any = own.default if factory is dataclasses.MISSING else factory()
+            if own.repr and not np.array_equal(value, usual):
+                given.append(f"{own.name}={_shown(value)}")
         return f"{type(self).__name__}({', '.join(given)})"
 
     def _compared(self) -> tuple[Any, ...]:
@@ -267,12 +268,6 @@ def _shape(array: FloatArray) -> str:
     if array.size == 0:
         return "an empty list"
     return "one row of " + str(len(array)) if array.ndim == 1 else f"an array of {array.shape}"
-
-
-def _is_usual(value: Any, field: dataclasses.Field[Any]) -> bool:
-    if field.default_factory is not dataclasses.MISSING:
-        return bool(value == field.default_factory())
-    return field.default is not dataclasses.MISSING and np.array_equal(value, field.default)
 
 
 def _shown(value: Any) -> str:

@@ -141,17 +141,7 @@ _A = np.array(
 )
 _C = np.array([1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0])
 _R = np.array([0.0, 1 / 2, 5.0, 8 / 45, 5 / 4, 0.0])  # spans of `_C`, each over the one before
-_E = np.array(
-    [
-        71 / 57600,
-        0,
-        -71 / 16695,
-        71 / 1920,
-        -17253 / 339200,
-        22 / 525,
-        -1 / 40,
-    ]
-)
+_E = np.array([71 / 57600, 0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
 _D = np.array(
     [
         -12715105075 / 11282082432,
@@ -360,12 +350,7 @@ def write_step(mode: ContactMode, q: FloatArray, h: float, counts: IntArray, tap
 
 @large_kernel
 def follow(
-    model: Model,
-    mode: ContactMode,
-    q: FloatArray,
-    pieces: GapArrays,
-    counts: IntArray,
-    tape: Tape,
+    model: Model, mode: ContactMode, q: FloatArray, pieces: GapArrays, counts: IntArray, tape: Tape
 ) -> int:
     """Integrate one mode to its end or to the end of the clock; returns the margin that ended it,
     CLOCK_RAN_OUT or FOLDED."""
