@@ -8,7 +8,7 @@ from tests.simulation.random_grasps import random_grasp
 
 from fixel import load
 from fixel.errors import InvalidInput
-from fixel.model import Tripod
+from fixel.model import Body, LineDrive, Polygon, Pusher, Scene, Tripod
 from fixel.simulation import Accuracy, Adaptive, Midpoint, QuasiStatic, simulate, simulate_batch
 from fixel.testing.scenes import free_push, grasp, heap, pushed_square
 
@@ -69,6 +69,39 @@ def test_other_motion_is_compared_with_fixed_steps():
     assert push.accuracy.verdict == "agreed"
     assert push.accuracy.reason == "contact modes describe quasi-static motion only"
     assert push.summary()["accuracy"]["verdict"] == "agreed"
+
+
+def test_two_motions_between_two_pushers_are_flagged_from_either():
+    """A corner of a pusher passes one of the part; 100 nm decide whether it catches there."""
+    half, half_gap, depth = 0.025312, 0.007451, 0.001333
+    outline = [(-half, -half), (half, -half), (half, half), (half_gap, half), (half_gap, depth),
+               (-half_gap, depth), (-half_gap, half), (-half, half)]  # fmt: skip
+    ends = []
+    for aside in (0.0, 1e-7):
+        part = Body(
+            "part", Polygon(outline), mass=0.050282, pose=(aside, 0, 2.571231),
+            support=Tripod(radius=0.012656, friction=0.341758, angle=-1.273233),
+        )  # fmt: skip
+        wide = Pusher(
+            "wide",
+            Polygon([(0.029496, 0.011229), (-0.026013, 0.017871), (-0.00027, -0.03156)]),
+            pose=(-0.122876, -0.014321, -1.435032), friction=0.464469,
+            drive=LineDrive(direction=(0.9994641970658744, -0.03273100645362228), speed=0.017671,
+                            travel=0.19132, force_limit=30.868857),
+        )  # fmt: skip
+        small = Pusher(
+            "small",
+            Polygon([(0.007764, 0.004038), (-0.006319, 0.006054), (-0.003218, -0.008138)]),
+            pose=(-0.007502, 0.091558, 0.68685), friction=1.147964,
+            drive=LineDrive(direction=(-0.10326696628308285, -0.9946536752431415), speed=0.016519,
+                            travel=0.147894, force_limit=31.70021),
+        )  # fmt: skip
+        scene = Scene((part,), (wide, small), duration=8.5)
+        push = simulate(scene, motion=QuasiStatic(), accuracy=True)
+        ends.append(push.final["part"])
+        assert push.accuracy.verdict == "uncertain"
+        assert push.accuracy.distance > 2.5e-3
+    assert _apart(*ends)[0] > 2.5
 
 
 def test_two_motions_are_reported_where_two_ways_differ():

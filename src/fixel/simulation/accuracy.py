@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fixel.kernels import arrays as at
 from fixel.kernels import codes
-from fixel.kernels.arrays import Batch, StepMethod
+from fixel.kernels.arrays import StepMethod
 from fixel.kernels.modes import walk
 from fixel.simulation.pack import PackedBatch
 from fixel.simulation.result import AGREED, CERTIFIED, UNCERTAIN, Accuracy
@@ -26,6 +26,9 @@ from fixel.typing import FloatArray, IntArray
 APART_LENGTH: Final = 5e-3  # of the characteristic length: two ends that are this close agree
 APART_ANGLE: Final = math.radians(0.1)
 FIXED_STEP: Final = 5e-4  # of the time in which the fastest motion covers that length
+# Shifts of the start between two pushers, of that length and in rad: one of two possible motions
+# may be that of every step size.
+SHIFTS: Final = 2e-6 * np.array([[1, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1]])
 
 _LOST: Final = {
     walk.UNSUITED: "contact modes describe one part and one pusher on an even plane only",
@@ -83,9 +86,15 @@ def confirm(
     stopped = np.zeros(n, np.bool_)
     if doubtful.any():
         again = np.flatnonzero(doubtful)
-        repeated, stopped[again] = _repeated(packed, method, again, threads)
-        farther = _apart(repeated, final[again]) > _apart(other[again], final[again])
-        other[again[farther]] = repeated[farther]
+        part = _chosen(packed, again)
+        part.batch.settings[:, at.STEP] = FIXED_STEP
+        ends, how = ends_of(part, method._replace(adaptive=0, lead=0.0), threads)
+        stopped[again] = how != codes.CONVERGED
+        _keep_farthest(other, final, again, ends)
+        again = again[packed.batch.count[again, at.DRIVEN] > 1]
+        for shift in SHIFTS if again.size else ():
+            ends, _ = ends_of(_chosen(packed, again, shift), method, threads)
+            _keep_farthest(other, final, again, ends)
     gap = other - final
     distance = np.hypot(gap[..., 0], gap[..., 1]).max(axis=1)
     angle = np.abs(gap[..., 2]).max(axis=1)
@@ -102,9 +111,13 @@ def confirm(
     return Confirmation(verdict, distance, angle, other, reason)
 
 
-def _apart(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Size (n,) of the largest differences of poses, with a radian counted as ten centimetres."""
-    return np.asarray(np.abs(one - other).max(axis=1) @ np.array([1.0, 1.0, 0.1]))
+def _keep_farthest(
+    other: FloatArray, final: FloatArray, chosen: IntArray, ends: FloatArray
+) -> None:
+    """Write ends of some rollouts where they are farther away; a radian counts as 10 cm."""
+    apart = np.abs([ends - final[chosen], (other - final)[chosen]]).max(axis=2) @ [1.0, 1.0, 0.1]
+    farther = apart[0] > apart[1]
+    other[chosen[farther]] = ends[farther]
 
 
 def _reason(verdict: str, method: StepMethod, ended: int, folds: bool, stopped: bool) -> str:
@@ -123,27 +136,18 @@ def empty_modes(n: int) -> walk.ModeRecord:
     return walk.ModeRecord(status=np.zeros(n, np.int64), end=np.zeros((n, 4)), count=count)
 
 
-def _repeated(
-    packed: PackedBatch, method: StepMethod, chosen: IntArray, threads: int | None
-) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Ends (k, n_free, 3) of some rollouts in fixed steps, and whether each stopped early."""
-    batch = _chosen(packed.batch, chosen)
-    batch.settings[:, at.STEP] = FIXED_STEP
-    fixed = method._replace(adaptive=0, lead=0.0)
-    outline = None if packed.outline is None else packed.outline[chosen]
-    part = packed._replace(batch=batch, outline=outline)
-    ends, status = ends_of(part, fixed, threads)
-    return ends, status != codes.CONVERGED
-
-
-def _chosen(batch: Batch, chosen: IntArray) -> Batch:
-    """Return some rollouts of a batch."""
-    model = batch.model
-    return batch._replace(
+def _chosen(packed: PackedBatch, chosen: IntArray, shift: FloatArray | float = 0.0) -> PackedBatch:
+    """Return some rollouts of a batch, whose parts start a little aside."""
+    batch, model, pose = packed.batch, packed.batch.model, packed.batch.pose.copy()
+    pose[np.unique(batch.begin[chosen, at.BODY, None] + np.arange(len(packed.com)))] += shift
+    some = batch._replace(
         begin=batch.begin[chosen],
         count=batch.count[chosen],
         map_shape=batch.map_shape[chosen],
         sides=batch.sides[chosen],
+        pose=pose,
         settings=batch.settings[chosen],
         model=model._replace(plane=model.plane[chosen], map_frame=model.map_frame[chosen]),
     )
+    outline = None if packed.outline is None else packed.outline[chosen]
+    return packed._replace(batch=some, outline=outline)
