@@ -26,8 +26,7 @@ from fixel.typing import FloatArray, IntArray
 APART_LENGTH: Final = 5e-3  # of the characteristic length: two ends that are this close agree
 APART_ANGLE: Final = math.radians(0.1)
 FIXED_STEP: Final = 5e-4  # of the time in which the fastest motion covers that length
-# Shifts of the start between two pushers, of that length and in rad: one of two possible motions
-# may be that of every step size.
+# Shifts of the start, of that length and in rad: every step size may choose the same motion.
 SHIFTS: Final = 2e-6 * np.array([[1, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1]])
 
 _LOST: Final = {
@@ -90,11 +89,11 @@ def confirm(
         part.batch.settings[:, at.STEP] = FIXED_STEP
         ends, how = ends_of(part, method._replace(adaptive=0, lead=0.0), threads)
         stopped[again] = how != codes.CONVERGED
-        _keep_farthest(other, final, again, ends)
+        _keep_far(other, final, again, ends)
         again = again[packed.batch.count[again, at.DRIVEN] > 1]
         for shift in SHIFTS if again.size else ():
             ends, _ = ends_of(_chosen(packed, again, shift), method, threads)
-            _keep_farthest(other, final, again, ends)
+            _keep_far(other, final, again, ends)
     gap = other - final
     distance = np.hypot(gap[..., 0], gap[..., 1]).max(axis=1)
     angle = np.abs(gap[..., 2]).max(axis=1)
@@ -111,9 +110,7 @@ def confirm(
     return Confirmation(verdict, distance, angle, other, reason)
 
 
-def _keep_farthest(
-    other: FloatArray, final: FloatArray, chosen: IntArray, ends: FloatArray
-) -> None:
+def _keep_far(other: FloatArray, final: FloatArray, chosen: IntArray, ends: FloatArray) -> None:
     """Write ends of some rollouts where they are farther away; a radian counts as 10 cm."""
     apart = np.abs([ends - final[chosen], (other - final)[chosen]]).max(axis=2) @ [1.0, 1.0, 0.1]
     farther = apart[0] > apart[1]
