@@ -67,7 +67,7 @@ def show(
 
 
 def _blocks(experiment: "Experiment") -> list[list[str]]:
-    """About a screen of text."""
+    """Return what is known of an experiment, about a screen of text in blocks of lines."""
     conditions = {
         name: value if isinstance(value, str) else f"{value:.6g}"
         for name, value in experiment.conditions.items()
