@@ -381,6 +381,18 @@ def test_no_job_is_prepared_for_records_that_are_not_stored(name, project):
             prepare(capability, request, project)
 
 
+@pytest.mark.parametrize(("name", "option"), [
+    (k, o.name) for k, own in CAPABILITIES.items() if own.on_project
+    for o in own.options.values() if o.door.program
+])  # fmt: skip
+def test_no_job_is_prepared_for_an_unknown_engine(name, option, project):
+    capability = CAPABILITIES[name]
+    request = capability.request(SHORT[name] | {option: "mujcoo"})
+    with pytest.raises(InvalidInput, match="mujcoo") as problem:
+        prepare(capability, request, project)
+    assert capability.labels()[problem.value.where] == capability.options[option].label
+
+
 def test_a_request_never_permits_a_program_by_itself(project, tmp_path):
     program = tmp_path / "engine.py"
     program.write_text("")

@@ -159,9 +159,9 @@ def imported(done: "AddSummary", content: dict[str, Any], folder: Path) -> Comma
             f"{content['template']}, then import the table again with --scene.",
         )
     if done.replaced:
+        many = counted(done.replaced, "earlier experiment")
         lines.append(
-            f"replaced {counted(done.replaced, 'earlier experiment')} of the same name; fixel list"
-            " --where replaced lists these, too"
+            f"replaced {many} of the same name; fixel list --where replaced lists these, too"
         )
     if done.faulty:
         lines.append(

@@ -58,10 +58,9 @@ def show(
     files = {} if plot is None else {"plot": str(plot)}
     content = {"id": number, "replaced_by": replaced_by, **summary(found), "files": files}
     about = [origin_of(found), f"experiment {number} of dataset {found.dataset}"]
-    key = found.key
     if replaced_by is not None:
         about.append(f"replaced by experiment {replaced_by} of the same name")
-        key = f"id:{number}"
+    key = found.key if replaced_by is None else f"id:{number}"
     following = f"Next: {_next_show(found, key, project.folder, plot)}"
     return CommandAnswer(content, paragraphs(about, *_blocks(found), wrote([plot]), [following]))
 

@@ -164,8 +164,7 @@ def report_result(
         }
     )
     kept = None
-    wanted = capability.inputs is None and (keep or getattr(request, "save", True))
-    if project is not None and wanted:
+    if project and capability.inputs is None and (keep or getattr(request, "save", True)):
         kept = store_analysis(project, analysis, report.pictures, report.arrays)
         analysis = kept.analysis
         if hasattr(present, "add_files"):
@@ -280,6 +279,7 @@ def prepare(
     capability does not work on a project, or what it settles is invalid.
     """
     from fixel.jobs.site import load_site
+    from fixel.simulation.motion import motion_model
     from fixel.workflows import jobs
 
     if not capability.on_project:
@@ -296,9 +296,12 @@ def prepare(
         # Its processes may work in another folder.
         paths = {k: x.resolve() for k, x in request if isinstance(x, Path) and k != TABLE.name}
         request = request.model_copy(update=paths)
-        own = getattr(request, "experiment", "")  # a job that lacks its records would fail
+        # A job would fail without its engine or records.
+        for name in capability.programs(request):
+            motion_model(name)
+        own = [getattr(request, "experiment", ""), *getattr(request, "experiments", ())]
         with project.store() as store:
-            for key in (*getattr(request, "experiments", ()), *([own] if own else [])):
+            for key in filter(None, own):
                 store.find(key)
             if (number := getattr(request, "calibration", None)) is not None:
                 store.calibration(number)

@@ -60,9 +60,8 @@ class Overlay:
         self, rig: Rig, scene: Scene, tolerance: Tolerance | None = None, *, anchor: str = ""
     ) -> None:
         self.rig = rig
-        self.tolerance = tolerance or Tolerance(
-            distance=rig.position_tolerance, angle=rig.angle_tolerance
-        )
+        usual = Tolerance(distance=rig.position_tolerance, angle=rig.angle_tolerance)
+        self.tolerance = tolerance or usual
         self._locator = Locator(rig, scene)
         if anchor and anchor not in self._locator.names:
             raise unknown_name("anchor", anchor, self._locator.names)

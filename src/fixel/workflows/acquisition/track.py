@@ -192,9 +192,8 @@ def open_film(source: Path) -> Film:
 def _file_next_to(source: Path, name: str, argument: str) -> Path:
     folder = source if source.is_dir() else source.parent
     if not (folder / name).is_file():
-        raise InvalidInput(
-            argument, found=f"no {name} next to the film", expected="that file, or another"
-        )
+        found = f"no {name} next to the film"
+        raise InvalidInput(argument, found=found, expected="that file, or another")
     return folder / name
 
 

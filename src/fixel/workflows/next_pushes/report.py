@@ -39,7 +39,7 @@ def report_of(found: PushProposal) -> AnalysisReport:
     """Return sentences, table, numbers and picture of a proposal, with what is unseen."""
     pushes, model, own = found.pushes, found.model, found.selection
     where = " on ".join(
-        x for x in (own.part.value or "the part of the scene", own.surface.value) if x
+        filter(None, (own.part.value or "the part of the scene", own.surface.value))
     )
     chart = next_pushes_chart(pushes, f"Next pushes of {where}")
     caption = "Outline of the part with the proposed pushes, the best first."
@@ -346,6 +346,5 @@ def _offset(rig: SamplingRig, shape: PlannedShape, scene: Scene) -> tuple[float,
 
 def write_plan(proposal: PushProposal, path: Path) -> Path:
     """Write the proposed pushes as a plan file, whole or not at all."""
-    text = plan_text(plan_of(proposal, _plain(path.stem, "next")))
-    write_whole(path, text)
+    write_whole(path, plan_text(plan_of(proposal, _plain(path.stem, "next"))))
     return path
