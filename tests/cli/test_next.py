@@ -89,7 +89,7 @@ def test_candidates_of_a_plan_are_the_only_ones(capsys, project, new_part, tmp_p
 @pytest.mark.parametrize(("words", "message"), [
     ((), "--part: found none, but fixel needs one of part-1, part-2"),
     (("--part", "part-9"), "a part without experiments needs its scene file"),
-    (("--part", "surprise=1"), "no usable push of another part"),
+    (("--part", "surprise=1"), "--part is 'surprise', but must be one of"),
     (("--part", "part-4", "--out", "next.txt"), "a plan file: .yaml"),
     (("--part", "part-4", "--travel-mm", "-3"), "--travel-mm"),
     (("--part", "part-4", "--where", "surface=ice"), "ice"),

@@ -80,10 +80,9 @@ def next_words(done: StoredAnswer) -> list[object]:
 def _headline(pushes: NextPushes) -> str:
     if not pushes.bounded[0]:
         return "None of the intended pushes has a bound."
-    ratio = float(pushes.shrinking[-1])
     return (
         f"Bounds now: {pushes.now}; expected after {counted(len(pushes.order), 'push')}:"
-        f" {100.0 * ratio:.0f} % of that."
+        f" {100.0 * pushes.shrinking[-1]:.0f} % of that."
     )
 
 
@@ -244,12 +243,13 @@ def _condition(
 ) -> Condition:
     """Return the condition of parts or surfaces with the value asked for."""
     name, equals, text = value.partition("=")
+    conditions = sorted({n for own in experiments for n in own.conditions})
     if equals:
+        check_name(what, name, conditions)
         return Condition(name, text)
     counts = {n: sum(n in own.conditions for own in experiments) for n in names}
     have = max(names, key=lambda n: counts[n])  # the first of those that most have
     if not counts[have] and what == "part":
-        conditions = sorted({n for own in experiments for n in own.conditions})
         raise InvalidInput(
             "part",
             found="no experiment with a condition that names its part",
