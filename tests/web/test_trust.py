@@ -290,7 +290,7 @@ def test_a_damaged_file_is_named_and_hides_nothing_else(folder, opened, path, ho
     ({"max_evaluations": 0}, "max_evaluations"),
     ({"optimiser": "least-squares", "mode": "each"}, "least-squares"),
     ({"space": "/etc/passwd"}, "space"),
-    ({"motion": "/bin/true"}, "engine"),
+    ({"motion": "/bin/true"}, "program"),
     ({"colour": "red"}, "colour"),
 ])  # fmt: skip
 def test_what_cannot_be_is_refused(bench, project, changes, where):
