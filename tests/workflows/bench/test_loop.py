@@ -375,7 +375,7 @@ def test_an_accepted_attempt_that_is_repeated_leaves_the_estimates(bench):
         for row in rows:
             (experiment,) = SimulatedTestbed(seed=1).run([row])
             with loop.project.store() as store:
-                number, _ = store.add_experiment(experiment)
+                number = store.add_experiment(experiment).id
             loop.campaign.note(loop.campaign.begin(row.name), "accepted", experiment=number)
         loop._estimate()
         first, second = [own.name for own in loop.campaign.accepted]

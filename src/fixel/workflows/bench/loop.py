@@ -583,7 +583,7 @@ class BenchLoop:
             return
         with self.project.store() as store:
             video = store.add_video(self.campaign.recording(attempt) / VIDEO)
-            number, *_ = store.add_experiment(replace(found.experiment, video=video))
+            number = store.add_experiment(replace(found.experiment, video=video)).id
         self.campaign.note(attempt, "accepted", experiment=number)
         self._estimate()
 
