@@ -287,8 +287,8 @@ class Capability:
         found = {name.partition(".")[0]: text for name, text in reversed(own.items())} | own
         for name, text in own.items():
             door = self.shown[name].door
-            words = "motion engine " * door.program + "parameters" * (door.flag == "--set")
-            found = dict.fromkeys(words.split(), text) | found
+            others = ["motion", "engine"] * door.program + ["parameters"] * (door.flag == "--set")
+            found = dict.fromkeys(others, text) | found
         return found
 
     def _refusal(self, problem: ValidationError) -> InvalidInput:

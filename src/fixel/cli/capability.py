@@ -83,8 +83,8 @@ def typer_command(
                 _run(capability, request, project, plot, as_json)
         except InvalidInput as error:
             names = capability.flags() | {"project": "--project"}
-            files = [own for own in capability.shown.values() if own.kind is Path]
-            typed = {path for own in files for path in texts_of(capability, given)[own.name]}
+            texts, shown = texts_of(capability, given), capability.shown.values()
+            typed = {path for own in shown if own.kind is Path for path in texts[own.name]}
             raise named(error, {k: v for k, v in names.items() if k not in typed}) from None
         except Interrupted as stop:
             stop.hint = named_hint(stop.hint, capability.flags())

@@ -164,7 +164,7 @@ def next_(
     target = out or plan.with_name(f"{plan.stem}-next{ENDING}")
     save_plan(found, target)
     analysis = analysis_of(found)
-    after = command_of("plan", "run", target, project=getattr(project, "folder", Path()))
+    after = command_of("plan", "run", target, project=project.folder if project else Path())
     return CommandAnswer(
         {"met": False, **analysis.numbers, **analysis.texts(), "files": [str(target)]},
         paragraphs(analysis.lines(), wrote([target]), [f"Next: {after}"]),
@@ -240,7 +240,7 @@ def run(
         content |= {"low": own.low, "high": own.high, "stated": stated}
         line = f"Held in {engine}: {own}; stated success probability {stated:.4f}"
         return CommandAnswer(content, [line])
-    again = command_of("plan", "check", plan, project=getattr(project, "folder", Path()))
+    again = command_of("plan", "check", plan, project=project.folder if project else Path())
     if present_belief(project, found)[1] != found.calibration:
         notify(f"The calibration has changed since: {again}")
     if driver == TESTBED:

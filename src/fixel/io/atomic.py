@@ -133,8 +133,8 @@ INVALID_CONTENT: Final = (
     *(ArithmeticError, AttributeError, LookupError, RecursionError, StopIteration),
     *(TypeError, ValueError),
 )
-# Exceptions while a file is read: of its content, its archive, or the file itself.
 _KINDS: Final = {b"<": "a web page", b"version https://git-lfs": "a pointer of Git LFS"}
+# Exceptions while a file is read: of its content, its archive, or the file itself.
 _DAMAGE: Final = (
     *(*INVALID_CONTENT, EOFError, MemoryError, OSError, RuntimeError),
     *(struct.error, zipfile.BadZipFile, zlib.error),

@@ -56,7 +56,7 @@ def _table_of(value: Any) -> Any:
     return Table(columns, own.rows, title=own.title, left=own.left)
 
 
-# Stored with head with units, values and formats.
+# Stored as a title, a head with units, values and their formats.
 StoredTable = Annotated[
     Table, BeforeValidator(_table_of), InstanceOf(), PlainSerializer(Table.content)
 ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from os import PathLike
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door, Seed, Threads
 from fixel.errors import InvalidInput
+from fixel.units import deg, mm
 
 if TYPE_CHECKING:
     from fixel.database.project import Project
@@ -141,8 +141,8 @@ class StartSizes:
         without any size the default is uniform.
     """
 
-    place: Annotated[float, Door(flag="--start-error-mm", unit="mm", least=0.0)] = 1e-3 * 0.3
-    angle: Annotated[float, Door(flag="--start-error-deg", unit="deg", least=0.0)] = math.pi / 360.0
+    place: Annotated[float, Door(flag="--start-error-mm", unit="mm", least=0.0)] = 0.3 * mm
+    angle: Annotated[float, Door(flag="--start-error-deg", unit="deg", least=0.0)] = 0.5 * deg
     uniform: Annotated[bool | None, Door(flag="--uniform/--normal")] = None
 
     def build(self) -> StartError:
