@@ -80,8 +80,17 @@ def begun():
     return search
 
 
-def process(search):
-    return search._nomad._process
+@pytest.fixture
+def processes(monkeypatch):
+    """Processes that searches start, in order."""
+    found, popen = [], external_searches.subprocess.Popen
+
+    def start(*arguments, **options):
+        found.append(popen(*arguments, **options))
+        return found[-1]
+
+    monkeypatch.setattr(external_searches.subprocess, "Popen", start)
+    return found
 
 
 @pytest.mark.system
@@ -101,18 +110,19 @@ def test_seeds_differ():
     assert any(p.shape != q.shape or not np.array_equal(p, q) for (p, _), (q, _) in zip(a, b))  # noqa: B905
 
 
-def test_process_ends_with_the_search():
+def test_process_ends_with_the_search(processes):
     search = Mads(max_evaluations=20).start(box())
-    assert search._nomad is None  # nothing runs before the first ask
+    assert not processes  # nothing runs before the first ask
     run(search, bowl)
     assert search.reason == "20 evaluations were made"
     assert search.evaluations == 20
-    assert process(search).poll() is not None
+    (child,) = processes
+    assert child.poll() is not None
 
 
-def test_process_ends_when_the_search_is_dropped():
+def test_process_ends_when_the_search_is_dropped(processes):
     search = begun()
-    child = process(search)
+    (child,) = processes
     assert child.poll() is None
     del search
     gc.collect()
@@ -120,24 +130,24 @@ def test_process_ends_when_the_search_is_dropped():
     assert child.stdout.closed
 
 
-def test_process_that_died_ends_the_search():
+def test_process_that_died_ends_the_search(processes):
     search = begun()
     search.ask()
-    process(search).kill()
-    process(search).wait()
+    processes[0].kill()
+    processes[0].wait()
     search.tell(np.ones(len(search.ask())))
     assert search.reason == "NOMAD ended without an answer"
     assert math.isfinite(search.best.error)
 
 
-def test_process_that_hangs_is_ended(monkeypatch):
+def test_process_that_hangs_is_ended(monkeypatch, processes):
     search = begun()
     asked = search.ask()
-    process(search).send_signal(signal.SIGSTOP)
+    processes[0].send_signal(signal.SIGSTOP)
     monkeypatch.setattr(external_searches, "THINKS_WITHIN", 0.2)
     search.tell(np.ones(len(asked)))
     assert search.reason == "NOMAD ended without an answer"
-    assert process(search).returncode == -signal.SIGKILL
+    assert processes[0].returncode == -signal.SIGKILL
 
 
 def test_frame_size_ends_it():

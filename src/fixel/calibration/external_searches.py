@@ -216,47 +216,27 @@ class Mads(AbstractOptimiser):
 
     def start(self, box: SearchBox, seed: int = 0, feasible: Feasible | None = None) -> Search:
         require("PyNomad", "Mads", extra="mads")
-        return _MadsSearch(box, self, seed)
+        search = GeneratorSearch(box, lambda _: self._moves(box, seed))
+        search.has_iterations = False
+        return search
 
+    def _moves(self, box: SearchBox, seed: int) -> Moves:
+        """Relay the requests of NOMAD, which has coordinates relative to the start, in scales."""
+        nomad = _Nomad(self._problem(box, seed))
+        answer = nomad.answer()
+        if "points" not in answer:
+            found = _in_words(answer.get("ended"), self)
+            raise InvalidInput("Mads", found=found, expected="NOMAD to begin")
+        while "points" in answer:
+            points = box.start + np.array(answer["points"], np.float64) * box.scale
+            errors = yield np.clip(points, box.low, box.high)
+            nomad.tell([e if math.isfinite(e) else None for e in errors.tolist()])
+            answer = nomad.answer()
+        nomad.close()
+        return _in_words(answer.get("ended"), self)
 
-@final
-class _MadsSearch(Search):
-    has_iterations = False
-
-    def __init__(self, box: SearchBox, options: Mads, seed: int) -> None:
-        super().__init__(box)
-        self.options = options
-        self._seed = seed
-        self._nomad: _Nomad | None = None
-        self._points = np.zeros((0, box.n))
-
-    def _next(self) -> FloatArray:
-        if self._nomad is None:
-            self._nomad = _Nomad(self._problem())
-            self._take(self._nomad.answer())
-            if self.reason:
-                raise InvalidInput("Mads", found=self.reason, expected="NOMAD to begin")
-        return self._points
-
-    def _learn(self, points: FloatArray, errors: FloatArray) -> None:
-        if self._nomad is None or self.done:
-            return
-        self._nomad.tell([e if math.isfinite(e) else None for e in errors.tolist()])
-        self._take(self._nomad.answer())
-
-    def _take(self, answer: dict[str, Any]) -> None:
-        if "points" in answer:
-            places = np.array(answer["points"], np.float64)
-            points = self.box.start + places * self.box.scale
-            self._points = np.clip(points, self.box.low, self.box.high)
-            return
-        self.reason = _in_words(answer.get("ended"), self.options)
-        if self._nomad is not None:
-            self._nomad.close()
-
-    def _problem(self) -> dict[str, Any]:
+    def _problem(self, box: SearchBox, seed: int) -> dict[str, Any]:
         """Return the problem in coordinates relative to the start, in scales."""
-        box, options = self.box, self.options
         return {
             "start": [0.0] * box.n,
             "low": ((box.low - box.start) / box.scale).tolist(),
@@ -264,11 +244,11 @@ class _MadsSearch(Search):
             "options": [
                 "BB_OUTPUT_TYPE OBJ",
                 "DISPLAY_DEGREE 0",
-                f"SEED {self._seed % 2**31}",
+                f"SEED {seed % 2**31}",
                 f"BB_MAX_BLOCK_SIZE {2 * box.n}",
-                f"MAX_BB_EVAL {options.max_evaluations}",
-                f"INITIAL_FRAME_SIZE * {options.initial_frame!r}",
-                f"MIN_FRAME_SIZE * {options.threshold!r}",
+                f"MAX_BB_EVAL {self.max_evaluations}",
+                f"INITIAL_FRAME_SIZE * {self.initial_frame!r}",
+                f"MIN_FRAME_SIZE * {self.threshold!r}",
             ],
         }
 
