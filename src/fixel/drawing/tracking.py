@@ -135,17 +135,13 @@ def _apart(axes: Axes, run: TrackedRun) -> None:
     clean(axes)
 
 
-def camera_error_chart(errors: PlaneErrors, image_size: tuple[int, int], seen: FloatArray) -> Chart:
-    """Draw errors of places on the plate in the camera's view, and the coverage by boards.
-
-    Pictures have a width and height [px]. `seen` (n_row, n_column) are the numbers of board corners
-    in each cell of the picture; empty if unknown.
-    """
+def camera_error_chart(errors: PlaneErrors) -> Chart:
+    """Draw errors of places on the plate in the camera's view, and the coverage by boards."""
 
     def fill(figure: Figure) -> None:
         left, right = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
         _draw_errors(figure, left, errors)
-        _draw_seen(figure, right, image_size, seen)
+        _draw_seen(figure, right, errors)
 
     return Chart(
         size=(WIDE, 2.9),
@@ -168,7 +164,7 @@ def _draw_errors(figure: Figure, axes: Axes, e: PlaneErrors) -> None:
     shades = axes.contourf(x, y, size, levels=_levels(size), cmap="Blues")
     edge = np.concatenate([e.places[0], e.places[:, -1], e.places[-1, ::-1], e.places[::-1, 0]])
     axes.plot(*(1e3 * edge).T, color=palette.INK, linewidth=0.6)
-    worst = np.unravel_index(int(np.argmax(size)), size.shape)
+    worst = e.worst
     axes.plot(x[worst], y[worst], "o", color=palette.FORCE, markersize=4.0, clip_on=False)
     axes.annotate(
         f"{size[worst]:.2g} mm",
@@ -187,18 +183,15 @@ def _draw_errors(figure: Figure, axes: Axes, e: PlaneErrors) -> None:
     _bar(figure, shades, axes, "error [mm]")
 
 
-def _draw_seen(figure: Figure, axes: Axes, image_size: tuple[int, int], seen: FloatArray) -> None:
-    width, height = image_size
+def _draw_seen(figure: Figure, axes: Axes, e: PlaneErrors) -> None:
+    right, bottom = e.pixels[-1, -1] + 0.5
     axes.set_aspect("equal")
-    axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xlabel="u [px]",
-             ylabel="v [px]")  # fmt: skip
-    if not seen.size:
+    axes.set(xlim=(-0.5, right), ylim=(bottom, -0.5), xlabel="u [px]", ylabel="v [px]")
+    if not e.seen.size:
         axes.set_title("positions of the boards: unknown", loc="left")
         return
-    shown = np.ma.masked_equal(seen, 0.0)
-    cells = axes.imshow(
-        shown, extent=(-0.5, width - 0.5, height - 0.5, -0.5), cmap="Greens", vmin=0.0
-    )
+    shown = np.ma.masked_equal(e.seen, 0.0)
+    cells = axes.imshow(shown, extent=(-0.5, right, bottom, -0.5), cmap="Greens", vmin=0.0)
     axes.set_title("positions of the boards; white: none", loc="left")
     _bar(figure, cells, axes, "corners")
 

@@ -167,8 +167,9 @@ class TactileReader:
         latest = received - frames.READ_REPLY_BYTES * frames.BYTE_TIME - frames.SAMPLING_TIME
         if latest < earliest:
             earliest, latest = sent, received
-        device, host = self.clock.place(found.time_us, earliest, latest)
-        return TactileReading(found.bits, host, device, found.values, self._restart_noticed())
+        bits, time_us, values = found
+        device, host = self.clock.place(time_us, earliest, latest)
+        return TactileReading(bits, host, device, values, self._restart_noticed())
 
     def _frame_of(self, kind: bytes, until: float) -> frames.BoardFrame | None:
         """Wait for the answer to the last request; count older ones as late."""

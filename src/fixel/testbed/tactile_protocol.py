@@ -59,15 +59,6 @@ class BoardFrame(NamedTuple):
     content: bytes
 
 
-class FramedReading(NamedTuple):
-    """Content of an answer to `READ`."""
-
-    protocol: int
-    bits: int
-    time_us: int
-    values: tuple[int, int, int]
-
-
 class Identity(NamedTuple):
     """Content of an answer to `IDENTIFY` or `SET_THRESHOLDS`."""
 
@@ -88,12 +79,12 @@ def request(kind: bytes, number: int, *thresholds: int) -> bytes:
     return _REQUEST + summed + _checksum(summed)
 
 
-def reading_of(frame: BoardFrame) -> FramedReading | None:
-    """Decode the reading in a frame; None for frames of other kinds."""
+def reading_of(frame: BoardFrame) -> tuple[int, int, tuple[int, int, int]] | None:
+    """Decode bits, time [us] and values of a reading in a frame; None for frames of other kinds."""
     if frame.kind != READ or len(frame.content) != _READING.size:
         return None
-    protocol, bits, time_us, *values = _READING.unpack(frame.content)
-    return FramedReading(protocol, bits, time_us, (values[0], values[1], values[2]))
+    _, bits, time_us, *values = _READING.unpack(frame.content)
+    return bits, time_us, (values[0], values[1], values[2])
 
 
 def identity_of(frame: BoardFrame) -> Identity | None:

@@ -31,6 +31,7 @@ FOLDS: Final = 3
 NEAR_STEPS: Final = 6  # of fits that start at the fit of all pictures
 MIN_TO_HOLD_OUT: Final = 8  # pictures
 CELLS: Final = 16  # across the picture, of the map of corners seen
+SkippedPicture = tuple[str, str]  # picture, or corners of one, left out; and the reason
 
 
 class BoardView(NamedTuple):
@@ -39,13 +40,6 @@ class BoardView(NamedTuple):
     name: str
     size: tuple[int, int]  # width and height [px]
     corners: Corners
-
-
-class SkippedPicture(NamedTuple):
-    """Picture, or corners of one, left out of a calibration, with the reason."""
-
-    name: str
-    reason: str
 
 
 class UsedView(NamedTuple):
@@ -74,7 +68,7 @@ class LensCalibration:
     def summary(self) -> dict[str, Any]:
         """Return plain values, ready for JSON."""
         used = {one.name for one in self.used}
-        dropped = [{"name": one.name, "reason": one.reason} for one in self.dropped]
+        dropped = [{"name": name, "reason": reason} for name, reason in self.dropped]
         return {
             "rms_px": self.rms,
             "used": [
@@ -105,7 +99,7 @@ def find_boards(
         except InvalidInput as problem:
             if "mirrored" in str(problem.found):
                 raise problem.within(name) from None
-            dropped.append(SkippedPicture(name, f"{problem.found}"))
+            dropped.append((name, f"{problem.found}"))
             continue
         height, width = picture.shape[:2]
         views.append(BoardView(name, (width, height), corners))
@@ -139,7 +133,7 @@ def calibrate_lens(
         worst = _worst_view(found, sight, left)
         if worst is None:
             break
-        out.append(SkippedPicture(left[worst].name, _too_far(found, sight, worst)))
+        out.append((left[worst].name, _too_far(found, sight, worst)))
         del left[worst]
     found, sight, wrong = _without_wrong_corners(found, sight, names)
     unseen: dict[int, float] = {}
@@ -154,7 +148,7 @@ def calibrate_lens(
                 break
     for view, count in zip(left, wrong, strict=True):
         if count:
-            out.append(SkippedPicture(view.name, f"{count} of its corners are outliers"))
+            out.append((view.name, f"{count} of its corners are outliers"))
     _refuse_loose(found, names)
     camera = MeasuredCamera(
         lens=found.lens,
@@ -252,7 +246,7 @@ def _one_size(views: Sequence[BoardView]) -> tuple[int, int]:
 def _refuse_few(views: Sequence[BoardView], dropped: Sequence[SkippedPicture]) -> None:
     if len(views) >= MIN_PICTURES:
         return
-    reasons = "; ".join(f"{each.name}: {each.reason}" for each in dropped[:3])
+    reasons = "; ".join(f"{name}: {reason}" for name, reason in dropped[:3])
     raise InvalidInput(
         "pictures",
         found=f"{len(views)} with a usable board" + (f" ({reasons})" if reasons else ""),

@@ -33,6 +33,49 @@ class PlaneErrors(NamedTuple):
     # (n_row, n_column) Radius due to these errors and the noise of one corner [m].
     whole: FloatArray
     known: bool  # whether the camera's errors are known
+    # (m_row, m_column) Numbers of board corners in each cell of the picture; empty if unknown.
+    seen: FloatArray
+
+    @property
+    def worst(self) -> tuple[np.intp, ...]:
+        """Row and column of the largest radius."""
+        return np.unravel_index(int(np.argmax(self.whole)), self.whole.shape)
+
+    @property
+    def sentence(self) -> str:
+        """Accuracy in one sentence, for the user."""
+        height = f"{1e3 * self.height:g} mm above the plate"
+        if not self.known:
+            return (
+                f"The accuracy of positions {height} is unknown, since the camera file has no "
+                "uncertainty"
+            )
+        text = (
+            f"Accuracy of positions {height}: {mm(float(np.median(self.whole)))} (95 %), at worst "
+            f"{mm(float(self.whole.max()))} in the {_part_of_picture(self.pixels, self.worst)}"
+        )
+        if not self.seen.size:
+            return text
+        empty = empty_corners(self.seen)
+        said = (
+            f"no board was near {len(empty)} of 4 corners of the picture ({', '.join(empty)})"
+            if empty
+            else "the boards cover all corners of the picture"
+        )
+        return f"{text}; {said}"
+
+    def summary(self) -> dict[str, Any]:
+        """Return plain values, ready for JSON."""
+        known = self.known
+        return {
+            "height_m": self.height,
+            "known": known,
+            "typical_95_m": float(np.median(self.whole)) if known else None,
+            "worst_95_m": float(self.whole.max()) if known else None,
+            "worst_at": _part_of_picture(self.pixels, self.worst) if known else None,
+            "corners_without_board": list(empty_corners(self.seen)) if self.seen.size else None,
+            "sentence": self.sentence,
+        }
 
 
 def plane_errors(
@@ -55,7 +98,8 @@ def plane_errors(
         places=camera.on_plane(pixels, height),
         camera=radius95(covariance),
         whole=radius95(noisy),
-        known=bool(set(PLACE) <= set(measured.names)) and set(FOCAL[:4]) <= set(measured.names),
+        known={*PLACE, *FOCAL[:4]} <= set(measured.names),
+        seen=measured.seen,
     )
 
 
@@ -159,66 +203,6 @@ def pose_covariance(
     return np.asarray(slopes @ measured.covariance @ np.swapaxes(slopes, -1, -2))
 
 
-class PlaceAccuracy(NamedTuple):
-    """Expected accuracy of places at one height."""
-
-    errors: PlaneErrors
-    typical: float  # radius that contains 95 % of the errors, median over the picture [m]
-    worst: float  # the same, maximum [m]
-    worst_at: str  # part of the picture with the largest error: `upper left corner`
-    empty_corners: tuple[str, ...]  # of the picture, without a board nearby; all four if unknown
-    seen_known: bool  # whether the places of the boards are known
-
-    @property
-    def sentence(self) -> str:
-        """Accuracy in one sentence, for the user."""
-        height = f"{1e3 * self.errors.height:g} mm above the plate"
-        if not self.errors.known:
-            return (
-                f"The accuracy of positions {height} is unknown, since the camera file has no "
-                "uncertainty"
-            )
-        parts = [
-            f"Accuracy of positions {height}: {mm(self.typical)} (95 %), at worst "
-            f"{mm(self.worst)} in the {self.worst_at}"
-        ]
-        if self.seen_known:
-            n = len(self.empty_corners)
-            parts.append(
-                "the boards cover all corners of the picture"
-                if not n
-                else f"no board was near {n} of 4 corners of the picture "
-                f"({', '.join(self.empty_corners)})"
-            )
-        return "; ".join(parts)
-
-    def summary(self) -> dict[str, Any]:
-        """Return plain values, ready for JSON."""
-        return {
-            "height_m": self.errors.height,
-            "known": self.errors.known,
-            "typical_95_m": self.typical if self.errors.known else None,
-            "worst_95_m": self.worst if self.errors.known else None,
-            "worst_at": self.worst_at if self.errors.known else None,
-            "corners_without_board": list(self.empty_corners) if self.seen_known else None,
-            "sentence": self.sentence,
-        }
-
-
-def verdict(measured: MeasuredCamera, height: float) -> PlaceAccuracy:
-    """Compute the expected accuracy of places at a height above the plate [m]."""
-    errors = plane_errors(measured, height)
-    worst = np.unravel_index(int(np.argmax(errors.whole)), errors.whole.shape)
-    return PlaceAccuracy(
-        errors=errors,
-        typical=float(np.median(errors.whole)),
-        worst=float(errors.whole.max()),
-        worst_at=_part_of_picture(errors.pixels[worst], measured.lens.image_size),
-        empty_corners=empty_corners(measured.seen),
-        seen_known=bool(measured.seen.size),
-    )
-
-
 def empty_corners(seen: FloatArray) -> tuple[str, ...]:
     """Return the corners of the picture, a quarter of its sides wide, that no board reached."""
     if not seen.size:
@@ -234,8 +218,8 @@ def mm(metres: float) -> str:
     return f"{1e3 * metres:.2g} mm" if metres >= 1e-4 else f"{1e6 * metres:.2g} um"
 
 
-def _part_of_picture(pixel: FloatArray, size: tuple[int, int]) -> str:
-    u, v = pixel / (np.array(size) - 1.0)
+def _part_of_picture(pixels: FloatArray, place: tuple[np.intp, ...]) -> str:
+    u, v = pixels[place] / pixels[-1, -1]
     down = "upper" if v < 0.25 else "lower" if v > 0.75 else ""
     across = "left" if u < 0.25 else "right" if u > 0.75 else ""
     if down and across:

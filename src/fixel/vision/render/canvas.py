@@ -258,14 +258,10 @@ def window_of(points: FloatArray, size: tuple[int, int]) -> PictureWindow:
     return PictureWindow(left, top, right - left, bottom - top)
 
 
-class Texture(NamedTuple):
-    """Texture that multiplies a colour."""
-
-    values: FloatPicture  # values of the texture, which repeats without a seam
-    from_pixel: FloatArray  # (2, 3) map from (u, v, 1) to column and row of the texture
-
-
-PLAIN = Texture(np.ones((1, 1), np.float32), np.zeros((2, 3)))
+# Texture that multiplies a colour: its values, which repeat without a seam, and the map (2, 3) from
+# (u, v, 1) to column and row of the values.
+Texture = tuple[FloatPicture, FloatArray]
+PLAIN: Texture = (np.ones((1, 1), np.float32), np.zeros((2, 3)))
 
 
 class FilledPolygons(NamedTuple):
@@ -320,8 +316,7 @@ class Canvas:
             self.cover,
             stroke.colour,
             self.full if shade is None else shade,
-            stroke.grain.values,
-            stroke.grain.from_pixel,
+            *stroke.grain,
         )
 
 

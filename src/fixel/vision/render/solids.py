@@ -199,7 +199,7 @@ def _grain(solid: Solid, pose: FloatArray, eye: Projection) -> canvas.Texture:
     pixel_from_local = np.column_stack(((pixels[1:] - pixels[0]).T / 0.01, pixels[0]))
     inverse = np.linalg.inv(pixel_from_local[:, :2])
     matrix = np.column_stack((inverse, -inverse @ pixel_from_local[:, 2]))
-    return canvas.Texture(solid.grain, matrix / GRAIN_PITCH)
+    return solid.grain, matrix / GRAIN_PITCH
 
 
 def painting_order(things: list[PlacedSolid], eye: FloatArray) -> list[PlacedSolid]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ EVEN: Final = (
     0.06  # of the frame period: milliseconds of a container at 30 frames a second are even
 )
 SPREAD: Final = 2.0  # standard deviations of a time stamp by which a pose may be early or late
+Clock = FloatArray  # (2, n) times of frames, and the uncertainty of each [s]
 
 
 def judged(
@@ -56,7 +57,7 @@ def judged(
     ):
         rows = np.flatnonzero(good)
         pose[:, 2] = _continuous(pose[:, 2], good)
-        own = tuple(clock.only(rows) for clock in clocks)
+        own = tuple(clock[:, rows] for clock in clocks)
         for row in rows[find(own, pose[rows], pixel / USUAL_PIXEL)]:
             good[row] = False
             reason[row] = why
@@ -88,29 +89,18 @@ def _continuous(angle: FloatArray, good: BoolArray) -> FloatArray:
     return np.asarray(result)
 
 
-class _MotionTimes(NamedTuple):
-    """Times of frames with their uncertainty."""
-
-    time: FloatArray  # (n,) times [s]
-    slack: FloatArray  # (n,) uncertainty of each time [s]
-
-    def only(self, rows: NDArray[np.int64]) -> _MotionTimes:
-        """Return the times of some of the frames."""
-        return _MotionTimes(self.time[rows], self.slack[rows])
-
-
-def _clocks(time: FloatArray) -> tuple[_MotionTimes, ...]:
+def _clocks(time: FloatArray) -> tuple[Clock, ...]:
     """Return the time stamps with their uncertainty, and where they are uneven, even times too.
 
     Either the computer delayed the stamps of evenly taken frames, or the camera left frames out
     and the stamps are right. A pose is accepted if it fits the motion by either of these times.
     """
     scatter = stamp_scatter(time)
-    stamps = _MotionTimes(time, SPREAD * scatter)
+    stamps = np.array([time, SPREAD * scatter])
     if not scatter.any():
         return (stamps,)
     period = (time[-1] - time[0]) / (len(time) - 1)
-    return stamps, _MotionTimes(period * np.arange(len(time)), scatter)
+    return stamps, np.array([period * np.arange(len(time)), scatter])
 
 
 def clock_scatter(time: FloatArray) -> FloatArray:
@@ -146,7 +136,7 @@ def stamp_scatter(time: FloatArray, number: FloatArray | None = None) -> FloatAr
     return np.where(scatter < EVEN * period, 0.0, scatter)
 
 
-def _alone(clocks: Sequence[_MotionTimes], pose: FloatArray, scale: float) -> BoolArray:
+def _alone(clocks: Sequence[Clock], pose: FloatArray, scale: float) -> BoolArray:
     """Return (n,) bool: poses that disagree with the neighbours before, after and around them."""
     n = len(pose)
     if n < 2 * NEIGHBOURS + 1:
@@ -163,10 +153,10 @@ def _alone(clocks: Sequence[_MotionTimes], pose: FloatArray, scale: float) -> Bo
 
 
 def _disagreement(
-    clock: _MotionTimes, pose: FloatArray, offsets: np.ndarray[tuple[int], np.dtype[np.int64]]
+    clock: Clock, pose: FloatArray, offsets: np.ndarray[tuple[int], np.dtype[np.int64]]
 ) -> FloatArray:
     """Distance [m] and angle [rad] (n, 2) of poses from a robust line through neighbours."""
-    time = clock.time
+    time, slack = clock
     n = len(time)
     index = np.arange(n)[:, None] + offsets
     inside = (index >= 0) & (index < n)
@@ -178,7 +168,7 @@ def _disagreement(
     slopes[~enough] = 0.0
     rate = np.nanmedian(slopes, axis=1)
     expected = np.nanmedian(p + rate[:, None] * (time[:, None] - t)[..., None], axis=1)
-    off = _within(pose - expected, rate, clock.slack)
+    off = _within(pose - expected, rate, slack)
     apart = np.column_stack((np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])))
     apart[~enough] = np.inf
     return apart
@@ -198,7 +188,7 @@ def _within(off: FloatArray, rate: FloatArray, slack: FloatArray) -> FloatArray:
     return np.asarray(off - late[:, None] * rate)
 
 
-def _between_jumps(clocks: Sequence[_MotionTimes], pose: FloatArray, scale: float) -> BoolArray:
+def _between_jumps(clocks: Sequence[Clock], pose: FloatArray, scale: float) -> BoolArray:
     """Return (n,) bool: poses on pieces of a track that do not continue the longest one."""
     n = len(pose)
     bad = np.zeros(n, dtype=bool)
@@ -222,7 +212,7 @@ def _between_jumps(clocks: Sequence[_MotionTimes], pose: FloatArray, scale: floa
         own, kept = np.flatnonzero(piece == k), np.flatnonzero(good)
         if own[0] < kept[0]:
             own, kept = own[::-1], kept[::-1]
-        speeds = [_speed(clock.time, pose, kept[-AT_END:]) for clock in clocks]
+        speeds = [_speed(clock[0], pose, kept[-AT_END:]) for clock in clocks]
         size = np.min([_sizes(speed) for speed in speeds], axis=0)
         if any(
             _goes_on(clock, pose, (kept[-1], own), speed, limit, size)
@@ -232,26 +222,25 @@ def _between_jumps(clocks: Sequence[_MotionTimes], pose: FloatArray, scale: floa
     return np.asarray(~good)
 
 
-def _lasted(clock: _MotionTimes) -> FloatArray:
+def _lasted(clock: Clock) -> FloatArray:
     """Durations (n - 1,) of steps, at least a quarter of the median [s]."""
-    step = np.diff(clock.time)
+    step = np.diff(clock[0])
     return np.asarray(np.maximum(step, 0.25 * np.median(step)))
 
 
-def _jumps(
-    clock: _MotionTimes, rate: FloatArray, limit: FloatArray, fastest: FloatArray
-) -> BoolArray:
+def _jumps(clock: Clock, rate: FloatArray, limit: FloatArray, fastest: FloatArray) -> BoolArray:
     """Return (n - 1,) bool: steps longer than the speeds before and after explain."""
-    step = np.diff(clock.time)
+    time, slack = clock
+    step = np.diff(time)
     off = _beyond(rate, *_neighbours(rate)) * _lasted(clock)[:, None]
-    slack = np.maximum(clock.slack[1:], clock.slack[:-1])
+    slack = np.maximum(slack[1:], slack[:-1])
     far = (off > limit + slack[:, None] * fastest).any(axis=1)
     # During a long gap any motion is possible.
     return np.asarray(far & (step < 4.0 * np.median(step) + slack))
 
 
 def _goes_on(
-    clock: _MotionTimes,
+    clock: Clock,
     pose: FloatArray,
     pieces: tuple[np.int64, NDArray[np.int64]],
     speed: FloatArray,
@@ -262,14 +251,14 @@ def _goes_on(
 
     `speed` (3,) is the speed of the other piece there, `size` (2,) the reliable size of it.
     """
-    time = clock.time
+    time, slack = clock
     there, own = pieces
     here = own[0]
     its_own = _speed(time, pose, own[:AT_END]) if len(own) >= AT_END else speed
     passed = time[here] - time[there]
     off = _beyond((pose[here] - pose[there]) / passed, speed, its_own) * abs(passed)
     # The longer the gap, the less certain the motion in it.
-    unsure = max(0.5 * abs(float(passed)), float(clock.slack[[here, there]].max()))
+    unsure = max(0.5 * abs(float(passed)), float(slack[[here, there]].max()))
     return bool((off < limit + unsure * size).all())
 
 

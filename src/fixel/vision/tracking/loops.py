@@ -6,7 +6,7 @@ As in the kernels, arguments are arrays and numbers, and errors a status instead
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -268,16 +268,9 @@ def cells_shown(
     return right, shown
 
 
-class EdgePoints(NamedTuple):
-    """Edges found at expected places."""
-
-    offset: FloatArray  # (n,) offset of the edge along its normal [px]
-    dark: FloatArray  # (n,) brightness near the edge, on either side
-    bright: FloatArray  # (n,)
-    clear: BoolArray  # (n,) whether there is an edge, well within reach
-
-
-def find_edges(picture: Gray, pixel: FloatArray, normal: FloatArray, reach: float) -> EdgePoints:
+def find_edges(
+    picture: Gray, pixel: FloatArray, normal: FloatArray, reach: float
+) -> tuple[FloatArray, BoolArray]:
     """Find edges along their normals, accurate to a few hundredths of a pixel.
 
     The expected place of an edge is known from the previous frame. Brightness is read along the
@@ -285,13 +278,14 @@ def find_edges(picture: Gray, pixel: FloatArray, normal: FloatArray, reach: floa
     estimate, in contrast to the refinement of corners.
 
     Edges are expected at pixels (n, 2), within a reach [px]; normals (n, 2) are unit vectors from
-    the dark side to the bright one.
+    the dark side to the bright one. Returns offset along the normal [px], dark and bright level of
+    each (n, 3), and whether there is an edge, well within reach (n,).
     """
     n = len(pixel)
     found = np.empty((n, 3))
     clear = np.empty(n, dtype=np.bool_)
     edges_along(picture, pixel, normal, reach, found, clear)
-    return EdgePoints(found[:, 0], found[:, 1], found[:, 2], clear)
+    return found, clear
 
 
 def optics_of(camera: Camera) -> FloatArray:

@@ -174,12 +174,13 @@ def _sides(
     half = (needle.half + needle.taper * behind)[:, None]
     pixel = np.concatenate((middle + half * across, middle - half * across))
     normal = np.concatenate((np.tile(across, (len(middle), 1)), np.tile(-across, (len(middle), 1))))
-    found = find_edges(picture, pixel, normal, SIDE_REACH)
+    found, clear = find_edges(picture, pixel, normal, SIDE_REACH)
+    offset, dark, bright = found.T
     n = len(middle)
-    both = found.clear[:n] & found.clear[n:]
+    both = clear[:n] & clear[n:]
     if both.sum() < MIN_STATIONS:
         return None
-    centre = 0.5 * (found.offset[:n] - found.offset[n:])
+    centre = 0.5 * (offset[:n] - offset[n:])
     for _ in range(3):
         slope, shift = np.polyfit(behind[both], centre[both], 1)
         rest = centre - (shift + slope * behind)
@@ -188,7 +189,7 @@ def _sides(
             return None
         both = kept
     residual = float(np.sqrt(np.mean(rest[both] ** 2)))
-    contrast = float(np.median((found.bright - found.dark)[found.clear]))
+    contrast = float(np.median((bright - dark)[clear]))
     x = behind[both]
     leverage = math.sqrt(1.0 / len(x) + x.mean() ** 2 / float(((x - x.mean()) ** 2).sum()))
     return float(shift), -float(slope), residual, leverage, contrast
@@ -205,14 +206,15 @@ def _end(
     """Offset of the end from the expected tip along the axis [px]; None where it is not visible."""
     across = np.array([-needle.axis[1], needle.axis[0]])
     pixel = tip + np.array(ACROSS)[:, None] * across
-    found = find_edges(picture, pixel, np.tile(needle.axis, (len(pixel), 1)), REACH_TIP)
-    open_ = found.clear & (found.bright - found.dark > BRIGHT * contrast)
+    found, clear = find_edges(picture, pixel, np.tile(needle.axis, (len(pixel), 1)), REACH_TIP)
+    offset, dark, bright = found.T
+    open_ = clear & (bright - dark > BRIGHT * contrast)
     # A blunt end touches a slanting side away from its middle: use the pusher's outline.
     walls = [_wall(part, tip + a * needle.axis + c * across, needle.axis) for a, c in front]
     met = [wall for wall in walls if wall is not None]
     wall = min(met) if met else None
     if open_.all():
-        free = float(np.mean(found.offset))
+        free = float(np.mean(offset))
         if wall is None or free < wall - TOUCHING:
             return free
     if wall is not None and abs(wall) < REACH_TIP:

@@ -342,10 +342,10 @@ def _sharpened(gray: Gray, corners: FloatArray) -> FloatArray | None:
         along = (end - start) / np.linalg.norm(end - start)
         outwards = np.array([along[1], -along[0]])  # clockwise in the picture, black inside
         pixels = start + ALONG[:, None] * (end - start)
-        edge = find_edges(gray, pixels, np.tile(outwards, (len(ALONG), 1)), EDGE_REACH)
-        if edge.clear.sum() < MIN_ON_A_SIDE:
+        found, clear = find_edges(gray, pixels, np.tile(outwards, (len(ALONG), 1)), EDGE_REACH)
+        if clear.sum() < MIN_ON_A_SIDE:
             return None
-        on_it = (pixels + edge.offset[:, None] * outwards)[edge.clear]
+        on_it = (pixels + found[:, :1] * outwards)[clear]
         middle = np.median(on_it, axis=0)
         off = (on_it - middle) @ outwards
         steady = np.abs(off - np.median(off)) < 1.0

@@ -16,7 +16,7 @@ from fixel.vision.calibrate_lens import LensCalibration
 from fixel.vision.camera import MeasuredCamera
 from fixel.vision.lens import BROWN
 from fixel.vision.place_camera import Placement
-from fixel.vision.plane_errors import PlaceAccuracy, empty_corners
+from fixel.vision.plane_errors import PlaneErrors, empty_corners
 from fixel.workflows.analysis import Analysis, AnalysisReport, StoredAnswer
 
 EXIT: Final = 1  # code of a check that finds a problem
@@ -29,7 +29,7 @@ class CameraAnswer(NamedTuple):
     file: Path | None = None  # camera file that was written
     calibration: LensCalibration | None = None
     placement: Placement | None = None
-    verdicts: tuple[PlaceAccuracy, ...] = ()  # accuracy at each requested height
+    verdicts: tuple[PlaneErrors, ...] = ()  # accuracy at each requested height
     remarks: tuple[str, ...] = ()
     plot: Path | None = None
     # Largest error from pixels to directions and back, over the whole picture [px].
@@ -129,7 +129,7 @@ def _views(found: LensCalibration) -> list[str]:
     lines = [f"{counted(len(found.used), 'picture')} used, rms {found.rms:.3f} px"]
     used = {u.name for u in found.used}
     for what, wanted in (("left out", False), ("used in part", True)):
-        own = [f"  {d.name}: {d.reason}" for d in found.dropped if (d.name in used) is wanted]
+        own = [f"  {name}: {reason}" for name, reason in found.dropped if (name in used) is wanted]
         lines += [f"{what} ({len(own)}):", *own] if own else []
     return lines
 

@@ -25,7 +25,7 @@ from fixel.vision.camera import MeasuredCamera
 from fixel.vision.frame import Picture, size_of
 from fixel.vision.marks import BOARD_SHAPE, Rig, Tag, board_of
 from fixel.vision.place_camera import Placement, place_by_board, place_by_tags
-from fixel.vision.plane_errors import PlaceAccuracy, mm, verdict
+from fixel.vision.plane_errors import PlaneErrors, mm, plane_errors
 from fixel.vision.tracking.checks import moved_limit, tags_off
 from fixel.workflows.acquisition.camera.report import CameraAnswer, PrintAnswer
 
@@ -139,13 +139,12 @@ def _place(
 
 def _accuracy(
     measured: MeasuredCamera, heights: Sequence[float], plot: Path | None
-) -> tuple[PlaceAccuracy, ...]:
+) -> tuple[PlaneErrors, ...]:
     """Compute the accuracy at heights above the plate [m]; draw a map of it for the first one."""
-    verdicts = tuple(verdict(measured, height) for height in heights)
-    if plot is not None and verdicts:
-        errors, size = verdicts[0].errors, measured.lens.image_size
-        camera_error_chart(errors, size, measured.seen).save(plot)
-    return verdicts
+    found = tuple(plane_errors(measured, height) for height in heights)
+    if plot is not None and found:
+        camera_error_chart(found[0]).save(plot)
+    return found
 
 
 def checked(asked: Any) -> CameraAnswer:
