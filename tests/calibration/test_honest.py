@@ -14,7 +14,6 @@ from fixel.calibration.assess import assess, fit_steps, run_assessment
 from fixel.calibration.honest import (
     INSTANTS,
     Honest,
-    MixedStudyFit,
     Probes,
     ShiftModel,
     draw_joint,
@@ -154,13 +153,15 @@ def test_one_experiment_gives_wider_intervals_than_seven():
 
 
 def test_disagreement_of_the_fits_widens_and_few_experiments_do_too():
-    mixed = MixedStudyFit(np.array([0.3]), np.array([0.03]), np.array([9.0]), 9)
-    assert Honest.of(mixed, [np.array([0.26]), np.array([0.34])]).sd == pytest.approx(0.05)
-    unknown = Honest.of(mixed, [np.array([0.26]), np.array([0.34])], known_noise=False)
+    mixed = Honest(np.array([0.3]), np.array([0.03]), np.array([8.0]), 9)
+    fits = [np.array([0.26]), np.array([0.34])]
+    assert mixed.widened(fits).sd == pytest.approx(0.05)
+    unknown = mixed.widened(fits, known_noise=False)
     assert unknown.sd == pytest.approx(np.sqrt(0.03**2 + 2 * 0.04**2))
-    assert Honest.of(mixed._replace(effective=np.array([1.2])), [mixed.value]).freedom == 1.5
-    normal = Honest.of(mixed._replace(effective=np.array([1e9])), [mixed.value])
-    np.testing.assert_allclose(normal.ends(0.95)[1], 0.3 + 1.959964 * 0.03, rtol=1e-6)
+    few, normal = (mixed._replace(freedom=np.array([n])) for n in (1.5, 1e9))
+    np.testing.assert_allclose(normal.widened([mixed.value]).ends(0.95)[1], 0.3 + 1.959964 * 0.03,
+                               rtol=1e-6)  # fmt: skip
+    assert few.ends(0.95)[1] > mixed.ends(0.95)[1] > normal.ends(0.95)[1]
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.02])

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fixel.calibration.objective import Evaluation
-from fixel.domain.along_axis import AxisEdges, AxisStudies, edges
+from fixel.domain.along_axis import AxisEdges, edges, plan_studies
 from fixel.domain.growth import ROWS, AxisPlace, ExperimentGroup, RolloutQueue, SingleCalibrations
 from fixel.errors import InvalidInput
 
@@ -76,10 +76,9 @@ def _groups(left_out=()):
 
 
 def _studied(groups, evaluate=_evaluate, **sizes):
-    studies = AxisStudies(groups, SingleCalibrations(points=BEST, errors=FLOOR), sizes)
     wanted = RolloutQueue()
-    studies.ask(wanted)
-    return {(s.axis, s.size): s for s in studies.read(wanted.run(evaluate))}
+    read = plan_studies(groups, SingleCalibrations(points=BEST, errors=FLOOR), wanted, sizes)
+    return {(s.axis, s.size): s for s in read(wanted.run(evaluate))}
 
 
 def test_every_layout_has_a_set_of_its_own_interval():

@@ -22,9 +22,9 @@ def _singles(**joint):
 
 
 def grow(groups, singles, evaluate, index="corrected"):
-    grower, wanted = growth.DomainGrowth(groups, singles, index), growth.RolloutQueue()
-    grower.ask(wanted)
-    return grower.read(wanted.run(evaluate))
+    wanted = growth.RolloutQueue()
+    read = growth.plan_growth(groups, singles, wanted, index)
+    return read(wanted.run(evaluate))
 
 
 def _group(rows=growth.ROWS):

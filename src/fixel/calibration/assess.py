@@ -232,7 +232,7 @@ def fit_steps(
             best = again
             misfit = chosen.misfit(best.residual, noise, scatter, starts)
         if misfit is not None and misfit.noted:
-            honest = Honest.of(mixed, fits, known_noise=not math.isnan(misfit.ratio))
+            honest = mixed.widened(fits, known_noise=not math.isnan(misfit.ratio))
     count = len(best.point)
     dispersion = chosen.dispersion(noise, best.residual, count)
     fit: LeastSquaresFit | None = best

@@ -66,36 +66,23 @@ MIN_FREEDOM: Final = 1.5
 MM: Final = np.array([1e3, 1e3, 1e3 * ANGLE_SCALE])
 
 
-class MixedStudyFit(NamedTuple):
-    """Result of a mixed fit."""
-
-    value: FloatArray  # (n_free,)
-    sd: FloatArray  # (n_free,) standard error: model-based or over experiments, whichever is larger
-    effective: FloatArray  # (n_free,) effective number of conditions behind each parameter
-    clusters: int  # conditions under which experiments were done
-
-
 class Honest(NamedTuple):
     """Estimate that allows for a model that is wrong."""
 
     value: FloatArray  # (n_free,) of the mixed fit
-    sd: FloatArray  # (n_free,) standard error, disagreement of the fits included
+    # (n_free,) Standard error: model-based or over experiments, whichever is larger; see `widened`.
+    sd: FloatArray
     freedom: FloatArray  # (n_free,) degrees of freedom behind it
     clusters: int  # conditions under which experiments were done
 
-    @classmethod
-    def of(
-        cls, mixed: MixedStudyFit, fits: Sequence[FloatArray], *, known_noise: bool = True
-    ) -> Honest:
-        """Combine a mixed fit with the ends (n_free,) of least squares.
+    def widened(self, fits: Sequence[FloatArray], *, known_noise: bool = True) -> Honest:
+        """Include the disagreement with the ends (n_free,) of least squares in the standard errors.
 
         The squared differences are averaged if the noise is known, else summed.
         """
-        freedom = np.maximum(mixed.effective - 1.0, MIN_FREEDOM)
-        squares = (mixed.value - np.array(fits)) ** 2
+        squares = (self.value - np.array(fits)) ** 2
         gap = squares.mean(axis=0) if known_noise else squares.sum(axis=0)
-        sd = np.sqrt(mixed.sd**2 + gap)
-        return cls(mixed.value, sd, freedom, mixed.clusters)
+        return self._replace(sd=np.sqrt(self.sd**2 + gap))
 
     def ends(self, level: float) -> tuple[FloatArray, FloatArray]:
         """Lower and upper ends (n_free,) of intervals, before any bounds."""
@@ -135,7 +122,7 @@ class ShiftModel:
 
 def mixed_study(
     shifted: ShiftModel, members: Sequence[int], point: FloatArray, noise: Noise
-) -> Generator[FloatArray, FloatArray, MixedStudyFit]:
+) -> Generator[FloatArray, FloatArray, Honest]:
     """Rollouts of a mixed fit: yields rows, and is sent `ShiftModel.differences` of them.
 
     It begins at the best point (n_free,) of least squares. The noise is that of the camera.
@@ -169,7 +156,8 @@ def mixed_study(
     covariance = np.linalg.inv(fit.information.sum(axis=0) + weak)
     spread, effective = jackknife(fit.information, fit.gradient, covariance, cluster)
     variance = np.maximum(np.diag(covariance), np.diag(spread))
-    return MixedStudyFit(theta, np.sqrt(variance) * space.scale, effective, int(cluster.max()) + 1)
+    freedom = np.maximum(effective - 1.0, MIN_FREEDOM)  # effective: number of conditions behind it
+    return Honest(theta, np.sqrt(variance) * space.scale, freedom, int(cluster.max()) + 1)
 
 
 class Probes:

@@ -5,7 +5,7 @@ Source: RPI thesis, chapter 6, figures 6.1 to 6.13.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -126,72 +126,75 @@ def _mean(table: FloatArray) -> FloatArray:
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
-class AxisStudies:
-    """Computation of studies: collects rollouts in a queue, then evaluates their results.
+def plan_studies(
+    groups: Sequence[growth.ExperimentGroup],
+    singles: growth.SingleCalibrations,
+    wanted: growth.RolloutQueue,
+    sizes: Mapping[str, Sequence[int]] = SIZES,
+) -> Callable[[Evaluation], list[AxisStudy]]:
+    """Add the rollouts of studies to a queue; return the function of their results.
 
     Numbers of samples of the intervals are by default those of the thesis.
     """
+    layouts: dict[str, list[growth.ExperimentGroup]] = {}
+    for group in groups:
+        layouts.setdefault(group.shape, []).append(group)
+    numbers = _checked(sizes)
+    plan = [
+        _planned(own, axis, size, singles, wanted)
+        for own in layouts.values()
+        for axis in growth.AXES
+        if any(place.axis == axis for group in own for place in group.at)
+        for size in numbers[axis]
+    ]
 
-    def __init__(
-        self,
-        groups: Sequence[growth.ExperimentGroup],
-        singles: growth.SingleCalibrations,
-        sizes: Mapping[str, Sequence[int]] = SIZES,
-    ) -> None:
-        self.singles = singles
-        self._layouts: dict[str, list[growth.ExperimentGroup]] = {}
-        for group in groups:
-            self._layouts.setdefault(group.shape, []).append(group)
-        self._sizes = _checked(sizes)
-        # Studies whose errors are still unknown, and (n_layout, n_step) indices of their rollouts;
-        # -1 for none.
-        self._plan: list[tuple[AxisStudy, IntArray]] = []
-
-    def ask(self, wanted: growth.RolloutQueue) -> None:
-        """Add the required rollouts to a queue."""
-        self._plan = [
-            self._planned(shape, axis, size, wanted)
-            for shape, groups in self._layouts.items()
-            for axis in growth.AXES
-            if any(place.axis == axis for group in groups for place in group.at)
-            for size in self._sizes[axis]
-        ]
-
-    def _planned(
-        self, shape: str, axis: str, size: int, wanted: growth.RolloutQueue
-    ) -> tuple[AxisStudy, IntArray]:
-        groups, (low, high) = self._layouts[shape], interval(axis, size)
-        on_axis = {p.step for group in groups for p in group.at if p.axis == axis}
-        steps = np.array(sorted(on_axis | {0}))
-        inside = [growth.along(axis, k) for k in range(low, high + 1)]
-        sets, places = [], np.full((len(groups), len(steps)), -1)
-        own = np.full(places.shape, np.nan)
-        for row, group in enumerate(groups):
-            for column, step in enumerate(steps.tolist()):
-                if (place := growth.along(axis, step)) in group.at:
-                    own[row, column] = self.singles.errors[group.at[place]]
-            missing = group.missing(inside)
-            members = group.found(inside)
-            if missing:
-                reason = "not performed: " + ", ".join(place.name for place in missing)
-                sets.append(growth.GroupParameters(members, None, growth.NONE, reason=reason))
-                continue
-            sets.append(growth.group_parameters(members, self.singles))
-            point = sets[-1].point
-            for column, step in enumerate(steps.tolist()):
-                place = growth.along(axis, step)
-                if point is not None and place in group.at:
-                    places[row, column] = wanted.add(group.at[place], point)
-        layouts, none = tuple(group.layout for group in groups), np.full(places.shape, np.nan)
-        study = AxisStudy(shape, axis, size, (low, high), steps, layouts, tuple(sets), none, own)
-        return study, places
-
-    def read(self, answer: Evaluation) -> list[AxisStudy]:
-        """Return the studies from the results of the queue."""
+    def read(answer: Evaluation) -> list[AxisStudy]:
         return [
             study._replace(error=np.where(places >= 0, answer.error[places], np.nan))
-            for study, places in self._plan
+            for study, places in plan
         ]
+
+    return read
+
+
+def _planned(
+    groups: Sequence[growth.ExperimentGroup],
+    axis: str,
+    size: int,
+    singles: growth.SingleCalibrations,
+    wanted: growth.RolloutQueue,
+) -> tuple[AxisStudy, IntArray]:
+    """Return a study without errors, and the indices (n_layout, n_step) of its rollouts; -1: none.
+
+    The groups are the layouts of one shape.
+    """
+    low, high = interval(axis, size)
+    on_axis = {p.step for group in groups for p in group.at if p.axis == axis}
+    steps = np.array(sorted(on_axis | {0}))
+    inside = [growth.along(axis, k) for k in range(low, high + 1)]
+    sets, places = [], np.full((len(groups), len(steps)), -1)
+    own = np.full(places.shape, np.nan)
+    for row, group in enumerate(groups):
+        for column, step in enumerate(steps.tolist()):
+            if (place := growth.along(axis, step)) in group.at:
+                own[row, column] = singles.errors[group.at[place]]
+        missing = group.missing(inside)
+        members = group.found(inside)
+        if missing:
+            reason = "not performed: " + ", ".join(place.name for place in missing)
+            sets.append(growth.GroupParameters(members, None, growth.NONE, reason=reason))
+            continue
+        sets.append(growth.group_parameters(members, singles))
+        point = sets[-1].point
+        for column, step in enumerate(steps.tolist()):
+            place = growth.along(axis, step)
+            if point is not None and place in group.at:
+                places[row, column] = wanted.add(group.at[place], point)
+    layouts, none = tuple(group.layout for group in groups), np.full(places.shape, np.nan)
+    study = AxisStudy(
+        groups[0].shape, axis, size, (low, high), steps, layouts, tuple(sets), none, own
+    )
+    return study, places
 
 
 def _checked(sizes: Mapping[str, Sequence[int]]) -> dict[str, tuple[int, ...]]:

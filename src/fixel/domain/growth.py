@@ -296,64 +296,62 @@ def n_steps_of(groups: Sequence[ExperimentGroup], index: Index) -> int:
     return max(group.reach for group in groups)
 
 
-class DomainGrowth:
-    """Computation of the growth: collects rollouts in a queue, then evaluates their results.
+def plan_growth(
+    groups: Sequence[ExperimentGroup],
+    singles: SingleCalibrations,
+    wanted: RolloutQueue,
+    index: Index = "corrected",
+) -> Callable[[Evaluation], Growth]:
+    """Add the rollouts of a growth to a queue; return the function of their results.
 
     The index is `"corrected"`, or `"printed"` for the thesis's code as it is printed.
     """
+    n_steps = n_steps_of(groups, index)
+    plan = [
+        [_planned(group, step, index, singles, wanted) for step in range(n_steps + 1)]
+        for group in groups
+    ]
 
-    def __init__(
-        self,
-        groups: Sequence[ExperimentGroup],
-        singles: SingleCalibrations,
-        index: Index = "corrected",
-    ) -> None:
-        self.groups, self.singles, self.index = tuple(groups), singles, index
-        self.n_steps = n_steps_of(self.groups, index)
-        self._plan: list[list[tuple[GroupParameters, list[int], str]]] = []
+    def read(answer: Evaluation) -> Growth:
+        rows = (
+            tuple(_step(group, domain(k, index), k, *own, answer) for k, own in enumerate(row))
+            for group, row in zip(groups, plan, strict=True)
+        )
+        return Growth(groups=tuple(groups), index=index, steps=tuple(rows))
 
-    def ask(self, wanted: RolloutQueue) -> None:
-        """Add the required rollouts to a queue."""
-        self._plan = [
-            [self._planned(group, step, wanted) for step in range(self.n_steps + 1)]
-            for group in self.groups
-        ]
+    return read
 
-    def _planned(
-        self, group: ExperimentGroup, step: int, wanted: RolloutQueue
-    ) -> tuple[GroupParameters, list[int], str]:
-        places = domain(step, self.index)
-        missing = group.missing(places)
-        if missing:
-            reason = "not performed: " + ", ".join(place.name for place in missing)
-            return GroupParameters(group.found(places), None, NONE, reason=reason), [], reason
-        used = group_parameters(group.found(places), self.singles)
-        if used.point is None:
-            return used, [], used.reason
-        return used, [wanted.add(member, used.point) for member in used.members], ""
 
-    def read(self, answer: Evaluation) -> Growth:
-        """Return the growth from the results of the queue."""
-        rows = [
-            tuple(
-                self._step(group, step, planned, answer)
-                for step, planned in enumerate(row)
-            )
-            for group, row in zip(self.groups, self._plan, strict=True)
-        ]  # fmt: skip
-        return Growth(groups=self.groups, index=self.index, steps=tuple(rows))
+def _planned(
+    group: ExperimentGroup,
+    step: int,
+    index: Index,
+    singles: SingleCalibrations,
+    wanted: RolloutQueue,
+) -> tuple[GroupParameters, list[int], str]:
+    """Return the parameters of a step, its rollouts in the queue, and why there are none."""
+    places = domain(step, index)
+    missing = group.missing(places)
+    if missing:
+        reason = "not performed: " + ", ".join(place.name for place in missing)
+        return GroupParameters(group.found(places), None, NONE, reason=reason), [], reason
+    used = group_parameters(group.found(places), singles)
+    if used.point is None:
+        return used, [], used.reason
+    return used, [wanted.add(member, used.point) for member in used.members], ""
 
-    def _step(
-        self,
-        group: ExperimentGroup,
-        step: int,
-        planned: tuple[GroupParameters, list[int], str],
-        answer: Evaluation,
-    ) -> Step:
-        used, places, reason = planned
-        errors = answer.error[np.array(places, np.int64)]
-        if not np.isfinite(errors).all():
-            k = int(np.flatnonzero(~np.isfinite(errors))[0])
-            at = domain(step, self.index)[k].name
-            reason = f"no simulation of {at}: {answer.reasons[places[k]]}"
-        return Step(group=group, step=step, used=used, errors=errors, reason=reason)
+
+def _step(
+    group: ExperimentGroup,
+    places: Sequence[AxisPlace],
+    step: int,
+    used: GroupParameters,
+    rollouts: list[int],
+    reason: str,
+    answer: Evaluation,
+) -> Step:
+    errors = answer.error[np.array(rollouts, np.int64)]
+    if not np.isfinite(errors).all():
+        k = int(np.flatnonzero(~np.isfinite(errors))[0])
+        reason = f"no simulation of {places[k].name}: {answer.reasons[rollouts[k]]}"
+    return Step(group=group, step=step, used=used, errors=errors, reason=reason)

@@ -13,7 +13,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
@@ -42,14 +42,6 @@ PINHOLE: Final = {"plumb_bob": 5, "rational_polynomial": 8}
 Variables = dict[str, FloatArray]
 
 
-class ImportedCamera(NamedTuple):
-    """Camera that another program calibrated."""
-
-    camera: MeasuredCamera
-    format: str  # one of `FORMATS`
-    remarks: tuple[str, ...] = ()  # caveats, one sentence each
-
-
 def import_camera(
     path: str | Path,
     format: str = "auto",
@@ -57,8 +49,8 @@ def import_camera(
     size: tuple[int, int] | None = None,
     which: str = "",
     unit: float = 1e-3,
-) -> ImportedCamera:
-    """Load a camera that another program calibrated.
+) -> tuple[MeasuredCamera, tuple[str, ...]]:
+    """Load a camera that another program calibrated; return also caveats, one sentence each.
 
     The format is one of `FORMATS`, or `auto` to recognise it from the file. `size` is that of the
     calibration pictures, if the file lacks it [px], `which` the name of one of several cameras in a
@@ -87,7 +79,7 @@ def import_camera(
         raise problem.at(where) from None
     if size is not None and tuple(size) != camera.lens.image_size:
         camera.for_pictures_of(size)
-    return ImportedCamera(replace(camera, source=f"{path.name}, {kind}"), kind, remarks)
+    return replace(camera, source=f"{path.name}, {kind}"), remarks
 
 
 def _kind_of(path: Path) -> str:

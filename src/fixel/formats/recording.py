@@ -327,20 +327,21 @@ class RecordingWriter:
         self, time_us: int, reading: int | None, reading_time: float | None, written: StoredPacket
     ) -> None:
         """Append the row of a picture already in the video; without a row it would not count."""
+        size, crc, video_end = written
         row = RecordingRow(
             frame=self.frames,
             time_us=time_us,
             reading=-1 if reading is None else reading,
             reading_time_us=-1 if reading_time is None else max(round(reading_time * MICRO), 0),
-            size=written.size,
-            video_end=written.end,
-            crc=written.crc,
+            size=size,
+            video_end=video_end,
+            crc=crc,
         )
         text = row_text(row)
         if self._rows.write(text) != len(text):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.folder / ROWS))
         self.frames += 1
-        self.bytes = written.end
+        self.bytes = video_end
         self._rows_end += len(text)
         self._last_us = time_us
 

@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
@@ -128,12 +128,9 @@ MICROSECOND: Final = Fraction(1, MICRO)
 LOSSLESS: Final = "magicyuv"
 
 
-class StoredPacket(NamedTuple):
-    """Packet of a picture in the video: size, checksum and place."""
-
-    size: int  # size of its packet [bytes]
-    crc: int  # CRC-32 of its packet
-    end: int  # size of the video file after it was appended [bytes]
+# Packet of a picture in the video: its size [bytes], the CRC-32 of its content, and the size of the
+# video file after it was appended [bytes].
+StoredPacket = tuple[int, int, int]
 
 
 @final
@@ -196,7 +193,7 @@ class VideoSink:
         except OSError:
             self._lost = True
             raise
-        return StoredPacket(size, crc, self.path.stat().st_size)
+        return size, crc, self.path.stat().st_size
 
     def close(self) -> None:
         """Close the file; all pictures have already been written."""

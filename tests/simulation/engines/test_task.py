@@ -53,11 +53,11 @@ def test_registration_moves_the_path():
 
 def test_frames_return_to_the_scene():
     """The start of a task, whose frame is at the centre of mass, is the start of the body."""
-    task, frames = task_of(SCENE, TIMES, {}, {})
+    task, scene_poses = task_of(SCENE, TIMES, {}, {})
     body = SCENE.bodies[0]
-    np.testing.assert_allclose(frames.scene_poses(task.body.start), body.pose, atol=1e-15)
+    np.testing.assert_allclose(scene_poses(task.body.start), body.pose, atol=1e-15)
     moved = task.body.start + np.array([0.01, 0.0, 0.0])
-    np.testing.assert_allclose(frames.scene_poses(moved) - body.pose, [0.01, 0, 0], atol=1e-15)
+    np.testing.assert_allclose(scene_poses(moved) - body.pose, [0.01, 0, 0], atol=1e-15)
 
 
 def segments(task):

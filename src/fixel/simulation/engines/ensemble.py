@@ -212,7 +212,7 @@ class EngineEnsemble:
         self, program: Program, case: int, values: Mapping[str, float], fixels: FloatArray | None
     ) -> tuple[FloatArray | None, str]:
         """Simulate a case once; return the checked poses (n, 3) of the body, or None and why."""
-        task, frames = task_of(
+        task, scene_poses = task_of(
             self.cases[case].scene,
             self.cases[case].times,
             {name: value for name, value in values.items() if "." not in name},
@@ -221,7 +221,7 @@ class EngineEnsemble:
         )
         answer, reason = self._answer(program, case, plain(task))
         reason = reason or fault(task, answer)
-        pose = None if reason else frames.scene_poses(np.array(answer, np.float64))
+        pose = None if reason else scene_poses(np.array(answer, np.float64))
         return pose, reason
 
     def _answer(self, program: Program, case: int, task: Any) -> tuple[Any, str]:
@@ -270,8 +270,8 @@ def fields_of_engine(
     outcome = ensemble.simulate(np.zeros(1, np.int64), values)
     seconds = time.perf_counter() - seconds
     shared = {name: value for name, value in (parameters or {}).items() if "." not in name}
-    task, frames = task_of(scene, times, shared, {})
-    start = frames.scene_poses(task.body.start)[None]
+    task, scene_poses = task_of(scene, times, shared, {})
+    start = scene_poses(task.body.start)[None]
     converged = bool(outcome.converged[0])
     if not converged:
         times = times[:1]

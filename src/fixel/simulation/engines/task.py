@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.kernels import codes
-from fixel.model import Body, Disk, Pusher, Scene
+from fixel.model import Disk, Pusher, Scene
 from fixel.model.shape import Shape
 from fixel.simulation.geometry import contact_pieces
 from fixel.simulation.pack import pair_tables, pusher_path, supports_of
@@ -161,8 +161,10 @@ def task_of(
     values: Mapping[str, float],
     own: Mapping[str, float],
     fixels: FloatArray | None = None,
-) -> tuple[PlainTask, BodyFrames]:
-    """Return a scene as a task, and what turns its answer into poses of the scene's body.
+) -> tuple[PlainTask, Callable[[FloatArray], FloatArray]]:
+    """Return a scene as a task, and the function that turns its answer into poses of the scene.
+
+    The frame of a task's poses (n, 3) is at the centre of mass of the body; the scene's is not.
 
     For scenes that a task can hold, see `unsupported`. Parameters of fixel, `values`, replace
     values of the scene; `own` are those of the engine. Errors of the poses of the fixels
@@ -207,20 +209,13 @@ def task_of(
         for k, fixel in enumerate(scene.fixels)
     )
     outline = None if varied.outline is None else varied.outline[0]
+
+    def scene_poses(pose: FloatArray) -> FloatArray:
+        found = _moved(pose, -free.com)
+        return found if outline is None else composed(found, inverted(outline))
+
     times = np.asarray(times, np.float64)
-    return PlainTask(body, pusher, fixed, times, scene.gravity, own), BodyFrames(free, outline)
-
-
-class BodyFrames(NamedTuple):
-    """Frames of a body: that of a task is at its centre of mass, the scene's is not."""
-
-    body: Body
-    outline: FloatArray | None  # (3,) pose of the outline in the frame of the scene's poses
-
-    def scene_poses(self, pose: FloatArray) -> FloatArray:
-        """Return poses (n, 3) of the scene's frame from those of a task's."""
-        found = _moved(pose, -self.body.com)
-        return found if self.outline is None else composed(found, inverted(self.outline))
+    return PlainTask(body, pusher, fixed, times, scene.gravity, own), scene_poses
 
 
 def planar_refusal(task: PlainTask) -> str:

@@ -300,8 +300,8 @@ def _search_and_space(
 ) -> tuple[NamedOptions, ParameterSpace]:
     search = NamedOptions(name=asked.optimiser, options=dict(map(_setting, asked.option)))
     if asked.dakota is not None:
-        file = load_dakota(asked.dakota)
-        search, unknowns = named_options(file.optimiser, "dakota"), list(file.space.unknowns)
+        optimiser, space, _ = load_dakota(asked.dakota)
+        search, unknowns = named_options(optimiser, "dakota"), list(space.unknowns)
     elif asked.space is not None:
         unknowns = list(read_space(asked.space).unknowns)
     else:

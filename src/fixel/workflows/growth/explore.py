@@ -16,16 +16,16 @@ import numpy as np
 from fixel.calibration.objective import Comparer, Evaluation
 from fixel.calibration.result import CalibratedValues, FitKind
 from fixel.database.store import Store
-from fixel.domain.along_axis import SIZES, AxisStudies, AxisStudy
+from fixel.domain.along_axis import SIZES, AxisStudy, plan_studies
 from fixel.domain.growth import (
     AVERAGED,
     AXES,
-    DomainGrowth,
     Growth,
     Joint,
     RolloutQueue,
     SingleCalibrations,
     Step,
+    plan_growth,
     weights,
 )
 from fixel.errors import InvalidInput, counted, some_of
@@ -82,24 +82,22 @@ def explore(
     summaries = store.calibration_summaries()
     stored = best_singles(summaries, samples, asked.motion, asked.error, folder)
     threshold = threshold_in(asked.limit, stored.method.unit)
-    grower = DomainGrowth(samples.groups, stored.singles, asked.index)
-    studies = AxisStudies(samples.groups, stored.singles, limits)
     wanted = RolloutQueue()
-    grower.ask(wanted)
-    studies.ask(wanted)
+    growth_of = plan_growth(samples.groups, stored.singles, wanted, asked.index)
+    studies_of = plan_studies(samples.groups, stored.singles, wanted, limits)
     get_ready(samples.targets[0].case.scene)
     if progress is not None:
         progress.stage = f"simulating {counted(len(wanted), 'time')}"
     method = stored.best[0]  # they have the same motion model and error
     comparer = Comparer(samples.targets, _space(stored), method.error, method.motion)
     answer = wanted.run(comparer.errors)
-    growth = grower.read(answer)
+    growth = growth_of(answer)
     added = _keep(store, summaries, growth, samples, stored, command)
     return Exploration(
         samples=samples,
         stored=stored,
         growth=growth,
-        studies=studies.read(answer),
+        studies=studies_of(answer),
         threshold=threshold,
         rollouts=len(wanted),
         added=added,

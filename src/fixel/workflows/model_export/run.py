@@ -174,8 +174,8 @@ def _engine(wanted: EngineName, case: SourceCase) -> AbstractPhysicsEngine:
 def _task(case: SourceCase) -> tuple[PlainTask, list[float]]:
     """Return the task of a case, and the frame of its poses in that of the body of the task."""
     shared = {name: value for name, value in case.values.items() if "." not in name}
-    task, frames = task_of(case.scene, case.times, shared, {})
-    return task, frames.scene_poses(np.zeros(3)).tolist()
+    task, scene_poses = task_of(case.scene, case.times, shared, {})
+    return task, scene_poses(np.zeros(3)).tolist()
 
 
 def _model(engine: AbstractPhysicsEngine, case: SourceCase) -> tuple[dict[str, str], list[str]]:

@@ -64,9 +64,9 @@ def imported(asked: Any) -> CameraAnswer:
     if out.resolve() == file.resolve():
         raise InvalidInput(str(out), found="the input file", expected="another file to write")
     size, unit = size_of(asked.size), {"mm": 1e-3, "cm": 1e-2, "m": 1.0}[asked.unit]
-    found = import_camera(file, asked.format, size=size, which=asked.which, unit=unit)
-    save_camera(found.camera, out)
-    return CameraAnswer(found.camera, out, remarks=found.remarks)
+    camera, remarks = import_camera(file, asked.format, size=size, which=asked.which, unit=unit)
+    save_camera(camera, out)
+    return CameraAnswer(camera, out, remarks=remarks)
 
 
 def exported(asked: Any) -> CameraAnswer:
