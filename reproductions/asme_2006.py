@@ -24,10 +24,10 @@ import numpy as np
 
 from fixel.calibration import MultiStart, NelderMead
 from fixel.calibration.direct_search import NelderMeadSearch
-from fixel.calibration.objective import Comparer, Objective, RootMeanSquare
+from fixel.calibration.objective import Comparer, RootMeanSquare, combined_errors
 from fixel.calibration.optimiser import MultiStartSearch, feasible_points
 from fixel.calibration.result import Solution, find_solutions
-from fixel.calibration.study import box_of
+from fixel.calibration.study import at_points, box_of, run_study
 from fixel.calibration.target import Target
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.model.support import triangle_shares
@@ -81,10 +81,10 @@ def run_table_1(options: RunOptions) -> Reproduction:
     starts, evaluations, wide = (4, 600, 0) if options.quick else (24, 3000, 6)
     noisy, exact = simulate_targets(seed=1), simulate_targets(seed=None)
     options.progress(1, 5, "trajectories from p1*")
-    search = run_searches(objective(noisy, IDENTIFICATION), starts, evaluations)
+    search = run_searches(comparer_of(noisy, IDENTIFICATION), starts, evaluations)
     options.progress(2, 5, f"{starts} searches, {search.evaluations} evaluations")
     sets = evaluate_sets(search, noisy, exact)
-    floor = float(objective(noisy, IDENTIFICATION)(np.array([P1]))[0])
+    floor = float(objective(comparer_of(noisy, IDENTIFICATION), np.array([P1]))[0])
     good = sets.apart <= 1e3 * PIXEL
     clusters = cluster_sets(sets, good)
     options.progress(3, 5, f"{int(good.sum())} sets as good as p1*, {len(clusters)} clusters")
@@ -157,16 +157,21 @@ def simulate_targets(seed: int | None) -> dict[int, Target]:
     return found
 
 
-def objective(targets: dict[int, Target], tests: Sequence[int]) -> Objective:
-    """Create the paper's objective F over given tests [mm]."""
-    comparer = Comparer(
-        [targets[test] for test in tests], space(), RootMeanSquare(angle_scale=LENGTH)
-    )
-    return Objective(comparer, combine="mean")
+def comparer_of(targets: dict[int, Target], tests: Sequence[int]) -> Comparer:
+    """Create the comparer of given tests, with the errors of the paper [mm]."""
+    error = RootMeanSquare(angle_scale=LENGTH)
+    return Comparer([targets[test] for test in tests], space(), error)
+
+
+def objective(comparer: Comparer, points: FloatArray) -> FloatArray:
+    """Compute the paper's objective F (k,) at points (k, n_free) [mm]."""
+    study = at_points(range(len(comparer.targets)), points)
+    errors, _ = run_study(study, lambda ask: comparer.errors(ask.which, ask.points))
+    return combined_errors(errors, "mean")
 
 
 def run_searches(
-    wanted: Objective, starts: int, evaluations: int, seed: int = 3
+    comparer: Comparer, starts: int, evaluations: int, seed: int = 3
 ) -> MultiStartSearch:
     """Run Nelder-Mead from nine random feasible vertices, several times, as in the paper."""
     optimiser = MultiStart(
@@ -175,9 +180,9 @@ def run_searches(
         ),
         starts=starts,
     )
-    search = optimiser.start(box_of(space()), seed, wanted.comparer.feasible)
+    search = optimiser.start(box_of(space()), seed, comparer.feasible)
     while not search.done:
-        search.tell(wanted(search.ask()))
+        search.tell(objective(comparer, search.ask()))
     return search
 
 
@@ -190,10 +195,10 @@ def evaluate_sets(
     points = np.array([best.point for best in ends])
     return Sets(
         points,
-        objective(noisy, IDENTIFICATION)(points),
-        objective(exact, IDENTIFICATION)(points),
-        objective(exact, HELD_OUT)(points),
-        objective(exact, ALL)(points),
+        objective(comparer_of(noisy, IDENTIFICATION), points),
+        objective(comparer_of(exact, IDENTIFICATION), points),
+        objective(comparer_of(exact, HELD_OUT), points),
+        objective(comparer_of(exact, ALL), points),
         features_of(points),
     )
 
@@ -220,20 +225,20 @@ def _from_all(
     """Rows of sets found on all eight tests; good if within a pixel on all of them."""
     if not starts:
         return []
-    sets = evaluate_sets(run_searches(objective(noisy, ALL), starts, evaluations), noisy, exact)
+    sets = evaluate_sets(run_searches(comparer_of(noisy, ALL), starts, evaluations), noisy, exact)
     order = np.argsort(sets.everywhere, kind="stable").tolist()
     return [_set_row(sets, k, bool(sets.everywhere[k] <= 1e3 * PIXEL)) for k in order]
 
 
 def plane_friction(exact: dict[int, Target]) -> list[Row]:
     """F of p1* on all tests with other friction of the plane, which quasi-static motion ignores."""
-    wanted = objective(exact, ALL)
+    comparer = comparer_of(exact, ALL)
     values = np.array([0.001, 0.013, 0.1, 0.5, 0.757, 1.0])
     points = np.tile(P1, (len(values), 1))
     points[:, 1] = values
     return [
         {"mu_support": float(mu), "f_um": float(1e3 * error)}
-        for mu, error in zip(values, wanted(points), strict=True)
+        for mu, error in zip(values, objective(comparer, points), strict=True)
     ]
 
 
@@ -252,7 +257,7 @@ def _shape(features: SupportFeatures, k: int) -> Row:
 def _table_1(exact: dict[int, Target]) -> list[Row]:
     points = np.array([P1, P2])
     features = features_of(points)
-    errors = objective(exact, ALL)(points)
+    errors = objective(comparer_of(exact, ALL), points)
     return [
         {"set": name, "f_all_um": float(1e3 * errors[k]), **_shape(features, k)}
         for k, name in enumerate(("p1*", "p2*"))
@@ -355,8 +360,8 @@ def run_figure_11(options: RunOptions) -> Reproduction:
     """
     evaluations = 300 if options.quick else 3000
     targets = simulate_targets(seed=1)
-    wanted = objective(targets, IDENTIFICATION)
-    feasible = wanted.comparer.feasible
+    comparer = comparer_of(targets, IDENTIFICATION)
+    feasible = comparer.feasible
     region = box_of(space())
     starts = feasible_points(region, SEARCHES, SEED, feasible)
     descents = []
@@ -365,7 +370,7 @@ def run_figure_11(options: RunOptions) -> Reproduction:
         search = descent.start(region._replace(start=start), SEED + k, feasible)
         steps: list[tuple[int, float, float, tuple[float, ...]]] = []
         while not search.done:
-            search.tell(wanted(search.ask()))
+            search.tell(objective(comparer, search.ask()))
             point, error = search.best
             steps.append((search.evaluations, error, search.size, tuple(point.tolist())))
         descents.append(_descent(k + 1, steps, search))

@@ -57,8 +57,8 @@ from reproductions.asme_2006 import (
     P1,
     P2,
     PIXEL,
+    comparer_of,
     evaluate_sets,
-    objective,
     run_searches,
     simulate_targets,
 )
@@ -146,7 +146,7 @@ def run(options: RunOptions) -> Reproduction:
 def near_optimal_sets(starts: int, evaluations: int) -> list[Values]:
     """Columns p1* and p2* of table 1, and sets within a pixel of p1* on the two tests."""
     noisy, exact = simulate_targets(seed=1), simulate_targets(seed=None)
-    search = run_searches(objective(noisy, IDENTIFICATION), starts, evaluations)
+    search = run_searches(comparer_of(noisy, IDENTIFICATION), starts, evaluations)
     sets = evaluate_sets(search, noisy, exact)
     good = sets.point[sets.apart <= 1e3 * PIXEL]
     return [as_values(point) for point in (P1, P2, *good.tolist())]

@@ -65,7 +65,7 @@ def test_small_errors_weigh_more():
 
 
 def test_a_stored_set_for_exactly_these_members_is_used():
-    stored = growth.Joint(7, np.array([0.5, 0.5]))
+    stored = 7, np.array([0.5, 0.5])
     singles = _singles(joint={(0, 1, 10, 11, 16): stored})
     found = grow([_group()], singles, _evaluate)
     first, second = found.steps[0][1:3]

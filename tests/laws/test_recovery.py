@@ -1,5 +1,7 @@
 """What made an experiment is found again from it: without noise, to a thousandth."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from fixel.calibration import NelderMead
 from fixel.calibration.assess import Frames
 from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.noise import Noise
-from fixel.calibration.objective import Comparer, Objective
+from fixel.calibration.objective import Comparer, combined_errors
 from fixel.calibration.study import box_of, calibrate_joint, run_study
 from fixel.calibration.target import targets_of
 from fixel.model.space import ParameterSpace, Unknown
@@ -40,11 +42,10 @@ def test_by_least_squares(comparer):
 
 @pytest.mark.slow
 def test_by_a_simplex(comparer):
-    objective = Objective(comparer, combine="sum")
     members = range(len(comparer.targets))
     search = NelderMead(restarts=1)
     trace, _ = run_study(
-        calibrate_joint(members, box_of(SPACE), search, objective.combined),
+        calibrate_joint(members, box_of(SPACE), search, partial(combined_errors, combine="sum")),
         lambda ask: comparer.errors(ask.which, ask.points),
     )
     assert trace.point == pytest.approx(TRUTH, rel=1e-3)

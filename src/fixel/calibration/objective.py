@@ -13,7 +13,7 @@ import numpy as np
 
 from fixel.calibration.noise import counting_frames
 from fixel.calibration.target import Target
-from fixel.errors import InvalidInput, check_name
+from fixel.errors import InvalidInput
 from fixel.model.fields import positive
 from fixel.model.space import ParameterSpace
 from fixel.model.trajectory import pose_difference
@@ -293,43 +293,6 @@ def _refuse_idle(targets: Sequence[Target], space: ParameterSpace) -> None:
                 expected="at least one experiment that depends on it",
                 hint="fix the parameter, or leave it out",
             )
-
-
-COMBINATIONS: Final = ("sum", "mean", "largest")
-
-
-@final
-class Objective:
-    """Combined error of all experiments at points of the space.
-
-    It is their `"sum"` (thesis, multiple calibration), `"mean"` (ASME paper) or `"largest"`.
-    """
-
-    def __init__(self, comparer: Comparer, combine: str = "mean") -> None:
-        check_name("combine", combine, COMBINATIONS)
-        self.comparer = comparer
-        self.combine = combine
-
-    def members_at(self, points: FloatArray) -> tuple[FloatArray, list[str]]:
-        """Return errors (k, n_member) at points (k, n_free), and reasons of failures."""
-        k, n = len(points), len(self.comparer.targets)
-        evaluated = self.comparer.errors(
-            np.tile(np.arange(n), k), np.repeat(np.asarray(points, np.float64), n, axis=0)
-        )
-        reasons = []
-        for row in range(k):
-            own = evaluated.reasons[row * n : (row + 1) * n]
-            named = (f"{self.comparer.targets[m].key}: {why}" for m, why in enumerate(own) if why)
-            reasons.append(next(named, ""))
-        return evaluated.error.reshape(k, n), reasons
-
-    def combined(self, errors: FloatArray) -> FloatArray:
-        """Return the combination (k,) of errors (k, n_member)."""
-        return combined_errors(errors, self.combine)
-
-    def __call__(self, points: FloatArray) -> FloatArray:
-        """Return the combined errors (k,) at points (k, n_free)."""
-        return self.combined(self.members_at(points)[0])
 
 
 def combined_errors(errors: FloatArray, combine: str) -> FloatArray:

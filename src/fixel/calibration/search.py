@@ -294,7 +294,7 @@ class CalibrationSearch:
         n = len(self.members)
         size = max(MEMBERS_A_PART, min(MAX_MEMBERS_A_PART, n // PARTS_FOR_WORKERS))
         left, rows = 0 if self.task.mode == "each" else None, {"members": np.arange(n)}
-        question = Question("alone", "alone", rows, size, "each experiment", left)
+        question = Question(FitKind.ALONE, FitKind.ALONE, rows, size, "each experiment", left)
         found: list[ParameterSet] = []
         for own, part in zip((yield question), question.parts(), strict=True):
             if not isinstance(own, str):
@@ -546,7 +546,7 @@ def _assessed(kind: str, task: CalibrationTask, rows: Rows) -> dict[str, Any]:
 # Functions that answer a part of a question, by its kind.
 ANSWERS: Final[Mapping[str, Callable[[CalibrationTask, Rows], dict[str, Any]]]] = {
     "rollouts": _rollouts,
-    "alone": _alone,
+    FitKind.ALONE: _alone,
     "squares": _squares,
     **{kind: partial(_assessed, kind) for kind in assess.ANSWERS},
 }

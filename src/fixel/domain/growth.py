@@ -143,13 +143,6 @@ class ExperimentGroup:
         return [place for place in dict.fromkeys(places) if place not in self.at]
 
 
-class Joint(NamedTuple):
-    """Stored parameter set of several experiments."""
-
-    calibration: int
-    point: FloatArray  # (n_parameter,)
-
-
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SingleCalibrations:
@@ -157,8 +150,8 @@ class SingleCalibrations:
 
     points: FloatArray  # (n, n_parameter)
     errors: FloatArray  # (n,) error E of each with its own set; inf if it could not be simulated
-    # Stored sets by their experiments.
-    joint: Mapping[tuple[int, ...], Joint] = field(default_factory=dict)
+    # Stored sets of several experiments, by these: id of the calibration, and point (n_parameter,).
+    joint: Mapping[tuple[int, ...], tuple[int, FloatArray]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.points.ndim != 2 or self.errors.shape != self.points.shape[:1]:
@@ -193,7 +186,8 @@ def group_parameters(members: Sequence[int], singles: SingleCalibrations) -> Gro
         return GroupParameters(own, singles.points[own[0]], OWN)
     stored = singles.joint.get(tuple(sorted(own)))
     if stored is not None:
-        return GroupParameters(own, stored.point, STORED, stored.calibration)
+        calibration, point = stored
+        return GroupParameters(own, point, STORED, calibration)
     rows = np.array(own)
     if not np.isfinite(singles.errors[rows]).any():
         return GroupParameters(own, None, NONE, reason="no member's own calibration has an error")

@@ -11,6 +11,7 @@ import numpy as np
 
 from fixel.drawing import chart, palette
 from fixel.drawing.chart import Chart, Mark, Style
+from fixel.progress import time_text
 from fixel.table import Table
 from fixel.typing import FloatArray, IntArray
 
@@ -100,15 +101,11 @@ def seconds_chart(keys: Sequence[str], seconds: FloatArray, evaluations: Sequenc
     low, high = float(seconds.min()), float(seconds.max())
     # The exact range of times, widened if all times are equal.
     ends = (low, high) if high > 1.001 * low else (0.5 * low, 1.5 * high or 1.0)
-
-    def text(time: float) -> str:
-        return f"{time / 3600.0:.3g} h" if time >= 7200.0 else f"{time:.3g} s"
-
     times = chart.panel(
         chart.histogram(seconds, bins=min(MAX_BARS, max(4, math.ceil(2.0 * math.sqrt(n)))),
                         range=ends, color=palette.BODY, edgecolor="white", linewidth=0.5),
         chart.vline(middle, color=palette.INK, linewidth=0.8, linestyle=chart.DASHED),
-        title=f"n = {n}, {text(seconds.sum())} in all; median {text(middle)} (dashed)",
+        title=f"n = {n}, {time_text(seconds.sum())} in all; median {time_text(middle)} (dashed)",
         whole="y",
         xlabel="time of one calibration [s]",
         ylabel="calibrations",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple, final
+from typing import Final, final
 
 WRAP: Final = 2**32  # the device counts microseconds in 32 bits: 71.6 minutes
 BIN: Final = 0.5  # [s] the shortest exchange of each such interval is stored
@@ -15,12 +15,6 @@ STRANGE: Final = 0.05  # [s] a device this far from where its clock should be ha
 HELD: Final = 300  # frames over which the shortest delay is taken: clocks drift meanwhile
 DELAY: Final = 1.0  # [s] largest age of a stamp of this computer's clock
 RESET: Final = 5.0  # [s] of change in the delay: the camera's clock was set
-
-
-class _Exchange(NamedTuple):
-    device: float  # [s]
-    middle: float  # [s] on the host
-    half: float  # [s] largest distance of the instant from the middle
 
 
 @final
@@ -41,7 +35,8 @@ class DeviceClock:
     # Half the narrowest interval of the stored exchanges [s]: largest error of the offset.
     room: float = math.inf
     restarts: int = 0  # number of times that the device restarted its count
-    _kept: list[_Exchange] = field(default_factory=list)
+    # Of each exchange: time on the device, middle on the host, half its length [s].
+    _kept: list[tuple[float, float, float]] = field(default_factory=list)
     _bin: int = -1
     _last_ticks: int | None = None
     _turns: int = 0
@@ -60,7 +55,7 @@ class DeviceClock:
         if self._kept and (went_back or not self._plausible(device, earliest, latest)):
             self._restart()
             device = self._unwrapped(ticks)
-        self._keep(_Exchange(device, 0.5 * (earliest + latest), 0.5 * (latest - earliest)))
+        self._keep(device, 0.5 * (earliest + latest), 0.5 * (latest - earliest))
         centre, apart = self._centre
         host = device + apart + self.drift * (device - centre)
         return device, min(max(host, earliest), latest)
@@ -72,10 +67,10 @@ class DeviceClock:
         return 1e-6 * (ticks + WRAP * self._turns)
 
     def _plausible(self, device: float, earliest: float, latest: float) -> bool:
-        last = self._kept[-1]
+        last, middle, half = self._kept[-1]
         # After a long silence, a drift of 0.5 % exceeds the change that a restart causes.
-        allowed = STRANGE + last.half + 0.01 * abs(latest - last.middle)
-        expected = last.middle + (device - last.device)
+        allowed = STRANGE + half + 0.01 * abs(latest - middle)
+        expected = middle + (device - last)
         return earliest - allowed <= expected <= latest + allowed
 
     def _restart(self) -> None:
@@ -84,33 +79,29 @@ class DeviceClock:
         self._kept.clear()
         self._bin, self._last_ticks, self._turns = -1, None, 0
 
-    def _keep(self, exchange: _Exchange) -> None:
-        number = math.floor(exchange.middle / BIN)
+    def _keep(self, device: float, middle: float, half: float) -> None:
+        number = math.floor(middle / BIN)
         if number != self._bin:
             self._bin = number
-            self._kept.append(exchange)
+            self._kept.append((device, middle, half))
             del self._kept[:-BINS]
-        elif exchange.half < self._kept[-1].half:
-            self._kept[-1] = exchange
+        elif half < self._kept[-1][2]:
+            self._kept[-1] = device, middle, half
         else:
             return
         self._draw_line()
 
     def _draw_line(self) -> None:
-        weights = [1.0 / (kept.half + FLOOR) ** 2 for kept in self._kept]
-        total = sum(weights)
-        pairs = list(zip(weights, self._kept, strict=True))
-        device = sum(w * kept.device for w, kept in pairs) / total
-        apart = sum(w * (kept.middle - kept.device) for w, kept in pairs) / total
-        spread = sum(w * (kept.device - device) ** 2 for w, kept in pairs)
+        rows = [(1.0 / (half + FLOOR) ** 2, at, middle - at) for at, middle, half in self._kept]
+        total = sum(w for w, _, _ in rows)
+        device = sum(w * at for w, at, _ in rows) / total
+        apart = sum(w * ahead for w, _, ahead in rows) / total
+        spread = sum(w * (at - device) ** 2 for w, at, _ in rows)
         self.drift = 0.0
         if len(self._kept) > 2 and spread > 0.0:
-            self.drift = (
-                sum(w * (k.device - device) * (k.middle - k.device - apart) for w, k in pairs)
-                / spread
-            )
+            self.drift = sum(w * (at - device) * (ahead - apart) for w, at, ahead in rows) / spread
         self._centre = (device, apart)
-        self.room = min(kept.half for kept in self._kept)
+        self.room = min(half for _, _, half in self._kept)
 
 
 @final

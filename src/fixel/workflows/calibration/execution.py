@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, final
 
 from fixel.calibration.result import FitKind, ParameterSet, found_of
 from fixel.calibration.search import VERDICTS, CalibrationSearch, CalibrationTask
@@ -55,8 +55,6 @@ from fixel.workflows.calibration.stored import add_to_project
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
-
-ALONE: Final = "alone"  # stage and kind of questions that calibrate single experiments
 
 
 def calibrate_in(
@@ -110,7 +108,7 @@ class LiveSearch:
     def answer(self, _: Path, payload: bytes) -> bytes:
         """Return the answer of a chunk."""
         answer = answer_bytes(self.task, payload)
-        if arrays_of(payload)["kind"].item() == ALONE:
+        if arrays_of(payload)["kind"].item() == FitKind.ALONE:
             self._alone.append(answer)
         return answer
 
@@ -124,7 +122,7 @@ class LiveSearch:
                 names = {block_name(now.function, chunk): chunk.name for chunk in now.chunks}
                 known = {names[own]: unframed(blocks[own]) for own in names if own in blocks}
                 self.stage = now.chunks[0].name.rpartition("/")[0] if known else self.stage
-                if self.stage == ALONE:
+                if self.stage == FitKind.ALONE:
                     self._alone = [own for own in known.values() if isinstance(own, bytes)]
                 if len(known) < len(names):
                     break

@@ -48,14 +48,9 @@ POSES: Final = "poses.npz"
 STRICT: Final = ConfigDict(extra="forbid", frozen=True)
 
 
-def _unknown(content: object) -> Unknown:
+def _unknown(content: Any) -> Unknown:
     """Return an unknown, from its plain content if necessary."""
-    if isinstance(content, Unknown):
-        return content
-    try:
-        return Unknown(**content)  # type: ignore[arg-type]
-    except TypeError as problem:
-        raise ValueError(f"no unknown: {problem}") from None
+    return content if isinstance(content, Unknown) else Unknown(**content)
 
 
 PlainUnknown = Annotated[Unknown, PlainValidator(_unknown), PlainSerializer(Unknown.plain)]

@@ -21,7 +21,6 @@ from fixel.domain.growth import (
     AVERAGED,
     AXES,
     Growth,
-    Joint,
     RolloutQueue,
     SingleCalibrations,
     Step,
@@ -34,6 +33,7 @@ from fixel.model.records import CalibrationRecord, Member
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.progress import Reporter
 from fixel.simulation.simulate import get_ready
+from fixel.typing import FloatArray
 from fixel.workflows.growth.samples import GrowthSamples, read_samples
 
 # Threshold of the thesis, read off figure 6.5 (section 6.3.1) [mm^2].
@@ -152,7 +152,7 @@ def threshold_in(text: str, unit: str) -> float:
 
 def _space(stored: StoredSets) -> ParameterSpace:
     """Parameters for the comparer; nothing is searched, so bounds need only contain the points."""
-    points = [stored.singles.points, *(j.point[None] for j in stored.singles.joint.values())]
+    points = [stored.singles.points, *(own[None] for _, own in stored.singles.joint.values())]
     every = np.concatenate(points)
     low, high = every.min(axis=0).tolist(), every.max(axis=0).tolist()
     return ParameterSpace(
@@ -416,11 +416,11 @@ def _joint(
     method: SingleMethod,
     place: Mapping[int, int],
     samples: GrowthSamples,
-) -> dict[tuple[int, ...], Joint]:
+) -> dict[tuple[int, ...], tuple[int, FloatArray]]:
     """Stored joint sets of these experiments; of several, that with the least largest error, then
     the newest. Means of an exploration are recomputed: members may have better sets by now."""
     least: dict[tuple[int, ...], float] = {}
-    found: dict[tuple[int, ...], Joint] = {}
+    found: dict[tuple[int, ...], tuple[int, FloatArray]] = {}
     for number, record in summaries.items():
         if len(record.members) < 2 or record.method.get("how") == FitKind.GROWTH:
             continue
@@ -435,5 +435,5 @@ def _joint(
         if not math.isfinite(largest) or largest > least.get(members, math.inf):
             continue
         least[members] = largest
-        found[members] = Joint(number, np.array([sets[0][name] for name in method.names]))
+        found[members] = number, np.array([sets[0][name] for name in method.names])
     return found
