@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from fixel.kernels import codes
 from fixel.kernels.arrays import StepMethod
 from fixel.kernels.modes import walk
 from fixel.simulation.pack import PackedBatch
-from fixel.simulation.result import AGREED, CERTIFIED, UNCERTAIN, Accuracy
+from fixel.simulation.result import AGREED, CERTIFIED, UNCERTAIN
 from fixel.simulation.threads import ends_of, in_ranges, shape_poses
 from fixel.typing import FloatArray, IntArray
 
@@ -37,22 +37,6 @@ _LOST: Final = {
 }
 
 
-class Confirmation(NamedTuple):
-    """Accuracy of many simulations."""
-
-    verdict: NDArray[np.str_]  # (n,)
-    distance: FloatArray  # (n,) [m]
-    angle: FloatArray  # (n,) [rad]
-    other: FloatArray  # (n, n_free, 3)
-    reason: list[str]
-
-    def __getitem__(self, k: int) -> Accuracy:  # type: ignore[override]
-        return Accuracy(
-            verdict=str(self.verdict[k]), distance=float(self.distance[k]),
-            angle=float(self.angle[k]), other=self.other[k], reason=self.reason[k],
-        )  # fmt: skip
-
-
 def confirm(
     packed: PackedBatch,
     method: StepMethod,
@@ -60,8 +44,8 @@ def confirm(
     status: IntArray,
     threads: int | None = None,
     modes: walk.ModeRecord | None = None,
-) -> Confirmation:
-    """Solve rollouts again, and compare their ends.
+) -> tuple[NDArray[np.str_], FloatArray, FloatArray, list[str]]:
+    """Solve rollouts again; return verdicts (n,), distances and angles (n, 2), ends, reasons (n,).
 
     `final` (n, n_free, 3) are their ends in SI units, and `status` (n,) how they ended
     (`fixel.kernels.codes`). `modes` are those of quasi-static motion, where they are known.
@@ -107,7 +91,7 @@ def confirm(
         else "it stopped early"
         for k in range(n)
     ]
-    return Confirmation(verdict, distance, angle, other, reason)
+    return verdict, np.stack((distance, angle), axis=1), other, reason
 
 
 def _keep_far(other: FloatArray, final: FloatArray, chosen: IntArray, ends: FloatArray) -> None:

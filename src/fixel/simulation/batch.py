@@ -212,9 +212,8 @@ def _follow_modes(
         from fixel.simulation.accuracy import confirm  # late: few batches need it
 
         packed, status = to_confirm
-        sure = confirm(packed, method, ends, status, threads, modes)
-        apart = np.stack((sure.distance, sure.angle), axis=1)
-        runs = replace(runs, accuracy=sure.verdict, apart=apart)
+        verdicts, apart, _, _ = confirm(packed, method, ends, status, threads, modes)
+        runs = replace(runs, accuracy=verdicts, apart=apart)
     return runs
 
 

@@ -36,7 +36,7 @@ from fixel.simulation.first_code import is_missing, roll_in_python
 from fixel.simulation.motion import AbstractMotionModel, OtherEngine, motion_model, named_part
 from fixel.simulation.pack import RECENT_SCENES, PackedBatch, Units, pack
 from fixel.simulation.plain import rollout_in_python
-from fixel.simulation.result import CONTACT_FIELDS, PusherTrajectory, Simulation
+from fixel.simulation.result import CONTACT_FIELDS, Accuracy, PusherTrajectory, Simulation
 from fixel.simulation.stepping import (
     SOLVERS,
     STEPPERS,
@@ -421,7 +421,10 @@ class Simulator:
         if accuracy:
             from fixel.simulation.accuracy import confirm  # late: few runs need it
 
-            result["accuracy"] = confirm(packed, self._method, ends, status, 1, modes)[0]
+            verdicts, apart, other, reasons = confirm(packed, self._method, ends, status, 1, modes)
+            verdict, (distance, angle) = str(verdicts[0]), apart[0].tolist()
+            own = {"verdict": verdict, "distance": distance, "angle": angle}
+            result["accuracy"] = Accuracy(**own, other=other[0], reason=reasons[0])
         return result
 
     def _record(
