@@ -39,13 +39,6 @@ class _Position(NamedTuple):
     length: int
 
 
-class _Contents(NamedTuple):
-    mark: bytes
-    places: dict[str, _Position]
-    end: int  # position of the next block
-    damaged: int  # unreadable parts that are followed by blocks
-
-
 @final
 class Journal:
     """Journal that is open for writing, by this process only; its file is created if missing.
@@ -138,7 +131,8 @@ class Journal:
 def read_journal(path: Path) -> Iterator[tuple[str, bytes]]:
     """Yield every complete block of a journal, also while another process writes it."""
     with path.open("rb", buffering=0) as stream:
-        for name, place in _contents(stream, path).places.items():
+        _, places, _, _ = _contents(stream, path)
+        for name, place in places.items():
             yield name, _read(stream, place)
 
 
@@ -185,13 +179,15 @@ def _framed(mark: bytes, name: str, data: bytes) -> bytes:
     return b"".join((mark, lengths, _CRC.pack(crc), label, data))
 
 
-def _contents(stream: BinaryIO, path: Path) -> _Contents:
+def _contents(stream: BinaryIO, path: Path) -> tuple[bytes, dict[str, _Position], int, int]:
+    """Return the mark of blocks, their places, the position of the next, and the number of
+    unreadable parts that are followed by blocks."""
     size = stream.seek(0, os.SEEK_END)
     header = _read(stream, _Position(0, _HEADER))
     if not MAGIC.startswith(header[: len(MAGIC)]):
         raise _other(path)
     if len(header) < _HEADER:  # another process is creating it
-        return _Contents(b"", {}, _HEADER, 0)
+        return b"", {}, _HEADER, 0
     mark = header[len(MAGIC) :]
     places: dict[str, _Position] = {}
     position = end = _HEADER
@@ -208,7 +204,7 @@ def _contents(stream: BinaryIO, path: Path) -> _Contents:
         name, place = found
         places.setdefault(name, place)
         position = end = place.start + place.length
-    return _Contents(mark, places, end, damaged)
+    return mark, places, end, damaged
 
 
 def _block(stream: BinaryIO, mark: bytes, position: int, size: int) -> tuple[str, _Position] | None:
