@@ -526,11 +526,11 @@ def test_polygons_about_their_origin() -> None:
     ("most", lambda p: fence_pushes(p[0].scene.bodies[0], 0, most=math.nan, length=(0.02, 0.1))),
 ])  # fmt: skip
 def test_values_of_another_kind_are_refused_by_name(where, call):
-    assert refused(call, fixel.datasets.example()[:2]).where == where
+    assert refused(call, result_of("Experiments")[:2]).where == where
 
 
 def test_the_class_of_a_method_means_its_usual_options():
-    scene = fixel.datasets.example()[0].scene
+    scene = result_of("Experiment").scene
     of_class = fixel.simulate(scene, solver=fixel.GaussSeidel, motion=fixel.QuasiStatic)
     of_name = fixel.simulate(scene, solver="gauss-seidel", motion="quasistatic")
     assert of_class.final == of_name.final
