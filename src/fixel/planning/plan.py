@@ -37,6 +37,7 @@ from fixel.planning.search import (
     Rounds,
     Views,
     fresh_stages,
+    grouped,
     pose_text,
     stage_scenarios,
 )
@@ -637,7 +638,7 @@ def plan_rounds(search: PlanSearch, *, untrusted: bool = False) -> Rounds[PushPl
         success=success, nominal_success=SuccessProbability.of(found.nominal_margins),
         runs=PlanRuns(scenarios, margin, track.pose[:, -1], why),
         alternatives=found.compared, compared=search.scenarios(search.final_stage),
-        unseen=_unseen(simulator, belief, plan), motion=simulator.motion,
+        unseen=_unseen(simulator, belief, [plan])[0], motion=simulator.motion,
         stepper=simulator.stepper, looks=looks, rollouts=search.done, seed=search.seed,
     )  # fmt: skip
 
@@ -662,15 +663,16 @@ def _trusted(
     """
     own = numbers.copy()
     own[2:3] = plan[:1, 2] if len(plan) else own[2]
-    return not _unseen(simulator, belief, own[None])
+    return not _unseen(simulator, belief, [own[None]])[0]
 
 
-def _unseen(simulator: PlanSimulator, belief: Belief, plan: FloatArray) -> tuple[str, ...]:
-    planned = simulator.planned(plan[None])
+def _unseen(
+    simulator: PlanSimulator, belief: Belief, plans: Sequence[FloatArray]
+) -> list[tuple[str, ...]]:
     part = replace(simulator.scene, bodies=simulator.scene.bodies[:1], contact_friction=())
-    texts = [
-        text
-        for start, path in zip(planned.start[0], planned.path[0], strict=True)
-        for text in belief.unseen(scene_of_push(part, start, path))
-    ]
-    return tuple(dict.fromkeys(texts))
+    found: list[tuple[str, ...]] = [()] * len(plans)
+    for own, planned in grouped(simulator, plans):
+        for k, *ways in zip(own, planned.start, planned.path, strict=True):
+            pushes = (scene_of_push(part, *way) for way in zip(*ways, strict=True))
+            found[k] = tuple(dict.fromkeys(text for push in pushes for text in belief.unseen(push)))
+    return found

@@ -54,7 +54,7 @@ SHARES: Final = (0.15, 0.45, 0.85)
 Answers = MutableMapping[str, FloatArray]
 
 
-Unseen = Callable[[FloatArray], tuple[str, ...]]
+Unseen = Callable[[Sequence[FloatArray]], list[tuple[str, ...]]]
 
 
 class SearchStage(NamedTuple):
@@ -195,7 +195,7 @@ class PlanSearch:
         plans = self.candidates()
         nominal_best = plans[0]
         if unseen is not None:
-            texts = [unseen(plan) for plan in plans]
+            texts = unseen(plans)
             plans = [plan for plan, text in zip(plans, texts, strict=True) if not text]
             if not plans:
                 raise _refused(texts[0])
@@ -205,13 +205,10 @@ class PlanSearch:
             finalists += [ranked[k] for k in np.argsort(self._costs(ranked))[:FINALISTS]]
         better = yield from self._refined(self.distinct(ranked, REFINED))
         can = nominal_margins(self.simulator, better)
-        finalists += [
-            plan
-            for plan, margin in zip(better, can, strict=True)
-            if margin > -np.inf and (unseen is None or not unseen(plan))
-        ]
-        if unseen is None or not unseen(nominal_best):
-            finalists.append(nominal_best)
+        good = [plan for plan, margin in zip(better, can, strict=True) if margin > -np.inf]
+        good.append(nominal_best)
+        texts = [()] * len(good) if unseen is None else unseen(good)
+        finalists += [plan for plan, text in zip(good, texts, strict=True) if not text]
         compared = yield from self._ask(finalists, self.final_stage)
         order = self._order(finalists, compared)
         chosen = finalists[order[0]]
