@@ -129,7 +129,7 @@ def filled(argument, names):
 
 def ended_by(tmp_path, end):
     """Record on a terminal until something is done to the process; the reason it gives."""
-    played, out = film(tmp_path / "film", n=3000), tmp_path / "r"
+    played, out = film(tmp_path / "film", n=600, rate=20.0), tmp_path / "r"
     ours, theirs = pty.openpty()
     process = subprocess.Popen(
         [*FIXEL, "record", "--camera", played, "--tactile", "film", "--out", out, "--json"],
@@ -150,7 +150,7 @@ def ended_by(tmp_path, end):
     assert process.returncode == 0, complaints
     kept = open_recording(out)
     assert kept.complete
-    assert kept.n_frames < 3000
+    assert kept.n_frames < 600
     answer = json.loads(said)
     assert answer["frames"] == kept.n_frames
     return str(answer["reason"])
@@ -205,7 +205,7 @@ def test_the_preview_shows_and_ends_it(tmp_path, capsys, monkeypatch):
         visit.open(request).close()
 
     monkeypatch.setattr(WebServer, "start", started)
-    played = film(tmp_path / "film", n=3000)
+    played = film(tmp_path / "film", n=600, rate=20.0)
     code, said, complaints = fixel(
         capsys, "record", "--camera", played, "--out", tmp_path / "r", "--preview"
     )
