@@ -47,6 +47,27 @@ def test_what_was_kept_comes_back(project):
     assert load_analyses(project, "growth") == []
 
 
+def test_a_picture_that_cannot_be_drawn_leaves_the_earlier_result(project):
+    first = store_analysis(project, _analysis(), [Picture("map", _chart(), "", "First.")])
+
+    class Torn:
+        name, caption, banner = "map", "Second.", ""
+
+        @property
+        def chart(self):
+            # What a page of results would show meanwhile.
+            assert [one.analysis for one in load_analyses(project)] == [first.analysis]
+            raise OSError("no space left on device")
+
+    with pytest.raises(OSError, match="no space"):
+        store_analysis(project, _analysis(), [Torn()])
+    (kept,) = load_analyses(project)
+    assert kept.analysis == first.analysis
+    assert sorted(path.name for path in kept.folder.iterdir()) == [
+        CONTENT, "map.csv", "map.pdf", "map.png"
+    ]  # fmt: skip
+
+
 def test_tables_come_back_with_their_values_and_texts(project):
     rows = [("a", 0.1 + 0.2, 3), ("b", None, 4)]
     table = Table(("cell", Column("error", "mm", ".2f"), "pushes"), rows, title="Cells", left=2)

@@ -15,6 +15,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Any, Final, NamedTuple, Protocol
 
 import numpy as np
@@ -228,10 +229,11 @@ def store_analysis(
     """
     folder = project.folder / ANALYSES / analysis_name(analysis.kind, analysis.question)
     pictures = tuple(pictures)
-    with new_folder(folder):
-        (folder / CONTENT).unlink(missing_ok=True)
-        for picture in pictures:
-            write_picture(folder, picture)
+    with new_folder(folder), TemporaryDirectory(dir=folder) as drawn:
+        write_pictures(Path(drawn), pictures)
+        (folder / CONTENT).unlink(missing_ok=True)  # until here, an earlier one stays complete
+        for path in Path(drawn).iterdir():
+            path.replace(folder / path.name)
         if arrays:
             write_whole(folder / ARRAYS, bytes_of(**{k: np.asarray(v) for k, v in arrays.items()}))
         times = [path.stat().st_mtime + 1e-6 for path in folder.parent.glob(f"*/{CONTENT}")]
