@@ -1,10 +1,12 @@
 import json
+import math
 import pickle
 import zlib
 from pathlib import Path
 
 import pytest
 
+from fixel.cli.main import _exit
 from fixel.errors import (
     DatasetMissing,
     DeviceFailed,
@@ -15,6 +17,7 @@ from fixel.errors import (
     reason_of,
     unknown_name,
 )
+from fixel.web.problems import problem_of
 
 ERRORS = [
     InvalidInput(
@@ -136,3 +139,23 @@ def test_a_long_text_of_backslashes_is_an_error_at_once():
     """Texts of strangers are cut before their closing quote; the search for it had no end."""
     found = repr("\\\n" * 400)
     assert len(str(InvalidInput("name", found=found, expected="a name"))) < 400
+
+
+@pytest.mark.parametrize(("error", "stated"), [
+    (InvalidInput("mass"), {"where": "mass"}),
+    (InvalidInput("n", found=None, expected="4"), {"where": "n", "expected": "4"}),
+    (InvalidInput("n", found=-1.5, hint="lift"), {"where": "n", "found": -1.5, "hint": "lift"}),
+    (InvalidInput("n", found=3, expected="4"), {"where": "n", "found": 3, "expected": "4"}),
+    (InvalidInput("n", found="'x'", expected="4"), {"where": "n", "found": "'x'", "expected": "4"}),
+    (InvalidInput("n", found=math.nan), {"where": "n", "found": "nan"}),
+    (InvalidInput("n", found=[1, 2]), {"where": "n", "found": "[1, 2]"}),
+])  # fmt: skip
+def test_commands_and_the_interface_state_the_same_of_an_error(error, stated, capsys):
+    with pytest.raises(SystemExit):
+        _exit(2, error, as_json=True)
+    printed = json.loads(capsys.readouterr().out)["error"]
+    assert printed == {
+        "kind": "InvalidInput", "sentence": str(error), "exit_code": 2, **stated
+    }  # fmt: skip
+    answered = json.loads(problem_of(error).model_dump_json(exclude_none=True))
+    assert answered == {"status": 422, "sentence": str(error), **stated}

@@ -37,6 +37,10 @@ def plain(text: str) -> str:
     return _CONTROLS.sub(lambda found: ascii(found[0])[1:-1], text)
 
 
+def _is_finite(value: object) -> bool:
+    return isinstance(value, float) and math.isfinite(value)
+
+
 class FixelError(Exception):
     """Base class of the exceptions of fixel.
 
@@ -52,6 +56,16 @@ class FixelError(Exception):
 
     def __str__(self) -> str:
         return plain(super().__str__())
+
+    @property
+    def details(self) -> dict[str, str | int | float]:
+        """Place, value that was found, expectation and hint, as far as they are stated."""
+        stated = {key: getattr(self, key, None) for key in ("where", "found", "expected", "hint")}
+        return {
+            key: own if isinstance(own, str | int) or _is_finite(own) else reprlib.repr(own)
+            for key, own in stated.items()
+            if own is not None and own is not ...
+        }
 
     def __reduce__(self) -> tuple[Any, ...]:
         return copyreg.__newobj__, (type(self), *self.args), vars(self)  # type: ignore[attr-defined]

@@ -17,7 +17,6 @@ import json
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
-from math import isfinite
 from typing import Annotated, Any, Final, cast
 
 import typer
@@ -254,11 +253,6 @@ def _exit(code: int, error: BaseException | None, as_json: bool) -> None:
         notify(f"fixel: {sentence}")
         sys.exit(code)
     content: dict[str, Any] = {"kind": type(error).__name__, "sentence": sentence}
-    content["exit_code"] = code
-    for name in ("where", "found", "expected", "hint"):
-        value = getattr(error, name, None)
-        if value is not None and value is not ...:
-            plain = isinstance(value, str | int) or (isinstance(value, float) and isfinite(value))
-            content[name] = value if plain else repr(value)
+    content |= {"exit_code": code, **getattr(error, "details", {})}
     print(json.dumps({"error": content}, allow_nan=False), flush=True)
     sys.exit(code)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import reprlib
 import threading
-from typing import Final
+from typing import Any, Final
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
@@ -33,7 +33,7 @@ class Refusal(BaseModel):
     status: int = Field(description="HTTP status from 400 to 499; 500 for an internal error")
     sentence: str = Field(description="complete message as one sentence")
     where: str | None = Field(default=None, description="field or record that is invalid")
-    found: str | None = Field(default=None, description="value that was found")
+    found: str | int | float | None = Field(default=None, description="value that was found")
     expected: str | None = Field(default=None, description="description of allowed values")
     hint: str | None = Field(default=None, description="advice")
 
@@ -41,17 +41,9 @@ class Refusal(BaseModel):
 def problem_of(error: errors.FixelError) -> Refusal:
     """Convert an error that fixel raises on purpose to its document."""
     codes = (code for kind, code in _STATUS.items() if isinstance(error, kind))
-    places = (getattr(error, name, None) for name in ("where", "what", "folder", "reason"))
-    found = getattr(error, "found", None)
-    missing = found is None or found is ...
-    return Refusal(
-        status=next(codes, UNPROCESSABLE),
-        sentence=str(error),
-        where=next(filter(None, places), None),
-        found=None if missing else found if isinstance(found, str) else reprlib.repr(found),
-        expected=getattr(error, "expected", None),
-        hint=getattr(error, "hint", None),
-    )
+    places = (getattr(error, name, None) for name in ("what", "folder", "reason"))
+    stated: Any = {"where": next(filter(None, places), None), **error.details}
+    return Refusal(status=next(codes, UNPROCESSABLE), sentence=str(error), **stated)
 
 
 def answer_errors(api: FastAPI) -> None:

@@ -248,7 +248,7 @@ function typed(field, id, changed) {
 /**
  * Show a refusal at the field it is about, if there is one.
  * @param {ParentNode} host
- * @param {{where?: string | null, found?: string | null, expected?: string | null, sentence: string} | null} problem
+ * @param {{where?: string | null, found?: string | number | null, expected?: string | null, sentence: string} | null} problem
  */
 export function refuse(host, problem) {
   let best = null;
