@@ -2,6 +2,7 @@
 
 import struct
 import zlib
+from fractions import Fraction
 from pathlib import Path
 
 import av
@@ -71,6 +72,26 @@ def test_truncated_matroska_is_read_to_its_last_whole_frame(tmp_path, codec):
     assert 5 < len(frames) < 60
     assert np.abs(frames[-1].picture.astype(int) - picture(len(frames) - 1)).max() <= 12
     assert video.remarks[0].startswith("truncated: the file ends after frame")
+
+
+@pytest.mark.parametrize("share", [1.0, 0.6])
+def test_ticks_without_a_picture_are_no_missing_frames(tmp_path, share):
+    path = tmp_path / "film.avi"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mjpeg", rate=1000)
+        stream.width, stream.height = SIZE
+        stream.pix_fmt, stream.time_base = "yuvj420p", Fraction(1, 1000)
+        for index in range(30):
+            frame = av.VideoFrame.from_ndarray(picture(index), format="bgr24")
+            frame.pts, frame.time_base = 33 * index, Fraction(1, 1000)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(share * len(whole))])
+    video = open_video(path)
+    n = len(list(video.frames()))
+    assert n == 30 if share == 1.0 else 5 < n < 30
+    assert any(remark.startswith("truncated") for remark in video.remarks) == (share < 1.0)
 
 
 def test_mp4_without_its_index_is_refused(tmp_path):
