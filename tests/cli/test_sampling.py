@@ -85,14 +85,31 @@ def test_simulating_finds_more(capsys):
     (["--out", "no/such/folder/plan.yaml"], "no folder"),
     (["bad.yaml"], "fixel: bad.yaml: head.speed is -1"),
     (["good.yaml", "--out", "good.yaml"], "the plan file itself"),
+    (["--eight-push", "--table"], "--eight-push: found another plan too"),
+    (["good.yaml", "--table"], "--table: found another plan too"),
+    (["rows.csv"], "fixel import rows.csv; or perform its rows: fixel bench rows.csv"),
 ])  # fmt: skip
 def test_bad_input_exits_2(arguments, sentence, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     good = plan_text(thesis_plan())
     (tmp_path / "good.yaml").write_text(good)
+    (tmp_path / "rows.csv").write_text("name,x_mm\none,3\n")
     (tmp_path / "bad.yaml").write_text(good.replace("speed: 0.0135", "speed: -1.0"))
     assert sentence in refusal(capsys, "sample", *arguments)
     assert not (tmp_path / "plan.bmp").exists()
+
+
+def test_no_command_proposes_itself(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words = ["sample", "--eight-push", "--out", "eight.yaml"]
+    for _ in range(4):
+        follows = output(capsys, *words).splitlines()[-1].removeprefix("Next: fixel ").split()
+        assert follows != words
+        words = follows
+        if words[0] != "sample":
+            break
+    assert words[0] == "overlay"
+    assert (tmp_path / words[1]).is_file()
 
 
 def test_a_plan_of_a_table_is_run_next(tmp_path, capsys):

@@ -49,7 +49,8 @@ def read_document(path: Path, kind: str = "file") -> Any:
     UTF-8, or not one valid document within the limits raises `InvalidInput`.
     """
     if path.is_file() and path.name.lower().endswith(TABLES):
-        hint = f"import its poses into a project: {shlex.join(['fixel', 'import', str(path)])}"
+        name = shlex.quote(str(path))
+        hint = f"import its poses: fixel import {name}; or perform its rows: fixel bench {name}"
         raise InvalidInput(
             str(path), found="a table", expected=f"a {kind}, in YAML or JSON", hint=hint
         )

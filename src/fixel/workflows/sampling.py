@@ -107,10 +107,11 @@ def sample(
     from fixel.sampling import eight_push_plan, rehearse, table_plan, thesis_plan
     from fixel.simulation.simulate import get_ready
 
-    given = {"eight_push": eight_push, "table": table, "a plan file": plan is not None}
+    given = {"eight_push": eight_push, "table": table, "plan": plan is not None}
     first, *others = [name for name, own in given.items() if own] or [""]
     if others:
-        raise InvalidInput(first, found=f"{others[0]} too", expected="one of them")
+        expected = "one of the eight pushes, the check of a table, and a plan file"
+        raise InvalidInput(first, found="another plan too", expected=expected)
     require_file(out, PLAN_ENDINGS, "plan")
     if out is not None and plan is not None and out.resolve() == plan.resolve():
         expected = "another file to write"
@@ -197,7 +198,7 @@ def next_words(done: StoredAnswer) -> list[object]:
         return [*done.again, "--out", "plan.yaml"]
     # The testbed is for grasps and tables.
     if len(found.places) == 1 and not any(layout.pegs for layout in found.layouts):
-        return ["sample", plan, "--simulate"]
+        return ["sample", plan, *(["--scenes", plan.stem] if request.simulate else ["--simulate"])]
     return ["testbed", "run", plan]
 
 
