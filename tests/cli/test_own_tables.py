@@ -1,5 +1,6 @@
 """The way of a newcomer: a CSV file of one's own, its scene, a calibration."""
 
+import json
 import shlex
 
 import numpy as np
@@ -43,3 +44,21 @@ def test_from_a_table_to_a_friction(capsys, tmp_path, monkeypatch):
     compared = json_of(capsys, "compare", "csv/run 0", "--project", "my lab", "--calibration", "1")
     assert compared["parameters"] == found["parameters"]
     assert compared["method"]["motion"] == "quasistatic"
+
+
+def test_errors_of_a_log_of_tags_name_the_option(capsys, tmp_path):
+    log = tmp_path / "tags.jsonl"
+    flat = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    with log.open("w") as file:
+        for k in range(20):
+            at = {i: [0.1 * i + 1e-3 * k, 0, 0.8] for i in (7, 9)}
+            seen = [{"tag_id": i, "pose_t": own, "pose_R": flat} for i, own in at.items()]
+            file.write(json.dumps({"time_s": 0.05 * k, "detections": seen}) + "\n")
+    words = ("import", log, "--dry-run")
+    assert "add --option part=NAME" in refusal(capsys, *words)
+    output(capsys, *words, "--option", "part=tag:7", "--option", "pusher=tag:9")
+    assert "--option part is '7', but" in refusal(capsys, *words, "--option", "part=7")
+    wrong = ("--option", "part=tag:7", "--option", "pusher=tag:8")
+    assert "--option pusher is 'tag:8', but" in refusal(capsys, *words, *wrong)
+    wrong = ("--option", "part=tag:7", "--option", "reference=plate")
+    assert "--option reference is 'plate', but" in refusal(capsys, *words, *wrong)

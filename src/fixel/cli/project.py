@@ -94,7 +94,7 @@ def import_(
     try:
         plan = plan_import(source, format, scene=scene, options=option)
     except InvalidInput as error:
-        flags = {name: f"--option {name}" for name in ("split_by", "object_name")}
+        flags = {name: f"--option {name}" for name in (*(option or ()), "split_by", "object_name")}
         raise named(error, flags) from None
     content: dict[str, Any] = {
         "importer": plan.importer,

@@ -87,7 +87,7 @@ class _Roles(NamedTuple):
                     where,
                     found=f"poses of {', '.join(moving[:20]) or 'nothing'}",
                     expected="the topic or frame of the part",
-                    hint="--option part=NAME --option pusher=NAME, or columns={'part': NAME}"
+                    hint="add --option part=NAME, in Python columns={'part': NAME}; and the pusher"
                     if moving
                     else "record /tf; AprilTagDetectionArray of apriltag_msgs has no poses",
                 )
