@@ -263,7 +263,7 @@ def _limits(own: UnknownEffect) -> str | None:
 
 
 def _column(values: ArrayLike, n: int, name: str) -> FloatArray:
-    own = finite_margins(values, 1, f"unknowns[{name!r}]")
+    own = finite_margins(values, 1, where=f"unknowns[{name!r}]")
     if len(own) != n:
         raise InvalidInput(
             f"unknowns[{name!r}]", found=f"{len(own)} values", expected=f"{n} values"

@@ -21,11 +21,12 @@ MAX_SPREAD: Final = 0.05
 CERTAIN: Final = 0.01  # chance of a spread of equal draws below which they count as different
 
 
-def finite_margins(margins: ArrayLike, n_dims: int, where: str = "margins") -> FloatArray:
-    """Return margins as an array with `n_dims` dimensions; reject empty ones and NaN."""
+def finite_margins(margins: ArrayLike, *n_dims: int, where: str = "margins") -> FloatArray:
+    """Return margins as an array with one of `n_dims` dimensions; reject empty ones and NaN."""
     found = floats(margins, where, "numbers")
-    if found.ndim != n_dims or not found.size:
-        raise InvalidInput(where, found=f"shape {found.shape}", expected=f"{n_dims} dimensions")
+    if found.ndim not in n_dims or not found.size:
+        expected = f"numbers in {' or '.join(map(str, n_dims))} dimensions"
+        raise InvalidInput(where, found=f"shape {found.shape}", expected=expected)
     if not np.isfinite(found).all():
         hint = "count a simulation that failed as a failure of the plan, with a negative margin"
         raise InvalidInput(where, found="NaN or infinity", expected="finite numbers", hint=hint)
@@ -163,12 +164,12 @@ class SuccessProbability(Result):
         Clopper & Pearson (1934); Korn & Graubard (1998), Survey Methodology 24, 193-201.
         """
         inner_share(confidence, "confidence")
-        flat = floats(margins, "margins", "numbers")
-        own = finite_margins(flat[:, None] if flat.ndim == 1 else flat, 2)
+        own = finite_margins(margins, 1, 2)
+        own = own.reshape(len(own), -1)
         n_runs = own.shape[1]
         rows, successes = own, np.sum(own >= 0.0, axis=1)
         if independent is not None:
-            rows = finite_margins(independent, 1, "independent")[:, None]
+            rows = finite_margins(independent, 1, where="independent")[:, None]
         met = np.sum(rows >= 0.0, axis=1)
         share = float(met.sum()) / rows.size
         n = effective_number(met, np.full(len(rows), rows.shape[1]), confidence)
