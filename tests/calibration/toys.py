@@ -77,7 +77,15 @@ def space_of(where, **changes):
     """Unknowns with some known names for a box."""
     return ParameterSpace(
         unknowns=tuple(
-            Unknown(name=name, low=low, high=high, nominal=start, scale=scale, **changes)
+            Unknown(
+                # No friction is negative.
+                name=name if low >= 0.0 else "pressure_spread",
+                low=low,
+                high=high,
+                nominal=start,
+                scale=scale,
+                **changes,
+            )
             for name, low, high, start, scale in zip(
                 NAMES, where.low, where.high, where.start, where.scale, strict=False
             )

@@ -98,7 +98,7 @@ def test_what_was_offset_elsewhere_is_left_out_and_said(capsys, project):
     (("--by", "colour"), "without colour"),
     (("--facets", "colour"), "without colour"),
     (("--cells", "offset_x_m=-1"), "--cells offset_x_m is -1.0, but must be more than 0"),
-    (("--where", "shape=disc"), "found none"),
+    (("--where", "shape=disc"), "--where shape is 'disc', but must be one of square"),
     (("--folds", "40"), "at least 40"),
     (("--calibration", "7"), "no calibration"),
     (("--where", "axis=nominal"), "at least 2"),

@@ -55,9 +55,12 @@ def test_the_answer_for_programs(folder):
     (("--sizes", "z=3"), "--sizes"),
     (("--sizes", "y=many"), "--sizes"),
     (("--sizes", "y=7"), "2 to 5"),
-    (("--threshold", "0"), "--limit"),
-    (("--shape", "disc"), "of shape disc"),
-    (("--motion", "dynamic"), "21 of 21"),
+    (("--threshold", "0"), "--limit is '0', but must be a positive number"),
+    (("--limit", "-1mm"), "--limit is '-1mm', but must be a positive number"),
+    (("--shape", "disc"), "--shape is 'disc', but must be one of square"),
+    (("--dataset", "none"), "--dataset is 'none', but must be one of testbed"),
+    (("--motion", "dynamic"), "--motion is 'dynamic', but must be one of quasistatic"),
+    (("--error", "ends"), "--error is 'ends', but must be one of "),
 ])  # fmt: skip
 def test_what_cannot_be_is_refused(folder, arguments, words):
     result = call(folder, *arguments)

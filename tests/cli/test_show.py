@@ -134,6 +134,8 @@ def test_compare_can_draw(folder, tmp_path):
 @pytest.mark.parametrize(("arguments", "sentence"), [
     (["compare", "push", "--set", "mu_support"], "NAME=NUMBER"),
     (["compare", "push", "--set", "mu_suport=0.3"], "did you mean 'mu_support'"),
+    (["compare", "push", "--set", "mu_pusher=-1"], "--set mu_pusher is -1.0, but must be"),
+    (["compare", "push", "--set", "ellipsoid_force=1"], "--set ellipsoid_force: found no"),
     (["compare", "push", "--plot", "a.bmp"], "a picture file"),
     (["show", "push", "--plot", "a.bmp"], "a picture file"),
     (["compare", "lab/a 1"], "no scene"),

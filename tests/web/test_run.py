@@ -202,6 +202,36 @@ def test_a_form_must_come_from_a_page_of_this_server(headers, status, bench, beg
     assert FORM in answer.request.headers["content-type"]
 
 
+@pytest.mark.parametrize(("name", "field", "texts", "words"), [
+    ("uncertainty", "fit", ["mu_pusher=0.5:0.1"], "fit mu_pusher: found bounds 0.5 to 0.1"),
+    ("uncertainty", "fit", ["mu_pusher=-1:2"], "fit mu_pusher: found bounds -1 to 2"),
+    ("uncertainty", "fit", ["mu_pusher=0:nan"], "fit mu_pusher is 'nan'"),
+    ("error-bound", "fit", ["mu_pushr"], "did you mean 'mu_pusher'?"),
+    ("domain", "fit", ["mass", "mu_fixel=0.2:0.3:0.5"], "fit mu_fixel.start: found 0.5 outside"),
+    ("growth", "limit", ["2 furlongs"], "limit is '2 furlongs'"),
+    ("growth", "sizes", ["z=3"], "sizes is 'z=3'"),
+    ("filter", "motion", ["dynamic"], "motion is 'dynamic'"),
+    ("compare", "parameters", ["mu_pusher=-1"], "parameters mu_pusher is -1.0"),
+    ("sensitivity", "values", ["mass=0"], "values mass is 0.0"),
+])  # fmt: skip
+def test_a_value_that_no_run_accepts_starts_no_job(name, field, texts, words, bench, begun):
+    fields = fields_of(FORMS[name], shown(FORMS[name])) | {field: "\r\n".join(texts)}
+    answer = bench.submit(f"/run/{name}", **fields)
+    about = answer.text.partition(f'id="about-{field}">')[2].partition("</small>")[0]
+    assert (answer.status_code, words in unescape(about)) == (422, True), about
+
+    plain = json.loads(shown(FORMS[name]).model_dump_json())
+    pairs = {
+        k: float(v)
+        for k, v in (text.split("=") for text in texts if name in ("compare", "sensitivity"))
+    }
+    value = pairs or (texts if FORMS[name].options[field].many else texts[0])
+    refusal = bench.post(f"/run/{name}", plain | {field: value}, 422)
+    assert words in refusal["sentence"]
+    assert refusal["where"].split()[0] == field
+    assert begun == []
+
+
 @EVERY
 def test_programs_start_the_same_job(capability, bench, begun):
     request = shown(capability)
@@ -216,7 +246,9 @@ def test_programs_start_the_same_job(capability, bench, begun):
     ("filter", {"nonsense": 1}, 422),
     ("plan", {"goal": "/etc/passwd"}, 422),
     ("nothing", {}, 404),
+    ("compare", {"motion": "./mine.py"}, 422),
 ])  # fmt: skip
 def test_requests_of_programs_are_refused(name, more, status, bench, begun):
-    bench.post(f"/run/{name}", {"experiment": "push-1", **more}, status)
+    refusal = bench.post(f"/run/{name}", {"experiment": "push-1", **more}, status)
+    assert status == 404 or {refusal["where"].split()[0]} <= {*more, "option"}
     assert begun == []

@@ -181,11 +181,20 @@ def test_presets_and_sizes(file, words, x, theta, kind):
     assert error == {"x_m": x, "y_m": x, "theta_rad": theta, "kind": kind}
 
 
+def test_base_samples_alone_request_the_indices():
+    alone = sensitivity(micro_push(1), ASME, base=4, samples=60, **QUIET)
+    both = sensitivity(micro_push(1), ASME, base=4, indices=True, samples=60, **QUIET)
+    assert alone.indices.table().rows == both.indices.table().rows
+    assert sensitivity(micro_push(1), ASME, samples=60, **QUIET).indices is None
+
+
 @pytest.mark.parametrize(("words", "sentence"), [
     (("--preset", "asmee"), "asme"),
     (("--preset", "asme", "--uniform"), "--preset: found a preset and a start"),
     (("--set", "mu_pusher"), "--set mu_pusher"),
     (("--set", "mu=1"), "mu"),
+    (("--set", "mu_pusher=-1"), "--set mu_pusher is -1.0, but must be"),
+    (("--base", "100"), "--base is 100, but must be a power of two"),
     (("--vary", "mu_pusher=0.1"), "--vary mu_pusher"),
     (("--start-error-mm", "-1", "--normal"), "start"),
     (("--start-error-mm", "0.1"), "--uniform (they are half-widths) or --normal"),

@@ -324,15 +324,35 @@ def searched_unknowns(settings: Sequence[str], scenes: Sequence[Scene]) -> list[
     return found
 
 
-def _fit(setting: str, scenes: Sequence[Scene]) -> Unknown:
+def check_fit(settings: Sequence[str]) -> None:
+    """Raise `InvalidInput` for parameters or bounds of `--fit` that no scene can have."""
+    for setting in settings:
+        _bounds(setting)
+
+
+def _bounds(setting: str) -> tuple[str, str, list[float]]:
+    """Return where `--fit` is stated, its parameter, and its bounds and start, if any."""
     where, name, factor, limits = _stated("fit", setting)
-    if not limits:
-        return usual_in(name, scenes)
-    numbers = [factor * number_of(text, where) for text in limits.split(":")]
-    if len(numbers) not in (2, 3):
+    numbers = [factor * number_of(text, where) for text in limits.split(":") if limits]
+    if len(numbers) not in (0, 2, 3):
         raise InvalidInput(where, found=repr(limits), expected="LOW:HIGH or LOW:HIGH:START")
+    try:
+        if numbers:
+            Unknown(name=name, low=numbers[0], high=numbers[1], nominal=(*numbers, numbers[0])[2])
+    except InvalidInput as problem:
+        raise problem.at(where + problem.where.removeprefix(name)) from None
+    return where, name, numbers
+
+
+def _fit(setting: str, scenes: Sequence[Scene]) -> Unknown:
+    where, name, numbers = _bounds(setting)
+    try:
+        unknown = usual_in(name, scenes, (numbers[0], numbers[1]) if numbers else None)
+    except InvalidInput as problem:
+        raise problem.at(where) from None
+    if not numbers:
+        return unknown
     low, high, *start = numbers
-    unknown = usual_in(name, scenes, (low, high))
     if unknown.unit in _TOO_FAR:
         ending, word, limit = _TOO_FAR[unknown.unit]
         if max(abs(low), abs(high)) > max(limit, 2.0 * abs(unknown.low), 2.0 * abs(unknown.high)):
@@ -352,7 +372,10 @@ def fixed_unknowns(settings: Sequence[str]) -> list[Unknown]:
     for setting in settings:
         where, name, factor, text = _stated("fixed", setting)
         value = number_of(text, where, f"a number, as in {where.partition(' ')[2]}=0.3")
-        found.append(Unknown.fixed(name, factor * value))
+        try:
+            found.append(Unknown.fixed(name, factor * value))
+        except InvalidInput as problem:
+            raise problem.at(where) from None
     check_once("fixed", [unknown.name for unknown in found])
     return found
 

@@ -282,13 +282,22 @@ class Capability:
         """Return the label of each argument, for errors of the page."""
         return self._names({name: option.label for name, option in self.shown.items()})
 
+    def keys(self) -> dict[str, str]:
+        """Return the key of each argument, for errors of a request in JSON."""
+        return self._names({name: name for name in self.shown})
+
     def _names(self, own: dict[str, str]) -> dict[str, str]:
         """Add the names of groups, and those that errors of programs and parameters have."""
+        from fixel.model.parameters import KNOWN_PARAMETERS
+
         found = {name.partition(".")[0]: text for name, text in reversed(own.items())} | own
         for name, text in own.items():
             door = self.shown[name].door
-            others = ["motion", "engine"] * door.program + ["parameters"] * (door.flag == "--set")
-            found = dict.fromkeys(others, text) | found
+            if door.program:
+                found = dict.fromkeys(("motion", "engine"), text) | found
+            if door.flag == "--set":  # a value may be refused by the name of its parameter
+                own_names = {name: f"{text} {name}" for name in KNOWN_PARAMETERS}
+                found = {"parameters": text} | own_names | found
         return found
 
     def _refusal(self, problem: ValidationError) -> InvalidInput:
@@ -320,7 +329,7 @@ def named(error: InvalidInput, names: Mapping[str, str]) -> InvalidInput:
     The `where` of the error begins with an argument (`nominal side`), or `filter`, which is that
     of `where`; its hint may set one (`folds=2`). `names` has the name of each argument at the door.
     """
-    name, space, rest = error.where.partition(" ")
+    name, space, rest = re.sub(r"^parameters\.", "parameters ", error.where).partition(" ")
     is_filter = name.rstrip(":") == "filter" and "where" in names
     name = "where" if is_filter else name.removeprefix("filter.")
     where, hint = f"{names.get(name, name)}{space}{rest}", named_hint(error.hint or "", names)

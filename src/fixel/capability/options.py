@@ -52,6 +52,8 @@ class Door:
     above: float | None = None
     most: float | None = None
     below: float | None = None
+    # Raises `InvalidInput` for a value that can never be used, at the option or a part of it.
+    check: Callable[[Any], object] | None = None
     # Returns all allowed texts, for choices that are registered elsewhere.
     among: Callable[[], Sequence[str]] | None = None
     effort: bool = False  # whether it changes the effort, but no result
@@ -128,7 +130,13 @@ class Option:
         return tuple(self.door.among()) if self.door.among else _YES if self.kind is bool else texts
 
     def check(self, value: Any, where: str = "") -> None:
-        """Raise `InvalidInput` for a number beyond the limits, or a text that is not registered."""
+        """Raise `InvalidInput` for a value outside the limits, or a text that is not registered."""
+        if value and not where and self.door.check is not None:
+            try:
+                self.door.check(value)
+            except InvalidInput as problem:
+                own = problem.where.partition(" ")[0] == self.name
+                raise problem if own else problem.at(f"{self.name} {problem.where}") from None
         where, door = where or self.name, self.door
         if isinstance(value, Mapping | tuple):
             pairs = value.items() if isinstance(value, Mapping) else [("", one) for one in value]
@@ -324,10 +332,30 @@ Seed = Annotated[int, Door(least=0, most=2**32 - 1, meaning="Seed of the random 
 Level = Annotated[float, Door(above=0.0, below=1.0)]
 Threads = Annotated[int | None, Door(least=1, effort=True)]
 Save = Annotated[bool, Door(effort=True)]
-MotionName = Annotated["AbstractMotionModel | str | None", Door(plain=str | None, metavar="MODEL")]
+MotionName = Annotated[  # of states without velocities
+    "AbstractMotionModel | str | None", Door(plain=Literal["quasistatic", "first-order"] | None)
+]
 
-# Parameters to calibrate, and a stored calibration.
-Fit = Annotated[tuple[str, ...], Door(metavar="NAME[=LOW:HIGH[:START]]")]
+
+def check_fit(settings: Sequence[str]) -> None:
+    """Raise `InvalidInput` for a parameter or bounds that no scene can have."""
+    from fixel.calibration.usual_parameters import check_fit
+
+    check_fit(settings)
+
+
+def check_values(values: Mapping[str, float]) -> None:
+    """Raise `InvalidInput` for a value that its parameter cannot have."""
+    from fixel.model.parameters import KNOWN_PARAMETERS, Parameters
+
+    Parameters({name: own for name, own in values.items() if name in KNOWN_PARAMETERS})
+
+
+# Values of parameters, parameters to calibrate, and a stored calibration.
+Values = Annotated[
+    Mapping[str, float] | None, Door(flag="--set", metavar="NAME=NUMBER", check=check_values)
+]
+Fit = Annotated[tuple[str, ...], Door(metavar="NAME[=LOW:HIGH[:START]]", check=check_fit)]
 CalibrationId = Annotated[int | None, Door(metavar="ID", least=1)]
 
 # Options that select experiments.

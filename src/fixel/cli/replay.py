@@ -1,10 +1,9 @@
 """`fixel replay`: recorded pushes, simulated."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
-from fixel.capability.options import Door
+from fixel.capability.options import Door, Values
 from fixel.cli.capability import command
 from fixel.cli.screen import CommandAnswer, command_of, require_picture
 from fixel.progress import show_progress
@@ -22,9 +21,7 @@ def replay(
     *,
     select: Annotated[tuple[str, ...], Door(metavar="COLUMN=VALUE")] = (),
     limit: Annotated[int | None, Door(least=1, metavar="COUNT")] = None,
-    settings: Annotated[
-        Mapping[str, float] | None, Door(flag="--set", metavar="NAME=VALUE")
-    ] = None,
+    settings: Values = None,
     motion: Literal["dynamic", "quasistatic", "first-order"] | None = None,
     window: Annotated[float, Door(least=0.0, metavar="SECONDS")] = 2.0,
     everything: Annotated[bool, Door(flag="--all")] = False,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, fields, replace
@@ -24,9 +25,10 @@ from fixel.model.fields import (
     texts,
     vector,
 )
-from fixel.model.parameters import check_supports, info_of
+from fixel.model.parameters import ParameterInfo, Parameters, check_supports, info_of
 from fixel.typing import FloatArray
 
+_ANY: Final = ParameterInfo("-", "a number of any size", -math.inf)
 # Default scale of a parameter, as a share of the range between its bounds, as in Dakota.
 SHARE_OF_RANGE: Final = 0.1
 
@@ -77,7 +79,7 @@ class Parameter:
 
     def __post_init__(self) -> None:
         check_fields(self, "parameter")
-        _check_bounds(self.low, self.high, "parameter")
+        check_bounds(self.low, self.high, "parameter")
         if self.prior is not None:
             mean, sd = vector(self.prior, "parameter.prior", "mean, standard deviation").tolist()
             if self.start not in (None, mean):
@@ -124,11 +126,12 @@ class Unknown(Comparable):
     where: Mapping[str, str | float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        unit = info_of(self.name).unit
+        info = info_of(self.name)
+        unit = info.unit
         low = finite(self.low, f"{self.name}.low", unit)
         high = finite(self.high, f"{self.name}.high", unit)
         nominal = finite(self.nominal, f"{self.name}.nominal", unit)
-        _check_bounds(low, high, self.name)
+        check_bounds(low, high, self.name, info)
         if not low <= nominal <= high:
             raise InvalidInput(
                 f"{self.name}.start",
@@ -152,6 +155,7 @@ class Unknown(Comparable):
         cls, name: str, value: float, where: Mapping[str, str | float] | None = None
     ) -> Unknown:
         """Return a parameter that is fixed at a value."""
+        value = Parameters({name: value})[name]
         margin = max(abs(value), 1.0)
         low = max(value - margin, info_of(name).lowest)
         return cls(
@@ -180,10 +184,13 @@ class Unknown(Comparable):
         return all(conditions.get(k) == v for k, v in self.where.items())
 
 
-def _check_bounds(low: float, high: float, where: str) -> None:
-    if not low < high:
-        found = f"bounds {low:g} to {high:g}"
-        raise InvalidInput(where, found=found, expected="the lower bound first")
+def check_bounds(low: float, high: float, where: str, info: ParameterInfo = _ANY) -> None:
+    """Raise `InvalidInput` unless bounds increase, from the smallest value of a parameter up."""
+    if not info.lowest <= low < high:
+        found, expected = f"bounds {low:g} to {high:g} {info.unit}", "the lower bound first"
+        if low < info.lowest:
+            expected = f"bounds from {info.lowest:g} up, {expected}"
+        raise InvalidInput(where, found=found.rstrip(" -"), expected=expected)
 
 
 def check_once(where: str, labels: Sequence[str]) -> None:

@@ -15,6 +15,7 @@ from fixel.errors import InvalidInput, require
 from fixel.model import Scene
 from fixel.model.fields import vector, whole
 from fixel.model.parameters import info_of
+from fixel.model.space import check_bounds
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepping import AbstractStepper
 from fixel.table import Table
@@ -237,12 +238,7 @@ def _ranged(name: str, interval: tuple[float, float]) -> Factor:
     where = f"vary {name}"
     info = info_of(name, where)
     low, high = vector(interval, where, "low, high").tolist()
-    if not info.lowest <= low < high:
-        raise InvalidInput(
-            where,
-            found=f"{low:g} to {high:g}",
-            expected=f"a range from {info.lowest:g} [{info.unit}] up, the lower end first",
-        )
+    check_bounds(low, high, where, info)
     if name in START:
         raise InvalidInput(
             where,

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 from fixel.capability.capability import Capability
-from fixel.capability.options import CalibrationId, Door, Motion, Save
+from fixel.capability.options import CalibrationId, Door, Motion, Save, Values
 from fixel.errors import InvalidInput
 from fixel.table import Column, Table
 
@@ -39,9 +39,7 @@ def compare_stored(
     project: Project,
     experiment: Annotated[str, Door(metavar="EXPERIMENT")],
     *,
-    parameters: Annotated[
-        Mapping[str, float] | None, Door(flag="--set", metavar="NAME=NUMBER")
-    ] = None,
+    parameters: Values = None,
     calibration: CalibrationId = None,
     motion: Motion = None,
     save: Save = False,

@@ -8,6 +8,8 @@ from typing import Annotated, Any, Final, Literal
 
 from fastapi import APIRouter, Path, Query
 
+from fixel.capability.capability import named
+from fixel.errors import InvalidInput
 from fixel.web.context import Context
 from fixel.web.pages.run import FORMS, begin, form_of
 from fixel.web.values import Answer, OpenBody, Whole
@@ -71,4 +73,8 @@ def capabilities() -> dict[str, dict[str, Any]]:
 @runs.post("/{name}", summary="Run a capability as a job; its result is an analysis")
 def start(context: Context, name: str, request: OpenBody) -> JobDetail:
     own = form_of(name)
-    return one(context, begin(context, own, own.from_json(json.dumps(request))).name)
+    try:
+        folder = begin(context, own, own.from_json(json.dumps(request)))
+    except InvalidInput as error:
+        raise named(error, own.keys()) from None
+    return one(context, folder.name)

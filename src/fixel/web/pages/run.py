@@ -120,9 +120,12 @@ def begin(context: ProjectContext, capability: Capability, asked: BaseModel) -> 
     Raise `InvalidInput` for a program that the user has not permitted or a file of the server, and
     `JobRefused` if too many jobs are running.
     """
-    check_named(*capability.programs(asked))
     for name, option in capability.options.items():
         value = getattr(asked, name)
+        try:
+            check_named(*([value] if value and option.door.program else []))
+        except InvalidInput as problem:
+            raise problem.at(name) from None
         if not option.on_page and value != option.default:
             raise InvalidInput(name, found="this option", expected="only options of the page")
         if option.door.content and value and not str(value).startswith("{"):

@@ -16,7 +16,7 @@ from fixel.calibration.objective import ANGLE_SCALE, AbstractError, EndPose, Mea
 from fixel.calibration.result import CalibratedValues, FitKind
 from fixel.calibration.target import Target, same_configuration
 from fixel.calibration.usual_parameters import Space, search_space
-from fixel.database.project import ANALYSES, Project
+from fixel.database.project import ANALYSES, Project, check_known_names
 from fixel.database.store import Store
 from fixel.domain.cells import coordinates_of, label_of
 from fixel.domain.evidence import HeldOutErrors, default_folds
@@ -245,6 +245,7 @@ def gather(project: Project, asked: Any, report: ProgressCallback | None = None)
         of = ProjectRequest(project, records, asked)
         ids = [row.id for row in records.experiments(of.query).rows]
         if not ids:
+            check_known_names(records, of.query)
             raise no_experiments()
         mark = mark_of(of, ids)
         folder = project.folder / ANALYSES / FOLDER / mark

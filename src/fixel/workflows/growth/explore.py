@@ -27,7 +27,7 @@ from fixel.domain.growth import (
     plan_growth,
     weights,
 )
-from fixel.errors import InvalidInput, counted, some_of
+from fixel.errors import InvalidInput, check_name, counted, number_of, some_of
 from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Member
 from fixel.model.space import ParameterSpace, Unknown
@@ -136,14 +136,10 @@ def threshold_in(text: str, unit: str) -> float:
     if not text:
         return THRESHOLD if unit == "mm^2" else math.sqrt(THRESHOLD)
     match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*(mm\^?2|mm)?\s*", text)
-    try:
-        value = float(match[1]) if match else math.nan
-    except ValueError:
-        value = math.nan
-    if match is None or not 0.0 < value < math.inf:
-        raise InvalidInput(
-            "limit", found=repr(text), expected=f"a number [{unit}], or a distance like 2.2mm"
-        )
+    expected = f"a positive number [{unit}], or a distance like 2.2mm"
+    value = number_of(match[1], "limit", expected) if match else -1.0
+    if match is None or value <= 0.0:
+        raise InvalidInput("limit", found=repr(text), expected=expected)
     given = unit if match[2] is None else match[2].replace("mm2", "mm^2")
     if given == unit:
         return value
@@ -325,12 +321,19 @@ def best_singles(
     """
     place = {number: k for k, number in enumerate(samples.ids)}
     by_method: dict[SingleMethod, dict[int, CalibratedValues]] = {}
-    for number, record in summaries.items():
-        if len(record.members) != 1 or record.members[0].experiment_id not in place:
-            continue
-        if motion not in ("", record.motion):
-            continue
-        if error not in ("", record.method.get("error")):
+    singles = [
+        (number, record)
+        for number, record in summaries.items()
+        if len(record.members) == 1 and record.members[0].experiment_id in place
+    ]
+    for where, typed, known in (
+        ("motion", motion, {one.motion for _, one in singles}),
+        ("error", error, {str(one.method.get("error")) for _, one in singles}),
+    ):
+        if typed and known:
+            check_name(where, typed, sorted(known))
+    for number, record in singles:
+        if motion not in ("", record.motion) or error not in ("", record.method.get("error")):
             continue
         k = place[record.members[0].experiment_id]
         one = CalibratedValues(number, record)

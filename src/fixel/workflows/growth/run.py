@@ -13,14 +13,26 @@ if TYPE_CHECKING:
     from fixel.workflows.growth.explore import Exploration
 
 
+def _check_sizes(texts: tuple[str, ...]) -> None:
+    from fixel.workflows.growth.explore import sizes_in
+
+    sizes_in(texts)
+
+
+def _check_limit(text: str) -> None:
+    from fixel.workflows.growth.explore import threshold_in
+
+    threshold_in(text, "mm^2")
+
+
 def grow_stored(
     project: Project,
     *,
     shape: Annotated[str, Door(metavar="NAME")] = "",
     dataset: Dataset = "",
     index: Literal["corrected", "printed"] = "corrected",
-    sizes: Annotated[tuple[str, ...], Door(metavar="[AXIS=]N[,N]")] = (),
-    limit: Annotated[str, Door(metavar="E", also=("--threshold",))] = "",
+    sizes: Annotated[tuple[str, ...], Door(metavar="[AXIS=]N[,N]", check=_check_sizes)] = (),
+    limit: Annotated[str, Door(metavar="E", also=("--threshold",), check=_check_limit)] = "",
     motion: Annotated[str, Door(metavar="MODEL")] = "",
     error: Annotated[str, Door(metavar="NAME")] = "",
     progress: ProgressOption = None,

@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple, final
 
 from fixel.calibration.target import Target, target_of
+from fixel.database.project import known_names
 from fixel.database.store import Store
 from fixel.domain.growth import AXES, NOMINAL, AxisPlace, ExperimentGroup
 from fixel.errors import InvalidInput, counted, some_of
-from fixel.model.selection import Bound, ExperimentQuery, ExperimentRow
+from fixel.model.selection import Bound, ExperimentQuery, ExperimentRow, unknown_names
 from fixel.workflows.analysis import banner_of
 
 OFFSETS: Final = {"x": "offset_x_m", "y": "offset_y_m", "theta": "offset_theta_rad"}
@@ -63,7 +64,10 @@ def read_samples(
     nominal one, or two datasets at one place.
     """
     conditions = () if shape is None else (Bound("shape", "=", shape),)
-    listing = store.experiments(ExperimentQuery(dataset=dataset, bounds=conditions))
+    query = ExperimentQuery(dataset=dataset, bounds=conditions)
+    listing = store.experiments(query)
+    for unknown in () if listing.rows else unknown_names(query, known_names(store)):
+        raise unknown._replace(what=unknown.what.removeprefix("filter: ")).error()
     seated: dict[_Seat, list[ExperimentRow]] = {}
     for summary in listing.rows:
         seat = _seat_of(summary)

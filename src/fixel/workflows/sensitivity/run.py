@@ -8,7 +8,7 @@ from os import PathLike
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from fixel.capability.capability import Capability
-from fixel.capability.options import Door, Seed, Threads
+from fixel.capability.options import Door, Seed, Threads, Values
 from fixel.errors import InvalidInput
 from fixel.units import deg, mm
 
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from fixel.uncertainty.outcomes import Sensitivity
     from fixel.workflows.sensitivity.report import Finding, RankedPushes, Subject
 
+BASE: Final = 128  # samples of the indices
+
 
 def sensitivity(
     scene: Scene | SceneWithMethod | str | PathLike[str] | Experiment,
@@ -32,7 +34,7 @@ def sensitivity(
     samples: Annotated[int, Door(least=50, most=1_000_000)] = 1000,
     vary: Annotated[Mapping[str, tuple[float, float]] | None, Door(metavar="NAME=LOW:HIGH")] = None,
     indices: bool = False,
-    base: int = 128,
+    base: int = BASE,
     motion: AbstractMotionModel | str | None = None,
     stepper: AbstractStepper | None = None,
     seed: Seed = 0,
@@ -58,7 +60,8 @@ def sensitivity(
         Whether to compute Sobol indices: the shares of the spread of the end that come from each
         uncertain input. This takes ``base (n_input + 2)`` more simulations and the package SALib.
     base : int
-        Base samples of the indices, a power of two.
+        Base samples of the indices, a power of two. Another number than the default requests the
+        indices.
     motion : AbstractMotionModel or str, optional
         Motion model; by default that of the calibration, else `Dynamic()`.
     stepper : AbstractStepper, optional
@@ -120,7 +123,7 @@ def sensitivity(
         }
         ensemble = simulate_starts(push.scene, start, samples, **method)
         found = sensitivity_of(ensemble)
-        if not indices:
+        if not (indices or base != BASE):
             return found
         report.stage = "computing indices"
         return replace(found, indices=indices_of(push.scene, start, ranges, base, **method))
@@ -167,7 +170,7 @@ def sensitivity_of_pushes(
         int | None, Door(metavar="ID", usual="the newest; nominal values if there is none")
     ] = None,
     engine: Annotated[str | None, Door(metavar="NAME", program=True)] = None,
-    values: Annotated[Mapping[str, float] | None, Door(flag="--set", metavar="NAME=VALUE")] = None,
+    values: Values = None,
     start_error: StartOption = None,
     preset: str | None = None,
     progress: ProgressOption = None,

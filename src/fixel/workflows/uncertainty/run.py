@@ -6,7 +6,15 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from fixel.capability.capability import Capability
-from fixel.capability.options import CalibrationId, Door, Motion, NoiseOption, Seed, Threads
+from fixel.capability.options import (
+    CalibrationId,
+    Door,
+    Motion,
+    NoiseOption,
+    Seed,
+    Threads,
+    check_fit,
+)
 
 if TYPE_CHECKING:
     from fixel.calibration.usual_parameters import Space
@@ -115,7 +123,7 @@ def uncertainty(
     experiments: Annotated[tuple[str, ...], Door(metavar="[EXPERIMENT]...")] = (),
     *,
     calibration: CalibrationId = None,
-    fit: Annotated[tuple[str, ...], Door(metavar="NAME[=LOW:HIGH]")] = (),
+    fit: Annotated[tuple[str, ...], Door(metavar="NAME[=LOW:HIGH]", check=check_fit)] = (),
     held_out: Annotated[tuple[str, ...], Door(metavar="NAME")] = (),
     progress: ProgressOption = None,
     **options: Any,
