@@ -3,6 +3,7 @@
 import json
 import shutil
 from dataclasses import replace
+from functools import cache
 
 import pytest
 from tests.cli.shell import fixel as run
@@ -10,11 +11,11 @@ from tests.fixtures import refused
 
 import fixel
 from fixel.database import rows
-from fixel.datasets import example
 from fixel.errors import NotStored, StoreRefused
 from fixel.model import Flag, Trajectory
 
 KEYS = ("example/00", "example/01", "example/02")
+example = cache(fixel.datasets.example)
 
 
 @pytest.fixture
