@@ -174,15 +174,21 @@ def nothing_awaits_the_disk() -> None:
     3,000 times.
     """
     from sqlalchemy import event
+    from sqlalchemy.dialects.sqlite.base import SQLiteDialect
+    from sqlalchemy.util import LRUCache
 
     from fixel.database import engine
 
     os.fsync = lambda descriptor: None
-    open_file = engine._sqlite
+    open_file, statements = engine._sqlite, LRUCache(10_000)
+    # Statements are compiled once for all files, not for each: equal dialects compile alike.
+    SQLiteDialect.__eq__ = lambda own, other: type(own) is type(other)
+    SQLiteDialect.__hash__ = lambda own: hash(type(own))
 
     def opened(url: object) -> object:
         made = open_file(url)
         event.listen(made, "connect", lambda raw, _: raw.execute("PRAGMA synchronous = OFF"))
+        made._compiled_cache = statements
         return made
 
     engine._sqlite = opened
