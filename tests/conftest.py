@@ -236,8 +236,14 @@ def one_command_tree() -> None:
     import typer.main
     import typer.testing
 
+    from fixel.cli import main
+
     build = functools.cache(typer.main.get_command)
     typer.main.get_command = typer.testing._get_command = build
+    make = main.program_of
+    # A test may replace a command; its program keeps it, so no other one gets its id.
+    made = functools.cache(lambda commands: make(name for name, _ in commands))
+    main.program_of = lambda names: made(tuple((one, id(main.COMMANDS[one])) for one in names))
 
 
 @pytest.fixture(scope="module")
