@@ -94,3 +94,9 @@ def test_a_table_without_rows_has_a_head() -> None:
 def test_rows_of_another_length_are_a_mistake() -> None:
     with pytest.raises(ValueError, match="one value for each column"):
         Table(("a", "b"), [(1.0,)])
+
+
+def test_indented_cells_stay_indented_in_html():
+    text = Table(("parameter", "value"), [("mu", 1), ("  noise alone", 2)]).html()
+    assert '<th scope="row">mu</th>' in text
+    assert '<th scope="row">&emsp;noise alone</th>' in text

@@ -139,7 +139,8 @@ class Table:
     def html(self, number: str = "") -> str:
         """Return an HTML element with all texts escaped, with its number and title as caption.
 
-        Columns of words have the class `words`; the first cell of a row is its heading.
+        Columns of words have the class `words`; the first cell of a row is its heading, indented
+        as in lines.
         """
         cells = self.cells
         kinds = [
@@ -152,7 +153,8 @@ class Table:
         lines += [f"<thead><tr>{''.join(head)}</tr></thead>", "<tbody>"]
         for first, *others in cells:
             row = [f"<td{kinds[k]}>{escape(c)}</td>" for k, c in enumerate(others, start=1)]
-            lines.append(f'<tr><th scope="row">{escape(first)}</th>{"".join(row)}</tr>')
+            own = escape(first).replace("  ", "&emsp;")
+            lines.append(f'<tr><th scope="row">{own}</th>{"".join(row)}</tr>')
         return "\n".join([*lines, "</tbody>", "</table>"])
 
     def csv(self) -> str:

@@ -2,7 +2,9 @@
 
 import pytest
 from tests.closed_form import push, table_text
+from tests.fixtures import refused
 
+import fixel
 from fixel.workflows.project import importing as workflow
 
 TABLE = table_text(*push(0.15, 0.02, duration=0.4))
@@ -48,11 +50,29 @@ def test_what_cannot_be_is_refused_in_a_sentence(bench):
         assert "sentence" in bench.post("/import", asked, 422)
 
 
+@pytest.mark.parametrize("encoding", ["cp1252", "utf-16", "utf-8"])
+def test_bytes_of_other_encodings_are_refused_as_by_the_command(bench, tmp_path, encoding):
+    header, *rows = TABLE.strip().splitlines()
+    table = "\n".join([f"{header},Fläche", *(f"{row},Prüfstück" for row in rows)])
+    file = tmp_path / "mine.csv"
+    file.write_bytes(table.encode(encoding))
+    # As a browser reads a file.
+    asked = {"name": file.name, "table": file.read_bytes().decode("utf-8", "replace")}
+    if encoding == "utf-8":
+        bench.post("/import", asked)
+        number = bench.context.store.find("csv/mine")
+        assert bench.context.store.experiment(number).conditions["fläche"] == "Prüfstück"
+        return
+    answer = bench.post("/import", asked, 422)
+    assert answer["sentence"] == str(refused(fixel.read_experiments, file))
+    assert "not UTF-8" in answer["found"]
+
+
 def test_a_table_of_several_pushes_is_left_to_the_command(bench):
     header, *rows = TABLE.strip().splitlines()
     twice = "\n".join([f"{header},push", *(f"{row},{push}" for push in "ab" for row in rows)])
-    refused = bench.post("/import", {"name": "a.csv", "table": twice}, 422)
-    assert 'use fixel import TABLE --option split_by="push" if' in str(refused)
+    answer = bench.post("/import", {"name": "a.csv", "table": twice}, 422)
+    assert 'use fixel import TABLE --option split_by="push" if' in str(answer)
 
 
 @pytest.mark.system

@@ -65,7 +65,8 @@ def import_texts(
     """
     with TemporaryDirectory(prefix="fixel-import-") as folder:
         source = Path(folder) / name
-        source.write_text(table, encoding="utf-8", newline="")
+        # A browser has replaced bytes that are not UTF-8; they are refused as those of a file.
+        source.write_bytes(table.encode().replace("\ufffd".encode(), b"\xff"))
         file = None if scene is None else Path(folder) / "scene.yaml"
         if file is not None and scene is not None:
             file.write_text(scene, encoding="utf-8", newline="")
