@@ -15,7 +15,7 @@ import fixel
 from fixel.calibration.target import Target, target_of
 from fixel.model.trajectory import pose_difference
 from fixel.typing import FloatArray, IntArray
-from fixel.uncertainty.predictive import EndError, end_residuals, motion_of
+from fixel.uncertainty.predictive import EndError, end_residuals, motion_of, spread_of
 from reproductions.protocols import BenchmarkData
 from reproductions.pushes import Key
 from reproductions.residuals import Split, few_of, in_object
@@ -97,7 +97,8 @@ def predict_group(
         measured = in_object(group, which, pose_difference(group.end[which], group.start[which]))
         motion = measured[:, None] + off
         moved = motion_of(np.zeros((1, 3)), motion[:, 1:].reshape(-1, 3), arm)
-        error = belief.error.deviation(moved).reshape(len(which), draws, 1) / size
+        wide = np.repeat(spread_of(motion[:, 1:] * size), draws)
+        error = belief.error.deviation(moved, wide).reshape(len(which), draws, 1) / size
         ends, error = (np.repeat(own, REPEATS, axis=1) for own in (motion[:, 1:], error))
         ends = ends + error * EndError.draws(rng, ends.shape[:2])
         found.append(PredictedPushes(key, which, motion[:, 0], measured, ends))

@@ -21,7 +21,7 @@ from fixel.drawing.chart import WIDE, clean, legend_below, sheet
 from fixel.model import Experiment, Provenance, Trajectory
 from fixel.model.trajectory import pose_difference
 from fixel.planning.belief import Belief
-from fixel.planning.rollout import FLUSH, flush_normals, guided, registration
+from fixel.planning.rollout import FLUSH, flush_normals, guided, registration, spreads
 from fixel.replay.base import Row
 from fixel.simulation.vary import composed
 from fixel.typing import FloatArray
@@ -114,7 +114,9 @@ def left_out(group: RepeatGroup, k: int, others: Sequence[RepeatGroup]) -> RunPr
     )  # fmt: skip
     assert drawn.end_error is not None
     ends, start = runs.pose[runs.ended, -1], scene.bodies[0].pose + drawn.start[runs.ended]
-    size = drawn.end_error.deviation(motion_of(start, ends, arm_of(scene)))
+    arm, good = arm_of(scene), np.ones(len(ends), bool)
+    spread = spreads(np.zeros(len(ends), np.int64), start, ends, good, arm)
+    size = drawn.end_error.deviation(motion_of(start, ends, arm), spread)
     placed = registration(drawn.values, RUNS)[runs.ended]
     fingers = composed(placed, group.path[-1, 1:])
     normal = flush_normals(scene.bodies[0].shape, ends, scene.pushers[0].shape, fingers)

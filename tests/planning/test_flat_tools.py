@@ -14,6 +14,8 @@ from fixel.planning.belief import Belief
 from fixel.planning.corrections import CorrectionTable
 from fixel.planning.plan import simulator_of
 from fixel.planning.pushes import FreePushes
+from fixel.planning.rollout import spreads
+from fixel.uncertainty.error_terms import StartError
 from fixel.uncertainty.predictive import EndError
 from fixel.units import deg, mm
 
@@ -116,17 +118,20 @@ def test_threads_do_not_change_the_bits():
     np.testing.assert_array_equal(one, two)
 
 
-def test_corrections_expect_the_error_that_plans_have():
+@pytest.mark.parametrize("friction", [(0.3, 0.3), (0.05, 0.6)])
+def test_corrections_expect_the_error_that_plans_have(friction):
     """Ends of pushes of the table, compared with the same pushes carried out as plans."""
     own = Push(FLAT, (FACE, 0.0, 40 * mm)).simulator
-    error = EndError(SCALE, USUAL)
+    error = EndError(SCALE, USUAL, 0.0 if friction[0] == friction[1] else SCALE)
 
     class Known(Belief):
         def scenarios(self, scene, **options):
-            return Belief().scenarios(scene, **options)._replace(end_error=error)
+            drawn = Belief(parameters={"mu_pusher": friction}).scenarios(scene, **options)
+            return drawn._replace(end_error=error)
 
     table = CorrectionTable.of(own, Known(), 4_000, 3)
-    flush = np.flatnonzero(table.normal.any(axis=(1, 2)) & (table.numbers[:, 2] > 30 * mm))
+    lies = table.normal.any(axis=2).all(axis=1)
+    flush = np.flatnonzero(lies & (table.numbers[:, 2] > 30 * mm))
     free = np.flatnonzero(~table.normal.any(axis=(1, 2)) & (table.numbers[:, 2] > 30 * mm))
     start = np.tile([10 * mm, -5 * mm, 0.7], (1, 32, 1))
     worlds = table.worlds._replace(misfit=table.draws[1] / (1.0, 1.0, table.arm))
@@ -153,3 +158,25 @@ def test_faces_that_are_apart_or_tilted_do_not_lie_on_each_other():
     normal = push.simulator.normals(push.end + off, np.tile(path, (4, 1, 1)), drawn)
     assert normal.any(axis=1).tolist() == [True, False, False, True]
     np.testing.assert_allclose(normal[0], [1.0, 0.0], atol=1e-9)
+
+
+def test_errors_of_starts_hardly_change_the_spread_of_ends_over_friction():
+    """With starts as planned, the spread is the plain standard deviation of the ends."""
+    push = Push(ROUND, (0.86, 0.1, 40 * mm))
+    start = StartError(x=0.3 * mm, y=0.3 * mm, theta=0.3 * deg, kind="normal")
+    found = []
+    for error in (None, start):
+        belief = Belief(parameters={"mu_pusher": (0.05, 0.6)}, start=error)
+        drawn = belief.scenarios(push.scene, worlds=256, runs=1)
+        runs = push.simulator.run(push.planned, np.zeros(256, int), drawn)
+        begun, good = push.planned.start[0, 0] + drawn.start, runs.failure == 0
+        own = spreads(np.zeros(256, int), begun, runs.pose[:, -1], good, ARM)
+        assert np.ptp(own) == 0.0
+        deviation = np.std(runs.pose[:, -1] * (1.0, 1.0, ARM), axis=0)
+        found.append((own[0], np.sqrt(np.mean(deviation**2))))
+    (exact, plain), (other, wider) = found
+    assert exact == pytest.approx(plain, rel=1e-6)
+    assert other == pytest.approx(exact, rel=0.15)
+    assert wider > 1.2 * exact
+    few = spreads(np.arange(256) // 16, begun, runs.pose[:, -1], good, ARM)
+    assert np.isnan(few).all()

@@ -42,6 +42,28 @@ def test_the_error_grows_with_the_motion_within_limits():
     assert found / mm == pytest.approx([0.2, 1.0, 2.0, 3.0])
 
 
+def test_the_error_grows_with_the_root_of_motion_times_spread():
+    error = EndError(size=1 * mm, motion=40 * mm, spread=0.5 * mm)
+    spread = np.array([2.0, 0.5, 0.125, np.nan, 9.0]) * mm
+    found = error.deviation(np.array([80, 40, 40, 80, 1]) * mm, spread)
+    assert found / mm == pytest.approx([6.0**0.5, 1.0, 0.5, 2.0, 0.6**0.5])
+    assert EndError(1 * mm, 40 * mm).deviation(80 * mm, 2 * mm) == 2 * mm  # no spread is known
+
+
+def test_the_usual_spread_is_that_of_recorded_ends_in_simulations(fit, recorded):
+    """Ends with each parameter set, simulated alone; turns count at the radius of gyration."""
+    drawn, spreads = fit.predictive.samples(200, 0, {}), []
+    for own in recorded:
+        runs = fixel.simulate_batch(
+            own.scene, drawn, motion="quasistatic", duration=float(own.trajectory.time[-1])
+        )
+        arm = np.sqrt(own.scene.bodies[0].shape.unit_inertia)
+        end = runs["part"].final
+        deviation = np.std([end.x, end.y, arm * end.theta], axis=1)
+        spreads.append(np.sqrt(np.mean(deviation**2)))
+    assert fit.predictive.error.spread == pytest.approx(np.mean(spreads), rel=0.2)
+
+
 def test_drawn_errors_have_the_distribution_of_student_with_two_degrees_of_freedom():
     """Each coordinate by SciPy's; the sum of squares over 3 by the F distribution (3, 2)."""
     drawn = EndError.draws(np.random.default_rng(1), (40, 500)).reshape(-1, 3)
@@ -201,17 +223,17 @@ def _predicts(fit, experiment):
     scene, rng = experiment.scene, np.random.default_rng(0)
     arm = np.sqrt(scene.bodies[0].shape.unit_inertia)
     drawn = fit.predictive.samples(64, 0, {})
-    ends, errors = [], []
+    ends = []
     for k in range(64):
         values = {name: column[k] for name, column in drawn.items()}
         duration = float(experiment.trajectory.time[-1])
         run = fixel.simulate(scene, values, motion="quasistatic", duration=duration)
-        end = run.pose["part"][-1] * (1.0, 1.0, arm)
-        motion = np.hypot(*end[:2]) + abs(end[2])  # the part starts at the origin
-        size = fit.predictive.error.deviation(np.array([motion]))
-        ends.append(end)
-        errors.append(size * rng.standard_normal((400, 3)) / rng.chisquare(2, (400, 1)) ** 0.5)
-    ends, errors = np.array(ends), np.sqrt(2.0) * np.array(errors)
+        ends.append(run.pose["part"][-1] * (1.0, 1.0, arm))
+    ends = np.array(ends)
+    motion = np.hypot(*ends.T[:2]) + np.abs(ends[:, 2])  # the part starts at the origin
+    size = fit.predictive.error.deviation(motion, np.sqrt(np.var(ends, axis=0).mean()))
+    drawn = rng.standard_normal((64, 400, 3)) / rng.chisquare(2, (64, 400, 1)) ** 0.5
+    errors = np.sqrt(2.0) * size[:, None, None] * drawn
     inverse = np.linalg.inv(np.cov(ends.T) + np.median(errors**2) / 0.667 * np.eye(3))
 
     def distance(to):

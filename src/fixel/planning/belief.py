@@ -130,7 +130,7 @@ class Belief:
     run_to_run : RunToRun, optional
         Scatter between runs of the same push, drawn inside the simulation and learned from
         repetitions. It replaces the error of the model itself, the default, which is added to ends
-        where nothing touches (posterior, part model) or is proportional to the motion
+        where nothing touches (posterior, part model) or grows with the motion and the spread
         (calibration).
     conditions : mapping of str to str or float
         Labels of the part, the surface and others, which select parameters.

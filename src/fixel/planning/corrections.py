@@ -87,7 +87,7 @@ class CorrectionTable:
     # failed.
     moved: np.ndarray
     normal: np.ndarray  # (m, w, 2) float32 of a face of the tool on the part then; zero without
-    worlds: Scenarios  # these worlds (w,), without errors of the start or in proportion to motion
+    worlds: Scenarios  # these worlds (w,), without errors of the start or of ends
     arm: float  # radius of gyration of the part, at which rotations count [m]
     seed: int
 
@@ -149,6 +149,12 @@ class CorrectionTable:
         return cKDTree(embedded(np.nanmean(self.moved.astype(np.float64), axis=1), self.arm))
 
     @cached_property
+    def spread(self) -> FloatArray:
+        """Spread (m,) of the ends of each push over the worlds [m]."""
+        arcs = self.moved.astype(np.float64) * (1.0, 1.0, self.arm)
+        return np.asarray(np.sqrt(np.nanvar(arcs, axis=1).mean(axis=-1)))
+
+    @cached_property
     def draws(self) -> FloatArray:
         """Errors of scale 1 (2, w, 3), drawn: of seen poses, and of the model."""
         rng = np.random.default_rng([self.seed, 9])
@@ -169,7 +175,7 @@ class CorrectionTable:
             return np.zeros_like(end)
         moved = motion_of(start.reshape(-1, 3), end.reshape(-1, 3), self.arm)
         moved = np.nan_to_num(moved).reshape(end.shape[:-1])
-        size = error.deviation(moved)
+        size = error.deviation(moved, self.spread[row][:, None])
         drawn = size[..., None] / np.array([1.0, 1.0, self.arm]) * draws
         normal = rotated(self.normal[row], start[..., 2])
         return guided(drawn, FLUSH * error.size / size, normal)
@@ -238,7 +244,8 @@ class CorrectionTable:
             start=np.repeat(error, m, axis=0).reshape(-1, 3),
             misfit=self.draws[1][world] / np.array([1.0, 1.0, self.arm]),
         )
-        margin = simulator.margins(simulator.run(planned, which, scenarios))
+        spread = self.spread[pushes.row.reshape(-1)][which]
+        margin = simulator.margins(simulator.run(planned, which, scenarios, spread=spread))
         margin = np.where(planned.collides[which], WORST_MARGIN, margin).reshape(n, m, worlds)
         own = np.take_along_axis(weight, likely, axis=1)[:, None]
         score, probability = _scored(margin, own)

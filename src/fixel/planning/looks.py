@@ -169,7 +169,8 @@ class Policy:
                     rest=drawn.rest, drift=drawn.drift, misfit=drawn.misfit,
                 )  # fmt: skip
                 planned = self.simulator.single(found.numbers[own], seen[own])
-                runs = self.simulator.run(planned, np.arange(len(own)), mine)
+                spread = self.table.spread[found.row[own]]
+                runs = self.simulator.run(planned, np.arange(len(own)), mine, spread=spread)
                 pose[own], failure[own] = runs.pose[:, -1], runs.failure
                 after = np.where(planned.collides, WORST_MARGIN, self.simulator.margins(runs))
                 margin = margin.copy()

@@ -22,7 +22,7 @@ from fixel.simulation.rollouts import RolloutCase, Rollouts, ensemble_of
 from fixel.simulation.stepping import AbstractStepper
 from fixel.simulation.vary import composed, varied_start
 from fixel.typing import BoolArray, FloatArray, IntArray
-from fixel.uncertainty.predictive import motion_of
+from fixel.uncertainty.predictive import motion_of, spread_of
 from fixel.uncertainty.run_to_run import arm_of, rest_at
 
 # What became of a run; all but the first count as failures of the plan.
@@ -45,6 +45,7 @@ TOUCHED: Final = 1e-9  # smallest overlap of tool and part that counts, relative
 FLUSH: Final = 0.4
 TILT: Final = 1e-3  # rotation that shows whether faces lie on each other [rad]
 WIDE: Final = 0.1  # least width of such faces, over the radius of the part
+SOME: Final = 24  # runs of a push from which the spread of its ends is computed
 STAYS: Final = 1e-3  # a part stays if no point of it moves farther than this, relative to it
 
 
@@ -164,11 +165,18 @@ class PlanSimulator:
         )  # fmt: skip
 
     def run(
-        self, plans: PlannedMotions, which: IntArray, scenarios: Scenarios, first: int = 0
+        self,
+        plans: PlannedMotions,
+        which: IntArray,
+        scenarios: Scenarios,
+        first: int = 0,
+        spread: FloatArray | None = None,
     ) -> Runs:
         """Carry out plans `which` (n,), each in the scenario of the same row.
 
         The errors of the start are those before push `first`; the pushes before it are left out.
+        The spread (n,) of the ends over the parameters is that of these runs if it is not given.
+        Runs of one plan follow each other.
         """
         part = self.simulated.bodies[0].shape
         n, k = len(which), plans.start.shape[1] - first
@@ -191,7 +199,10 @@ class PlanSimulator:
                 start[which], path[which], fixels, scenarios, actual, others
             )
             held = self._held(pose[:, -1], fixels, after, scenarios)
-            error = self._error(pose[:, -1], actual, path[which], scenarios, held)
+            wide, good = spread, (failed == CARRIED_OUT) & ~held
+            if wide is None:
+                wide = spreads(which, actual, pose[:, -1], good, arm_of(self.scene))
+            error = self._error(actual, pose[:, -1], path[which], scenarios, held, wide)
             error /= np.sqrt(k)  # the pushes share one draw: the variance of k independent ones
             pose[:, -1] += np.where(held[:, None], 0.0, error)
             if scenarios.end_error is not None and held.any():
@@ -309,18 +320,19 @@ class PlanSimulator:
 
     def _error(
         self,
-        end: FloatArray,
         start: FloatArray,
+        end: FloatArray,
         path: FloatArray,
         scenarios: Scenarios,
         held: BoolArray,
+        spread: FloatArray,
     ) -> FloatArray:
         """Return the errors (n, 3) of the model for ends; a tool guides those that are not held."""
         error = rest_at(scenarios.rest, end[:, 2] - start[:, 2]) + scenarios.drift
         own, free, normal = scenarios.end_error, np.flatnonzero(~held), np.zeros((len(end), 2))
         if own is None or not scenarios.misfit.any():
             return error
-        size = own.deviation(motion_of(start, end, arm_of(self.scene)))
+        size = own.deviation(motion_of(start, end, arm_of(self.scene)), spread)
         normal[free] = self.normals(end[free], path[free], scenarios.rows(free))
         return guided(error + size[:, None] * scenarios.misfit, FLUSH * own.size / size, normal)
 
@@ -347,6 +359,30 @@ class PlanSimulator:
 def _alone(scene: Scene) -> Scene:
     body = replace(scene.bodies[0], pose=np.zeros(3))
     return replace(scene, bodies=(body,), fixels=(), contact_friction=())
+
+
+def spreads(
+    which: IntArray, start: FloatArray, end: FloatArray, good: BoolArray, arm: float
+) -> FloatArray:
+    """Return the spread (n,) of the ends of each plan `which` over its good runs [m].
+
+    What the starts (n, 3) change, to first order, is left out. NaN where a plan has few good runs.
+    """
+    found, size = np.full(len(which), np.nan), np.array([1.0, 1.0, arm])
+    ends = np.append(np.flatnonzero(np.diff(which)) + 1, len(which))
+    size_of = np.diff(ends, prepend=0)
+    for last, n in zip(ends[size_of >= SOME], size_of[size_of >= SOME], strict=True):
+        rows = slice(last - n, last)
+        own = last - n + np.flatnonzero(good[rows])
+        if len(own) >= SOME:
+            off = start[own] - start[own].mean(axis=0)
+            moved = (end[own] - start[own]) * size
+            moved -= moved.mean(axis=0)
+            # Sums of products without BLAS, whose bits depend on the number of threads.
+            gram, cross = (np.einsum("ni,nj->ij", off, x) for x in (off, moved))
+            slope = np.linalg.pinv(gram, hermitian=True) @ cross
+            found[rows] = spread_of(moved - np.einsum("ni,ij->nj", off, slope))
+    return found
 
 
 def guided(error: FloatArray, share: FloatArray, normal: FloatArray) -> FloatArray:

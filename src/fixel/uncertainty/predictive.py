@@ -3,8 +3,9 @@
 Intervals bound parameters of a model that may be wrong: too wide for predictions from few pushes,
 too narrow from many, since the error of the model itself does not shrink. So samples are moved
 towards the calibrated values, as near as left-out pushes allow, weighted weakly by how well they
-reproduce the recorded ends, and an error of the end is added that grows with the motion. See
-`docs/theory/planning.md` for the worlds and recorded pushes by which constants were chosen.
+reproduce the recorded ends, and an error of the end is added. It grows with the motion, and with
+how much the end depends on the parameters. See `docs/theory/planning.md` for the worlds and
+recorded pushes by which constants were chosen.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ SHRINK: Final = 0.7  # distance of samples from the calibrated values, relative 
 NEAREST: Final = 0.3  # the same where samples miss recorded ends by more than left-out ones miss
 POWER: Final = 0.1  # of the likelihood of a recorded push, by the sum of squares of all ends
 SHARE: Final = 0.6  # scale of the error of fresh ends, over the residual error of recorded ones
-RANGE: Final = (0.2, 3.0)  # of motions over the mean one within which the error grows in proportion
+RANGE: Final = (0.2, 3.0)  # of motions and spreads over the mean ones, within which errors grow
 POOL: Final = 512  # parameter sets that are weighted
 MOST: Final = 40  # recorded pushes by which they are weighted
 FAILED: Final = 0.1  # error of a push that could not be simulated [m]
@@ -43,18 +44,27 @@ TINY: Final = 1e-6  # deviation that no region is below [m]
 @final
 @dataclass(frozen=True, slots=True)
 class EndError:
-    """Error of predicted ends, in proportion to the motion of the part.
+    """Error of predicted ends, by the motion of the part and the spread of its ends.
 
-    Models fail in few pushes, and then by far: the error has Student's distribution with two
-    degrees of freedom.
+    It grows with the geometric mean of both: an end that depends much on the parameters depends
+    much on what the model leaves out as well. Models fail in few pushes, and then by far: the error
+    has Student's distribution with two degrees of freedom.
     """
 
-    size: float  # scale of each coordinate after a mean motion, rotations as arcs [m]
+    size: float  # scale of each coordinate after a mean push, rotations as arcs [m]
     motion: float  # mean motion of the recorded pushes [m]
+    spread: float = 0.0  # mean spread of their ends over the parameters [m]; 0 if not known
 
-    def deviation(self, motion: FloatArray) -> FloatArray:
-        """Return the scales (n,) after motions (n,) as by `motion_of` [m]."""
-        return np.asarray(self.size * np.clip(motion / self.motion, *RANGE))
+    def deviation(self, motion: FloatArray, spread: FloatArray | float = math.nan) -> FloatArray:
+        """Return the scales after motions as by `motion_of`, and spreads as by `spread_of` [m].
+
+        By the motion alone where the spread is NaN.
+        """
+        growth = np.clip(motion / self.motion, *RANGE)
+        if self.spread > 0.0:
+            other = np.clip(spread / self.spread, *RANGE)
+            growth = np.where(np.isnan(other), growth, np.sqrt(growth * other))
+        return np.asarray(self.size * growth)
 
     @staticmethod
     def draws(rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
@@ -118,20 +128,20 @@ def predictive_of(
     residual = end_residuals(ends, space, motion, best[None])[:, 0]
     some = _spread(len(ends))
 
-    def squares_at(points: FloatArray) -> FloatArray:
+    def squares_at(points: FloatArray) -> tuple[FloatArray, FloatArray]:
         off = end_residuals([ends[k] for k in some], space, motion, points)
-        return np.asarray((off**2).sum(axis=(0, 2)))
+        return (off**2).sum(axis=(0, 2)), off
 
     shrunk = value + SHRINK * (points - value)
-    squares = squares_at(shrunk)
+    squares, off = squares_at(shrunk)
     usual = float(np.median(squares))
     # Samples miss no more than fits without these pushes do. Among fixels ends do not show it.
     left_out = np.clip(best + moved[some], space.low, space.high)[:, None]
-    enough, at_value = (float(squares_at(own)[0]) for own in (left_out, value[None]))
+    enough, at_value = (float(squares_at(own)[0][0]) for own in (left_out, value[None]))
     if usual > max(enough, at_value) and not any(own.case.scene.fixels for own in targets):
         nearer = math.sqrt(max(enough - at_value, 0.0) / (usual - at_value))
         shrunk = value + max(nearer, NEAREST / SHRINK) * (shrunk - value)
-        squares = squares_at(shrunk)
+        squares, off = squares_at(shrunk)
     least = min(float((residual[some] ** 2).sum()), float(squares.min()))
     likelihood = -0.5 * POWER * len(some) * np.log(squares / max(least, 1e-18))
     weight = np.exp(likelihood - likelihood.max())
@@ -141,7 +151,8 @@ def predictive_of(
     free = max(1, 3 * len(ends) - len(space.labels))
     size = SHARE * math.sqrt(float((residual**2).sum()) / free)
     motions = np.concatenate([_motions(own, np.zeros(3)) for own in ends])
-    return Predictive(space, shrunk[rows], EndError(size, max(float(motions.mean()), 1e-9)))
+    spread = float(spread_of(off[:, rows]).mean())
+    return Predictive(space, shrunk[rows], EndError(size, max(float(motions.mean()), 1e-9), spread))
 
 
 def check_predictions(
@@ -174,7 +185,8 @@ def check_predictions(
     for k, off in zip(some.tolist(), found, strict=True):
         others = float(squares.sum() - squares[k]) / max(1, 3 * n - len(space.labels))
         usual = max(float(motions.sum() - motions[k]) / n, 1e-9)
-        own = EndError(SHARE * math.sqrt(others), usual).deviation(_motions(ends[k], off))
+        error = EndError(SHARE * math.sqrt(others), usual, predictive.error.spread)
+        own = error.deviation(_motions(ends[k], off), spread_of(off))
         # The ellipsoid about the mean of the drawn ends that contains the share of them.
         middle = off.mean(axis=0)
         inverse = np.linalg.inv(np.cov(off.T) + (np.mean(own**2) + TINY**2) * np.eye(3))
@@ -206,6 +218,11 @@ def motion_of(start: FloatArray, end: FloatArray, arm: float) -> FloatArray:
     """Return motions (n,) between poses (n, 3): the way, and the rotation as an arc [m]."""
     way, turned = pose_error(end, start)
     return np.asarray(way + arm * np.abs(turned))
+
+
+def spread_of(ends: FloatArray) -> FloatArray:
+    """Return the spread (...) of ends (..., n, 3), rotations as arcs: of one coordinate [m]."""
+    return np.asarray(np.sqrt(ends.var(axis=-2).mean(axis=-1)))
 
 
 def _end_of(own: Target) -> Target:
