@@ -115,8 +115,10 @@ def track_film(
     a project, nothing is stored. `progress` is called as `progress(done, total)`.
     """
     wanted = {"overlay": overlay, "sheet": sheet, "plot": plot}
+    endings = {"overlay": ENDINGS, "sheet": (".png",), "plot": PICTURE_ENDINGS}
     files = {kind: path for kind, path in wanted.items() if path is not None}
-    _check_files(files)
+    for kind, path in files.items():
+        require_file(path, endings[kind], kind)
     opened = None if project is None else Project(project)
     film = open_film(source)
     marked = rig_of(rig or _file_next_to(source, RIG_FILE, "rig"))
@@ -209,12 +211,6 @@ def _draw(
         write_sheet(film.frames(), scene, tracked, files["sheet"])
     if "plot" in files:
         save_figure(lambda: track_figure(tracked, experiment.effective), files["plot"])
-
-
-def _check_files(files: dict[str, Path]) -> None:
-    endings = {"overlay": ENDINGS, "sheet": (".png",), "plot": PICTURE_ENDINGS}
-    for kind, path in files.items():
-        require_file(path, endings[kind], kind)
 
 
 def _counted(progress: ProgressCallback | None, total: int | None) -> Callable[[int], None] | None:

@@ -326,12 +326,10 @@ def best_singles(
         for number, record in summaries.items()
         if len(record.members) == 1 and record.members[0].experiment_id in place
     ]
-    for where, typed, known in (
-        ("motion", motion, {one.motion for _, one in singles}),
-        ("error", error, {str(one.method.get("error")) for _, one in singles}),
-    ):
-        if typed and known:
-            check_name(where, typed, sorted(known))
+    if motion and singles:
+        check_name("motion", motion, sorted({one.motion for _, one in singles}))
+    if error and singles:
+        check_name("error", error, sorted({str(one.method.get("error")) for _, one in singles}))
     for number, record in singles:
         if motion not in ("", record.motion) or error not in ("", record.method.get("error")):
             continue

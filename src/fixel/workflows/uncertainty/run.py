@@ -6,15 +6,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from fixel.capability.capability import Capability
-from fixel.capability.options import (
-    CalibrationId,
-    Door,
-    Motion,
-    NoiseOption,
-    Seed,
-    Threads,
-    check_fit,
-)
+from fixel.capability.options import CalibrationId, Door, Fit, Motion, NoiseOption, Seed, Threads
 
 if TYPE_CHECKING:
     from fixel.calibration.usual_parameters import Space
@@ -123,7 +115,7 @@ def uncertainty(
     experiments: Annotated[tuple[str, ...], Door(metavar="[EXPERIMENT]...")] = (),
     *,
     calibration: CalibrationId = None,
-    fit: Annotated[tuple[str, ...], Door(metavar="NAME[=LOW:HIGH]", check=check_fit)] = (),
+    fit: Fit = (),
     held_out: Annotated[tuple[str, ...], Door(metavar="NAME")] = (),
     progress: ProgressOption = None,
     **options: Any,
