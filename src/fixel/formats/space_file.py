@@ -113,9 +113,12 @@ _TOKEN: Final = re.compile(
 )
 
 
-# Search and parameter space of a Dakota input file, and notes: skipped blocks, and values that are
-# Dakota's defaults.
-DakotaFile = tuple[PatternSearch, ParameterSpace, tuple[str, ...]]
+class DakotaFile(NamedTuple):
+    """Search and parameter space that a Dakota input file defines."""
+
+    optimiser: PatternSearch
+    space: ParameterSpace
+    notes: tuple[str, ...]  # skipped blocks, and values taken from Dakota's defaults
 
 
 class _Token(NamedTuple):
@@ -136,7 +139,7 @@ def dakota_from_text(text: str, where: str = "dakota") -> DakotaFile:
     blocks, notes = _blocks(text, where)
     optimiser = _optimiser(_needed(blocks, "method", where), notes)
     space = _space(_needed(blocks, "variables", where))
-    return optimiser, space, tuple(notes)
+    return DakotaFile(optimiser, space, tuple(notes))
 
 
 # --- from text to keywords ------------------------------------------------------------------------
