@@ -146,6 +146,7 @@ def test_ends_among_fixels_do_not_move_samples(fit, wide_samples):
     found = predictive_of(targets, fit.space, fit.motion, best, best, points, 0.0 * moved)
     allowed = best + 0.7 * (points - best)
     assert all(np.isclose(allowed, own, rtol=1e-9).all(axis=1).any() for own in found.points)
+    assert found.error.spread == 0.0  # nor do they have a spread
 
 
 def test_a_belief_takes_the_error_of_the_calibration_unless_scatter_is_given(fit):

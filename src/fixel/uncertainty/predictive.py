@@ -53,7 +53,7 @@ class EndError:
 
     size: float  # scale of each coordinate after a mean push, rotations as arcs [m]
     motion: float  # mean motion of the recorded pushes [m]
-    spread: float = 0.0  # mean spread of their ends over the parameters [m]; 0 if not known
+    spread: float = 0.0  # mean spread of their free ends over the parameters [m]; 0 without any
 
     def deviation(self, motion: FloatArray, spread: FloatArray | float = math.nan) -> FloatArray:
         """Return the scales after motions as by `motion_of`, and spreads as by `spread_of` [m].
@@ -151,7 +151,8 @@ def predictive_of(
     free = max(1, 3 * len(ends) - len(space.labels))
     size = SHARE * math.sqrt(float((residual**2).sum()) / free)
     motions = np.concatenate([_motions(own, np.zeros(3)) for own in ends])
-    spread = float(spread_of(off[:, rows]).mean())
+    alone = [not targets[k].case.scene.fixels for k in some]  # fixels hold the other ends
+    spread = float(spread_of(off[alone][:, rows]).mean()) if any(alone) else 0.0
     return Predictive(space, shrunk[rows], EndError(size, max(float(motions.mean()), 1e-9), spread))
 
 
