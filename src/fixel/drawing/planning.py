@@ -86,7 +86,7 @@ def _draw_paths(figure: Figure, plan: PushPlan, track: FloatArray, outcome: Sequ
     for kind in ("", *kinds):
         own = track[[one == kind for one in outcome]]
         colour = palette.TRAIL if not kind else FAILURE_COLOURS[kinds.index(kind) % 4]
-        label = f"{kind or 'meets the goal'}: {len(own) / len(track):.0%}"
+        label = f"{kind or 'meets the goal'}: {100 * len(own) / len(track):.3g} %"
         _motions(axes, own, body, unit, colour, label, outlines=bool(kind))
     for k, pose in enumerate([*plan.start, plan.end]):
         last = k == len(plan.start)
@@ -199,7 +199,7 @@ def _draw_looks(figure: Figure, plan: PushPlan, walk: Walk, group: IntArray) -> 
     turn = np.degrees(wrapped(walk.seen[:, 2] - plan.end[2]))
     for k in np.unique(group):
         own = group == k
-        label = f"{NEXT[k]}: {own.mean():.0%}, success {walk.probability[own].mean():.2f}"
+        label = f"{NEXT[k]}: {100 * own.mean():.3g} %, success {walk.probability[own].mean():.2f}"
         style: dict[str, Any] = {"color": NEXT_COLOURS[k], "markersize": 3.0, "alpha": 0.7}
         plane.plot(*(unit.factor * place[: len(own)][own].T), ".", label=label, **style)
         angles.plot(turn[own], walk.probability[own], ".", **style)
