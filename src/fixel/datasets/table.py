@@ -559,8 +559,9 @@ def _poses(
         )
     missing = int((~there).sum())
     if missing:
-        found = f"{missing} of {len(time)} rows lack the pose of the {what}"
-        reading.remarks.append(f"{found}; they are not part of its trajectory.")
+        lack = "lacks" if missing == 1 else "lack"
+        found = f"{missing} of {len(time)} rows {lack} the pose of the {what}"
+        reading.remarks.append(f"{found}; its trajectory has the others.")
         flags = (*flags, remark("missing-poses", found))
     return trajectory_of(time[there], pose[there]), flags
 
