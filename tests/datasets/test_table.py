@@ -159,7 +159,7 @@ def test_blank_poses_are_left_out_and_flagged(tmp_path):
     assert experiment.trajectory.time.tolist() == [0.0, 2.0]
     (flag,) = experiment.flags
     assert (flag.name, flag.detail) == (
-        "missing-poses", "1 of 3 rows lacks the pose of the object",
+        "missing-poses", "no pose of the object in 1 of 3 rows",
     )  # fmt: skip
 
 

@@ -559,9 +559,8 @@ def _poses(
         )
     missing = int((~there).sum())
     if missing:
-        lack = "lacks" if missing == 1 else "lack"
-        found = f"{missing} of {len(time)} rows {lack} the pose of the {what}"
-        reading.remarks.append(f"{found}; its trajectory has the others.")
+        found = f"no pose of the {what} in {missing} of {len(time)} rows"
+        reading.remarks.append(f"There is {found}; its trajectory has the others.")
         flags = (*flags, remark("missing-poses", found))
     return trajectory_of(time[there], pose[there]), flags
 
