@@ -277,3 +277,11 @@ def test_records_are_equal_only_with_the_same_request(project, fit):
     changed = dict(record.request) | {"level": 0.9}
     assert record != dataclasses.replace(record, request=changed)
     assert np.isfinite(record.result["nominal"]).all()
+
+
+def test_requests_with_bounds_that_earlier_versions_allowed_are_read():
+    plain = CalibrationRequest(**UNLIKE).model_dump(mode="json")
+    plain["unknowns"][0] |= {"low": -0.5, "nominal": -0.1}
+    found = CalibrationRequest.model_validate_json(json.dumps(plain)).unknowns[0]
+    assert (found.low, found.nominal, found.high) == (0.0, 0.0, 0.9)
+    refused(Unknown, name="mu_pusher", low=-0.5, high=0.9, nominal=0.3, match="bounds from 0 up")

@@ -29,7 +29,7 @@ from fixel.formats.scene_file import SceneRecord, scene_content, scene_of
 from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.io.atomic import readable
 from fixel.model.fields import name_of
-from fixel.model.parameters import in_si
+from fixel.model.parameters import in_si, info_of
 from fixel.model.space import SHARE_OF_RANGE, ParameterSpace, Unknown
 from fixel.registry import offered
 from fixel.simulation.motion import AbstractMotionModel, motion_model
@@ -49,8 +49,17 @@ STRICT: Final = ConfigDict(extra="forbid", frozen=True)
 
 
 def _unknown(content: Any) -> Unknown:
-    """Return an unknown, from its plain content if necessary."""
-    return content if isinstance(content, Unknown) else Unknown(**content)
+    """Return an unknown, from its plain content if necessary.
+
+    Earlier versions allowed bounds below the smallest value of a parameter, which none can have.
+    """
+    if isinstance(content, Unknown):
+        return content
+    own = dict(content)
+    if {"name", "low", "nominal"} <= own.keys():
+        lowest = info_of(own["name"]).lowest
+        own |= {key: max(own[key], lowest) for key in ("low", "nominal")}
+    return Unknown(**own)
 
 
 PlainUnknown = Annotated[Unknown, PlainValidator(_unknown), PlainSerializer(Unknown.plain)]

@@ -151,9 +151,7 @@ def request_in(record: CalibrationRecord) -> CalibrationRequest:
         for kind, usual in kinds.items()
     }  # fmt: skip
     own = {k: v for k, v in method.items() if k in CalibrationRequest.model_fields}
-    unknowns = [Unknown(**one) for one in searched] or [
-        Unknown.fixed(name, value) for name, value in record.parameters.items()
-    ]
+    unknowns = searched or [Unknown.fixed(name, value) for name, value in record.parameters.items()]
     return CalibrationRequest.model_validate(
         {
             **own,
