@@ -128,20 +128,21 @@ def predictive_of(
     residual = end_residuals(ends, space, motion, best[None])[:, 0]
     some = _spread(len(ends))
 
-    def squares_at(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        off = end_residuals([ends[k] for k in some], space, motion, points)
-        return (off**2).sum(axis=(0, 2)), off
+    def misses_at(points: FloatArray) -> FloatArray:
+        return end_residuals([ends[k] for k in some], space, motion, points)
 
     shrunk = value + SHRINK * (points - value)
-    squares, off = squares_at(shrunk)
-    usual = float(np.median(squares))
+    off = misses_at(shrunk)
+    usual = float(np.median((off**2).sum(axis=(0, 2))))
     # Samples miss no more than fits without these pushes do. Among fixels ends do not show it.
     left_out = np.clip(best + moved[some], space.low, space.high)[:, None]
-    enough, at_value = (float(squares_at(own)[0][0]) for own in (left_out, value[None]))
+    missed = (misses_at(own) ** 2 for own in (left_out, value[None]))
+    enough, at_value = (float(own.sum(axis=(0, 2))[0]) for own in missed)
     if usual > max(enough, at_value) and not any(own.case.scene.fixels for own in targets):
         nearer = math.sqrt(max(enough - at_value, 0.0) / (usual - at_value))
         shrunk = value + max(nearer, NEAREST / SHRINK) * (shrunk - value)
-        squares, off = squares_at(shrunk)
+        off = misses_at(shrunk)
+    squares = (off**2).sum(axis=(0, 2))
     least = min(float((residual[some] ** 2).sum()), float(squares.min()))
     likelihood = -0.5 * POWER * len(some) * np.log(squares / max(least, 1e-18))
     weight = np.exp(likelihood - likelihood.max())
@@ -151,8 +152,8 @@ def predictive_of(
     free = max(1, 3 * len(ends) - len(space.labels))
     size = SHARE * math.sqrt(float((residual**2).sum()) / free)
     motions = np.concatenate([_motions(own, np.zeros(3)) for own in ends])
-    alone = [not targets[k].case.scene.fixels for k in some]  # fixels hold the other ends
-    spread = float(spread_of(off[alone][:, rows]).mean()) if any(alone) else 0.0
+    free_ends = [not targets[k].case.scene.fixels for k in some]  # fixels hold the others
+    spread = float(spread_of(off[free_ends][:, rows]).mean()) if any(free_ends) else 0.0
     return Predictive(space, shrunk[rows], EndError(size, max(float(motions.mean()), 1e-9), spread))
 
 
