@@ -161,7 +161,7 @@ def test_faces_that_are_apart_or_tilted_do_not_lie_on_each_other():
 
 
 def test_errors_of_starts_hardly_change_the_spread_of_ends_over_friction():
-    """With starts as planned, the spread is the plain standard deviation of the ends."""
+    """The spread of ends is their standard deviation where all parts start as planned."""
     push = Push(ROUND, (0.86, 0.1, 40 * mm))
     start = StartError(x=0.3 * mm, y=0.3 * mm, theta=0.3 * deg, kind="normal")
     found = []

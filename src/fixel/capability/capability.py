@@ -296,7 +296,7 @@ class Capability:
             if door.program:
                 found = dict.fromkeys(("motion", "engine"), text) | found
             if door.flag == "--set":  # a value may be refused by the name of its parameter
-                own_names = {name: f"{text} {name}" for name in KNOWN_PARAMETERS}
+                own_names = {key: f"{text} {key}" for key in KNOWN_PARAMETERS}
                 found = {"parameters": text} | own_names | found
         return found
 

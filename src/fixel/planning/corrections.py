@@ -20,7 +20,7 @@ from fixel.planning.candidates import embedded, goal_poses, poses_within, spread
 from fixel.planning.rollout import CARRIED_OUT, FLUSH, WORST_MARGIN, PlanSimulator, guided
 from fixel.simulation.vary import composed, inverted
 from fixel.typing import BoolArray, FloatArray, IntArray
-from fixel.uncertainty.predictive import EndError, motion_of
+from fixel.uncertainty.predictive import EndError, motion_of, spread_of
 from fixel.uncertainty.run_to_run import arm_of, rest_at
 
 WORLDS: Final = 32  # draws of what is unknown in a table
@@ -151,8 +151,7 @@ class CorrectionTable:
     @cached_property
     def spread(self) -> FloatArray:
         """Spread (m,) of the ends of each push over the worlds [m]."""
-        arcs = self.moved.astype(np.float64) * (1.0, 1.0, self.arm)
-        return np.asarray(np.sqrt(np.nanvar(arcs, axis=1).mean(axis=-1)))
+        return spread_of(self.moved.astype(np.float64) * (1.0, 1.0, self.arm))
 
     @cached_property
     def draws(self) -> FloatArray:

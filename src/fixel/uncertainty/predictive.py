@@ -223,8 +223,8 @@ def motion_of(start: FloatArray, end: FloatArray, arm: float) -> FloatArray:
 
 
 def spread_of(ends: FloatArray) -> FloatArray:
-    """Return the spread (...) of ends (..., n, 3), rotations as arcs: of one coordinate [m]."""
-    return np.asarray(np.sqrt(ends.var(axis=-2).mean(axis=-1)))
+    """Return the spread (...) of a coordinate of ends (..., n, 3), NaN left out, as arcs [m]."""
+    return np.asarray(np.sqrt(np.nanvar(ends, axis=-2).mean(axis=-1)))
 
 
 def _end_of(own: Target) -> Target:

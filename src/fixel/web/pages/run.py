@@ -122,10 +122,11 @@ def begin(context: ProjectContext, capability: Capability, asked: BaseModel) -> 
     """
     for name, option in capability.options.items():
         value = getattr(asked, name)
-        try:
-            check_named(*([value] if value and option.door.program else []))
-        except InvalidInput as problem:
-            raise problem.at(name) from None
+        if value and option.door.program:
+            try:
+                check_named(value)
+            except InvalidInput as problem:
+                raise problem.at(name) from None
         if not option.on_page and value != option.default:
             raise InvalidInput(name, found="this option", expected="only options of the page")
         if option.door.content and value and not str(value).startswith("{"):
