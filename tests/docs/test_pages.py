@@ -1,5 +1,6 @@
 """The pages a newcomer reads first: their Python runs, their links lead somewhere."""
 
+import csv
 import os
 import re
 from pathlib import Path
@@ -109,6 +110,16 @@ def test_calibration_page_names_every_parameter() -> None:
     # Of the three free points the page names the first and the last.
     known = {name for name in KNOWN_PARAMETERS if not name.startswith("support_")}
     assert known <= named, f"undocumented: {sorted(known - named)}"
+
+
+def test_the_bias_of_plans_is_the_same_in_the_readme_on_its_page_and_in_the_rows() -> None:
+    with (ROOT / "benchmarks" / "results" / "planning.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    bias = 100.0 * sum(float(row["mean"]) - float(row["held"]) for row in rows) / len(rows)
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    page = ROOT / "docs" / "reproductions" / "plans-in-another-model.md"
+    assert f"more often\nthan stated: by {-bias:.1f} percentage points" in readme
+    assert f"too small by {-bias:.1f} points" in page.read_text(encoding="utf-8")
 
 
 def test_scene_file_page_has_an_example_that_loads() -> None:
