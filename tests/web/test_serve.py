@@ -3,6 +3,8 @@
 import http.client
 import signal
 import socket
+import subprocess
+import sys
 import time
 import urllib.error
 import urllib.request
@@ -32,6 +34,13 @@ def connected(server, path):
     cookie = f"{server.gate.cookie}={server.gate.session}"
     connection.request("GET", server.gate.root + path, headers={"Cookie": cookie})
     return connection, connection.getresponse()
+
+
+@pytest.mark.system
+def test_a_server_starts_without_the_distributions_of_scipy():
+    """They take a quarter of the time until the link is there."""
+    code = "import sys, fixel.web.project; assert 'scipy.stats' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_the_link_opens_the_page(server):

@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import Final, NamedTuple, final
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from fixel.calibration.known_pushes import PART, KnownPushes, push_target, texts_of, with_dataset
 from fixel.calibration.target import Target, target_of
@@ -327,7 +327,7 @@ class PartModel(Result):
         n = len(means)
         if n < MIN_PARTS:
             return np.full((2, 2), np.nan)
-        wide = float(student.ppf(UPPER, n - 1)) * math.sqrt(1.0 + 1.0 / n)
+        wide = float(stdtrit(n - 1, UPPER)) * math.sqrt(1.0 + 1.0 / n)
         return np.array([means.mean(axis=0), means.mean(axis=0) + wide * means.std(axis=0, ddof=1)])
 
     @cached_property
