@@ -8,7 +8,7 @@ from tests.simulation.random_grasps import random_grasp
 
 from fixel import load
 from fixel.errors import InvalidInput
-from fixel.model import Body, LineDrive, Polygon, Pusher, Scene, Tripod
+from fixel.model import Body, Disk, LineDrive, Polygon, Pusher, Scene, Tripod
 from fixel.simulation import Accuracy, Adaptive, Midpoint, QuasiStatic, simulate, simulate_batch
 from fixel.testing.scenes import free_push, grasp, heap, pushed_square
 
@@ -114,6 +114,60 @@ def test_two_motions_are_reported_where_two_ways_differ():
         assert _apart(ends[k], ends[k - 1])[0] > 0.25
     assert push.accuracy.verdict == "uncertain"
     assert "two motions may be possible" in push.accuracy.reason
+
+
+def _tip_on_corner(gap):
+    """A sharp tip moves at 10 mm/s on a corner of a square whose far side another pusher leaves."""
+    corners = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])
+    support = Tripod(radius=0.01, friction=0.3)
+    part = Body("part", Polygon(0.02 * corners), mass=0.2, pose=(0, 0, 0), support=support)
+    tip = Polygon([(0, 0), (-0.02, 0.005), (-0.02, -0.005)])
+    drive = LineDrive(direction=(1, 0), speed=0.01, travel=0.02)
+    pushers = (
+        Pusher("tip", tip, pose=(-0.02 - gap, 0, 0), drive=drive, friction=0.2),
+        Pusher("other", Disk(0.005), pose=(0.2, 0, 0), drive=drive, friction=0.2),
+    )
+    return Scene((part,), pushers, duration=2.0)
+
+
+@pytest.mark.parametrize("motion", ["dynamic", "quasistatic"])
+@pytest.mark.parametrize("gap", [0.004, 0.0073])
+def test_the_time_is_stated_at_which_two_motions_part(motion, gap):
+    """The tip slides off to either side of the corner that it meets head on."""
+    push = simulate(_tip_on_corner(gap), motion=motion, accuracy=True)
+    met = gap / 0.01
+    assert push.accuracy.verdict == "uncertain"
+    # A turn of a degree takes 0.06 s.
+    assert met < push.accuracy.parted_at < met + 0.02
+    assert f"from {push.accuracy.parted_at:.3g} s on two ways differ" in str(push)
+    assert push.summary()["accuracy"]["parted_at"] == push.accuracy.parted_at
+    assert abs(push.final["part"].theta - push.accuracy.other[0, 2]) > 0.5  # one turn to each side
+
+
+def test_the_time_of_a_missed_event_is_that_at_which_small_steps_leave_the_stepper():
+    scene, times = seated_grasp(821), {"output_interval": 1e-2}
+    push = simulate(scene, motion="quasistatic", accuracy=True)
+    own = simulate(scene, motion="quasistatic", **times)
+    fixed = simulate(scene, motion="quasistatic", stepper=Midpoint(step=1e-4), **times)
+    gap = own.pose["object"] - fixed.pose["object"]
+    apart = np.hypot(gap[:, 0], gap[:, 1]) > 0.3e-3
+    last = np.flatnonzero(~apart)[-1]
+    assert push.accuracy.parted_at == pytest.approx(own.time[last], abs=0.05)
+
+
+def test_ends_that_agree_have_no_time_of_parting():
+    runs = simulate_batch(grasp(), {"mu_pusher": [0.2, 0.3]}, motion="quasistatic", accuracy=True)
+    assert np.isnan(runs.parted_at).all()
+    assert simulate(grasp(), motion="quasistatic", accuracy=True).accuracy.parted_at is None
+
+
+def test_batches_have_the_times_of_single_runs():
+    scene = seated_grasp(821)
+    mu = scene.pushers[0].friction
+    runs = simulate_batch(scene, {"mu_pusher": [mu, 0.5]}, motion="quasistatic", accuracy=True)
+    alone = simulate(scene, {"mu_pusher": mu}, motion="quasistatic", accuracy=True)
+    assert runs.accuracy[0] == "uncertain"
+    assert runs[:1].parted_at[0] == alone.accuracy.parted_at
 
 
 def test_several_parts_are_compared_with_fixed_steps():

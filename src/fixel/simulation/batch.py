@@ -212,8 +212,8 @@ def _follow_modes(
         from fixel.simulation.accuracy import confirm  # late: few batches need it
 
         packed, status = to_confirm
-        verdicts, apart, _, _ = confirm(packed, method, ends, status, threads, modes)
-        runs = replace(runs, accuracy=verdicts, apart=apart)
+        verdicts, apart, parted, _, _ = confirm(packed, method, ends, status, threads, modes)
+        runs = replace(runs, accuracy=verdicts, apart=apart, parted_at=parted)
     return runs
 
 

@@ -320,8 +320,6 @@ def _round_speed(scene: Scene) -> float:
 def _padded(track: FloatArray, n: int) -> FloatArray:
     """Append waypoints at rest, which do not change a path."""
     more = n - len(track)
-    if more == 0:
-        return track
     rest = np.repeat(track[-1:], more, axis=0)
     rest[:, 0] += 1.0 + np.arange(more)
     return np.concatenate((track, rest))

@@ -24,13 +24,9 @@ from fixel.model.support import support_grid, times_each
 from fixel.typing import FloatArray
 
 PROFILE_NAMES: Final = (
-    "pressure_rim",
-    "pressure_corner",
-    "pressure_xy",
-    "pressure_diagonal",
-    "pressure_tilt_x",
-    "pressure_tilt_y",
-)
+    "pressure_rim", "pressure_corner", "pressure_xy", "pressure_diagonal",
+    "pressure_tilt_x", "pressure_tilt_y",
+)  # fmt: skip
 """`pressure_rim`: more load (above 0) towards the rim; `pressure_corner`: at corners;
 `pressure_xy`: far along the body's x rather than y; `pressure_diagonal`: the same between its
 diagonals; `pressure_tilt_x`, `pressure_tilt_y`: more load than the balance needs towards larger
@@ -47,12 +43,8 @@ LENGTH: Final = 40e-3
 MAX_TABLE_EXPONENT: Final = 2.0
 
 TABLE_NAMES: Final = (
-    "table_bend",
-    "table_bend_xy",
-    "table_bend_diagonal",
-    "table_slope_x",
-    "table_slope_y",
-)
+    "table_bend", "table_bend_xy", "table_bend_diagonal", "table_slope_x", "table_slope_y",
+)  # fmt: skip
 """`table_bend`: more load (above 0) far from the centroid in all directions; `table_bend_xy`: more
 along world x than along y; `table_bend_diagonal`: the same between the diagonals; `table_slope_x`,
 `table_slope_y`: more load towards larger world x or y. All dimensionless."""
@@ -202,9 +194,8 @@ def table_exponent(
     points: FloatArray, angle: FloatArray, values: Mapping[str, FloatArray]
 ) -> FloatArray:
     """Return the logarithm (n, n_point) of `factors_on_table`, without its limits."""
-    nothing = np.zeros(len(angle))
     bend, bend_xy, bend_diagonal, slope_x, slope_y = (
-        values.get(name, nothing)[:, None] for name in TABLE_NAMES
+        values.get(name, np.zeros(len(angle)))[:, None] for name in TABLE_NAMES
     )
     x, y = np.moveaxis(rotated(points / LENGTH, angle[:, None]), -1, 0)
     exponent = 0.5 * (bend * (x * x + y * y) + bend_xy * (x * x - y * y)) + bend_diagonal * x * y

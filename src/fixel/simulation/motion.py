@@ -11,7 +11,7 @@ import abc
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from typing import ClassVar, TypeVar, final
+from typing import Any, ClassVar, NoReturn, TypeVar, final
 
 from fixel.engine_names import EngineName, engine_names, is_engine
 from fixel.errors import InvalidInput, unknown_name
@@ -168,23 +168,14 @@ class OtherEngine(AbstractMotionModel):
 
     name: str  # type: ignore[misc]
 
-    def assemble(
-        self, model: Model, state: State, step: float, pose: FloatArray, problem: Problem
-    ) -> int:
-        raise _not_here(self.name)
+    def assemble(self, *rows: Any, **options: Any) -> NoReturn:
+        raise InvalidInput(
+            "motion",
+            found=f"the engine {self.name}",
+            expected="a motion model of fixel: this needs contacts, forces or many bodies",
+        )
 
-    def move(
-        self, model: Model, state: State, step: float, problem: Problem, extrapolation: int
-    ) -> None:
-        raise _not_here(self.name)
-
-
-def _not_here(engine: str) -> InvalidInput:
-    return InvalidInput(
-        "motion",
-        found=f"the engine {engine}",
-        expected="a motion model of fixel: this needs contacts, forces or many bodies",
-    )
+    move = assemble
 
 
 Part = TypeVar("Part")

@@ -174,20 +174,10 @@ def supports_of(scene: Scene) -> Elements:
         )
         unit = points / support.radius if isinstance(support, Tripod) else np.zeros(points.shape)
         parts.append((points, loads, friction, np.zeros(len(points)), unit))
-    count = [len(part[0]) for part in parts]
-    kind = [
-        codes.ELLIPSOID if isinstance(b.support, Ellipsoid) else codes.POINT for b in scene.bodies
-    ]
-    point, load, friction, arm, unit = (np.concatenate(rows) for rows in zip(*parts, strict=True))
-    return Elements(
-        np.repeat(np.arange(len(count)), count),
-        np.repeat(kind, count),
-        point,
-        load,
-        friction,
-        arm,
-        unit,
-    )
+    own = np.repeat(np.arange(len(parts)), [len(part[0]) for part in parts])
+    curved = np.array([isinstance(body.support, Ellipsoid) for body in scene.bodies])
+    kind = np.where(curved, codes.ELLIPSOID, codes.POINT)[own]
+    return Elements(own, kind, *(np.concatenate(rows) for rows in zip(*parts, strict=True)))
 
 
 class Pieces(NamedTuple):

@@ -63,14 +63,8 @@ class _Loop:
         self.inertial = motion.kind == codes.DYNAMIC
         entries.begin_control(self.control, batch.settings[0], stepper.adaptive, self.inertial)
         self.fallbacks = 0
-        entries.begin(
-            self.model,
-            self.state,
-            batch.velocity,
-            float(batch.settings[0, at.STEP]),
-            self.problem,
-            self.work,
-        )
+        step = float(batch.settings[0, at.STEP])
+        entries.begin(self.model, self.state, batch.velocity, step, self.problem, self.work)
 
     def attempt(
         self,
@@ -123,15 +117,9 @@ class _Loop:
     def past(self, before: State, older: State) -> StepHistory:
         """Return the last three steps."""
         state, control = self.state, self.control
-        return StepHistory(
-            state.middle.copy(),
-            before.middle,
-            float(control[at.LAST]),
-            float(control[at.EARLIER]),
-            state.velocity.copy(),
-            older.middle,
-            float(control[at.EARLIEST]),
-        )
+        last, earlier, earliest = control[[at.LAST, at.EARLIER, at.EARLIEST]].tolist()
+        middle, reached = state.middle.copy(), state.velocity.copy()
+        return StepHistory(middle, before.middle, last, earlier, reached, older.middle, earliest)
 
     def limits(self) -> StepLimits:
         """Return the bounds on the next step."""

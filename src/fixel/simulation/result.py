@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from math import degrees
 from pathlib import Path
 from typing import Any, Final, NamedTuple, final, overload
@@ -106,6 +106,8 @@ class Accuracy:
         End of every free body by the second way [m, m, rad].
     reason : str
         Why the verdict is not ``certified``; empty where it is.
+    parted_at : float or None
+        Time from which the two ways differ by more than ends that agree [s]; None if they do not.
 
     Examples
     --------
@@ -121,6 +123,7 @@ class Accuracy:
     angle: float
     other: FloatArray
     reason: str = ""
+    parted_at: float | None = None
 
     def __str__(self) -> str:
         apart = f"{1e3 * self.distance:.2g} mm and {degrees(self.angle):.2g} deg"
@@ -510,6 +513,8 @@ class BatchResult(Result):
         ``certified``, ``agreed`` or ``uncertain``, as `Accuracy.verdict`; None if not requested.
     apart : (n, 2) float64 or None
         Largest distance [m] and angle [rad] between the ends by two independent ways.
+    parted_at : (n,) float64 or None
+        Times from which the two ways differ [s], as `Accuracy.parted_at`; NaN if they do not.
     derivatives : mapping from name to (n, 3) float64, or None
         Derivatives of the last poses [m, m, rad] by each requested parameter or start coordinate;
         NaN where there are none.
@@ -546,6 +551,7 @@ class BatchResult(Result):
     contacts: BoolArray | None = None
     accuracy: NDArray[np.str_] | None = None
     apart: FloatArray | None = None
+    parted_at: FloatArray | None = None
     derivatives: Mapping[str, FloatArray] | None = None
     differentiable: BoolArray | None = None
     version: str = ""
@@ -675,22 +681,8 @@ class BatchResult(Result):
         return Table(columns, zip(*values, strict=True))
 
 
-# Fields of a batch with one row for each run.
-PER_RUN: Final = (
-    "status",
-    "pose",
-    "stopped_at",
-    "steps",
-    "fallbacks",
-    "max_residual",
-    "force",
-    "peak_force",
-    "stalled",
-    "contacts",
-    "accuracy",
-    "apart",
-    "differentiable",
-)
+_SHARED: Final = ("scene", "parameters", "time", "derivatives", "version")
+PER_RUN: Final = tuple(own.name for own in fields(BatchResult) if own.name not in _SHARED)
 
 
 def _known(name: str, names: Sequence[str]) -> str:

@@ -20,6 +20,7 @@ from fixel.kernels import codes
 from fixel.kernels.arrays import (
     CONTACT_ROWS,
     DRIVEN,
+    DURATION,
     FREE,
     REACHED,
     SAMPLES,
@@ -50,9 +51,9 @@ from fixel.simulation.stepping import (
 from fixel.simulation.threads import (
     borrowed_record,
     empty_record,
-    ends_of,
     give_back,
     pose_units,
+    poses_at,
     rollout_in_threads,
     shape_poses,
 )
@@ -366,8 +367,9 @@ class Simulator:
         variation, n = variation_of(self.scene, parameters, start, waypoints)
         seconds = duration_of(self.scene, duration)
         packed = pack(self.scene, self.motion, self.stepper, variation, n, seconds)
-        poses, status = ends_of(packed, self._method, threads)
-        return poses, np.array(codes.STATUS_NAMES)[status]
+        end = packed.batch.settings[:, DURATION, None]
+        poses, status = poses_at(packed, self._method, end, threads)
+        return poses[:, 0], np.array(codes.STATUS_NAMES)[status]
 
     def _changed(self, start: ArrayLike | None, waypoints: ArrayLike | None) -> Scene:
         """Return the scene with other start poses of its bodies and another path."""
@@ -421,10 +423,12 @@ class Simulator:
         if accuracy:
             from fixel.simulation.accuracy import confirm  # late: few runs need it
 
-            verdicts, apart, other, reasons = confirm(packed, self._method, ends, status, 1, modes)
-            verdict, (distance, angle) = str(verdicts[0]), apart[0].tolist()
-            own = {"verdict": verdict, "distance": distance, "angle": angle}
-            result["accuracy"] = Accuracy(**own, other=other[0], reason=reasons[0])
+            verdict, apart, at, other, why = confirm(packed, self._method, ends, status, 1, modes)
+            when = None if np.isnan(at[0]) else float(at[0])
+            result["accuracy"] = Accuracy(
+                verdict=str(verdict[0]), distance=float(apart[0, 0]), angle=float(apart[0, 1]),
+                other=other[0], reason=why[0], parted_at=when,
+            )  # fmt: skip
         return result
 
     def _record(

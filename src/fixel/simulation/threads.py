@@ -23,7 +23,6 @@ from fixel.kernels import rollout as kernel
 from fixel.kernels.arrays import (
     BODY,
     DRIVEN,
-    DURATION,
     FREE,
     N_TOTAL,
     PATH,
@@ -335,11 +334,13 @@ def hold_last(record: BatchRecord, *arrays: FloatArray) -> None:
             array[r, last:] = array[r, last]
 
 
-def ends_of(
-    packed: PackedBatch, method: StepMethod, threads: int | None
+def poses_at(
+    packed: PackedBatch, method: StepMethod, times: FloatArray, threads: int | None
 ) -> tuple[FloatArray, IntArray]:
-    """Simulate packed rollouts; return their last poses (n, n_free, 3) and statuses (n,)."""
-    record = empty_record(packed, 1, 0, bare=True)
-    record.time[:] = packed.batch.settings[:, DURATION, None]
+    """Simulate packed rollouts to scaled `times` (n, n_time); return poses (n, n_time, n_free, 3),
+    the last repeated after an early stop, and statuses (n,)."""
+    record = empty_record(packed, times.shape[1], 0, bare=True)
+    record.time[:] = times
     rollout_in_threads(packed.batch, method, record, threads)
-    return shape_poses(packed, record.pose)[:, 0], record.status
+    hold_last(record, record.pose)
+    return shape_poses(packed, record.pose), record.status

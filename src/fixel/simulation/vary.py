@@ -83,10 +83,6 @@ def vary(
 ) -> VariedScene:
     """Apply a variation to a scene, with its supports and the friction of its pairs."""
     values = variation.parameters
-    if not values:
-        plane = varied_plane(scene, values)
-        elements = on_load_map(scene, elements, variation.start)
-        return VariedScene(variation.start, elements, None, friction, None, None, plane, None)
     _check_own(values)
     plane = varied_plane(scene, values)
     if plane.ndim == 2 and _is_slippery(plane).any():  # changed by parameters
@@ -504,15 +500,8 @@ def composed(outer: FloatArray, inner: FloatArray) -> FloatArray:
     """Compose poses (..., 3): a_from_c of a_from_b and b_from_c."""
     outer, inner = np.broadcast_arrays(outer, inner)
     c, s = np.cos(outer[..., 2]), np.sin(outer[..., 2])
-    x, y = inner[..., 0], inner[..., 1]
-    return np.stack(
-        (
-            outer[..., 0] + c * x - s * y,
-            outer[..., 1] + s * x + c * y,
-            outer[..., 2] + inner[..., 2],
-        ),
-        axis=-1,
-    )
+    (x, y, turn), at = np.moveaxis(inner, -1, 0), np.moveaxis(outer, -1, 0)
+    return np.stack((at[0] + c * x - s * y, at[1] + s * x + c * y, at[2] + turn), axis=-1)
 
 
 def inverted(pose: FloatArray) -> FloatArray:
@@ -542,12 +531,8 @@ def infeasible(scene: Scene, values: Values) -> list[str]:
         _note(reasons, ~carried, "the centre of mass outside the support triangle")
     if "pressure_spread" in values:
         _, share = pressure_shares(scene, values["pressure_spread"])
-        tipped = np.any(share < -LOAD_ROUNDING, axis=1)
-        _note(
-            reasons,
-            tipped,
-            "the centre of mass too far from the centroid for positive pressure everywhere",
-        )
+        tips = "the centre of mass too far from the centroid for positive pressure everywhere"
+        _note(reasons, np.any(share < -LOAD_ROUNDING, axis=1), tips)
     if any(name in values for name in PROFILE_NAMES) and len(scene.bodies) == 1:
         body = scene.bodies[0]
         if not can_balance(LoadNet.of(body.shape).points - body.com):

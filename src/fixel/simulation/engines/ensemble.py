@@ -221,8 +221,7 @@ class EngineEnsemble:
         )
         answer, reason = self._answer(program, case, plain(task))
         reason = reason or fault(task, answer)
-        pose = None if reason else scene_poses(np.array(answer, np.float64))
-        return pose, reason
+        return None if reason else scene_poses(np.array(answer, np.float64)), reason
 
     def _answer(self, program: Program, case: int, task: Any) -> tuple[Any, str]:
         """Return the poses of one rollout, or the reason why there are none."""
@@ -248,9 +247,8 @@ class EngineEnsemble:
 
     def _padded(self, poses: Sequence[FloatArray]) -> FloatArray:
         """Stack poses, the last one repeated where a case has fewer samples."""
-        n = self.n_sample
-        rows = [p[np.minimum(np.arange(n), len(p) - 1)] for p in poses]
-        return np.array(rows)
+        place = np.arange(self.n_sample)
+        return np.array([p[np.minimum(place, len(p) - 1)] for p in poses])
 
 
 def fields_of_engine(
