@@ -68,11 +68,35 @@ def test_bytes_of_other_encodings_are_refused_as_by_the_command(bench, tmp_path,
     assert "not UTF-8" in answer["found"]
 
 
-def test_a_table_of_several_pushes_is_left_to_the_command(bench):
+def two_pushes():
+    """One table of two pushes, which its column `push` separates."""
     header, *rows = TABLE.strip().splitlines()
-    twice = "\n".join([f"{header},push", *(f"{row},{push}" for push in "ab" for row in rows)])
-    answer = bench.post("/import", {"name": "a.csv", "table": twice}, 422)
-    assert 'use fixel import TABLE --option split_by="push" if' in str(answer)
+    other = table_text(*push(0.15, 0.03, duration=0.4)).strip().splitlines()[1:]
+    return "\n".join(
+        [f"{header},push", *(f"{row},a" for row in rows), *(f"{row},b" for row in other)]
+    )
+
+
+def test_a_table_of_several_pushes_is_separated_as_by_the_command(bench, tmp_path):
+    store, asked = bench.context.store, {"name": "two.csv", "table": two_pushes()}
+    answer = bench.post("/import", asked, 422)
+    assert 'use split_by="push" if' in answer["hint"]
+    answer = bench.post("/import", asked | {"split_by": "psh"}, 422)
+    assert (answer["where"], answer["found"]) == ("split_by", "'psh'")
+
+    read = bench.post("/import", asked | {"split_by": "push", "dry_run": True})
+    asked |= {"split_by": "push", "scene": filled(read["template"])}
+    first, second = (bench.post("/import", asked) for _ in range(2))
+    assert [first[name] for name in ("stored", "known", "replaced")] == [2, 0, 0]
+    assert [second[name] for name in ("stored", "known", "replaced")] == [0, 2, 0]
+    torn = asked["table"] + "\n" + asked["table"].splitlines()[1][:-1] + "c\n"
+    assert bench.post("/import", asked | {"table": torn})["skipped"] == ["two/c: one row"]
+    table, scene = tmp_path / "two.csv", tmp_path / "scene.yaml"
+    table.write_text(asked["table"])
+    scene.write_text(asked["scene"])
+    for read in fixel.read_experiments(table, split_by="push", scene=scene):
+        stored = store.experiment(store.find(read.key))
+        assert stored.trajectory.pose.tobytes() == read.trajectory.pose.tobytes()
 
 
 @pytest.mark.system
@@ -94,6 +118,23 @@ def test_files_dropped_on_the_page_are_imported(browser_page, server):
     page.click("#import-do")
     page.wait_for_selector(".toast")
     assert server.context.store.find("csv/dropped")
+
+
+@pytest.mark.system
+def test_a_column_separates_the_pushes_of_a_table_on_the_page(browser_page, server):
+    page = browser_page
+    page.expected_problems = ["422"]
+    page.wait_for_selector("tr[data-id]")
+    page.click("#show-import")
+    table = {"name": "two.csv", "mimeType": "text/csv", "buffer": two_pushes().encode()}
+    page.set_input_files("#import-tables", [table])
+    page.wait_for_selector("#import-problem >> text=split_by")
+    page.fill("#import-split", "push")
+    page.press("#import-split", "Enter")
+    page.wait_for_selector("#import-do:not([disabled])")
+    page.click("#import-do")
+    page.wait_for_selector(".toast >> text=Imported 2 experiments")
+    assert server.context.store.find("two/a")
 
 
 @pytest.mark.system

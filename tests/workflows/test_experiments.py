@@ -8,6 +8,7 @@ from tests.fixtures import refused
 
 import fixel
 from fixel.errors import DatasetMissing, InvalidInput
+from fixel.formats import SceneFile
 from fixel.workflows.experiments import read_experiments
 
 HEAD = ("time_s", "x_m", "y_m", "theta_rad", "tip_x_m", "tip_y_m")
@@ -135,6 +136,14 @@ def test_a_function_gives_each_experiment_its_scene():
 
     found = read_experiments(table, split_by="push", scene=scene, progress=False)
     assert [one.scene.bodies[0].mass for one in found] == [0.5, 0.7]
+
+
+def test_a_loaded_scene_file_is_a_scene():
+    loaded = SceneFile(scene=template())
+    table = columns(0.01, -0.02)
+    as_file = read_experiments(table, split_by="push", scene=loaded, progress=False)
+    as_scene = read_experiments(table, split_by="push", scene=loaded.scene, progress=False)
+    assert [one.scene for one in as_file] == [one.scene for one in as_scene]
 
 
 def test_single_rows_are_skipped_and_named():

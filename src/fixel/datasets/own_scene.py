@@ -12,7 +12,7 @@ import numpy as np
 from fixel.datasets import contact
 from fixel.datasets.base import trajectory_of
 from fixel.errors import InvalidInput
-from fixel.formats.scene_file import FILL_IN, scene_of, scene_record
+from fixel.formats.scene_file import FILL_IN, SceneFile, scene_of, scene_record
 from fixel.io.document import document, yaml_text
 from fixel.model import Disk, Experiment, Flag, PathDrive, Pusher, Scene, Shape, Trajectory
 from fixel.model.fields import instance
@@ -151,7 +151,8 @@ def _scene(choice: SceneChoice, experiment: Experiment) -> tuple[Scene, str]:
     if isinstance(choice, Path):
         return _loaded(choice, experiment), choice.name
     conditions = {**experiment.conditions, "name": experiment.name}
-    scene = choice(conditions) if callable(choice) else choice
+    made: Any = choice(conditions) if callable(choice) else choice
+    scene = made.scene if isinstance(made, SceneFile) else made
     instance(scene, Scene, "scene", "a Scene, a scene file, or a function that returns a Scene")
     return scene, "scene"
 

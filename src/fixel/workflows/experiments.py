@@ -16,8 +16,8 @@ from fixel.datasets import Experiments, plan_import
 from fixel.datasets.reading import collected
 from fixel.errors import InvalidInput
 from fixel.formats.recording import is_recording
+from fixel.formats.scene_file import SceneFile
 from fixel.io.atomic import refuse_device
-from fixel.model import Scene
 from fixel.model.fields import whole
 from fixel.model.scene import SceneChoice
 from fixel.model.selection import ExperimentQuery
@@ -30,7 +30,7 @@ PathLike = str | os.PathLike[str]
 def read_experiments(
     source: PathLike | Iterable[PathLike] | Any,
     *,
-    scene: SceneChoice | PathLike | None = None,
+    scene: SceneChoice | SceneFile | PathLike | None = None,
     format: str | None = None,
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
@@ -50,7 +50,7 @@ def read_experiments(
         log (`.jsonl`); folder of a public dataset;
         folder of a recording with its `rig.yaml` and `scene.yaml`, which is tracked; or `.zip` that
         `fixel export` wrote. Several paths are read one after the other.
-    scene : Scene, path or callable, optional
+    scene : Scene, SceneFile, path or callable, optional
         Scene of a table, without which its experiments can be drawn but not simulated. It may be a
         template whose pusher has no drive: start poses, path and duration come from the table. A
         function gets the conditions and the `name` of each experiment.
@@ -110,7 +110,7 @@ def read_experiments(
       table/a       2          1.00         8.0           5.0
       table/b       2          1.00         9.0          -4.0
     """
-    choice = Path(scene) if isinstance(scene, str | os.PathLike) else scene
+    choice: Any = Path(scene) if isinstance(scene, str | os.PathLike) else scene
     sources = [*source] if isinstance(source, list | tuple) else [source]
     places = [Path(s) if isinstance(s, str | os.PathLike) else s for s in sources]
     if limit is not None:
@@ -139,7 +139,7 @@ def _ready(place: Any, scene: SceneChoice | None) -> Experiments | None:
     refuse_device(place, "a file or a folder")
     if is_recording(place):
         if scene is not None and not isinstance(scene, Path):
-            found = "a Scene" if isinstance(scene, Scene) else "a function"
+            found = "a function" if callable(scene) else "a Scene"
             raise InvalidInput("scene", found=found, expected="a scene file, for a recording")
         return Experiments.of(track_film(place, scene=scene).experiment)
     if place.suffix.lower() == ".zip" and place.is_file():

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 from fastapi import APIRouter
 from pydantic import AfterValidator, Field
 
-from fixel.capability.capability import named
-from fixel.errors import InvalidInput
+from fixel.datasets.table import CsvTable
 from fixel.model import Flag
 from fixel.web.context import Context
 from fixel.web.values import Answer, Id, RequestBody, Text, storable
@@ -64,23 +63,21 @@ class TableRequest(RequestBody):
     )
     table: FileText = Field(max_length=MAX_TEXT)
     scene: FileText | None = Field(None, max_length=MAX_TEXT, description="scene file, as YAML")
-    angle_unit: str | None = Field(
-        None, pattern="^(rad|deg)$", description="unit of the angles; overrides the header"
-    )
+    angle_unit: Text | None = Field(None, description=CsvTable.options["angle_unit"])
+    split_by: Text | None = Field(None, description=CsvTable.options["split_by"])
     dry_run: bool = Field(False, description="whether to read only and store nothing")
 
 
 class TableResult(Answer):
-    """Result of reading a table, and of storing it."""
+    """Result of reading a table, and of storing its experiments."""
 
     understood: list[str]
+    skipped: list[str] = Field(description="experiments of the table that cannot be read, and why")
     has_scene: bool
     template: str | None = Field(description="template of a scene file, if none was given")
-    stored: bool
-    known: bool = Field(
-        description="whether the experiment was already stored; then it is unchanged"
-    )
-    replaced: bool = Field(description="whether it replaces an earlier one of the same name")
+    stored: int = Field(description="number of experiments that were stored")
+    known: int = Field(description="number that were stored before, and are unchanged")
+    replaced: int = Field(description="number that replace an earlier one of the same name")
 
 
 @router.post("/experiments/flag", summary="Add a flag to experiments", tags=["marks"])
@@ -122,18 +119,18 @@ def undelete_notes(context: Context, wanted: MarkRequest) -> ChangedRecords:
 
 @router.post("/import", summary="Import a CSV table with its scene", tags=["experiments"])
 def import_table(context: Context, wanted: TableRequest) -> TableResult:
-    options: Any = {"angle_unit": wanted.angle_unit, "dry_run": wanted.dry_run}
-    try:
-        plan, template, done = import_texts(
-            context.store, wanted.name, wanted.table, wanted.scene, **options
-        )
-    except InvalidInput as error:  # the page imports one experiment
-        raise named(error, {"split_by": "fixel import TABLE --option split_by"}) from None
+    given = {"angle_unit": wanted.angle_unit, "split_by": wanted.split_by}
+    options = {name: value for name, value in given.items() if value is not None}
+    file = wanted.name, wanted.table, wanted.scene
+    plan, template, done = import_texts(
+        context.store, *file, options=options, dry_run=wanted.dry_run
+    )
     return TableResult(
         understood=list(plan.understood),
+        skipped=list(plan.skipped),
         has_scene=template is None,
         template=template,
-        stored=bool(done.new),
-        known=bool(done.known),
-        replaced=bool(done.replaced),
+        stored=done.new,
+        known=done.known,
+        replaced=done.replaced,
     )

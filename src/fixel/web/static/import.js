@@ -22,9 +22,9 @@ export function offerImport(done) {
     try {
       const { answers, skipped } = await each(false);
       dialog.close();
-      const [known, replaced] = ["known", "replaced"].map((name) => answers.filter((answer) => answer[name]).length);
+      const [stored, known, replaced] = ["stored", "known", "replaced"].map((name) => answers.reduce((sum, answer) => sum + answer[name], 0));
       const more = [replaced && `replaced ${several(replaced, "earlier experiment")} of the same name`, known && `${known} were already stored`, skipped.length && `skipped ${skipped.join("; ")}`];
-      toast(`Imported ${[several(answers.length - known, "experiment"), ...more.filter(Boolean)].join("; ")}.`);
+      toast(`Imported ${[several(stored, "experiment"), ...more.filter(Boolean)].join("; ")}.`);
       await done();
     } catch (problem) {
       refused(problem);
@@ -70,7 +70,7 @@ async function read() {
       make("details", { open: true },
         make("summary", {}, first.name + (tables.length > 1 ? `, and ${several(tables.length - 1, "table")} more` : "")),
         make("ul", {}, ...first.understood.map((/** @type {string} */ sentence) => make("li", {}, sentence)))),
-      ...(skipped.length ? [make("p", {}, `Skipped ${several(skipped.length, "table")}:`),
+      ...(skipped.length ? [make("p", {}, `Skipped ${skipped.length}:`),
         make("ul", { id: "import-skipped" }, ...skipped.map((sentence) => make("li", {}, sentence)))] : []));
     go.disabled = false;
     if (!first.template) return;
@@ -103,7 +103,8 @@ async function each(dry) {
     try {
       const table = await file.text();
       if (table.length > MOST) throw new Refusal({ status: 413, sentence: `${name} is too large for this page; run: fixel import ${name} --scene FILE` });
-      answers.push({ name, ...await send("/import", { name, table, scene, dry_run: dry }) });
+      answers.push({ name, ...await send("/import", { name, table, scene, split_by: input("import-split").value.trim() || null, dry_run: dry }) });
+      skipped.push(...answers[answers.length - 1].skipped);
     } catch (problem) {
       if (!(problem instanceof Refusal) || tables.length === 1) throw problem;
       skipped.push(problem.message.includes(name) ? problem.message : `${name}: ${problem.message}`);

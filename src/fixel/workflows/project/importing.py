@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from urllib.parse import urlsplit
@@ -54,14 +55,14 @@ def import_texts(
     table: str,
     scene: str | None,
     *,
-    angle_unit: str | None = None,
+    options: Mapping[str, str] | None = None,
     dry_run: bool = False,
 ) -> tuple[ImportPlan, str | None, AddSummary]:
-    """Store the experiment in the text of a CSV table, or with `dry_run` only read it.
+    """Store the experiments in the text of a CSV table, or with `dry_run` only read them.
 
-    Return how it was read, the template of a scene if it has none, and how many experiments were
-    added. The experiment gets its name from `name`, that of the table's file. `scene` is the YAML
-    of a scene file; `angle_unit`, `rad` or `deg`, overrides the header.
+    Return how they were read, the template of a scene if they have none, and how many experiments
+    were added. They get their names from `name`, that of the table's file. `scene` is the YAML of a
+    scene file; `options` are those of the importer of tables.
     """
     with TemporaryDirectory(prefix="fixel-import-") as folder:
         source = Path(folder) / name
@@ -70,11 +71,10 @@ def import_texts(
         file = None if scene is None else Path(folder) / "scene.yaml"
         if file is not None and scene is not None:
             file.write_text(scene, encoding="utf-8", newline="")
-        options = {} if angle_unit is None else {"angle_unit": angle_unit}
         plan = plan_import(source, TABLE, options=options, scene=file)
-        (experiment,) = plan.experiments()
-        template = None if experiment.scene is not None else template_text(experiment, name)
-        done = AddSummary(0, 0, 0, 0.0) if dry_run else add_experiments(store, [experiment])
+        experiments = list(plan.experiments())
+        template = None if experiments[0].scene else template_text(experiments[0], name)
+        done = AddSummary(0, 0, 0, 0.0) if dry_run else add_experiments(store, experiments)
     return plan, template, done
 
 
