@@ -403,6 +403,36 @@ def test_no_job_is_prepared_for_an_unknown_engine(name, option, project):
     assert capability.labels()[problem.value.where] == capability.options[option].label
 
 
+SELECTING = [
+    (k, {name: ("typo=1",) if name == "where" else "typo"}, name)
+    for k, own in CAPABILITIES.items() if own.on_project
+    for name, option in own.options.items() if name in ("where", "dataset") or option.door.condition
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "wrong", "option"), SELECTING)
+def test_no_job_is_prepared_for_names_that_no_experiment_has(name, wrong, option, project):
+    capability = CAPABILITIES[name]
+    every = {"experiments": ()} if name == "calibrate" else {}  # of all that are selected
+    request = capability.request(SHORT[name] | every | wrong)
+    with pytest.raises(InvalidInput, match="typo") as problem:
+        prepare(capability, request, project)
+    for names in (capability.flags(), capability.labels()):
+        assert named(problem.value, names).where == names[option]
+
+
+def test_conditions_of_a_table_are_options_that_a_job_checks():
+    checked = {o for name in ("table-check", "table-map")
+               for o, own in CAPABILITIES[name].options.items() if own.door.condition}  # fmt: skip
+    assert checked == {"part", "surface", "session"}
+
+
+def test_no_job_is_prepared_for_a_filter_that_selects_no_experiment(project):
+    capability = CAPABILITIES["table-check"]
+    with pytest.raises(InvalidInput, match="at least one experiment"):
+        prepare(capability, capability.request({"where": ("duration>1000",)}), project)
+
+
 def test_a_request_never_permits_a_program_by_itself(project, tmp_path):
     program = tmp_path / "engine.py"
     program.write_text("")

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fixel.calibration.target import NUMBERING, TRUTH, Target, target_of
-from fixel.errors import InvalidInput, some_of
+from fixel.errors import InvalidInput, check_name, some_of
 from fixel.model import Disk, Experiment, Scene, Shape, rotated, wrapped
 from fixel.model.fields import Comparable, frozen, instance, settle
 from fixel.model.overlap import gaps_and_normals
@@ -155,6 +155,16 @@ SURFACES: Final = ("surface", "table")
 DATASET: Final = "dataset"
 # Conditions that identify what errors depend on; every one of their values counts.
 IDENTITY: Final = (*PARTS, *SURFACES, DATASET)
+
+
+def check_conditions(experiments: Sequence[Experiment | Target], **names: str | None) -> None:
+    """Raise for a named condition, by the argument with its name, that no experiment has."""
+    known = sorted({name for own in experiments for name in own.conditions})
+    for where, name in names.items():
+        if name:
+            check_name(where, name, known)
+
+
 TRAVEL_LENGTH: Final = "travel"
 # Experiments with one value below which it counts as unseen: one or two pushes are no evidence.
 MIN_EXPERIMENTS: Final = 3

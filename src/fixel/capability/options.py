@@ -59,6 +59,7 @@ class Door:
     effort: bool = False  # whether it changes the effort, but no result
     # Whether it is the name of a file or its content in JSON, which a page states.
     content: bool = False
+    condition: bool = False  # whether it is the name of a condition of experiments
     commas: bool = False  # whether one text lists several values with commas between them
     writes: bool = False  # whether it is a file that the function writes
     # Whether it may name a program to run, which only a user at a command permits.
@@ -332,6 +333,7 @@ Seed = Annotated[int, Door(least=0, most=2**32 - 1, meaning="Seed of the random 
 Level = Annotated[float, Door(above=0.0, below=1.0)]
 Threads = Annotated[int | None, Door(least=1, effort=True)]
 Save = Annotated[bool, Door(effort=True)]
+ConditionName = Annotated[str | None, Door(metavar="CONDITION", condition=True)]
 MotionName = Annotated[  # of states without velocities
     "AbstractMotionModel | str | None", Door(plain=Literal["quasistatic", "first-order"] | None)
 ]

@@ -12,9 +12,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from fixel.calibration.known_pushes import PARTS, SURFACES
+from fixel.calibration.known_pushes import PARTS, SURFACES, check_conditions
 from fixel.calibration.target import Target
-from fixel.errors import InvalidInput, check_name, counted
+from fixel.errors import InvalidInput, counted
 from fixel.model import rotated, wrapped
 from fixel.model.trajectory import pose_difference
 from fixel.parts.model import SAME_DIRECTION, SAME_PLACE
@@ -229,10 +229,7 @@ def check_table(
     real: bool,
 ) -> TableCheck:
     """Check a table with pushes; arguments as for `fixel.table_check`."""
-    known = {name for own in targets for name in own.conditions}
-    for what, name in (("part", part), ("surface", surface), ("session", session)):
-        if name:
-            check_name(what, name, sorted(known))
+    check_conditions(targets, part=part, surface=surface, session=session)
     surface = surface or _condition(targets, SURFACES)
     tables = sorted({str(own.conditions.get(surface, "")) for own in targets})
     if len(tables) > 1:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from fixel.capability.capability import Capability
 from fixel.capability.options import TABLE
-from fixel.errors import InvalidInput, JobRefused
+from fixel.errors import InvalidInput, JobRefused, check_name, no_experiments
 from fixel.io.atomic import readable
 from fixel.jobs.functions import callable_by_jobs, stamp
 from fixel.workflows.calibration.run import CALIBRATE
@@ -235,6 +235,20 @@ def _check_files(capability: Capability, request: BaseModel, project: Project | 
             raise InvalidInput(name, found=str(path), expected=expected)
 
 
+def _check_selection(capability: Capability, request: BaseModel, project: Project) -> None:
+    """Raise for a filter that selects no experiment, or a condition that no experiment has."""
+    own: Any = request
+    dataset, flagged = getattr(own, "dataset", ""), getattr(own, "flagged", False)
+    filters = (*getattr(own, "where", ()), *([f'"dataset:{dataset}"'] if dataset else []))
+    if filters and not project.experiments(*filters, flagged=flagged, limit=1):
+        raise no_experiments()
+    with project.store() as store:
+        known = sorted(store.conditions())
+    for name, option in capability.options.items():
+        if option.door.condition and getattr(own, name):
+            check_name(name, getattr(own, name), known)
+
+
 @callable_by_jobs
 def run_request(inputs: Path, options: Mapping[str, Any]) -> Work:
     """Run the request of a job and store its analysis; the result is the name of its folder.
@@ -306,6 +320,7 @@ def prepare(
             if (number := getattr(request, "calibration", None)) is not None:
                 store.calibration(number)
             of = [request.model_dump(mode="json"), store.record_ids(), capability.reads(request)]
+        _check_selection(capability, request, project)
     of += [stamp(), table and table.sha256]
     digest = hashlib.sha256(json.dumps(of, sort_keys=True).encode()).hexdigest()
     name = getattr(request, "name", capability.name)

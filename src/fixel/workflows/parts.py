@@ -8,11 +8,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from fixel.calibration.known_pushes import PARTS, SURFACES
+from fixel.calibration.known_pushes import PARTS, SURFACES, check_conditions
 from fixel.calibration.target import target_of
 from fixel.datasets import Experiments
 from fixel.domain.error_bound import LEVEL
-from fixel.errors import InvalidInput, check_name
+from fixel.errors import InvalidInput
 from fixel.io.array_bytes import ResultCache, listed
 from fixel.model import Experiment
 from fixel.parts.fit import UNPUSHED, PartPushes, PartValues, SupportPrior, fit_part
@@ -118,10 +118,7 @@ def pushes_of_parts(
     if not used:
         expected, hint = "pushes of parts", "fixel.read_experiments(folder) reads them"
         raise InvalidInput("experiments", found="none with a scene", expected=expected, hint=hint)
-    known = {name for own in used for name in own.conditions}
-    for where, name in {"part": part, "surface": surface}.items():
-        if name:
-            check_name(where, name, known)
+    check_conditions(used, part=part, surface=surface)
     return used, part or _condition(used, PARTS, "part"), surface or _condition(used, SURFACES, "")
 
 

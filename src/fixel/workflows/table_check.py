@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from fixel.capability.capability import Capability
-from fixel.capability.options import Door, Flagged, Level, Seed, Where
+from fixel.capability.options import ConditionName, Door, Flagged, Level, Seed, Where
 
 if TYPE_CHECKING:
     from fixel.database.project import Project
@@ -22,9 +22,9 @@ JSON: Final = ("folder", "pictures")  # what `--json` has besides numbers
 def table_check(
     experiments: Iterable[Experiment],
     *,
-    part: str | None = None,
-    surface: str | None = None,
-    session: str | None = None,
+    part: ConditionName = None,
+    surface: ConditionName = None,
+    session: ConditionName = None,
     position: Annotated[float, Door(unit="mm", above=0.0)] = 2e-3,
     angle: Annotated[float, Door(unit="deg", above=0.0)] = math.radians(3.0),
     level: Level = 0.95,

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, final
 
 from fixel.capability.capability import Capability
-from fixel.capability.options import TABLE, Dataset, Door, Flagged, Threads, Where
+from fixel.capability.options import TABLE, ConditionName, Dataset, Door, Flagged, Threads, Where
 from fixel.errors import InvalidInput, counted
 
 if TYPE_CHECKING:
@@ -30,8 +30,8 @@ def table_map(
     experiments: Iterable[Experiment],
     calibrations: Mapping[str, Mapping[str, float] | Calibration] | PartModel | None = None,
     *,
-    part: str | None = None,
-    surface: str | None = None,
+    part: ConditionName = None,
+    surface: ConditionName = None,
     threads: Threads = None,
     store: str | Path | None = None,
     progress: ProgressOption = None,
