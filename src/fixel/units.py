@@ -43,6 +43,11 @@ def displayed(unit: str) -> tuple[str, float]:
     return _DISPLAYED.get(unit, (unit, 1.0))
 
 
+def unit_text(unit: str) -> str:
+    """Format a unit with a superscript square."""
+    return unit.replace("^2", "²")
+
+
 def split_unit(name: str) -> tuple[str, str]:
     """Split the name of a condition into the name without its suffix and the SI unit."""
     for suffix, unit in _SUFFIXES.items():

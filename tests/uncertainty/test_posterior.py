@@ -7,7 +7,7 @@ import pytest
 
 from fixel.errors import InvalidInput
 from fixel.uncertainty.likelihood import FLOOR
-from fixel.uncertainty.posterior import NestedSampling, equal_weight, modes_of
+from fixel.uncertainty.posterior import Mode, NestedSampling, Posterior, equal_weight, modes_of
 
 SD = 0.02
 
@@ -119,3 +119,32 @@ def test_tails_of_one_cloud_are_no_modes():
 def test_settings_that_cannot_be_are_refused(bad):
     with pytest.raises(InvalidInput):
         NestedSampling(**bad)
+
+
+def lengths(modes):
+    """A posterior of a length of 38 mm and an angle of 0.1 rad, without spread."""
+    return Posterior(
+        labels=("radius", "angle"), units=("m", "rad"), low=np.array((0.01, -0.2)),
+        high=np.array((0.06, 0.2)), points=np.tile((0.038, 0.1), (5, 1)), modes=modes,
+        log_likelihood=np.zeros(5), log_evidence=-1.0, log_evidence_error=0.1, effective=400.0,
+        information=1.0, evaluations=4000, failed=0, seconds=1.0, seed=0,
+    )  # fmt: skip
+
+
+def test_a_posterior_prints_millimetres_and_degrees():
+    printed = [line.split() for line in str(lengths(())).splitlines()]
+
+    assert ["radius", *["38"] * 4, "10", "..", "60", "mm"] in printed
+    assert ["angle", *["5.73"] * 4, "-11.5", "..", "11.5", "deg"] in printed
+    assert "400 effective samples from 4000 simulated points" in str(lengths(()))
+
+
+def test_modes_of_a_posterior_are_printed_with_their_weights():
+    none = np.zeros(0, np.int64)
+    modes = [Mode(weight, np.array((at, 0.1)), 0.0, np.array((at - 1e-3, 0.0)),
+                  np.array((at + 1e-3, 0.1)), none) for weight, at in ((0.75, 0.038), (0.25, 0.058))
+             ]  # fmt: skip
+    printed = [line.split() for line in str(lengths(tuple(modes))).splitlines()]
+
+    assert ["1", "75", "37", "..", "39", "0", "..", "5.73"] in printed
+    assert ["2", "25", "57", "..", "59", "0", "..", "5.73"] in printed

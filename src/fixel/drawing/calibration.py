@@ -14,6 +14,7 @@ from fixel.drawing.chart import Chart, Mark, Style
 from fixel.progress import time_text
 from fixel.table import Table
 from fixel.typing import FloatArray, IntArray
+from fixel.units import unit_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -61,7 +62,7 @@ def errors_chart(keys: Sequence[str], series: Mapping[str, FloatArray], unit: st
         *marks,
         log={"x": shown.ravel()},
         rows=_row_names([keys[k] for k in order]) if named else (),
-        xlabel=f"error [{chart.unit_text(unit)}]",
+        xlabel=f"error [{unit_text(unit)}]",
         ylabel="" if named else f"experiment, worst of {n} first",
         ylim=(n - 0.4, -0.6),
     )
@@ -89,7 +90,7 @@ def _with_mean(name: str, errors: FloatArray, unit: str) -> str:
     mean, median = float(good.mean()), float(np.median(good))
     both = f"{mean:.3g}" if len(good) == 1 else f"mean {mean:.3g}, median {median:.3g}"
     failed = f"; × {lost} without a simulation" if lost else ""
-    return f"{name}: {both} {chart.unit_text(unit)}{failed}"
+    return f"{name}: {both} {unit_text(unit)}{failed}"
 
 
 def seconds_chart(keys: Sequence[str], seconds: FloatArray, evaluations: Sequence[int]) -> Chart:

@@ -21,7 +21,7 @@ from fixel.errors import InvalidInput
 from fixel.io.atomic import refuse_ending, refuse_unwritable, write_whole
 from fixel.table import Table
 from fixel.typing import FloatArray
-from fixel.units import displayed
+from fixel.units import displayed, unit_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -370,11 +370,6 @@ def display_unit(unit: str) -> DisplayUnit:
     """Return the display unit, such as millimetres and degrees instead of metres and radians."""
     name, factor = displayed(unit)
     return DisplayUnit(unit_text(name), factor)
-
-
-def unit_text(unit: str) -> str:
-    """Format a unit with a superscript square."""
-    return unit.replace("^2", "²")
 
 
 def column_unit(unit: str) -> str:

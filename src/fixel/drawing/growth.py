@@ -16,6 +16,7 @@ from fixel.drawing import chart, palette
 from fixel.drawing.chart import Chart, Mark, Style
 from fixel.table import Table
 from fixel.typing import FloatArray
+from fixel.units import unit_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,7 +34,7 @@ def growth_matrix(growth: Growth, unit: str) -> Chart:
     errors, names = error_matrix(growth), [group.name for group in growth.groups]
     steps = {f"step_{k}_{chart.column_unit(unit)}": own for k, own in enumerate(errors.T)}
     return Chart(
-        title=f"Largest error in the domain [{chart.unit_text(unit)}]",
+        title=f"Largest error in the domain [{unit_text(unit)}]",
         size=(0.55 * chart.WIDE + 0.28 * errors.shape[1], 0.55 + 0.165 * len(errors)),
         fill=lambda figure: _draw_matrix(figure, errors, names),
         data=Table.from_columns({"group": names, **steps}),
@@ -88,7 +89,7 @@ def growth_steps(growth: Growth, threshold: float, unit: str) -> Chart:
                 log={"y": np.append(chart.positive(errors).ravel(), threshold)},
                 whole="x",
                 xlabel="step of the growth",
-                ylabel="" if row else f"largest error [{chart.unit_text(unit)}]",
+                ylabel="" if row else f"largest error [{unit_text(unit)}]",
             )
         )
     head = ("shape", "layout", "step", f"largest_error_{chart.column_unit(unit)}")
@@ -118,7 +119,7 @@ def axis_chart(
         np.concatenate([chart.positive(s.error).ravel() for s in studies]), threshold
     )
     averages = np.concatenate([x for s in studies for x in (s.average, s.own_average)])
-    texts = [f"error [{chart.unit_text(unit)}]", f"average error [{chart.unit_text(unit)}]"]
+    texts = [f"error [{unit_text(unit)}]", f"average error [{unit_text(unit)}]"]
     return Chart(
         title=f"{studies[0].shape}, along {axis}",
         size=(chart.WIDE, 4.6),
@@ -205,5 +206,5 @@ def _layout(steps: Any, errors: FloatArray, name: str, layouts: Sequence[str]) -
 
 
 def _level(threshold: float, unit: str) -> Mark:
-    return chart.hline(threshold, label=f"threshold {threshold:.3g} {chart.unit_text(unit)}",
+    return chart.hline(threshold, label=f"threshold {threshold:.3g} {unit_text(unit)}",
                        color=palette.FORCE, linewidth=0.9, linestyle=chart.DASHED)  # fmt: skip

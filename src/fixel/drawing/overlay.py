@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, Chart, Style, clean, shorten, tint, unit_text
+from fixel.drawing.chart import WIDE, Chart, Style, clean, shorten, tint
 from fixel.drawing.top_view import FEW_POSES, MAX_OUTLINES, MM, closed_line, frame_axes
 from fixel.drawing.view import Rectangle, evenly
 from fixel.model import Trajectory, placed
 from fixel.model.trajectory import wrapped
 from fixel.table import Table
 from fixel.typing import FloatArray
+from fixel.units import unit_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,6 +13,7 @@ from fixel.drawing.chart import Chart, Mark, Style
 from fixel.model.space import Unknown
 from fixel.table import Table
 from fixel.typing import BoolArray, FloatArray, IntArray
+from fixel.units import unit_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,7 +45,7 @@ def search_chart(searches: Sequence[SearchPanel], unit: str, what: str = "error"
 
     Source: RPI thesis, figure 5.5.
     """
-    n, label = len(searches), f"{what} [{chart.unit_text(unit)}]"
+    n, label = len(searches), f"{what} [{unit_text(unit)}]"
     row = [_search(one, 70 if n == 1 else 38, "" if k else label) for k, one in enumerate(searches)]
     error = chart.column_unit(unit)
     return Chart(
@@ -148,9 +149,7 @@ def starts_chart(
         # More than two parameters get a wider panel.
         share = max(1.0, 0.35 * len(unknowns))
         left, right = figure.subplots(1, 2, width_ratios=(1.0, share))
-        _waterfall(errors[order], good[order], styles, f"final {what} [{chart.unit_text(unit)}]")(
-            left
-        )
+        _waterfall(errors[order], good[order], styles, f"final {what} [{unit_text(unit)}]")(left)
         if not np.isfinite(errors).all():
             _raise_top(left)
         worst_first = [k for k in reversed(order) if math.isfinite(errors[k])]

@@ -28,6 +28,7 @@ from fixel.table import Column, Table
 from fixel.typing import FloatArray, IntArray, ProgressCallback
 from fixel.uncertainty.batched_sampler import Batched, BatchedSampler
 from fixel.uncertainty.error_terms import LABEL, ModelError
+from fixel.units import displayed, unit_text
 
 # Effective samples that a live point brings, over sqrt(n / 2): 2 sqrt(pi) = 3.5 for a normal
 # posterior of n parameters.
@@ -178,12 +179,46 @@ class Posterior(Result):
         return np.asarray(self.points[int(np.argmax(self.log_likelihood))])
 
     def summary(self) -> Table:
-        """Return median, 95 % interval and likeliest value of every unknown [SI]."""
-        low, middle, high = self.quantiles()
-        numbers = (Column(c, format=".4g") for c in ("median", "2.5 %", "97.5 %", "likeliest"))
-        columns = zip(self.labels, self.units, middle, low, high, self.best, strict=True)
-        rows = [(name, *values, unit) for name, unit, *values in columns]
-        return Table(("parameter", *numbers, "unit"), rows)
+        """Return median, 95 % interval, likeliest value and bounds of every unknown [mm, deg]."""
+        numbers = (Column(c, format=".3g") for c in ("median", "2.5 %", "97.5 %", "likeliest"))
+        values = np.vstack((self.quantiles()[[1, 0, 2]], self.best))
+        rows = [
+            (label, *(factor * own), prior, unit_text(unit) or "-")
+            for label, (unit, factor), own, prior in zip(
+                self.labels, self._shown, values.T, self._ranges(self.low, self.high), strict=True
+            )
+        ]
+        return Table(("parameter", *numbers, "prior", "unit"), rows, title="Parameters")
+
+    @property
+    def _shown(self) -> list[tuple[str, float]]:
+        """Units in which people read the parameters, and the factors to them."""
+        return [displayed(unit) for unit in self.units]
+
+    def _ranges(self, low: FloatArray, high: FloatArray) -> list[str]:
+        ends = zip(self._shown, low, high, strict=True)
+        return [f"{factor * first:.3g} .. {factor * last:.3g}" for (_, factor), first, last in ends]
+
+    def tables(self) -> list[Table]:
+        """Return the table of the unknowns, and one of the modes if there are several."""
+        if len(self.modes) < 2:
+            return [self.summary()]
+        head: list[Column | str] = ["mode", Column("probability", "%", ".0f")]
+        own = zip(self.labels, self._shown, strict=True)
+        head += [Column(label, unit_text(unit)) for label, (unit, _) in own]
+        rows = [
+            (k, 100.0 * mode.weight, *self._ranges(mode.low, mode.high))
+            for k, mode in enumerate(self.modes, 1)
+        ]
+        return [self.summary(), Table(head, rows, title="Separate modes, 95 % of each")]
+
+    @property
+    def note(self) -> str:
+        """Sentence on the number of samples and the evidence."""
+        return (
+            f"{self.effective:.0f} effective samples from {self.evaluations} simulated points;"
+            f" log evidence {self.log_evidence:.2f} +- {self.log_evidence_error:.2f}"
+        )
 
     def to_arviz(self) -> Any:
         """Return the samples in ArviZ's container, as one chain.
@@ -236,15 +271,11 @@ class Posterior(Result):
     def _summary(self) -> Summary:
         n = len(self.experiments)
         of = f" of {counted(n, 'experiment')}" if n else ""
-        modes = ", ".join(f"{100.0 * mode.weight:.0f} %" for mode in self.modes)
-        notes = [f"{len(self.modes)} separate modes: {modes}"] if len(self.modes) > 1 else []
-        notes.append(f"log evidence {self.log_evidence:.2f} +- {self.log_evidence_error:.2f}")
         return Summary(
-            f"Posterior{of}: {self.effective:.0f} effective samples"
-            + (f" ({self.motion})" if self.motion else ""),
-            [self.summary()],
-            notes,
-            {"method": self.method, "seed": str(self.seed), "evaluations": str(self.evaluations)},
+            f"Posterior{of}" + (f" ({self.motion})" if self.motion else ""),
+            self.tables(),
+            [self.note],
+            {"method": self.method, "seed": str(self.seed)},
         )
 
     def _data(self) -> Table:

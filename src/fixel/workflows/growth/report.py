@@ -11,11 +11,12 @@ import numpy as np
 
 from fixel.domain.along_axis import AxisEdges, AxisStudy
 from fixel.domain.growth import AVERAGED, STORED
-from fixel.drawing.chart import display_unit, unit_text
+from fixel.drawing.chart import display_unit
 from fixel.drawing.growth import axis_chart, error_matrix, growth_matrix, growth_steps
 from fixel.errors import counted
 from fixel.table import Table
 from fixel.typing import FloatArray
+from fixel.units import unit_text
 from fixel.workflows.analysis import Analysis, AnalysisReport, Picture, StoredAnswer
 from fixel.workflows.growth.explore import Exploration
 from fixel.workflows.sentences import sentences

@@ -47,7 +47,6 @@ REFERENCES: Final = ("skilling2006", "feroz2009", "speagle2020", "kennedy2001")
 def report_of(found: Uncertainty) -> AnalysisReport:
     """Return headline, warnings, tables, charts and numbers of a posterior with predictions."""
     posterior = found.posterior
-    n, spread = posterior.evaluations, posterior.log_evidence_error
     analysis = Analysis(
         kind="uncertainty",
         title=f"Uncertainty of {what_of(found)}",
@@ -55,10 +54,7 @@ def report_of(found: Uncertainty) -> AnalysisReport:
         headline=_headline(found),
         warnings=_warnings(found),
         tables=tuple(_tables(found)),
-        notes=(
-            f"{posterior.effective:.0f} effective samples from {n} simulated points;"
-            f" log evidence {posterior.log_evidence:.2f} +- {spread:.2f}",
-        ),
+        notes=(posterior.note,),
         methods=sentences("uncertainty", "methods", posterior=posterior),
         references=REFERENCES,
         numbers=numbers_of(found),
@@ -263,33 +259,11 @@ def _contradictions(found: Uncertainty, compared: CalibratedValues) -> Iterator[
 
 
 def _tables(found: Uncertainty) -> Iterator[Table]:
-    posterior = found.posterior
-    low, middle, high = posterior.quantiles()
-    rows = []
-    for k, label in enumerate(posterior.labels):
-        unit = display_unit(posterior.units[k])
-        ends = f"{unit.text(posterior.low[k])} .. {unit.text(posterior.high[k])}"
-        numbers = (unit.text(x) for x in (middle[k], low[k], high[k], posterior.best[k]))
-        rows.append((label, *numbers, ends, unit.name or "-"))
-    head = ("parameter", "median", "2.5 %", "97.5 %", "likeliest", "prior", "unit")
-    yield Table(head, rows, title="Parameters")
-    if len(posterior.modes) > 1:
-        yield _mode_table(posterior)
+    yield from found.posterior.tables()
     yield _parts_table(found)
     yield _bounds_table(found)
     if found.near is not None:
         yield _near_table(found.near)
-
-
-def _mode_table(posterior: Posterior) -> Table:
-    units = [display_unit(unit) for unit in posterior.units]
-    rows = []
-    for k, mode in enumerate(posterior.modes, 1):
-        ends = zip(units, mode.low, mode.high, strict=True)
-        rows.append((k, 100.0 * mode.weight, *(f"{u.text(a)} .. {u.text(b)}" for u, a, b in ends)))
-    names = [unit.on(label) for unit, label in zip(units, posterior.labels, strict=True)]
-    head: tuple[Column | str, ...] = ("mode", Column("probability", "%", ".0f"), *names)
-    return Table(head, rows, title="Separate modes, 95 % of each")
 
 
 def _parts_table(found: Uncertainty) -> Table:
