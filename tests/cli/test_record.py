@@ -106,7 +106,8 @@ def test_a_folder_without_a_recording_is_named(capsys, tmp_path, verb):
       "film"], "each of 3 fixels"),
     (["--camera", "/dev/video77", "--out", "OUT"], "no such device"),
     (["--camera", "no.mp4", "--out", "OUT"], "no such file"),
-    (["--camera", "FILM", "--out", "OUT", "--tactile", "/dev/nothing"], "/dev/nothing"),
+    (["--camera", "FILM", "--out", "OUT", "--tactile", "/dev/nothing"],
+     "--tactile /dev/nothing: found no port"),
 ])  # fmt: skip
 def test_what_cannot_be_recorded_is_refused(capsys, tmp_path, arguments, complaint):
     (tmp_path / "out").mkdir()

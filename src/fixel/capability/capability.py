@@ -315,8 +315,12 @@ class Capability:
             return unknown_name(name, rest[0], known)
         where = own if own in self.shown else " ".join([name, *rest[:1]])
         if kind == "missing":
-            pair = ("only one of them", "both, or neither") if rest else (None, "a value")
-            return InvalidInput(where, found=pair[0], expected=pair[1])
+            if rest:
+                return InvalidInput(where, found="only one of them", expected="both, or neither")
+            hint = self.shown[where].help.rstrip(".")
+            return InvalidInput(
+                where, found=None, expected="a value", hint=hint[:1].lower() + hint[1:]
+            )
         if kind == "too_long":  # of a pair
             expected = f"a list of {first['ctx']['max_length']}"
             return InvalidInput(where, found=first["input"], expected=expected)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fixel.capability.options import Door, door_of
+from fixel.capability.options import Door
 from fixel.cli.capability import command
 from fixel.cli.screen import (
     AsJson,
@@ -40,10 +40,15 @@ tactile = typer.Typer(
 
 
 BoardPort = Annotated[
-    str | None, Door(metavar="PORT", meaning="Serial port of the board: /dev/ttyACM0, COM4.")
+    str | None,
+    Door(metavar="PORT", meaning="Required. Serial port of the board: /dev/ttyACM0, COM4."),
 ]
 DrivePort = Annotated[
-    str | None, Door(metavar="PORT", meaning="Serial port of the controller: /dev/ttyUSB0, COM5.")
+    str | None,
+    Door(
+        metavar="PORT",
+        meaning="Serial port of the controller: /dev/ttyUSB0, COM5; required for --driver grbl.",
+    ),
 ]
 Driver = Annotated[str, Door(metavar="DRIVER", meaning="Kind of drive: grbl, manual or simulated.")]
 Axes = Annotated[
@@ -219,9 +224,9 @@ def move(
     to: Annotated[str | None, Door(metavar="MM")] = None,
     by: Annotated[str | None, Door(metavar="MM")] = None,
     axes: Axes = "X",
-    speed: Annotated[float, Door(flag="--speed", unit="mm/s", metavar="MM/S")] = 0.0135,
+    speed: Annotated[float, Door(flag="--speed", unit="mm/s", metavar="MM/S", above=0.0)] = 0.0135,
     driver: Driver = "grbl",
-    dead_man: Annotated[float | None, Door(metavar="S", usual=DEAD_MAN)] = None,
+    dead_man: Annotated[float | None, Door(metavar="S", usual=DEAD_MAN, above=0.0)] = None,
     unlock: Annotated[bool, Door(flag="--unlock")] = False,
 ) -> CommandAnswer:
     """Move the drive. Any key, Ctrl-C, or `fixel actuator stop` elsewhere stops it at once.
@@ -269,7 +274,7 @@ def _metres(text: str | None, where: str, n_axes: int) -> float | tuple[float, .
 @actuator.command("stop")
 def stop(
     port: Annotated[
-        str | None, typer.Option(help=door_of(DrivePort).meaning, metavar="PORT")
+        str | None, typer.Option(help="Serial port of the drive to stop.", metavar="PORT")
     ] = None,
     as_json: AsJson = False,
 ) -> None:

@@ -23,6 +23,7 @@ BUFFER: Final = 127  # bytes that may be under way; the controller's buffer has 
 STATUS, HOLD, RESET = b"?", b"!", b"\x18"
 GREETINGS: Final = ("Grbl ", "GrblHAL ")  # after a reset; FluidNC begins like GRBL
 AXES: Final = "XYZA"
+
 INCH: Final = 25.4  # [mm]
 SWITCHES: Final = {"true": "1", "false": "0"}  # of FluidNC
 EXPECTED: Final = "a number; GRBL 0.9 or later, grblHAL or FluidNC"
@@ -53,6 +54,13 @@ ERRORS: Final[Mapping[int, str]] = {
 
 _STATUS = re.compile(r"<([A-Za-z]+)(?::(\d+))?[|,](.*)>")
 _FIELD = re.compile(r"(MPos|WPos|WCO):([-\d.,]+)")
+
+
+def checked_axes(axes: str, where: str = "axes") -> str:
+    """Return the names of axes; raise `InvalidInput` for none, an unknown one or a repeated one."""
+    if not axes or any(axes.count(one) != (one in AXES) for one in axes):
+        raise InvalidInput(where, found=repr(axes), expected="some of X, Y, Z and A, such as XY")
+    return axes
 
 
 class GrblStatus(NamedTuple):

@@ -292,8 +292,11 @@ class AbstractActuator(abc.ABC):
 
     def _place_meant(self, to: float | None, by: float | None) -> float:
         if (to is None) == (by is None):
-            found = "both" if to is not None else None
-            raise InvalidInput("move", found=found, expected="a target position or a distance")
+            found, expected = (
+                (None, "a target position") if to is None else ("by too", "one of them")
+            )
+            hint = "or a distance with by=DISTANCE" if to is None else None
+            raise InvalidInput("to", found=found, expected=expected, hint=hint)
         target = finite(to, "to", "m") if by is None else self.position() + finite(by, "by", "m")
         low, high = self.reach
         if not low - NEAR <= target <= high + NEAR:

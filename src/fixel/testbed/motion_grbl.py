@@ -78,10 +78,7 @@ class GrblActuator(motion.AbstractActuator):
         guard: bool = True,
     ) -> None:
         self.port = chosen_port(port, "the actuator's controller")
-        self.axes = axis if axes is None else axes
-        if not self.axes or any(self.axes.count(one) != (one in grbl.AXES) for one in self.axes):
-            where, expected = ("axis", "X, Y, Z or A") if axes is None else ("axes", "such as XY")
-            raise InvalidInput(where, found=repr(self.axes), expected=expected)
+        self.axes = grbl.checked_axes(axis, "axis") if axes is None else grbl.checked_axes(axes)
         self.axis = self.axes[0]
         self.travels = self._wanted_travels = motion.checked_travels(reach, len(self.axes))
         self._set_line(None)

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fixel.errors import InvalidInput, unknown_name
+from fixel.errors import InvalidInput, check_name
+from fixel.testbed.grbl_link import checked_axes
 from fixel.testbed.motion import AbstractActuator, ManualActuator, SimulatedActuator
 from fixel.testbed.motion_grbl import GrblActuator
 from fixel.testbed.tactile import TactileReader, TactileReading
@@ -42,14 +43,14 @@ def chosen_actuator(
     """
     if driver == GrblActuator.name:
         return GrblActuator(port, axes=axes, keys=keys, dead_man=dead_man)
-    if driver == ManualActuator.name:
-        if len(axes) > 1:
-            raise InvalidInput("axes", found=axes, expected="one axis with --driver manual")
-        return ManualActuator(notify=notify, ask=_asking(notify))
+    check_name("driver", driver, (GrblActuator.name, ManualActuator.name, SimulatedActuator.name))
+    if port is not None:
+        raise InvalidInput("port", found=repr(port), expected=f"none with the driver {driver}")
     if driver == SimulatedActuator.name:
-        return SimulatedActuator(n_axes=len(axes))
-    drivers = (GrblActuator, ManualActuator, SimulatedActuator)
-    raise unknown_name("driver", driver, (member.name for member in drivers))
+        return SimulatedActuator(n_axes=len(checked_axes(axes)))
+    if len(axes) > 1:
+        raise InvalidInput("axes", found=axes, expected="one axis with --driver manual")
+    return ManualActuator(notify=notify, ask=_asking(notify))
 
 
 def _asking(notify: Notify) -> Callable[[str], str]:

@@ -14,6 +14,7 @@ from fixel.testbed.file_source import FILM, PlayedTactile
 from fixel.testbed.frame_source import Stream
 from fixel.testbed.open_source import check_size, source_of
 from fixel.testbed.recorder import Recorder, RecordingSummary, Seating, Stop, TouchReader, Watch
+from fixel.testbed.tactile import TactileReader
 from fixel.vision.marks import Rig
 from fixel.workflows.acquisition import RecordPlan
 
@@ -97,6 +98,12 @@ def _tactile(plan: RecordPlan) -> AbstractContextManager[TouchReader | None]:
     kind, _, film = plan.tactile.partition(":")
     if kind == FILM:
         return nullcontext(PlayedTactile(film or plan.camera, in_turn=plan.fast))
-    from fixel.testbed.tactile import TactileReader
+    return connected_tactile(TactileReader(plan.tactile))
 
-    return TactileReader(plan.tactile)
+
+def connected_tactile(board: TactileReader) -> TactileReader:
+    """Connect a tactile board; its port is not the option `--port` that an error would name."""
+    try:
+        return board.connect()
+    except InvalidInput as problem:
+        raise problem.at(f"tactile {board.port}") from None

@@ -26,6 +26,7 @@ from fixel.testbed.tactile import TactileReader
 from fixel.typing import FloatArray
 from fixel.vision.marks import Rig
 from fixel.workflows.acquisition.devices import chosen_actuator
+from fixel.workflows.acquisition.record import connected_tactile
 
 if TYPE_CHECKING:
     from fixel.testbed.emulators.laboratory import EmulatedLaboratory
@@ -168,7 +169,7 @@ class BenchDevices:
     def recover_board(self) -> None:
         """Connect a tactile board that is lost; raise `InvalidInput` if it is not at its port."""
         if isinstance(self.tactile, TactileReader) and not self.tactile.connected:
-            _connected(self.tactile)
+            connected_tactile(self.tactile)
 
     @property
     def drive_state(self) -> str:
@@ -268,20 +269,12 @@ def open_devices(settings: Mapping[str, Any]) -> Iterator[BenchDevices]:
         stack.callback(camera.close)
         check_size(camera.stream, size, camera.source.name)
         board = settings["tactile"]
-        tactile = stack.enter_context(_connected(TactileReader(board))) if board else None
+        tactile = stack.enter_context(connected_tactile(TactileReader(board))) if board else None
         own = settings["driver"], settings["port"] or None
         drive = stack.enter_context(
             chosen_actuator(*own, axes=settings["axes"], notify=print, keys=False)
         )
         yield BenchDevices(camera, rig, tactile, drive, _frame(settings["drive_pose"], drive))
-
-
-def _connected(board: TactileReader) -> TactileReader:
-    """Connect a tactile board; its port is not the option `--port` that an error would name."""
-    try:
-        return board.connect()
-    except InvalidInput as problem:
-        raise problem.at(f"tactile {board.port}") from None
 
 
 def _frame(text: str, drive: AbstractActuator) -> FloatArray | None:

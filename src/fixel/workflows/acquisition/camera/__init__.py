@@ -15,14 +15,11 @@ if TYPE_CHECKING:
 
 USUAL_BOARD: Final = "charuco:7x5:30mm:22mm"
 
-Board = Annotated[
-    str | None,
-    Door(
-        metavar="BOARD",
-        meaning=f"Calibration board: {USUAL_BOARD} (squares, their size, size of the tags) or "
-        "checkerboard:9x6:25mm (inner corners, size of the squares).",
-    ),
-]
+BOARD: Final = Door(
+    metavar="BOARD",
+    meaning=f"Calibration board, as fixel camera board prints: {USUAL_BOARD} (squares, their size, "
+    "size of the tags) or checkerboard:9x6:25mm (inner corners, size of the squares).",
+)
 CameraFile = Annotated[Path, Door(metavar="CAMERA", meaning="Camera file.")]
 Written = Annotated[Path, Door(meaning="Camera file to write.")]
 Printed = Annotated[Path, Door(meaning="File to print: .pdf or .png.")]
@@ -43,9 +40,9 @@ LENGTHS: Final = "5; 8 if cross-validation needs them; 4 for fewer than 8 pictur
 
 
 def calibrate_camera(
-    pictures: Annotated[Sequence[Path], Door(plain=tuple[Path, ...], metavar="PICTURES...")] = (),
+    pictures: Annotated[Sequence[Path], Door(plain=tuple[Path, ...], metavar="PICTURES")],
     *,
-    board: Board = None,
+    board: Annotated[str, BOARD],
     out: Written = Path("camera.yaml"),
     coefficients: Annotated[int | None, Door(usual=LENGTHS)] = None,
     fisheye: bool = False,
@@ -120,7 +117,7 @@ def place_camera(
     camera: CameraFile,
     picture: Annotated[Path, Door(metavar="PICTURE")],
     *,
-    board: Board = None,
+    board: Annotated[str | None, BOARD] = None,
     at: Annotated[str, Door(metavar="X,Y,ANGLE")] = "0,0,0",
     thickness: Annotated[float, Door(unit="mm", least=0.0)] = 0.0,
     rig: Annotated[str | None, Door(metavar="RIG")] = None,

@@ -23,7 +23,7 @@ from fixel.progress import ProgressOption, show_progress
 from fixel.vision.calibrate_lens import calibrate_lens, find_boards
 from fixel.vision.camera import MeasuredCamera
 from fixel.vision.frame import Picture, size_of
-from fixel.vision.marks import BOARD_SHAPE, Rig, Tag, board_of
+from fixel.vision.marks import Rig, Tag, board_of
 from fixel.vision.place_camera import Placement, place_by_board, place_by_tags
 from fixel.vision.plane_errors import PlaneErrors, mm, plane_errors
 from fixel.vision.tracking.checks import moved_limit, tags_off
@@ -37,9 +37,6 @@ MAX_TAGS = 500
 
 def calibrated(asked: Any, progress: ProgressOption) -> CameraAnswer:
     """Calibrate a lens from pictures of a board, and save the camera."""
-    if asked.board is None:
-        hint = "to print one: fixel camera board"
-        raise InvalidInput("board", found=None, expected=BOARD_SHAPE, hint=hint)
     wanted = board_of(asked.board)
     require_file(asked.out, CAMERA_ENDINGS, "camera")
     files = files_of(asked.pictures)
