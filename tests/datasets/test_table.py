@@ -253,3 +253,35 @@ def test_pixels_are_no_lengths(tmp_path, title):
     assert known.trajectory.x == pytest.approx([0.2, 0.201])
     other = experiment_of(tmp_path, text.replace("theta_deg", "x_mm"))
     assert other.trajectory.x == pytest.approx([0.0, 0.0])
+
+
+@pytest.mark.parametrize("first", ["s,mm,cm,deg", "[s],(mm),cm,Deg"])
+def test_a_first_row_of_units_counts_as_those_of_the_header(tmp_path, first):
+    """The row was skipped as an experiment of one row, and 90 degrees were taken for radians."""
+    text = f"time,x,y,theta\n{first}\n0,10,2,90\n1,12,2,91\n"
+    table = plan_of(tmp_path, text)
+    (experiment,) = table.experiments()
+
+    assert experiment.trajectory.pose[0] == pytest.approx([0.010, 0.020, math.pi / 2])
+    assert "The first row has units, which count as those of the header." in table.understood
+    assert experiment.flags == ()  # nothing is a guess
+
+
+@pytest.mark.parametrize("cell", ["", "-", "name"])
+def test_a_row_of_units_is_no_experiment_of_a_split_table(tmp_path, cell):
+    text = f"push,time,x,y\n{cell},s,mm,mm\na,0,1,2\na,1,2,2\nb,0,1,2\nb,1,3,2\n"
+    table = plan_of(tmp_path, text, split_by="push")
+
+    assert [own.name for own in table.experiments()] == ["a", "b"]
+    assert table.problems == {}
+
+
+def test_a_row_of_units_that_contradicts_the_header_is_refused(tmp_path):
+    text = "time_s,x_mm,y_mm\ns,cm,mm\n0,1,2\n1,2,2\n"
+    problem = refused(plan_of, tmp_path, text)
+    assert problem.where == "run 7.csv, row 1, column x_mm"
+
+
+def test_errors_below_a_row_of_units_have_the_row_of_the_file(tmp_path):
+    problem = refused(plan_of, tmp_path, "time,x,y\ns,mm,mm\n0,1,2\n1,far,2\n")
+    assert "row 3, column x" in str(problem)

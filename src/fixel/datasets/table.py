@@ -161,6 +161,9 @@ def plan_table(
         Name of the importer, and of the dataset of a single experiment.
     """
     chosen = _chosen_columns(table, columns or {})
+    table, titles = _with_units_of_first_row(table)
+    chosen = {titles.get(title, title): role for title, role in chosen.items()}
+    split_by = split_by and titles.get(split_by, split_by)
     stem = options.get("name", Path(source.name.removesuffix(".gz")).stem)
     experiments: list[Experiment] = []
     problems: Problems = {}
@@ -186,6 +189,8 @@ def plan_table(
         sentences.append(understood + more)
     _refuse_common(problems, len(experiments), table.source)
     understood = sentences[0] if split_by is None else _common(sentences, split_by)
+    if titles:
+        understood = (*understood, "The first row has units, which count as those of the header.")
     names = [experiment.key for experiment in experiments]
     return ImportPlan(dataset, source, understood, names, experiments.__getitem__, problems)
 
@@ -207,6 +212,29 @@ def _chosen_columns(table: CsvRows, columns: Mapping[str, str]) -> dict[str, str
         check_name("columns", role, roles)
         check_name(f"columns[{role!r}]", title, table.columns)
     return {title: role for role, title in columns.items()}
+
+
+def _with_units_of_first_row(table: CsvRows) -> tuple[CsvRows, dict[str, str]]:
+    """Return a table without a first row of units, and its titles with them by the former ones."""
+    cells = {title: _plain(column[0]) for title, column in table.columns.items() if len(column) > 1}
+    units = {title: cell for title, cell in cells.items() if cell in UNITS}
+    if not units or any(re.search("[0-9]", column[0]) for column in table.columns.values()):
+        return table, {}
+    for title, unit in units.items():
+        stated = _parsed(title, None, ()).unit
+        if stated not in (None, UNITS[unit]):
+            found, where = f"the unit {unit}", f"{table.source}, row 1, column {title}"
+            raise InvalidInput(where, found=found, expected="the unit of the header, or none")
+    titles = {title: f"{title} [{unit}]" for title, unit in units.items()
+              if _parsed(title, None, ()).unit is None}  # fmt: skip
+    below = table.only(range(1, len(table)))
+    columns = {titles.get(title, title): column for title, column in below.columns.items()}
+    return replace(below, columns=columns), titles or {title: title for title in units}
+
+
+def _plain(title: str) -> str:
+    """Return a title in lower case, with an underscore for all between its words."""
+    return re.sub(r"\W+", "_", title.strip().lower()).strip("_")
 
 
 def _parts(table: CsvRows, split_by: str | None) -> Iterator[tuple[str | None, CsvRows]]:
@@ -371,7 +399,7 @@ def _parsed(title: str, chosen: str | None, taken: Collection[str]) -> _TableCol
         own = _ROLES.get(stem)
         return chosen or (None if own in taken else own)
 
-    plain = re.sub(r"\W+", "_", title.strip().lower()).strip("_")
+    plain = _plain(title)
     for ending in sorted(UNITS, key=len, reverse=True):
         if plain.endswith(f"_{ending}"):
             stem = plain.removesuffix(f"_{ending}")
