@@ -10,7 +10,7 @@ Examples
 
 from collections.abc import Mapping
 from math import pi
-from typing import Final
+from typing import Final, NamedTuple
 
 __all__ = ["cm", "deg", "g", "mm", "mrad", "ms", "um"]
 
@@ -38,9 +38,25 @@ _SUFFIXES: Final[Mapping[str, str]] = {
 }  # fmt: skip
 
 
-def displayed(unit: str) -> tuple[str, float]:
-    """Return the unit in which people read values of an SI unit, and the factor to it."""
-    return _DISPLAYED.get(unit, (unit, 1.0))
+class DisplayUnit(NamedTuple):
+    """Display unit and its factor from SI."""
+
+    name: str  # empty for no unit
+    factor: float  # from SI to this unit
+
+    def on(self, label: str) -> str:
+        """Append the unit to a label."""
+        return f"{label} [{self.name}]" if self.name else label
+
+    def text(self, value: float) -> str:
+        """Format a value in this unit, without the unit's name."""
+        return f"{self.factor * value:.3g}"
+
+
+def displayed(unit: str) -> DisplayUnit:
+    """Return the unit in which people read values of an SI unit, such as mm and deg."""
+    name, factor = _DISPLAYED.get(unit, (unit, 1.0))
+    return DisplayUnit(unit_text(name), factor)
 
 
 def unit_text(unit: str) -> str:

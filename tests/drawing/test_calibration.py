@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from fixel.drawing import calibration, palette
-from fixel.drawing.chart import add_banner, display_unit, log_scale, positive
+from fixel.drawing.chart import add_banner, log_scale, positive
 from fixel.drawing.overlay import OverlayMotions, Track, overlay_chart
 from fixel.drawing.profiles import parameters_chart, profiles_chart
 from fixel.drawing.searches import SearchPanel, search_chart, starts_chart
 from fixel.errors import InvalidInput
 from fixel.model.records import Estimate, ProfileRecord
 from fixel.model.space import Unknown
+from fixel.units import displayed
 
 NONE = np.zeros(0, np.int64)
 LOST = np.array([np.inf, np.inf])
@@ -287,10 +288,10 @@ def test_a_turn_across_half_a_circle_is_no_error():
 
 
 def test_people_read_millimetres_and_degrees():
-    assert display_unit("m").on("tripod_radius") == "tripod_radius [mm]"
-    assert display_unit("rad").text(np.pi) == "180"
-    assert display_unit("-").on("mu") == "mu"
-    assert display_unit("N m").on("torque") == "torque [N mm]"
+    assert displayed("m").on("tripod_radius") == "tripod_radius [mm]"
+    assert displayed("rad").text(np.pi) == "180"
+    assert displayed("-").on("mu") == "mu"
+    assert displayed("N m").on("torque") == "torque [N mm]"
 
 
 def test_logarithmic_axes_bear_zeros_and_single_values():

@@ -210,10 +210,10 @@ actuator.command("ports")(_ports("actuator where"))
 @command
 def home(*, port: DrivePort = None, driver: Driver = "grbl", axes: Axes = "X") -> CommandAnswer:
     """Home the drive: move it to its end switch and set its position."""
-    from fixel.workflows.acquisition.devices import chosen_actuator, home_actuator
+    from fixel.workflows.acquisition.devices import chosen_actuator, commanded
 
     drive = chosen_actuator(driver, port, axes=axes, notify=notify)
-    return _position(home_actuator(drive), port, axes)
+    return _position(commanded(drive, drive.home), port, axes)
 
 
 @actuator.command("move")
@@ -294,10 +294,10 @@ def stop(
 @command
 def where(*, port: DrivePort = None, driver: Driver = "grbl", axes: Axes = "X") -> CommandAnswer:
     """Show the position of the drive without moving it."""
-    from fixel.workflows.acquisition.devices import chosen_actuator, where_is_actuator
+    from fixel.workflows.acquisition.devices import chosen_actuator, commanded
 
     drive = chosen_actuator(driver, port, axes=axes, notify=notify)
-    return _position(where_is_actuator(drive), port, axes)
+    return _position(commanded(drive), port, axes)
 
 
 def _position(answer: "ActuatorAnswer", port: str | None, axes: str) -> CommandAnswer:
@@ -402,12 +402,12 @@ def _lines(look: "Look", setting: list[str], picture: Path | None) -> list[str]:
 
 
 def _errors(look: "Look") -> list[str]:
-    rows = []
-    for part in look.checked:
-        if part.error is None:
-            rows.append((part.name, "-", "-", "-", f"not seen: {part.reason}"))
-        else:
-            rows.append((part.name, *look.words(part), "in place" if part.within else "off"))
+    rows = [
+        (part.name, "-", "-", "-", f"not seen: {part.reason}")
+        if part.error is None
+        else (part.name, *look.words(part), "in place" if part.within else "off")
+        for part in look.checked
+    ]
     allowed = look.tolerance
     return [
         *Table(("measured - planned", "x [mm]", "y [mm]", "angle [deg]", "verdict"), rows).lines(),

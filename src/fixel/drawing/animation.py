@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fixel.drawing import palette, view
-from fixel.drawing.chart import DisplayUnit, Style, tint
+from fixel.drawing.chart import Style, tint
 from fixel.drawing.picture import force_text
 from fixel.drawing.top_view import DASHED, add_outlines, fixel_outlines, frame_axes, hollow, solid
 from fixel.drawing.view import forces
@@ -26,6 +26,7 @@ from fixel.model import placed
 from fixel.progress import ProgressOption, show_progress
 from fixel.simulation import Simulation
 from fixel.typing import FloatArray, ProgressCallback
+from fixel.units import DisplayUnit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -14,7 +14,7 @@ from fixel.drawing.chart import Chart, Mark, Style
 from fixel.progress import time_text
 from fixel.table import Table
 from fixel.typing import FloatArray, IntArray
-from fixel.units import unit_text
+from fixel.units import displayed, unit_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -141,7 +141,7 @@ class Quantity(NamedTuple):
     @property
     def shown(self) -> FloatArray:
         """Values (n,) in the unit of the axis."""
-        factor = chart.display_unit(self.unit).factor
+        factor = displayed(self.unit).factor
         return factor * (chart.positive(self.values) if self.log else self.values)
 
     @property
@@ -149,7 +149,7 @@ class Quantity(NamedTuple):
         """Options of panels for the axis of the values."""
         if self.log:
             return {"log": {"y": self.shown}}
-        low, high = (chart.display_unit(self.unit).factor * end for end in self.bounds)
+        low, high = (displayed(self.unit).factor * end for end in self.bounds)
         margin = 0.05 * (high - low)
         return {"ylim": (low - margin, high + margin)}
 
@@ -202,7 +202,7 @@ def _values(
 
     Labels are on the first panel of a row and on the last one of a column.
     """
-    unit, layouts = chart.display_unit(own.unit or "-"), list(dict.fromkeys(groups))
+    unit, layouts = displayed(own.unit or "-"), list(dict.fromkeys(groups))
     style: Style = {"linestyle": "-" if joined and len(layouts) <= MAX_LINES else "none",
                     "linewidth": 0.6, "marker": "o", "color": palette.TRAIL,
                     "markersize": 2.6 if len(own.members) < 60 else 1.6}  # fmt: skip
@@ -221,7 +221,7 @@ def _values(
     return chart.panel(
         *marks,
         xlabel=unit.on(across) if last else "",
-        ylabel=chart.display_unit(q.unit).on(chart.broken(q.label)) if first else "",
+        ylabel=displayed(q.unit).on(chart.broken(q.label)) if first else "",
         **q.scale,
     )
 

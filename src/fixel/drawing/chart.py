@@ -12,7 +12,7 @@ from itertools import chain, zip_longest
 from operator import methodcaller
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
@@ -21,7 +21,6 @@ from fixel.errors import InvalidInput
 from fixel.io.atomic import refuse_ending, refuse_unwritable, write_whole
 from fixel.table import Table
 from fixel.typing import FloatArray
-from fixel.units import displayed, unit_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -349,27 +348,6 @@ def positive(values: FloatArray) -> FloatArray:
     good = values[np.isfinite(values) & (values > 0.0)]
     least = 0.5 * float(good.min()) if len(good) else 1.0
     return np.where(np.isfinite(values), np.maximum(values, least), np.nan)
-
-
-class DisplayUnit(NamedTuple):
-    """Display unit and its factor from SI."""
-
-    name: str  # empty for no unit
-    factor: float  # from SI to this unit
-
-    def on(self, label: str) -> str:
-        """Append the unit to a label."""
-        return f"{label} [{self.name}]" if self.name else label
-
-    def text(self, value: float) -> str:
-        """Format a value in this unit, without the unit's name."""
-        return f"{self.factor * value:.3g}"
-
-
-def display_unit(unit: str) -> DisplayUnit:
-    """Return the display unit, such as millimetres and degrees instead of metres and radians."""
-    name, factor = displayed(unit)
-    return DisplayUnit(unit_text(name), factor)
 
 
 def column_unit(unit: str) -> str:

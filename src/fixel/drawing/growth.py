@@ -16,7 +16,7 @@ from fixel.drawing import chart, palette
 from fixel.drawing.chart import Chart, Mark, Style
 from fixel.table import Table
 from fixel.typing import FloatArray
-from fixel.units import unit_text
+from fixel.units import displayed, unit_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -113,7 +113,7 @@ def axis_chart(
     [m] or [rad].
     """
     axis = studies[0].axis.replace("theta", "θ")
-    shown = chart.display_unit("rad" if axis == "θ" else "m")
+    shown = displayed("rad" if axis == "θ" else "m")
     step = "" if length is None else f" of {shown.text(length)} {shown.name}"
     errors = np.append(
         np.concatenate([chart.positive(s.error).ravel() for s in studies]), threshold

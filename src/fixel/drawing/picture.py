@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fixel.drawing import palette, top_view, view
-from fixel.drawing.chart import DisplayUnit, Style, plot_axes, save_figure, tint
+from fixel.drawing.chart import Style, plot_axes, save_figure, tint
 from fixel.model import Ellipsoid, Fixel, placed, support_points
 from fixel.simulation import Simulation
 from fixel.typing import FloatArray
+from fixel.units import DisplayUnit
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

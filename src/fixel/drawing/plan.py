@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, DisplayUnit, legend_of, save_figure, sheet, tint
+from fixel.drawing.chart import WIDE, legend_of, save_figure, sheet, tint
 from fixel.drawing.top_view import DASHED, add_arrow, add_outlines, frame_axes, hollow, solid
 from fixel.drawing.view import Rectangle, unit_for
 from fixel.model import Disk, SupportPoints, placed
@@ -18,6 +18,7 @@ from fixel.sampling import FixelLayout, Offset, Plan, PlannedShape
 from fixel.sampling.plan import object_pose
 from fixel.sampling.rig import shape_of
 from fixel.typing import FloatArray
+from fixel.units import DisplayUnit
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

@@ -24,6 +24,7 @@ from fixel.planning.success import SuccessProbability
 from fixel.planning.trials import ALPHA, Trials
 from fixel.table import Table
 from fixel.typing import FloatArray, IntArray
+from fixel.units import displayed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -362,7 +363,7 @@ def success_curves_chart(explanation: Explanation, *, unknown: str | None = None
 
 
 def _success_curve(own: UnknownEffect, mean: float, k: int) -> Mark:
-    unit = chart.display_unit(own.unit)
+    unit = displayed(own.unit)
     rate, low, high = np.array([(one.value, one.low, one.high) for one in own.success]).T
 
     def region(axes: Axes) -> None:

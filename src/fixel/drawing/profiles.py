@@ -12,6 +12,7 @@ from fixel.drawing import chart, palette
 from fixel.drawing.chart import Chart, Mark, Style
 from fixel.model.records import Estimate, ProfileRecord, interval_name
 from fixel.table import Table
+from fixel.units import displayed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -128,7 +129,7 @@ def _draw_row(axes: Axes, k: int, row: Estimate, others: Sequence[float]) -> Non
     axes.plot([0.0, 1.0], [k, k], color=palette.FAINT, linewidth=1.2, zorder=1)
     for end in (0.0, 1.0):
         axes.plot([end, end], [k - 0.12, k + 0.12], color=palette.FIXEL, linewidth=0.8, zorder=1)
-    unit = chart.display_unit(row.unit)
+    unit = displayed(row.unit)
     small: Style = {"fontsize": palette.FONT_SIZE - 1.5, "color": palette.FIXEL, "va": "top"}
     axes.text(0.0, k + 0.16, unit.text(low), ha="left", **small)
     axes.text(1.0, k + 0.16, f"{unit.text(high)} {unit.name}".rstrip(), ha="right", **small)
@@ -218,7 +219,7 @@ def _ends(estimate: Estimate) -> tuple[float | None, float | None]:
 
 
 def _profile(own: ProfileRecord, estimate: Estimate, interval: str, first: bool) -> Mark:
-    unit = chart.display_unit(own.unit)
+    unit = displayed(own.unit)
     left, right = _range(own, estimate)
     bands = [(estimate, palette.TRAIL, interval)]
     if (narrow := estimate.noise_alone) is not None:

@@ -13,7 +13,7 @@ from fixel.drawing.chart import Chart, Mark, Style
 from fixel.model.space import Unknown
 from fixel.table import Table
 from fixel.typing import BoolArray, FloatArray, IntArray
-from fixel.units import unit_text
+from fixel.units import displayed, unit_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -208,7 +208,7 @@ def _end_points(
     ]
     names = []
     for unknown in unknowns:
-        own = chart.display_unit(unknown.unit)
+        own = displayed(unknown.unit)
         ends = f"{own.text(unknown.low)} … {own.text(unknown.high)} {own.name}".rstrip()
         names.append(f"{chart.broken(unknown.label)}\n{ends}")
 

@@ -19,6 +19,7 @@ from fixel.table import Table
 from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.outcomes import Sensitivity
 from fixel.uncertainty.prediction import Prediction
+from fixel.units import displayed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -206,7 +207,7 @@ def indices_chart(found: Sensitivity, title: str = "Sobol indices") -> Chart:
     row: list[Mark] = []
     at = np.arange(len(names))
     for k, outcome in enumerate(own.outcomes):
-        unit = chart.display_unit(own.units[k])
+        unit = displayed(own.units[k])
         top = max(1.0, float(np.max(own.total[k] + own.total_error[k])))
         row.append(
             chart.panel(
@@ -244,7 +245,7 @@ def runs_chart(runs: BatchResult, *, body: str | None = None) -> Chart:
     ends = runs[runs.converged][name].final
     row: list[Mark] = []
     for label, values, unit in zip(("x", "y", "angle"), ends, ("m", "m", "rad"), strict=True):
-        shown = chart.display_unit(unit)
+        shown = displayed(unit)
         counts = chart.histogram(np.asarray(values) * shown.factor, bins="auto", color=palette.BODY)
         row.append(chart.panel(counts, xlabel=shown.on(label), ylabel="" if row else "runs"))
     return Chart(

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import DisplayUnit, Style, add_banner, clean, legend_of, sheet, tint
+from fixel.drawing.chart import Style, add_banner, clean, legend_of, sheet, tint
 from fixel.drawing.view import UNITS, Rectangle, evenly
 from fixel.model import Channel, Experiment, Fixel, Scene, Shape, placed
 from fixel.typing import BoolArray, FloatArray
+from fixel.units import DisplayUnit
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

@@ -16,6 +16,7 @@ from fixel.typing import FloatArray
 from fixel.uncertainty.error_terms import LABEL
 from fixel.uncertainty.posterior import Posterior
 from fixel.uncertainty.prediction import LEVELS, Band, CoverageCurve, EndBounds, Prediction
+from fixel.units import displayed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -71,7 +72,7 @@ class _Corner:
         self._legend(figure)
 
     def _values(self, k: int) -> FloatArray:
-        factor = chart.display_unit(self.posterior.units[k]).factor
+        factor = displayed(self.posterior.units[k]).factor
         return np.asarray(factor * self.posterior.points[:, k])
 
     def _ends(self, k: int) -> tuple[float, float]:
@@ -83,7 +84,7 @@ class _Corner:
         else:
             margin = max(0.05 * (high - low), 1e-6 * (own.high[k] - own.low[k]))
             wide = (low - margin, high + margin)
-        factor = chart.display_unit(own.units[k]).factor
+        factor = displayed(own.units[k]).factor
         ends = min(max(wide[0], own.low[k]), low), max(min(wide[1], own.high[k]), high)
         return factor * ends[0], factor * ends[1]
 
@@ -142,7 +143,7 @@ class _Corner:
 
     def _label(self, k: int) -> str:
         own = self.posterior
-        return chart.display_unit(own.units[k]).on(label_text(own.labels[k])).replace(" [", "\n[")
+        return displayed(own.units[k]).on(label_text(own.labels[k])).replace(" [", "\n[")
 
     def _legend(self, figure: Figure) -> None:
         from matplotlib.lines import Line2D

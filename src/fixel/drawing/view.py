@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.drawing.chart import DisplayUnit
 from fixel.model import Body, Fixel, Pusher, Shape, placed, rotated
 from fixel.simulation import Simulation
 from fixel.typing import FloatArray, IntArray
+from fixel.units import DisplayUnit
 
 MARGIN = 0.06  # share of the larger side, around all that is drawn
 MAX_ARROW = 0.22  # length of the longest arrow, as a share of the larger side

@@ -56,7 +56,7 @@ def chosen_port(port: str | None, what: str) -> str:
     """
     if port:
         return port
-    raise InvalidInput("--port", found=None, expected=f"the port of {what}", hint=_seen())
+    raise InvalidInput("port", found=None, expected=f"the port of {what}", hint=_seen())
 
 
 def open_port(port: str, baud: int, what: str) -> Serial:
@@ -67,29 +67,22 @@ def open_port(port: str, baud: int, what: str) -> Serial:
     require("serial", "a serial port", extra="serial")
     import serial
 
-    where = f"port {port}"
     try:
         return serial.Serial(port, baud, timeout=0.0, write_timeout=1.0, exclusive=True)
     except Exception as problem:  # termios.error, which pyserial lets through, is no OSError
-        reason = _errno(problem)
-        if reason in (errno.EAGAIN, errno.EWOULDBLOCK, errno.EBUSY):
-            user = _program_at(port) or "another program"
-            expected = f"{what} at a port that is free"
-            raise InvalidInput(
-                where, found=f"a port in use by {user}", expected=expected, hint="close it"
-            ) from None
-        if reason in (errno.EACCES, errno.EPERM) and sys.platform != "win32":
-            raise InvalidInput(
-                where,
-                found="no permission to open the port",
-                expected=what,
-                hint="become a member of its group and log in again:"
-                f" sudo usermod -aG {_group(port)} $USER",
-            ) from None
-        if not os.path.exists(port) and sys.platform != "win32":
-            raise InvalidInput(where, found="no port", expected=what, hint=_seen()) from None
+        reason, expected, hint = _errno(problem), what, ""
         found = "no serial port" if reason in (errno.ENOTTY, errno.EISDIR) else f"{problem}"
-        raise InvalidInput(where, found=found, expected=what, hint=_seen()) from None
+        if reason in (errno.EAGAIN, errno.EWOULDBLOCK, errno.EBUSY):
+            found = f"a port in use by {_program_at(port) or 'another program'}"
+            expected, hint = f"{what} at a port that is free", "close it"
+        elif reason in (errno.EACCES, errno.EPERM) and sys.platform != "win32":
+            found = "no permission to open the port"
+            hint = "become a member of its group and log in again:"
+            hint += f" sudo usermod -aG {_group(port)} $USER"
+        elif not os.path.exists(port) and sys.platform != "win32":
+            found = "no port"
+        hint = hint or _seen()
+        raise InvalidInput(f"port {port}", found=found, expected=expected, hint=hint) from None
 
 
 @contextmanager

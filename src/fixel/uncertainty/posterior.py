@@ -28,7 +28,7 @@ from fixel.table import Column, Table
 from fixel.typing import FloatArray, IntArray, ProgressCallback
 from fixel.uncertainty.batched_sampler import Batched, BatchedSampler
 from fixel.uncertainty.error_terms import LABEL, ModelError
-from fixel.units import displayed, unit_text
+from fixel.units import displayed
 
 # Effective samples that a live point brings, over sqrt(n / 2): 2 sqrt(pi) = 3.5 for a normal
 # posterior of n parameters.
@@ -181,31 +181,23 @@ class Posterior(Result):
     def summary(self) -> Table:
         """Return median, 95 % interval, likeliest value and bounds of every unknown [mm, deg]."""
         numbers = (Column(c, format=".3g") for c in ("median", "2.5 %", "97.5 %", "likeliest"))
-        values = np.vstack((self.quantiles()[[1, 0, 2]], self.best))
-        rows = [
-            (label, *(factor * own), prior, unit_text(unit) or "-")
-            for label, (unit, factor), own, prior in zip(
-                self.labels, self._shown, values.T, self._ranges(self.low, self.high), strict=True
-            )
-        ]
+        values, rows = np.vstack((self.quantiles()[[1, 0, 2]], self.best)).T, []
+        for k, prior in enumerate(self._ranges(self.low, self.high)):
+            unit = displayed(self.units[k])
+            rows.append((self.labels[k], *(unit.factor * values[k]), prior, unit.name or "-"))
         return Table(("parameter", *numbers, "prior", "unit"), rows, title="Parameters")
 
-    @property
-    def _shown(self) -> list[tuple[str, float]]:
-        """Units in which people read the parameters, and the factors to them."""
-        return [displayed(unit) for unit in self.units]
-
     def _ranges(self, low: FloatArray, high: FloatArray) -> list[str]:
-        ends = zip(self._shown, low, high, strict=True)
-        return [f"{factor * first:.3g} .. {factor * last:.3g}" for (_, factor), first, last in ends]
+        ends = zip(map(displayed, self.units), low, high, strict=True)
+        return [f"{unit.text(first)} .. {unit.text(last)}" for unit, first, last in ends]
 
     def tables(self) -> list[Table]:
         """Return the table of the unknowns, and one of the modes if there are several."""
         if len(self.modes) < 2:
             return [self.summary()]
-        head: list[Column | str] = ["mode", Column("probability", "%", ".0f")]
-        own = zip(self.labels, self._shown, strict=True)
-        head += [Column(label, unit_text(unit)) for label, (unit, _) in own]
+        own = zip(self.labels, self.units, strict=True)
+        names = [Column(label, displayed(unit).name) for label, unit in own]
+        head: tuple[Column | str, ...] = ("mode", Column("probability", "%", ".0f"), *names)
         rows = [
             (k, 100.0 * mode.weight, *self._ranges(mode.low, mode.high))
             for k, mode in enumerate(self.modes, 1)

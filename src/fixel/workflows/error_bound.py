@@ -157,12 +157,6 @@ def bound_stored(
         Use the newest calibration by this engine, such as mujoco.
     **options
         Options of `fixel.error_bound`.
-
-    Raises
-    ------
-    InvalidInput
-        There are too few different experiments for the level, an experiment lacks a condition, or a
-        condition to leave out has a single value.
     """
     asked = ERROR_BOUND.asked(locals())
     from fixel.database.project import ANALYSES

@@ -104,11 +104,6 @@ def check_stored(
     ----------
     **options
         Options of `fixel.table_check`.
-
-    Raises
-    ------
-    InvalidInput
-        No push was repeated at one place and elsewhere, or there are several tables.
     """
     return table_check(project.experiments(*where, flagged=flagged), **options)
 

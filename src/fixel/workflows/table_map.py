@@ -164,11 +164,6 @@ def table_map_stored(
         File to which the map is saved.
     **options
         Options of `fixel.table_map`.
-
-    Raises
-    ------
-    InvalidInput
-        The experiments are of several tables, none has a scene, or a part stands on three points.
     """
     one = [f'"dataset:{dataset}"'] if dataset else []
     experiments = project.experiments(*where, *one, flagged=flagged)

@@ -63,11 +63,6 @@ def _asking(notify: Notify) -> Callable[[str], str]:
     return ask
 
 
-def home_actuator(actuator: AbstractActuator) -> ActuatorAnswer:
-    """Home the drive, so that it knows its position."""
-    return _done(actuator, actuator.home)
-
-
 def move_actuator(
     actuator: AbstractActuator,
     *,
@@ -88,16 +83,13 @@ def move_actuator(
         else:
             actuator.move(to=to, by=by, speed=speed)  # type: ignore[arg-type]
 
-    return _done(actuator, move)
+    return commanded(actuator, move)
 
 
-def where_is_actuator(actuator: AbstractActuator) -> ActuatorAnswer:
-    """Read the position of the drive."""
-    return _done(actuator, lambda: None)
-
-
-def _done(actuator: AbstractActuator, command: Callable[[], None]) -> ActuatorAnswer:
-    """Connect to a drive, carry out a command, and return where the drive is."""
+def commanded(
+    actuator: AbstractActuator, command: Callable[[], None] = lambda: None
+) -> ActuatorAnswer:
+    """Connect to a drive, carry out a command such as `actuator.home`, and return where it is."""
     start = time.perf_counter()
     with actuator:
         command()

@@ -174,12 +174,6 @@ def map_stored(
         Conditions with a parameter set for each of their values, such as surface,shape.
     **options
         Options of `fixel.map_domain`.
-
-    Raises
-    ------
-    InvalidInput
-        There are too few experiments, the threshold is below the noise, the nominal has no data, or
-        no experiment has an axis.
     """
     asked = DOMAIN.asked(locals())
     from fixel.progress import show_progress

@@ -127,13 +127,6 @@ def filter_stored(
         Whether to store the run.
     **options
         Options of `filter`.
-
-    Raises
-    ------
-    NotStored
-        There is no such experiment.
-    InvalidInput
-        The experiment cannot be filtered, or the occlusion is outside of it.
     """
     from fixel.workflows.filtering.report import FilterAnswer, store_run
 

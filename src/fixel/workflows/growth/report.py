@@ -11,12 +11,11 @@ import numpy as np
 
 from fixel.domain.along_axis import AxisEdges, AxisStudy
 from fixel.domain.growth import AVERAGED, STORED
-from fixel.drawing.chart import display_unit
 from fixel.drawing.growth import axis_chart, error_matrix, growth_matrix, growth_steps
 from fixel.errors import counted
 from fixel.table import Table
 from fixel.typing import FloatArray
-from fixel.units import unit_text
+from fixel.units import displayed, unit_text
 from fixel.workflows.analysis import Analysis, AnalysisReport, Picture, StoredAnswer
 from fixel.workflows.growth.explore import Exploration
 from fixel.workflows.sentences import sentences
@@ -102,7 +101,7 @@ def _axis_edges(found: Exploration, study: AxisStudy) -> dict[str, Any]:
     k = int(np.flatnonzero(study.steps == 0)[0])
     ends = _edges_text(study.edges(found.threshold), study)
     length = found.samples.lengths.get(study.axis)
-    unit = display_unit("rad" if study.axis == "theta" else "m")
+    unit = displayed("rad" if study.axis == "theta" else "m")
     in_units = None
     if ends and length is not None:
         edges = study.edges(found.threshold)

@@ -198,13 +198,6 @@ def sensitivity_of_pushes(
         camera at RPI).
     **options
         Options of `sensitivity`.
-
-    Raises
-    ------
-    InvalidInput
-        Nothing can be simulated.
-    NotStored
-        There is no such experiment or calibration.
     """
     asked = SENSITIVITY.asked({**locals(), "start_error": None})  # which is an object here
     from fixel.simulation.simulate import get_ready

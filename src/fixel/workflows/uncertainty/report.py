@@ -12,7 +12,6 @@ import numpy as np
 
 from fixel.calibration.result import CalibratedValues, NearOptimal
 from fixel.database.project import Project
-from fixel.drawing.chart import display_unit
 from fixel.drawing.uncertainty import (
     bands_chart,
     corner_chart,
@@ -28,6 +27,7 @@ from fixel.uncertainty.error_terms import LABEL
 from fixel.uncertainty.posterior import Posterior
 from fixel.uncertainty.prediction import LEVELS, CoverageCurve, coverage_curve
 from fixel.uncertainty.repetition import PARTS
+from fixel.units import displayed
 from fixel.workflows.analysis import (
     Analysis,
     AnalysisReport,
@@ -247,7 +247,7 @@ def _contradictions(found: Uncertainty, compared: CalibratedValues) -> Iterator[
         top = math.inf if own.high is None else own.value + wider * (own.high - own.value)
         if bottom <= middle[k] <= top:
             continue
-        unit = display_unit(found.posterior.units[k])
+        unit = displayed(found.posterior.units[k])
         yield {
             "label": label,
             "apart": high[k] < bottom or low[k] > top,
@@ -331,7 +331,7 @@ def _priors(posterior: Posterior) -> str:
     """Ranges of the priors, which are mostly much wider than the axes."""
     parts = []
     for k, label in enumerate(posterior.labels):
-        unit = display_unit(posterior.units[k])
+        unit = displayed(posterior.units[k])
         ends = f"{unit.text(posterior.low[k])} to {unit.text(posterior.high[k])} {unit.name}"
         log = " (of its logarithm)" * (label == LABEL)
         parts.append(f"{label_text(label)} {ends.rstrip()}{log}")

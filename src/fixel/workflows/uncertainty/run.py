@@ -136,14 +136,6 @@ def uncertainty(
         Experiment that is only predicted; may be repeated.
     **options
         Options of `posterior`.
-
-    Raises
-    ------
-    InvalidInput
-        Experiments that cannot be compared, parameters that no experiment informs, or held-out
-        experiments that are also used for the posterior.
-    NotStored
-        There is no such experiment or calibration.
     """
     asked = UNCERTAINTY.asked(locals())
     from fixel.workflows.calibration.stored import request_in

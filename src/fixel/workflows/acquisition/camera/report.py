@@ -178,13 +178,10 @@ class PrintAnswer(NamedTuple):
         if self.tags:
             said = f"{counted(self.tags, 'tag')} on {counted(self.sheets, 'sheet')}. "
             said += "Print at 100 %, check the ruler, leave the white border around each tag."
-        numbers = {"sheets": self.sheets, "what": self.what, "tags": self.tags}
+        numbers = {"file": str(self.file), "sheets": self.sheets, "what": self.what}
+        numbers |= {"tags": self.tags}
         return Analysis(
-            kind="camera",
-            title="Print",
-            question={},
-            headline=(said,),
-            numbers={"file": str(self.file), **numbers},
+            kind="camera", title="Print", question={}, headline=(said,), numbers=numbers
         )
 
 
