@@ -101,6 +101,15 @@ def test_one_has_parameters_starts_profiles_and_residuals(bench):
     compile(one["python"], "page", "exec")
 
 
+def test_errors_of_a_calibration_have_equal_decimals_on_its_page(bench):
+    page = bench.client.get("/calibrations/1").text
+    table = page[page.index("Errors of all experiments") :]
+    found = re.findall(r'class="number">(?:<strong>)?([0-9.]+)<', table)
+
+    assert len(found) >= 2
+    assert {len(text.partition(".")[2]) for text in found} == {3}
+
+
 def test_one_whose_job_is_gone_still_says_all_of_it(bench, folder, opened):
     shutil.rmtree(folder / "jobs")
     alone = opened()
