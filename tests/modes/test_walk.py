@@ -170,6 +170,25 @@ def test_batches_have_the_times_of_single_runs():
     assert runs[:1].parted_at[0] == alone.accuracy.parted_at
 
 
+@pytest.mark.parametrize("seed", [930034, 930239, 931610])
+def test_ends_that_only_coarse_fixed_steps_miss_are_not_flagged(seed):
+    """Steps of 1 ms end 0.14 to 0.18 degrees away; they are first order, and finer ones do not."""
+    scene = random_grasp(seed)
+    push = simulate(scene, accuracy=True)
+    fine = simulate(scene, stepper=Adaptive(tolerance=1e-10))
+    assert max(_apart(push.final["part"], fine.final["part"])) < 0.02
+    assert push.accuracy.verdict == "agreed"
+    assert push.accuracy.angle < np.radians(0.1)
+
+
+def test_a_limit_of_steps_is_not_that_of_the_fixed_steps():
+    """The stepper takes a few dozen steps; 4,000 fixed ones end at the same pose."""
+    limited = Adaptive(max_steps=500)
+    accuracy = simulate(pushed_square(), stepper=limited, accuracy=True).accuracy
+    assert accuracy.verdict == "agreed"
+    assert accuracy.distance < 2e-5
+
+
 def test_several_parts_are_compared_with_fixed_steps():
     accuracy = simulate(
         heap(3, duration=0.5), motion="quasistatic", duration=0.2, accuracy=True

@@ -27,6 +27,7 @@ APART_LENGTH: Final = 5e-3  # of the characteristic length: two ends that are th
 APART_ANGLE: Final = math.radians(0.1)
 UNSURE: Final = 4.0  # times these limits; within them, ends of fixed steps err by themselves
 FIXED_STEP: Final = 5e-4  # of the time in which the fastest motion covers that length
+MOST_STEPS: Final = 100_000  # of fixed length, at least, whatever the limit of the stepper
 # Shifts of the start, of that length and in rad: every step size may choose the same motion.
 SHIFTS: Final = 2e-6 * np.array([[1, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1]])
 # Ways to solve a rollout; from SHIFTED, the stepper from each shift.
@@ -79,7 +80,8 @@ def confirm(
     again = np.flatnonzero(doubtful)
     solve(FIXED, again)
     gap = ends[FIXED] - final
-    unsure = np.flatnonzero(_compare(packed, gap / UNSURE)[2] & ~_compare(packed, gap)[2])
+    near = _compare(packed, gap / UNSURE)[2] & ~_compare(packed, gap)[2]
+    unsure = np.flatnonzero(near & (final.shape[1] == 1))  # heaps: too long, and rarely false
     ends[FIXED, unsure] = final[unsure]
     for k in (FINER, FINEST, MIDPOINT):
         solve(k, unsure)
@@ -97,12 +99,9 @@ def confirm(
     for k in np.unique(way[way != STEPPER]).tolist():
         own = np.flatnonzero(way == k)
         parted[own] = _parting(packed, method, k, own, end[own], threads)
-    reason = [
-        _reason(str(verdict[k]), method, int(ended[k]), bool(folds[k]), float(parted[k]))
-        if converged[k]
-        else "it stopped early"
-        for k in range(n)
-    ]
+    reason = ["it stopped early"] * n
+    for k in np.flatnonzero(converged).tolist():
+        reason[k] = _reason(verdict[k], method, int(ended[k]), bool(folds[k]), float(parted[k]))
     return verdict, np.stack((distance, angle), axis=1), parted, other, reason
 
 
@@ -147,7 +146,8 @@ def _solve(
     if FIXED <= way < SHIFTED:
         length, lead = STEPS[way - FIXED]
         part.batch.settings[:, at.STEP] = length * FIXED_STEP
-        method = method._replace(adaptive=0, lead=lead)
+        most = int(max(method.max_steps, MOST_STEPS) / length)
+        method = method._replace(adaptive=0, lead=lead, max_steps=most)
     return poses_at(part, method, times, threads)
 
 
