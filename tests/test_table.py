@@ -96,6 +96,12 @@ def test_rows_of_another_length_are_a_mistake() -> None:
         Table(("a", "b"), [(1.0,)])
 
 
+def test_a_numbered_table_without_a_title_shows_its_number():
+    """A report counted such a table, and the numbers of its captions had a gap."""
+    assert "<b>Table 6.</b>" in Table(("a",), [(1,)]).html(number="Table 6.")
+    assert "<caption>" not in Table(("a",), [(1,)]).html()
+
+
 def test_indented_cells_stay_indented_in_html():
     text = Table(("parameter", "value"), [("mu", 1), ("  noise alone", 2)]).html()
     assert '<th scope="row">mu</th>' in text

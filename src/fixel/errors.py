@@ -505,6 +505,8 @@ def reason_of(problem: Exception) -> str:
         return getattr(problem, "reason", None) or str(problem)
     if isinstance(problem, FileNotFoundError):
         return "no such file or folder"
+    if isinstance(problem, IsADirectoryError):
+        return "a folder"
     if isinstance(problem, OSError) and problem.strerror and type(problem).__module__ == "builtins":
         return f"an error ({os_reason(problem)})"
     if hasattr(problem, "errors") and callable(problem.errors):  # of pydantic

@@ -149,7 +149,7 @@ class Table:
         ]
         head = [f'<th scope="col"{kinds[k]}>{escape(c)}</th>' for k, c in enumerate(self.head)]
         caption = f"<caption><b>{escape(number)}</b> {escape(self.title)}</caption>"
-        lines = ["<table>", *([caption] if self.title else [])]
+        lines = ["<table>", *([caption] if self.title or number else [])]
         lines += [f"<thead><tr>{''.join(head)}</tr></thead>", "<tbody>"]
         for first, *others in cells:
             row = [f"<td{kinds[k]}>{escape(c)}</td>" for k, c in enumerate(others, start=1)]

@@ -102,6 +102,19 @@ def test_parts_on_three_points_are_refused():
         fixel.table_map(pushes, {"a": {"mu_pusher": 0.25}}, progress=False)
 
 
+def test_calibrations_of_another_type_are_refused(pushes):
+    problem = refused(fixel.table_map, pushes, 5, match="the type int")
+    assert problem.where == "calibrations"
+
+
+def test_known_conditions_are_the_same_for_a_check_and_a_map(pushes):
+    """Each list has the conditions that experiments state, in alphabetical order."""
+    known = ", ".join(sorted({name for own in pushes for name in own.conditions}))
+    for call in (fixel.table_check, fixel.table_map):
+        problem = refused(call, pushes, part="TYPO")
+        assert (problem.where, problem.expected) == ("part", f"one of {known}")
+
+
 def test_scenes_and_experiments_stand_on_the_table(table, pushes):
     scene = table.on(pushes[0]).scene
     assert scene.plane.load_map == table.load_map

@@ -12,7 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from fixel.calibration.known_pushes import PARTS, SURFACES, check_conditions
+from fixel.calibration.known_pushes import PARTS, SURFACES
 from fixel.calibration.target import Target
 from fixel.errors import InvalidInput, counted
 from fixel.model import rotated, wrapped
@@ -229,7 +229,6 @@ def check_table(
     real: bool,
 ) -> TableCheck:
     """Check a table with pushes; arguments as for `fixel.table_check`."""
-    check_conditions(targets, part=part, surface=surface, session=session)
     surface = surface or _condition(targets, SURFACES)
     tables = sorted({str(own.conditions.get(surface, "")) for own in targets})
     if len(tables) > 1:

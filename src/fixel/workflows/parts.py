@@ -144,11 +144,9 @@ def _condition(experiments: tuple[Experiment, ...], names: tuple[str, ...], need
         if all(name in own.conditions for own in experiments):
             return name
     if needed:
-        have = sorted({name for own in experiments for name in own.conditions})
-        raise InvalidInput(
-            needed,
-            found="no condition that names the part of every experiment",
-            expected="one of " + ", ".join(names),
-            hint=f"name it: {needed}=...; the experiments have {', '.join(have) or 'none'}",
-        )
+        have = ", ".join(sorted({name for own in experiments for name in own.conditions}))
+        found = "no condition that names the part of every experiment"
+        hint = f"name it: {needed}=...; the experiments have {have or 'none'}"
+        expected = "one of " + ", ".join(names)
+        raise InvalidInput(needed, found=found, expected=expected, hint=hint)
     return names[0]

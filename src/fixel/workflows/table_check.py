@@ -78,12 +78,14 @@ def table_check(
     (True, False)
     """
     TABLE_CHECK.asked(locals())
+    from fixel.calibration.known_pushes import check_conditions
     from fixel.calibration.target import targets_of
     from fixel.datasets import Experiments
     from fixel.parts.table_check import check_table
 
     used = [own for own in Experiments.of(experiments) if own.scene is not None
             and len(own.scene.bodies) == len(own.scene.pushers) == 1]  # fmt: skip
+    check_conditions(used, part=part, surface=surface, session=session)
     targets, real = targets_of(used), all(own.real for own in used)
     return check_table(targets, part, surface, session, (position, angle), level, seed, real)
 

@@ -127,9 +127,11 @@ def _values(
     conditions: Mapping[str, str | float],
 ) -> dict[str, float]:
     """Return the calibrated values of a part on a surface."""
+    from fixel.model.fields import instance
     from fixel.parts.fit import NAMES
     from fixel.parts.model import PartModel
 
+    instance(calibrations, PartModel | Mapping, "calibrations", "values of parts, or a part model")
     if isinstance(calibrations, PartModel):
         for own in calibrations.fits:
             if (own.part, own.surface) == (part, surface):
