@@ -110,35 +110,37 @@ class DaskEngine(AbstractEngine):
         self._tick(cluster)
         state.top_up(cluster, self.workers)
         events = cluster.events(timeout_s=TICK_S)
-        landed = [e for e in events if isinstance(e, ChunkReturn) and state.lands(e.name, e.future)]
+        landed = [e for e in events if e.future is not None and state.lands(e.name, e.future)]
         if all(event.future.status == "finished" for event in landed):
             # Before their answers are fetched and stored: the workers wait for this.
             state.top_up(cluster, self.workers)
         for arrival in landed:
             cluster.fetch(arrival)
         batch: Batch = []
-        for fetched in (e for e in events if isinstance(e, ChunkEnd)):
-            answer = self._judged(state, fetched.name, fetched.outcome)
-            if answer is not None and state.close(fetched.name):
-                batch.append((fetched.name, answer))
+        for ended in (e for e in events if e.future is None):
+            answer = self._judged(state, ended)
+            if answer is not None and state.close(ended.name):
+                batch.append((ended.name, answer))
         return batch
 
-    def _judged(self, state: _RoundState, name: str, outcome: Outcome) -> Answer | None:
+    def _judged(self, state: _RoundState, ended: Event) -> Answer | None:
         """Return the answer of a chunk, or None if it is to be tried again."""
-        if isinstance(outcome, WorkerKilled):
+        name = ended.name
+        if ended.killed:
             self.deaths += 1
             state.deaths[name] += 1
             n = state.deaths[name]
-            self._say(f"{outcome.worker} died while computing {name} (time {n} for this chunk)")
+            self._say(f"{ended.killed} died while computing {name} (time {n} for this chunk)")
             if n >= self._max_deaths:
                 return Failure(f"its worker died {n} times while computing it")
-        elif isinstance(outcome, OtherVersion):
+        elif ended.framed[:1] == OTHER_VERSION:
+            found = ended.framed[1:].decode()
             self._refusals += 1
-            self._say(f"refused an answer of fixel {outcome.found}, since this is fixel {stamp()}")
+            self._say(f"refused an answer of fixel {found}, since this is fixel {stamp()}")
             if self._refusals >= MAX_REFUSALS or not self._answered:
-                raise _other_version(f"a worker has fixel {outcome.found}, not {stamp()}")
-        elif outcome is not None:
-            return outcome
+                raise _other_version(f"a worker has fixel {found}, not {stamp()}")
+        elif ended.framed:
+            return unframed(ended.framed)
         state.again(name)
         self.again += 1
         return None
@@ -256,36 +258,13 @@ class ClusterLost(Exception):
     """Exception raised when the scheduler has ended or does not answer."""
 
 
-class WorkerKilled(NamedTuple):
-    """Outcome of a chunk whose worker died."""
+class Event(NamedTuple):
+    """A chunk has returned from its worker, or, without a future, its answer has been fetched."""
 
-    worker: str
-
-
-class OtherVersion(NamedTuple):
-    """Outcome of a chunk whose worker runs another version of fixel."""
-
-    found: str
-
-
-Outcome = Answer | WorkerKilled | OtherVersion | None  # None: to be tried again
-
-
-class ChunkReturn(NamedTuple):
-    """Event: a worker has finished a chunk or lost it."""
-
-    name: str
-    future: Any
-
-
-class ChunkEnd(NamedTuple):
-    """Event: the outcome of a returned chunk is known."""
-
-    name: str
-    outcome: Outcome
-
-
-Event = ChunkReturn | ChunkEnd
+    name: str  # of the chunk
+    future: Any = None  # of a chunk that a worker has finished or lost
+    framed: bytes = b""  # fetched answer; empty if it was lost
+    killed: str = ""  # address of the worker, if it died
 
 
 @final
@@ -346,7 +325,7 @@ class Cluster:
                 key=f"chunk-{self._count}",
                 pure=False,
             )
-            future.add_done_callback(lambda done: self._events.put(ChunkReturn(chunk.name, done)))
+            future.add_done_callback(lambda done: self._events.put(Event(chunk.name, done)))
         except Exception as problem:
             raise self._lost("the scheduler accepts no work", problem) from None
         return future
@@ -365,31 +344,24 @@ class Cluster:
             self._check_alive()
         return happened
 
-    def fetch(self, landed: ChunkReturn) -> None:
+    def fetch(self, landed: Event) -> None:
         """Fetch an answer from its worker; an event reports its arrival."""
         self._fetchers.submit(self._fetch, landed)
 
-    def _fetch(self, landed: ChunkReturn) -> None:
-        try:
-            outcome = self._outcome(landed.future)
-        # Lost on the way, cancelled with the scheduler, or unreadable: without an event for it, the
-        # coordinator would wait for this chunk without end.
-        except BaseException:
-            outcome = None
-        self._strange = self._strange + 1 if outcome is None else 0
-        self._events.put(ChunkEnd(landed.name, outcome))
-
-    def _outcome(self, future: Any) -> Outcome:
-        """Return the outcome of a chunk."""
+    def _fetch(self, landed: Event) -> None:
         from distributed import KilledWorker
 
+        ended = Event(landed.name)
         try:
-            framed = self._fetched(future)
-        except KilledWorker as killed:
-            return WorkerKilled(str(killed.last_worker.address))
-        if framed[:1] == OTHER_VERSION:
-            return OtherVersion(framed[1:].decode())
-        return unframed(framed)
+            ended = Event(landed.name, framed=self._fetched(landed.future))
+        except KilledWorker as death:
+            ended = Event(landed.name, killed=str(death.last_worker.address))
+        # Lost on the way, or cancelled with the scheduler: without an event for it, the coordinator
+        # would wait for this chunk without end.
+        except BaseException:
+            pass
+        self._strange = 0 if ended.framed or ended.killed else self._strange + 1
+        self._events.put(ended)
 
     def _fetched(self, future: Any) -> bytes:
         """Return an answer from its worker; do not wait if the worker died with it."""
