@@ -13,7 +13,7 @@ from fixel.errors import counted
 from fixel.table import Table, shortened
 
 if TYPE_CHECKING:
-    from fixel.workflows.project.maintenance import CheckResult, SchemaVersions
+    from fixel.workflows.project.maintenance import CheckResult
 
 MAX_TROUBLES = 20
 
@@ -28,8 +28,15 @@ def upgrade(project: Path, place: ProjectPlace = None) -> CommandAnswer:
     Nothing changes if they have it.
     """
     own = project_at(place, project)
-    versions = own.upgrade()
-    return CommandAnswer(versions._asdict(), _upgraded(versions, own.folder))
+    before, after = own.upgrade()
+    if before == after:
+        done = f"The database already has schema {after}."
+    elif before is None:
+        done = f"Created the tables, with schema {after}."
+    else:
+        done = f"Upgraded the database from schema {before} to {after}."
+    lines = [done, "", f"Next: {_command('check', own.folder)}"]
+    return CommandAnswer({"before": before, "after": after}, lines)
 
 
 @app.command("backup")
@@ -75,16 +82,6 @@ def diagram(
     names = maintenance.diagram(file)
     lines = [f"wrote {file}: {len(names)} tables", "Next: fixel db --help"]
     return CommandAnswer({"file": str(file), "tables": names}, lines)
-
-
-def _upgraded(versions: "SchemaVersions", project: Path) -> list[str]:
-    if versions.before == versions.after:
-        done = f"The database already has schema {versions.after}."
-    elif versions.before is None:
-        done = f"Created the tables, with schema {versions.after}."
-    else:
-        done = f"Upgraded the database from schema {versions.before} to {versions.after}."
-    return [done, "", f"Next: {_command('check', project)}"]
 
 
 def _contents(found: "CheckResult") -> list[str]:

@@ -57,8 +57,8 @@ def record(
 
     options["size"], options["limit"] = size_of(options["size"]), duration(options["limit"])
     plan = RecordPlan(**options)
-    with stop_on_request() as wish, _shown(plan, preview, wish) as watch:
-        done = record_experiment(plan, stop=wish, watch=watch)
+    with stop_on_request() as reasons, _shown(plan, preview, reasons) as watch:
+        done = record_experiment(plan, stop=lambda: next(iter(reasons), ""), watch=watch)
     content = done._asdict() | {"folder": str(done.folder), "problems": list(done.problems)}
     content["duration_s"], content["rate_per_s"] = content.pop("seconds"), done.rate
     return CommandAnswer(content, _lines(done), code=1 if done.early else 0)
@@ -96,7 +96,7 @@ def duration(text: str | None) -> float | None:
 
 
 @contextmanager
-def _shown(plan: "RecordPlan", preview: bool, wish: "StopWish") -> Iterator[Any]:
+def _shown(plan: "RecordPlan", preview: bool, reasons: list[str]) -> Iterator[Any]:
     """Yield a callback that shows a running recording: on the terminal, and in the browser."""
     terminal, length = sys.stderr.isatty(), 0
     with ExitStack() as stack:
@@ -116,7 +116,7 @@ def _shown(plan: "RecordPlan", preview: bool, wish: "StopWish") -> Iterator[Any]
                 length = len(text)
             if page is not None:
                 if page.stop_wanted:
-                    wish.reason = wish.reason or "stopped in the browser"
+                    reasons.append("stopped in the browser")
                 page.show(arrived.picture, status, plan.limit)
 
         try:
@@ -185,40 +185,31 @@ def _checked(recording: "Recording") -> CommandAnswer:
     return CommandAnswer(content, lines)
 
 
-class StopWish:
-    """Request to stop, with its reason."""
-
-    reason = ""
-
-    def __call__(self) -> str:
-        """Return the reason to stop; empty while there is none."""
-        return self.reason
-
-
 @contextmanager
-def stop_on_request() -> Iterator[StopWish]:
-    """Collect requests to stop: Enter, Ctrl-C, SIGTERM; a second Ctrl-C interrupts at once."""
-    wish = StopWish()
+def stop_on_request() -> Iterator[list[str]]:
+    """Collect reasons to stop: Enter, Ctrl-C, SIGTERM; a second Ctrl-C interrupts at once."""
+    reasons: list[str] = []
 
     def request(number: int, frame: FrameType | None) -> None:
-        wish.reason = "stopped with Ctrl-C" if number == signal.SIGINT else "stopped by a signal"
+        by = "with Ctrl-C" if number == signal.SIGINT else "by a signal"
+        reasons.append(f"stopped {by}")
         signal.signal(number, signal.default_int_handler)
 
     kept: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
         kept = {n: signal.signal(n, request) for n in (signal.SIGINT, signal.SIGTERM)}
     if sys.stdin is not None and sys.stdin.isatty():
-        threading.Thread(target=_wait_for_enter, args=(wish,), daemon=True).start()
+        threading.Thread(target=_wait_for_enter, args=(reasons,), daemon=True).start()
     try:
-        yield wish
+        yield reasons
     finally:
         for number, handler in kept.items():
             signal.signal(number, handler)
 
 
-def _wait_for_enter(wish: StopWish) -> None:
+def _wait_for_enter(reasons: list[str]) -> None:
     if sys.stdin.readline():
-        wish.reason = wish.reason or "stopped with Enter"
+        reasons.append("stopped with Enter")
 
 
 MAX_FLAGS = 8

@@ -240,7 +240,7 @@ class Experiments(Result, Sequence[Experiment]):
             found.setdefault(known.get(condition), []).append(entry)
         if self.entries and found.keys() == {None}:
             names = {name for entry in self.entries for name in entry.row.conditions}
-            raise selection.UnknownName("condition", condition, (*sorted(names), "dataset")).error()
+            raise selection.no_experiment_has("condition", condition, (*sorted(names), "dataset"))
         return {value: self._with(entries) for value, entries in found.items()}
 
     def with_scene(

@@ -380,23 +380,13 @@ def _condition_holds(bound: Bound, conditions: Mapping[str, str | float]) -> boo
 # --- unknown names --------------------------------------------------------------------------------
 
 
-class UnknownName(NamedTuple):
-    """Name or value that no experiment has."""
+def unknown_names(
+    query: ExperimentQuery, known: KnownNames
+) -> Iterator[tuple[str, str, tuple[str, ...]]]:
+    """Yield the names, words and values in a query that no experiment has.
 
-    what: str  # as typed: "--where shape"
-    typed: str
-    known: tuple[str, ...]
-
-    def error(self) -> InvalidInput:
-        """Return the error to raise."""
-        if not self.known:
-            expected = "omitted: no experiment has one"
-            return InvalidInput(self.what, found=repr(self.typed), expected=expected)
-        return unknown_name(self.what, self.typed, self.known)
-
-
-def unknown_names(query: ExperimentQuery, known: KnownNames) -> Iterator[UnknownName]:
-    """Yield the names, words and values in a query that no experiment has."""
+    Each has what it is (`"filter: shape"`), as it was typed, and what is known instead.
+    """
     asked: list[tuple[str, str, Iterable[str]]] = [("flag", k, known.flags) for k in query.flags]
     datasets = [query.dataset] if query.dataset is not None else []
     datasets += [b.typed for b in query.bounds if b.name == "dataset" and b.relation == "="]
@@ -408,7 +398,14 @@ def unknown_names(query: ExperimentQuery, known: KnownNames) -> Iterator[Unknown
             asked.append(("filter", own.name, (*sorted(known.conditions), *NAMES)))
         elif isinstance(own.value, str) and own.relation == "=":
             asked.append((f"filter: {own.name}", own.value, sorted(known.conditions[own.name])))
-    yield from (UnknownName(what, one, (*names,)) for what, one, names in asked if one not in names)
+    yield from ((what, one, (*names,)) for what, one, names in asked if one not in names)
+
+
+def no_experiment_has(what: str, typed: str, known: Sequence[str]) -> InvalidInput:
+    """Return the error for a name or value that no experiment has, with the known ones."""
+    if not known:
+        return InvalidInput(what, found=repr(typed), expected="omitted: no experiment has one")
+    return unknown_name(what, typed, known)
 
 
 def refuse_unknown(query: ExperimentQuery, known: KnownNames, *, found: bool) -> None:
@@ -420,9 +417,9 @@ def refuse_unknown(query: ExperimentQuery, known: KnownNames, *, found: bool) ->
         if own.name in known.texts and own.relation not in ("=", "!="):
             hint = "end the title of its column with its unit, as in speed_mm_s, or select with ="
             raise InvalidInput(f"filter: {own.name}", found="texts", expected="numbers", hint=hint)
-    for unknown in unknown_names(query, known):
-        if not found or (unknown.what == "filter" and unknown.typed not in query.words):
-            raise unknown.error()
+    for what, typed, names in unknown_names(query, known):
+        if not found or (what == "filter" and typed not in query.words):
+            raise no_experiment_has(what, typed, names)
 
 
 def meant_filter(filter: str, known: KnownNames) -> str | None:
@@ -431,9 +428,9 @@ def meant_filter(filter: str, known: KnownNames) -> str | None:
     It is None if nothing is unknown, or nothing resembles it.
     """
     changed = filter
-    for unknown in unknown_names(parse_filter(filter), known):
-        meant = closest(unknown.typed, unknown.known)
+    for _, typed, names in unknown_names(parse_filter(filter), known):
+        meant = closest(typed, names)
         if meant is None:
             return None
-        changed = changed.replace(unknown.typed, meant, 1)
+        changed = changed.replace(typed, meant, 1)
     return changed if changed != filter else None

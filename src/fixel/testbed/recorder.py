@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Final, NamedTuple, Protocol, final, runtime_checkable
+from typing import Final, NamedTuple, Protocol, final
 
 import numpy as np
 
@@ -42,13 +42,6 @@ class TouchReader(Protocol):
     @property
     def trouble(self) -> str: ...
     def read(self) -> TactileReading: ...
-
-
-@runtime_checkable
-class ClockedReader(Protocol):
-    """Reader of emulated fixels, on the clock of the pictures."""
-
-    def at(self, time: float) -> TactileReading: ...
 
 
 class RecordingStatus(NamedTuple):
@@ -255,10 +248,9 @@ class Recorder:
         when = None
         self._bits = None
         if self.tactile is not None:
-            if isinstance(self.tactile, ClockedReader) and not self.stream.live:
-                reading = self.tactile.at(arrived.taken)
-            else:
-                reading = self.tactile.read()
+            # Emulated fixels can be read at the time of a picture.
+            at_time = None if self.stream.live else getattr(self.tactile, "at", None)
+            reading = self.tactile.read() if at_time is None else at_time(arrived.taken)
             self._bits = reading.bits
             # A source that waits for its reader has its own clock.
             when = max(reading.time - zero, 0.0) if self.stream.live else at

@@ -144,7 +144,7 @@ def _render(
         save_scene(subject.planned, folder / SCENE_FILE)
         write_truth(subject, truth, looks, request.seed, lead, folder)
         for k, frame in enumerate(frames):
-            reading = int(truth.reading[k])
+            reading = int(truth["reading"][k])
             for write in writers:
                 write(frame, None if reading < 0 else reading, frame.time)
             if progress is not None:
@@ -161,19 +161,6 @@ def _render(
         video=video,
         unmarked=unmarked if looks.lighting == "above" else (),
     )
-
-
-class Truth(NamedTuple):
-    """Ground truth at every frame of a film."""
-
-    time: FloatArray  # (n,) [s]
-    # Poses of bodies and pushers in the middle of the exposure [m, m, rad].
-    pose: dict[str, FloatArray]
-    touches: BoolArray  # (n, n_fixel) whether the object touches each fixel of the scene
-    # (n,) Tactile byte as reported, with false and missed contacts; -1 without fixels.
-    reading: NDArray[np.int64]
-    light: FloatArray  # (n, 3) factors of blue, green and red [-]
-    covered: FloatArray  # (n,) fraction of the object's upper face under the hand [-]
 
 
 def tracks_of(subject: FilmScene, lead: float) -> dict[str, Trajectory]:
@@ -194,8 +181,8 @@ def truth_of(
     times: FloatArray,
     seed: int,
     lead: float,
-) -> Truth:
-    """Compute the ground truth of a film at its frame times (n,) [s]."""
+) -> dict[str, NDArray[Any]]:
+    """Compute the ground truth of a film at its frame times (n,) [s], as `truth.npz` has it."""
     occlusion = Occlusion(subject.scene, rig, looks, times, seed)
     name = subject.scene.bodies[0].name
     covered = []
@@ -206,28 +193,28 @@ def truth_of(
     own = subject.simulation.time
     sample = np.clip(np.searchsorted(own, times - lead, side="right") - 1, 0, len(own) - 1)
     touches = np.asarray(touching(subject.simulation)[sample])
-    return Truth(
-        time=times,
-        pose={name: track.at(times) for name, track in tracks.items()},
-        touches=touches,
-        reading=_readings(subject, rig, times, touches, seed),
-        light=light(looks, times, seed),
-        covered=np.array(covered),
-    )
+    return {
+        "time_s": times,
+        # (n, n_fixel) Whether the object touches each fixel of the scene.
+        "touches": touches,
+        # (n,) Tactile byte as reported, with false and missed contacts; -1 without fixels.
+        "reading": _readings(subject, rig, times, touches, seed),
+        "light": light(looks, times, seed),  # (n, 3) factors of blue, green and red [-]
+        "covered": np.array(covered),  # (n,) share of the object's upper face under the hand
+        # (n, 3) Poses of bodies and pushers in the middle of the exposure [m, m, rad].
+        **{f"pose_{name}": track.at(times) for name, track in tracks.items()},
+    }
 
 
 def write_truth(
-    subject: FilmScene, truth: Truth, looks: CameraEffects, seed: int, lead: float, folder: Path
+    subject: FilmScene,
+    arrays: Mapping[str, Any],
+    looks: CameraEffects,
+    seed: int,
+    lead: float,
+    folder: Path,
 ) -> None:
     """Write `truth.npz` (frame by frame) and `truth.json`; trackers must not read them."""
-    arrays: dict[str, Any] = {
-        "time_s": truth.time,
-        "touches": truth.touches,
-        "reading": truth.reading,
-        "light": truth.light,
-        "covered": truth.covered,
-        **{f"pose_{name}": pose for name, pose in truth.pose.items()},
-    }
     with written_whole(folder / ARRAYS) as unfinished:
         np.savez_compressed(unfinished, **arrays)
     simulation = subject.simulation

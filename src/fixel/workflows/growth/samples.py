@@ -11,7 +11,13 @@ from fixel.database.project import known_names
 from fixel.database.store import Store
 from fixel.domain.growth import AXES, NOMINAL, AxisPlace, ExperimentGroup
 from fixel.errors import InvalidInput, counted, some_of
-from fixel.model.selection import Bound, ExperimentQuery, ExperimentRow, unknown_names
+from fixel.model.selection import (
+    Bound,
+    ExperimentQuery,
+    ExperimentRow,
+    no_experiment_has,
+    unknown_names,
+)
 from fixel.workflows.analysis import banner_of
 
 OFFSETS: Final = {"x": "offset_x_m", "y": "offset_y_m", "theta": "offset_theta_rad"}
@@ -66,8 +72,8 @@ def read_samples(
     conditions = () if shape is None else (Bound("shape", "=", shape),)
     query = ExperimentQuery(dataset=dataset, bounds=conditions)
     listing = store.experiments(query)
-    for unknown in () if listing.rows else unknown_names(query, known_names(store)):
-        raise unknown._replace(what=unknown.what.removeprefix("filter: ")).error()
+    for what, typed, known in () if listing.rows else unknown_names(query, known_names(store)):
+        raise no_experiment_has(what.removeprefix("filter: "), typed, known)
     seated: dict[_Seat, list[ExperimentRow]] = {}
     for summary in listing.rows:
         seat = _seat_of(summary)

@@ -33,13 +33,6 @@ RESTORE_MEDIA: Final = "restore it from a backup of the media folder"
 SEE: Final = "list the errors: fixel db check"
 
 
-class SchemaVersions(NamedTuple):
-    """Versions of the schema before and after an upgrade."""
-
-    before: str | None  # None for a database that was empty
-    after: str | None
-
-
 class Backup(NamedTuple):
     """Backup of a database, and what must be copied separately."""
 
@@ -69,10 +62,13 @@ class CheckResult(NamedTuple):
 # --- upgrade ------------------------------------------------------------------------------------
 
 
-def upgrade(project: Project) -> SchemaVersions:
-    """Upgrade the tables of a project to this program's version, or leave them unchanged."""
+def upgrade(project: Project) -> tuple[str | None, str | None]:
+    """Upgrade the tables of a project to this program's version, or leave them unchanged.
+
+    Return the versions of the schema before (None for a database that was empty) and after it.
+    """
     with Store(project.url, project.media) as store:
-        return SchemaVersions(*store.upgrade())
+        return store.upgrade()
 
 
 # --- backup -------------------------------------------------------------------------------------
