@@ -42,7 +42,7 @@ def test_a_picture_is_compressed_once_for_all_who_look():
         return PICTURE
 
     view.show(draw, {})
-    first, second = view.newest.drawing.jpeg(), view.newest.drawing.jpeg()
+    first, second = view.newest.jpeg(), view.newest.jpeg()
     assert first == second
     assert len(drawn) == 1
 
@@ -53,7 +53,7 @@ def test_the_stream_shows_the_newest():
         view.show(np.full((8, 8, 3), 60 * number, dtype=np.uint8), {"n": number})
     head, part = asyncio.run(take(view.pictures(), 2))
     assert head == f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\n\r\n".encode()
-    assert part == view.newest.drawing.jpeg() + b"\r\n" + head  # or it is shown one late
+    assert part == view.newest.jpeg() + b"\r\n" + head  # or it is shown one late
 
 
 def test_a_slow_watcher_misses_pictures_and_lags_by_none():
@@ -69,7 +69,7 @@ def test_a_slow_watcher_misses_pictures_and_lags_by_none():
         for number in range(1, 6):
             view.show(np.full((8, 8, 3), number, dtype=np.uint8), {"n": number})
         part = await anext(stream)
-        assert view.newest.drawing.jpeg() in part
+        assert view.newest.jpeg() in part
         reports.append(view.report)
         view.close()
         with pytest.raises(StopAsyncIteration):
@@ -94,9 +94,9 @@ def test_showing_from_another_thread_wakes_who_waits():
 def test_a_status_alone_keeps_the_picture():
     view = LiveView()
     view.show(PICTURE, {"n": 1})
-    drawing = view.newest.drawing
+    drawing = view.newest.jpeg
     view.show(None, {"n": 2})
-    assert view.newest.drawing is drawing
+    assert view.newest.jpeg is drawing
     assert view.report == '{"n": 2}'
 
 

@@ -124,11 +124,11 @@ def _camera_lines(tour: "CameraTour") -> list[str]:
     from fixel.workflows.demo.camera_demo import estimate_table
     from fixel.workflows.report.write import next_command
 
-    errors, lab = tour.errors, shlex.quote(str(tour.project))
+    (position, angle), lab = tour.errors, shlex.quote(str(tour.project))
     return [
         "",
         f"{tour.frames} frames recorded, {tour.lost} lost. Tracked poses are"
-        f" {1e3 * errors.position:.3f} mm and {degrees(errors.angle):.3f} deg from the true"
+        f" {1e3 * position:.3f} mm and {degrees(angle):.3f} deg from the true"
         " ones (RMS).",
         "",
         *estimate_table(tour.estimates, tour.truths).lines(),

@@ -12,7 +12,7 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,8 @@ FEATURES: Final[Mapping[str, tuple[str, tuple[str, ...] | None]]] = {
 }
 Features = Mapping[str, tuple[str, tuple[str, ...] | None]]
 Columns = dict[str, NDArray[Any]]
+# Frames of an episode, its task, and further columns of its row in `meta/episodes`.
+_Episode = tuple[Columns, str, dict[str, Any]]
 
 # Those of the widely used dataset of the Push-T task, with the state of the T instead of pictures.
 PUSH_T_FEATURES: Final[Features] = {
@@ -104,14 +106,6 @@ def write_push_t(episodes: Iterable[Columns], folder: Path) -> int:
     return found.frames
 
 
-class _Episode(NamedTuple):
-    """Frames of one episode, its task, and further columns of its row in `meta/episodes`."""
-
-    columns: Columns
-    task: str
-    about: dict[str, Any]
-
-
 def _write(found: _Dataset, episodes: Iterable[_Episode], folder: Path) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -141,7 +135,7 @@ def _of_experiment(experiment: Experiment, fps: int) -> _Episode:
         "source_name": experiment.name,
         "flags": [flag.name for flag in experiment.flags],
     }
-    return _Episode(frames_of(experiment, fps), f"push {experiment.object_name}", about)
+    return frames_of(experiment, fps), f"push {experiment.object_name}", about
 
 
 def _of_push_t(episode: Columns) -> _Episode:
@@ -156,7 +150,7 @@ def _of_push_t(episode: Columns) -> _Episode:
         )
     added = {"is_real": np.zeros(len(steps), bool), "timestamp": steps / PUSH_T_FPS}
     about = {"is_real": False, "simulated_by": "fixel", "source_dataset": "fixel/PushT-v0"}
-    return _Episode({**found, **added, "frame_index": steps}, PUSH_T_TASK, about)
+    return {**found, **added, "frame_index": steps}, PUSH_T_TASK, about
 
 
 def frames_of(experiment: Experiment, fps: int) -> Columns:
@@ -178,7 +172,8 @@ def frames_of(experiment: Experiment, fps: int) -> Columns:
 
 def _add(found: _Dataset, given: _Episode, file: int) -> Columns:
     """Add an episode to the metadata; return the columns of its frames."""
-    episode, columns, task = len(found.episodes), dict(given.columns), given.task
+    episode, (own, task, about) = len(found.episodes), given
+    columns = dict(own)
     n, start = len(columns["timestamp"]), found.frames
     columns["episode_index"] = np.full(n, episode, dtype=np.int64)
     columns["index"] = np.arange(start, start + n, dtype=np.int64)
@@ -195,7 +190,7 @@ def _add(found: _Dataset, given: _Episode, file: int) -> Columns:
             "dataset_to_index": start + n,
             "meta/episodes/chunk_index": 0,
             "meta/episodes/file_index": 0,
-            **given.about,
+            **about,
             **{
                 f"stats/{key}/{what}": value
                 for key, statistics in statistics_of(columns).items()
@@ -203,9 +198,9 @@ def _add(found: _Dataset, given: _Episode, file: int) -> Columns:
             },
         }
     )
-    source = given.about["source_dataset"]
+    source = about["source_dataset"]
     found.frames += n
-    found.real += given.about["is_real"]
+    found.real += about["is_real"]
     found.sources[source] = found.sources.get(source, 0) + 1
     found.total.append(columns)
     return columns

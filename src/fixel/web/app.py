@@ -111,21 +111,18 @@ def create_app(
         app.mount(API, api)
     _answer_errors(app, render)
 
-    app.add_middleware(InternalErrorHandler)  # innermost
-    app.add_middleware(security.BodyLimit)
+    app.add_middleware(internal_errors_answered)  # innermost
+    app.add_middleware(security.body_limited)
     app.add_middleware(security.Guard, gate=gate)
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=list(hosts), www_redirect=False)
-    app.add_middleware(security.SecurityHeaders)
+    app.add_middleware(security.headers_added)
     return app
 
 
-class InternalErrorHandler:
-    """Log unexpected exceptions, and answer with a one-sentence 500."""
+def internal_errors_answered(app: ASGIApp) -> ASGIApp:
+    """Log unexpected exceptions of an application, and answer with a one-sentence 500."""
 
-    def __init__(self, app: ASGIApp) -> None:
-        self.app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def answered_app(scope: Scope, receive: Receive, send: Send) -> None:
         answered = False
 
         async def noted(message: Message) -> None:
@@ -134,11 +131,13 @@ class InternalErrorHandler:
             await send(message)
 
         try:
-            await self.app(scope, receive, noted)
+            await app(scope, receive, noted)
         except Exception:
             _log.exception("%s %s", scope.get("method", ""), scope.get("path", ""))
             if not answered:
                 await PlainTextResponse(f"{OUR_MISTAKE}\n", status_code=500)(scope, receive, send)
+
+    return answered_app
 
 
 class _Documentation(StaticFiles):

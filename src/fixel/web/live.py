@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import json
 import threading
 from collections.abc import AsyncIterator, Callable, Mapping
@@ -21,37 +22,31 @@ HEARTBEAT: Final = 1.0  # [s] between two signs of life if nothing changes
 STATUS_PAUSE: Final = 0.05  # [s] shortest time between two reports; faster ones are not read
 
 
-@final
-class Drawing:
-    """Picture that is drawn and compressed on first use, once for all viewers."""
+def jpeg_on_demand(picture: Picture | Callable[[], Picture], quality: int) -> Callable[[], bytes]:
+    """Return a function that draws and compresses a picture at its first call, for all viewers."""
+    lock = threading.Lock()
 
-    def __init__(self, picture: Picture | Callable[[], Picture], quality: int) -> None:
-        self._picture = picture
-        self._quality = quality
-        self._jpeg: bytes | None = None
-        self._lock = threading.Lock()
-
-    def jpeg(self) -> bytes:
-        """Return the picture as a JPEG file."""
-        with self._lock:
-            if self._jpeg is None:
-                self._jpeg = self._compressed()
-            return self._jpeg
-
-    def _compressed(self) -> bytes:
+    @functools.cache
+    def compressed() -> bytes:
         cv2 = opencv()
-        picture = self._picture() if callable(self._picture) else self._picture
-        done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, self._quality])
+        pixels = picture() if callable(picture) else picture
+        done, data = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])
         if not done:
             raise InvalidInput("picture", found="one that cannot be encoded as JPEG")
         return bytes(data)
+
+    def jpeg() -> bytes:
+        with lock:
+            return compressed()
+
+    return jpeg
 
 
 class LiveFrame(NamedTuple):
     """State of a view: the number of the change, the picture if any, the status."""
 
     number: int
-    drawing: Drawing | None
+    jpeg: Callable[[], bytes] | None  # returns the picture as a JPEG file
     report: str
 
 
@@ -91,8 +86,8 @@ class LiveView:
         the report is new. A number that is not finite raises `ValueError`.
         """
         report = json.dumps(status, allow_nan=False)
-        drawing = None if picture is None else Drawing(picture, self._quality)
-        self._change(lambda old: LiveFrame(old.number + 1, drawing or old.drawing, report))
+        jpeg = None if picture is None else jpeg_on_demand(picture, self._quality)
+        self._change(lambda old: LiveFrame(old.number + 1, jpeg or old.jpeg, report))
 
     def repeat(self) -> None:
         """Send the newest status again: its page shows something new."""
@@ -158,9 +153,9 @@ class LiveView:
             while (shot := await self.after(seen, HEARTBEAT)) is not None:
                 silent = shot.number == seen
                 seen = shot.number
-                if shot.drawing is not None and (silent or shot.drawing is not shown):
-                    shown = shot.drawing
-                    yield await asyncio.to_thread(shown.jpeg) + b"\r\n" + PART_HEAD
+                if shot.jpeg is not None and (silent or shot.jpeg is not shown):
+                    shown = shot.jpeg
+                    yield await asyncio.to_thread(shown) + b"\r\n" + PART_HEAD
         finally:
             self._watchers -= 1
 
@@ -192,10 +187,10 @@ class LiveView:
 
         @router.get("/picture.jpg")
         def picture() -> Response:
-            drawing = self.newest.drawing
-            if drawing is None:
+            jpeg = self.newest.jpeg
+            if jpeg is None:
                 return Response(status_code=404, headers={"retry-after": "1"})
-            return Response(drawing.jpeg(), media_type="image/jpeg")
+            return Response(jpeg(), media_type="image/jpeg")
 
         @router.get("/events")
         def events() -> StreamingResponse:

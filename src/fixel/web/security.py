@@ -115,13 +115,10 @@ def at_home(headers: Headers, *, safe: bool = False) -> bool:
     return safe and navigation == ("navigate", "document")
 
 
-class SecurityHeaders:
-    """Middleware that adds `HEADERS` to every answer."""
+def headers_added(app: ASGIApp) -> ASGIApp:
+    """Return an application that adds `HEADERS` to every answer of another."""
 
-    def __init__(self, app: ASGIApp) -> None:
-        self.app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def with_all(scope: Scope, receive: Receive, send: Send) -> None:
         async def with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
@@ -129,7 +126,9 @@ class SecurityHeaders:
                     headers.setdefault(name, value)
             await send(message)
 
-        await self.app(scope, receive, with_headers)
+        await app(scope, receive, with_headers)
+
+    return with_all
 
 
 class Guard:
@@ -219,19 +218,15 @@ def _again(body: bytes) -> Receive:
     return receive
 
 
-class BodyLimit:
-    """Middleware that rejects requests with a body longer than this interface needs."""
+def body_limited(app: ASGIApp) -> ASGIApp:
+    """Return an application that rejects requests with a body longer than `MAX_BODY`."""
 
-    def __init__(self, app: ASGIApp, most: int = MAX_BODY) -> None:
-        self.app = app
-        self.most = most
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def limited(scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
-            await self.app(scope, receive, send)
+            await app(scope, receive, send)
             return
         said = Headers(scope=scope).get("content-length", "0")
-        if not said.isdecimal() or int(said) > self.most:
+        if not said.isdecimal() or int(said) > MAX_BODY:
             await _refusal(scope, 413, TOO_LONG)(scope, receive, send)
             return
         had = 0
@@ -241,9 +236,11 @@ class BodyLimit:
             message = await receive()
             had += len(message.get("body", b""))
             # Without a declared length the end is cut off, so that the body cannot be parsed.
-            return message if had <= self.most else {"type": "http.disconnect"}
+            return message if had <= MAX_BODY else {"type": "http.disconnect"}
 
-        await self.app(scope, counted, send)
+        await app(scope, counted, send)
+
+    return limited
 
 
 NO_COOKIE: Final = (

@@ -54,8 +54,9 @@ def test_a_folder_that_is_there_is_left_alone(tmp_path: Path) -> None:
 def test_the_film_gives_the_parameters_that_true_poses_give(tmp_path: Path) -> None:
     tour = run_camera_tour(tmp_path / "tour", pushes=(0, 12))
     assert tour.lost == 0
-    assert tour.errors.position < 1.5e-4
-    assert tour.errors.angle < math.radians(0.15)
+    position, angle = tour.errors
+    assert position < 1.5e-4
+    assert angle < math.radians(0.15)
     assert all(within_interval(tracked, true.value) for tracked, true in tour.estimates)
     assert tour.truths[0] is not None
     for pair, truth in zip(tour.estimates, tour.truths, strict=True):

@@ -75,48 +75,21 @@ class Silhouette(AbstractTracking):
                 found=f"{len(names)} parts without markers",
                 expected="a part and a probe, since more outlines cannot be distinguished",
             )
-        return _SilhouetteFollower(rig, {name: things[name] for name in names})
+        part, *probe = names
+        return _OutlineFollower(rig, part, things[part], {name: things[name] for name in probe})
 
 
 @final
-class _SilhouetteFollower(AbstractFollower):
-    def __init__(self, rig: Rig, things: Mapping[str, Thing]) -> None:
-        part, *probe = things
-        self._part = _OutlineTrack(rig, part, things[part])
-        self._probe = (
-            NeedleFollower(
-                camera=rig.camera,
-                name=probe[0],
-                shape=things[probe[0]].shape,
-                height=rig.parts[probe[0]].height,
+class _OutlineFollower(AbstractFollower):
+    """Follower of the outline of a part, and of the needle of a probe, if there is one."""
+
+    def __init__(self, rig: Rig, name: str, thing: Thing, probes: Mapping[str, Thing]) -> None:
+        self._name = name
+        self._probe: NeedleFollower | None = None
+        for probe, own in probes.items():
+            self._probe = NeedleFollower(
+                camera=rig.camera, name=probe, shape=own.shape, height=rig.parts[probe].height
             )
-            if probe
-            else None
-        )
-
-    def see(self, frame: Frame) -> dict[str, PartObservation]:
-        part = self._part.followed(frame)
-        dark: NDArray[np.uint8] | None = None
-        if part.pose is None or part.share < DOUBTFUL:
-            dark = _dark(frame.luma)
-            part = self._part.found(frame, dark, part)
-        sights = {self._part.name: part}
-        if self._probe is not None:
-            outline = None if part.pose is None else self._part.in_picture(part.pose)
-            probe = self._probe.see(frame, outline, None)
-            if probe.pose is None and outline is not None:
-                dark = _dark(frame.luma) if dark is None else dark
-                probe = self._probe.see(frame, outline, _without(dark, outline))
-            sights[self._probe.name] = probe
-        return sights
-
-
-@final
-class _OutlineTrack:
-    """Follower of one outline from frame to frame."""
-
-    def __init__(self, rig: Rig, name: str, thing: Thing) -> None:
-        self.name = name
         self._camera: Camera = rig.camera
         self._shape = thing.shape
         self._angle = float(thing.pose[2])
@@ -126,7 +99,25 @@ class _OutlineTrack:
         self._prediction = PartPrediction()
         self._spread = 0.0
 
-    def followed(self, frame: Frame) -> PartObservation:
+    def see(self, frame: Frame) -> dict[str, PartObservation]:
+        part = self._followed(frame)
+        dark: NDArray[np.uint8] | None = None
+        if part.pose is None or part.share < DOUBTFUL:
+            dark = _dark(frame.luma)
+            part = self._found(frame, dark, part)
+        if self._probe is None:
+            return {self._name: part}
+        outline = None
+        if part.pose is not None:
+            corners = placed(self._shape.outline, part.pose)
+            outline = self._camera.project_at(corners, self._height)
+        probe = self._probe.see(frame, outline, None)
+        if probe.pose is None and outline is not None:
+            dark = _dark(frame.luma) if dark is None else dark
+            probe = self._probe.see(frame, outline, _without(dark, outline))
+        return {self._name: part, self._probe.name: probe}
+
+    def _followed(self, frame: Frame) -> PartObservation:
         sight = self._prediction.follow(
             frame.time, lambda pose: self._fitted(frame, pose, OUTLINE_REACH)
         )
@@ -141,17 +132,17 @@ class _OutlineTrack:
             frame.luma, self._camera, self._edges, pose, reach=reach, last=self._spread, rounds=6
         )
         if fit is None or fit.share < MIN_SHARE:
-            return PartObservation(reason=f"too little of the outline of {self.name} is visible")
+            return PartObservation(reason=f"too little of the outline of {self._name} is visible")
         if fit.residual > MAX_RESIDUAL:
             return PartObservation(
-                reason=f"the outline of {self.name} is off by {fit.residual:.2f} px"
+                reason=f"the outline of {self._name} is off by {fit.residual:.2f} px"
             )
         if vague(fit.deviations, self._scale):
-            return PartObservation(reason=f"too little of the outline of {self.name} is visible")
+            return PartObservation(reason=f"too little of the outline of {self._name} is visible")
         self._spread = fit.spread
         return fit.observed(self._scale, fit.deviations, int(fit.used.sum()))
 
-    def found(
+    def _found(
         self, frame: Frame, dark: NDArray[np.uint8], followed: PartObservation
     ) -> PartObservation:
         """Search the whole picture for a part that could not be followed well."""
@@ -181,10 +172,6 @@ class _OutlineTrack:
         off = [abs(float(wrapped(pose[2] - self._angle))) for pose in (sight.pose, best.pose)]
         return off[0] < off[1]
 
-    def in_picture(self, pose: FloatArray) -> FloatArray:
-        """Project the outline at a pose to pixels (n, 2)."""
-        return self._camera.project_at(placed(self._shape.outline, pose), self._height)
-
     def _blob(self, dark: NDArray[np.uint8]) -> tuple[NDArray[np.bool_] | None, str]:
         """Return the mask of the part without a needle, or None and the reason."""
         cv2 = opencv()
@@ -197,9 +184,9 @@ class _OutlineTrack:
         full = self._shape.area / self._scale**2
         own = [k for k in range(1, n) if AREA[0] * full < boxes[k][4] < AREA[1] * full]
         if not own:
-            return None, f"no dark region of the size of {self.name} in the picture"
+            return None, f"no dark region of the size of {self._name} in the picture"
         if len(own) > 1:
-            return None, f"{len(own)} dark regions of the size of {self.name} in the picture"
+            return None, f"{len(own)} dark regions of the size of {self._name} in the picture"
         return labels == own[0], ""
 
     def _starts(self, blob: NDArray[np.bool_]) -> list[FloatArray]:

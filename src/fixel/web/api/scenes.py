@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field
 
 from fixel.jobs.worker_process import CallCancellation
 from fixel.web.context import Context
-from fixel.web.values import Answer, Id, RequestBody, Text, storable
+from fixel.web.values import Id, RequestBody, Text, storable
 from fixel.web.views import scene_editor
 from fixel.web.views.scene_editor import SceneExample, SceneMotion
 
@@ -37,10 +37,7 @@ class SceneFileRequest(RequestBody):
     is_json: bool = Field(False, description="whether the text is JSON instead of YAML")
 
 
-class SceneAnswer(Answer):
-    """A scene that was checked."""
-
-    scene: dict[str, Any]
+SceneAnswer = dict[Literal["scene"], dict[str, Any]]  # a scene that was checked
 
 
 @router.get("/scenes/examples", summary="List example scenes")
@@ -50,17 +47,17 @@ def examples() -> list[SceneExample]:
 
 @router.get("/scenes/examples/{name}", summary="Get an example scene")
 def example(name: ExampleName) -> SceneAnswer:
-    return SceneAnswer(scene=scene_editor.example(name))
+    return {"scene": scene_editor.example(name)}
 
 
 @router.get("/experiments/{number}/scene", summary="Get the scene of an experiment")
 def scene_of_experiment(context: Context, number: Id) -> SceneAnswer:
-    return SceneAnswer(scene=scene_editor.scene_of_experiment(context.store.experiment(number)))
+    return {"scene": scene_editor.scene_of_experiment(context.store.experiment(number))}
 
 
 @router.post("/scenes/read", summary="Parse the text of a scene file")
 def read(file: SceneFileRequest) -> SceneAnswer:
-    return SceneAnswer(scene=scene_editor.read_scene(file.text, json=file.is_json))
+    return {"scene": scene_editor.read_scene(file.text, json=file.is_json)}
 
 
 @router.post("/scenes/check", summary="Check a scene", status_code=204)

@@ -168,22 +168,16 @@ class Campaign:
         return [row for row in self.rows if row.name not in busy]
 
 
-class CampaignCounts(NamedTuple):
-    """Numbers of rows of a campaign, as a list of campaigns shows them."""
+def campaigns(project: Path) -> list[tuple[str, int, int, int]]:
+    """Return the campaigns in a project's folder, also those that a program performs now.
 
-    name: str
-    accepted: int
-    skipped: int
-    attempts: int
-
-
-def campaigns(project: Path) -> list[CampaignCounts]:
-    """Return the campaigns in a project's folder, also those that a program performs now."""
+    Each has its name and the numbers of accepted and skipped rows and of attempts.
+    """
     found = []
     for journal in sorted((project / BENCH).glob(f"*/{JOURNAL}")):
         events = [json.loads(data) for name, data in read_journal(journal) if name != ROWS]
         last = {(own["row"], own["number"]): own["state"] for own in events if "number" in own}
         skipped = {own["row"] for own in events if own["state"] == "skipped"}
         n = sum(state == "accepted" for state in last.values())
-        found.append(CampaignCounts(journal.parent.name, n, len(skipped), len(last)))
+        found.append((journal.parent.name, n, len(skipped), len(last)))
     return found

@@ -49,13 +49,6 @@ RUNS: Final = "runs.json"  # in the folder: drive positions at the end of each r
 ATTEMPTS: Final = 2  # recordings of a run, until its object is tracked from its start
 
 
-class TrackingErrors(NamedTuple):
-    """Root mean square errors of tracked poses."""
-
-    position: float  # [m]
-    angle: float  # [rad]
-
-
 class CameraTour(NamedTuple):
     """Result of the camera tour."""
 
@@ -73,8 +66,8 @@ class CameraTour(NamedTuple):
     overlays: tuple[Path, ...]
 
     @property
-    def errors(self) -> TrackingErrors:
-        """Errors over all frames of all runs."""
+    def errors(self) -> tuple[float, float]:
+        """Errors of position [m] and angle [rad] over all frames of all runs."""
         return errors_of(self.runs)
 
 
@@ -275,11 +268,11 @@ def true_twin(tracked: Experiment, film: Path) -> tuple[Experiment, TrackedRun]:
     return twin, run
 
 
-def errors_of(runs: tuple[TrackedRun, ...]) -> TrackingErrors:
-    """Compute root mean square errors over all frames."""
+def errors_of(runs: tuple[TrackedRun, ...]) -> tuple[float, float]:
+    """Compute root mean square errors of position [m] and angle [rad] over all frames."""
     position = np.concatenate([run.position_error for run in runs])
     angle = np.concatenate([run.angle_error for run in runs])
-    return TrackingErrors(math.sqrt(np.mean(position**2)), math.sqrt(np.mean(angle**2)))
+    return math.sqrt(np.mean(position**2)), math.sqrt(np.mean(angle**2))
 
 
 def within_interval(estimate: Estimate, value: float) -> bool:
@@ -336,7 +329,7 @@ def _keep(
     truths: tuple[float | None, ...],
     number: int,
 ) -> None:
-    errors = errors_of(runs)
+    position, angle = errors_of(runs)
     within = sum(within_interval(tracked, true.value) for tracked, true in estimates)
     pairs = zip(estimates, truths, strict=True)
     known = [(pair, truth) for pair, truth in pairs if truth is not None]
@@ -348,8 +341,8 @@ def _keep(
         title="Tracked against true poses",
         question={"runs": [run.name for run in runs], "seed": SEED},
         headline=(
-            f"Tracked poses are {1e3 * errors.position:.3f} mm and"
-            f" {math.degrees(errors.angle):.3f} deg from the true ones (root mean square over"
+            f"Tracked poses are {1e3 * position:.3f} mm and"
+            f" {math.degrees(angle):.3f} deg from the true ones (root mean square over"
             f" {sum(len(run.time) for run in runs)} frames).",
             f"For {within} of {len(estimates)} parameters, the value estimated from true poses is "
             "within the interval estimated from the film.",
@@ -362,8 +355,8 @@ def _keep(
             "tracked without use of the true poses.",
         ),
         numbers={
-            "position_rms_m": errors.position,
-            "angle_rms_rad": errors.angle,
+            "position_rms_m": position,
+            "angle_rms_rad": angle,
             "agreeing": within,
             "parameters": len(estimates),
         },
@@ -384,14 +377,14 @@ def _keep(
 def _run_table(runs: tuple[TrackedRun, ...]) -> Table:
     rows = []
     for run in runs:
-        one = errors_of((run,))
+        position, angle = errors_of((run,))
         rows.append(
             (
                 run.name,
                 str(len(run.time)),
-                f"{1e3 * one.position:.3f}",
+                f"{1e3 * position:.3f}",
                 f"{1e3 * float(run.position_error.max()):.3f}",
-                f"{math.degrees(one.angle):.3f}",
+                f"{math.degrees(angle):.3f}",
                 f"{math.degrees(float(np.abs(run.angle_error).max())):.3f}",
             )
         )
