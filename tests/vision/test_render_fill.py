@@ -6,7 +6,7 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fixel.vision.render.canvas import Canvas, FilledPolygons, PictureWindow, cover, window_of
+from fixel.vision.render.canvas import FilledPolygons, PictureWindow, cover, painter, window_of
 
 WIDTH, HEIGHT = 24, 18
 
@@ -49,12 +49,13 @@ def test_neighbours_of_one_stroke_leave_no_seam():
     right = [(10.4, 3.1), (17.0, 2.0), (16.1, 14.0), (9.2, 12.7)]
     points = np.array(left + right)
     window = PictureWindow(0, 0, WIDTH, HEIGHT)
-    canvas = Canvas(window, np.zeros((HEIGHT, WIDTH, 3), np.float32))
+    picture = np.zeros((HEIGHT, WIDTH, 3), np.float32)
+    paint = painter(window, picture)
     stroke = FilledPolygons(
         points, np.array([0, 4, 8]), np.full(3, 200.0), window_of(points, (WIDTH, HEIGHT))
     )
-    canvas.paint(stroke, np.ones((HEIGHT, WIDTH), np.float32))
+    paint(stroke, np.ones((HEIGHT, WIDTH), np.float32))
 
     together = shapely.Polygon(left).union(shapely.Polygon(right))
-    assert canvas.picture[..., 0].sum() == pytest.approx(200.0 * together.area, rel=1e-5)
-    assert canvas.picture[7, 9, 0] == pytest.approx(200.0, abs=1e-3)
+    assert picture[..., 0].sum() == pytest.approx(200.0 * together.area, rel=1e-5)
+    assert picture[7, 9, 0] == pytest.approx(200.0, abs=1e-3)

@@ -66,8 +66,6 @@ class Identity(NamedTuple):
     sensors: int
     # Thresholds of the bits 0, 1, 2, in steps of the converter [-], 1023 at 5 V.
     thresholds: tuple[int, int, int]
-    uptime: float  # time since the board started [s]
-    name: str
 
 
 def request(kind: bytes, number: int, *thresholds: int) -> bytes:
@@ -91,10 +89,10 @@ def identity_of(frame: BoardFrame) -> Identity | None:
     """Decode the identity in a frame; None for frames of other kinds or boards."""
     if frame.kind not in (IDENTIFY, SET_THRESHOLDS) or len(frame.content) != _IDENTITY.size:
         return None
-    protocol, sensors, a, b, c, uptime_ms, name = _IDENTITY.unpack(frame.content)
+    protocol, sensors, *thresholds, _, name = _IDENTITY.unpack(frame.content)
     if name != NAME:
         return None
-    return Identity(protocol, sensors, (a, b, c), 1e-3 * uptime_ms, name.decode())
+    return Identity(protocol, sensors, (thresholds[0], thresholds[1], thresholds[2]))
 
 
 class FrameFinder:

@@ -49,7 +49,6 @@ class UsedView(NamedTuple):
     corners: int
     rms: float  # root mean square of its residuals along each axis [px]
     tilt: float  # tilt of its board against the sensor [rad]
-    residuals: FloatArray  # (corners, 2) found minus fitted pixels [px]
 
 
 @final
@@ -391,7 +390,7 @@ def _seen(pixels: FloatArray, size: tuple[int, int]) -> FloatArray:
 def _used(found: BundleFit, sight: PointObservations, k: int, name: str) -> UsedView:
     own = found.residuals[sight.view == k]
     tilt = float(np.arccos(min(1.0, abs(found.rotations[k, 2, 2]))))
-    return UsedView(name, len(own), _rms(own), tilt, own)
+    return UsedView(name, len(own), _rms(own), tilt)
 
 
 def _rms(residuals: FloatArray) -> float:

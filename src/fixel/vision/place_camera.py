@@ -33,7 +33,6 @@ class Placement(NamedTuple):
     """Camera with its measured place."""
 
     camera: MeasuredCamera
-    names: tuple[str, ...]  # names of the points, for messages
     misfit: FloatArray  # (n, 2) seen minus true place of each point, on the plane at its height [m]
     rms: float  # root mean square of the pixel residuals along each axis [px]
 
@@ -130,7 +129,7 @@ def place_by_points(
         noise=max(measured.noise or 0.0, found.noise, 1e-9),
         source=f"{measured.source}; place by {len(points)} points".removeprefix("; "),
     )
-    return Placement(result, tuple(names), misfit, rms)
+    return Placement(result, misfit, rms)
 
 
 def _start(lens: Lens, points: FloatArray, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -12,7 +12,7 @@ from fixel.typing import FloatArray
 from fixel.vision.frame import opencv
 from fixel.vision.marks import Rig
 from fixel.vision.render import bodies
-from fixel.vision.render.canvas import Canvas, FloatPicture, PictureWindow, cover, window_of
+from fixel.vision.render.canvas import FloatPicture, PictureWindow, cover, painter, window_of
 from fixel.vision.render.looks import CameraEffects
 from fixel.vision.render.solids import PlacedSolid, Solid, painting_order, place
 from fixel.vision.render.virtual_camera import Projection
@@ -102,13 +102,13 @@ class RenderedBench:
         dimmed = shade(window, 0.0, things, eye, depth)
         if dimmed is not None:
             picture *= dimmed[..., None]
-        canvas = Canvas(window, picture)
+        paint = painter(window, picture)
         for thing in painting_order(things, eye.position):
             if not thing.window.meets(window):
                 continue
             shades = self._shades(thing, things, window)
             for stroke, level in thing.strokes:
-                canvas.paint(stroke, None if level is None else shades.get(level))
+                paint(stroke, None if level is None else shades.get(level))
         return picture
 
     def _shades(

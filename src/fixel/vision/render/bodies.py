@@ -15,7 +15,7 @@ from fixel.model.shape import placed
 from fixel.typing import FloatArray
 from fixel.vision.frame import opencv
 from fixel.vision.marks import Mark, Rig, Tag, cells
-from fixel.vision.render.canvas import Canvas, FilledPolygons, FloatPicture, PictureWindow
+from fixel.vision.render.canvas import FilledPolygons, FloatPicture, PictureWindow, painter
 from fixel.vision.render.solids import Marking, Slab, Solid, circle, outline_of, polygon
 from fixel.vision.render.virtual_camera import Projection
 
@@ -255,16 +255,16 @@ def backdrop(rig: Rig, eye: Projection, seed: int) -> FloatPicture:
     middle = _middle(eye)
     metal = _brushed(places, seed) + _sheen(places, middle)
     picture = np.asarray(WOOD * _planks(places, seed)[..., None], dtype=np.float32)
-    canvas = Canvas(PictureWindow(0, 0, *size), picture)
+    paint = painter(PictureWindow(0, 0, *size), picture)
     for stroke in _plate_strokes(eye, middle):
-        canvas.paint(stroke)
+        paint(stroke)
     sheet = np.asarray(METAL * (metal / METAL.mean())[..., None], dtype=np.float32)
     picture[:] = picture + _plate_share(eye, middle) * (sheet - picture)
     for stroke in (*_holes(eye, middle), *_scratches(eye, middle, seed)):
-        canvas.paint(stroke)
+        paint(stroke)
     for tag in rig.plate:
         for ink in markings(tag, eye.camera.metres_per_pixel()):
-            canvas.paint(eye.polygons(ink.points, ink.height, ink.colour, ink.starts))
+            paint(eye.polygons(ink.points, ink.height, ink.colour, ink.starts))
     return picture
 
 
@@ -299,8 +299,8 @@ def _plate_share(eye: Projection, middle: FloatArray) -> FloatPicture:
     size = eye.size
     share = np.zeros((size[1], size[0], 3), np.float32)
     outline = polygon(_corners(middle), eye.camera.metres_per_pixel()).points
-    canvas = Canvas(PictureWindow(0, 0, *size), share)
-    canvas.paint(eye.polygons(outline, 0.0, np.ones(3)))
+    paint = painter(PictureWindow(0, 0, *size), share)
+    paint(eye.polygons(outline, 0.0, np.ones(3)))
     return share
 
 

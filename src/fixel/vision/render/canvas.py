@@ -10,14 +10,13 @@ Source: the accumulation buffers of R. Levien's font-rs (2015) and S. Barrett's 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple, final
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fixel.kernels.jit import entry, kernel
-from fixel.model.fields import settle
 from fixel.typing import FloatArray, IntArray
 
 FloatPicture = NDArray[np.float32]
@@ -289,35 +288,21 @@ def filled_polygons(
     return FilledPolygons(points, starts, colour, window_of(points, size), grain)
 
 
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class Canvas:
-    """Window of a picture, with grey levels proportional to light."""
+def painter(window: PictureWindow, picture: FloatPicture) -> Callable[..., None]:
+    """Return a function that paints into a window of a picture, with levels proportional to light.
 
-    window: PictureWindow
-    picture: FloatPicture
-    cover: FloatArray = field(init=False)
-    full: FloatPicture = field(init=False)  # light without a shadow
+    It paints `FilledPolygons` with their colour multiplied by a shade (h, w), by default 1.
+    """
+    h, w = picture.shape[:2]
+    room, full = np.zeros((h, w + 2)), np.ones((h, w), np.float32)
 
-    def __post_init__(self) -> None:
-        h, w = self.picture.shape[:2]
-        settle(self, cover=np.zeros((h, w + 2)), full=np.ones((h, w), np.float32))
+    def painted(stroke: FilledPolygons, shade: FloatPicture | None = None) -> None:
+        if stroke.window.meets(window):
+            shade = full if shade is None else shade
+            place = stroke.points, stroke.starts, window.left, window.top
+            _paint(*place, picture, room, stroke.colour, shade, *stroke.grain)
 
-    def paint(self, stroke: FilledPolygons, shade: FloatPicture | None = None) -> None:
-        """Paint a stroke with its colour multiplied by `shade` (h, w), by default 1."""
-        if not stroke.window.meets(self.window):
-            return
-        _paint(
-            stroke.points,
-            stroke.starts,
-            self.window.left,
-            self.window.top,
-            self.picture,
-            self.cover,
-            stroke.colour,
-            self.full if shade is None else shade,
-            *stroke.grain,
-        )
+    return painted
 
 
 def cover(mask: FloatPicture, room: FloatArray, points: FloatArray) -> None:

@@ -19,7 +19,7 @@ from fixel.vision.frame import Frame, opencv
 from fixel.vision.marks import Rig
 from fixel.vision.render.bench import HAND, Poses, RenderedBench
 from fixel.vision.render.bodies import OBJECT_HEIGHT, direction_of, falloff, hand_solid, pixel_of
-from fixel.vision.render.canvas import Canvas, FloatPicture, PictureWindow, cover
+from fixel.vision.render.canvas import FloatPicture, PictureWindow, cover, painter
 from fixel.vision.render.looks import CameraEffects, light
 from fixel.vision.render.solids import outline_of, polygon
 from fixel.vision.render.virtual_camera import Projection, Sensor
@@ -226,11 +226,11 @@ class BrightField:
 
     def _sharp(self, poses: Poses) -> FloatPicture:
         picture = self._ground.copy()
-        canvas = Canvas(PictureWindow(0, 0, *self.size), picture)
+        paint = painter(PictureWindow(0, 0, *self.size), picture)
         still = np.zeros(3)
         for name, outline, height in self._outlines:
             points = placed(outline, poses.get(name, still))
-            canvas.paint(self._eye.polygons(points, height, np.full(3, BLACK)))
+            paint(self._eye.polygons(points, height, np.full(3, BLACK)))
         return picture
 
 
