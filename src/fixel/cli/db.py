@@ -55,7 +55,7 @@ def backup(
         "",
         f"Next: {shlex.join(['cp', '-rn', str(done.media), f'{done.file}.media'])}",
     ]
-    return CommandAnswer(done._asdict() | {"file": str(done.file), "media": str(done.media)}, lines)
+    return CommandAnswer(done._asdict(), lines)
 
 
 @app.command("check")

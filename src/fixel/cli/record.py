@@ -59,7 +59,7 @@ def record(
     plan = RecordPlan(**options)
     with stop_on_request() as reasons, _shown(plan, preview, reasons) as watch:
         done = record_experiment(plan, stop=lambda: next(iter(reasons), ""), watch=watch)
-    content = done._asdict() | {"folder": str(done.folder), "problems": list(done.problems)}
+    content = done._asdict()
     content["duration_s"], content["rate_per_s"] = content.pop("seconds"), done.rate
     return CommandAnswer(content, _lines(done), code=1 if done.early else 0)
 

@@ -1,6 +1,7 @@
 """Shared parts of commands: options, answers as text or JSON, sentences, progress."""
 
 import json
+import os
 import shlex
 import sys
 import time
@@ -44,12 +45,12 @@ def print_answer(
 ) -> None:
     """Print the answer of a command: one JSON object on one line, or lines of text.
 
-    Numbers that are not finite become null in JSON.
+    In JSON, numbers that are not finite become null, and paths text.
     """
     if as_json:
         from fixel.io.document import plain_numbers
 
-        typer.echo(json.dumps(plain_numbers(content()), allow_nan=False))
+        typer.echo(json.dumps(plain_numbers(content()), allow_nan=False, default=os.fspath))
     else:
         typer.echo(plain("\n".join(text())))
 

@@ -63,7 +63,7 @@ def run_plan(
 def _film(request: "BaseModel", folder: Path, as_json: bool) -> None:
     with show_progress(stage="filming") as report:
         made = FILM.function(**FILM.arguments(request), project=folder, progress=report)
-    print_answer(as_json, lambda: {"films": list(map(_content, made))}, lambda: _lines(made))
+    print_answer(as_json, lambda: {"films": [one._asdict() for one in made]}, lambda: _lines(made))
 
 
 app.command("film")(typer_command(FILM, _film))
@@ -84,11 +84,6 @@ def _lines(films: "list[FilmResult]") -> list[str]:
     if films:
         lines += ["", f"Next: {command_of('track', films[0].folder)}"]
     return lines
-
-
-def _content(one: "FilmResult") -> dict[str, object]:
-    video = None if one.video is None else str(one.video)
-    return one._asdict() | {"folder": str(one.folder), "video": video}
 
 
 @app.command("serve")

@@ -45,7 +45,7 @@ from fixel.formats.recording_files import (
     write_end,
     write_header,
 )
-from fixel.formats.recording_video import PictureDecoder, StoredPacket, VideoSink, packets
+from fixel.formats.recording_video import StoredPacket, VideoSink, lossless, packets, stored_frame
 from fixel.io.atomic import usable
 from fixel.typing import FloatArray
 from fixel.vision.frame import Frame
@@ -105,15 +105,16 @@ class Recording:
 
         A picture that the camera sent corrupt raises `InvalidInput`.
         """
-        decoder = PictureDecoder(self.header.size, exact=self.header.codec == "exact")
+        size = self.header.size
+        codec = lossless(size) if self.header.codec == "exact" else None
         for k, (_, data) in enumerate(packets(self.video)):
             if k == self.n_frames:
                 return
             where = f"{self.video}, frame {k}"
-            frame = decoder.frame(float(self.time[k]), data, where)
+            frame = stored_frame(float(self.time[k]), data, size, codec, where)
             if frame is None:
-                width, height = self.header.size
-                expected, hint = f"a picture of {width} x {height} pixels", "the camera sent it so"
+                expected = f"a picture of {size[0]} x {size[1]} pixels"
+                hint = "the camera sent it so"
                 raise InvalidInput(where, found="no picture in it", expected=expected, hint=hint)
             yield frame
 

@@ -230,31 +230,32 @@ def packets(path: Path) -> Iterator[tuple[int, bytes]]:
         return  # the end is torn: all intact packets have been yielded
 
 
-@final
-class PictureDecoder:
-    """Decoder of the packets of a video, written by `VideoSink`, into frames."""
+def stored_frame(
+    time: float,
+    data: bytes,
+    size: tuple[int, int],
+    codec: av.VideoCodecContext | None,
+    where: str,
+) -> Frame | None:
+    """Decode a packet of a video that `VideoSink` has written, by a `lossless` codec or as JPEG.
 
-    def __init__(self, size: tuple[int, int], *, exact: bool) -> None:
-        self._size = size
-        self._codec = _lossless(size) if exact else None
+    None if it contains no picture of (width, height) [px].
+    """
+    if codec is None:
+        return jpeg_frame(time, data, size, where) if jpeg_size(data) == size else None
+    import av
 
-    def frame(self, time: float, data: bytes, where: str) -> Frame | None:
-        """Decode a packet; None if it contains no picture of the expected size."""
-        if self._codec is None:
-            fits = jpeg_size(data) == self._size
-            return jpeg_frame(time, data, self._size, where) if fits else None
-        import av
+    from fixel.formats.video_file import decoded_frame
 
-        from fixel.formats.video_file import decoded_frame
-
-        try:
-            (decoded,) = self._codec.decode(av.Packet(data))
-        except (av.error.FFmpegError, ValueError):
-            return None
-        return decoded_frame(time, decoded)
+    try:
+        (decoded,) = codec.decode(av.Packet(data))
+    except (av.error.FFmpegError, ValueError):
+        return None
+    return decoded_frame(time, decoded)
 
 
-def _lossless(size: tuple[int, int]) -> av.VideoCodecContext:
+def lossless(size: tuple[int, int]) -> av.VideoCodecContext:
+    """Return the decoder of lossless pictures of (width, height) [px]."""
     import av
 
     codec = av.CodecContext.create(LOSSLESS, "r")
