@@ -9,17 +9,7 @@ import typer
 
 from fixel.capability.capability import Capability, named, named_hint
 from fixel.capability.options import Option
-from fixel.cli.screen import (
-    AsJson,
-    CommandAnswer,
-    ProjectFolder,
-    command_of,
-    paragraphs,
-    print_answer,
-    require_folder,
-    require_picture,
-    wrote,
-)
+from fixel.cli import screen
 from fixel.errors import Interrupted, InvalidInput
 from fixel.progress import time_text
 
@@ -93,12 +83,12 @@ def typer_command(
     parameters = [_parameter(option) for option in capability.shown.values()]
     parameters.append(_keyword("context", typer.Context, Parameter.empty))
     if capability.on_project:
-        parameters.append(_keyword("project", ProjectFolder, Path()))
+        parameters.append(_keyword("project", screen.ProjectFolder, Path()))
     if capability.on_project and perform is None:
         parameters.append(_keyword("prepare_only", _PREPARE, False))
     if capability.plot:
         parameters.append(_keyword("plot", Annotated[Path | None, _PLOT[capability.plot]], None))
-    parameters.append(_keyword("as_json", AsJson, False))
+    parameters.append(_keyword("as_json", screen.AsJson, False))
     command.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
     command.__annotations__ = {one.name: one.annotation for one in parameters}
     command.__doc__ = cleandoc(capability.function.__doc__ or "").partition("\n\nParameters\n")[0]
@@ -106,7 +96,7 @@ def typer_command(
 
 
 def command(
-    function: Callable[..., CommandAnswer | None], *, of: Callable[..., Any] | None = None
+    function: Callable[..., screen.CommandAnswer | None], *, of: Callable[..., Any] | None = None
 ) -> Callable[..., None]:
     """Return the command of a function whose answer is only printed.
 
@@ -124,7 +114,7 @@ def command(
         answer = function(*place, **capability.arguments(request), **own)
         if answer is None:
             return
-        print_answer(as_json, lambda: answer.content, lambda: answer.lines)
+        screen.print_answer(as_json, lambda: answer.content, lambda: answer.lines)
         if answer.code:
             raise typer.Exit(answer.code)
 
@@ -183,8 +173,10 @@ def _prepare(capability: Capability, request: "BaseModel", folder: Path, as_json
     from fixel.workflows.capabilities import prepare
 
     job = prepare(capability, request, Project(folder))
-    submit = command_of("jobs", "submit", job)
-    print_answer(as_json, lambda: {"job": str(job)}, lambda: [f"Prepared {job}", f"Next: {submit}"])
+    submit = screen.command_of("jobs", "submit", job)
+    screen.print_answer(
+        as_json, lambda: {"job": str(job)}, lambda: [f"Prepared {job}", f"Next: {submit}"]
+    )
 
 
 def _run(
@@ -193,7 +185,7 @@ def _run(
     from fixel.workflows.analysis import content_of
     from fixel.workflows.capabilities import run
 
-    (require_picture if capability.plot == "file" else require_folder)(plot)
+    (screen.require_picture if capability.plot == "file" else screen.require_folder)(plot)
     done = run(capability, request, folder, plot=plot)
     analysis, present = done.analysis, capability.present
     words = present.next_words(done)
@@ -203,13 +195,13 @@ def _run(
         own = getattr(present, "content", content_of)(done)
         return own | analysis.texts() | own  # texts follow, and do not replace what it states
 
-    print_answer(
+    screen.print_answer(
         as_json,
         content,
-        lambda: paragraphs(
+        lambda: screen.paragraphs(
             analysis.lines(),
-            [f"Took {time_text(analysis.seconds)}.", *wrote(done.files.values()), *kept],
-            [f"Next: {command_of(*words, project=folder)}"] if words else [],
+            [f"Took {time_text(analysis.seconds)}.", *screen.wrote(done.files.values()), *kept],
+            [f"Next: {screen.command_of(*words, project=folder)}"] if words else [],
         ),
     )
     if done.failed:

@@ -12,17 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fixel.capability.options import Door
+from fixel.cli import screen
 from fixel.cli.capability import command
-from fixel.cli.screen import (
-    AsJson,
-    CommandAnswer,
-    command_line,
-    command_of,
-    notify,
-    paragraphs,
-    print_answer,
-    wrote,
-)
 from fixel.errors import InvalidInput, number_of
 from fixel.progress import show_progress, time_text
 from fixel.table import Table
@@ -61,7 +52,7 @@ def _ports(following: str) -> Callable[..., None]:
     """Return the command that lists serial ports, and proposes another one."""
 
     @command
-    def ports() -> CommandAnswer:
+    def ports() -> screen.CommandAnswer:
         """List the serial ports of this computer."""
         from fixel.testbed.serial_port import found_ports
 
@@ -73,7 +64,7 @@ def _ports(following: str) -> Callable[..., None]:
         if found:
             lines = [*Table(("port", "device", "in use by"), rows, left=3).lines(), ""]
             lines.append(f"Next: fixel {following} --port {found[0].port}")
-        return CommandAnswer({"ports": [port._asdict() for port in found]}, lines)
+        return screen.CommandAnswer({"ports": [port._asdict() for port in found]}, lines)
 
     return ports
 
@@ -88,7 +79,7 @@ def check(
     port: BoardPort = None,
     readings: Annotated[int, Door(least=1)] = 300,
     deadline: Annotated[float, Door(flag="--deadline", unit="ms", least=1e-4)] = 0.015,
-) -> CommandAnswer:
+) -> screen.CommandAnswer:
     """Request many readings of the board and check each.
 
     The exit code is 1 if one is missing, late or damaged.
@@ -104,7 +95,7 @@ def check(
 
     with show_progress(stage="reading") as report:
         found = check_tactile(port, readings=readings, deadline=deadline, progress=report)
-    return CommandAnswer(found.summary(), _check_lines(found), code=0 if found.passed else 1)
+    return screen.CommandAnswer(found.summary(), _check_lines(found), code=0 if found.passed else 1)
 
 
 def _check_lines(found: "TactileCheck") -> list[str]:
@@ -208,11 +199,13 @@ actuator.command("ports")(_ports("actuator where"))
 
 @actuator.command("home")
 @command
-def home(*, port: DrivePort = None, driver: Driver = "grbl", axes: Axes = "X") -> CommandAnswer:
+def home(
+    *, port: DrivePort = None, driver: Driver = "grbl", axes: Axes = "X"
+) -> screen.CommandAnswer:
     """Home the drive: move it to its end switch and set its position."""
     from fixel.workflows.acquisition.devices import chosen_actuator, commanded
 
-    drive = chosen_actuator(driver, port, axes=axes, notify=notify)
+    drive = chosen_actuator(driver, port, axes=axes, notify=screen.notify)
     return _position(commanded(drive, drive.home), port, axes)
 
 
@@ -228,7 +221,7 @@ def move(
     driver: Driver = "grbl",
     dead_man: Annotated[float | None, Door(metavar="S", usual=DEAD_MAN, above=0.0)] = None,
     unlock: Annotated[bool, Door(flag="--unlock")] = False,
-) -> CommandAnswer:
+) -> screen.CommandAnswer:
     """Move the drive. Any key, Ctrl-C, or `fixel actuator stop` elsewhere stops it at once.
 
     Parameters
@@ -247,9 +240,9 @@ def move(
     from fixel.workflows.acquisition.devices import chosen_actuator, move_actuator
 
     if sys.stdin.isatty() and driver == "grbl":
-        notify("Any key stops the drive.")
+        screen.notify("Any key stops the drive.")
     answer = move_actuator(
-        chosen_actuator(driver, port, axes=axes, notify=notify, dead_man=dead_man),
+        chosen_actuator(driver, port, axes=axes, notify=screen.notify, dead_man=dead_man),
         to=_metres(to, "to", len(axes)),
         by=_metres(by, "by", len(axes)),
         speed=speed,
@@ -276,7 +269,7 @@ def stop(
     port: Annotated[
         str | None, typer.Option(help="Serial port of the drive to stop.", metavar="PORT")
     ] = None,
-    as_json: AsJson = False,
+    as_json: screen.AsJson = False,
 ) -> None:
     """Stop every drive of your programs, or only that at a port.
 
@@ -287,20 +280,22 @@ def stop(
     stopped = stop_actuators(port)
     lines = [f"stopped the drive at {one}" for one in stopped]
     lines.append(f"Next: fixel actuator home --port {stopped[0]}")
-    print_answer(as_json, lambda: {"stopped": stopped}, lambda: lines)
+    screen.print_answer(as_json, lambda: {"stopped": stopped}, lambda: lines)
 
 
 @actuator.command("where")
 @command
-def where(*, port: DrivePort = None, driver: Driver = "grbl", axes: Axes = "X") -> CommandAnswer:
+def where(
+    *, port: DrivePort = None, driver: Driver = "grbl", axes: Axes = "X"
+) -> screen.CommandAnswer:
     """Show the position of the drive without moving it."""
     from fixel.workflows.acquisition.devices import chosen_actuator, commanded
 
-    drive = chosen_actuator(driver, port, axes=axes, notify=notify)
+    drive = chosen_actuator(driver, port, axes=axes, notify=screen.notify)
     return _position(commanded(drive), port, axes)
 
 
-def _position(answer: "ActuatorAnswer", port: str | None, axes: str) -> CommandAnswer:
+def _position(answer: "ActuatorAnswer", port: str | None, axes: str) -> screen.CommandAnswer:
     """Report the position of the drive, and the next command for it."""
     low, high = answer.reach_m
     state = f", {answer.state}" if answer.state else ""
@@ -313,7 +308,7 @@ def _position(answer: "ActuatorAnswer", port: str | None, axes: str) -> CommandA
     again = f"move --by {','.join(['10'] * len(axes))}"
     following = f"Next: fixel actuator {'home' if answer.state == 'Alarm' else again} {at}"
     lines = [f"{answer.driver}: at {place} mm{within}{state}", following]
-    return CommandAnswer(answer._asdict(), lines)
+    return screen.CommandAnswer(answer._asdict(), lines)
 
 
 NOT_IN_PLACE = 4
@@ -337,7 +332,7 @@ def overlay(
     once: Annotated[bool, Door(flag="--once")] = False,
     output: Annotated[Path, Door(writes=True)] = Path("overlay.png"),
     as_json: bool,
-) -> CommandAnswer:
+) -> screen.CommandAnswer:
     """Show planned poses on the live picture, and their errors.
 
     Parameters
@@ -385,19 +380,19 @@ def overlay(
     setting = ["--camera", camera, "--rig", rig] + (["--scene", str(scene)] if scene else [])
     content = look.summary() | {"files": {"picture": str(output)} if once else {}}
     code = NOT_IN_PLACE if once and not look.placed else 0
-    return CommandAnswer(content, _lines(look, setting, picture), code)
+    return screen.CommandAnswer(content, _lines(look, setting, picture), code)
 
 
 def _lines(look: "Look", setting: list[str], picture: Path | None) -> list[str]:
     """A few lines of text: the verdict, the errors, the file, the next command."""
     # After a part has been moved, the same command.
-    record = command_of("record", *setting, "--out", "recording")
-    return paragraphs(
+    record = screen.command_of("record", *setting, "--out", "recording")
+    return screen.paragraphs(
         [look.sentence],
         _errors(look),
         [*look.problems, *look.remarks],
-        wrote([picture]),
-        [f"Next: {record if look.placed else command_line()}"],
+        screen.wrote([picture]),
+        [f"Next: {record if look.placed else screen.command_line()}"],
     )
 
 
@@ -439,12 +434,12 @@ def _live(
     stream = source.open()
 
     def end(reason: str) -> None:
-        notify(f"The camera stopped: {reason}.")
+        screen.notify(f"The camera stopped: {reason}.")
         if look is not None:
             view.show(None, look.summary() | {"problems": [f"The camera stopped: {reason}"]})
 
     with WebServer([overlay_page(view, heading)], port=port) as server:
-        notify(f"Open {server.link}\nStop with Ctrl-C.")
+        screen.notify(f"Open {server.link}\nStop with Ctrl-C.")
         with suppress(KeyboardInterrupt):
             for look in watch(looks, frames_of(source, stream.live, end), view.show):
                 if show and sys.stderr.isatty():

@@ -8,16 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from fixel.capability.capability import named
 from fixel.capability.options import Dataset, Door, Flagged, Where
+from fixel.cli import screen
 from fixel.cli.capability import command
-from fixel.cli.screen import (
-    CommandAnswer,
-    command_line,
-    command_of,
-    notify,
-    project_at,
-    project_words,
-    wrote,
-)
 from fixel.errors import InvalidInput, counted, plain
 from fixel.progress import show_progress, time_text
 from fixel.table import Column, Table, shortened
@@ -38,7 +30,7 @@ def new(
     folder: Annotated[Path, Door(metavar="FOLDER", meaning="Folder of the new project.")],
     *,
     database: Annotated[str | None, Door(metavar="URL")] = None,
-) -> CommandAnswer:
+) -> screen.CommandAnswer:
     """Create a project folder with settings, database and media.
 
     Parameters
@@ -52,9 +44,9 @@ def new(
     lines = [
         f"created project {name} in {folder}",
         "Import recorded experiments with fixel import SOURCE, or try simulated ones:",
-        f"Next: {command_of('testbed', 'run', '--limit', 30, '--project', folder)}",
+        f"Next: {screen.command_of('testbed', 'run', '--limit', 30, '--project', folder)}",
     ]
-    return CommandAnswer({"folder": str(folder), "name": name}, lines)
+    return screen.CommandAnswer({"folder": str(folder), "name": name}, lines)
 
 
 @command
@@ -67,7 +59,7 @@ def import_(
     scene: Path | None = None,
     dry_run: Annotated[bool, Door(flag="--dry-run")] = False,
     as_json: bool,
-) -> CommandAnswer:
+) -> screen.CommandAnswer:
     """Import recorded experiments, and skip stored ones.
 
     Parameters
@@ -108,8 +100,8 @@ def import_(
     if own is None:
         content["experiments"] = sum(1 for _ in plan)
         content["skipped"] = list(plan.skipped)
-        following = f"Next: {command_line(without='--dry-run')}"
-        return CommandAnswer(content, [*lines, *_skipped(plan.skipped), following])
+        following = f"Next: {screen.command_line(without='--dry-run')}"
+        return screen.CommandAnswer(content, [*lines, *_skipped(plan.skipped), following])
     if not as_json:  # before the import, which may take long
         print(plain("\n".join(lines)), flush=True)
     done = own.add(plan)
@@ -118,7 +110,7 @@ def import_(
     if template is not None:
         content |= {
             "template": str(template),
-            "next": f"{command_line()} --scene {shlex.quote(str(template))}",
+            "next": f"{screen.command_line()} --scene {shlex.quote(str(template))}",
         }
     return imported(done, content, own.folder)
 
@@ -129,7 +121,7 @@ def _skipped(names: Sequence[str]) -> list[str]:
     return [f"skipped {len(names)}:", *lines] if names else []
 
 
-def _import_bundle(project: "Project", source: Path, dry_run: bool) -> CommandAnswer:
+def _import_bundle(project: "Project", source: Path, dry_run: bool) -> screen.CommandAnswer:
     """Import the bundle that another project exported."""
     from fixel.workflows.project.export import import_zip
 
@@ -138,13 +130,13 @@ def _import_bundle(project: "Project", source: Path, dry_run: bool) -> CommandAn
     n, found = counts.get("known"), ", ".join(_records({**counts, "known": 0})) or "nothing"
     found += f"; {n} {'was' if n == 1 else 'were'} already stored" if n else ""
     verb = "contains" if dry_run else "added"
-    listing = command_of("list", project=project.folder)
-    following = command_line("--dry-run") if dry_run else listing
+    listing = screen.command_of("list", project=project.folder)
+    following = screen.command_line("--dry-run") if dry_run else listing
     content = {"source": str(source), "dry_run": dry_run, **counts}
-    return CommandAnswer(content, [f"{source}: {verb} {found}", f"Next: {following}"])
+    return screen.CommandAnswer(content, [f"{source}: {verb} {found}", f"Next: {following}"])
 
 
-def imported(done: "AddSummary", content: dict[str, Any], folder: Path) -> CommandAnswer:
+def imported(done: "AddSummary", content: dict[str, Any], folder: Path) -> screen.CommandAnswer:
     """Report how many were stored; `content` is more for JSON."""
     time = time_text(done.wall_time_s)
     time += f", {done.known} were already stored" if done.known else ""
@@ -167,8 +159,8 @@ def imported(done: "AddSummary", content: dict[str, Any], folder: Path) -> Comma
         lines.append(
             f"{done.faulty} of them have faults in their data; list them with fixel list --all"
         )
-    following = content.get("next", command_of("list", project=folder))
-    return CommandAnswer(content | done._asdict(), [*lines, f"Next: {following}"])
+    following = content.get("next", screen.command_of("list", project=folder))
+    return screen.CommandAnswer(content | done._asdict(), [*lines, f"Next: {following}"])
 
 
 @command
@@ -183,7 +175,7 @@ def list_(
     flagged: Flagged = False,
     deleted: Annotated[bool, Door(flag="--deleted")] = False,
     limit: Annotated[int, Door(least=1)] = MAX_ROWS,
-) -> CommandAnswer:
+) -> screen.CommandAnswer:
     """List experiments.
 
     Parameters
@@ -220,7 +212,7 @@ def list_(
         lines.append("datasets: " + ", ".join(f"{k} {n}" for k, n in datasets.items()))
     if flags and not flag:
         lines.append("flags:    " + ", ".join(f"{k} {n}" for k, n in flags.items()))
-    return CommandAnswer(
+    return screen.CommandAnswer(
         _content(listing), [*lines, f"Next: {_next(listing, project.folder, deleted)}"]
     )
 
@@ -228,8 +220,8 @@ def list_(
 def _next(listing: "ExperimentPage", folder: Path, deleted: bool) -> str:
     if listing.rows:
         key = f"id:{listing.rows[0].id}" if deleted else listing.rows[0].key
-        return command_of("show", key, *project_words(folder), "--plot", "run.png")
-    return command_of("testbed", "run", "--limit", 30, project=folder)
+        return screen.command_of("show", key, *screen.project_words(folder), "--plot", "run.png")
+    return screen.command_of("testbed", "run", "--limit", 30, project=folder)
 
 
 def _listed(listing: "ExperimentPage") -> list[str]:
@@ -285,7 +277,7 @@ def export(
     ] = None,
     scenes: int | None = None,
     seed: Annotated[int | None, Door(least=0)] = None,
-) -> CommandAnswer:
+) -> screen.CommandAnswer:
     """Export experiments, or a scene as a model for an engine.
 
     Parameters
@@ -324,16 +316,16 @@ def export(
     if to is not None:
         from fixel.workflows.model_export.run import export_model
 
-        what = place if place and not place.is_dir() else project_at(place, project)
+        what = place if place and not place.is_dir() else screen.project_at(place, project)
         given: Any = {name: value for name, value in for_model.items() if value is not None}
         model = export_model(what, target, to=to, **given)
-        return CommandAnswer(model.summary(), _exported_model(model))
+        return screen.CommandAnswer(model.summary(), _exported_model(model))
     kind = "parquet" if parquet else "lerobot" if lerobot else "bundle"
-    source = project_at(place, project)
+    source = screen.project_at(place, project)
     answer = source.export(target, format=kind, dataset=dataset or None, fps=fps)
-    check = command_of("import", target, "--dry-run", project=source.folder)
+    check = screen.command_of("import", target, "--dry-run", project=source.folder)
     following = check if kind == "bundle" else SEE_EXPORT
-    return CommandAnswer(answer.summary(), [*_exported(answer), f"Next: {following}"])
+    return screen.CommandAnswer(answer.summary(), [*_exported(answer), f"Next: {following}"])
 
 
 def _exported_model(answer: "ModelExport") -> list[str]:
@@ -349,7 +341,7 @@ def _exported_model(answer: "ModelExport") -> list[str]:
             lines.append(f"error of {name} on {which}: {_distances(errors[name])}")
     script = answer.folder / "run.py"
     following = shlex.join(["python", str(script)]) if script.exists() else SEE_EXPORT
-    lines += wrote([answer.folder / name for name in answer.files])
+    lines += screen.wrote([answer.folder / name for name in answer.files])
     return [*lines, f"Next: {following}"]
 
 
@@ -398,7 +390,7 @@ def data(
     *,
     output: Annotated[Path | None, Door(also=("-o",), metavar="FOLDER", usual="data")] = None,
     sha256: Annotated[str | None, Door(metavar="DIGITS")] = None,
-) -> CommandAnswer:
+) -> screen.CommandAnswer:
     """List public datasets; with a URL, download a file.
 
     Parameters
@@ -414,16 +406,16 @@ def data(
         if unused := "output" if output else "sha256" if sha256 else "":
             raise InvalidInput(unused, found="no URL", expected="the URL of a file")
         known = datasets()
-        return CommandAnswer({"datasets": known}, _datasets(known))
+        return screen.CommandAnswer({"datasets": known}, _datasets(known))
     file, digest = fetch(url, output or Path("data"), sha256)
     size = file.stat().st_size
     if sha256 is None:
-        notify("No checksum was given; compare this one with that of the publisher.")
+        screen.notify("No checksum was given; compare this one with that of the publisher.")
     lines = [
         f"downloaded {file}, {size / 1e6:.3g} MB, sha256 {digest}",
-        f"Next: {command_of('import', file, '--dry-run')}",
+        f"Next: {screen.command_of('import', file, '--dry-run')}",
     ]
-    return CommandAnswer({"file": str(file), "sha256": digest, "bytes": size}, lines)
+    return screen.CommandAnswer({"file": str(file), "sha256": digest, "bytes": size}, lines)
 
 
 def _datasets(known: list[dict[str, str]]) -> list[str]:

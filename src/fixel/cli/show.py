@@ -6,16 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from fixel.capability.options import CalibrationId, Door, EngineName
+from fixel.cli import screen
 from fixel.cli.capability import command
-from fixel.cli.screen import (
-    CommandAnswer,
-    command_line,
-    command_of,
-    notify,
-    paragraphs,
-    require_picture,
-    wrote,
-)
 from fixel.errors import NotStored, counted
 from fixel.table import Column, Table, shortened
 from fixel.workflows.sentences import origin_of
@@ -34,7 +26,7 @@ def show(
     experiment: Annotated[str, Door(metavar="EXPERIMENT")],
     *,
     plot: Annotated[Path | None, Door(writes=True)] = None,
-) -> CommandAnswer:
+) -> screen.CommandAnswer:
     """Show an experiment: scene, data, faults and provenance.
 
     Parameters
@@ -46,7 +38,7 @@ def show(
     """
     from fixel.workflows.project.compare import summary
 
-    require_picture(plot)
+    screen.require_picture(plot)
     with project.store() as store:
         number = store.find(experiment)
         found, replaced_by = store.experiment(number), store.replacement(number)
@@ -62,7 +54,9 @@ def show(
         about.append(f"replaced by experiment {replaced_by} of the same name")
     key = found.key if replaced_by is None else f"id:{number}"
     following = f"Next: {_next_show(found, key, project.folder, plot)}"
-    return CommandAnswer(content, paragraphs(about, *_blocks(found), wrote([plot]), [following]))
+    return screen.CommandAnswer(
+        content, screen.paragraphs(about, *_blocks(found), screen.wrote([plot]), [following])
+    )
 
 
 def _blocks(experiment: "Experiment") -> list[list[str]]:
@@ -141,10 +135,10 @@ def _next_show(experiment: "Experiment", key: str, project: Path, plot: Path | N
     """Return the command that most users need next for an experiment, named by its key or id."""
     if plot is None:
         picture = experiment.name.replace("/", "-") + ".png"
-        return command_of("show", key, "--plot", picture, project=project)
+        return screen.command_of("show", key, "--plot", picture, project=project)
     if experiment.scene is not None:
-        return command_of("compare", key, project=project)
-    return command_of("list", project=project)
+        return screen.command_of("compare", key, project=project)
+    return screen.command_of("list", project=project)
 
 
 @command
@@ -155,7 +149,7 @@ def report(
     calibration: CalibrationId = None,
     engine: EngineName = "",
     title: str = "",
-) -> CommandAnswer:
+) -> screen.CommandAnswer:
     """Write a report on a calibration, with errors and verdicts.
 
     The page needs no network. Next to it: every figure as PDF, and a bibliography.
@@ -172,9 +166,9 @@ def report(
         Title of the report.
     """
     options: Any = {"calibration": calibration, "engine": engine, "title": title}
-    tell = notify if sys.stderr.isatty() else None
-    done = project.report(out, **options, command=command_line(), notify=tell)
-    return CommandAnswer(done.summary(), _lines(done))
+    tell = screen.notify if sys.stderr.isatty() else None
+    done = project.report(out, **options, command=screen.command_line(), notify=tell)
+    return screen.CommandAnswer(done.summary(), _lines(done))
 
 
 def _lines(done: "Report") -> list[str]:
@@ -195,7 +189,7 @@ def _lines(done: "Report") -> list[str]:
 
 
 @command
-def calibrations(project: "Project", calibration: CalibrationId = None) -> CommandAnswer:
+def calibrations(project: "Project", calibration: CalibrationId = None) -> screen.CommandAnswer:
     """List stored calibrations, or show the estimates of one.
 
     Parameters
@@ -209,9 +203,9 @@ def calibrations(project: "Project", calibration: CalibrationId = None) -> Comma
         listed = list_calibrations(project)
         if not listed.rows:
             raise NotStored("calibration", hint="make one with: fixel calibrate")
-        following = command_of("calibrations", listed.rows[0][0], project=project.folder)
+        following = screen.command_of("calibrations", listed.rows[0][0], project=project.folder)
         lines = [*listed.lines(), f"Next: {following}"]
-        return CommandAnswer({"calibrations": listed.records()}, lines)
+        return screen.CommandAnswer({"calibrations": listed.records()}, lines)
     fit = stored_calibration(project, calibration)
     content = {
         "calibration": calibration,
@@ -222,6 +216,6 @@ def calibrations(project: "Project", calibration: CalibrationId = None) -> Comma
         **fit.analysis.texts(),
         **{own: getattr(fit, own) for own in ("status", "evaluations", "command", "call")},
     }
-    return CommandAnswer(
+    return screen.CommandAnswer(
         content, [repr(fit), *([f"Repeat it: {fit.command}"] if fit.command else [])]
     )

@@ -25,19 +25,9 @@ from fixel.database.schema import (
 )
 from fixel.errors import InvalidInput, StoreRefused
 from fixel.io.atomic import INVALID_CONTENT
-from fixel.model import Flag
-from fixel.model.selection import (
-    ERRORS,
-    NUMBERS,
-    RELATIONS,
-    TEXTS,
-    Bound,
-    ExperimentDetails,
-    ExperimentQuery,
-    ExperimentRow,
-)
+from fixel.model import Flag, selection
 
-ALL_EXPERIMENTS: Final = ExperimentQuery(include_faulty=True, marks=("replaced",))
+ALL_EXPERIMENTS: Final = selection.ExperimentQuery(include_faulty=True, marks=("replaced",))
 
 # --- columns ----------------------------------------------------------------------------------
 
@@ -129,7 +119,7 @@ SQUARES: Final[dict[str, sa.ColumnElement[Any]]] = {
     "error_mm": sa.func.coalesce(AFTER.c.error_mm2, BEFORE.c.error_mm2),
 }
 COLUMNS: Final = {
-    **{name: experiment.c[own] for name, own in (TEXTS | NUMBERS).items()},
+    **{name: experiment.c[own] for name, own in (selection.TEXTS | selection.NUMBERS).items()},
     **{"turned_rad": _turned, "flags": _n_flag, "notes": _n_note},
     **SQUARES,
 }
@@ -155,13 +145,13 @@ def expressions(dialect: str, name: str) -> tuple[sa.ColumnElement[Any], ...]:
 # --- clauses ----------------------------------------------------------------------------------
 
 
-def sources(query: ExperimentQuery, names: Iterable[str] = ()) -> sa.FromClause:
+def sources(query: selection.ExperimentQuery, names: Iterable[str] = ()) -> sa.FromClause:
     """Tables to select from; errors are joined only where the query or a name refers to them."""
     named = {query.sort, *names, *(bound.name for bound in query.bounds)}
-    return WITH_ERRORS if named.intersection(ERRORS) else experiment
+    return WITH_ERRORS if named.intersection(selection.ERRORS) else experiment
 
 
-def clauses(query: ExperimentQuery, dialect: str) -> list[Any]:
+def clauses(query: selection.ExperimentQuery, dialect: str) -> list[Any]:
     """SQL clauses that select the experiments of a query."""
     gone = experiment.c.deleted_at_utc
     found: list[Any] = [gone.is_not(None) if "deleted" in query.marks else gone.is_(None)]
@@ -187,7 +177,7 @@ def clauses(query: ExperimentQuery, dialect: str) -> list[Any]:
     return found + [_has_word(word) for word in query.words]
 
 
-def order(query: ExperimentQuery, dialect: str) -> list[Any]:
+def order(query: selection.ExperimentQuery, dialect: str) -> list[Any]:
     """Clauses of ORDER BY: nulls come last in both directions, ties are ordered by id."""
     found: list[Any] = []
     for key in reversed(expressions(dialect, query.sort)):  # numbers before texts
@@ -196,20 +186,20 @@ def order(query: ExperimentQuery, dialect: str) -> list[Any]:
     return [*found, experiment.c.id.desc() if query.descending else experiment.c.id.asc()]
 
 
-def _bound_holds(dialect: str, bound: Bound) -> Any:
-    relate = RELATIONS[bound.relation]
-    if bound.name in TEXTS:
+def _bound_holds(dialect: str, bound: selection.Bound) -> Any:
+    relate = selection.RELATIONS[bound.relation]
+    if bound.name in selection.TEXTS:
         return relate(COLUMNS[bound.name], bound.typed)
     if bound.name not in COLUMNS:
         return _condition_holds(dialect, bound)
     return relate(COLUMNS[bound.name], bound.limit)
 
 
-def _condition_holds(dialect: str, bound: Bound) -> Any:
+def _condition_holds(dialect: str, bound: selection.Bound) -> Any:
     """SQL clause for `fixel.model.selection._condition_holds`."""
     text, number = expressions(dialect, bound.name)
     if bound.relation not in ("=", "!="):
-        return RELATIONS[bound.relation](number, bound.limit)
+        return selection.RELATIONS[bound.relation](number, bound.limit)
     same: Any = sa.and_(number.is_(None), text.is_not(None), text == bound.typed)
     if not isinstance(bound.value, str):
         same = sa.or_(same, sa.and_(number.is_not(None), number == bound.value))
@@ -237,11 +227,11 @@ def _escaped(text: str) -> str:
 class ExperimentPage(NamedTuple):
     """Page of the table of experiments, with counts."""
 
-    rows: list[ExperimentRow]
+    rows: list[selection.ExperimentRow]
     total: int  # matching experiments on all pages
     faulty: int  # experiments with a fault, on all pages or left out
     left_out: int  # experiments that match but are left out for a fault
-    details: list[ExperimentDetails]  # of each row; empty unless requested
+    details: list[selection.ExperimentDetails]  # of each row; empty unless requested
 
 
 class ConditionValues(NamedTuple):
@@ -258,9 +248,9 @@ MAX_IDS: Final = 5000  # in one statement; databases limit the number of its val
 # Conditions stay text until requested, since few lines of a long listing are read.
 _ROW: Final = [
     sa.cast(experiment.c.conditions, sa.Text) if name == "conditions_json" else experiment.c[name]
-    for name in ExperimentRow._fields
+    for name in selection.ExperimentRow._fields
 ]
-_CHECK: Final = TypeAdapter(ExperimentRow)
+_CHECK: Final = TypeAdapter(selection.ExperimentRow)
 _DETAILS: Final = [
     experiment.c.content_sha256,
     experiment.c.deleted_at_utc,
@@ -270,7 +260,7 @@ _DETAILS: Final = [
 ]
 
 
-def _checked(values: Sequence[Any]) -> ExperimentRow:
+def _checked(values: Sequence[Any]) -> selection.ExperimentRow:
     """Return a row; raise `StoreRefused` if a value is not of its column's type."""
     with suppress(*INVALID_CONTENT):
         row = _CHECK.validate_python(values, strict=True)
@@ -280,10 +270,13 @@ def _checked(values: Sequence[Any]) -> ExperimentRow:
 
 
 def browse(
-    connection: sa.Connection, query: ExperimentQuery | None = None, *, details: bool = False
+    connection: sa.Connection,
+    query: selection.ExperimentQuery | None = None,
+    *,
+    details: bool = False,
 ) -> ExperimentPage:
     """Return one page of the experiments that match; `details` are their results and marks."""
-    query = query or ExperimentQuery()
+    query = query or selection.ExperimentQuery()
     dialect = connection.dialect.name
     everything = replace(query, include_faulty=True, sort="id")
     count = sa.select(sa.func.count()).select_from(sources(everything))
@@ -307,7 +300,7 @@ def browse(
         marked = _by(connection, ids, flag, flag.c.name, flag.c.detail, flag.c.is_fault)
         notes = _by(connection, ids, note, note.c.text)
         more = [
-            ExperimentDetails(
+            selection.ExperimentDetails(
                 content_sha256=row.content_sha256,
                 deleted_at_utc=row.deleted_at_utc,
                 before_mm2=row.before_mm2,
@@ -322,7 +315,7 @@ def browse(
 
 
 def ids(
-    connection: sa.Connection, query: ExperimentQuery, *more: sa.ColumnElement[bool]
+    connection: sa.Connection, query: selection.ExperimentQuery, *more: sa.ColumnElement[bool]
 ) -> list[int]:
     """Ids of the matching experiments on all pages, in the order of the query."""
     dialect = connection.dialect.name
@@ -335,7 +328,7 @@ def ids(
     return list(connection.scalars(wanted))
 
 
-def unsimulated(connection: sa.Connection, query: ExperimentQuery) -> list[int]:
+def unsimulated(connection: sa.Connection, query: selection.ExperimentQuery) -> list[int]:
     """Ids of matching experiments with a scene but no simulation with nominal parameters."""
     return ids(
         connection,
@@ -374,7 +367,7 @@ def flags(connection: sa.Connection) -> dict[str, int]:
 
 
 def tally(
-    connection: sa.Connection, query: ExperimentQuery, names: Sequence[str]
+    connection: sa.Connection, query: selection.ExperimentQuery, names: Sequence[str]
 ) -> list[tuple[Any, ...]]:
     """Count distinct combinations of values: one text, number or None per name, then the count."""
     dialect = connection.dialect.name

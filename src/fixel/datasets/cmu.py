@@ -12,6 +12,7 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from fixel import model
 from fixel.datasets.base import (
     Importer,
     ImportPlan,
@@ -37,19 +38,6 @@ from fixel.datasets.files import (
     rows_of,
 )
 from fixel.errors import InvalidInput
-from fixel.model import (
-    Body,
-    Channel,
-    Disk,
-    Experiment,
-    Flag,
-    Polygon,
-    Provenance,
-    Support,
-    SupportPoints,
-    Trajectory,
-    UniformPressure,
-)
 from fixel.typing import FloatArray
 
 DATASET: Final = "cmu-tripod"
@@ -123,8 +111,8 @@ class _TripodData(NamedTuple):
     gaps: FloatArray  # (n, 2) at start and end [m]
     force: Mapping[str, FloatArray]  # (n, 3) of each push [s, N, N]
     robot: Mapping[str, FloatArray]  # (n, 4) of each push [s, m, m, rad]
-    bodies: Mapping[tuple[str, str], Body]
-    finger: Disk
+    bodies: Mapping[tuple[str, str], model.Body]
+    finger: model.Disk
     problems: Problems  # of pushes that are left out
 
 
@@ -141,7 +129,7 @@ def _read(folder: Path) -> _TripodData:
         rows.append(rows_of(readings, PUSH))
         series.append(readings)
         problems = missing_rows(rows[-1], readings.source, table, PUSH) | problems | damaged
-    bodies: dict[tuple[str, str], Body] = {}
+    bodies: dict[tuple[str, str], model.Body] = {}
     for name, *key in zip(*(table.columns[c] for c in (PUSH, "surface", "support")), strict=True):
         kind = (key[0], key[1])
         with collected(problems, name, SETUP):
@@ -167,25 +155,25 @@ def _read(folder: Path) -> _TripodData:
         force=force,
         robot=robot,
         bodies=bodies,
-        finger=Disk(member(setup, "pusher.radius_m_assumed_by_authors", SETUP)),
+        finger=model.Disk(member(setup, "pusher.radius_m_assumed_by_authors", SETUP)),
         problems=problems,
     )
 
 
-def _body(setup: dict[str, Any], surface: str, support: str) -> Body:
+def _body(setup: dict[str, Any], surface: str, support: str) -> model.Body:
     friction = member(setup, f"author_friction_coefficient.{surface}", SETUP)
     points = member(setup, "support_points_m", SETUP)
     if support not in points:
         raise InvalidInput(PUSHES, found=f"the support {support}", expected=", ".join(points))
     # Statics determines the loads on three points; they equal the load fractions of the authors.
-    rests: Support = (
-        UniformPressure(friction=friction)
+    rests: model.Support = (
+        model.UniformPressure(friction=friction)
         if points[support] is None
-        else SupportPoints(points=points[support], friction=friction)
+        else model.SupportPoints(points=points[support], friction=friction)
     )
-    return Body(
+    return model.Body(
         name=OBJECT,
-        shape=Polygon(member(setup, "object.vertices_m", SETUP)),
+        shape=model.Polygon(member(setup, "object.vertices_m", SETUP)),
         mass=member(setup, "object.mass_kg", SETUP),
         centre_of_mass=np.zeros(2),
         pose=np.zeros(3),
@@ -193,7 +181,7 @@ def _body(setup: dict[str, Any], surface: str, support: str) -> Body:
     )
 
 
-def _push(data: _TripodData, row: int, provenance: Provenance) -> Experiment:
+def _push(data: _TripodData, row: int, provenance: model.Provenance) -> model.Experiment:
     name, columns = data.names[row], data.table.columns
     surface, support, log = (columns[c][row] for c in ("surface", "support", "source_log"))
     force, path = data.force[name], data.robot[name]
@@ -212,17 +200,19 @@ def _push(data: _TripodData, row: int, provenance: Provenance) -> Experiment:
         pusher=FINGER,
         words=("finger", "block"),
     )
-    return Experiment(
+    return model.Experiment(
         dataset=DATASET,
         name=name,
         real=True,
         provenance=provenance,
         object_name=OBJECT,
-        trajectory=Trajectory(time=np.array([0.0, end]), pose=pose),
-        pusher=Trajectory(time=path[:, 0], pose=path[:, 1:]),
+        trajectory=model.Trajectory(time=np.array([0.0, end]), pose=pose),
+        pusher=model.Trajectory(time=path[:, 0], pose=path[:, 1:]),
         scene=scene,
         channels=(
-            Channel(name="force", time=force[:, 0], columns=("fx_n", "fy_n"), values=force[:, 1:]),
+            model.Channel(
+                name="force", time=force[:, 0], columns=("fx_n", "fy_n"), values=force[:, 1:]
+            ),
         ),
         effective=(0.0, end),
         conditions={
@@ -236,11 +226,11 @@ def _push(data: _TripodData, row: int, provenance: Provenance) -> Experiment:
     )
 
 
-def _doubts(data: _TripodData, row: int, dropped: int) -> Iterator[Flag]:
+def _doubts(data: _TripodData, row: int, dropped: int) -> Iterator[model.Flag]:
     yield remark("no-pose-during-push", "poses before and after, once the arm is away")
     gap = float(data.gaps[row, 1])
     if abs(gap) > LARGEST_GAP:
-        yield Flag("tip-gap", f"the finger ends {gap / MM:.3g} mm from the outline")
+        yield model.Flag("tip-gap", f"the finger ends {gap / MM:.3g} mm from the outline")
     if "mixed" in data.table.columns["source_log"][row]:
         yield remark("joined-sessions", "the log was combined from two sessions")
     if dropped:
@@ -295,7 +285,7 @@ class CmuTwoPoint(Importer):
         names = [runs.columns["run_id"][k] for k in listed]
         provenance = cache(lambda: origin_of(file))
 
-        def build(k: int) -> Experiment:
+        def build(k: int) -> model.Experiment:
             own = rows[names[k]][1:]  # the first row belongs to the previous action
             about = {key: runs.columns[key][listed[k]] for key in ("object", "start_pose")}
             return _run(names[k], about, readings[own], lost[own], action[own], provenance())
@@ -326,15 +316,15 @@ def _run(
     readings: FloatArray,
     lost: NDArray[np.bool_],
     action: NDArray[np.int64],
-    provenance: Provenance,
-) -> Experiment:
+    provenance: model.Provenance,
+) -> model.Experiment:
     if not advancing(readings[:, 0]).all():
         raise InvalidInput(f"run {name}", found="decreasing times", expected="increasing times")
     time = readings[:, 0] - readings[0, 0]
     seen = ~lost
     if not seen.any():
         raise InvalidInput(f"run {name}", found="no pose of the object", expected="at least one")
-    return Experiment(
+    return model.Experiment(
         dataset=TWO_POINT,
         name=name,
         real=True,
@@ -343,7 +333,7 @@ def _run(
         trajectory=trajectory_of(time[seen], readings[seen, 1:4]),
         pusher=trajectory_of(time, readings[:, 4:7]),
         channels=(
-            Channel(
+            model.Channel(
                 name="action",
                 time=time,
                 columns=("action_id_count",),
@@ -359,7 +349,7 @@ def _run(
     )
 
 
-def _lost_doubts(kind: str, lost: NDArray[np.bool_]) -> Iterator[Flag]:
+def _lost_doubts(kind: str, lost: NDArray[np.bool_]) -> Iterator[model.Flag]:
     yield from UNKNOWN
     if kind.endswith("3pts"):
         yield NO_SUPPORT

@@ -15,22 +15,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from fixel import model
 from fixel.datasets.base import ImportPlan, collected, origin_of, remark, trajectory_of
 from fixel.datasets.contact import pushed_scene
 from fixel.datasets.files import LARGEST_NUMBER, MM, Problems, advancing, member, read_json
 from fixel.errors import DatasetMissing, InvalidInput, require
 from fixel.io.atomic import usable
-from fixel.model import (
-    Body,
-    Channel,
-    Disk,
-    Experiment,
-    Flag,
-    Polygon,
-    Scene,
-    Shape,
-    UniformPressure,
-)
 from fixel.typing import FloatArray
 
 RECORDS = ("motion_surface=*.h5", "motion_surface=*.json", "push_*.json", "push_*.h5")
@@ -103,7 +93,7 @@ def _record_files(source: Path) -> list[Path]:
     return sorted({path for mask in masks for path in source.glob(mask)})
 
 
-def _shapes_near(path: Path, given: Path | None) -> tuple[dict[str, Shape], Problems]:
+def _shapes_near(path: Path, given: Path | None) -> tuple[dict[str, model.Shape], Problems]:
     """Load outlines from a given file, or from a shapes.json in the folder or up to three above.
 
     Return also the errors of those that cannot be read; a given file must be sound as a whole.
@@ -127,7 +117,7 @@ def _shapes_near(path: Path, given: Path | None) -> tuple[dict[str, Shape], Prob
     return shapes, problems
 
 
-def _experiment_of(path: Path, shapes: dict[str, Shape]) -> Experiment:
+def _experiment_of(path: Path, shapes: dict[str, model.Shape]) -> model.Experiment:
     content = _hdf5_tables(path) if path.suffix == ".h5" else read_json(path)
     conditions = _conditions(path, content)
     (pose, tip, wrench), flags = _on_one_clock(
@@ -136,7 +126,7 @@ def _experiment_of(path: Path, shapes: dict[str, Shape]) -> Experiment:
     surface, shape = str(conditions["surface"]), str(conditions["shape"])
     scene, body_flags = _scene(shape, pose, tip, shapes)
     speed = float(conditions.get("speed_m_s", 0.0))
-    return Experiment(
+    return model.Experiment(
         dataset=DATASET,
         name=path.stem,
         real=True,
@@ -146,7 +136,7 @@ def _experiment_of(path: Path, shapes: dict[str, Shape]) -> Experiment:
         pusher=trajectory_of(tip[:, 0], tip[:, 1:]),
         scene=scene,
         channels=(
-            Channel(
+            model.Channel(
                 name="force",
                 time=wrench[:, 0],
                 columns=("fx_n", "fy_n", "torque_nm"),
@@ -160,7 +150,7 @@ def _experiment_of(path: Path, shapes: dict[str, Shape]) -> Experiment:
 
 def _on_one_clock(
     pose: FloatArray, tip: FloatArray, wrench: FloatArray
-) -> tuple[list[FloatArray], list[Flag]]:
+) -> tuple[list[FloatArray], list[model.Flag]]:
     """Count times from the first pose of the object, and drop rows whose time does not advance."""
     if tip.shape[1] == 3:
         tip = np.column_stack((tip, np.zeros(len(tip))))
@@ -176,8 +166,8 @@ def _on_one_clock(
 
 
 def _scene(
-    name: str, pose: FloatArray, tip: FloatArray, shapes: dict[str, Shape]
-) -> tuple[Scene | None, tuple[Flag, ...]]:
+    name: str, pose: FloatArray, tip: FloatArray, shapes: dict[str, model.Shape]
+) -> tuple[model.Scene | None, tuple[model.Flag, ...]]:
     if name not in shapes:
         return None, (remark("no-shape", f"no outline of {name}"),)
     path = np.column_stack((tip[:, :3], np.zeros(len(tip))))
@@ -248,7 +238,7 @@ DATASET: Final = "mit-push"
 OBJECT: Final = "object"
 SHAPES: Final = "shapes.json"
 
-TIP: Final = Disk(4.75e-3)  # of steel
+TIP: Final = model.Disk(4.75e-3)  # of steel
 
 # Nominal friction: at the tip as in the published simulator; that of the plane has no effect on
 # quasi-static motion.
@@ -272,20 +262,20 @@ SYSTEMATIC = frozenset(("plywood", shape) for shape in ("ellip2", "ellip3", "hex
 UNEXPLAINED = ("abs", "rect1", 0.02)
 
 
-def plate(name: str, shape: Shape, start: FloatArray) -> Body:
+def plate(name: str, shape: model.Shape, start: FloatArray) -> model.Body:
     """Create a plate with even pressure, of the mass in the paper or else by its area."""
-    return Body(
+    return model.Body(
         name=OBJECT,
         shape=shape,
         mass=MASSES.get(name, MASS_PER_AREA * shape.area),
         pose=start,
-        support=UniformPressure(friction=MU_SUPPORT),
+        support=model.UniformPressure(friction=MU_SUPPORT),
     )
 
 
-def shapes_of(content: Mapping[str, Any]) -> tuple[dict[str, Shape], Problems]:
+def shapes_of(content: Mapping[str, Any]) -> tuple[dict[str, model.Shape], Problems]:
     """Return the outlines in a shapes.json, and the errors of those that cannot be read."""
-    shapes: dict[str, Shape] = {}
+    shapes: dict[str, model.Shape] = {}
     problems: Problems = {}
     for name, value in content.items():
         where = f"{SHAPES}: {name}"
@@ -294,30 +284,32 @@ def shapes_of(content: Mapping[str, Any]) -> tuple[dict[str, Shape], Problems]:
     return shapes, problems
 
 
-def _shape(where: str, value: Any) -> Shape:
+def _shape(where: str, value: Any) -> model.Shape:
     try:
         if isinstance(value, list):
-            return Polygon(np.array(value, dtype=np.float64))
+            return model.Polygon(np.array(value, dtype=np.float64))
         kind = member(value, "type", where)
         if kind == "ellipse":
             axes = (member(value, f"semi_axis_{axis}_m", where) for axis in "xy")
             return _ellipse(*axes)
         if kind == "polygon":
-            return Polygon(member(value, "vertices_m", where))
+            return model.Polygon(member(value, "vertices_m", where))
     except InvalidInput as problem:
         raise problem if problem.where == where else problem.within(where) from None
     raise InvalidInput(where, found=f"the type {kind}", expected="the type polygon or ellipse")
 
 
-def _ellipse(semi_axis_x: float, semi_axis_y: float) -> Shape:
+def _ellipse(semi_axis_x: float, semi_axis_y: float) -> model.Shape:
     """Build an ellipse about the origin [m]: a disk, or a polygon with corners on the curve."""
     if semi_axis_x == semi_axis_y:
-        return Disk(semi_axis_x)
+        return model.Disk(semi_axis_x)
     angle = np.arange(ELLIPSE_CORNERS) * (2.0 * math.pi / ELLIPSE_CORNERS)
-    return Polygon(np.column_stack((semi_axis_x * np.cos(angle), semi_axis_y * np.sin(angle))))
+    return model.Polygon(
+        np.column_stack((semi_axis_x * np.cos(angle), semi_axis_y * np.sin(angle)))
+    )
 
 
-def known_doubts(surface: str, shape: str, speed: float) -> Iterator[Flag]:
+def known_doubts(surface: str, shape: str, speed: float) -> Iterator[model.Flag]:
     """Yield remarks on pushes of which the dataset's users know that something is wrong."""
     if (surface, shape) in SYSTEMATIC:
         yield remark("systematic-offset", f"{shape} on {surface} is registered 1 to 3 mm off")

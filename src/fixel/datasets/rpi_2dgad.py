@@ -15,24 +15,9 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from fixel import model
 from fixel.datasets import base, files
 from fixel.errors import FixelError, InvalidInput
-from fixel.model import (
-    Body,
-    Channel,
-    Disk,
-    Experiment,
-    Fixel,
-    Flag,
-    Parameters,
-    PathDrive,
-    Polygon,
-    Provenance,
-    Pusher,
-    Scene,
-    Trajectory,
-    Tripod,
-)
 from fixel.model.records import SimulationRecord
 from fixel.typing import FloatArray, IntArray
 
@@ -166,7 +151,7 @@ class _Folder(NamedTuple):
     tracks: _Tracks
     untracked: files.Problems  # of experiments without a trajectory
     simulated: _Tracks  # by the laboratory
-    provenance: Callable[[Path], Provenance]
+    provenance: Callable[[Path], model.Provenance]
 
 
 def _read(source: Path, listed: files.CsvRows) -> tuple[_Folder, files.Problems]:
@@ -282,13 +267,13 @@ def _lab_file(number: int) -> str:
     return f"exp{number}_author_simulation.csv"
 
 
-def _experiment(folder: _Folder, row: int) -> Experiment:
+def _experiment(folder: _Folder, row: int) -> model.Experiment:
     """Build the experiment in a row of the list."""
     trial = folder.complete.get(folder.listed.columns[ID][row])
     return _track(folder, row) if trial is None else _whole(folder, row, trial)
 
 
-def _simulation(folder: _Folder, row: int, experiment: Experiment) -> SimulationRecord | None:
+def _simulation(folder: _Folder, row: int, experiment: model.Experiment) -> SimulationRecord | None:
     """Return the laboratory's simulation of an experiment, on the clock of the experiment."""
     # Imported here: it loads the simulator, which no other importer needs.
     from fixel.calibration.target import errors_of, squared_error
@@ -299,7 +284,7 @@ def _simulation(folder: _Folder, row: int, experiment: Experiment) -> Simulation
         path = folder.path / _lab_file(int(name))
         trajectory = base.trajectory_of(lab.time, lab.pose)
         angle = np.full((len(lab.time), 1), folder.complete[name].value(ORIENTATION))
-        pusher = Trajectory(time=lab.time, pose=np.hstack((lab.actuator, angle)))
+        pusher = model.Trajectory(time=lab.time, pose=np.hstack((lab.actuator, angle)))
     elif name in folder.simulated.problems:
         raise folder.simulated.problems[name]
     elif name in folder.simulated.rows:
@@ -315,7 +300,7 @@ def _simulation(folder: _Folder, row: int, experiment: Experiment) -> Simulation
     modes = folder.listed.columns.get("final_contact_mode_author_sim")
     return SimulationRecord(
         experiment_id=0,
-        parameters=Parameters(),
+        parameters=model.Parameters(),
         provenance=folder.provenance(path),
         trajectory=trajectory,
         pusher=pusher,
@@ -325,7 +310,7 @@ def _simulation(folder: _Folder, row: int, experiment: Experiment) -> Simulation
     )
 
 
-def _track(folder: _Folder, row: int) -> Experiment:
+def _track(folder: _Folder, row: int) -> model.Experiment:
     """Build an experiment from the tracked object alone."""
     name = folder.listed.columns[ID][row]
     own = folder.tracks.rows[name]
@@ -338,7 +323,7 @@ def _track(folder: _Folder, row: int) -> Experiment:
             *flags,
             base.remark("no-shape", f"the outline of object {object_id} was not recovered"),
         )
-    return Experiment(
+    return model.Experiment(
         dataset=DATASET,
         name=name,
         real=True,
@@ -357,7 +342,7 @@ def _track(folder: _Folder, row: int) -> Experiment:
     )
 
 
-def _whole(folder: _Folder, row: int, trial: _Trial) -> Experiment:
+def _whole(folder: _Folder, row: int, trial: _Trial) -> model.Experiment:
     """Build an experiment with actuator, fixels and tactile signals."""
     digits, flags = _mode(trial.value("final_contact_mode"))
     first = int(trial.frame[0])
@@ -368,21 +353,21 @@ def _whole(folder: _Folder, row: int, trial: _Trial) -> Experiment:
     scene, why_not = base.scene_or_flag(lambda: _scene(trial, marker, effective[1]))
     runs_on = float(np.hypot(*(trial.filtered - trial.marker).T).max())
     n_fixel = len(trial.fixels)
-    return Experiment(
+    return model.Experiment(
         dataset=DATASET,
         name=str(int(folder.listed.columns[ID][row])),
         real=True,
         provenance=folder.provenance(folder.path / trial.source),
         object_name=OBJECT,
         trajectory=base.trajectory_of(time, trial.pose),
-        pusher=Trajectory(time=time, pose=marker[:, 1:]),
+        pusher=model.Trajectory(time=time, pose=marker[:, 1:]),
         scene=scene,
         height=_height(trial.value("object").get("height_mm")),
         pusher_height=_height(trial.value("actuator").get("height_mm")),
         fixel_height=_height(trial.setup.get("fixel_height_mm")),
         channels=(
-            Channel.of_fixels(time, trial.tactile),
-            Channel(
+            model.Channel.of_fixels(time, trial.tactile),
+            model.Channel(
                 name="actuator-filtered", time=time, columns=("x_m", "y_m"), values=trial.filtered
             ),
         ),
@@ -400,37 +385,39 @@ def _whole(folder: _Folder, row: int, trial: _Trial) -> Experiment:
     )
 
 
-def _scene(trial: _Trial, marker: FloatArray, duration: float) -> Scene:
+def _scene(trial: _Trial, marker: FloatArray, duration: float) -> model.Scene:
     calibrated = "system_parameters_calibrated_by_authors"
     radius, mu_support, mu_actuator, mu_fixel = (
         trial.value(f"{calibrated}.{name}")
         for name in ("tripod_radius_mm", "mu_support", "mu_actuator", "mu_fixel")
     )
-    fixel = Disk(trial.value("fixel_radius_mm") * files.MM)
-    body = Body(
+    fixel = model.Disk(trial.value("fixel_radius_mm") * files.MM)
+    body = model.Body(
         name=OBJECT,
-        shape=Polygon(trial.points("object.vertices_mm")),
+        shape=model.Polygon(trial.points("object.vertices_mm")),
         mass=trial.value("object.mass_kg"),
         inertia=trial.value("object.moment_of_inertia_kg_mm2") * files.MM**2,
         centre_of_mass=np.zeros(2),
         pose=trial.pose[0],
-        support=Tripod(radius=radius * files.MM, friction=mu_support),
+        support=model.Tripod(radius=radius * files.MM, friction=mu_support),
     )
-    actuator = Pusher(
+    actuator = model.Pusher(
         name=ACTUATOR,
-        shape=Polygon(trial.points("actuator.vertices_mm")),
+        shape=model.Polygon(trial.points("actuator.vertices_mm")),
         pose=marker[0, 1:],
-        drive=PathDrive(waypoints=marker, force_limit=FORCE_LIMIT),
+        drive=model.PathDrive(waypoints=marker, force_limit=FORCE_LIMIT),
         friction=mu_actuator,
     )
     fixels = tuple(
-        Fixel(name=f"fixel-{k + 1}", shape=fixel, pose=np.append(centre, 0.0), friction=mu_fixel)
+        model.Fixel(
+            name=f"fixel-{k + 1}", shape=fixel, pose=np.append(centre, 0.0), friction=mu_fixel
+        )
         for k, centre in enumerate(trial.fixels)
     )
-    return Scene(bodies=(body,), pushers=(actuator,), fixels=fixels, duration=duration)
+    return model.Scene(bodies=(body,), pushers=(actuator,), fixels=fixels, duration=duration)
 
 
-def _mode(mode: int) -> tuple[str, tuple[Flag, ...]]:
+def _mode(mode: int) -> tuple[str, tuple[model.Flag, ...]]:
     """Digits of fixels 1 to 3 from the authors' number, or a flag if it is invalid."""
     if mode < INVALID_MODE:
         return f"{mode:03b}", ()

@@ -11,45 +11,33 @@ from typing import Any, Final, Literal
 
 from pydantic import Field
 
+from fixel import sampling
 from fixel.errors import InvalidInput
 from fixel.formats import scene_file as _shapes_and_supports  # noqa: F401
 from fixel.formats.records import arguments, choice_of, content, keys_of, made, record_of, validated
 from fixel.io.document import document, yaml_text
 from fixel.model import Disk, Ellipsoid, NoSupport, Polygon, SupportPoints, Tripod, UniformPressure
-from fixel.sampling import (
-    FixelLayout,
-    Grid,
-    Nominal,
-    OffsetAxis,
-    OffsetList,
-    OffsetSample,
-    OffsetScheme,
-    Plan,
-    PlannedShape,
-    RegularPolygon,
-    SamplingRig,
-)
 from fixel.sampling.rig import Outline
 
-record_of(RegularPolygon, "regular")
-choice_of("OutlineRecord", Outline, polygon=Polygon, disk=Disk, regular=RegularPolygon)
+record_of(sampling.RegularPolygon, "regular")
+choice_of("OutlineRecord", Outline, polygon=Polygon, disk=Disk, regular=sampling.RegularPolygon)
 RestRecord: Any = choice_of(
     "RestRecord", tripod=Tripod, points=SupportPoints, uniform=UniformPressure, none=NoSupport
 )
-record_of(PlannedShape, "shape", names={"outline": "shape"}, support=RestRecord)
-record_of(FixelLayout, "layout")
-record_of(Nominal, "nominal")
-record_of(OffsetAxis, "axis")
-record_of(Grid, "grid")
-record_of(OffsetSample, "sample")
+record_of(sampling.PlannedShape, "shape", names={"outline": "shape"}, support=RestRecord)
+record_of(sampling.FixelLayout, "layout")
+record_of(sampling.Nominal, "nominal")
+record_of(sampling.OffsetAxis, "axis")
+record_of(sampling.Grid, "grid")
+record_of(sampling.OffsetSample, "sample")
 choice_of(
     "OffsetsRecord",
-    OffsetScheme,
-    nominal=Nominal,
-    axis=OffsetAxis,
-    grid=Grid,
-    list=OffsetList,
-    sample=OffsetSample,
+    sampling.OffsetScheme,
+    nominal=sampling.Nominal,
+    axis=sampling.OffsetAxis,
+    grid=sampling.Grid,
+    list=sampling.OffsetList,
+    sample=sampling.OffsetSample,
 )
 # Sections of a file that together are its rig: their keys by the names of fields.
 _RIG: Final = {
@@ -60,16 +48,16 @@ _RIG: Final = {
 }
 SECTIONS: Final = {
     section: record_of(
-        SamplingRig,
+        sampling.SamplingRig,
         "rig",
         title=f"{section.capitalize()}Record",
         names=names,
-        leave_out=[name for name in SamplingRig.__dataclass_fields__ if name not in names],
+        leave_out=[name for name in sampling.SamplingRig.__dataclass_fields__ if name not in names],
     )
     for section, names in _RIG.items()
 }
 PlanRecord: Any = record_of(
-    Plan,
+    sampling.Plan,
     "",
     names={"schemes": "offsets"},
     leave_out=["rig"],
@@ -80,23 +68,23 @@ PlanRecord: Any = record_of(
 )
 
 
-def load_plan(path: str | Path) -> Plan:
+def load_plan(path: str | Path) -> sampling.Plan:
     """Load a plan file: YAML, or JSON if the name ends in `.json`."""
     rig: dict[str, Any] = {}
     with document(path, "plan file") as raw:
         record = validated(PlanRecord, raw, "plan")
         for section in SECTIONS:
             rig |= arguments(getattr(record, section), section)
-        plan: Plan = made(record, rig=SamplingRig(**rig))
+        plan: sampling.Plan = made(record, rig=sampling.SamplingRig(**rig))
     return plan
 
 
-def plan_text(plan: Plan) -> str:
+def plan_text(plan: sampling.Plan) -> str:
     """Return a plan as the text of a YAML file, from which `load_plan` loads an equal plan."""
     return yaml_text(_content(plan))
 
 
-def _content(plan: Plan) -> dict[str, Any]:
+def _content(plan: sampling.Plan) -> dict[str, Any]:
     for shape in plan.shapes:
         if isinstance(shape.support, Ellipsoid):
             raise InvalidInput(

@@ -12,34 +12,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, final, get_ori
 
 from pydantic import ConfigDict, Field
 
+from fixel import model
 from fixel.errors import InvalidInput, closest, number_of
 from fixel.formats import records
 from fixel.formats.records import content
 from fixel.io.atomic import write_whole
 from fixel.io.document import document, parse_yaml, yaml_text
-from fixel.model import (
-    Body,
-    Disk,
-    Drive,
-    Ellipsoid,
-    Fixel,
-    FrictionMap,
-    LineDrive,
-    LoadMap,
-    NoSupport,
-    PairFriction,
-    PathDrive,
-    Plane,
-    Polygon,
-    Pusher,
-    Scene,
-    Shape,
-    Spring,
-    Support,
-    SupportPoints,
-    Tripod,
-    UniformPressure,
-)
 from fixel.model.parameters import KNOWN_PARAMETERS, in_si
 
 if TYPE_CHECKING:
@@ -54,7 +32,7 @@ Pair = Annotated[list[records.Positive], Field(min_length=2, max_length=2)]
 FILL_IN: Final = "FILL_IN"
 
 
-def _drive(**given: Any) -> Drive:
+def _drive(**given: Any) -> model.Drive:
     forms = [form for form in ("direction", "waypoints") if form in given]
     if len(forms) != 1:
         found = " and ".join(forms) or None
@@ -62,12 +40,12 @@ def _drive(**given: Any) -> Drive:
     if forms == ["direction"]:
         if "speed" not in given:
             raise InvalidInput("drive.speed", found=None, expected="a speed [m/s]")
-        return LineDrive(**given)
+        return model.LineDrive(**given)
     for key in ("speed", "travel"):
         if key in given:
             found = f"a {key} in addition to waypoints"
             raise InvalidInput(f"drive.{key}", found=found, expected="only waypoints")
-    return PathDrive(**given)
+    return model.PathDrive(**given)
 
 
 class DriveRecord(records.FileRecord):
@@ -93,40 +71,42 @@ class DriveRecord(records.FileRecord):
     )
 
 
-records.use_record(DriveRecord, LineDrive, PathDrive, Drive)
-ShapeRecord: Any = records.choice_of("ShapeRecord", Shape, polygon=Polygon, disk=Disk)
-NoneRecord: Any = records.record_of(NoSupport, "none")
-TripodRecord: Any = records.record_of(Tripod, "tripod")
+records.use_record(DriveRecord, model.LineDrive, model.PathDrive, model.Drive)
+ShapeRecord: Any = records.choice_of(
+    "ShapeRecord", model.Shape, polygon=model.Polygon, disk=model.Disk
+)
+NoneRecord: Any = records.record_of(model.NoSupport, "none")
+TripodRecord: Any = records.record_of(model.Tripod, "tripod")
 PointsRecord: Any = records.record_of(
-    SupportPoints,
+    model.SupportPoints,
     "points",
     names={"points": "at"},
     friction=records.NonNegative | list[records.NonNegative],
     loads=list[records.NonNegative],
 )
 UniformRecord: Any = records.record_of(
-    UniformPressure, "uniform", n_points=Annotated[int, Field(ge=3, le=100_000)]
+    model.UniformPressure, "uniform", n_points=Annotated[int, Field(ge=3, le=100_000)]
 )
-records.record_of(Ellipsoid, "ellipsoid")
+records.record_of(model.Ellipsoid, "ellipsoid")
 SupportRecord: Any = records.choice_of(
     "SupportRecord",
-    Support,
-    tripod=Tripod,
-    points=SupportPoints,
-    uniform=UniformPressure,
-    ellipsoid=Ellipsoid,
-    none=NoSupport,
+    model.Support,
+    tripod=model.Tripod,
+    points=model.SupportPoints,
+    uniform=model.UniformPressure,
+    ellipsoid=model.Ellipsoid,
+    none=model.NoSupport,
 )
-records.record_of(Spring, "spring")
-records.record_of(Body, "body", required=["pose"])
-records.record_of(Pusher, "pusher", required=["drive"])
-records.record_of(Fixel, "fixel")
-records.record_of(PairFriction, "contact_friction")
-records.record_of(FrictionMap, "friction_map", cell=Pair, factor=list[list[records.Positive]])
-records.record_of(LoadMap, "load_map", cell=Pair, log_load=list[list[records.Number]])
-records.record_of(Plane, "plane", anisotropy=Pair)
+records.record_of(model.Spring, "spring")
+records.record_of(model.Body, "body", required=["pose"])
+records.record_of(model.Pusher, "pusher", required=["drive"])
+records.record_of(model.Fixel, "fixel")
+records.record_of(model.PairFriction, "contact_friction")
+records.record_of(model.FrictionMap, "friction_map", cell=Pair, factor=list[list[records.Positive]])
+records.record_of(model.LoadMap, "load_map", cell=Pair, log_load=list[list[records.Number]])
+records.record_of(model.Plane, "plane", anisotropy=Pair)
 SceneRecord: Any = records.record_of(
-    Scene,
+    model.Scene,
     "",
     first=["fixel", "gravity", "duration"],
     required=["duration"],
@@ -149,13 +129,13 @@ SceneRecord: Any = records.record_of(
 )
 
 
-def scene_of(record: Any) -> Scene:
+def scene_of(record: Any) -> model.Scene:
     """Build the scene that a validated record describes; errors have the path of their key."""
-    scene: Scene = records.made(record)
+    scene: model.Scene = records.made(record)
     return scene
 
 
-def scene_content(scene: Scene) -> dict[str, Any]:
+def scene_content(scene: model.Scene) -> dict[str, Any]:
     """Return a scene as the keys of a scene file, mostly without defaults."""
     found: dict[str, Any] = content(scene)
     return found
@@ -222,7 +202,7 @@ class SceneFile:
         Time between recorded poses [s]; None: every step.
     """
 
-    scene: Scene
+    scene: model.Scene
     motion: str = "dynamic"
     step: float | None = None
     output_interval: float | None = None

@@ -22,20 +22,9 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple, Self, final
 
 from fixel.errors import JobRefused
-from fixel.jobs import link
+from fixel.jobs import link, work
 from fixel.jobs.functions import stamp
 from fixel.jobs.pool import AbstractPool
-from fixel.jobs.work import (
-    OTHER_VERSION,
-    AbstractEngine,
-    Answer,
-    Batch,
-    Chunk,
-    Failure,
-    block_name,
-    run_chunk,
-    unframed,
-)
 
 TICK_S: Final = 0.5  # [s] between two checks of workers and files
 MAX_REBUILDS: Final = 20  # schedulers that died one after the other without an answer
@@ -44,7 +33,7 @@ MAX_REFUSALS: Final = 3
 
 
 @final
-class DaskEngine(AbstractEngine):
+class DaskEngine(work.AbstractEngine):
     """Engine that answers chunks on several workers, which share the folder of the job.
 
     A worker that is silent for `lease_s` counts as dead. Its chunk is tried elsewhere; its own
@@ -89,7 +78,9 @@ class DaskEngine(AbstractEngine):
         """Reason why workers wait; empty if they do not."""
         return self._pool.note
 
-    def results(self, function: str, inputs: Path, chunks: Sequence[Chunk]) -> Iterator[Batch]:
+    def results(
+        self, function: str, inputs: Path, chunks: Sequence[work.Chunk]
+    ) -> Iterator[work.Batch]:
         state = _RoundState(function, inputs, chunks)
         while state.open:
             try:
@@ -104,7 +95,7 @@ class DaskEngine(AbstractEngine):
                 self._rebuilds = 0
             yield batch
 
-    def _turn(self, state: _RoundState) -> Batch:
+    def _turn(self, state: _RoundState) -> work.Batch:
         """Submit the chunks that workers are free for, and return the answers that have arrived."""
         cluster = self._cluster or self._start()
         self._tick(cluster)
@@ -116,14 +107,14 @@ class DaskEngine(AbstractEngine):
             state.top_up(cluster, self.workers)
         for arrival in landed:
             cluster.fetch(arrival)
-        batch: Batch = []
+        batch: work.Batch = []
         for ended in (e for e in events if e.future is None):
             answer = self._judged(state, ended)
             if answer is not None and state.close(ended.name):
                 batch.append((ended.name, answer))
         return batch
 
-    def _judged(self, state: _RoundState, ended: Event) -> Answer | None:
+    def _judged(self, state: _RoundState, ended: Event) -> work.Answer | None:
         """Return the answer of a chunk, or None if it is to be tried again."""
         name = ended.name
         if ended.killed:
@@ -132,15 +123,15 @@ class DaskEngine(AbstractEngine):
             n = state.deaths[name]
             self._say(f"{ended.killed} died while computing {name} (time {n} for this chunk)")
             if n >= self._max_deaths:
-                return Failure(f"its worker died {n} times while computing it")
-        elif ended.framed[:1] == OTHER_VERSION:
+                return work.Failure(f"its worker died {n} times while computing it")
+        elif ended.framed[:1] == work.OTHER_VERSION:
             found = ended.framed[1:].decode()
             self._refusals += 1
             self._say(f"refused an answer of fixel {found}, since this is fixel {stamp()}")
             if self._refusals >= MAX_REFUSALS or not self._answered:
                 raise _other_version(f"a worker has fixel {found}, not {stamp()}")
         elif ended.framed:
-            return unframed(ended.framed)
+            return work.unframed(ended.framed)
         state.again(name)
         self.again += 1
         return None
@@ -160,14 +151,14 @@ class DaskEngine(AbstractEngine):
         if len(reasons) >= MAX_REFUSALS or (reasons and not self._answered and not self.workers):
             raise _other_version(reasons[-1])
 
-    def _late(self, state: _RoundState) -> Batch:
+    def _late(self, state: _RoundState) -> work.Batch:
         """Return the answers that workers have left in the folder."""
         batch = []
         for block, framed, path in link.late_answers(self._folder):
             name = state.name_of.get(block)
             if name is not None and state.close(name):
                 self._say(f"used the late answer of {name}")
-                batch.append((name, unframed(framed)))
+                batch.append((name, work.unframed(framed)))
             path.unlink(missing_ok=True)
         return batch
 
@@ -196,10 +187,10 @@ class DaskEngine(AbstractEngine):
 class _RoundState:
     """Chunks of a round: waiting ones, those with workers, and those without an answer."""
 
-    def __init__(self, function: str, inputs: Path, chunks: Sequence[Chunk]) -> None:
+    def __init__(self, function: str, inputs: Path, chunks: Sequence[work.Chunk]) -> None:
         self._function = function
         self._inputs = inputs
-        self._blocks = {chunk.name: block_name(function, chunk) for chunk in chunks}
+        self._blocks = {chunk.name: work.block_name(function, chunk) for chunk in chunks}
         self._waiting = deque(chunk.name for chunk in chunks)
         self._flying: dict[str, Any] = {}
         self.open = {chunk.name: chunk for chunk in chunks}
@@ -309,12 +300,12 @@ class Cluster:
         except Exception as problem:  # what Dask raises here depends on what broke
             raise self._lost("the scheduler does not answer", problem) from None
 
-    def submit(self, chunk: Chunk, function: str, inputs: Path, block: str) -> Any:
+    def submit(self, chunk: work.Chunk, function: str, inputs: Path, block: str) -> Any:
         """Send a chunk to a free worker; the caller must store the future until it is done."""
         self._count += 1
         try:
             future = self._client.submit(
-                run_chunk,
+                work.run_chunk,
                 stamp(),
                 str(self._folder.resolve()),
                 str(inputs.resolve()),

@@ -11,19 +11,8 @@ from typing import TYPE_CHECKING, Annotated, TypeVar, final
 import numpy as np
 
 from fixel.errors import InvalidInput, check_name
+from fixel.model import fields
 from fixel.model.bodies import Body, Fixel, Pusher
-from fixel.model.fields import (
-    Comparable,
-    Value,
-    check_fields,
-    fraction,
-    instance,
-    name_of,
-    non_negative,
-    positive,
-    settle,
-    whole,
-)
 from fixel.model.overlap import boxes, overlap_depth, pairs_of_boxes
 from fixel.model.support import Plane
 from fixel.registry import offered
@@ -38,7 +27,7 @@ TOUCHING = 1e-6
 
 @final
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class PairFriction(Comparable):
+class PairFriction(fields.Comparable):
     """Friction of a named pair, which overrides that of its obstacle.
 
     Parameters
@@ -58,8 +47,8 @@ class PairFriction(Comparable):
 
     pair: tuple[str, str]
     _: KW_ONLY
-    friction: Annotated[float, Value(non_negative)]
-    restitution: Annotated[float | None, Value(fraction)] = None
+    friction: Annotated[float, fields.Value(fields.non_negative)]
+    restitution: Annotated[float | None, fields.Value(fields.fraction)] = None
 
     def __post_init__(self) -> None:
         first, second = _two_names(self.pair)
@@ -69,11 +58,11 @@ class PairFriction(Comparable):
             )
         restitution = self.restitution
         where = f"contact_friction of {first!r} and {second!r}"
-        settle(
+        fields.settle(
             self,
             pair=(first, second),
-            friction=non_negative(self.friction, where),
-            restitution=None if restitution is None else fraction(restitution, where),
+            friction=fields.non_negative(self.friction, where),
+            restitution=None if restitution is None else fields.fraction(restitution, where),
         )
 
     def named(self, names: Sequence[str]) -> tuple[BoolArray, BoolArray]:
@@ -99,7 +88,7 @@ class PairFriction(Comparable):
 
 @final
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Scene(Comparable):
+class Scene(fields.Comparable):
     """Bodies, pushers and fixels on a plane, with gravity and duration.
 
     Parameters
@@ -146,8 +135,8 @@ class Scene(Comparable):
     _: KW_ONLY
     contact_friction: tuple[PairFriction, ...] = ()
     plane: Plane = field(default_factory=Plane)
-    gravity: Annotated[float, Value(non_negative, "m/s^2")] = 9.81
-    duration: Annotated[float, Value(positive, "s")] = None  # type: ignore[assignment]
+    gravity: Annotated[float, fields.Value(fields.non_negative, "m/s^2")] = 9.81
+    duration: Annotated[float, fields.Value(fields.positive, "s")] = None  # type: ignore[assignment]
     support_directions: int | None = None
 
     if TYPE_CHECKING:  # what may be given; the fields are what is kept
@@ -166,19 +155,19 @@ class Scene(Comparable):
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        settle(
+        fields.settle(
             self,
             bodies=_members(self.bodies, Body, "bodies"),
             pushers=_members(self.pushers, Pusher, "pushers"),
             fixels=_members(self.fixels, Fixel, "fixels"),
             contact_friction=_members(self.contact_friction, PairFriction, "contact_friction"),
         )
-        check_fields(self)
+        fields.check_fields(self)
         if not self.bodies:
             raise InvalidInput("bodies", found="no free body", expected="at least one")
-        instance(self.plane, Plane, "plane", "a Plane")
+        fields.instance(self.plane, Plane, "plane", "a Plane")
         if (n := self.support_directions) is not None:
-            settle(self, support_directions=whole(n, "support_directions", 4))
+            fields.settle(self, support_directions=fields.whole(n, "support_directions", 4))
         _check_unique_names(self.names)
         for index, entry in enumerate(self.contact_friction):
             for name in entry.pair:
@@ -275,14 +264,14 @@ def _two_names(pair: object) -> tuple[str, str]:
     where = "contact_friction.pair"
     if not isinstance(pair, list | tuple) or len(pair) != 2:
         raise InvalidInput(where, found=pair, expected="two names")
-    return name_of(pair[0], where), name_of(pair[1], where)
+    return fields.name_of(pair[0], where), fields.name_of(pair[1], where)
 
 
 def _members(values: T | Iterable[T], kind: type[T], where: str) -> tuple[T, ...]:
-    instance(values, kind | Iterable, where, f"a {kind.__name__}, or several")
+    fields.instance(values, kind | Iterable, where, f"a {kind.__name__}, or several")
     members = (values,) if isinstance(values, kind) else tuple(values)  # type: ignore[arg-type]
     for index, member in enumerate(members):
-        instance(member, kind, f"{where}[{index}]", f"a {kind.__name__}")
+        fields.instance(member, kind, f"{where}[{index}]", f"a {kind.__name__}")
     return members
 
 

@@ -11,25 +11,13 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fixel import model
 from fixel.datasets.mit_push import MitPushes
 from fixel.datasets.mit_push_records import TIP
 from fixel.drawing import palette
 from fixel.drawing.chart import clean, sheet
 from fixel.drawing.top_view import MM, closed_line, plain_view
 from fixel.errors import InvalidInput, check_name, unknown_name
-from fixel.model import (
-    Body,
-    Disk,
-    Experiment,
-    Fixel,
-    LineDrive,
-    Pusher,
-    Scene,
-    Trajectory,
-    UniformPressure,
-    placed,
-    pose_error,
-)
 from fixel.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -107,8 +95,8 @@ class AbstractReplay(ABC):
 
 
 def template(
-    body: Body, tip: Disk, settings: dict[str, float], speed: float, duration: float
-) -> Scene:
+    body: model.Body, tip: model.Disk, settings: dict[str, float], speed: float, duration: float
+) -> model.Scene:
     """Build a scene whose starts and paths vary: a tip clear of a body with even pressure.
 
     Measured starts may overlap, due to noise of the tracker; the first step separates them.
@@ -116,15 +104,15 @@ def template(
     n_points = settings["support_points"]
     if n_points != int(n_points):
         raise InvalidInput("settings support_points", found=n_points, expected="a whole number")
-    support = UniformPressure(friction=settings["mu_support"], n_points=int(n_points))
-    return Scene(
+    support = model.UniformPressure(friction=settings["mu_support"], n_points=int(n_points))
+    return model.Scene(
         bodies=(replace(body, name="object", pose=np.zeros(3), support=support),),
         pushers=(
-            Pusher(
+            model.Pusher(
                 name="pusher",
                 shape=tip,
                 pose=np.array([CLEAR_DISTANCE, 0.0, 0.0]),
-                drive=LineDrive(direction=np.array([1.0, 0.0]), speed=speed),
+                drive=model.LineDrive(direction=np.array([1.0, 0.0]), speed=speed),
                 friction=settings["mu_pusher"],
             ),
         ),
@@ -198,7 +186,7 @@ def errors_in_mm_and_deg(
     predicted: FloatArray, measured: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Distances of the frames' origins [mm] and absolute angles between them [deg]."""
-    position, angle = pose_error(predicted, measured)
+    position, angle = model.pose_error(predicted, measured)
     missing = np.isnan(predicted).any(axis=1)
     return (
         np.where(missing, np.nan, position * 1e3),
@@ -247,7 +235,7 @@ def hide_spines(axes: Axes) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def label_fixels(axes: Axes, fixels: Sequence[Fixel], below: float) -> None:
+def label_fixels(axes: Axes, fixels: Sequence[model.Fixel], below: float) -> None:
     """Draw round fixels, with their numbers some points below."""
     for number, fixel in enumerate(fixels, 1):
         centre = fixel.pose[:2] * 1e3
@@ -320,7 +308,7 @@ def _push(
     outline, start = data.bodies[str(data.shape[push])].shape.outline, data.start[push]
 
     def outline_at(pose: FloatArray) -> FloatArray:
-        return closed_line(placed(outline, pose) - start[:2])
+        return closed_line(model.placed(outline, pose) - start[:2])
 
     axes.fill(*outline_at(start), color=palette.FAINT, label="start, measured")
     axes.plot(*outline_at(data.end[push]), color=palette.INK, linewidth=1.4, label="end, measured")
@@ -348,7 +336,7 @@ def _push(
 
 
 def trial_figure(
-    experiment: Experiment, curves: Mapping[str, Trajectory], actuator: FloatArray
+    experiment: model.Experiment, curves: Mapping[str, model.Trajectory], actuator: FloatArray
 ) -> Figure:
     """Draw the motions of the object in one trial, the measured one first, and the actuator's.
 
@@ -373,20 +361,27 @@ def trial_figure(
 
 
 def _above(
-    axes: Axes, experiment: Experiment, curves: Mapping[str, Trajectory], actuator: FloatArray
+    axes: Axes,
+    experiment: model.Experiment,
+    curves: Mapping[str, model.Trajectory],
+    actuator: FloatArray,
 ) -> None:
     """Draw outlines at start and end, paths of the object's frame, fixels and actuator."""
     scene = experiment.scene
     assert scene is not None
     outline = scene.bodies[0].shape.outline
     start = next(iter(curves.values())).pose[0]
-    axes.fill(*closed_line(placed(outline, start)), color=palette.FAINT, label="object, start")
+    axes.fill(
+        *closed_line(model.placed(outline, start)), color=palette.FAINT, label="object, start"
+    )
     for name, curve in curves.items():
-        axes.plot(*closed_line(placed(outline, curve.pose[-1])), linewidth=1.2, **style_of(name))
+        axes.plot(
+            *closed_line(model.placed(outline, curve.pose[-1])), linewidth=1.2, **style_of(name)
+        )
         axes.plot(*(curve.pose[:, :2].T * 1e3), linewidth=0.6, color=STYLES[name][1])
     label_fixels(axes, scene.fixels, -11.0)
     for pose, shade in ((actuator[0], palette.FAINT), (actuator[-1], palette.FIXEL)):
-        corners = closed_line(placed(scene.pushers[0].shape.outline, pose))
+        corners = closed_line(model.placed(scene.pushers[0].shape.outline, pose))
         axes.plot(*corners, color=shade, linewidth=1.0)
     axes.plot([], [], color=palette.INK, linewidth=0.6, label="path of the object's frame")
     axes.plot([], [], color=palette.FIXEL, linewidth=1.0, label="actuator, start and end")

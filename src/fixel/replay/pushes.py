@@ -13,21 +13,7 @@ from numpy.typing import NDArray
 from fixel.datasets.mit_push import NOMINAL, STROKE, read_mit_pushes
 from fixel.datasets.mit_push_records import TIP
 from fixel.model import Scene
-from fixel.replay.base import (
-    AbstractReplay,
-    Replay,
-    ReplayPart,
-    ReplayRequest,
-    Row,
-    errors_in_mm_and_deg,
-    matching,
-    mean_and_median,
-    only_doubtful,
-    pushes_figure,
-    settings_from,
-    spread,
-    template,
-)
+from fixel.replay import base
 from fixel.simulation import BatchResult, simulate_batch
 from fixel.simulation.motion import motion_model
 from fixel.typing import FloatArray, IntArray
@@ -40,22 +26,22 @@ Errors = dict[str, tuple[FloatArray, FloatArray]]  # model -> position [mm], ang
 
 
 @final
-class PushReplay(AbstractReplay):
+class PushReplay(base.AbstractReplay):
     """Pushes from their measured start along their measured stroke, in one batch per group."""
 
-    def __init__(self, folder: Path, request: ReplayRequest) -> None:
+    def __init__(self, folder: Path, request: base.ReplayRequest) -> None:
         self.data = read_mit_pushes(folder)
         self.everything = request.everything
-        self.settings = settings_from(NOMINAL, request.settings)
+        self.settings = base.settings_from(NOMINAL, request.settings)
         self.motion = motion_model(request.motion or "quasistatic")
         self.chosen, self.left_out = self._usable(request)
         self.groups = self._groups()
         self.parts = []
         for (surface, shape, speed), rows in self.groups.items():
             pace = speed * 1e-3  # [m/s]
-            scene = template(self.data.bodies[shape], TIP, self.settings, pace, STROKE / pace)
+            scene = base.template(self.data.bodies[shape], TIP, self.settings, pace, STROKE / pace)
             name = f"{surface} {shape} {speed:g} mm/s"
-            self.parts.append(ReplayPart(name, len(rows), (rows, scene)))
+            self.parts.append(base.ReplayPart(name, len(rows), (rows, scene)))
 
     def simulate(self, item: tuple[IntArray, Scene]) -> BatchResult:
         """Simulate pushes that share a scene, in one compiled call."""
@@ -67,7 +53,7 @@ class PushReplay(AbstractReplay):
         start = self.data.start[rows]
         return simulate_batch(scene, start=start, waypoints=waypoints, motion=self.motion)
 
-    def result(self, outcomes: list[BatchResult]) -> Replay:
+    def result(self, outcomes: list[BatchResult]) -> base.Replay:
         """Compare simulated and published ends with the measured ones."""
         data, chosen = self.data, self.chosen
         end = np.full((len(data), 3), np.nan)
@@ -76,8 +62,8 @@ class PushReplay(AbstractReplay):
             end[rows] = np.where(outcome.converged[:, None], outcome.final[:, 0], np.nan)
             status[rows] = outcome.status
         ends = {"fixel": end, **data.published}
-        errors = {name: errors_in_mm_and_deg(own, data.end) for name, own in ends.items()}
-        return Replay(
+        errors = {name: base.errors_in_mm_and_deg(own, data.end) for name, own in ends.items()}
+        return base.Replay(
             dataset="mit_push_endpoints",
             pushes=self._rows(status, end, errors),
             groups=self._aggregates(errors),
@@ -85,10 +71,10 @@ class PushReplay(AbstractReplay):
             not_solved=int((status[chosen] != "converged").sum()),
             settings={**self.settings, "motion": self.motion.name, "pusher_radius_m": TIP.radius},
             notes=self._notes(),
-            figure=partial(pushes_figure, data, chosen, self._examples(errors), ends, errors),
+            figure=partial(base.pushes_figure, data, chosen, self._examples(errors), ends, errors),
         )
 
-    def _usable(self, request: ReplayRequest) -> tuple[IntArray, dict[str, int]]:
+    def _usable(self, request: base.ReplayRequest) -> tuple[IntArray, dict[str, int]]:
         """Rows to replay, and numbers of rows left out by reason."""
         data = self.data
         columns: dict[str, Sequence[object]] = {
@@ -97,7 +83,7 @@ class PushReplay(AbstractReplay):
             "shape": data.shape.tolist(),
             "speed_mm_s": [f"{speed:g}" for speed in (data.speed * 1e3).tolist()],
         }
-        fits = matching(columns, request.select, len(data))
+        fits = base.matching(columns, request.select, len(data))
         reasons = {
             "gap at the start beyond 3 mm or at the end below -3 mm": data.astray,
             "stroke off 50 mm by more than 1 mm": data.short,
@@ -108,8 +94,8 @@ class PushReplay(AbstractReplay):
             fits &= ~data.astray & ~data.short
         rows = np.flatnonzero(fits)
         if not len(rows):
-            raise only_doubtful("pushes")
-        return rows[spread(len(rows), request.limit)], {k: n for k, n in left_out.items() if n}
+            raise base.only_doubtful("pushes")
+        return rows[base.spread(len(rows), request.limit)], {k: n for k, n in left_out.items() if n}
 
     def _groups(self) -> dict[Group, IntArray]:
         data = self.data
@@ -120,7 +106,7 @@ class PushReplay(AbstractReplay):
             for key in sorted({keys[row] for row in self.chosen.tolist()})
         }
 
-    def _rows(self, status: NDArray[np.object_], end: FloatArray, errors: Errors) -> list[Row]:
+    def _rows(self, status: NDArray[np.object_], end: FloatArray, errors: Errors) -> list[base.Row]:
         data = self.data
         return [
             {
@@ -139,7 +125,7 @@ class PushReplay(AbstractReplay):
             for row in self.chosen.tolist()
         ]
 
-    def _aggregates(self, errors: Errors) -> list[Row]:
+    def _aggregates(self, errors: Errors) -> list[base.Row]:
         groups: list[tuple[tuple[str, str, float | None], IntArray]] = [*self.groups.items()]
         if len(groups) > 1:
             groups.append((("all", "all", None), self.chosen))
@@ -172,15 +158,15 @@ class PushReplay(AbstractReplay):
         return list(dict.fromkeys(picked))
 
 
-def _aggregate(rows: IntArray, errors: Errors) -> Row:
+def _aggregate(rows: IntArray, errors: Errors) -> base.Row:
     """Aggregate the errors of every model, on the rows that all models can predict."""
     common = rows[np.all([np.isfinite(pair[0][rows]) for pair in errors.values()], axis=0)]
     return {
         "pushes": len(common),
         **{
             name: {
-                "position_mm": mean_and_median(position[common]),
-                "angle_deg": mean_and_median(angle[common]),
+                "position_mm": base.mean_and_median(position[common]),
+                "angle_deg": base.mean_and_median(angle[common]),
             }
             for name, (position, angle) in errors.items()
         },

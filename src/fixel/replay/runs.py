@@ -18,22 +18,7 @@ from fixel.drawing import palette
 from fixel.drawing.chart import clean, sheet
 from fixel.errors import InvalidInput
 from fixel.model import Disk, Experiment, Scene, pose_error
-from fixel.replay.base import (
-    WIDE,
-    AbstractReplay,
-    Replay,
-    ReplayPart,
-    ReplayRequest,
-    Row,
-    matching,
-    mean_and_median,
-    only_doubtful,
-    rms,
-    settings_from,
-    spread,
-    style_of,
-    template,
-)
+from fixel.replay import base
 from fixel.simulation import simulate_batch
 from fixel.simulation.motion import motion_model
 from fixel.typing import FloatArray
@@ -89,13 +74,13 @@ class WindowOutcome(NamedTuple):
 
 
 @final
-class RunReplay(AbstractReplay):
+class RunReplay(base.AbstractReplay):
     """Runs along the measured path of the pusher, window by window."""
 
-    def __init__(self, folder: Path, request: ReplayRequest) -> None:
+    def __init__(self, folder: Path, request: base.ReplayRequest) -> None:
         runs = read_runs(folder)
         self.request = request
-        self.settings = settings_from(NOMINAL, request.settings)
+        self.settings = base.settings_from(NOMINAL, request.settings)
         if not 0.0 <= request.window < np.inf:
             raise InvalidInput(
                 "window", found=request.window, expected="seconds, or 0 for whole runs"
@@ -105,7 +90,7 @@ class RunReplay(AbstractReplay):
             "surface": [run.conditions["surface"] for run in runs],
             "shape": [run.conditions["shape"] for run in runs],
         }
-        fits = matching(columns, request.select, len(runs))
+        fits = base.matching(columns, request.select, len(runs))
         self.runs = [run for run, wanted in zip(runs, fits, strict=True) if wanted]
         windows = [w for run in self.runs if run.scene for w in cut(run, run.scene, request.window)]
         usable = doubt if not request.everything else lambda window: None
@@ -113,10 +98,10 @@ class RunReplay(AbstractReplay):
         self.left_out = Counter(reason for reason in reasons if reason)
         self.left_out += Counter(NO_SCENE for run in self.runs if not run.scene)
         windows = [w for w, reason in zip(windows, reasons, strict=True) if not reason]
-        windows = [windows[k] for k in spread(len(windows), request.limit)]
+        windows = [windows[k] for k in base.spread(len(windows), request.limit)]
         if not windows:
-            raise only_doubtful("windows")
-        self.parts = [ReplayPart(window.run.name, 1, window) for window in windows]
+            raise base.only_doubtful("windows")
+        self.parts = [base.ReplayPart(window.run.name, 1, window) for window in windows]
 
     def simulate(self, item: RunWindow) -> WindowOutcome:
         """Simulate one window and compare all measured poses."""
@@ -124,7 +109,7 @@ class RunReplay(AbstractReplay):
         motion = motion_model(self.request.motion or usual_motion(item.run, settings["mu_support"]))
         speed = _length(item.waypoints[:, 1:3]) / item.duration
         result = simulate_batch(
-            template(item.scene.bodies[0], item.tip, settings, speed, item.duration),
+            base.template(item.scene.bodies[0], item.tip, settings, speed, item.duration),
             start=item.start[None],
             waypoints=item.waypoints[None],
             motion=motion,
@@ -136,10 +121,10 @@ class RunReplay(AbstractReplay):
             item, motion.name, str(result.status[0]), pose, position, np.abs(angle)
         )
 
-    def result(self, outcomes: list[WindowOutcome]) -> Replay:
+    def result(self, outcomes: list[WindowOutcome]) -> base.Replay:
         """List the errors of all windows, and aggregate those of each run."""
         solved = [outcome for outcome in outcomes if outcome.status == "converged"]
-        return Replay(
+        return base.Replay(
             dataset="mit_timeseries",
             pushes=[_row(outcome) for outcome in outcomes],
             groups=_aggregates(solved),
@@ -230,7 +215,7 @@ def _window(run: Experiment, scene: Scene, number: int, begin: float, end: float
     )
 
 
-def _row(outcome: WindowOutcome) -> Row:
+def _row(outcome: WindowOutcome) -> base.Row:
     window = outcome.window
     written = np.searchsorted(
         window.time, np.arange(1, 1 + round(window.duration / WRITTEN_EVERY)) * WRITTEN_EVERY
@@ -247,9 +232,9 @@ def _row(outcome: WindowOutcome) -> Row:
         "status": outcome.status,
         "moved_mm": float(np.hypot(*(window.measured[-1] - window.start)[:2])) * 1e3,
         "way_mm": _length(np.vstack((window.start, window.measured))[:, :2]) * 1e3,
-        "position_mm_rms": rms(outcome.position) * 1e3,
+        "position_mm_rms": base.rms(outcome.position) * 1e3,
         "position_mm_final": float(outcome.position[-1]) * 1e3,
-        "angle_deg_rms": float(np.degrees(rms(outcome.angle))),
+        "angle_deg_rms": float(np.degrees(base.rms(outcome.angle))),
         "angle_deg_final": float(np.degrees(outcome.angle[-1])),
         "error": {
             "time_s": window.time[written].tolist(),
@@ -259,7 +244,7 @@ def _row(outcome: WindowOutcome) -> Row:
     }
 
 
-def _aggregates(outcomes: list[WindowOutcome]) -> list[Row]:
+def _aggregates(outcomes: list[WindowOutcome]) -> list[base.Row]:
     names = list(dict.fromkeys(outcome.window.run.name for outcome in outcomes))
     groups = [(name, [o for o in outcomes if o.window.run.name == name]) for name in names]
     if len(groups) > 1:
@@ -267,16 +252,16 @@ def _aggregates(outcomes: list[WindowOutcome]) -> list[Row]:
     return [{"run": name, **_aggregate(own)} for name, own in groups]
 
 
-def _aggregate(outcomes: list[WindowOutcome]) -> Row:
+def _aggregate(outcomes: list[WindowOutcome]) -> base.Row:
     rows = [_row(outcome) for outcome in outcomes]
     return {
         "windows": len(rows),
         "motion": " and ".join(sorted({outcome.motion for outcome in outcomes})),
-        "moved_mm": mean_and_median([row["moved_mm"] for row in rows]),
-        "position_mm_rms": rms(np.concatenate([o.position for o in outcomes])) * 1e3,
-        "angle_deg_rms": float(np.degrees(rms(np.concatenate([o.angle for o in outcomes])))),
-        "position_mm_final": mean_and_median([row["position_mm_final"] for row in rows]),
-        "angle_deg_final": mean_and_median([row["angle_deg_final"] for row in rows]),
+        "moved_mm": base.mean_and_median([row["moved_mm"] for row in rows]),
+        "position_mm_rms": base.rms(np.concatenate([o.position for o in outcomes])) * 1e3,
+        "angle_deg_rms": float(np.degrees(base.rms(np.concatenate([o.angle for o in outcomes])))),
+        "position_mm_final": base.mean_and_median([row["position_mm_final"] for row in rows]),
+        "angle_deg_final": base.mean_and_median([row["angle_deg_final"] for row in rows]),
     }
 
 
@@ -304,7 +289,7 @@ def _notes(runs: list[Experiment], left_out: Counter[str]) -> list[str]:
 def windows_figure(outcomes: Sequence[WindowOutcome]) -> Figure:
     """Draw paths and errors of windows, one row per run."""
     names = list(dict.fromkeys(outcome.window.run.name for outcome in outcomes))
-    figure = sheet(WIDE, 1.25 * max(len(names), 1) + 0.5)
+    figure = sheet(base.WIDE, 1.25 * max(len(names), 1) + 0.5)
     panels = figure.subplots(max(len(names), 1), 3, squeeze=False, width_ratios=(1.3, 1.0, 1.0))
     for row, name in zip(panels, names, strict=False):
         own = [outcome for outcome in outcomes if outcome.window.run.name == name]
@@ -315,7 +300,9 @@ def windows_figure(outcomes: Sequence[WindowOutcome]) -> Figure:
             for which, pose, width in (
                 ("measured", window.measured, 1.6), ("fixel", outcome.pose, 1.0),
             ):  # fmt: skip
-                row[0].plot(*((pose[:, :2] - origin).T * 1e3), linewidth=width, **style_of(which))
+                row[0].plot(
+                    *((pose[:, :2] - origin).T * 1e3), linewidth=width, **base.style_of(which)
+                )
             row[1].plot(time, outcome.position * 1e3, color=palette.BODY, linewidth=1.0)
             row[2].plot(time, np.degrees(outcome.angle), color=palette.BODY, linewidth=1.0)
         short = name.removeprefix("cpush_").removeprefix("StraightLine_2016_10_23_")

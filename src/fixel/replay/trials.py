@@ -13,18 +13,7 @@ from fixel.calibration.target import ON_CLOCK
 from fixel.datasets.rpi_2dgad import FRAME_RATE, LabSimulation, Rpi2dgad, lab_simulation
 from fixel.errors import DatasetMissing, InvalidInput
 from fixel.model import Experiment, Parameters, PathDrive, Scene, Trajectory, Tripod, pose_error
-from fixel.replay.base import (
-    AbstractReplay,
-    Replay,
-    ReplayPart,
-    ReplayRequest,
-    Row,
-    matching,
-    rms,
-    settings_from,
-    spread,
-    trial_figure,
-)
+from fixel.replay import base
 from fixel.simulation import Simulation, StewartTrinkle, simulate
 from fixel.simulation.motion import motion_model
 from fixel.typing import BoolArray, FloatArray
@@ -47,16 +36,16 @@ class TrialOutcome(NamedTuple):
     """Rows of one trial, and the curves of its figure."""
 
     trial: Experiment
-    rows: list[Row]
+    rows: list[base.Row]
     curves: dict[str, Trajectory]
     actuator: FloatArray  # (n, 3)
 
 
 @final
-class TrialReplay(AbstractReplay):
+class TrialReplay(base.AbstractReplay):
     """Complete trials along the measured actuator path, and as the laboratory simulated them."""
 
-    def __init__(self, folder: Path, request: ReplayRequest) -> None:
+    def __init__(self, folder: Path, request: base.ReplayRequest) -> None:
         self.folder, self.request = folder, request
         experiments = list(Rpi2dgad().read(folder).experiments())
         complete = [e for e in experiments if e.pusher is not None]
@@ -64,7 +53,7 @@ class TrialReplay(AbstractReplay):
             raise DatasetMissing(folder, "an exp<number>_setup.json of at least one trial")
         every = [*complete, *(e for e in experiments if e.pusher is None)]
         names = [experiment.name for experiment in every]
-        fits = matching({"experiment_id": names}, request.select, len(every))
+        fits = base.matching({"experiment_id": names}, request.select, len(every))
         n = len(complete)
         chosen = [trial for trial, wanted in zip(complete, fits[:n], strict=True) if wanted]
         if not chosen:
@@ -74,8 +63,8 @@ class TrialReplay(AbstractReplay):
                 expected="a complete trial: " + ", ".join(names[:n]),
             )
         self.left_out = int(fits[n:].sum())
-        chosen = [chosen[k] for k in spread(len(chosen), request.limit)]
-        self.parts = [ReplayPart(f"experiment {trial.name}", 1, trial) for trial in chosen]
+        chosen = [chosen[k] for k in base.spread(len(chosen), request.limit)]
+        self.parts = [base.ReplayPart(f"experiment {trial.name}", 1, trial) for trial in chosen]
 
     def simulate(self, item: Experiment) -> TrialOutcome:
         """Simulate a trial along both recorded paths of the actuator, and as the laboratory did."""
@@ -91,7 +80,7 @@ class TrialReplay(AbstractReplay):
         marker, smoothed = recorded_paths(item)
         curves = {"measured": Trajectory(time=time, pose=measured)}
         given = Parameters({n: settings[n] for n in self.request.settings if n in settings})
-        rows: list[Row] = []
+        rows: list[base.Row] = []
         for path, label in ((marker, "actuator marker"), (smoothed, "smoothed actuator")):
             scene = replace(trial_scene(item, measured[0], time, path[useful]), gravity=gravity)
             simulation = simulate(scene, given, motion=motion, output_interval=LAB_STEP)
@@ -120,7 +109,7 @@ class TrialReplay(AbstractReplay):
             rows += [row, again]
         return TrialOutcome(item, rows, curves, marker[useful])
 
-    def result(self, outcomes: list[TrialOutcome]) -> Replay:
+    def result(self, outcomes: list[TrialOutcome]) -> base.Replay:
         """List the rows of all trials."""
         rows = [row for outcome in outcomes for row in outcome.rows]
         first = outcomes[0]
@@ -134,7 +123,7 @@ class TrialReplay(AbstractReplay):
             notes.append(f"{self.left_out} trials were skipped: {INCOMPLETE}.")
         settings = {f"experiment_{o.trial.name}": self._settings(o.trial) for o in outcomes}
         gravity = [own.pop("gravity") for own in settings.values()]
-        return Replay(
+        return base.Replay(
             dataset="rpi_2dgad",
             pushes=rows,
             groups=[],
@@ -147,7 +136,7 @@ class TrialReplay(AbstractReplay):
                 "angle_length_m": ANGLE_LENGTH,
             },
             notes=notes,
-            figure=partial(trial_figure, first.trial, first.curves, first.actuator),
+            figure=partial(base.trial_figure, first.trial, first.curves, first.actuator),
         )
 
     def _settings(self, trial: Experiment) -> dict[str, float]:
@@ -162,7 +151,7 @@ class TrialReplay(AbstractReplay):
             **({"mu_fixel": scene.fixels[0].friction} if scene.fixels else {}),
             "gravity": scene.gravity,
         }
-        return settings_from(nominal, self.request.settings)
+        return base.settings_from(nominal, self.request.settings)
 
 
 def _scene(trial: Experiment) -> Scene:
@@ -241,7 +230,7 @@ def _bits(touched: BoolArray) -> int:
 
 def _row(
     name: str, model: str, path: str, against: str, pose: FloatArray, reference: FloatArray
-) -> Row:
+) -> base.Row:
     n = min(len(pose), len(reference))
     position, angle = pose_error(pose[:n], reference[:n])
     weighted = weighted_error(pose[:n], reference[:n]) * 1e3
@@ -252,9 +241,9 @@ def _row(
         "against": against,
         "status": "stored",
         "frames": n,
-        "position_mm_rms": rms(position) * 1e3,
-        "angle_deg_rms": float(np.degrees(rms(angle))),
-        "weighted_mm_rms": rms(weighted),
+        "position_mm_rms": base.rms(position) * 1e3,
+        "angle_deg_rms": float(np.degrees(base.rms(angle))),
+        "weighted_mm_rms": base.rms(weighted),
         "error_mm2": float(np.mean(weighted**2)),
         "position_mm_final": float(position[-1]) * 1e3,
         "angle_deg_final": float(np.degrees(abs(angle[-1]))),

@@ -11,17 +11,7 @@ from typing import Annotated, Final, final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.model import Disk, NoSupport, Polygon, Shape, Support, placed
-from fixel.model.fields import (
-    Value,
-    check_fields,
-    finite,
-    instance,
-    name_of,
-    non_negative,
-    positive,
-    settle,
-)
+from fixel.model import Disk, NoSupport, Polygon, Shape, Support, fields, placed
 from fixel.typing import FloatArray
 
 MAX_SIDES: Final = 1000
@@ -34,7 +24,7 @@ Peg = tuple[float, float]
 
 def plain_name(value: object, where: str, longest: int = 60) -> str:
     """Return a name that is valid in file names everywhere: letters, digits, `_` and `-`."""
-    name = name_of(value, where)
+    name = fields.name_of(value, where)
     if len(name) > longest or not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
         expected = f"at most {longest} of A-Z, a-z, 0-9, _ and -"
         raise InvalidInput(where, found=repr(name), expected=expected)
@@ -55,14 +45,14 @@ class RegularPolygon:
     """
 
     sides: int
-    side: Annotated[float, Value(positive, "m")]
+    side: Annotated[float, fields.Value(fields.positive, "m")]
 
     def __post_init__(self) -> None:
         if not 3 <= self.sides <= MAX_SIDES:
             raise InvalidInput(
                 "regular.sides", found=self.sides, expected=f"a number from 3 to {MAX_SIDES}"
             )
-        check_fields(self, "regular")
+        fields.check_fields(self, "regular")
 
     @property
     def circumradius(self) -> float:
@@ -110,14 +100,14 @@ class PlannedShape:
 
     name: str
     outline: Outline
-    mass: Annotated[float, Value(positive, "kg")]
-    zone_start: Annotated[float, Value(finite, "m")]
+    mass: Annotated[float, fields.Value(fields.positive, "kg")]
+    zone_start: Annotated[float, fields.Value(fields.finite, "m")]
     support: Support = field(default_factory=NoSupport)
 
     def __post_init__(self) -> None:
         where = f"shape {plain_name(self.name, 'shape.name')!r}"
-        instance(self.outline, Outline, where, "a Polygon, a Disk or a RegularPolygon")
-        check_fields(self, where)
+        fields.instance(self.outline, Outline, where, "a Polygon, a Disk or a RegularPolygon")
+        fields.check_fields(self, where)
 
     @property
     def shape(self) -> Shape:
@@ -158,7 +148,7 @@ class FixelLayout:
             )
         if self.number is not None and not 1 <= self.number <= MOST_NUMBER:
             raise InvalidInput(f"{where}.number", found=self.number, expected=f"1 to {MOST_NUMBER}")
-        settle(self, pegs=tuple((float(u), float(v)) for u, v in self.pegs))
+        fields.settle(self, pegs=tuple((float(u), float(v)) for u, v in self.pegs))
 
     @property
     def title(self) -> str:
@@ -194,19 +184,19 @@ class SamplingRig:
     """
 
     head: Outline
-    speed: Annotated[float, Value(positive, "m/s")]
-    travel: Annotated[float, Value(positive, "m")]
-    force_limit: Annotated[float | None, Value(positive, "N")] = None
-    head_friction: Annotated[float, Value(non_negative)]
-    fixel_friction: Annotated[float, Value(non_negative)]
-    fixel_radius: Annotated[float, Value(positive, "m")]
-    zone_side: Annotated[float, Value(positive, "m")]
-    gap: Annotated[float, Value(finite, "m")]
-    angle: Annotated[float, Value(finite, "rad")] = 0.0
+    speed: Annotated[float, fields.Value(fields.positive, "m/s")]
+    travel: Annotated[float, fields.Value(fields.positive, "m")]
+    force_limit: Annotated[float | None, fields.Value(fields.positive, "N")] = None
+    head_friction: Annotated[float, fields.Value(fields.non_negative)]
+    fixel_friction: Annotated[float, fields.Value(fields.non_negative)]
+    fixel_radius: Annotated[float, fields.Value(fields.positive, "m")]
+    zone_side: Annotated[float, fields.Value(fields.positive, "m")]
+    gap: Annotated[float, fields.Value(fields.finite, "m")]
+    angle: Annotated[float, fields.Value(fields.finite, "rad")] = 0.0
 
     def __post_init__(self) -> None:
-        instance(self.head, Outline, "head.shape", "a Polygon, a Disk or a RegularPolygon")
-        check_fields(self, "rig")
+        fields.instance(self.head, Outline, "head.shape", "a Polygon, a Disk or a RegularPolygon")
+        fields.check_fields(self, "rig")
 
     @property
     def duration(self) -> float:

@@ -13,18 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.errors import Interrupted, InvalidInput
-from fixel.kernels import codes
-from fixel.kernels.arrays import (
-    CONTACT_ROWS,
-    FALLBACKS,
-    LAST_CONTACTS,
-    REACHED,
-    SAMPLES,
-    STEPS_TAKEN,
-    WORST_RESIDUAL,
-    BatchRecord,
-    StepMethod,
-)
+from fixel.kernels import arrays, codes
 from fixel.model import Scene
 from fixel.model.fields import floats, instance, texts, whole
 from fixel.simulation.motion import AbstractMotionModel, motion_model, named_part
@@ -172,7 +161,7 @@ def simulate_batch(  # type: ignore[misc]
     packed = pack(scene, motion, stepper, variation, n, seconds)
     instants = _instants(times, seconds)
     record = empty_record(packed, len(instants), CONTACTS_PER_BODY * len(scene.names), instants)
-    record.total[:, LAST_CONTACTS] = 1.0
+    record.total[:, arrays.LAST_CONTACTS] = 1.0
     try:
         rollout_in_threads(packed.batch, method, record, threads)
     except KeyboardInterrupt:
@@ -195,7 +184,7 @@ def _follow_modes(
     names: Sequence[str],
     packed_of: Callable[..., PackedBatch],
     to_confirm: tuple[PackedBatch, IntArray] | None,
-    method: StepMethod,
+    method: arrays.StepMethod,
     threads: int | None,
 ) -> BatchResult:
     """Return the runs with their derivatives, if any are named, and accuracy.
@@ -218,7 +207,11 @@ def _follow_modes(
 
 
 def simulate_packed(
-    scene: Scene, packed: PackedBatch, method: StepMethod, instants: FloatArray, threads: int | None
+    scene: Scene,
+    packed: PackedBatch,
+    method: arrays.StepMethod,
+    instants: FloatArray,
+    threads: int | None,
 ) -> BatchResult:
     """Simulate packed rollouts of a scene, for callers that reuse a template.
 
@@ -243,7 +236,7 @@ def _instants(times: ArrayLike | None, duration: float) -> FloatArray:
 def _unpack(
     scene: Scene,
     packed: PackedBatch,
-    record: BatchRecord,
+    record: arrays.BatchRecord,
     times: FloatArray,
     parameters: Mapping[str, FloatArray] | None = None,
 ) -> BatchResult:
@@ -255,10 +248,10 @@ def _unpack(
         status=STATUS_NAMES[record.status],
         time=times,
         pose=shape_poses(packed, record.pose),
-        stopped_at=record.total[:, REACHED] * units.time,
-        steps=record.count[:, STEPS_TAKEN].copy(),
-        fallbacks=record.count[:, FALLBACKS].copy(),
-        max_residual=record.total[:, WORST_RESIDUAL].copy(),
+        stopped_at=record.total[:, arrays.REACHED] * units.time,
+        steps=record.count[:, arrays.STEPS_TAKEN].copy(),
+        fallbacks=record.count[:, arrays.FALLBACKS].copy(),
+        max_residual=record.total[:, arrays.WORST_RESIDUAL].copy(),
         force=record.drive[:, -1, :, 0] * units.force,
         peak_force=record.drive[:, :, :, 0].max(axis=1) * units.force,
         stalled=record.drive[:, -1, :, 1] > 0.0,
@@ -267,12 +260,12 @@ def _unpack(
     )
 
 
-def _last_contacts(scene: Scene, record: BatchRecord) -> BoolArray:
+def _last_contacts(scene: Scene, record: arrays.BatchRecord) -> BoolArray:
     """Whether bodies touch (n, n_moving, n_body) at the end of each rollout."""
     n, n_row = record.contact.shape[:2]
     n_moving = len(scene.bodies) + len(scene.pushers)
-    last = record.count[:, SAMPLES] - 1
-    seen = np.arange(n_row) < record.count[:, CONTACT_ROWS, None]
+    last = record.count[:, arrays.SAMPLES] - 1
+    seen = np.arange(n_row) < record.count[:, arrays.CONTACT_ROWS, None]
     seen &= record.contact[:, :, 0] == last[:, None]
     run, row = np.nonzero(seen)
     pair = np.sort(record.contact[run, row, 1:3].astype(np.int64), axis=1)
@@ -286,7 +279,7 @@ def _simulate_scenes(
     motion: AbstractMotionModel,
     stepper: AbstractStepper,
     solver: AbstractSolver,
-    method: StepMethod,
+    method: arrays.StepMethod,
     duration: float | None,
     times: ArrayLike | None,
     threads: int | None,
@@ -309,7 +302,7 @@ def _simulate_scenes(
     results = []
     for r, (scene, part) in enumerate(zip(scenes, packed, strict=True)):
         n_driven, n_moving = len(scene.pushers), len(scene.bodies) + len(scene.pushers)
-        own = BatchRecord._make(array[r : r + 1] for array in record)
+        own = arrays.BatchRecord._make(array[r : r + 1] for array in record)
         own = own._replace(
             pose=own.pose[:, :, :n_moving],
             drive=own.drive[:, :, :n_driven],

@@ -7,20 +7,8 @@ import math
 
 import numpy as np
 
+from fixel.kernels import arrays, codes, entries
 from fixel.kernels import arrays as at
-from fixel.kernels import codes, entries
-from fixel.kernels.arrays import (
-    CONTACT_ROWS,
-    N_DOF,
-    N_POINT,
-    SAMPLES,
-    BatchRecord,
-    Problem,
-    RolloutRecord,
-    State,
-    StepMethod,
-    Workspace,
-)
 from fixel.kernels.rollout import select_one
 from fixel.kernels.solve import TOLERANCE
 from fixel.kernels.step_control import AT_ONCE
@@ -53,12 +41,14 @@ class _Loop:
         # A copy: plug-ins get the model, and batches of one scene share arrays.
         self.model = select_one(batch, 0)
         self.pose = np.array(batch.pose[: batch.count[0, at.BODY]])
-        self.problem: Problem
-        self.work: Workspace
+        self.problem: arrays.Problem
+        self.work: arrays.Workspace
         self.problem, self.work = entries.allocate(self.model, max_contacts)
         wide = self.problem.momentum.size
         n_driven = self.model.force_limit.size
-        self.state = State(self.pose.copy(), np.zeros(wide), np.zeros(2 * n_driven), np.zeros(wide))
+        self.state = arrays.State(
+            self.pose.copy(), np.zeros(wide), np.zeros(2 * n_driven), np.zeros(wide)
+        )
         self.control = np.zeros(at.N_CONTROL)
         self.inertial = motion.kind == codes.DYNAMIC
         entries.begin_control(self.control, batch.settings[0], stepper.adaptive, self.inertial)
@@ -83,7 +73,7 @@ class _Loop:
         span = float(control[at.SPAN])
         n_support = self.motion.assemble(model, state, span, self.pose, problem)
         if self.motion.kind == codes.EXTERNAL:
-            problem.size[N_POINT] = 0  # it may have changed the rows of built-in models
+            problem.size[arrays.N_POINT] = 0  # it may have changed the rows of built-in models
         entries.rows(model, state, control, guess, self.pose, problem, work, n_support)
         if min_gap < math.inf:
             closing = float(entries.event_time(problem, guess, step, lead, min_gap))
@@ -114,7 +104,7 @@ class _Loop:
         parted = bool(entries.parts(control, problem, work))
         return StepTrial(codes.CONVERGED, residual, bounces, parted=parted)
 
-    def past(self, before: State, older: State) -> StepHistory:
+    def past(self, before: arrays.State, older: arrays.State) -> StepHistory:
         """Return the last three steps."""
         state, control = self.state, self.control
         last, earlier, earliest = control[[at.LAST, at.EARLIER, at.EARLIEST]].tolist()
@@ -140,9 +130,9 @@ def rollout_in_python(
     motion: AbstractMotionModel,
     stepper: AbstractStepper,
     solver: AbstractSolver,
-    method: StepMethod,
+    method: arrays.StepMethod,
     times: FloatArray | None,
-) -> BatchRecord:
+) -> arrays.BatchRecord:
     """Simulate one rollout step by step; results equal those of the compiled loop."""
     loop = _Loop(packed, motion, stepper, solver, method.max_contacts)
     control = loop.control
@@ -173,7 +163,7 @@ def rollout_in_python(
         motion.move(
             loop.model, loop.state, advance.step, loop.problem, int(entries.extrapolation(control))
         )
-        n_dof = loop.problem.size[N_DOF]
+        n_dof = loop.problem.size[arrays.N_DOF]
         loop.state.middle[:n_dof] = loop.problem.velocity[:n_dof]  # since a plug-in may not set it
         entries.end_step(control)
         samples.take(before, advance.step, float(control[at.SPAN]))
@@ -187,8 +177,8 @@ def rollout_in_python(
     return samples.finish(status, worst)
 
 
-def _copied(state: State) -> State:
-    return State(*(np.array(a) for a in state))
+def _copied(state: arrays.State) -> arrays.State:
+    return arrays.State(*(np.array(a) for a in state))
 
 
 class _SampleCollector:
@@ -200,17 +190,17 @@ class _SampleCollector:
         self.every_step = times is None
         self.n_driven = loop.model.force_limit.size
         self.shape = (loop.model.mass.size + self.n_driven, 3)
-        self.rows: list[RolloutRecord] = []
+        self.rows: list[arrays.RolloutRecord] = []
         self.done = 0
         self.counts: list[int] = []
         self.take(loop.state, 0.0, float(loop.control[at.STEP]))
 
-    def take(self, before: State, moved: float, span: float) -> None:
+    def take(self, before: arrays.State, moved: float, span: float) -> None:
         """Write the samples in the last `moved` of time; forces acted for `span`."""
         loop = self.loop
         room = 1 if self.every_step else len(self.times) - self.done
         n_row = max(1, loop.problem.contact_key.size) * max(room, 1)
-        record = RolloutRecord(
+        record = arrays.RolloutRecord(
             np.zeros(room) if self.every_step else self.times[self.done :].copy(),
             np.zeros((room, *self.shape)),
             np.zeros((room, *self.shape)),
@@ -223,10 +213,10 @@ class _SampleCollector:
             loop.model, before, loop.state, loop.control, moved, span, loop.problem, record,
             self.every_step,
         )  # fmt: skip
-        written = int(record.count[SAMPLES])
+        written = int(record.count[arrays.SAMPLES])
         self.counts.append(written)
         if written:
-            contact = record.contact[: record.count[CONTACT_ROWS]]
+            contact = record.contact[: record.count[arrays.CONTACT_ROWS]]
             contact[:, 0] += self.done
             kept = record._replace(
                 time=record.time[:written], pose=record.pose[:written],
@@ -246,11 +236,11 @@ class _SampleCollector:
         """Set `time` as the last sample."""
         self.times = np.append(self.times[: self.done], time)
 
-    def finish(self, status: int, worst: float) -> BatchRecord:
+    def finish(self, status: int, worst: float) -> arrays.BatchRecord:
         """Return all samples as a batch of one."""
         joined = [np.concatenate([row[k] for row in self.rows])[None] for k in range(5)]
         control = self.loop.control
         counts = [self.done, joined[4].shape[1], int(control[at.STEPS]), self.loop.fallbacks]
         count = np.array([counts], np.int64)
         total = np.array([[control[at.TIME], worst, 0.0, 0.0]])
-        return BatchRecord._make([*joined, count, total, np.array([status], np.int64)])
+        return arrays.BatchRecord._make([*joined, count, total, np.array([status], np.int64)])

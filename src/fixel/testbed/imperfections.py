@@ -10,19 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fixel import model
 from fixel.errors import InvalidInput
-from fixel.model import (
-    Body,
-    Ellipsoid,
-    FrictionMap,
-    LoadMap,
-    NoSupport,
-    PathDrive,
-    Plane,
-    Pusher,
-    Support,
-    SupportPoints,
-)
 from fixel.model.fields import frozen
 from fixel.model.probability import stream
 from fixel.model.support import cells, support_points
@@ -39,7 +28,7 @@ ON_CLOCK = 1e-6  # largest distance of a sample from the clock, in frames [-]
 WAYPOINT_INTERVAL = 1.0 / 60.0  # [s]; resolves a ripple of a few hertz
 
 
-def rough_plane(plane: Plane, seed: int, roughness: float, grain: float) -> Plane:
+def rough_plane(plane: model.Plane, seed: int, roughness: float, grain: float) -> model.Plane:
     """Return the plane with a smooth random multiplier of friction, fixed in space.
 
     A friction map of the planned plane remains as a factor. `roughness` is the standard deviation
@@ -53,18 +42,18 @@ def rough_plane(plane: Plane, seed: int, roughness: float, grain: float) -> Plan
     if plane.friction_map is not None:
         factor *= plane.friction_map.at(place)
     cell = np.full(2, grain / NODES_PER_GRAIN)
-    friction_map = FrictionMap(origin=np.array(PLATE_ORIGIN), cell=cell, factor=factor)
+    friction_map = model.FrictionMap(origin=np.array(PLATE_ORIGIN), cell=cell, factor=factor)
     return replace(plane, friction_map=friction_map)
 
 
-def uneven_table(plane: Plane, seed: int, spread: float, length: float) -> Plane:
+def uneven_table(plane: model.Plane, seed: int, spread: float, length: float) -> model.Plane:
     """Return the plane with a smooth random map of loads: the standard deviation of their logarithm
     [-], and the distance over which it changes [m], as `grain` of `rough_plane`."""
     if spread == 0.0:
         return plane
     _, field = _smooth_field(seed, length, "table")
     origin, cell = np.array(PLATE_ORIGIN), np.full(2, length / NODES_PER_GRAIN)
-    return replace(plane, load_map=LoadMap(origin=origin, cell=cell, log_load=spread * field))
+    return replace(plane, load_map=model.LoadMap(origin=origin, cell=cell, log_load=spread * field))
 
 
 @functools.lru_cache(maxsize=8)  # every run has the same plate
@@ -87,7 +76,7 @@ def _smooth_field(seed: int, grain: float, what: str) -> tuple[FloatArray, Float
 
 
 def uneven_support(
-    body: Body,
+    body: model.Body,
     gravity: float,
     seed: int,
     *,
@@ -95,7 +84,7 @@ def uneven_support(
     n_cells: int,
     unevenness: float,
     centre: ArrayLike,
-) -> SupportPoints | NoSupport:
+) -> model.SupportPoints | model.NoSupport:
     """Return the true support of a body: many points that press unequally.
 
     The true friction is `friction_ratio` of the nominal one, that of the planned support. Bodies of
@@ -105,34 +94,34 @@ def uneven_support(
     """
     friction = nominal_friction(body, gravity)
     if friction is None:
-        return NoSupport()
+        return model.NoSupport()
     points, share = cells(body.shape, n_cells)
     outline = body.shape.outline.tobytes().hex()  # the same for equal shapes, in any process
     rng = stream(seed, "underside", type(body.shape).__name__ + outline)
     share = share * np.exp(unevenness * rng.standard_normal(len(share)))
     share = _centred(share / share.sum(), points, body.com + np.asarray(centre))
-    return SupportPoints(
+    return model.SupportPoints(
         points=points, friction=friction_ratio * friction, loads=body.mass * gravity * share
     )
 
 
-def planned_support(support: Support, friction_ratio: float) -> Support:
+def planned_support(support: model.Support, friction_ratio: float) -> model.Support:
     """Return the planned support with its friction multiplied by `friction_ratio` [-]."""
-    if isinstance(support, NoSupport):
+    if isinstance(support, model.NoSupport):
         return support
-    if isinstance(support, Ellipsoid):
+    if isinstance(support, model.Ellipsoid):
         force, torque = friction_ratio * support.force, friction_ratio * support.torque
         return replace(support, force=force, torque=torque)
     friction: Any = friction_ratio * support.friction  # one number, or one per point
     return replace(support, friction=friction)
 
 
-def nominal_friction(body: Body, gravity: float) -> float | None:
+def nominal_friction(body: model.Body, gravity: float) -> float | None:
     """Friction of a body against the plane, for any kind of support [-]; None without support."""
     support = body.support
-    if isinstance(support, NoSupport):
+    if isinstance(support, model.NoSupport):
         return None
-    if isinstance(support, Ellipsoid):
+    if isinstance(support, model.Ellipsoid):
         return support.force / (body.mass * gravity)
     _, loads, friction = support_points(support, body.shape, body.com, body.mass, gravity)
     return float(loads @ friction / loads.sum())
@@ -194,14 +183,14 @@ def felt(
 
 
 def driven_unevenly(
-    pusher: Pusher,
+    pusher: model.Pusher,
     duration: float,
     *,
     speed_ratio: float,
     ripple: float,
     frequency: float,
     phase: float,
-) -> Pusher:
+) -> model.Pusher:
     """Return the pusher on its planned path, with uneven timing for a duration [s].
 
     `speed_ratio` is the mean speed over the planned one [-]. The speed varies about its mean by
@@ -211,7 +200,7 @@ def driven_unevenly(
         return pusher
     time = np.arange(math.ceil(duration / WAYPOINT_INTERVAL) + 1.0) * WAYPOINT_INTERVAL
     poses = _planned_poses(pusher, speed_ratio * uneven_time(time, ripple, frequency, phase))
-    drive = PathDrive(
+    drive = model.PathDrive(
         waypoints=np.column_stack((time, poses)), force_limit=pusher.drive.force_limit
     )
     return replace(pusher, drive=drive)
@@ -223,10 +212,10 @@ def uneven_time(time: FloatArray, ripple: float, frequency: float, phase: float)
     return np.asarray(time + ripple / turn * (np.sin(turn * time + phase) - math.sin(phase)))
 
 
-def _planned_poses(pusher: Pusher, time: FloatArray) -> FloatArray:
+def _planned_poses(pusher: model.Pusher, time: FloatArray) -> FloatArray:
     """Poses (n, 3) of the planned drive at times (n,) [s]."""
     drive = pusher.drive
-    if isinstance(drive, PathDrive):
+    if isinstance(drive, model.PathDrive):
         instants, *columns = drive.waypoints.T
         return np.column_stack([np.interp(time, instants, column) for column in columns])
     covered = np.minimum(drive.speed * time, drive.travel)

@@ -10,16 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import (
-    Comparable,
-    Value,
-    check_fields,
-    frozen,
-    instance,
-    positive,
-    settle,
-    vector,
-)
+from fixel.model import fields
 from fixel.typing import FloatArray
 from fixel.vision.lens import BROWN, FISHEYE, FOCAL, Lens
 
@@ -39,7 +30,7 @@ def turned(rotations: FloatArray, angles: FloatArray) -> FloatArray:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Camera(Comparable):
+class Camera(fields.Comparable):
     """Lens at a place above the plane; projects points to pixels and back.
 
     The world has x and y in the plane and z up, towards the camera. Heights are along z.
@@ -55,10 +46,10 @@ class Camera(Comparable):
 
     lens: Lens
     rotation: FloatArray
-    translation: Annotated[FloatArray, Value(vector, "x [m], y [m], z [m]")]
+    translation: Annotated[FloatArray, fields.Value(fields.vector, "x [m], y [m], z [m]")]
 
     def __post_init__(self) -> None:
-        rotation = frozen(self.rotation)
+        rotation = fields.frozen(self.rotation)
         if (
             rotation.shape != (3, 3)
             or np.abs(rotation @ rotation.T - np.eye(3)).max() > ORTHONORMAL
@@ -73,8 +64,8 @@ class Camera(Comparable):
                 expected="a rotation matrix of determinant 1",
                 hint="the picture may be mirrored, or the y axis of the board reversed",
             )
-        check_fields(self, "camera")
-        settle(self, rotation=rotation)
+        fields.check_fields(self, "camera")
+        fields.settle(self, rotation=rotation)
         if self.position[2] <= 0.0:
             raise InvalidInput(
                 "camera.translation",
@@ -101,12 +92,12 @@ class Camera(Comparable):
         """
         c, s = math.cos(turned), math.sin(turned)
         straight = np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
-        down, right = vector(tilted, "tilted", "downwards [rad], to the right [rad]")
+        down, right = fields.vector(tilted, "tilted", "downwards [rad], to the right [rad]")
         (cx, sx), (cy, sy) = ((math.cos(a), math.sin(a)) for a in (down, right))
         about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
         about_y = np.array([[cy, 0.0, -sy], [0.0, 1.0, 0.0], [sy, 0.0, cy]])
         rotation = about_y @ about_x @ straight
-        x, y = vector(above, "above", "x [m], y [m]")
+        x, y = fields.vector(above, "above", "x [m], y [m]")
         return cls(lens=lens, rotation=rotation, translation=-rotation @ [x, y, height])
 
     @property
@@ -169,7 +160,7 @@ class Camera(Comparable):
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class MeasuredCamera(Comparable):
+class MeasuredCamera(fields.Comparable):
     """Lens with its place, if known, and the covariance of their errors.
 
     Parameters
@@ -194,12 +185,12 @@ class MeasuredCamera(Comparable):
     camera: Camera | None = None
     names: tuple[str, ...] = ()
     covariance: FloatArray = ()  # type: ignore[assignment]
-    noise: Annotated[float | None, Value(positive, "px")] = None
+    noise: Annotated[float | None, fields.Value(fields.positive, "px")] = None
     seen: NDArray[np.float64] = ()  # type: ignore[assignment]
     source: str = ""
 
     def __post_init__(self) -> None:
-        instance(self.lens, Lens, "camera.lens", "a Lens")
+        fields.instance(self.lens, Lens, "camera.lens", "a Lens")
         if self.camera is not None and self.camera.lens != self.lens:
             raise InvalidInput("camera.lens", found="two lenses", expected="one")
         names = tuple(self.names)
@@ -209,11 +200,11 @@ class MeasuredCamera(Comparable):
                 "measured.names", found=list(names), expected="each once of " + ", ".join(known)
             )
         covariance = _covariance(self.covariance, len(names))
-        seen = frozen(self.seen)
+        seen = fields.frozen(self.seen)
         if seen.size and (seen.ndim != 2 or not np.isfinite(seen).all() or seen.min() < 0.0):
             raise InvalidInput("measured.seen", found=seen.tolist(), expected="rows of counts")
-        check_fields(self, "measured")
-        settle(self, names=names, covariance=covariance, seen=seen)
+        fields.check_fields(self, "measured")
+        fields.settle(self, names=names, covariance=covariance, seen=seen)
 
     @property
     def deviations(self) -> dict[str, float]:
@@ -268,9 +259,9 @@ class MeasuredCamera(Comparable):
 
 
 def _covariance(values: object, count: int) -> FloatArray:
-    found = frozen(np.asarray(values, dtype=np.float64).reshape(-1) if not count else values)  # type: ignore[arg-type]
+    found = fields.frozen(np.asarray(values, dtype=np.float64).reshape(-1) if not count else values)  # type: ignore[arg-type]
     if not count and not found.size:
-        return frozen(np.zeros((0, 0)))
+        return fields.frozen(np.zeros((0, 0)))
     if found.shape != (count, count) or not np.isfinite(found).all():
         raise InvalidInput(
             "measured.covariance",
@@ -286,4 +277,4 @@ def _covariance(values: object, count: int) -> FloatArray:
             found="a matrix that is not a covariance",
             expected="a symmetric matrix without negative eigenvalues",
         )
-    return frozen(0.5 * (found + found.T))
+    return fields.frozen(0.5 * (found + found.T))

@@ -20,22 +20,12 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from fixel import simulation
 from fixel.errors import MissingExtra, os_reason
 from fixel.kernels import jit
 from fixel.kernels.code_cache import BEAT_S, cache_folder, is_stored, print_once, share_compiled
 from fixel.model import Trajectory
 from fixel.progress import ProgressOption, show_progress
-from fixel.simulation import (
-    GaussSeidel,
-    Lemke,
-    Newton,
-    QuasiStatic,
-    Simulation,
-    Simulator,
-    StewartTrinkle,
-    simulate,
-    simulate_batch,
-)
 from fixel.simulation.first_code import ENTRY
 from fixel.simulation.simulate import INSTANT, get_ready
 from fixel.testing import scenes
@@ -87,7 +77,7 @@ def _compiled(name: str) -> CompiledPart:
 
 
 def _rollouts() -> None:
-    Simulator(scenes.sliding_block()).ends(duration=INSTANT)
+    simulation.Simulator(scenes.sliding_block()).ends(duration=INSTANT)
 
 
 def _environments() -> None:
@@ -117,10 +107,10 @@ def _vision() -> None:
 # The longest is first; the others, in the other process, do not wait for its code.
 _PARTS: Final[dict[str, Callable[[], object]]] = {
     "rollouts, with all motion models and solvers": _rollouts,
-    "single steps: plain loop and Lemke's method": lambda: simulate(
-        scenes.grasp(support_directions=8), solver=Lemke(), plain=True
+    "single steps: plain loop and Lemke's method": lambda: simulation.simulate(
+        scenes.grasp(support_directions=8), solver=simulation.Lemke(), plain=True
     ),
-    "contact modes: accuracy and derivatives": lambda: simulate(
+    "contact modes: accuracy and derivatives": lambda: simulation.simulate(
         scenes.pushed_square(), motion="quasistatic", accuracy=True, derivatives=["mu_pusher"]
     ),
     "films: rendering and tracking": _vision,
@@ -176,7 +166,7 @@ def examine() -> Diagnosis:
         print_once(f"Every process compiles all code again, which takes minutes: {stored.detail}")
     warm = not engine_is_cold()
     get_ready(scenes.sliding_block())
-    get_ready(scenes.grasp(support_directions=8), Lemke())
+    get_ready(scenes.grasp(support_directions=8), simulation.Lemke())
     checks = [stored, _film_check(), _bench_check(), *self_test()]
     cache = {"folder": cache_folder(), "bytes": cache_size(), "warm": warm}
     return Diagnosis(versions(), machine(), cache, checks, time.perf_counter() - start)
@@ -275,12 +265,12 @@ def _guarded(name: str, check: Callable[[], tuple[bool, str, float | None]]) -> 
     return SelfCheck(name, passed and fine, detail, residual)
 
 
-def _steps(run: Simulation) -> Found:
+def _steps(run: simulation.Simulation) -> Found:
     return run.converged, f"{run.status}, {run.steps} steps", run.max_residual
 
 
 def _seats() -> Found:
-    run = simulate(scenes.grasp("seated"))
+    run = simulation.simulate(scenes.grasp("seated"))
     trace = run.pushers["actuator"]
     fine = run.converged and bool(trace.stalled[-1])
     fine = fine and abs(float(trace.force[-1]) - scenes.STALL_FORCE) < 1e-6 * scenes.STALL_FORCE
@@ -288,24 +278,24 @@ def _seats() -> Found:
 
 
 def _jams() -> Found:
-    run = simulate(scenes.grasp("seated", force_limit=None))
+    run = simulation.simulate(scenes.grasp("seated", force_limit=None))
     when = "" if run.stopped_at is None else f" at {run.stopped_at:.3f} s"
     return run.status == "jammed", run.status + when, run.max_residual
 
 
 def _slides() -> Found:
-    run = simulate(scenes.sliding_block(speed=0.5, friction=0.25))
+    run = simulation.simulate(scenes.sliding_block(speed=0.5, friction=0.25))
     return _compared(run, float(run.pose["block"][-1][0]), 0.5**2 / (2.0 * 0.25 * 9.81), "m")
 
 
 def _spins() -> Found:
-    run = simulate(scenes.spinning_disk(spin=10.0, friction=0.25))
+    run = simulation.simulate(scenes.spinning_disk(spin=10.0, friction=0.25))
     # At constant deceleration it turns by half of what it would turn at full speed.
     stop = 3.0 * 0.05 * 10.0 / (4.0 * 0.25 * 9.81)
     return _compared(run, float(run.pose["disk"][-1][2]), 0.5 * 10.0 * stop, "rad")
 
 
-def _compared(run: Simulation, found: float, expected: float, unit: str) -> Found:
+def _compared(run: simulation.Simulation, found: float, expected: float, unit: str) -> Found:
     off = abs(found / expected - 1.0)
     detail = f"{found:.6g} {unit}, {100.0 * off:.2g} % off"
     return run.converged and off < CLOSED_FORM, detail, run.max_residual
@@ -313,8 +303,11 @@ def _compared(run: Simulation, found: float, expected: float, unit: str) -> Foun
 
 def _agree() -> Found:
     scene = scenes.grasp("slip", support_directions=8)
-    stepper = StewartTrinkle(step=0.05)
-    runs = [simulate(scene, stepper=stepper, solver=s()) for s in (Newton, GaussSeidel, Lemke)]
+    stepper = simulation.StewartTrinkle(step=0.05)
+    runs = [
+        simulation.simulate(scene, stepper=stepper, solver=s())
+        for s in (simulation.Newton, simulation.GaussSeidel, simulation.Lemke)
+    ]
     ends = np.array([run.pose["object"][-1] for run in runs])
     apart = float(np.abs(ends - ends[0]).max())
     worst = max(run.max_residual for run in runs)
@@ -324,7 +317,7 @@ def _agree() -> Found:
 
 def _same_bits() -> Found:
     radii = {"tripod_radius": np.linspace(0.03, 0.05, 16)}
-    one, two = (simulate_batch(scenes.grasp("slip"), radii, threads=n) for n in (1, 2))
+    one, two = (simulation.simulate_batch(scenes.grasp("slip"), radii, threads=n) for n in (1, 2))
     same = bool(np.array_equal(one.pose, two.pose))
     return same, "the same bits" if same else "different", float(one.max_residual.max())
 
@@ -335,9 +328,9 @@ _CHECKS: dict[str, Callable[[], Found]] = {
     "block stops after v^2 / 2 mu g": _slides,
     "disk stops spinning after 3 R w / 4 mu g": _spins,
     "push of a 1.6 mm part, without inertia": lambda: _steps(
-        simulate(scenes.micro_push(), motion=QuasiStatic())
+        simulation.simulate(scenes.micro_push(), motion=simulation.QuasiStatic())
     ),
-    "heap of nine bodies": lambda: _steps(simulate(scenes.heap(9, duration=0.5))),
+    "heap of nine bodies": lambda: _steps(simulation.simulate(scenes.heap(9, duration=0.5))),
     "newton, gauss-seidel, lemke agree": _agree,
     "one thread and two agree": _same_bits,
 }

@@ -29,16 +29,9 @@ from fixel.simulation.simulate import get_ready
 from fixel.testbed.imperfections import felt, touching
 from fixel.testbed.simulated import TRUTH, SimulatedTestbed
 from fixel.typing import BoolArray, FloatArray, ProgressCallback
+from fixel.vision import render
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
-from fixel.vision.render import (
-    MICROSCOPE,
-    CameraEffects,
-    changed,
-    film_scene,
-    frame_times,
-    looks_named,
-)
 from fixel.vision.render.bench import HAND
 from fixel.vision.render.film import Occlusion, poses_at
 from fixel.vision.render.looks import light
@@ -76,7 +69,7 @@ def filmed(request: Any, project: Path, progress: ProgressCallback | None) -> li
 
     out, video = request.out, request.video
     rig = rig_of(request.rig)
-    looks = changed(_looks(request.looks, rig), request.changes)
+    looks = render.changed(_looks(request.looks, rig), request.changes)
     if out.exists():
         raise InvalidInput(str(out), found="an existing folder", expected="a new folder")
     count, items = film_scenes(request.sources, project, seed=request.seed, limit=request.limit)
@@ -92,11 +85,11 @@ def filmed(request: Any, project: Path, progress: ProgressCallback | None) -> li
     return made
 
 
-def _looks(name: str, rig: Rig) -> CameraEffects:
-    small = rig.camera.metres_per_pixel() < MICROSCOPE
+def _looks(name: str, rig: Rig) -> render.CameraEffects:
+    small = rig.camera.metres_per_pixel() < render.MICROSCOPE
     if not name:
-        return looks_named("microscope" if small else "thesis")
-    looks = looks_named(name)
+        return render.looks_named("microscope" if small else "thesis")
+    looks = render.looks_named(name)
     if (looks.lighting == "through") != small:
         raise InvalidInput(
             "looks",
@@ -110,7 +103,7 @@ def _render(
     subject: FilmScene,
     folder: Path,
     rig: Rig,
-    looks: CameraEffects,
+    looks: render.CameraEffects,
     request: Any,
     progress: ProgressCallback | None,
 ) -> FilmResult:
@@ -118,10 +111,10 @@ def _render(
     # Each film has its own noise; otherwise films of one seed would have the same errors.
     seed = int(stream(request.seed, "film", subject.name).integers(2**31))
     duration = lead + float(subject.simulation.time[-1]) + request.rest
-    times = frame_times(duration, request.rate, looks, seed)[: request.frames]
+    times = render.frame_times(duration, request.rate, looks, seed)[: request.frames]
     tracks = tracks_of(subject, lead)
     truth = truth_of(subject, tracks, rig, looks, times, seed, lead)
-    frames = film_scene(subject.scene, tracks, rig, looks, times, seed)
+    frames = render.film_scene(subject.scene, tracks, rig, looks, times, seed)
     header = RecordingHeader(
         size=rig.camera.lens.image_size,
         codec="exact" if request.exact else "near",
@@ -177,7 +170,7 @@ def truth_of(
     subject: FilmScene,
     tracks: Mapping[str, Trajectory],
     rig: Rig,
-    looks: CameraEffects,
+    looks: render.CameraEffects,
     times: FloatArray,
     seed: int,
     lead: float,
@@ -209,7 +202,7 @@ def truth_of(
 def write_truth(
     subject: FilmScene,
     arrays: Mapping[str, Any],
-    looks: CameraEffects,
+    looks: render.CameraEffects,
     seed: int,
     lead: float,
     folder: Path,

@@ -10,20 +10,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fixel import model
 from fixel.datasets.base import remark, scene_or_flag
 from fixel.errors import InvalidInput
-from fixel.model import (
-    Body,
-    Channel,
-    Experiment,
-    Fixel,
-    Flag,
-    PathDrive,
-    Provenance,
-    Pusher,
-    Scene,
-    Trajectory,
-)
 from fixel.typing import FloatArray
 from fixel.uncertainty.start_ensemble import Neighbour, remove_overlap
 from fixel.vision.marks import Rig
@@ -47,7 +36,7 @@ class Readings(NamedTuple):
     value: NDArray[np.int64]  # (n,) tactile bytes; -1 for none
 
 
-def actuator_motion(tracked: FilmTracks, scene: Scene) -> tuple[str, ActuatorMotion] | None:
+def actuator_motion(tracked: FilmTracks, scene: model.Scene) -> tuple[str, ActuatorMotion] | None:
     """Return the name of the tracked pusher and its motion; None if none was tracked."""
     for pusher in scene.pushers:
         track = tracked.parts.get(pusher.name)
@@ -64,15 +53,15 @@ def actuator_motion(tracked: FilmTracks, scene: Scene) -> tuple[str, ActuatorMot
 def experiment_of(
     tracked: FilmTracks,
     rig: Rig,
-    scene: Scene,
+    scene: model.Scene,
     readings: Readings | None,
     *,
     dataset: str,
     name: str,
-    provenance: Provenance,
+    provenance: model.Provenance,
     simulated_by: str = "",
     remarks: tuple[str, ...] = (),
-) -> Experiment:
+) -> model.Experiment:
     """Build an experiment whose clock begins with the first frame.
 
     The planned scene has shapes, masses and nominal friction. Remarks are about the video or
@@ -105,7 +94,7 @@ def experiment_of(
         detail = f"the measured start was moved by {moved[0] * 1e3:.3f} mm to remove an overlap"
         flags.append(remark("start-moved", detail))
     tactile = None if readings is None else _tactile(readings, rig, scene, zero)
-    return Experiment(
+    return model.Experiment(
         dataset=dataset,
         name=name,
         real=not simulated_by,
@@ -126,7 +115,7 @@ def experiment_of(
     )
 
 
-def contact_mode(tactile: Channel, effective: tuple[float, float] | None) -> str:
+def contact_mode(tactile: model.Channel, effective: tuple[float, float] | None) -> str:
     """Majority of the readings at the end of the motion and after it, one digit per fixel."""
     end = tactile.time[-1] if len(tactile.time) else 0.0
     begin = max(end - LAST, effective[0] if effective else 0.0)
@@ -138,14 +127,14 @@ def contact_mode(tactile: Channel, effective: tuple[float, float] | None) -> str
 
 
 def _scene(
-    scene: Scene,
-    trajectory: Trajectory,
-    pusher: Trajectory | None,
+    scene: model.Scene,
+    trajectory: model.Trajectory,
+    pusher: model.Trajectory | None,
     found: tuple[str, ActuatorMotion] | None,
     tracked: FilmTracks,
     begins: float,
     moved: list[float],
-) -> Scene:
+) -> model.Scene:
     """Return the scene with measured instead of planned poses."""
     _check_single_push(found)
     places = {fixel.name: fixel.place for fixel in tracked.fixels}
@@ -159,7 +148,7 @@ def _scene(
         _driven(member, pusher) if found and pusher and member.name == found[0] else member
         for member in scene.pushers
     )
-    bodies: list[Body] = []
+    bodies: list[model.Body] = []
     for body in scene.bodies:
         pose = body.pose
         if body.name in tracked.parts:
@@ -174,11 +163,11 @@ def _scene(
     return replace(scene, bodies=tuple(bodies), pushers=pushers, fixels=fixels, duration=end)
 
 
-def _driven(pusher: Pusher, measured: Trajectory) -> Pusher:
+def _driven(pusher: model.Pusher, measured: model.Trajectory) -> model.Pusher:
     """Return a pusher on its measured path; its head does not turn, so its angle is constant."""
     angle = np.full(len(measured.time), float(np.median(np.unwrap(measured.pose[:, 2]))))
     path = np.column_stack((measured.time, measured.pose[:, :2], angle))
-    drive = PathDrive(waypoints=path, force_limit=pusher.drive.force_limit)
+    drive = model.PathDrive(waypoints=path, force_limit=pusher.drive.force_limit)
     return replace(pusher, drive=drive, pose=path[0, 1:])
 
 
@@ -194,7 +183,7 @@ def _check_single_push(found: tuple[str, ActuatorMotion] | None) -> None:
     )
 
 
-def _check_start(name: str, trajectory: Trajectory, begins: float) -> None:
+def _check_start(name: str, trajectory: model.Trajectory, begins: float) -> None:
     """Reject an object that is first seen after the push has begun and is already moving."""
     first = float(trajectory.time[0])
     early = trajectory.pose[:STARTS, :2] - trajectory.pose[0, :2]
@@ -206,7 +195,7 @@ def _check_start(name: str, trajectory: Trajectory, begins: float) -> None:
         )
 
 
-def _start(trajectory: Trajectory, begins: float) -> FloatArray:
+def _start(trajectory: model.Trajectory, begins: float) -> FloatArray:
     """(3,) pose before anything moved: the mean, if the object rested."""
     early = trajectory.pose[trajectory.time < begins]
     still = np.hypot(*(early[:, :2] - trajectory.pose[0, :2]).T) < REST_DISTANCE
@@ -214,7 +203,7 @@ def _start(trajectory: Trajectory, begins: float) -> FloatArray:
     return trajectory.pose[0] if n < 3 else np.asarray(np.mean(early[:n], axis=0))
 
 
-def _apart(shape: object, start: FloatArray, others: Iterable[Thing | Fixel]) -> FloatArray:
+def _apart(shape: object, start: FloatArray, others: Iterable[Thing | model.Fixel]) -> FloatArray:
     neighbours = [Neighbour(other.name, other.shape, other.pose) for other in others]
     poses, reasons = remove_overlap(shape, start[None], neighbours, MAX_APART)  # type: ignore[arg-type]
     if reasons[0]:
@@ -222,14 +211,14 @@ def _apart(shape: object, start: FloatArray, others: Iterable[Thing | Fixel]) ->
     return np.asarray(poses[0])
 
 
-def _tactile(readings: Readings, rig: Rig, scene: Scene, zero: float) -> Channel | None:
+def _tactile(readings: Readings, rig: Rig, scene: model.Scene, zero: float) -> model.Channel | None:
     names = [fixel.name for fixel in scene.fixels]
     bits = [rig.tactile.index(name) for name in names if name in rig.tactile]
     if len(bits) != len(names) or not names or (readings.value < 0).all():
         return None
     value = readings.value[:, None] >> np.array(bits) & 1
     values = np.where(readings.value[:, None] < 0, np.nan, value.astype(np.float64))
-    return Channel.of_fixels(np.maximum.accumulate(readings.time) - zero, values)
+    return model.Channel.of_fixels(np.maximum.accumulate(readings.time) - zero, values)
 
 
 def _conditions(
@@ -249,13 +238,13 @@ def _conditions(
 def _flags(
     tracked: FilmTracks,
     track: PartTrack,
-    scene: Scene,
+    scene: model.Scene,
     motion: ActuatorMotion | None,
     remarks: tuple[str, ...],
-) -> Iterator[Flag]:
+) -> Iterator[model.Flag]:
     if track.good.mean() < MAX_GAPS:
         share = f"{track.good.mean():.0%}"
-        yield Flag("object-lost", f"{track.name} was tracked in {share} of the frames")
+        yield model.Flag("object-lost", f"{track.name} was tracked in {share} of the frames")
     for part in tracked.parts.values():
         if part.gaps:
             longest = max(part.gaps, key=lambda gap: gap[1] - gap[0])
@@ -292,5 +281,5 @@ def _plain(name: str) -> str:
     return re.sub("[^a-z0-9]", "-", name.lower()).strip("-") or "p"
 
 
-def _shifted(trajectory: Trajectory, zero: float) -> Trajectory:
-    return Trajectory(time=trajectory.time - zero, pose=trajectory.pose)
+def _shifted(trajectory: model.Trajectory, zero: float) -> model.Trajectory:
+    return model.Trajectory(time=trajectory.time - zero, pose=trajectory.pose)

@@ -12,22 +12,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from fixel import model
 from fixel.database.project import Project
 from fixel.drawing.animation import animate_simulation, film_ending
 from fixel.io.atomic import write_whole, written_whole
-from fixel.model import (
-    Body,
-    Disk,
-    Experiment,
-    LineDrive,
-    Parameters,
-    PlannedExperiment,
-    Polygon,
-    Pusher,
-    Scene,
-    Tripod,
-    pose_error,
-)
 from fixel.parts.next_pushes import push_candidates
 from fixel.simulation import simulate
 from fixel.testbed.simulated import TRUTH, SimulatedTestbed
@@ -94,7 +82,7 @@ class DemoStep(NamedTuple):
 class Laboratory(NamedTuple):
     """Simulated laboratory: its pushes, and the true values."""
 
-    experiments: list[Experiment]
+    experiments: list[model.Experiment]
     mu_pusher: float  # mean of the calibrated pushes [-]
     tripod_radius: float  # [m]
 
@@ -153,13 +141,13 @@ def tell_story(folder: Path, seed: int = 1, notify: Notify | None = None) -> Ite
 # --- the laboratory -------------------------------------------------------------------------------
 
 
-def first_guess(radius: float = 30 * mm) -> Scene:
+def first_guess(radius: float = 30 * mm) -> model.Scene:
     """Return the part, with a tip that waits at its side."""
-    support = Tripod(radius=radius, friction=0.25)
-    part = Body("part", Polygon.rectangle(100 * mm, 80 * mm), mass=0.5, support=support)
-    drive = LineDrive((1.0, 0.0), speed=SPEED)
-    tip = Pusher("tip", Disk(TIP), pose=(-0.2, 0.0, 0.0), friction=0.3, drive=drive)
-    return Scene(part, tip, duration=3.0)
+    support = model.Tripod(radius=radius, friction=0.25)
+    part = model.Body("part", model.Polygon.rectangle(100 * mm, 80 * mm), mass=0.5, support=support)
+    drive = model.LineDrive((1.0, 0.0), speed=SPEED)
+    tip = model.Pusher("tip", model.Disk(TIP), pose=(-0.2, 0.0, 0.0), friction=0.3, drive=drive)
+    return model.Scene(part, tip, duration=3.0)
 
 
 def laboratory(seed: int) -> Laboratory:
@@ -173,7 +161,7 @@ def laboratory(seed: int) -> Laboratory:
     planned = []
     for k, j in enumerate(rng.permutation(len(scenes)), 1):
         scene = replace(scenes[j], duration=rng.uniform(40 * mm, 90 * mm) / SPEED)
-        planned.append(PlannedExperiment(name=f"{k:02d}", scene=scene))
+        planned.append(model.PlannedExperiment(name=f"{k:02d}", scene=scene))
     testbed = replace(
         SimulatedTestbed.ideal(seed), pusher_spread=0.03, support_spread=0.05, speed_spread=0.01,
         ripple=0.05, frame_rate=10.0, dropped_frames=0.01,
@@ -183,7 +171,7 @@ def laboratory(seed: int) -> Laboratory:
     return Laboratory(done, friction * float(np.mean(ratios)), radius)
 
 
-def write_table(path: Path, experiments: list[Experiment], seed: int) -> None:
+def write_table(path: Path, experiments: list[model.Experiment], seed: int) -> None:
     """Write poses as a camera, a robot and a clock record them, as CSV."""
     rng = np.random.default_rng([seed, 1])
     with written_whole(path) as temporary, temporary.open("w", newline="") as file:
@@ -245,8 +233,8 @@ def _predicted(bound: Any, fit: Calibration, pushes: Any, at: str) -> DemoStep:
         own = bound.at(push.scene)
         if own.position is None:
             continue
-        run = simulate(push.scene, Parameters(fit.values_for()), motion=fit.motion)
-        off = pose_error(run.pose["part"][-1:], push.trajectory.pose[-1:])
+        run = simulate(push.scene, model.Parameters(fit.values_for()), motion=fit.motion)
+        off = model.pose_error(run.pose["part"][-1:], push.trajectory.pose[-1:])
         errors.append([abs(float(error[0])) for error in off])
         bounds.append((own.position, own.angle))
     n, (low, high) = len(bounds), expected(bound.level, len(bound.keys), len(bounds))
@@ -303,5 +291,5 @@ def film(plan: PushPlan, path: Path, seed: int) -> None:
     for k in range(FILMED):
         moved = replace(scene, bodies=(replace(part, pose=part.pose + drawn.start[k]),))
         values = {name: float(column[k]) for name, column in drawn.values.items()}
-        others.append(simulate(moved, Parameters(values), motion=ENGINE))
+        others.append(simulate(moved, model.Parameters(values), motion=ENGINE))
     animate_simulation(plan.as_planned()[0], path, others=others)
