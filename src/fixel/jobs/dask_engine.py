@@ -124,14 +124,13 @@ class DaskEngine(work.AbstractEngine):
             self._say(f"{ended.killed} died while computing {name} (time {n} for this chunk)")
             if n >= self._max_deaths:
                 return work.Failure(f"its worker died {n} times while computing it")
-        elif ended.framed[:1] == work.OTHER_VERSION:
-            found = ended.framed[1:].decode()
+        elif ended.version:
             self._refusals += 1
-            self._say(f"refused an answer of fixel {found}, since this is fixel {stamp()}")
+            self._say(f"refused an answer of fixel {ended.version}, since this is fixel {stamp()}")
             if self._refusals >= MAX_REFUSALS or not self._answered:
-                raise _other_version(f"a worker has fixel {found}, not {stamp()}")
-        elif ended.framed:
-            return work.unframed(ended.framed)
+                raise _other_version(f"a worker has fixel {ended.version}, not {stamp()}")
+        elif ended.answer is not None:
+            return ended.answer
         state.again(name)
         self.again += 1
         return None
@@ -250,12 +249,13 @@ class ClusterLost(Exception):
 
 
 class Event(NamedTuple):
-    """A chunk has returned from its worker, or, without a future, its answer has been fetched."""
+    """A chunk has returned from its worker, or, without a future, has been fetched or is lost."""
 
     name: str  # of the chunk
     future: Any = None  # of a chunk that a worker has finished or lost
-    framed: bytes = b""  # fetched answer; empty if it was lost
+    answer: work.Answer | None = None
     killed: str = ""  # address of the worker, if it died
+    version: str = ""  # fixel of the worker, if it is not this one
 
 
 @final
@@ -342,16 +342,19 @@ class Cluster:
     def _fetch(self, landed: Event) -> None:
         from distributed import KilledWorker
 
-        ended = Event(landed.name)
         try:
-            ended = Event(landed.name, framed=self._fetched(landed.future))
+            framed = self._fetched(landed.future)
+            if framed[:1] == work.OTHER_VERSION:
+                ended = Event(landed.name, version=framed[1:].decode())
+            else:
+                ended = Event(landed.name, answer=work.unframed(framed))
         except KilledWorker as death:
             ended = Event(landed.name, killed=str(death.last_worker.address))
-        # Lost on the way, or cancelled with the scheduler: without an event for it, the coordinator
-        # would wait for this chunk without end.
+        # Lost on the way, cancelled with the scheduler, or unreadable: without an event for it, the
+        # coordinator would wait for this chunk without end.
         except BaseException:
-            pass
-        self._strange = 0 if ended.framed or ended.killed else self._strange + 1
+            ended = Event(landed.name)
+        self._strange = self._strange + 1 if ended == Event(landed.name) else 0
         self._events.put(ended)
 
     def _fetched(self, future: Any) -> bytes:

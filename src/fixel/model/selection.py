@@ -385,7 +385,7 @@ def unknown_names(
 ) -> Iterator[tuple[str, str, tuple[str, ...]]]:
     """Yield the names, words and values in a query that no experiment has.
 
-    Each has what it is (`"filter: shape"`), as it was typed, and what is known instead.
+    Each comes with its place (`"filter: shape"`), as it was typed, and with the known names.
     """
     asked: list[tuple[str, str, Iterable[str]]] = [("flag", k, known.flags) for k in query.flags]
     datasets = [query.dataset] if query.dataset is not None else []
