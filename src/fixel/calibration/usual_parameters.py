@@ -9,18 +9,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from fixel import model
 from fixel.calibration.target import Target
 from fixel.errors import InvalidInput, number_of, unknown_name
-from fixel.model import (
-    Disk,
-    Ellipsoid,
-    Fixel,
-    Pusher,
-    Scene,
-    SupportPoints,
-    Tripod,
-    UniformPressure,
-)
 from fixel.model.fields import instance, texts
 from fixel.model.parameters import KNOWN_PARAMETERS, in_si, info_of
 from fixel.model.space import Parameter, ParameterSpace, Unknown, check_once, split_label
@@ -60,25 +51,25 @@ _AROUND_ZERO: Final = {
 _TABLE: Final = dict(zip(TABLE_NAMES, (1.5, 2.0, 2.0, 1.0, 1.0), strict=True))
 
 
-def default_unknowns(scenes: Sequence[Scene]) -> list[Unknown]:
+def default_unknowns(scenes: Sequence[model.Scene]) -> list[Unknown]:
     """Return the parameters of the thesis, or of the ASME paper for bodies on three points."""
     scene = scenes[0]
     names = ["mu_pusher"] if scene.pushers else []
     if any(s.fixels for s in scenes):
         names.append("mu_fixel")
     support = scene.bodies[0].support
-    if isinstance(support, Ellipsoid):
+    if isinstance(support, model.Ellipsoid):
         names += ["ellipsoid_torque"]
     else:
         names += ["mu_support"]
-    if isinstance(support, Tripod):
+    if isinstance(support, model.Tripod):
         names.append("tripod_radius")
-    if isinstance(support, SupportPoints) and len(support.points) == 3:
+    if isinstance(support, model.SupportPoints) and len(support.points) == 3:
         names += [f"support_{k}_{axis}" for k in (1, 2, 3) for axis in "xy"]
     return [usual_unknown(name, scene) for name in names]
 
 
-def usual_unknown(name: str, scene: Scene) -> Unknown:
+def usual_unknown(name: str, scene: model.Scene) -> Unknown:
     """Return a parameter with its usual bounds, starting at the value of the scene."""
     info_of(name)
     if name in _AROUND_ZERO:
@@ -102,15 +93,15 @@ def usual_unknown(name: str, scene: Scene) -> Unknown:
         mu = min(max(mu, MIN_FRICTION), MAX_FRICTION)
         return Unknown(name=name, low=MIN_FRICTION, high=MAX_FRICTION, nominal=mu)
     reach = _reach(scene)
-    if name == "tripod_radius" and isinstance(support, Tripod):
+    if name == "tripod_radius" and isinstance(support, model.Tripod):
         low = min(MIN_RADIUS, MIN_SHARE * reach)
         return Unknown(name=name, low=low, high=reach, nominal=support.radius)
-    if name.startswith("support_") and isinstance(support, SupportPoints):
+    if name.startswith("support_") and isinstance(support, model.SupportPoints):
         return _corner(name, scene, support)
-    if name.startswith("ellipsoid_") and isinstance(support, Ellipsoid):
+    if name.startswith("ellipsoid_") and isinstance(support, model.Ellipsoid):
         value = support.force if name.endswith("force") else support.torque
         return Unknown(name=name, low=value / 10.0, high=value * 4.0, nominal=value)
-    if name in _TABLE and isinstance(support, SupportPoints | UniformPressure):
+    if name in _TABLE and isinstance(support, model.SupportPoints | model.UniformPressure):
         width = _TABLE[name]
         return Unknown(name=name, low=-width, high=width, nominal=0.0)
     if name == "mass":
@@ -151,7 +142,7 @@ def known_parameters() -> Table:
     return Table(("parameter", "unit", "meaning", "low", "high"), rows, left=3)
 
 
-def touched_by(contact: str, scene: Scene) -> Sequence[Pusher | Fixel]:
+def touched_by(contact: str, scene: model.Scene) -> Sequence[model.Pusher | model.Fixel]:
     """Return the bodies of a scene of one kind: `"pusher"` or `"fixel"`."""
     return scene.pushers if contact == "pusher" else scene.fixels
 
@@ -244,7 +235,7 @@ def _unknown(
 
 
 def usual_in(
-    name: str, scenes: Sequence[Scene], bounds: tuple[float, float] | None = None
+    name: str, scenes: Sequence[model.Scene], bounds: tuple[float, float] | None = None
 ) -> Unknown:
     """Return a parameter with its usual bounds in the first of the scenes that can inform it.
 
@@ -293,7 +284,7 @@ def _at(key: str, make: Callable[[Any], Parameter], entry: object) -> Parameter:
         raise problem.at(problem.where.replace("parameter", key, 1)) from None
 
 
-def _corner(name: str, scene: Scene, support: SupportPoints) -> Unknown:
+def _corner(name: str, scene: model.Scene, support: model.SupportPoints) -> Unknown:
     k, axis = int(name[8]) - 1, "xy".index(name[10])
     outline = scene.bodies[0].shape.outline
     low, high = float(outline[:, axis].min()), float(outline[:, axis].max())
@@ -301,11 +292,11 @@ def _corner(name: str, scene: Scene, support: SupportPoints) -> Unknown:
     return Unknown(name=name, low=low, high=high, nominal=min(max(nominal, low), high))
 
 
-def _reach(scene: Scene) -> float:
+def _reach(scene: model.Scene) -> float:
     """Distance from the centre of mass to the farthest point of the body [m]."""
     body = scene.bodies[0]
     shape = body.shape
-    if isinstance(shape, Disk):
+    if isinstance(shape, model.Disk):
         return float(shape.radius + np.hypot(*body.com))
     return float(np.hypot(*(shape.outline - body.com).T).max())
 
@@ -316,7 +307,7 @@ def _reach(scene: Scene) -> float:
 _TOO_FAR: Final = {"m": ("_mm", "metres", 1.0), "rad": ("_deg", "radians", math.pi)}
 
 
-def searched_unknowns(settings: Sequence[str], scenes: Sequence[Scene]) -> list[Unknown]:
+def searched_unknowns(settings: Sequence[str], scenes: Sequence[model.Scene]) -> list[Unknown]:
     """Parse `--fit NAME`, `--fit NAME=LOW:HIGH` or `--fit NAME=LOW:HIGH:START`, in SI units or
     with the unit in the name: `tripod_radius_mm=10:60`."""
     found = [_fit(setting, scenes) for setting in settings]
@@ -344,7 +335,7 @@ def _bounds(setting: str) -> tuple[str, str, list[float]]:
     return where, name, numbers
 
 
-def _fit(setting: str, scenes: Sequence[Scene]) -> Unknown:
+def _fit(setting: str, scenes: Sequence[model.Scene]) -> Unknown:
     where, name, numbers = _bounds(setting)
     try:
         unknown = usual_in(name, scenes, (numbers[0], numbers[1]) if numbers else None)

@@ -16,19 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fixel.errors import Interrupted, InvalidInput, SolveFailed
-from fixel.kernels import codes
-from fixel.kernels.arrays import (
-    CONTACT_ROWS,
-    DRIVEN,
-    DURATION,
-    FREE,
-    REACHED,
-    SAMPLES,
-    STEPS_TAKEN,
-    WORST_RESIDUAL,
-    BatchRecord,
-    StepMethod,
-)
+from fixel.kernels import arrays, codes
 from fixel.kernels.samples import SAMPLE_SLACK
 from fixel.model import Parameters, PathDrive, Scene
 from fixel.model.fields import floats, frozen, instance, positive, settle, texts, whole
@@ -367,7 +355,7 @@ class Simulator:
         variation, n = variation_of(self.scene, parameters, start, waypoints)
         seconds = duration_of(self.scene, duration)
         packed = pack(self.scene, self.motion, self.stepper, variation, n, seconds)
-        end = packed.batch.settings[:, DURATION, None]
+        end = packed.batch.settings[:, arrays.DURATION, None]
         poses, status = poses_at(packed, self._method, end, threads)
         return poses[:, 0], np.array(codes.STATUS_NAMES)[status]
 
@@ -433,7 +421,7 @@ class Simulator:
 
     def _record(
         self, packed: PackedBatch, duration: float, times: FloatArray | None
-    ) -> BatchRecord:
+    ) -> arrays.BatchRecord:
         if self._plain:
             return rollout_in_python(
                 packed, self.motion, self.stepper, self.solver, self._method, times
@@ -480,7 +468,7 @@ def method_of(
     solver: AbstractSolver,
     max_contacts: int,
     polygons: bool = False,
-) -> StepMethod:
+) -> arrays.StepMethod:
     """Convert a method for the kernels; `polygons` for supports with `support_directions`."""
     instance(motion, AbstractMotionModel, "motion", "a motion model, or its name")
     instance(stepper, AbstractStepper, "stepper", "a stepper, such as fixel.Adaptive()")
@@ -492,7 +480,7 @@ def method_of(
         max_steps = ALTERNATING_STEPS if alternates else ADAPTIVE_STEPS
     if isinstance(solver, Lemke):
         max_steps = min(max_steps, solver.MAX_STEPS)
-    return StepMethod(
+    return arrays.StepMethod(
         motion=motion.kind,
         solver=solver.kind,
         adaptive=int(stepper.adaptive),
@@ -549,11 +537,11 @@ def sample_times(duration: float, interval: float) -> FloatArray:
 def _roll_compiled(
     packed: PackedBatch,
     stepper: AbstractStepper,
-    method: StepMethod,
+    method: arrays.StepMethod,
     duration: float,
     times: FloatArray | None,
-) -> BatchRecord:
-    n_moving = int(packed.batch.count[0, FREE] + packed.batch.count[0, DRIVEN])
+) -> arrays.BatchRecord:
+    n_moving = int(packed.batch.count[0, arrays.FREE] + packed.batch.count[0, arrays.DRIVEN])
     per_sample = CONTACTS_PER_BODY * n_moving
     if times is not None:
         record = empty_record(packed, len(times), per_sample * len(times), times)
@@ -572,24 +560,26 @@ def _roll_compiled(
             )
         record = borrowed_record(packed, room, per_sample * room)
         _roll_one(packed, method, record, every_step=True)
-        n_sample = int(record.count[0, STEPS_TAKEN]) + 1
+        n_sample = int(record.count[0, arrays.STEPS_TAKEN]) + 1
         if n_sample <= room or record.status[0] == codes.INTERRUPTED:
             break
         room = n_sample  # rare: all steps of an adaptive stepper, once more
     if stepper.first_step is None:
-        record.count[0, CONTACT_ROWS] = min(record.count[0, CONTACT_ROWS], per_sample * n_sample)
+        record.count[0, arrays.CONTACT_ROWS] = min(
+            record.count[0, arrays.CONTACT_ROWS], per_sample * n_sample
+        )
     return record
 
 
 def _roll_one(
-    packed: PackedBatch, method: StepMethod, record: BatchRecord, *, every_step: bool
+    packed: PackedBatch, method: arrays.StepMethod, record: arrays.BatchRecord, *, every_step: bool
 ) -> None:
     if is_missing() and roll_in_python(packed.batch, method, record, every_step):
         return
     try:
         rollout_in_threads(packed.batch, method, record, 1, every_step)
     except KeyboardInterrupt:
-        if record.status[0] != codes.INTERRUPTED or not record.count[0, SAMPLES]:
+        if record.status[0] != codes.INTERRUPTED or not record.count[0, arrays.SAMPLES]:
             raise
 
 
@@ -602,7 +592,7 @@ def fixel_version() -> str:
 def _unpacked(
     scene: Scene,
     packed: PackedBatch,
-    record: BatchRecord,
+    record: arrays.BatchRecord,
     duration: float,
     times: FloatArray | None,
 ) -> dict[str, Any]:
@@ -616,7 +606,7 @@ def _unpacked(
     of_twists, of_contacts = _scales(units)
     twists = record.twist[0, :n_sample] * of_twists
     moving = [body.name for body in scene.bodies] + [pusher.name for pusher in scene.pushers]
-    reached = float(record.total[0, REACHED]) * units.time
+    reached = float(record.total[0, arrays.REACHED]) * units.time
     status = int(record.status[0])
     pushers = {}
     own_time = frozen(time) if scene.pushers else time
@@ -649,7 +639,7 @@ def _unpacked(
         "pushers": pushers,
         "steps": steps,
         "fallbacks": fallbacks,
-        "max_residual": float(record.total[0, WORST_RESIDUAL]),
+        "max_residual": float(record.total[0, arrays.WORST_RESIDUAL]),
     }
 
 
@@ -676,7 +666,7 @@ def _converted(
     solver: AbstractSolver,
     max_contacts: int,
     polygons: bool,
-) -> tuple[StepMethod, Mapping[str, Any]]:
+) -> tuple[arrays.StepMethod, Mapping[str, Any]]:
     """Return a method for the kernels; and its names and options, sufficient to run it again."""
     described: dict[str, Any] = {}
     parts: dict[str, Any] = {"motion": motion, "stepper": stepper, "solver": solver}

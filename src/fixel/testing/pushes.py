@@ -9,21 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from fixel.model import (
-    Body,
-    Disk,
-    Experiment,
-    LineDrive,
-    LoadMap,
-    Parameters,
-    Plane,
-    Provenance,
-    Pusher,
-    Scene,
-    Trajectory,
-    Tripod,
-    UniformPressure,
-)
+from fixel import model
 from fixel.parts.next_pushes import push_candidates
 from fixel.simulation import simulate
 from fixel.simulation.vary import composed
@@ -35,7 +21,7 @@ POSITION_NOISE: Final = 1e-4  # [m]
 ANGLE_NOISE: Final = 1e-3  # [rad]
 
 
-def example_pushes(n: int = 8, *, seed: int = 1, duration: float = 1.0) -> list[Experiment]:
+def example_pushes(n: int = 8, *, seed: int = 1, duration: float = 1.0) -> list[model.Experiment]:
     """Return simulated pushes of a square part, measured with noise.
 
     They were made with `mu_pusher` 0.25 and `tripod_radius` 38 mm. Their scenes have other nominal
@@ -60,7 +46,9 @@ def example_pushes(n: int = 8, *, seed: int = 1, duration: float = 1.0) -> list[
     found = []
     for k, offset in enumerate(np.linspace(-0.03, 0.03, n) if n > 1 else [0.02], 1):
         scene = _scene(float(offset), duration)
-        exact = simulate(scene, Parameters(TRUTH), output_interval=float(time[1])).pose["part"]
+        exact = simulate(scene, model.Parameters(TRUTH), output_interval=float(time[1])).pose[
+            "part"
+        ]
         noise = rng.normal(size=(len(time), 3)) * (POSITION_NOISE, POSITION_NOISE, ANGLE_NOISE)
         noise[0] = 0.0
         pose = exact[: len(time)] + noise
@@ -69,27 +57,27 @@ def example_pushes(n: int = 8, *, seed: int = 1, duration: float = 1.0) -> list[
     return found
 
 
-def _scene(offset: float, duration: float) -> Scene:
-    part = Body(
+def _scene(offset: float, duration: float) -> model.Scene:
+    part = model.Body(
         name="part",
         shape=box(0.1, 0.1),
         mass=0.15,
         pose=row(0.0, 0.0, 0.0),
-        support=Tripod(radius=0.03, friction=0.25),
+        support=model.Tripod(radius=0.03, friction=0.25),
     )
-    finger = Pusher(
+    finger = model.Pusher(
         name="finger",
-        shape=Disk(0.005),
+        shape=model.Disk(0.005),
         pose=row(-0.055, offset, 0.0),
-        drive=LineDrive(direction=row(1.0, 0.0), speed=0.03),
+        drive=model.LineDrive(direction=row(1.0, 0.0), speed=0.03),
         friction=0.4,
     )
-    return Scene(bodies=(part,), pushers=(finger,), duration=duration)
+    return model.Scene(bodies=(part,), pushers=(finger,), duration=duration)
 
 
 def example_parts(
     n: int = 3, pushes: int = 12, *, seed: int = 1, uneven: float = 0.0
-) -> list[Experiment]:
+) -> list[model.Experiment]:
     """Return simulated pushes of several parts on a board, measured with noise.
 
     Every part is a rectangle of its own size that presses on its own points. The pushes start
@@ -113,15 +101,15 @@ def example_parts(
     ['part-1', 'part-2']
     """
     rng = np.random.default_rng(seed)
-    board = Plane() if uneven == 0.0 else Plane(load_map=uneven_board(uneven))
+    board = model.Plane() if uneven == 0.0 else model.Plane(load_map=uneven_board(uneven))
     found = []
     for k in range(n):
         width, height = rng.uniform(0.08, 0.11, 2)
-        body = Body(
+        body = model.Body(
             name="part",
             shape=box(float(width), float(height)),
             mass=0.8,
-            support=UniformPressure(friction=0.25),
+            support=model.UniformPressure(friction=0.25),
         )
         truth = {
             "mu_pusher": float(rng.uniform(0.2, 0.3)),
@@ -147,19 +135,19 @@ def example_parts(
     return found
 
 
-def uneven_board(deviation: float, seed: int = 5, *, cell: float = 0.05) -> LoadMap:
+def uneven_board(deviation: float, seed: int = 5, *, cell: float = 0.05) -> model.LoadMap:
     """Return a board whose nodes have random logarithms of load factors."""
     nodes = np.random.default_rng(seed).normal(0.0, deviation, (9, 9))
-    return LoadMap(origin=np.full(2, -4.0 * cell), cell=np.full(2, cell), log_load=nodes)
+    return model.LoadMap(origin=np.full(2, -4.0 * cell), cell=np.full(2, cell), log_load=nodes)
 
 
-def _moved(scene: Scene, rng: np.random.Generator) -> Scene:
+def _moved(scene: model.Scene, rng: np.random.Generator) -> model.Scene:
     """Return a scene turned as a whole, and moved to a random place."""
     place = np.array([*rng.uniform(-0.08, 0.08, 2), rng.uniform(-np.pi, np.pi)])
     body, (pusher,) = scene.bodies[0], scene.pushers
     drive = pusher.drive
     turn = np.array([[np.cos(place[2]), -np.sin(place[2])], [np.sin(place[2]), np.cos(place[2])]])
-    assert isinstance(drive, LineDrive)
+    assert isinstance(drive, model.LineDrive)
     return replace(
         scene,
         bodies=(replace(body, pose=composed(place, body.pose)),),
@@ -175,20 +163,20 @@ def _moved(scene: Scene, rng: np.random.Generator) -> Scene:
 
 def _experiment(
     name: str,
-    scene: Scene,
+    scene: model.Scene,
     time: FloatArray,
     pose: FloatArray,
     seed: int,
     conditions: Mapping[str, str | float],
-) -> Experiment:
+) -> model.Experiment:
     """Return the experiment of a simulated push, measured as poses (n, 3) at times (n,)."""
-    return Experiment(
+    return model.Experiment(
         dataset="example",
         name=name,
         real=False,
         simulated_by="fixel",
-        provenance=Provenance(version=version("fixel"), seed=seed),
-        trajectory=Trajectory(time=time, pose=pose),
+        provenance=model.Provenance(version=version("fixel"), seed=seed),
+        trajectory=model.Trajectory(time=time, pose=pose),
         object_name="part",
         scene=scene,
         conditions=conditions,
