@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple, Protocol
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, Field, InstanceOf, PlainSerializer
@@ -32,9 +32,6 @@ from fixel.results import Result
 from fixel.table import Column, Table, Value
 from fixel.trust import repeatable
 from fixel.typing import FloatArray
-
-if TYPE_CHECKING:
-    from fixel.drawing.chart import Chart
 
 CONTENT: Final = "analysis.json"
 ARRAYS: Final = "arrays.npz"
@@ -136,11 +133,18 @@ def analysis_of(kind: str, result: Result, **more: Any) -> Analysis:
     return Analysis(kind=kind, **(texts | more))
 
 
+class DrawnTable(Protocol):
+    """Table with its drawing; `fixel.drawing.chart.Chart` is one."""
+
+    def save(self, *paths: str | Path, banner: str = "") -> None: ...
+    def table(self) -> Table: ...
+
+
 class Picture(NamedTuple):
     """Chart with the name, banner and caption of its files."""
 
     name: str  # name of the files, without ending
-    chart: Chart
+    chart: DrawnTable
     banner: str = ""  # text across the top, for experiments that no camera has seen
     caption: str = ""  # a sentence on what the chart shows
 
