@@ -83,8 +83,9 @@ def confirm(
     near = _compare(packed, gap / UNSURE)[2] & ~_compare(packed, gap)[2]
     unsure = np.flatnonzero(near & (final.shape[1] == 1))  # heaps: too long, and rarely false
     ends[FIXED, unsure] = final[unsure]
-    for k in (FINER, FINEST, MIDPOINT):
+    for k in (FINER, MIDPOINT, FINEST):
         solve(k, unsure)
+        unsure = unsure[_compare(packed, ends[k, unsure] - final[unsure])[2]]
     for k in range(len(SHIFTS)):
         solve(SHIFTED + k, again[packed.batch.count[again, at.DRIVEN] > 1])
     # The end that is farthest away counts; a radian counts as 10 cm.
@@ -92,8 +93,8 @@ def confirm(
     other = ends[way, np.arange(n)]
     distance, angle, close = _compare(packed, other - final)
     close &= ~stopped & converged
-    held = (ended == walk.COMPLETE) & (folds == 0)
-    verdict = np.where(close, np.where(held, CERTIFIED, AGREED), UNCERTAIN)
+    held = np.where((ended == walk.COMPLETE) & (folds == 0), CERTIFIED, AGREED)
+    verdict = np.where(close, held, UNCERTAIN)
     parted = np.full(n, np.nan)
     way[close | stopped | ~converged] = STEPPER
     for k in np.unique(way[way != STEPPER]).tolist():
