@@ -47,7 +47,9 @@ def test_what_cannot_be_is_refused_in_a_sentence(bench):
         {"name": "a.csv", "table": TABLE, "scene": template},
         {"name": "a.csv", "table": TABLE.replace("theta_deg", "theta_rad")},
     ):
-        assert "sentence" in bench.post("/import", asked, 422)
+        answer = bench.post("/import", asked, 422)
+        assert "fixel-import-" not in answer["sentence"]
+        assert "scene" not in asked or answer["where"].startswith("scene: ")
 
 
 @pytest.mark.parametrize("encoding", ["cp1252", "utf-16", "utf-8"])

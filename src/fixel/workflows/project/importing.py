@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -65,13 +66,15 @@ def import_texts(
     scene file; `options` are those of the importer of tables.
     """
     with TemporaryDirectory(prefix="fixel-import-") as folder:
-        source = Path(folder) / name
+        source, file = Path(folder) / name, Path(folder) / "scene"
         # A browser has replaced bytes that are not UTF-8; they are refused as those of a file.
         source.write_bytes(table.encode().replace("\ufffd".encode(), b"\xff"))
-        file = None if scene is None else Path(folder) / "scene.yaml"
-        if file is not None and scene is not None:
-            file.write_text(scene, encoding="utf-8", newline="")
-        plan = plan_import(source, TABLE, options=options, scene=file)
+        file.write_text(scene or "", encoding="utf-8", newline="")
+        known = None if scene is None else file
+        try:
+            plan = plan_import(source, TABLE, options=options, scene=known)
+        except InvalidInput as problem:  # the folder is not the user's
+            raise problem.at(problem.where.removeprefix(f"{folder}{os.sep}")) from None
         experiments = list(plan.experiments())
         template = None if experiments[0].scene else template_text(experiments[0], name)
         done = AddSummary(0, 0, 0, 0.0) if dry_run else add_experiments(store, experiments)
