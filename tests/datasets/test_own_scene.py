@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+import yaml
 from tests.closed_form import SIDE, push, table_text
 from tests.datasets.recordings import table_file
 from tests.fixtures import refused
@@ -51,6 +52,21 @@ def test_a_filled_template_makes_a_scene_from_table_and_file(tmp_path):
     assert path[:, 1:3] == pytest.approx(tip, abs=1e-8)
     assert experiment.scene.duration == pytest.approx(time[-1])
     assert "no-scene" not in {flag.name for flag in experiment.flags}
+
+
+def test_a_scene_may_leave_out_what_the_table_has(tmp_path):
+    source = table(tmp_path, angle=0.3)
+    scene = filled(tmp_path, source)
+    (whole,) = CSV.read(source, scene=str(scene)).experiments()
+    content = yaml.safe_load(scene.read_text())
+    del content["duration"], content["bodies"][0]["pose"], content["pushers"][0]["drive"]
+    scene.write_text(yaml.safe_dump(content))
+    (experiment,) = CSV.read(source, scene=str(scene)).experiments()
+    assert experiment.scene == whole.scene
+
+    table_alone = tmp_path / "alone.csv"  # nothing states how the pusher moves
+    table_alone.write_text("time_s,x_mm,y_mm,theta_deg\n0,0,0,0\n1,1,0,0\n")
+    refused(CSV.read, table_alone, scene=str(scene), match=r"pushers\[0\].drive is missing")
 
 
 def test_placeholders_that_are_left_are_named_all_together(tmp_path):

@@ -160,14 +160,25 @@ def _scene(choice: SceneChoice, experiment: Experiment) -> tuple[Scene, str]:
 def _loaded(path: Path, experiment: Experiment) -> Scene:
     """Load the scene of a file; a pusher whose path was measured is moved far away.
 
-    With the poses of the file, from another run or with noise, the two might overlap.
+    With the poses of the file, from another run or with noise, the two might overlap. What the
+    measurement states may be missing in the file: duration, start pose and drive.
     """
+    away = [[time, FAR_AWAY, FAR_AWAY, 0.0] for time in (0.0, 1.0)]
+    track, tip = experiment.trajectory, experiment.pusher
+    stated = [("bodies", "pose", track.pose[0].tolist())]
+    stated += [] if tip is None else [("pushers", "drive", {"waypoints": away})]
     with document(path, "scene file") as raw:
+        if isinstance(raw, dict):
+            raw.setdefault("duration", float(track.time[-1]) or 1.0)
+            for kind, key, value in stated:
+                match raw.get(kind):
+                    case [dict() as only]:
+                        only.setdefault(key, value)
         record = scene_record(raw)
-        for pusher in record.pushers if experiment.pusher is not None else ():
+        for pusher in record.pushers if tip is not None else ():
             pusher.pose = None
             pusher.drive.direction = pusher.drive.speed = pusher.drive.travel = None
-            pusher.drive.waypoints = [[time, FAR_AWAY, FAR_AWAY, 0.0] for time in (0.0, 1.0)]
+            pusher.drive.waypoints = away
         return scene_of(record)
 
 
