@@ -6,8 +6,9 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from fixel import errors
 from fixel.cli.main import app
-from fixel.errors import InvalidInput
+from fixel.errors import FixelError, InvalidInput
 
 LASTING = {"compile", "demo", "doctor", "serve"}  # they work or wait, and need nothing
 MISSING = re.compile(r"(--[a-z-]+) is missing")
@@ -49,6 +50,16 @@ def test_help_says_required_of_every_option_that_a_command_misses(name, tmp_path
     assert [flag for flag in missed if "required" not in said[flag].lower()] == []
     stated = {flag for flag, text in said.items() if text.startswith("Required.")}
     assert stated <= missed
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_names_no_error_of_python(name):
+    command = COMMANDS[name]
+    texts = [command.help, *(getattr(one, "help", None) for one in command.params)]
+    own = [kind for kind in vars(errors) if isinstance(vars(errors)[kind], type)
+           and issubclass(vars(errors)[kind], FixelError)]  # fmt: skip
+    said = set(re.findall(r"\w+", " ".join(filter(None, texts))))
+    assert sorted(said & {*own, "ValueError", "TypeError"}) == []
 
 
 def test_an_error_states_the_meaning_of_a_missing_value():

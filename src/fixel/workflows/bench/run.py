@@ -58,10 +58,8 @@ def open_bench(
 ) -> AbstractContextManager[BenchLoop]:
     """Perform a plan of experiments at a bench, row by row.
 
-    The same command continues after an interruption. Nothing is ever deleted. `InvalidInput` is
-    raised for the plan, a device or a row that the drive cannot perform, before anything moves;
-    `DeviceFailed` if a device does not answer as it should; `JobRefused` if another process
-    performs this campaign.
+    The same command continues after an interruption. Nothing is ever deleted. A plan, a device or
+    a row that the drive cannot perform is refused before anything moves.
 
     Parameters
     ----------
@@ -118,8 +116,13 @@ def open_bench(
     Returns
     -------
     context manager
-        It opens the devices and gives a `BenchLoop`, whose `run` performs the plan. Every row was
-        checked against the limits of the drive.
+        It opens the devices and gives a `BenchLoop`, whose `run` performs the plan.
+
+    Raises
+    ------
+    InvalidInput, DeviceFailed, JobRefused
+        A plan, device or row is refused, a device does not answer as it should, or another process
+        performs this campaign.
     """
     call = locals()
     from fixel.sampling import about_part as pushes_about_part
