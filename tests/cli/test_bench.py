@@ -30,7 +30,7 @@ def test_next_is_a_command_that_does_something(tmp_path, capsys):
     capsys.readouterr()
     usual = (plan, "--project", lab, "--emulated", "--auto", "--fit", "mu_support")
     out = performed(capsys, *usual, "--limit", "1").out
-    assert "the limit is reached" in out
+    assert out.startswith("Rows with experiments: 1 of 2; the limit is reached.")
     following = out.splitlines()[-1]
     assert following.startswith("Next: fixel bench")
     assert "--limit" not in following

@@ -206,7 +206,7 @@ def report_of(loop: BenchLoop) -> AnalysisReport:
             kind="bench",
             title=f"Campaign {campaign.folder.name}",
             question={},
-            headline=(f"{n} of {rows} rows are experiments: {loop.finish or 'not finished'}.",),
+            headline=(f"Rows with experiments: {n} of {rows}; {loop.finish or 'not finished'}.",),
             tables=tuple(tables),
             notes=() if live is None else live.words,
             numbers=numbers,

@@ -20,7 +20,6 @@ from fixel.sampling.published import thesis_plan
 from fixel.table import Table
 from fixel.testbed.simulated import TRUTH, SimulatedTestbed
 from fixel.typing import Notify
-from fixel.units import displayed
 from fixel.workflows.capabilities import call
 from fixel.workflows.report.write import Report
 
@@ -90,15 +89,10 @@ def _compared_with_truth(project: Project, number: int) -> Table:
         record = store.calibration(number)
         experiments = [store.experiment(member.experiment_id) for member in record.members]
     rows = []
-    for estimate in record.estimates:
-        unit, factor = displayed(estimate.unit)
-        true = true_mean(estimate.label, experiments)
-        low, high = ("open" if x is None else f"{factor * x:.3g}" for x in
-                     (estimate.low, estimate.high))  # fmt: skip
-        rows.append((
-            estimate.label, f"{factor * estimate.value:.3g} {unit}".rstrip(), f"{low} to {high}",
-            "none" if true is None else f"{true:.3g}", estimate.verdict,
-        ))  # fmt: skip
+    for own in record.estimates:
+        true = true_mean(own.label, experiments)
+        known = "none" if true is None else f"{true:.3g}"
+        rows.append((own.label, own.value_text, own.interval_text, known, own.verdict_text))
     head = ("parameter", "value", "interval", "truth", "verdict")
     return Table(head, rows, title="Estimated and true values")
 
