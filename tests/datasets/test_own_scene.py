@@ -69,6 +69,33 @@ def test_a_scene_may_leave_out_what_the_table_has(tmp_path):
     refused(CSV.read, table_alone, scene=str(scene), match=r"pushers\[0\].drive is missing")
 
 
+def test_an_object_that_moves_without_its_pusher_is_remarked(tmp_path):
+    time, pose, tip = push(0.15, 0.02)
+    noise = np.random.default_rng(5).normal(0.0, 2e-4, (500, 2))
+    rest = np.tile(pose[-1], (500, 1))
+    rest[:, :2] += noise  # steps of noise add up to 0.14 m
+    back = tip[-1] - [0.05, 0.0] * np.linspace(0.0, 1.0, 500)[:, None]
+    scene = filled(tmp_path, table(tmp_path))
+    for lift, far in ((0.0, False), (0.2, True)):
+        rest[250:, 1] += lift  # by hand, after the pusher has gone back
+        rows = np.column_stack(
+            (
+                np.append(time, time[-1] + 0.02 * np.arange(1, 501)),
+                1e3 * np.vstack((pose, rest))[:, :2],
+                DEGREE * np.append(pose[:, 2], rest[:, 2]),
+                1e3 * np.vstack((tip, back)),
+            )
+        )
+        text = "time_s,x_mm,y_mm,theta_deg,tip_x_mm,tip_y_mm\n"
+        text += "".join(",".join(f"{v:.9g}" for v in row) + "\n" for row in rows)
+        plan = CSV.read(table_file(tmp_path / "lifted.csv", text), scene=str(scene))
+        (experiment,) = plan.experiments()
+        found = [flag for flag in experiment.flags if flag.name == "moved-alone"]
+        assert [flag.fault for flag in found] == [False] * far
+        assert ("was it lifted" in str(plan.understood)) == far
+        assert all(float(flag.detail.split()[0]) == pytest.approx(200, abs=2) for flag in found)
+
+
 def test_placeholders_that_are_left_are_named_all_together(tmp_path):
     source = table(tmp_path)
     scene = filled(tmp_path, source, shapes=())

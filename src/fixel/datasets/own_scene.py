@@ -31,6 +31,10 @@ OFTEN: Final = 0.1
 # and less than a quarter as deep with the other, the other unit is meant.
 INSIDE: Final = 0.03
 
+# [m] Distance from a pusher beyond which it does not move the object, and motion worth a remark: at
+# a friction of 0.25 an object of 0.2 m/s coasts 8 mm.
+ALONE: Final = 0.01
+
 FAR_AWAY: Final = 1e3  # [m], distance from all bodies
 
 NOMINAL_FRICTION: Final = 0.25
@@ -231,11 +235,23 @@ def _driven(
                 " It is often deep inside the object, so the experiment is flagged and "
                 "not listed by default."
             )
+        if (alone := _moved_alone(track.at(tip.time)[:, :2], gaps)) > ALONE:
+            detail = f"{1e3 * alone:.3g} mm while the pusher was more than {1e3 * ALONE:g} mm away"
+            flags = (*flags, Flag("moved-alone", detail, fault=False))
+            sentence += f" The object moved {detail}: did it coast, or was it lifted?"
     else:
         sentence += "."
     limit = None if pusher.is_template else pusher.drive.force_limit
     drive = PathDrive(waypoints=measured, force_limit=limit)
     return replace(pusher, pose=measured[0, 1:], drive=drive), flags, sentence
+
+
+def _moved_alone(place: FloatArray, gaps: FloatArray) -> float:
+    """Largest distance [m] between positions (n, 2) during which the pusher stayed far away."""
+    far = gaps > ALONE
+    spans = np.split(place, np.flatnonzero(far[1:] != far[:-1]) + 1)
+    first = 0 if far[0] else 1  # spans with the pusher far away and near alternate
+    return max((float(np.hypot(*(own[-1] - own[0]))) for own in spans[first::2]), default=0.0)
 
 
 def _gaps(shape: Shape, radius: float, track: Trajectory, tip: Trajectory) -> FloatArray:
