@@ -28,7 +28,8 @@ def upgrade(project: Path, place: ProjectPlace = None) -> CommandAnswer:
     Nothing changes if they have it.
     """
     own = project_at(place, project)
-    before, after = own.upgrade()
+    versions = own.upgrade()
+    before, after = versions
     if before == after:
         done = f"The database already has schema {after}."
     elif before is None:
@@ -36,7 +37,7 @@ def upgrade(project: Path, place: ProjectPlace = None) -> CommandAnswer:
     else:
         done = f"Upgraded the database from schema {before} to {after}."
     lines = [done, "", f"Next: {_command('check', own.folder)}"]
-    return CommandAnswer({"before": before, "after": after}, lines)
+    return CommandAnswer(versions._asdict(), lines)
 
 
 @app.command("backup")

@@ -62,13 +62,17 @@ class CheckResult(NamedTuple):
 # --- upgrade ------------------------------------------------------------------------------------
 
 
-def upgrade(project: Project) -> tuple[str | None, str | None]:
-    """Upgrade the tables of a project to this program's version, or leave them unchanged.
+class SchemaVersions(NamedTuple):
+    """Versions of the schema before and after an upgrade."""
 
-    Return the versions of the schema before (None for a database that was empty) and after it.
-    """
+    before: str | None  # None for a database that was empty
+    after: str | None
+
+
+def upgrade(project: Project) -> SchemaVersions:
+    """Upgrade the tables of a project to this program's version, or leave them unchanged."""
     with Store(project.url, project.media) as store:
-        return store.upgrade()
+        return SchemaVersions(*store.upgrade())
 
 
 # --- backup -------------------------------------------------------------------------------------
