@@ -140,6 +140,29 @@ def test_a_column_separates_the_pushes_of_a_table_on_the_page(browser_page, serv
 
 
 @pytest.mark.system
+def test_the_newest_reading_of_a_table_counts(browser_page, server):
+    """An answer without the column, which arrives late, does not replace that with it."""
+    page, late = browser_page, []
+    page.expected_problems = ["422"]
+    page.wait_for_selector("tr[data-id]")
+    page.route("**/import", lambda route: route.continue_() if late else late.append(route))
+    page.click("#show-import")
+    table = {"name": "late.csv", "mimeType": "text/csv", "buffer": two_pushes().encode()}
+    page.set_input_files("#import-tables", [table])
+    page.fill("#import-split", "push")
+    page.press("#import-split", "Enter")
+    page.wait_for_selector("#import-do:not([disabled])")
+    with page.expect_response("**/import") as answer:
+        late[0].continue_()
+    assert answer.value.status == 422
+    page.wait_for_timeout(200)
+    assert page.is_hidden("#import-problem")
+    with page.expect_download() as download:
+        page.click("#import-template")
+    assert "shape: FILL_IN" in download.value.path().read_text()
+
+
+@pytest.mark.system
 def test_a_table_that_cannot_be_read_is_skipped_by_name(browser_page, server):
     page = browser_page
     page.expected_problems = ["422"]

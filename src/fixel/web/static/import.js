@@ -30,9 +30,7 @@ export function offerImport(done) {
       refused(problem);
     }
   });
-  addEventListener("dragover", (event) => {
-    if (event.dataTransfer?.types.includes("Files")) event.preventDefault();
-  });
+  addEventListener("dragover", (event) => event.dataTransfer?.types.includes("Files") && event.preventDefault());
   addEventListener("drop", (event) => {
     const files = [...(event.dataTransfer?.files ?? [])];
     if (!files.length) return;
@@ -56,8 +54,11 @@ function take(files) {
   }
 }
 
-/** Shows how the chosen tables would be read. */
+let readings = 0;
+
+/** Shows how the chosen tables would be read, unless they were read again meanwhile. */
 async function read() {
+  const own = ++readings;
   const tables = chosen("import-tables");
   const go = /** @type {HTMLButtonElement} */ (at("import-do"));
   const link = /** @type {HTMLAnchorElement} */ (at("import-template"));
@@ -66,6 +67,7 @@ async function read() {
   if (!tables.length) return;
   try {
     const { answers: [first], skipped } = await each(true);
+    if (own !== readings) return;
     at("import-read").replaceChildren(
       make("details", { open: true },
         make("summary", {}, first.name + (tables.length > 1 ? `, and ${several(tables.length - 1, "table")} more` : "")),
@@ -73,13 +75,11 @@ async function read() {
       ...(skipped.length ? [make("p", {}, `Skipped ${skipped.length}:`),
         make("ul", { id: "import-skipped" }, ...skipped.map((sentence) => make("li", {}, sentence)))] : []));
     go.disabled = false;
-    if (!first.template) return;
-    URL.revokeObjectURL(link.href);
-    link.href = URL.createObjectURL(new Blob([first.template], { type: "text/yaml" }));
+    link.hidden = !first.template;
+    link.href = `data:text/yaml;charset=utf-8,${encodeURIComponent(first.template)}`;
     link.download = `${first.name.replace(/\.csv$/i, "")}.scene.yaml`;
-    link.hidden = false;
   } catch (problem) {
-    refused(problem);
+    if (own === readings) refused(problem);
   }
 }
 
