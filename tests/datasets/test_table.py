@@ -276,6 +276,27 @@ def test_a_row_of_units_is_no_experiment_of_a_split_table(tmp_path, cell):
     assert table.problems == {}
 
 
+def test_sentences_that_differ_in_numbers_are_one_with_their_ranges(tmp_path):
+    text = "push,time_s,x_mm,y_mm\n"
+    for push, n in (("a", 9), ("b", 4), ("c", 12)):
+        text += "".join(f"{push},{k},{k},0\n" for k in range(n)) + f"{push},{n},,\n"
+    understood = plan_of(tmp_path, text, split_by="push").understood
+
+    assert understood[0] == "3 experiments, one for each value of 'push'."
+    expected = "There is no pose of the object in 1 of 5 to 13 rows; its trajectory has the others."
+    assert expected in understood
+    assert not any("1 of 3" in sentence for sentence in understood)
+
+
+def test_numbers_in_names_of_columns_are_no_ranges(tmp_path):
+    text = "push,time_s,x_mm,y_mm,2,3\n" + "".join(
+        f"{push},{k},{k},0,{k},{k}\n" for push in "ab" for k in range(3)
+    )
+    understood = plan_of(tmp_path, text, split_by="push").understood
+
+    assert {"'2' has no unit and is skipped.", "'3' has no unit and is skipped."} <= {*understood}
+
+
 def test_a_row_of_units_that_contradicts_the_header_is_refused(tmp_path):
     text = "time_s,x_mm,y_mm\ns,cm,mm\n0,1,2\n1,2,2\n"
     problem = refused(plan_of, tmp_path, text)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
@@ -24,6 +23,7 @@ from fixel.typing import FloatArray
 DATASET: Final = "csv"
 ENDINGS = (".csv", ".csv.gz", ".parquet")
 MAX_OTHERS: Final = 3  # sentences about some of the experiments of a table
+_NUMBER: Final = re.compile(r"(?<![\w.'\"])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?!\w)")  # none of a name
 
 
 class ColumnUnit(NamedTuple):
@@ -267,12 +267,25 @@ def _on_plate(
 
 
 def _common(sentences: Sequence[tuple[str, ...]], split_by: str) -> tuple[str, ...]:
-    """Return the sentences about all experiments of a table, and a few about some of them."""
+    """Return the sentences about all experiments of a table, and a few about some of them.
+
+    Sentences that differ in numbers alone are one, with the range of each number.
+    """
     n = len(sentences)
-    counts = Counter(sentence for own in sentences for sentence in own[1:])
-    common = [sentence for sentence, k in counts.items() if k == n]
-    others = [f"{sentence} ({k} of {n})" for sentence, k in counts.items() if k < n]
+    alike: dict[str, list[str]] = {}
+    for sentence in (sentence for own in sentences for sentence in own[1:]):
+        alike.setdefault(_NUMBER.sub("#", sentence), []).append(sentence)
+    common = [_with_ranges(same) for same in alike.values() if len(same) >= n]
+    others = [f"{_with_ranges(own)} ({len(own)} of {n})" for own in alike.values() if len(own) < n]
     return (f"{n} experiments, one for each value of {split_by!r}.", *common, *others[:MAX_OTHERS])
+
+
+def _with_ranges(alike: Sequence[str]) -> str:
+    """Return one sentence for several that differ in numbers alone."""
+    columns = zip(*map(_NUMBER.findall, alike), strict=True)
+    ends = ((min(own, key=float), max(own, key=float)) for own in columns)
+    ranges = iter([low if low == high else f"{low} to {high}" for low, high in ends])
+    return _NUMBER.sub(lambda _: next(ranges), alike[0])
 
 
 def _text_option(name: str, value: object) -> str:
@@ -341,7 +354,6 @@ def _experiment(
         if not reading.sure_of_angles or "angle_unit" not in (doubt.hint or ""):
             raise
         flags = (*flags, remark("doubtful-angles", f"{doubt.found}, in the stated unit"))
-    channels, conditions = _channels(reading, time), _conditions(reading)
     if reading.guesses:
         flags = (*flags, remark("guessed-units", " ".join(reading.guesses)))
     experiment = Experiment(
@@ -353,8 +365,8 @@ def _experiment(
         object_name=options.get("object_name", "object"),
         trajectory=trajectory,
         pusher=pusher,
-        channels=channels,
-        conditions=conditions,
+        channels=_channels(reading, time),
+        conditions=_conditions(reading),
         flags=flags,
     )
     return experiment, tuple(_understood(reading, experiment, time)), reading.sure_of_angles
@@ -376,9 +388,8 @@ def _columns(
     for column in parsed:
         if column.role in roles:
             found = f"{roles[column.role].title!r} and {column.title!r}"
-            raise InvalidInput(
-                f"{table.source}, header", found=found, expected=f"one column of {column.role}"
-            )
+            expected = f"one column of {column.role}"
+            raise InvalidInput(f"{table.source}, header", found=found, expected=expected)
         if column.role:
             roles[column.role] = column
     for whose in ("", "pusher_"):  # a quaternion counts where there is no angle
@@ -428,8 +439,7 @@ def _refuse_incomplete(reading: _TableReading) -> None:
     wanted = ["time", "x", "y"]
     if any(role.startswith("pusher_") for role in reading.roles):
         wanted += ["pusher_x", "pusher_y"]
-    missing = [role for role in wanted if role not in reading.roles]
-    if missing:
+    if missing := [role for role in wanted if role not in reading.roles]:
         raise InvalidInput(
             reading.table.source,
             found="the columns " + ", ".join(reading.table.columns)[:200],
@@ -501,14 +511,13 @@ def _guess(reading: _TableReading, kind: str, column: _TableColumn) -> tuple[str
         raise InvalidInput(where, found="pixels", expected="lengths on the plane, or length_unit")
     siblings = {c.unit for r, c in reading.roles.items() if c.unit and _kind(r) == kind}
     if len(siblings) == 1:
-        (sibling,) = siblings
-        name = _name(sibling)
+        name = _name(siblings.pop())
         return name, f"others of its kind are in {name}"
     if kind == "time":
         numbers = reading.numbers(column)
         step = float(np.nanmedian(np.diff(numbers))) if len(numbers) > 1 else 0.0
-        unit = ("s", "ms", "us", "ns")[sum(step >= most for most in MAX_STEPS)]
-        return unit, f"typical steps of {step:g}"
+        place = sum(step >= most for most in MAX_STEPS)
+        return ("s", "ms", "us", "ns")[place], f"typical steps of {step:g}"
     # Positions without a unit share one, so the largest of them decides.
     alike = [c for r, c in reading.roles.items() if _kind(r) == kind and c.unit is None]
     values = np.abs(np.concatenate([reading.numbers(c) for c in alike]))
@@ -527,8 +536,8 @@ def _time(reading: _TableReading) -> FloatArray:
     numbers = reading.numbers(column, blank=False)
     # Subtract first: seconds since 1970 leave few digits after the decimal point.
     time = (numbers - numbers[0]) * column.unit.scale
-    hint = _how_to_split(reading, time)
-    time = increasing(time, reading.table.source, hint, reading.table.lines)
+    table = reading.table
+    time = increasing(time, table.source, _how_to_split(reading, time), table.lines)
     _remark_pauses(reading, time)
     return time
 
@@ -580,13 +589,10 @@ def _poses(
         reading.remarks.append(f"There is no angle of the {what}; 0 is used throughout.{similar}")
         flags = () if whose else (remark("no-angle", "the table has none; 0 is used throughout"),)
     pose = np.column_stack(columns)
-    there = np.asarray(~np.isnan(pose).any(axis=1))
-    if not there.any():
-        raise InvalidInput(
-            reading.table.source, found=f"no pose of the {what}", expected="at least one"
-        )
-    missing = int((~there).sum())
-    if missing:
+    if not (there := np.asarray(~np.isnan(pose).any(axis=1))).any():
+        found = f"no pose of the {what}"
+        raise InvalidInput(reading.table.source, found=found, expected="at least one")
+    if missing := int((~there).sum()):
         found = f"no pose of the {what} in {missing} of {len(time)} rows"
         reading.remarks.append(f"There is {found}; its trajectory has the others.")
         flags = (*flags, remark("missing-poses", found))
@@ -609,8 +615,8 @@ def _heading(reading: _TableReading, whose: str) -> FloatArray:
         if wrong.any():
             where = reading.table.place(" and ".join(used), int(np.argmax(wrong)))
             raise InvalidInput(where, found=found, expected=expected)
-    what = whose.removesuffix("_") or "object"
-    reading.remarks.append(f"The angle of the {what} is that of the quaternion {', '.join(used)}.")
+    whose = whose.removesuffix("_") or "object"
+    reading.remarks.append(f"The angle of the {whose} is that of the quaternion {', '.join(used)}.")
     return np.arctan2(across, along)
 
 
@@ -634,18 +640,12 @@ def _channels(reading: _TableReading, time: FloatArray) -> tuple[Channel, ...]:
         group = groups.setdefault(_GROUPS.get(column.unit.kind, "readings"), {})
         name = f"{column.stem}_{column.unit.si}"
         if name in group:
-            raise InvalidInput(
-                f"{reading.table.source}, header", found=f"{name} twice", expected="one column"
-            )
+            where, found = f"{reading.table.source}, header", f"{name} twice"
+            raise InvalidInput(where, found=found, expected="one column")
         group[name] = _values(reading, column, column.unit)
     return tuple(
-        Channel(
-            name=name,
-            time=time,
-            columns=tuple(columns),
-            values=np.column_stack(list(columns.values())),
-        )
-        for name, columns in sorted(groups.items())
+        Channel(name=name, time=time, columns=(*own,), values=np.column_stack([*own.values()]))
+        for name, own in sorted(groups.items())
     )
 
 
