@@ -139,6 +139,7 @@ def test_prints(capsys, tmp_path):
     (("calibrate", "{}/flat.png", "--board", BOARD), "at least 4"),
     (("calibrate", "{}", "--board", "checkerboard:9x6:25mm"), "at least 4"),
     (("calibrate", "{}/boards", "--board", BOARD, "--out", "{}/a.txt"), ".yaml"),
+    (("calibrate", "{}/none", "--board", BOARD, "--coefficients", "3"), "0, 1, 2, 4, 5, 8"),
     (("place", "{}/camera.yaml", "{}/flat.png"), "--board or --rig"),
     (("place", "{}/camera.yaml", "{}/flat.png", "--board", BOARD, "--at", "1,2"), "--at"),
     (("place", "{}/camera.yaml", "{}/flat.png", "--rig", "microscope"), "no tags"),

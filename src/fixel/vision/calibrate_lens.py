@@ -121,8 +121,7 @@ def calibrate_lens(
     determine the lens raise `InvalidInput` with what is missing. `dropped` are pictures already
     left out.
     """
-    chosen = FEW_COEFFICIENTS if coefficients is None else coefficients
-    names = _names(chosen, fisheye)
+    names = lens_names(coefficients, fisheye)
     left, out = list(views), list(dropped)
     while True:
         size = _one_size(left)
@@ -139,11 +138,10 @@ def calibrate_lens(
     if coefficients is None and not fisheye and len(left) >= MIN_TO_HOLD_OUT:
         unseen, more = _held_out(found, sight)
         for count in (MAX_COEFFICIENTS, COEFFICIENTS) if more else (COEFFICIENTS,):
-            wider = fit(
-                found.lens, _names(count, False), found.rotations, found.translations, sight
-            )
+            own = lens_names(count, False)
+            wider = fit(found.lens, own, found.rotations, found.translations, sight)
             if _sees_corners(wider.lens):
-                names, found = _names(count, False), wider
+                names, found = own, wider
                 break
     for view, count in zip(left, wrong, strict=True):
         if count:
@@ -172,7 +170,7 @@ def _held_out(found: BundleFit, sight: PointObservations) -> tuple[dict[int, flo
     n_view = len(found.rotations)
     squares = {count: np.zeros(n_view) for count in (*FEWER, COEFFICIENTS, MAX_COEFFICIENTS)}
     for count, own in squares.items():
-        names = _names(count, False)
+        names = lens_names(count, False)
         kept = names[4:]
         others = [name for name in BROWN if name not in kept]
         start = found.lens.with_parameters(others, [0.0] * len(others))
@@ -215,13 +213,14 @@ def _views(
     )
 
 
-def _names(coefficients: int, fisheye: bool) -> tuple[str, ...]:
-    most = (0, 1, 2, 3, 4) if fisheye else (0, 1, 2, 4, 5, 8)
-    if coefficients not in most:
-        raise InvalidInput(
-            "coefficients", found=coefficients, expected="one of " + ", ".join(map(str, most))
-        )
-    return ("fx", "fy", "cx", "cy", *(FISHEYE if fisheye else BROWN)[:coefficients])
+def lens_names(coefficients: int | None, fisheye: bool) -> tuple[str, ...]:
+    """Return the names of the numbers of a lens; raise for a number of coefficients it has not."""
+    known = (0, 1, 2, 3, 4) if fisheye else (0, 1, 2, 4, 5, 8)
+    count = FEW_COEFFICIENTS if coefficients is None else coefficients
+    if count not in known:
+        expected = "one of " + ", ".join(map(str, known))
+        raise InvalidInput("coefficients", found=count, expected=expected)
+    return ("fx", "fy", "cx", "cy", *(FISHEYE if fisheye else BROWN)[:count])
 
 
 def _one_size(views: Sequence[BoardView]) -> tuple[int, int]:

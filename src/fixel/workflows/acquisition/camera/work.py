@@ -20,7 +20,7 @@ from fixel.formats.video_file import files_of, first_picture, pictures_of
 from fixel.io.atomic import refuse_unwritable
 from fixel.model.fields import pose_of
 from fixel.progress import ProgressOption, show_progress
-from fixel.vision.calibrate_lens import calibrate_lens, find_boards
+from fixel.vision.calibrate_lens import calibrate_lens, find_boards, lens_names
 from fixel.vision.camera import MeasuredCamera
 from fixel.vision.frame import Picture, size_of
 from fixel.vision.marks import Rig, Tag, board_of
@@ -39,6 +39,7 @@ def calibrated(asked: Any, progress: ProgressOption) -> CameraAnswer:
     """Calibrate a lens from pictures of a board, and save the camera."""
     wanted = board_of(asked.board)
     require_file(asked.out, CAMERA_ENDINGS, "camera")
+    lens_names(asked.coefficients, asked.fisheye)  # refused before pictures are read
     files = files_of(asked.pictures)
     done = count(1)
     with show_progress(progress, stage="reading pictures") as report:
@@ -47,8 +48,7 @@ def calibrated(asked: Any, progress: ProgressOption) -> CameraAnswer:
             report(min(next(done), len(files)), len(files), name)
 
         views, dropped = find_boards(pictures_of(files), wanted, one)
-    own = {"coefficients": asked.coefficients, "fisheye": asked.fisheye}
-    found = calibrate_lens(views, dropped, **own)
+    found = calibrate_lens(views, dropped, coefficients=asked.coefficients, fisheye=asked.fisheye)
     save_camera(found.camera, asked.out)
     remark = "place it by tags on the plate (--rig RIG) or by the board flat on it (--board BOARD)"
     return CameraAnswer(found.camera, asked.out, calibration=found, remarks=(remark,))
