@@ -136,6 +136,7 @@ def test_a_column_separates_the_pushes_of_a_table_on_the_page(browser_page, serv
     page.wait_for_selector("#import-do:not([disabled])")
     page.click("#import-do")
     page.wait_for_selector(".toast >> text=Imported 2 experiments")
+    assert page.is_hidden("#import")
     assert server.context.store.find("two/a")
 
 
