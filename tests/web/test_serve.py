@@ -38,7 +38,7 @@ def connected(server, path):
 
 @pytest.mark.system
 def test_a_server_starts_without_the_distributions_of_scipy():
-    """They take a quarter of the time until the link is there."""
+    """The distributions of SciPy took a quarter of the time until the link is there."""
     code = "import sys, fixel.web.project; assert 'scipy.stats' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
 

@@ -23,7 +23,6 @@ BUFFER: Final = 127  # bytes that may be under way; the controller's buffer has 
 STATUS, HOLD, RESET = b"?", b"!", b"\x18"
 GREETINGS: Final = ("Grbl ", "GrblHAL ")  # after a reset; FluidNC begins like GRBL
 AXES: Final = "XYZA"
-
 INCH: Final = 25.4  # [mm]
 SWITCHES: Final = {"true": "1", "false": "0"}  # of FluidNC
 EXPECTED: Final = "a number; GRBL 0.9 or later, grblHAL or FluidNC"

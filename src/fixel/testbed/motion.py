@@ -291,12 +291,11 @@ class AbstractActuator(abc.ABC):
             )
 
     def _place_meant(self, to: float | None, by: float | None) -> float:
-        if (to is None) == (by is None):
-            found, expected = (
-                (None, "a target position") if to is None else ("by too", "one of them")
-            )
-            hint = "or a distance with by=DISTANCE" if to is None else None
-            raise InvalidInput("to", found=found, expected=expected, hint=hint)
+        if to is None and by is None:
+            hint = "or a distance with by=DISTANCE"
+            raise InvalidInput("to", found=None, expected="a target position", hint=hint)
+        if to is not None and by is not None:
+            raise InvalidInput("to", found="by too", expected="one of them")
         target = finite(to, "to", "m") if by is None else self.position() + finite(by, "by", "m")
         low, high = self.reach
         if not low - NEAR <= target <= high + NEAR:

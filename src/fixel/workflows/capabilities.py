@@ -242,11 +242,10 @@ def _check_selection(capability: Capability, request: BaseModel, project: Projec
     filters = (*getattr(own, "where", ()), *([f'"dataset:{dataset}"'] if dataset else []))
     if filters and not project.experiments(*filters, flagged=flagged, limit=1):
         raise no_experiments()
-    with project.store() as store:
-        known = sorted(store.conditions())
     for name, option in capability.options.items():
         if option.door.condition and getattr(own, name):
-            check_name(name, getattr(own, name), known)
+            with project.store() as store:
+                check_name(name, getattr(own, name), sorted(store.conditions()))
 
 
 @callable_by_jobs

@@ -119,8 +119,7 @@ def undelete_notes(context: Context, wanted: MarkRequest) -> ChangedRecords:
 
 @router.post("/import", summary="Import a CSV table with its scene", tags=["experiments"])
 def import_table(context: Context, wanted: TableRequest) -> TableResult:
-    given = {"angle_unit": wanted.angle_unit, "split_by": wanted.split_by}
-    options = {name: value for name, value in given.items() if value is not None}
+    options = wanted.model_dump(include={"angle_unit", "split_by"}, exclude_none=True)
     file = wanted.name, wanted.table, wanted.scene
     plan, template, done = import_texts(
         context.store, *file, options=options, dry_run=wanted.dry_run
