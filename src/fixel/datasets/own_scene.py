@@ -16,7 +16,6 @@ from fixel.formats.scene_file import FILL_IN, SceneFile, scene_of, scene_record
 from fixel.io.document import document, yaml_text
 from fixel.model import Disk, Experiment, Flag, PathDrive, Pusher, Scene, Shape, Trajectory
 from fixel.model.fields import instance
-from fixel.model.overlap import gaps_and_normals
 from fixel.model.scene import SceneChoice
 from fixel.model.shape import rotated
 from fixel.typing import FloatArray
@@ -71,11 +70,14 @@ def with_scene(
     pushers = scene.pushers
     if experiment.pusher is not None:
         pusher = _pusher_of(scene, source)
+        near = None
         if isinstance(pusher.shape, Disk):
-            _refuse_strangers(body.shape, pusher.shape.radius, track, experiment.pusher, source)
+            near = _gaps(body.shape, pusher.shape.radius, track, experiment.pusher)
+            _refuse_strangers(body.shape, near[0], source)
             if not sure_of_angles:
-                _refuse_other_angles(body.shape, pusher.shape.radius, track, experiment.pusher)
-        driven, more, sentence = _driven(pusher, body.shape, track, experiment.pusher)
+                radius = pusher.shape.radius
+                _refuse_other_angles(body.shape, radius, track, experiment.pusher, near[0])
+        driven, more, sentence = _driven(pusher, track, experiment.pusher, near)
         pushers, flags = (driven,), (*flags, *more)
         sentences.append(sentence)
         if scene.fixels and driven.drive.force_limit is None:
@@ -210,21 +212,21 @@ def _pusher_of(scene: Scene, source: str) -> Pusher:
 
 
 def _driven(
-    pusher: Pusher, shape: Shape, track: Trajectory, tip: Trajectory
+    pusher: Pusher, track: Trajectory, tip: Trajectory, near: tuple[FloatArray, FloatArray] | None
 ) -> tuple[Pusher, tuple[Flag, ...], str]:
-    """Move the pusher to its measured path, corrected if it starts inside the object."""
+    """Move the pusher to its measured path, corrected if it starts inside the object.
+
+    `near` are the `_gaps` of a round tip.
+    """
     measured = np.column_stack((tip.time, tip.pose))
     flags: tuple[Flag, ...] = ()
     sentence = f"{pusher.name!r} follows its measured path"
-    if isinstance(pusher.shape, Disk):
-        gaps = _gaps(shape, pusher.shape.radius, track, tip)
-        gap, offset = contact.moved_to_contact(
-            shape, pusher.shape.radius, track.at(tip.time[:1]), tip.pose[:1, :2]
-        )
-        if gap[0] < 0.0:
-            flags = (contact.correction_flag(float(gap[0])),)
+    if near is not None:
+        gaps, offset = near
+        if gaps[0] < 0.0:
+            flags = (contact.correction_flag(float(gaps[0])),)
             measured = contact.corrected_path(measured, offset[0], contact.FADE)
-            sentence += f", moved out of the object at the start, {-1e3 * gap[0]:.3g} mm"
+            sentence += f", moved out of the object at the start, {-1e3 * gaps[0]:.3g} mm"
         least, first = 1e3 * float(gaps.min()), 1e3 * float(gaps[0])
         near = "overlaps the outline by up to" if least < 0.0 else "comes as near to the outline as"
         sentence += f"; its surface {near} {abs(least):.3g} mm"
@@ -254,22 +256,23 @@ def _moved_alone(place: FloatArray, gaps: FloatArray) -> float:
     return max((float(np.hypot(*(own[-1] - own[0]))) for own in spans[first::2]), default=0.0)
 
 
-def _gaps(shape: Shape, radius: float, track: Trajectory, tip: Trajectory) -> FloatArray:
-    """Gaps (n,) from the surface of the tip to the outline at every measured time [m]."""
-    gap, _ = gaps_and_normals(shape, radius, track.at(tip.time), tip.pose[:, :2])
-    return gap
+def _gaps(
+    shape: Shape, radius: float, track: Trajectory, tip: Trajectory
+) -> tuple[FloatArray, FloatArray]:
+    """Gaps (n,) from the surface of the tip to the outline, and shifts (n, 2) to contact [m]."""
+    return contact.moved_to_contact(shape, radius, track.at(tip.time), tip.pose[:, :2])
 
 
-def _refuse_other_angles(shape: Shape, radius: float, track: Trajectory, tip: Trajectory) -> None:
+def _refuse_other_angles(
+    shape: Shape, radius: float, track: Trajectory, tip: Trajectory, gaps: FloatArray
+) -> None:
     """Raise if the pusher passes through the object with this unit of angles but not the other."""
-
-    def depth(turned: Trajectory) -> float:
-        return -float(np.quantile(_gaps(shape, radius, turned, tip), OFTEN))
-
-    own = depth(track)
+    own = -float(np.quantile(gaps, OFTEN))
+    if own <= INSIDE * _radius(shape):
+        return
     for unit, other, factor in (("rad", "deg", np.pi / 180.0), ("deg", "rad", 180.0 / np.pi)):
-        fits = depth(rescaled(track, factor))
-        if own > INSIDE * _radius(shape) and fits < 0.25 * own:
+        turned, _ = _gaps(shape, radius, rescaled(track, factor), tip)
+        if -float(np.quantile(turned, OFTEN)) < 0.25 * own:
             raise InvalidInput(
                 "angles of the object",
                 found=f"a pusher {1e3 * own:.3g} mm inside the object for a tenth of the time",
@@ -282,11 +285,8 @@ def _radius(shape: Shape) -> float:
     return float(np.hypot(*np.asarray(shape.outline).T).max())
 
 
-def _refuse_strangers(
-    shape: Shape, radius: float, track: Trajectory, tip: Trajectory, source: str
-) -> None:
+def _refuse_strangers(shape: Shape, gaps: FloatArray, source: str) -> None:
     """Raise for a pusher that starts deep inside the object, or never comes near it."""
-    gaps = _gaps(shape, radius, track, tip)
     size = _radius(shape)
     hint = (
         "check the units of the table, the frame of its poses, which is that of the outline, and "

@@ -326,8 +326,8 @@ def plain(number: float) -> float:
 def _scaled(key: str, value: Any, scale: Callable[[str, float], float]) -> Any:
     """Convert the value of a key between its unit and that of the model; plain for files."""
     value = value.tolist() if isinstance(value, np.ndarray) else value
-    if value is None:
-        return None
+    if value is None or not key.endswith(("_mm", "_deg")):
+        return value
     if key.endswith("_mm_deg"):
         x, y, angle = value
         return [scale("_mm", x), scale("_mm", y), scale("_deg", angle)]
@@ -335,8 +335,7 @@ def _scaled(key: str, value: Any, scale: Callable[[str, float], float]) -> Any:
         return {name: _scaled(key, item, scale) for name, item in value.items()}
     if isinstance(value, list | tuple):
         return [_scaled(key, item, scale) for item in value]
-    unit = next((unit for unit in ("_mm", "_deg") if key.endswith(unit)), None)
-    return scale(unit, value) if unit else value
+    return scale("_mm" if key.endswith("_mm") else "_deg", value)
 
 
 def _to_si(unit: str, value: float) -> float:
