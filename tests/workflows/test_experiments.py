@@ -198,6 +198,14 @@ def test_several_files_and_a_limit(tmp_path):
     assert [progress.done for progress in reported] == [1, 2, 3]
 
 
+def test_reading_of_a_split_table_is_reported(tmp_path):
+    reported = []
+    table = table_file(tmp_path / "all.csv", text_of(columns(0.01)))
+    n = len(read_experiments(table, split_by="push", progress=reported.append))
+    read = [one for one in reported if one.stage == "reading the table"]
+    assert [(one.done, one.total) for one in read] == [(k, n) for k in range(n)]
+
+
 def test_a_bundle_gives_its_experiments_back(tmp_path):
     pushes = fixel.datasets.example()[:3]
     done = fixel.export(pushes, tmp_path / "pushes.zip", progress=False)

@@ -84,7 +84,7 @@ def import_(
         return _import_bundle(Project(project), source, dry_run)
     own = None if dry_run else Project(project)
     try:
-        plan = plan_import(source, format, scene=scene, options=option)
+        plan = plan_import(source, format, scene=scene, options=option, progress=None)
     except InvalidInput as error:
         flags = {name: f"--option {name}" for name in (*(option or ()), "split_by", "object_name")}
         raise named(error, flags) from None

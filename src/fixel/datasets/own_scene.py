@@ -70,14 +70,8 @@ def with_scene(
     pushers = scene.pushers
     if experiment.pusher is not None:
         pusher = _pusher_of(scene, source)
-        near = None
-        if isinstance(pusher.shape, Disk):
-            near = _gaps(body.shape, pusher.shape.radius, track, experiment.pusher)
-            _refuse_strangers(body.shape, near[0], source)
-            if not sure_of_angles:
-                radius = pusher.shape.radius
-                _refuse_other_angles(body.shape, radius, track, experiment.pusher, near[0])
-        driven, more, sentence = _driven(pusher, track, experiment.pusher, near)
+        paths = track, experiment.pusher
+        driven, more, sentence = _driven(pusher, body.shape, *paths, source, sure_of_angles)
         pushers, flags = (driven,), (*flags, *more)
         sentences.append(sentence)
         if scene.fixels and driven.drive.force_limit is None:
@@ -212,24 +206,27 @@ def _pusher_of(scene: Scene, source: str) -> Pusher:
 
 
 def _driven(
-    pusher: Pusher, track: Trajectory, tip: Trajectory, near: tuple[FloatArray, FloatArray] | None
+    pusher: Pusher, shape: Shape, track: Trajectory, tip: Trajectory, source: str, sure: bool
 ) -> tuple[Pusher, tuple[Flag, ...], str]:
     """Move the pusher to its measured path, corrected if it starts inside the object.
 
-    `near` are the `_gaps` of a round tip.
+    Raise for an impossible path of a round tip, or a wrong unit of angles if it is not `sure`.
     """
     measured = np.column_stack((tip.time, tip.pose))
     flags: tuple[Flag, ...] = ()
     sentence = f"{pusher.name!r} follows its measured path"
-    if near is not None:
-        gaps, offset = near
+    if isinstance(pusher.shape, Disk):
+        gaps, offset = _gaps(shape, pusher.shape.radius, track, tip)
+        _refuse_strangers(shape, gaps, source)
+        if not sure:
+            _refuse_other_angles(shape, pusher.shape.radius, track, tip, gaps)
         if gaps[0] < 0.0:
             flags = (contact.correction_flag(float(gaps[0])),)
             measured = contact.corrected_path(measured, offset[0], contact.FADE)
             sentence += f", moved out of the object at the start, {-1e3 * gaps[0]:.3g} mm"
         least, first = 1e3 * float(gaps.min()), 1e3 * float(gaps[0])
-        near = "overlaps the outline by up to" if least < 0.0 else "comes as near to the outline as"
-        sentence += f"; its surface {near} {abs(least):.3g} mm"
+        how = "overlaps the outline by up to" if least < 0.0 else "comes as near to the outline as"
+        sentence += f"; its surface {how} {abs(least):.3g} mm"
         sentence += "." if first < 0.0 else f", and was {first:.3g} mm from it at the start."
         if (deep := -float(np.quantile(gaps, OFTEN))) > contact.MAX_CORRECTION:
             flags = (*flags, Flag("pusher-inside-object", f"often by {1e3 * deep:.3g} mm or more"))

@@ -83,6 +83,7 @@ def plan_import(
     units: Mapping[str, str] | None = None,
     split_by: str | None = None,
     options: Mapping[str, str] | None = None,
+    progress: ProgressOption = False,
 ) -> ImportPlan:
     """Plan the reading of a file, a folder or a table in memory.
 
@@ -103,7 +104,7 @@ def plan_import(
         for kind, unit in (units or {}).items():
             check_name("units", kind, KINDS)
             known[f"{kind}_unit"] = unit
-        return _plan_table(source, known, choice, split_by, columns)
+        return _plan_table(source, known, choice, split_by, columns, progress)
     given = {"scene": scene, "columns": columns, "units": units, "split_by": split_by}
     if isinstance(importer, BagImporter):
         own = {"scene": scene, "split_by": split_by, **(columns or {})}
@@ -122,7 +123,9 @@ def _plan_table(
     scene: SceneChoice | None,
     split_by: str | None,
     columns: Mapping[str, str] | None,
+    progress: ProgressOption,
 ) -> ImportPlan:
+    rest: Any = {"columns": columns, "progress": progress}
     if isinstance(table, Path):
         if not table.exists():
             raise DatasetMissing(table)
@@ -131,11 +134,11 @@ def _plan_table(
         with guarded(table.name):
             rows, source = read_table(table, torn=split_by is not None), table
             provenance = origin_of(table)
-            return plan_table(rows, source, provenance, options, scene, split_by, columns)
+            return plan_table(rows, source, provenance, options, scene, split_by, **rest)
     rows, source = table_rows(table), Path("table")
     digest = hashlib.sha256(repr(rows.columns).encode()).hexdigest()
     provenance = Provenance(version=version("fixel"), source="table in memory", sha256=digest)
-    return plan_table(rows, source, provenance, options, scene, split_by, columns)
+    return plan_table(rows, source, provenance, options, scene, split_by, **rest)
 
 
 def collected(

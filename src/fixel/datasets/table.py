@@ -18,11 +18,13 @@ from fixel.datasets.own_scene import WORDS, refuse_implausible, with_scene
 from fixel.errors import InvalidInput, check_name, unknown_name
 from fixel.model import Channel, Experiment, Flag, Provenance, Trajectory
 from fixel.model.scene import SceneChoice
+from fixel.progress import ProgressOption, show_progress
 from fixel.typing import FloatArray
 
 DATASET: Final = "csv"
 ENDINGS = (".csv", ".csv.gz", ".parquet")
 MAX_OTHERS: Final = 3  # sentences about some of the experiments of a table
+_UNITS_IN_ROW: Final = "The first row has units, which count as those of the header."
 _NUMBER: Final = re.compile(r"(?<![\w.'\"])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?!\w)")  # none of a name
 
 
@@ -140,6 +142,7 @@ def plan_table(
     split_by: str | None = None,
     columns: Mapping[str, str] | None = None,
     dataset: str = DATASET,
+    progress: ProgressOption = False,
 ) -> ImportPlan:
     """Plan the import of a table.
 
@@ -159,6 +162,8 @@ def plan_table(
         Titles of columns by role: `{"theta": "yaw"}`.
     dataset : str
         Name of the importer, and of the dataset of a single experiment.
+    progress : bool or callable, optional
+        Whether and how to show it, as for `show_progress`.
     """
     chosen = _chosen_columns(table, columns or {})
     table, titles = _with_units_of_first_row(table)
@@ -168,31 +173,29 @@ def plan_table(
     experiments: list[Experiment] = []
     problems: Problems = {}
     sentences: list[tuple[str, ...]] = []
-    for value, part in _parts(table, split_by):
-        key = (dataset, stem) if value is None else (stem, value)
-        if value is not None and len(part) < 2 and not part.torn:
-            problems[f"{stem}/{value}"] = InvalidInput("one row")
-            continue
-        try:
-            if part.torn:
-                raise next(iter(part.torn.values()))
-            experiment, understood, sure = _experiment(key, part, options, provenance, chosen)
-            experiment, more = _on_plate(experiment, scene, options.get("object_name"), sure)
-        except InvalidInput as problem:
-            if value is None:
-                raise
-            if problem.where.startswith(table.source):
-                problem = problem.at(f"{problem.where} ({split_by} {value})")
-            problems[f"{stem}/{value}"] = problem
-            continue
-        experiments.append(experiment)
-        sentences.append(understood + more)
+    parts = [*_parts(table, split_by)]
+    with show_progress(progress, "reading the table") as report:
+        for done, (value, part) in enumerate(parts):
+            if split_by is not None:
+                report(done, len(parts))
+            key = (dataset, stem) if value is None else (stem, value)
+            try:
+                if part.torn or (value is not None and len(part) < 2):
+                    raise next(iter(part.torn.values()), InvalidInput("one row"))
+                found, understood = _experiment(key, part, options, provenance, chosen, scene)
+                experiments.append(found)
+                sentences.append(understood)
+            except InvalidInput as problem:
+                if value is None:
+                    raise
+                if problem.where.startswith(table.source):
+                    problem = problem.at(f"{problem.where} ({split_by} {value})")
+                problems[f"{stem}/{value}"] = problem
     _refuse_common(problems, len(experiments), table.source)
-    understood = sentences[0] if split_by is None else _common(sentences, split_by)
-    if titles:
-        understood = (*understood, "The first row has units, which count as those of the header.")
+    notes = sentences[0] if split_by is None else _common(sentences, split_by)
+    notes += (_UNITS_IN_ROW,) if titles else ()
     names = [experiment.key for experiment in experiments]
-    return ImportPlan(dataset, source, understood, names, experiments.__getitem__, problems)
+    return ImportPlan(dataset, source, notes, names, experiments.__getitem__, problems)
 
 
 def _refuse_common(problems: Problems, n_sound: int, source: str) -> None:
@@ -255,15 +258,6 @@ def _rows_by_cell(table: CsvRows, title: str) -> dict[str, list[int]]:
     for row, cell in enumerate(table.columns[title]):
         rows.setdefault(cell.strip(), []).append(row)
     return rows
-
-
-def _on_plate(
-    experiment: Experiment, scene: SceneChoice | None, name: str | None, sure_of_angles: bool
-) -> tuple[Experiment, tuple[str, ...]]:
-    """Complete an experiment with a scene, if there is one."""
-    if scene is None:
-        return experiment, ("Without a scene, it can be shown but not simulated.",)
-    return with_scene(experiment, scene, name, sure_of_angles=sure_of_angles)
 
 
 def _common(sentences: Sequence[tuple[str, ...]], split_by: str) -> tuple[str, ...]:
@@ -334,8 +328,9 @@ def _experiment(
     options: Mapping[str, str],
     provenance: Provenance,
     chosen: Mapping[str, str],
-) -> tuple[Experiment, tuple[str, ...], bool]:
-    """Return the experiment of a table, how it was understood, and whether angles are certain."""
+    scene: SceneChoice | None,
+) -> tuple[Experiment, tuple[str, ...]]:
+    """Return the experiment of a table, with a scene if there is one, and how it was understood."""
     reading = _columns(table, options, chosen)
     _refuse_incomplete(reading)
     _refuse_contradictions(reading)
@@ -369,7 +364,12 @@ def _experiment(
         conditions=_conditions(reading),
         flags=flags,
     )
-    return experiment, tuple(_understood(reading, experiment, time)), reading.sure_of_angles
+    understood = tuple(_understood(reading, experiment, time))
+    if scene is None:
+        return experiment, (*understood, "Without a scene, it can be shown but not simulated.")
+    name, sure = options.get("object_name"), reading.sure_of_angles
+    experiment, added = with_scene(experiment, scene, name, sure_of_angles=sure)
+    return experiment, understood + added
 
 
 # --- the header

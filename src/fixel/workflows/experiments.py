@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -117,14 +116,14 @@ def read_experiments(
         whole(limit, "limit")
     named = {"object_name": object_name, "simulated_by": simulated_by}
     options = {name: value for name, value in named.items() if value}
-    planned = partial(plan_import, scene=choice, columns=columns, units=units, split_by=split_by)
+    own: Any = {"columns": columns, "units": units, "split_by": split_by, "progress": progress}
     plans, found = [], []
     for place in places:
         ready = None if format is not None else _ready(place, choice)
         if ready is not None:
             found.append(ready)
             continue
-        plans.append(planned(place, format, options=options))
+        plans.append(plan_import(place, format, scene=choice, options=options, **own))
     read = collected(plans, limit, progress)
     if not found:
         return read
