@@ -7,7 +7,7 @@ import typer
 from typer.testing import CliRunner
 
 from fixel import errors
-from fixel.cli.main import app
+from fixel.cli.main import app, run
 from fixel.errors import FixelError, InvalidInput
 
 LASTING = {"compile", "demo", "doctor", "serve"}  # they work or wait, and need nothing
@@ -67,3 +67,13 @@ def test_an_error_states_the_meaning_of_a_missing_value():
         CliRunner().invoke(app, ["camera", "calibrate", "a.png"], catch_exceptions=False)
     assert str(problem.value).startswith("--board is missing: give a value; calibration board")
     assert "charuco:7x5:30mm:22mm" in str(problem.value)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_lists_arguments_without_types_of_python(name, capsys):
+    with pytest.raises(SystemExit):
+        run([*name.split(), "--help"])
+    listed = capsys.readouterr().out
+    assert not re.search(r"<\w+(\[\w+\])?>", listed)
+    metavars = [p.metavar for p in COMMANDS[name].params if p.param_type_name == "argument"]
+    assert [one for one in metavars if one not in listed] == []

@@ -192,6 +192,9 @@ def _show_help(program: typer.Typer, path: Sequence[str], name: str) -> bool:
             return False
         settings = command.context_settings
         context = command.context_class(command, info_name=word, parent=context, **settings)
+    for own in command.params:
+        if own.param_type_name == "argument":
+            own.display_type_rich = lambda ctx: ""  # Typer would add `<str>` to its name
     typer.echo(command.get_help(context))
     return True
 

@@ -18,7 +18,6 @@ from fixel.model.fields import (
     Comparable,
     Value,
     check_fields,
-    finite,
     instance,
     numbers,
     optional_positive,
@@ -27,6 +26,7 @@ from fixel.model.fields import (
     table,
     texts,
     vector,
+    whole,
 )
 from fixel.model.overlap import overlaps
 from fixel.model.scene import Scene
@@ -201,7 +201,7 @@ class PoseRegion(Clause):
 
     def __post_init__(self) -> None:
         check_fields(self, "goal")
-        settle(self, symmetry=_whole(self.symmetry, "goal.symmetry"))
+        settle(self, symmetry=whole(self.symmetry, "goal.symmetry"))
         if self.position is None and self.angle is None:
             raise InvalidInput(
                 "goal.pose", found="a pose without tolerances", expected="position=, angle= or both"
@@ -783,13 +783,6 @@ def _wanted(goals: tuple[Any, ...]) -> tuple[Goal, ...]:
     if not goals:
         raise InvalidInput("goal", found="no goals", expected="one at least")
     return goals
-
-
-def _whole(value: object, where: str) -> int:
-    number = finite(value, where)
-    if number < 1 or number != int(number):
-        raise InvalidInput(where, found=value, expected="a whole number of at least 1")
-    return int(number)
 
 
 def _bracketed(goal: Goal) -> str:
