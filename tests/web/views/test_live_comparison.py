@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from tests.fixtures import project_of
 
+import fixel
 from fixel.errors import InvalidInput
 from fixel.sampling import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
@@ -49,6 +50,22 @@ def test_what_is_kept_is_offered_next_time(live):
     assert stored.motion.contacts is None
     with pytest.raises(InvalidInput, match="one of experiment 2"):
         live.simulated(1, kept)
+
+
+def test_an_experiment_is_shown_with_its_own_calibration_among_many_newer_ones(tmp_path):
+    pushes = fixel.datasets.example()[:2]
+    fits = fixel.calibrate_each(pushes, {"mu_pusher": (0, 1)}, verdicts=False, progress=False)
+    project = project_of(tmp_path / "lab", pushes)
+    project.add(fits)
+    with project.store() as store:
+        of_second = store.calibration(max(store.calibrations()))
+        assert [own.experiment_id for own in of_second.members] == [2]
+        for _ in range(live_comparison.MAX_SETS + 5):  # a campaign of many more experiments
+            store.add_calibration(of_second)
+        offered = live_comparison.LiveComparison(store).sets(1)
+    shown = live_comparison.calibrated_of(offered)
+    assert dict(shown.parameters)["mu_pusher"] == fits[0]["mu_pusher"]
+    assert "(calibrated on this experiment)" in shown.label
 
 
 def test_the_command_and_the_python_say_the_same(live, tmp_path):

@@ -151,11 +151,13 @@ class LiveComparison:
                 error_mm2=None,
             )
         ]
-        for id_, record in reversed(self._store.calibration_summaries().items()):
-            if record.method.get("how") != FitKind.GROWTH and len(found) <= MAX_SETS:
-                own = _calibrated_set(id_, record, experiment, experiment_id)
-                unseen = list(self._known(id_).texts(target_of(experiment)))
-                found.append(own.model_copy(update={"unseen": unseen}))
+        every = reversed(self._store.calibration_summaries().items())
+        known = [one for one in every if one[1].method.get("how") != FitKind.GROWTH]
+        known.sort(key=lambda one: all(m.experiment_id != experiment_id for m in one[1].members))
+        for id_, record in known[:MAX_SETS]:  # those of this experiment come first
+            own = _calibrated_set(id_, record, experiment, experiment_id)
+            unseen = list(self._known(id_).texts(target_of(experiment)))
+            found.append(own.model_copy(update={"unseen": unseen}))
         for id_ in reversed(self._store.simulations(experiment_id)[-MAX_SETS:]):
             run = self._store.simulation(id_)
             found.append(
