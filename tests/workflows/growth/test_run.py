@@ -21,6 +21,7 @@ from fixel.calibration.result import FitKind
 from fixel.database.project import Project
 from fixel.domain.growth import ROWS, STORED, domain
 from fixel.errors import InvalidInput
+from fixel.web.views.calibration_views import list_calibrations
 from fixel.workflows.analysis import load_analyses
 from fixel.workflows.calibration.stored import load_values
 from fixel.workflows.capabilities import run
@@ -79,6 +80,10 @@ def test_means_are_kept_once_with_weights_and_errors(lab, experiments, points, e
     np.testing.assert_allclose([step.parameters[name] for name in NAMES], share @ points[rows])
     assert step.max_error_mm2 == first.growth.matrix[0][1]
     assert step.method["how"] == FitKind.GROWTH
+    with project.store() as store:
+        named = {own.id: own.name for own in list_calibrations(store) if own.id in first.added}
+    assert sorted(named) == sorted(first.added)
+    assert all(f"step {k}" in named[number] for k, number in enumerate(first.added, start=1))
     # Means on the way are no answer to "the calibration of this project".
     with project.store() as store:
         assert load_values(store).id not in first.added

@@ -273,7 +273,7 @@ def _listed(sets: list[tuple[int, CalibrationRecord]]) -> CalibrationSummary:
     counts = Counter(own.word for own in record.estimates if own.verdict)
     return CalibrationSummary(
         id=calibration_id,
-        name=record.name.partition(":")[0],
+        name=record.name.partition(":")[0] if "job" in record.method else record.name,
         **{k: str(record.method.get(k, "")) for k in ("how", "mode", "optimiser")},
         engine=engine_of(record),
         unit=record.error_unit,
