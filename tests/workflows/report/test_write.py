@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from tests import calibrating as run
+from tests.fixtures import project_of
 from tests.web.conftest import chromium  # noqa: F401
 
 import fixel
@@ -158,6 +159,20 @@ def test_numbers_of_the_calibration_are_those_stored(project, report):
     table = next(t for s in report.content.sections for t in s.tables if "Root mean" in t.title)
     assert table.rows[-1][0] == "calibrated"
     assert table.rows[-1][1] == pytest.approx(np.sqrt(errors).mean(), rel=5e-3)
+
+
+def test_a_report_on_single_calibrations_lists_all_of_the_run(tmp_path, without_charts):
+    pushes = fixel.datasets.example()[:3]
+    lab = project_of(tmp_path / "lab", pushes)
+    fits = fixel.calibrate_each(pushes, {"mu_pusher": (0, 1)}, verdicts=False, progress=False)
+    lab.add(fits)
+    errors = next(part for part in lab.report(tmp_path / "r").content.sections
+                  if part.anchor == "errors")  # fmt: skip
+    assert "The run has 3 calibrations." in " ".join(errors.lead)
+    (table,) = (one for one in errors.tables if one.title == "Calibrations of the run")
+    assert [row[0] for row in table.rows] == [
+        key for one in fits for key in one.keys_of_experiments
+    ]
 
 
 def test_findings_of_results_are_words(tmp_path):

@@ -50,19 +50,22 @@ def errors_section(fit: Calibration, figures: list[Figure]) -> Section:
         if len(values := own[np.isfinite(own)])
     ]
     columns = [Column(name, "mm", ".3g") for name in ("mean", "median", "largest")]
-    title = "Root mean square error of the trajectory"
-    tables = [Table(("parameters", *columns), rows, title=title)]
+    tables = [
+        Table(("parameters", *columns), rows, title="Root mean square error of the trajectory")
+    ]
     if len(after) >= 2 * MAX_NAMED:
         order = np.argsort(-np.where(np.isfinite(after), after, -1.0), kind="stable")[:MAX_NAMED]
         worst = [(fit.keys_of_experiments[k], after[k]) for k in order]
         error = Column("error", "mm", ".3g")
         tables.append(Table(("experiment", error), worst, title="Largest errors"))
+    if len(fit.run) > 1:
+        tables.append(replace(fit.run.analysis.tables[0], title="Calibrations of the run"))
     shown = [figure for figure in figures if not _of_parameters(figure)]
     shown.sort(key=lambda figure: figure.name.endswith("seconds"))  # durations last
     return Section(
         title="Nominal and calibrated",
         anchor="errors",
-        lead=sentences("calibration", "errors", scale_mm=_scale_mm(fit)),
+        lead=sentences("calibration", "errors", scale_mm=_scale_mm(fit), n_set=len(fit.run)),
         tables=tuple(tables),
         figures=tuple(shown),
     )
