@@ -31,13 +31,18 @@ def test_a_film_is_recorded(capsys, tmp_path):
     said = output(capsys, "record", "--camera", played, "--fast", "--tactile", "film", "--out", out)
     assert "30 frames in 0.290 s, 100.00 frames/s, 0 lost" in said
     assert "ended: the file has ended" in said
-    # Without a rig, `fixel track` would be refused.
-    after = f"Next: fixel track '{out}' --rig RIG, with your rig for RIG"
+    # Without a rig and a scene, `fixel track` would be refused.
+    command = f"Next: fixel track '{out}' --rig RIG --scene SCENE"
+    after = f"{command}, with your own files for RIG and SCENE"
     assert said.splitlines()[-1] == after
     said = output(capsys, "record", "check", out)
     assert "30 readings, 160 x 120 pixels, as-it-comes\nevery frame matches its row" in said
     assert said.splitlines()[-1] == after
     save_rig(rig_of("thesis-tags"), out / "rig.yaml")
+    said = output(capsys, "record", "check", out)
+    after = f"Next: fixel track '{out}' --scene SCENE, with your own files for SCENE"
+    assert said.splitlines()[-1] == after
+    (out / "scene.yaml").write_text("fixel_scene: 1\n")
     said = output(capsys, "record", "check", out)
     assert said.splitlines()[-1] == f"Next: fixel track '{out}'"
 

@@ -32,7 +32,7 @@ def read(tmp_path):
 
 
 def test_a_table_in_its_order_with_empty_cells_as_in_the_template(read):
-    second, first = read("name,x_mm,angle_deg,speed_mm_s\nb,160,,20\n\na,,45,\n")
+    second, first = read("name,x_mm,angle_deg,speed_mm_s\nb,160,,20\n\n, ,,\na,,45,\n,,,\n")
     assert (second.name, first.name) == ("b", "a")
     old = PLANNED.scene.bodies[0].pose
     np.testing.assert_allclose(second.scene.bodies[0].pose, [0.16, old[1], old[2]])
@@ -76,12 +76,14 @@ def test_what_is_written_is_read(plan, tmp_path):
 
 
 @pytest.mark.parametrize(("text", "where", "words"), [
-    ("id,x_mm\na,1\n", "plan.csv", "fixel needs a column name"),
+    ("id,x_mm\na,1\n", "plan.csv", "fixel needs a column named name"),
     ("name,x\na,1\n", "plan.csv, header", "'x', but must be one of"),
     ("name,speed_mms\na,1\n", "plan.csv, header", "did you mean 'speed_mm_s'"),
     ("name,ofset_x_mm\na,1\n", "plan.csv, row 1, a.ofset_x_m", "mean 'offset_x_m'"),
+    ("name,comment\na,nice\n", "plan.csv, header", "name a column of your own condition.comment"),
+    ("name,x_mm,x_m\na,160,0.2\n", "plan.csv, header", "'x_m' in another unit too"),
     ("name,x_deg\na,1\n", "plan.csv, header", "'x_deg'"),
-    ("name|x_mm\na|1\n", "plan.csv", "fixel needs a column name"),
+    ("name|x_mm\na|1\n", "plan.csv", "fixel needs a column named name"),
     ("name,x_mm\na,160\nb,far\n", "plan.csv, row 2, column x_mm", "'far', but must be a finite"),
     ("name,x_mm\na,nan\n", "plan.csv, row 1, column x_mm", "finite number"),
     ("name,speed_mm_s\na,0\n", "plan.csv, row 1, a.drive", "greater than 0"),

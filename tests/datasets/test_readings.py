@@ -115,7 +115,7 @@ def test_wrong_pushes_are_refused(changes, complaint, tmp_path):
 def test_a_missing_column_is_named(tmp_path):
     row = push_files.push(0)
     del row["tip_y1"]
-    refused(imported, push_files.mit_push(tmp_path, row), match="a column tip_y1")
+    refused(imported, push_files.mit_push(tmp_path, row), match="a column named tip_y1")
 
 
 def test_a_broken_file_is_refused(tmp_path):

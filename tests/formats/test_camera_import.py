@@ -157,6 +157,37 @@ def test_cameras_of_kalibr_and_ros_project_as_opencv_does(text, which, tmp_path)
     np.testing.assert_allclose(ours, seen_by_opencv(lens, points), atol=1e-8)
 
 
+OPENCV = """%YAML:1.0
+---
+image_width: 640
+image_height: 480
+mtx: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 438.7, 0., 305.5, 0., 437.3, 243.7, 0., 0., 1. ]
+dist: !!opencv-matrix
+   rows: 1
+   cols: 5
+   dt: d
+   data: [ -0.361, 0.159, 0.0012, 0.0007, 0. ]
+"""
+
+
+@pytest.mark.parametrize(("name", "content"), [
+    ("echo.yaml", (ROS + "---\n").encode()),  # as `ros2 topic echo --once` ends
+    ("bom.yaml", b"\xef\xbb\xbf" + ROS.encode()),
+    ("tutorial.yml", OPENCV.encode()),  # names of OpenCV's own tutorial in Python
+    ("bom.yml", b"\xef\xbb\xbf" + OPENCV.encode()),  # as Windows editors begin a text
+    ("crlf.yml", OPENCV.replace("\n", "\r\n").encode()),
+])  # fmt: skip
+def test_other_endings_beginnings_and_names_give_the_same_lens(name, content, tmp_path):
+    (tmp_path / name).write_bytes(content)
+    lens = import_camera(tmp_path / name)[0].lens
+    assert (lens.focal.tolist(), lens.centre.tolist()) == ([438.7, 437.3], [305.5, 243.7])
+    assert lens.distortion[:4].tolist() == [-0.361, 0.159, 0.0012, 0.0007]
+
+
 LENSES = [
     Lens(image_size=(640, 480), focal=(500.0, 502.0), centre=(321.0, 238.0),
          distortion=(-0.2, 0.05, 0.001, -0.002, 0.01)),
@@ -220,6 +251,9 @@ def test_camera_files_read_back(numbers, shift, tmp_path_factory):
     ("a.yaml", ROS + "binning_x: 2\n", "binned"),
     ("a.yaml", ROS + "roi: {x_offset: 12, width: 320}\n", "cropped"),
     ("a.yaml", ROS.replace("640", "many"), "image_width"),
+    ("a.yaml", KALIBR[: KALIBR.index("cam1")].replace("461.6, 460.1", "0.61, 0.96"), "pixels"),
+    ("a.yaml", ROS.replace("438.7", ".nan"), "9 numbers"),
+    ("a.yaml", ROS + "---" + ROS, "second document"),
     ("a.yaml", "hello: world", "unknown format"),
     ("a.yml", "%YAML:1.0\n---\nK: !!opencv-matrix\n   rows: 3\n", "OpenCV"),
     ("a.xml", '<?xml version="1.0"?>\n<opencv_storage><a>1</a></opencv_storage>', "camera matrix"),

@@ -59,6 +59,22 @@ def test_a_key_ends_it(tmp_path: Path) -> None:
     assert seen[0].free > 0
 
 
+def test_a_stop_before_the_first_picture_leaves_no_empty_recording(tmp_path: Path) -> None:
+    late = Pictures(10, before=lambda k: time.sleep(0.5))
+    found = refused(record, late, tmp_path / "r", stop=lambda: "a key")
+    assert "no picture before it was stopped (a key)" in str(found)
+    assert not (tmp_path / "r").exists()
+
+
+def test_a_stop_right_after_the_first_picture_keeps_that_picture(tmp_path: Path) -> None:
+    sent: list[int] = []
+    done = record(
+        Pictures(10, before=sent.append), tmp_path / "r", stop=lambda: "a key" if sent else ""
+    )
+    assert done.frames >= 1
+    assert open_recording(tmp_path / "r").n_frames == done.frames
+
+
 def test_a_mode_that_stays_ends_it(tmp_path: Path) -> None:
     fixels = Fixels(lambda k: 0b010 if 10 < k < 20 or k >= 30 else 0)
     done = record(Pictures(300), tmp_path / "r", tactile=fixels, seating=Seating(0b010))

@@ -61,7 +61,8 @@ def demo(
         notify(f"{time.monotonic() - begin:4.0f} s  {what} ...")
 
     if as_json and (misfit or quick or camera):
-        raise InvalidInput("--json", found="another demo", expected="fixel demo alone")
+        expected = "no other demo: --misfit, --quick and --camera print text only"
+        raise InvalidInput("--json", found="the option of another demo", expected=expected)
     if camera:
         from fixel.workflows.demo.camera_demo import run_camera_tour
 
@@ -127,9 +128,8 @@ def _camera_lines(tour: "CameraTour") -> list[str]:
     (position, angle), lab = tour.errors, shlex.quote(str(tour.project))
     return [
         "",
-        f"{tour.frames} frames recorded, {tour.lost} lost. Tracked poses are"
-        f" {1e3 * position:.3f} mm and {degrees(angle):.3f} deg from the true"
-        " ones (RMS).",
+        f"{tour.frames} frames recorded, {tour.lost} lost. Tracked poses are "
+        f"{1e3 * position:.3f} mm and {degrees(angle):.3f} deg from the true ones (RMS).",
         "",
         *estimate_table(tour.estimates, tour.truths).lines(),
         "",
@@ -173,8 +173,8 @@ def _scene_lines(result: "Demo") -> list[str]:
         "",
         *(f"  t = {event.time:6.3f} s  {event.text}" for event in result.events),
         "",
-        f"{run.duration:g} s of motion took {time_text(run.wall_time_s)}: {run.steps} steps,"
-        f" worst residual {run.max_residual:.0e}.",
+        f"{run.duration:g} s of motion took {time_text(run.wall_time_s)}: {run.steps} steps, "
+        f"worst residual {run.max_residual:.0e}.",
         "",
         *(f"  {_WHAT[kind]:10} {path}" for kind, path in files.items()),
         "",

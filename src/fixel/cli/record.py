@@ -148,11 +148,14 @@ def _lines(done: "RecordingSummary") -> list[str]:
 
 
 def _after(folder: Path) -> str:
-    """Return what to do with a whole recording, which cannot be tracked without a rig."""
-    from fixel.formats.recording import RIG_FILE
+    """Return what to do with a whole recording, which cannot be tracked without rig and scene."""
+    from fixel.formats.recording import RIG_FILE, SCENE_FILE
 
-    track = f"Next: {command_of('track', folder)}"
-    return track if (folder / RIG_FILE).is_file() else f"{track} --rig RIG, with your rig for RIG"
+    files = {"RIG": RIG_FILE, "SCENE": SCENE_FILE}
+    missing = [name for name, file in files.items() if not (folder / file).is_file()]
+    options = "".join(f" --{name.lower()} {name}" for name in missing)
+    yours = missing and ", with your own files for " + " and ".join(missing)
+    return f"Next: {command_of('track', folder)}{options}{yours or ''}"
 
 
 def _checked(recording: "Recording") -> CommandAnswer:

@@ -148,7 +148,7 @@ class CsvRows:
         """Raise `InvalidInput` if one of these columns is missing."""
         for name in names:
             if name not in self.columns:
-                found, expected = "the columns " + ", ".join(self.columns), f"a column {name}"
+                found, expected = "the columns " + ", ".join(self.columns), f"a column named {name}"
                 raise InvalidInput(self.source, found=found, expected=expected)
 
     def place(self, name: str, row: int) -> str:
@@ -238,7 +238,7 @@ def read_table(path: Path, *, torn: bool = False) -> CsvRows:
     if len(rows) < 2:
         found = "a header without rows" if any(rows) else "an empty file"
         raise InvalidInput(path.name, found=found, expected="a header and rows")
-    header, body = rows[0], [row for row in rows[1:] if row]
+    header, body = rows[0], [row for row in rows[1:] if any(map(str.strip, row))]
     if len(set(header)) < len(header):
         twice = next(name for k, name in enumerate(header) if name in header[:k])
         where, found = f"{path.name}, header", f"{twice!r} twice"

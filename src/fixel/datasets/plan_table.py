@@ -89,7 +89,11 @@ def _columns(table: CsvRows) -> dict[str, FloatArray]:
         ending = next((u for u in sorted(UNITS, key=len)[::-1] if title.endswith(f"_{u}")), "s")
         key = f"{title.removesuffix(ending)}{UNITS[ending].si}"
         if key not in DRIVE and not key.endswith(KEYS):
-            raise unknown_name(f"{table.source}, header", title, KNOWN)
+            own = f"; name a column of your own {CONDITION}{title}"
+            raise unknown_name(f"{table.source}, header", title, KNOWN, more=own)
+        if key in columns:
+            found, expected = f"{title!r} in another unit too", "each value in one column"
+            raise InvalidInput(f"{table.source}, header", found=found, expected=expected)
         columns[key] = UNITS[ending].scale * table.numbers(title, blank=True)
     return columns
 

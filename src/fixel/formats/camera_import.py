@@ -87,24 +87,21 @@ def _kind_of(path: Path) -> str:
     if path.suffix.lower() in (".m", ".mat"):
         return "matlab"
     if b"fixel_camera" in head:
-        raise InvalidInput(
-            str(path),
-            found="a camera file of fixel already",
-            expected="a camera file of another program",
-            hint=f"run: {shlex.join(['fixel', 'camera', 'check', path.name])}",
-        )
+        found, expected = "a camera file of fixel already", "a camera file of another program"
+        hint = f"run: {shlex.join(['fixel', 'camera', 'check', path.name])}"
+        raise InvalidInput(str(path), found=found, expected=expected, hint=hint)
     if b"opencv-matrix" in head or b"<opencv_storage" in head:
         return "opencv"
     if b"distortion_model" in head and b"camera_model" in head:
         return "kalibr"
     if b"distortion_model" in head:
         return "ros"
-    raise InvalidInput(
-        str(path),
-        found="a file of unknown format",
-        expected="Calib_Results.m or .mat, an OpenCV storage, a Kalibr camchain or a ROS camera",
-        hint="choose the format with --format " + " | ".join(FORMATS),
+    found, hint = (
+        "a file of unknown format",
+        "choose the format with --format " + " | ".join(FORMATS),
     )
+    expected = "Calib_Results.m or .mat, an OpenCV storage, a Kalibr camchain or a ROS camera"
+    raise InvalidInput(str(path), found=found, expected=expected, hint=hint)
 
 
 def _head(path: Path) -> bytes:
@@ -131,13 +128,10 @@ def _kalibr(path: Path, which: str) -> Lens:
 
 
 def _kalibr_lens(one: dict[str, Any]) -> Lens:
-    if one.get("camera_model") != "pinhole":
-        raise InvalidInput(
-            "camera_model",
-            found=repr(one.get("camera_model")),
-            expected="pinhole, the only model that fixel reads",
-            hint="calibrate again with --models pinhole-radtan or pinhole-equi",
-        )
+    if (model := one.get("camera_model")) != "pinhole":
+        found, expected = repr(model), "pinhole, the only model that fixel reads"
+        hint = "calibrate again with --models pinhole-radtan or pinhole-equi"
+        raise InvalidInput("camera_model", found=found, expected=expected, hint=hint)
     model = one.get("distortion_model")
     check_name("distortion_model", model, ("radtan", "equidistant", "none"))
     fx, fy, cx, cy = numbers(one, "intrinsics", 4)
@@ -240,15 +234,12 @@ def _lens(found: Variables) -> Lens:
     for name, what in (("fc", "focal lengths [px]"), ("cc", "principal point [px]"),
                        ("nx", "width of the pictures [px]"), ("ny", "height [px]")):  # fmt: skip
         if name not in found:
-            raise InvalidInput(
-                name, found=None, expected=what, hint="is this a Calib_Results of the toolbox?"
-            )
+            hint = "is this a Calib_Results of the toolbox?"
+            raise InvalidInput(name, found=None, expected=what, hint=hint)
     size = (int(_row(found, "nx", 1)[0]), int(_row(found, "ny", 1)[0]))
     kc = found.get("kc", np.zeros(1)).ravel()
     if len(kc) > 5:
-        raise InvalidInput(
-            "kc", found=f"{len(kc)} numbers", expected="at most k1, k2, p1, p2 and k3"
-        )
+        raise InvalidInput("kc", found=f"{len(kc)} numbers", expected="at most k1, k2, p1, p2, k3")
     lens = Lens(
         image_size=size,
         focal=_row(found, "fc", 2),

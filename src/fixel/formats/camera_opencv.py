@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
+from codecs import BOM_UTF8
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.io.atomic import refuse_ending, write_whole, written_whole
-from fixel.io.document import yaml_text
+from fixel.io.atomic import read_bounded, refuse_ending, write_whole, written_whole
+from fixel.io.document import MAX_BYTES, yaml_text
 from fixel.typing import FloatArray
 from fixel.vision.camera import Camera, MeasuredCamera
 from fixel.vision.frame import opencv
 from fixel.vision.lens import Lens
 
-MATRIX: Final = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "M1", "intrinsic_matrix")
+MATRIX: Final = (
+    *("camera_matrix", "cameraMatrix", "Camera_Matrix", "intrinsic_matrix", "K", "M1", "mtx"),
+)
 DISTORTION: Final = (
-    "distortion_coefficients",
-    "dist_coeffs",
-    "distCoeffs",
-    "Distortion_Coefficients",
-    "dist_coeff",
-    "D",
-    "D1",
+    *("distortion_coefficients", "Distortion_Coefficients", "dist_coeffs", "distCoeffs"),
+    *("dist_coeff", "dist", "D", "D1"),
 )
 WIDTH: Final = ("image_width", "image_Width", "width")
 HEIGHT: Final = ("image_height", "image_Height", "height")
@@ -36,9 +34,7 @@ def lens_of(
     """Build a lens from OpenCV's camera matrix and distortion coefficients."""
     k = np.asarray(matrix, dtype=np.float64)
     if k.shape != (3, 3) or not np.isfinite(k).all():
-        raise InvalidInput(
-            "camera_matrix", found=f"an array of {k.shape}", expected="3 x 3 finite numbers"
-        )
+        raise InvalidInput("camera_matrix", found=k.tolist(), expected="3 x 3 finite numbers")
     if k[0, 0] <= 0.0:
         expected = "a calibrated camera: focal lengths above 0 px"
         raise InvalidInput(
@@ -78,10 +74,11 @@ def check_plausible(lens: Lens) -> None:
             expected="a point in the picture",
             hint="check whether the values belong to another resolution",
         )
-    if not 0.1 < lens.focal[0] / lens.focal[1] < 10.0:
-        raise InvalidInput(
-            "focal", found=lens.focal.tolist(), expected="focal lengths that are nearly equal"
-        )
+    least = width / 20.0  # a view of 170 degrees
+    if not 0.1 < lens.focal[0] / lens.focal[1] < 10.0 or lens.focal[0] < least:
+        expected = f"two similar focal lengths above {least:g} px in pictures {width} px wide"
+        hint = "convert lengths in mm, or shares of the width, to pixels"
+        raise InvalidInput("focal", found=lens.focal.tolist(), expected=expected, hint=hint)
 
 
 def placed_above(lens: Lens, rotation: FloatArray, translation: FloatArray) -> tuple[Camera, bool]:
@@ -103,7 +100,9 @@ def opencv_camera(path: Path, size: tuple[int, int] | None) -> MeasuredCamera:
     """Load the camera of a storage file; `size` is used if the file has no picture size [px]."""
     cv2 = opencv()
     try:
-        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+        data = read_bounded(path, "a camera file", MAX_BYTES).removeprefix(BOM_UTF8)
+        text = data.decode("latin-1")
+        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         try:
             return _read(storage, size)
         finally:

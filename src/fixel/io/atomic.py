@@ -52,7 +52,8 @@ def refuse_ending(path: str | Path, endings: Sequence[str], what: str) -> None:
     ending = Path(path).suffix
     if ending.lower() not in endings:
         found = f"the ending {ending!r}" if ending else "a name without an ending"
-        raise InvalidInput(str(path), found=found, expected=f"a {what} file: " + ", ".join(endings))
+        expected = f"a{'n' * (what[0] in 'aeiou')} {what} file: " + ", ".join(endings)
+        raise InvalidInput(str(path), found=found, expected=expected)
 
 
 def unfinished_path(path: Path) -> Path:

@@ -51,9 +51,8 @@ def read_document(path: Path, kind: str = "file") -> Any:
     if path.is_file() and path.name.lower().endswith(TABLES):
         name = shlex.quote(str(path))
         hint = f"import its poses: fixel import {name}; or perform its rows: fixel bench {name}"
-        raise InvalidInput(
-            str(path), found="a table", expected=f"a {kind}, in YAML or JSON", hint=hint
-        )
+        expected = f"a {kind}, in YAML or JSON"
+        raise InvalidInput(str(path), found="a table", expected=expected, hint=hint)
     text = _text(path)
     parse = parse_json if path.suffix.lower() == ".json" else parse_yaml
     return parse(text, str(path))
@@ -71,6 +70,8 @@ def document(path: str | Path, kind: str = "file") -> Iterator[Any]:
 
 def parse_yaml(text: str, where: str) -> Any:
     """Return the content of one YAML document; `where` names it in errors."""
+    if (whole := text.rstrip()).endswith("\n---"):  # `ros2 topic echo` ends every message so
+        text = whole.removesuffix("---")
     try:
         return _composed(yaml.parse(text, Loader=_LOADER), where)
     except yaml.YAMLError as problem:
@@ -101,10 +102,8 @@ def parse_json(text: str, where: str) -> Any:
 
 def yaml_text(content: Any) -> str:
     """Return YAML text with the same meaning in versions 1.1 and 1.2."""
-    text: str = yaml.dump(
-        content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=100
-    )
-    return text
+    options: Any = {"sort_keys": False, "default_flow_style": None, "width": 100}
+    return str(yaml.dump(content, Dumper=_Dumper, **options))
 
 
 def plain_numbers(value: Any) -> Any:

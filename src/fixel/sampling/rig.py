@@ -26,7 +26,7 @@ def plain_name(value: object, where: str, longest: int = 60) -> str:
     """Return a name that is valid in file names everywhere: letters, digits, `_` and `-`."""
     name = fields.name_of(value, where)
     if len(name) > longest or not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
-        expected = f"at most {longest} of A-Z, a-z, 0-9, _ and -"
+        expected = f"at most {longest} characters of A-Z, a-z, 0-9, _ and -"
         raise InvalidInput(where, found=repr(name), expected=expected)
     return name
 

@@ -182,8 +182,10 @@ class Recorder:
         """Wait for the first picture; nothing is written before it."""
         since, limit = time.monotonic(), max(self.patience, STALLED)
         while (arrived := queue.get(POLL)) is None:
-            if queue.over or time.monotonic() - since > limit:
-                found = queue.reason if queue.over else f"no picture within {limit:g} s"
+            why = "" if self.stop is None else self.stop()
+            if queue.over or why or time.monotonic() - since > limit:
+                end = f"before it was stopped ({why})" if why else f"within {limit:g} s"
+                found = queue.reason if queue.over else f"no picture {end}"
                 raise InvalidInput(self.source.name, found=found, expected="pictures to record")
         # The picture that was read to open the source may be old.
         while self.stream.live and queue.waiting and time.monotonic() - arrived.time > BEHIND:
@@ -194,7 +196,7 @@ class Recorder:
         """Write pictures until there is a reason to end, and return it."""
         zero, looked, watched = first.taken, -LOOKS_AT_DISK, -WATCH
         arrived: CameraPicture | None = first
-        while not (self.stop is not None and (why := self.stop())):
+        while arrived is first or not (self.stop is not None and (why := self.stop())):
             if arrived is None:
                 arrived = queue.get(POLL)
                 if arrived is None and (why := self._silent(queue)):

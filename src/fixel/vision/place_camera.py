@@ -21,7 +21,7 @@ from fixel.vision.camera import PLACE, Camera, MeasuredCamera
 from fixel.vision.frame import Picture, opencv
 from fixel.vision.lens import Lens
 from fixel.vision.marks import Board, Tag, gray_of
-from fixel.vision.tracking.tags import find_tags, other_families, tag_points
+from fixel.vision.tracking.tags import find_tags, other_tags, tag_points
 
 MIN_TAGS: Final = 2
 UNEVEN: Final = 0.2  # variation of the shift of tags' edges between corners, as a share of it
@@ -63,7 +63,7 @@ def place_by_tags(measured: MeasuredCamera, picture: Picture, tags: Sequence[Tag
     found = find_tags(picture, tags)
     if len(found) < MIN_TAGS:
         seen = ", ".join(str(tags[k].id) for k in found) or "none"
-        others = other_families(gray_of(picture), {tag.family for tag in tags})
+        others = other_tags(gray_of(picture), {(tag.family, tag.id) for tag in tags})
         raise InvalidInput(
             "picture",
             found=f"{seen} of the {len(tags)} tags on the plate"

@@ -62,8 +62,9 @@ def planned_rows(
         try:
             with project.store() as store:
                 return scene_of(store.experiment(store.find(name)))
-        except NotStored as missing:
-            raise InvalidInput(name, found=str(missing), expected="a stored experiment") from None
+        except NotStored as missing:  # the place is that of its cell
+            found, expected = f"no {missing.what}", "a stored experiment"
+            raise InvalidInput("", found=found, expected=expected, hint=missing.hint) from None
 
     return read_rows(path, scene, stored)
 

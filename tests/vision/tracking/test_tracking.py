@@ -249,6 +249,29 @@ def test_unknown_methods_are_refused():
     refused(track, [], rig, match="no frames")
 
 
+def test_tags_that_the_rig_does_not_have_are_named():
+    rig = tag_rig()
+    poses = {"object": np.zeros(3), "actuator": np.array([-0.06, -0.04, 0.0])}
+    frame = Frame(0.0, as_seen(painted(rig).picture(poses), seed=1))
+    part = rig.parts["object"]
+    marks = [replace(mark, id=mark.id + 100) for mark in part.marks]
+    other = replace(rig, parts=rig.parts | {"object": replace(part, marks=marks)})
+    seen = ", ".join(str(mark.id) for mark in part.marks)
+    problem = refused(track, [frame], other, match="in none of 1 frames")
+    assert f"the first frame shows {part.marks[0].family} tag" in str(problem)
+    assert f"{seen}, but" in str(problem)
+
+
+def test_the_width_of_a_tag_written_in_metres_is_named():
+    rig = tag_rig()
+    poses = {"object": np.zeros(3), "actuator": np.array([-0.06, -0.04, 0.0])}
+    frame = Frame(0.0, as_seen(painted(rig).picture(poses), seed=1))
+    part = rig.parts["object"]
+    marks = [replace(mark, size=mark.size / 1e3) for mark in part.marks]
+    other = replace(rig, parts=rig.parts | {"object": replace(part, marks=marks)})
+    refused(track, [frame], other, match=rf"needs {part.marks[0].size:g} mm, as in the rig file")
+
+
 @pytest.mark.system
 def test_a_part_that_was_pushed_on_while_covered_is_seen_at_once():
     """A hand over the object for 0.7 s, in which it goes 50 mm at 75 mm/s."""

@@ -17,6 +17,7 @@ from fixel.errors import DeviceFailed, InvalidInput
 from fixel.formats.plan_file import plan_text
 from fixel.formats.recording import RecordingHeader, RecordingWriter
 from fixel.formats.rig_file import rig_of, save_rig
+from fixel.model import placed
 from fixel.testbed.emulators.grbl import EmulatedGrbl
 from fixel.testbed.emulators.laboratory import smaller
 from fixel.testbed.file_source import LoopbackCamera
@@ -123,6 +124,23 @@ def test_what_is_missing_or_unknown_is_named(folder, options, where, found):
     assert where in str(error)
     assert found in str(error.found)
     assert error.expected
+
+
+def test_a_part_that_the_head_would_miss_is_named(folder):
+    """Values in a wrong unit leave the part far away, where the drive could still move."""
+    scene = short_plan().experiments[0].scene
+    scene.save(folder / "scene.yaml")
+    (folder / "far.csv").write_text("name,offset_y_m\nnear,0.001\nfar,1\n")
+    part = placed(scene.bodies[0].shape.outline, scene.bodies[0].pose)[:, 1].min() + 1.0
+    head = placed(scene.pushers[0].shape.outline, scene.pushers[0].pose)[:, 1].max()
+    own = {"emulated": True, "dry_run": True}
+    with (
+        pytest.raises(InvalidInput) as caught,
+        open_bench(Project(folder / "lab"), folder / "far.csv", **own),
+    ):
+        pass
+    assert caught.value.where.startswith("row far")
+    assert f"a part {1e3 * (part - head):.1f} mm away" in str(caught.value)
 
 
 @pytest.mark.parametrize(("options", "where"), [

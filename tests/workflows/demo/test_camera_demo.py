@@ -40,9 +40,13 @@ def test_the_table_compares_both_estimates_with_the_truth() -> None:
     pairs = ((estimate(0.3, 0.2, 0.4), estimate(0.21, 0.2, 0.22)),) * 2
     table = estimate_table(pairs, (0.25, None))
     (_, truth, film, exact, agree), (_, none, *_) = table.rows
-    assert (truth, none, agree) == ("0.25", "none", "yes")
-    assert film == "0.3 (0.2 to 0.4), identified: right"
-    assert exact == "0.21 (0.2 to 0.22), identified: WRONG"
+    assert (truth, none, agree) == ("0.2500", "none", "yes")
+    assert film == "0.3000 (0.2000 to 0.4000), identified: right"
+    assert exact == "0.2100 (0.2000 to 0.2200), identified: WRONG"
+    radius = Estimate(label="tripod_radius", unit="m", value=0.055, low=0.045, high=None,
+                      verdict="effective")  # fmt: skip
+    ((name, _, film, *_),) = estimate_table(((radius, radius),), (0.05,)).rows
+    assert (name, film) == ("tripod_radius", "55.00 mm (at least 45.00 mm), effective: right")
     assert not any("right" in cell or "WRONG" in cell for cell in table.rows[1])
 
 

@@ -28,7 +28,7 @@ from fixel.vision.tracking.judge import clock_scatter, judged
 from fixel.vision.tracking.outline import OutlineEdges, PoseFit, circle_edges, fit_pose, window_of
 from fixel.vision.tracking.silhouette import Silhouette
 from fixel.vision.tracking.stickers import Stickers
-from fixel.vision.tracking.tags import Tags, other_families, tag_corners
+from fixel.vision.tracking.tags import Tags, other_tags, tag_corners
 
 METHODS: Final[Mapping[str, AbstractTracking]] = {
     method.name: method for method in (Tags(), Stickers(), Silhouette())
@@ -201,8 +201,9 @@ def _refuse_unseen(rig: Rig, sightings: Mapping[str, list[PartObservation]], fir
         if any(sight.pose is not None for sight in own):
             continue
         reasons = [sight.reason for sight in own]
-        families = {mark.family for mark in rig.parts[name].marks if isinstance(mark, Tag)}
-        others = other_families(first.luma, families) if families else ""
+        marks = (*rig.plate, *(mark for part in rig.parts.values() for mark in part.marks))
+        known = {(mark.family, mark.id) for mark in marks if isinstance(mark, Tag)}
+        others = other_tags(first.luma, known)
         there = f"; the first frame shows {others}" if others else ""
         raise InvalidInput(
             f"part {name!r}",

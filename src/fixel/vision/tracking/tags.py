@@ -127,7 +127,8 @@ class _TaggedPart(base.PartFollower):
         if not agreeing:
             return base.PartObservation(reason="the picture there does not decode as its tags")
         if fit.residual > MAX_RESIDUAL:
-            return base.PartObservation(reason=f"edges scatter by {fit.residual:.2f} px")
+            reason = f"edges scatter by {fit.residual:.2f} px: check the sizes of the tags"
+            return base.PartObservation(reason=reason)
         if base.vague(sd, self._scale):
             return base.PartObservation(
                 reason="too little of its tags is visible to estimate a pose"
@@ -246,8 +247,8 @@ def _refuse_size(part: str, tag: Tag, corners: FloatArray) -> None:
     if abs(mean / tag.size - 1.0) > WRONG_SIZE and np.ptp(sides) < WRONG_SIZE * mean:
         raise InvalidInput(
             f"tag {tag.id} of {part}",
-            found=f"a width of {mean * 1e3:.1f} mm in the picture",
-            expected=f"{tag.size * 1e3:.1f} mm, as in the rig file",
+            found=f"a width of {mean * 1e3:.3g} mm in the picture",
+            expected=f"{tag.size * 1e3:.3g} mm, as in the rig file",
             hint="check its size in the rig file, which is that of the black square, and its "
             "height",
         )
@@ -268,11 +269,10 @@ def read_tags(picture: Gray, families: set[str]) -> dict[TagName, list[FloatArra
     return found
 
 
-def other_families(picture: Gray, families: set[str]) -> str:
-    """Describe tags of other families in a picture; empty where there are none."""
-    found = read_tags(picture, set(KNOWN_FAMILIES) - families)
+def other_tags(picture: Gray, known: set[TagName]) -> str:
+    """Describe the tags in a picture that are not among known ones; empty where there are none."""
     by_family: dict[str, list[int]] = {}
-    for family, id_ in sorted(found):
+    for family, id_ in sorted(set(read_tags(picture, set(KNOWN_FAMILIES))) - known):
         by_family.setdefault(family, []).append(id_)
     return "; ".join(
         f"{family} tag{'' if len(ids) == 1 else 's'} {', '.join(map(str, ids[:MAX_NAMED]))}"

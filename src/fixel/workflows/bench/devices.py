@@ -86,7 +86,8 @@ class BenchDevices:
             turn = math.atan2(way.direction[1], way.direction[0]) - self.frame[2]
             start[:2] = inside(self.frame, head.pose[:2])
             direction[:2] = math.cos(turn), math.sin(turn)
-        return Stroke(start, direction, way.distance(scene.duration), way.speed)
+        travel = way.distance(scene.duration)
+        return Stroke(start, direction, travel, way.speed, travel * way.direction)
 
     def check(self, row: PlannedExperiment) -> None:
         """Raise `InvalidInput` if the drive cannot perform a row; nothing moves."""
@@ -96,6 +97,12 @@ class BenchDevices:
             self.drive.check(to=0.0, speed=push.speed)
             self.drive.check(to=push.travel, speed=push.speed)
             self._fast = self._fast or self._way_speed(push)
+            things = row.scene.bodies[0], row.scene.pushers[0]
+            part, head = (placed(own.shape.outline, own.pose) for own in things)
+            swept = shapely.MultiPoint(np.concatenate((head, head + push.way))).convex_hull
+            if gap := swept.distance(shapely.Polygon(part)):
+                found = f"a part {1e3 * gap:.1f} mm away from the way of the head"
+                raise InvalidInput("scene", found=found, expected="a part that the push touches")
         except InvalidInput as problem:
             hint = "change the row, or where and how fast the drive can move"
             raise problem.at(f"row {row.name}: {problem.where}", hint) from None
@@ -192,6 +199,7 @@ class Stroke(NamedTuple):
     direction: FloatArray  # (n_axes,) unit vector
     travel: float  # [m]
     speed: float  # [m/s]
+    way: FloatArray  # (2,) motion of the head in the world [m]
 
 
 def inside(frame: FloatArray, place: FloatArray) -> FloatArray:

@@ -22,7 +22,7 @@ from fixel.model import Experiment, PathDrive, Scene, Trajectory, placed
 from fixel.model.records import Estimate
 from fixel.model.selection import ExperimentQuery
 from fixel.sampling.published import thesis_plan
-from fixel.table import Table
+from fixel.table import Column, Table
 from fixel.testbed.emulators import bench as mega
 from fixel.testbed.emulators.bench import emulated_bench
 from fixel.testbed.frame_source import CameraPicture
@@ -377,18 +377,11 @@ def _keep(
 def _run_table(runs: tuple[TrackedRun, ...]) -> Table:
     rows = []
     for run in runs:
-        position, angle = errors_of((run,))
-        rows.append(
-            (
-                run.name,
-                str(len(run.time)),
-                f"{1e3 * position:.3f}",
-                f"{1e3 * float(run.position_error.max()):.3f}",
-                f"{math.degrees(angle):.3f}",
-                f"{math.degrees(float(np.abs(run.angle_error).max())):.3f}",
-            )
-        )
-    head = ("run", "frames", "RMS [mm]", "largest [mm]", "RMS [deg]", "largest [deg]")
+        far, turned = run.position_error.max(), np.abs(run.angle_error).max()
+        (position, angle), own = errors_of((run,)), (run.name, len(run.time))
+        rows.append((*own, 1e3 * position, 1e3 * far, math.degrees(angle), math.degrees(turned)))
+    names = [Column(what, unit, ".3f") for unit in ("mm", "deg") for what in ("RMS", "largest")]
+    head: tuple[Column | str, ...] = ("run", "frames", *names)
     return Table(head, rows, title="Difference of tracked and true poses")
 
 
@@ -398,8 +391,8 @@ def estimate_table(
     """Table of the values from the film and from true poses, compared with the truth."""
     rows = tuple(
         (
-            f"{tracked.label} [{tracked.unit or '-'}]",
-            "none" if truth is None else f"{truth:.4g}",
+            tracked.label,
+            "none" if truth is None else tracked.text(truth),
             written_estimate(tracked, truth),
             written_estimate(true, truth),
             "yes" if within_interval(tracked, true.value) else "NO",
@@ -415,9 +408,7 @@ def written_estimate(estimate: Estimate, truth: float | None = None) -> str:
 
     An estimate is right if its interval contains the true value.
     """
-    ends = (estimate.low, estimate.high)
-    low, high = ("open" if end is None else f"{end:.4g}" for end in ends)
-    text = f"{estimate.value:.4g} ({low} to {high}), {estimate.verdict}"
+    text = f"{estimate.text(estimate.value)} ({estimate.interval_text}), {estimate.verdict}"
     if truth is None:
         return text
     return f"{text}: {'right' if within_interval(estimate, truth) else 'WRONG'}"

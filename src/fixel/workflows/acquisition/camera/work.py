@@ -214,9 +214,8 @@ def printed_tags(asked: Any) -> PrintAnswer:
         title, tags = f"{asked.family}, {1e3 * asked.size:g} mm", _numbered(asked)
     else:
         title, parts, plate = markers_of(rig)
-        every = [(mark, name) for name, part in parts.items() for mark in part.marks]
-        tags = [(mark, name) for mark, name in every if isinstance(mark, Tag)]
-        tags += [(tag, "plate") for tag in plate]
+        every = {name: part.marks for name, part in parts.items()} | {"plate": plate}
+        tags = [(own, name) for name, marks in every.items() for own in marks if type(own) is Tag]
         if not tags:
             raise InvalidInput(rig, found="no tags", expected="a rig with tags", hint="thesis-tags")
     sheets = tag_sheets(tags, asked.paper, title)
