@@ -128,7 +128,7 @@ def test_a_page_that_is_closed_during_a_push_stops_the_drive(browser_page, serve
     page.goto("about:blank")
     await_true(lambda: phase(session) == "trouble", "the loss to be noticed", PATIENCE)
     problem = json.loads(session.view.report)["problems"][0]
-    found = re.fullmatch(r"the page is lost since ([0-9.]+) s", problem)
+    found = re.fullmatch(r"the page has not answered for ([0-9.]+) s", problem)
     # A busy machine notices it later; never before the page could have been heard again.
     assert found, problem
     assert float(found[1]) >= LOST

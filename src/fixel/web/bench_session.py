@@ -98,7 +98,7 @@ class BenchSession:
 
     def _left(self) -> str:
         silent = time.monotonic() - self._alive
-        return f"the page is lost since {silent:.1f} s" if silent > LOST else ""
+        return f"the page has not answered for {silent:.1f} s" if silent > LOST else ""
 
     def close(self) -> None:
         """Stop the drive and end the campaign, which can be continued."""
