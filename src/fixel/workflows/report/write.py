@@ -29,21 +29,8 @@ from fixel.typing import Notify
 from fixel.workflows.analysis import ENDINGS, StoredAnalysis, load_analyses, new_folder
 from fixel.workflows.calibration.calibration import Calibration
 from fixel.workflows.calibration.stored import load_values, stored_calibration, stored_in_run
-from fixel.workflows.report.sections import (
-    Content,
-    Figure,
-    ReportData,
-    Section,
-    calibration_warnings,
-    data_of,
-    data_section,
-    data_warnings,
-    errors_section,
-    figures_of,
-    headline,
-    methods,
-    parameters_section,
-)
+from fixel.workflows.report import sections
+from fixel.workflows.report.sections import Content, Figure, ReportData, Section
 from fixel.workflows.sentences import environment, sentences
 
 PAGE: Final = "report.html"
@@ -199,18 +186,18 @@ def gather(
     with project.store() as store:
         one = load_values(store, number, engine=engine)
         ids = sorted(one.members)
-        data = data_of(store, ids)
+        data = sections.data_of(store, ids)
         checksum = store.checksum(ids)
     own = stored_in_run(project, one.id, one.record)
     fit = stored_calibration(project, one.id) if own is None else own
     tell("drawing the calibration")
-    figures = figures_of(own.run, folder, project) if own is not None else []
+    figures = sections.figures_of(own.run, folder, project) if own is not None else []
     analyses = _analyses(project, one)
     tell("collecting the analyses")
-    sections = [
-        data_section(data),
-        errors_section(fit, figures),
-        parameters_section(fit, figures),
+    parts = [
+        sections.data_section(data),
+        sections.errors_section(fit, figures),
+        sections.parameters_section(fit, figures),
         *(_section(answer, folder) for answer in analyses),
     ]
     return Content(
@@ -219,10 +206,10 @@ def gather(
         facts=_facts(project, one, data, checksum),
         warnings=tuple(_warnings(fit, data, analyses)),
         findings=(
-            headline(fit),
+            sections.headline(fit),
             *(answer.analysis.headline[0] for answer in analyses if answer.analysis.headline),
         ),
-        sections=tuple(sections),
+        sections=tuple(parts),
         methods=tuple(_methods(fit, data, analyses)),
         references=("stewart1996", *_references(one, analyses)),
         commands=tuple(_commands(one, analyses)),
@@ -265,7 +252,7 @@ def _section(answer: StoredAnalysis, folder: Path) -> Section:
 def _warnings(fit: Calibration, data: ReportData, analyses: Sequence[StoredAnalysis]) -> list[str]:
     there = {answer.analysis.kind for answer in analyses}
     found = [
-        *data_warnings(data),
+        *sections.data_warnings(data),
         *sentences("data", "missing", kinds=there),
         *fit.found.misfit,  # first: it decides how far to trust the rest
         *(
@@ -274,7 +261,7 @@ def _warnings(fit: Calibration, data: ReportData, analyses: Sequence[StoredAnaly
             for words in answer.analysis.warnings
             if not words.endswith(fit.found.misfit[:1])
         ),
-        *calibration_warnings(fit),
+        *sections.calibration_warnings(fit),
     ]
     return list(dict.fromkeys(found))
 
@@ -310,7 +297,7 @@ def _methods(fit: Calibration, data: ReportData, analyses: Sequence[StoredAnalys
     n = len(data.summaries)
     first = sentences("data", "methods", n=n, simulated=data.simulated, version=version("fixel"))
     own = [sentence for answer in analyses for sentence in answer.analysis.methods]
-    return [*first, *methods(fit), *own]
+    return [*first, *sections.methods(fit), *own]
 
 
 def _references(one: CalibratedValues, analyses: Sequence[StoredAnalysis]) -> list[str]:
@@ -357,14 +344,14 @@ def results_content(results: Sequence[Result], folder: Path, title: str = "") ->
     """
     if not results:
         raise InvalidInput("results", found="none", expected="at least one")
-    sections = []
+    parts = []
     for k, result in enumerate(results):
         instance(result, Result, f"results[{k}]", "a result, such as a Calibration")
         summary, kind = result._summary(), type(result).__name__
         words = re.sub("(?<=[a-z])[A-Z]", lambda found: f" {found[0].lower()}", kind)
         heading = summary.heading.replace(kind, words, 1)
         name = f"result_{k + 1}"
-        sections.append(
+        parts.append(
             Section(
                 title=heading.partition(":")[0],
                 anchor=name,
@@ -375,12 +362,12 @@ def results_content(results: Sequence[Result], folder: Path, title: str = "") ->
             )
         )
     return Content(
-        title=title or sections[0].title,
+        title=title or parts[0].title,
         banner="",
         facts=_machine(),
         warnings=(),
-        findings=tuple(section.lead[0] for section in sections),
-        sections=tuple(sections),
+        findings=tuple(section.lead[0] for section in parts),
+        sections=tuple(parts),
         methods=(),
     )
 
