@@ -89,6 +89,69 @@ def test_all_tables_give_the_same(tmp_path):
             assert one.conditions == other.conditions
 
 
+def _with_clock(table, clock, title):
+    return {title if name == "time_s" else name: clock if name == "time_s" else column
+            for name, column in table.items()}  # fmt: skip
+
+
+@pytest.mark.parametrize("title", ["time_s", "time_ms", "stamp"])
+def test_times_of_a_clock_are_seconds_whatever_their_title(tmp_path, title):
+    pandas = pytest.importorskip("pandas")
+    table = columns(0.01, -0.02)
+    seconds = np.round(np.array(table["time_s"]), 6)
+    table["time_s"] = seconds.tolist()
+    since = (1e9 * seconds).astype("timedelta64[ns]")
+    stamps = np.datetime64("2026-03-29T00:59:59", "ns") + since  # summer time began a second later
+    berlin = pandas.to_datetime(stamps, utc=True).tz_convert("Europe/Berlin")
+    expected = read(table)
+    for clock in (
+        stamps,
+        since,
+        [stamp.to_pydatetime() for stamp in pandas.to_datetime(stamps)],
+        [stamp.isoformat() for stamp in berlin],
+        pandas.Series(stamps),
+        pandas.Series(berlin),
+        pandas.Series(since),
+    ):
+        found = read(_with_clock(table, clock, title), columns={"time": title})
+        for one, other in zip(found, expected, strict=True):
+            np.testing.assert_allclose(one.trajectory.time, other.trajectory.time, atol=2e-6)
+    written = table_file(tmp_path / "clock.csv", text_of(_with_clock(table, stamps, title)))
+    found = read(written, columns={"time": title})
+    assert found[1].scene.duration == pytest.approx(expected[1].scene.duration, abs=2e-6)
+
+
+def test_missing_values_of_any_kind_are_blank_cells():
+    pandas = pytest.importorskip("pandas")
+    table = columns(0.01)
+    place = {"x_m": 2, "y_m": 2, "theta_rad": 2}
+    numbers = np.array(table["x_m"])
+    expected = len(numbers) - 1
+    for lost in (
+        np.where(np.arange(len(numbers)) == 2, np.nan, numbers),
+        np.ma.masked_array(numbers, mask=np.arange(len(numbers)) == 2),
+        pandas.array(numbers, dtype="Float64").copy(),
+    ):
+        if not isinstance(lost, np.ndarray):
+            lost[place["x_m"]] = pandas.NA
+        (found,) = read(table | {"x_m": lost})
+        assert len(found.trajectory.time) == expected
+
+
+def test_tables_that_are_none_are_refused_in_words():
+    pandas = pytest.importorskip("pandas")
+    table = columns(0.01)
+    twice = pandas.concat([pandas.DataFrame(table)] * 2, axis=1)
+    refused(read, twice, match="found 'push' twice, but fixel needs different names")
+    refused(read, {name: [] for name in table}, match="found no rows")
+    rows = [dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True)]
+    refused(read, rows, match="found a row of values, but fixel needs columns")
+    shuffled = {name: [*column[1:3], column[0], *column[3:]] for name, column in table.items()}
+    refused(read, shuffled, match="sort the rows by time")
+    table["push"] = [None, None, *table["push"][2:]]
+    assert read(table).skipped == ("table/: rows without a value of 'push'",)
+
+
 def test_columns_and_units_are_chosen_where_the_header_does_not_say():
     table = columns(0.01)
     table["robot x"] = [1e3 * x for x in table.pop("tip_x_m")]

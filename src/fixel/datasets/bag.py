@@ -12,7 +12,7 @@ import scipy  # which loads `scipy.spatial` when it is used
 
 from fixel.datasets.bag_file import Bag, FrameTrack, bag_files, read_bag
 from fixel.datasets.base import Importer, ImportPlan, origin_of
-from fixel.datasets.files import CsvRows
+from fixel.datasets.files import table_rows
 from fixel.datasets.table import plan_table
 from fixel.errors import InvalidInput, check_name, unknown_name
 from fixel.typing import BoolArray, FloatArray
@@ -56,7 +56,7 @@ class BagImporter(Importer):
         split = "push" if len({*columns["push"]}) > 1 else None
         if split is None:
             del columns["push"]
-        rows = CsvRows(source.name, columns)
+        rows = table_rows(columns, source.name)
         origins = [origin_of(path) for path in bag_files(source)]
         origin = replace(origins[0], source=source.name)
         if len(origins) > 1:
@@ -124,11 +124,8 @@ class _Roles(NamedTuple):
             notes.append(f"{bag.unstamped} poses have no stamp; the time of the log is used.")
         push, how = _pushes(bag, driver, split_by)
         rows = np.flatnonzero(push != "")
-        cells = {
-            title: ["" if value != value else repr(float(value)) for value in column[rows]]
-            for title, column in columns.items()
-        }
-        return {**cells, "push": push[rows].tolist()}, [*notes, how]
+        columns["push"] = push
+        return {title: column[rows] for title, column in columns.items()}, [*notes, how]
 
     def _sentence(self, role: str, name: str, tracks: Mapping[str, FrameTrack]) -> str:
         own, at = tracks[name], ", at the times of the part" if role == "pusher" else ""

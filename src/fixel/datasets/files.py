@@ -11,6 +11,7 @@ import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from datetime import timedelta
 from itertools import chain
 from pathlib import Path
 from typing import Any, Final, TextIO, final
@@ -38,6 +39,7 @@ MAX_WHOLE: Final = 2**31
 MAX_FILE = 500_000_000
 MAX_LINE = 1_000_000
 MAX_CELLS = 20_000_000  # a gigabyte or two as text; the force log of 245 pushes has one million
+_MISSING: Final = ("None", "nan", "NaT", "<NA>", "--")  # as NumPy and pandas print what is missing
 _USUAL: Final = re.compile(r"[-+.0-9eE ]*")  # characters of numbers, but not of `nan` or `1_0`
 
 
@@ -185,28 +187,42 @@ def _whole(numbers: FloatArray, largest: int) -> BoolArray:
 
 def table_rows(table: Any, source: str = "table") -> CsvRows:
     """Return the rows of a table in memory: pandas, polars, Arrow or columns by name."""
+    frame = hasattr(table, "to_dict") and hasattr(table, "columns")
     if hasattr(table, "to_pydict"):  # Arrow
         columns = table.to_pydict()
-    elif hasattr(table, "to_dict") and hasattr(table, "columns"):
-        columns = {str(name): [*table[name]] for name in table.columns}
-    elif isinstance(table, Mapping):
-        columns = {str(name): [*column] for name, column in table.items()}
+    elif frame or isinstance(table, Mapping):
+        names = [*table.columns] if frame else [*table]
+        _refuse_twice(names, source)
+        columns = {str(name): table[name] for name in names}
     else:
         expected = "a file, a folder, or a table of pandas, polars or Arrow"
         raise InvalidInput(source, found=f"the type {type(table).__name__}", expected=expected)
-    lengths = {name: len(column) for name, column in columns.items()}
-    if not lengths or len({*lengths.values()}) > 1 or not max(lengths.values()):
+    if not all(isinstance(column, Iterable) for column in columns.values()):
+        raise InvalidInput(source, found="a row of values", expected="columns of values by name")
+    cells = {name: [*map(_cell, column)] for name, column in columns.items()}
+    lengths = {name: len(column) for name, column in cells.items()}
+    if not any(lengths.values()):
+        raise InvalidInput(source, found="no rows", expected="one at least")
+    if len({*lengths.values()}) > 1:
         found, expected = f"columns of lengths {lengths}", "columns of equal length"
         raise InvalidInput(source, found=found, expected=expected)
-    return CsvRows(source, {name: [_cell(v) for v in column] for name, column in columns.items()})
+    return CsvRows(source, cells)
+
+
+def _refuse_twice(names: Sequence[Any], where: str) -> None:
+    if len(set(names)) < len(names):
+        twice = next(name for k, name in enumerate(names) if name in names[:k])
+        raise InvalidInput(where, found=f"{twice!r} twice", expected="different names")
 
 
 def _cell(value: Any) -> str:
     """Return a value as its cell in a CSV file; empty for a missing one."""
-    if value is None or value != value:
-        return ""
-    value = value.item() if hasattr(value, "item") else value
-    return repr(value) if isinstance(value, float) else str(value)
+    if isinstance(value, float | np.floating):
+        return repr(float(value)) if value == value else ""
+    if isinstance(value, timedelta | np.timedelta64):  # times of a clock need no unit
+        value = np.datetime64(0, "ns") + np.timedelta64(value)
+    text = str(value)
+    return "" if text in _MISSING and not isinstance(value, str) else text
 
 
 def read_table(path: Path, *, torn: bool = False) -> CsvRows:
@@ -239,10 +255,7 @@ def read_table(path: Path, *, torn: bool = False) -> CsvRows:
         found = "a header without rows" if any(rows) else "an empty file"
         raise InvalidInput(path.name, found=found, expected="a header and rows")
     header, body = rows[0], [row for row in rows[1:] if any(map(str.strip, row))]
-    if len(set(header)) < len(header):
-        twice = next(name for k, name in enumerate(header) if name in header[:k])
-        where, found = f"{path.name}, header", f"{twice!r} twice"
-        raise InvalidInput(where, found=found, expected="different names")
+    _refuse_twice(header, f"{path.name}, header")
     wrong: dict[int, InvalidInput] = {}
     for number, row in enumerate(body):
         if len(row) != len(header):

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from difflib import get_close_matches
 from pathlib import Path
 from typing import ClassVar, Final, NamedTuple, final
@@ -180,6 +181,8 @@ def plan_table(
                 report(done, len(parts))
             key = (dataset, stem) if value is None else (stem, value)
             try:
+                if value == "":
+                    raise InvalidInput(f"rows without a value of {split_by!r}")
                 if part.torn or (value is not None and len(part) < 2):
                     raise next(iter(part.torn.values()), InvalidInput("one row"))
                 found, understood = _experiment(key, part, options, provenance, chosen, scene)
@@ -334,8 +337,9 @@ def _experiment(
     reading = _columns(table, options, chosen)
     _refuse_incomplete(reading)
     _refuse_contradictions(reading)
+    clock = _read_clock(reading)
     for role in ("time", "x", "y", "theta", "pusher_x", "pusher_y", "pusher_theta"):
-        if role in reading.roles:
+        if role in reading.roles and not (clock and role == "time"):
             _settle_unit(reading, role)
     time = _time(reading)
     trajectory, flags = _poses(reading, time, "")
@@ -413,8 +417,12 @@ def _parsed(title: str, chosen: str | None, taken: Collection[str]) -> _TableCol
     plain = _plain(title)
     for ending in sorted(UNITS, key=len, reverse=True):
         if plain.endswith(f"_{ending}"):
-            stem = plain.removesuffix(f"_{ending}")
-            return _checked(_TableColumn(title, stem, role_of(stem), UNITS[ending]))
+            stem, unit = plain.removesuffix(f"_{ending}"), UNITS[ending]
+            role = role_of(stem)
+            if role and unit.kind != _kind(role):
+                found, expected = f"a unit of {unit.kind}", f"a unit of {_kind(role)}"
+                raise InvalidInput(f"column {title}", found=found, expected=expected)
+            return _TableColumn(title, stem, role, unit)
     if chosen or plain in _ROLES:
         role = role_of(plain)
         ratio = role is not None and _kind(role) == "ratio"
@@ -422,13 +430,6 @@ def _parsed(title: str, chosen: str | None, taken: Collection[str]) -> _TableCol
     stem, _, ending = plain.rpartition("_")
     unknown = ending if role_of(stem) and re.fullmatch(r"[a-z]{1,4}", ending) else ""
     return _TableColumn(title, plain, role_of(stem) if unknown else None, None, unknown)
-
-
-def _checked(column: _TableColumn) -> _TableColumn:
-    if column.role and column.unit and column.unit.kind != _kind(column.role):
-        found, expected = f"a unit of {column.unit.kind}", f"a unit of {_kind(column.role)}"
-        raise InvalidInput(f"column {column.title}", found=found, expected=expected)
-    return column
 
 
 def _kind(role: str) -> str:
@@ -529,6 +530,22 @@ def _guess(reading: _TableReading, kind: str, column: _TableColumn) -> tuple[str
 # --- the rows
 
 
+def _read_clock(reading: _TableReading) -> bool:
+    """Replace times such as 2026-11-30T09:00:00.25Z by seconds; return whether there were any."""
+    column = reading.roles["time"]
+    cells = reading.table.columns[column.title]
+    if not re.match(r"\d{4}-\d\d-\d\d[T ]", cells[0]):
+        return False
+    try:
+        clock = [datetime.fromisoformat(cell) for cell in cells]
+        seconds = [repr((own - clock[0]).total_seconds()) for own in clock]
+    except (ValueError, TypeError):
+        return False  # the error of a cell that is no number names it
+    reading.table = replace(reading.table, columns={**reading.table.columns, column.title: seconds})
+    column.unit = UNITS["s"]
+    return True
+
+
 def _time(reading: _TableReading) -> FloatArray:
     """Times (n,), counted from the first row [s]."""
     column = reading.roles["time"]
@@ -560,7 +577,7 @@ def _remark_pauses(reading: _TableReading, time: FloatArray) -> None:
 def _how_to_split(reading: _TableReading, time: FloatArray) -> str:
     """Return the hint for times that begin again: the column whose values separate experiments."""
     if not (time[1:] <= time[0]).any() or reading.table.lines:  # or it was split already
-        return ""
+        return "sort the rows by time" if len(np.unique(time)) == len(time) else ""
     found: dict[str, int] = {}
     for column in reading.others:
         rows = _rows_by_cell(reading.table, column.title)

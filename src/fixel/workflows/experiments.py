@@ -46,9 +46,9 @@ def read_experiments(
     source : path, sequence of paths, or table
         CSV or Parquet table, or table of pandas, polars or Arrow, with columns such as `time_s`,
         `x_mm`, `y_mm`, `theta_deg`, `pusher_x_mm`, `pusher_y_mm`; MCAP file, ROS 2 bag or AprilTag
-        log (`.jsonl`); folder of a public dataset;
-        folder of a recording with its `rig.yaml` and `scene.yaml`, which is tracked; or `.zip` that
-        `fixel export` wrote. Several paths are read one after the other.
+        log (`.jsonl`); folder of a public dataset; folder of a recording with its `rig.yaml` and
+        `scene.yaml`, which is tracked; or `.zip` that `fixel export` wrote. Times may be those of a
+        clock, such as 2026-11-30T09:00:00.25Z. Several paths are read one after the other.
     scene : Scene, SceneFile, path or callable, optional
         Scene of a table, without which its experiments can be drawn but not simulated. It may be a
         template whose pusher has no drive: start poses, path and duration come from the table. A

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, final, overload
 
 import numpy as np
 
-from fixel.calibration.honest import draw_joint, linear_fit, quoted
+from fixel.calibration.honest import LinearFit, draw_joint, linear_fit, quoted
 from fixel.calibration.known_pushes import KnownPushes, push_target
 from fixel.calibration.noise import WARNED, Noise
 from fixel.calibration.objective import (
@@ -326,8 +326,12 @@ class Calibration(Result, Mapping[str, float]):
 
         Those that the search changed, in the order of `space.labels`; simulated when first asked.
         """
+        return self._linear.correlation
+
+    @cached_property
+    def _linear(self) -> LinearFit:
         comparer = Comparer(self.targets, self.space, None, self.motion)
-        return linear_fit(comparer, self.found.point).correlation
+        return linear_fit(comparer, self.found.point)
 
     def samples(
         self, n: int = 64, seed: int = 0, **conditions: str | float
@@ -354,8 +358,7 @@ class Calibration(Result, Mapping[str, float]):
         """
         value = np.array([self.estimates[label].value for label in self.space.labels])
         of = (self.targets, self.space, self.motion, self.found.point)
-        near = linear_fit(Comparer(self.targets, self.space, None, self.motion), self.found.point)
-        return predictive_of(*of, value, self._draw(POOL, 0), near.left_out())
+        return predictive_of(*of, value, self._draw(POOL, 0), self._linear.left_out())
 
     @property
     def _draw(self) -> Callable[[int, int], FloatArray]:
