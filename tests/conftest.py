@@ -58,17 +58,24 @@ settings.load_profile(
 )
 
 
-# Files that compile or wait for browsers and processes, and take longest.
-_FIRST = (
-    ("kernels/", "modes/"),
-    ("_browser", "benchmarks", "database", "docs", "jobs", "contracts", "workflows", "cli"),
-    ("environments", "filtering", "simulation"),
-)
+# Files of emulated devices and idle connections, whose tests mostly wait: one process runs them
+# while the others compute.
+_WAITING = ("tests/contracts/test_actuators.py", "tests/testbed/test_motion_grbl.py",
+            "tests/testbed/test_frame_source.py", "tests/web/test_serve.py")  # fmt: skip
 
-# Files whose tests compile the same code: in one process, it is compiled once.
+# Files that compile or wait for browsers and processes, and take longest. Short ones come last.
+_FIRST = (
+    ("kernels/", "modes/", *_WAITING),
+    ("_browser", "benchmarks", "database", "docs", "jobs", "contracts", "workflows", "cli",
+     "planning", "web/test_"),
+    ("environments", "filtering", "simulation", "drawing", "parts", "vision", "uncertainty"),
+)  # fmt: skip
+
+# Files that one process runs: they compile the same code, once, or wait.
 _TOGETHER = {
     "tests/kernels": ("tests/kernels/",),
     "tests/modes": ("tests/modes/", "tests/simulation/test_load_map.py"),
+    "waiting": _WAITING,
 }
 _APART = ("tests/docs/test_pages.py", "tests/docs/test_docstrings.py",
           "tests/benchmarks/test_benchmarks.py")  # fmt: skip
