@@ -77,8 +77,12 @@ _TOGETHER = {
     "tests/modes": ("tests/modes/", "tests/simulation/test_load_map.py"),
     "waiting": _WAITING,
 }
-_APART = ("tests/docs/test_pages.py", "tests/docs/test_docstrings.py",
-          "tests/benchmarks/test_benchmarks.py")  # fmt: skip
+_APART = (
+    "tests/docs/test_pages.py",
+    "tests/docs/test_docstrings.py",
+    "tests/benchmarks/test_benchmarks.py",
+    "tests/web/test_accessible_browser.py",
+)
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
