@@ -93,6 +93,13 @@ def test_each_error_is_also_the_builtin_one_expects(kind: type, base: type) -> N
     assert issubclass(kind, base)
 
 
+def test_an_unknown_name_where_no_name_is_known() -> None:
+    assert (
+        str(unknown_name("part", "zz", ()))
+        == "part is 'zz', but must be a known name; there is none"
+    )
+
+
 def test_unknown_names_are_compared_without_case() -> None:
     error = unknown_name("motion", "Dynamc", iter(("dynamic", "quasistatic")), more=", ...")
     assert error.hint == "did you mean 'dynamic'?"

@@ -451,12 +451,8 @@ def unknown_name(where: str, name: object, known: Iterable[str], *, more: str = 
         return InvalidInput(where, found=found, expected=expected, hint=hint)
     if len(names) > _MAX_NAMED:
         more = f", ... ({len(names)} in all){more}"
-    return InvalidInput(
-        where,
-        found=found,
-        expected=f"one of {', '.join(names[:_MAX_NAMED]) or 'none'}{more}",
-        hint=hint,
-    )
+    listed = f"one of {', '.join(names[:_MAX_NAMED])}" if names else "a known name; there is none"
+    return InvalidInput(where, found=found, expected=f"{listed}{more}", hint=hint)
 
 
 def check_name(where: str, name: object, known: Collection[str], *, more: str = "") -> None:

@@ -215,6 +215,31 @@ def test_tag_log(tmp_path):
     assert "z pointed into the tag" in found.notes[0]
 
 
+@pytest.mark.parametrize(
+    "wrong", ["xx", '{"time_s": 0.2, "detections": [{"tag_id', '{"tag_id": 7}', "7"]
+)
+def test_a_wrong_line_of_a_log_of_tags_is_named(wrong, tmp_path):
+    """The line counts from the first one of the file, empty lines included."""
+    row = {"tag_id": 7, "pose_t": [0.1, 0.0, 0.8], "pose_R": np.eye(3).tolist()}
+    good = json.dumps({"time_s": 0.1, "detections": [row]})
+    path = tmp_path / "tags.jsonl"
+    path.write_text(f"{good}\n\n{good}\n{wrong}\n")
+    problem = refused(fixel.read_experiments, path, columns={"part": "tag:7"})
+    assert problem.where == "tags.jsonl, line 4"
+    assert repr(wrong[:60]) in str(problem)
+
+
+def test_a_log_without_poses_and_one_frame_for_both_are_named(tmp_path):
+    path = tmp_path / "tags.jsonl"
+    path.write_text('{"time_s": 0.1, "detections": []}\n')
+    columns = {"part": "part", "pusher": "tip"}
+    refused(fixel.read_experiments, path, columns=columns, match="found no poses")
+    row = {"tag_id": 7, "pose_t": [0.1, 0.0, 0.8], "pose_R": np.eye(3).tolist()}
+    path.write_text(json.dumps({"time_s": 0.1, "detections": [row]}))
+    same = {"part": "tag:7", "pusher": "tag:7"}
+    refused(fixel.read_experiments, path, columns=same, match="'tag:7', as of the part")
+
+
 DETECTIONS = {
     "apriltag_ros": "int32[] id\nfloat64[] size\ngeometry_msgs/PoseWithCovarianceStamped pose\n",
     "isaac_ros_apriltag_interfaces": (
@@ -375,7 +400,7 @@ def test_a_bag_of_other_messages_names_what_to_record(tmp_path):
     found = T["apriltag_msgs/msg/AprilTagDetectionArray"]
     seen = found(header(START, "camera"), np.array([7], np.int32))
     bag = write_bag(tmp_path / "bag", [("/tags", START, seen)])
-    assert "record /tf" in str(refused(fixel.read_experiments, bag, match="poses of nothing"))
+    assert "record /tf" in str(refused(fixel.read_experiments, bag, match="found no poses"))
 
 
 def test_messages_without_stamp_have_the_time_of_the_log(tmp_path):

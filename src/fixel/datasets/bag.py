@@ -81,20 +81,22 @@ class _Roles(NamedTuple):
     ) -> _Roles:
         """Choose what is not named, if there is one candidate only."""
         moving = [name for name, own in bag.tracks.items() if not own.static and own.parent]
-        if part is None:
+        if part is None or not bag.tracks:
             if len(moving) != 1:
-                raise InvalidInput(
-                    where,
-                    found=f"poses of {', '.join(moving[:20]) or 'nothing'}",
-                    expected="the topic or frame of the part",
-                    hint="add --option part=NAME, in Python columns={'part': NAME}; and the pusher"
-                    if moving
-                    else "record /tf; AprilTagDetectionArray of apriltag_msgs has no poses",
-                )
+                found = f"poses of {', '.join(moving[:20])}" if moving else "no poses"
+                hint = "record /tf; AprilTagDetectionArray of apriltag_msgs has no poses"
+                if moving:
+                    hint = (
+                        "add --option part=NAME, in Python columns={'part': NAME}; and the pusher"
+                    )
+                expected = "the topic or frame of the part"
+                raise InvalidInput(where, found=found, expected=expected, hint=hint)
             part = moving[0]
         joints = pusher.split(",") if pusher is not None and pusher not in bag.tracks else []
         for role, name in (("part", part), *(("pusher", joint) for joint in joints)):
             check_name(role, name, bag.tracks)
+        if pusher == part:
+            raise InvalidInput("pusher", found=f"{part!r}, as of the part", expected="another name")
         return cls(where, part, pusher, reference or bag.tracks[part].parent)
 
     def columns(self, bag: Bag, split_by: str | None) -> tuple[dict[str, Any], list[str]]:

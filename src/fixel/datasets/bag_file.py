@@ -262,18 +262,24 @@ def _decoded(kind: str, topic: str, logged: float, data: bytes, encoding: str) -
 def _from_tags(path: Path) -> Iterator[Message]:
     """Yield detections: a line of JSON each, with time_s, tag_id, pose_t [m] and pose_R."""
     with path.open(encoding="utf-8") as stream:
-        for line in bounded_lines(stream, path.name):
-            if not line.strip():
-                continue
-            row = json.loads(line)
-            for seen in row.get("detections", [row]):
-                x, y, z = np.asarray(seen["pose_t"], dtype=np.float64).ravel().tolist()
-                q = scipy.spatial.transform.Rotation.from_matrix(seen["pose_R"]).as_quat().tolist()
-                pose = SimpleNamespace(
-                    translation=SimpleNamespace(x=x, y=y, z=z),
-                    rotation=SimpleNamespace(**dict(zip("xyzw", q, strict=True))),
-                    timestamp=SimpleNamespace(sec=row["time_s"]),
-                    frame_id="camera",
-                    child_frame_id=f"{seen.get('tag_family', 'tag')}:{seen['tag_id']}",
-                )
-                yield Message("foxglove.FrameTransform", path.name, row["time_s"], pose)
+        for number, line in enumerate(bounded_lines(stream, path.name), 1):
+            try:
+                yield from _detections(json.loads(line), path.name) if line.strip() else ()
+            except (ValueError, KeyError, TypeError, AttributeError):
+                where, found = f"{path.name}, line {number}", repr(line.strip()[:60])
+                expected = "a line of JSON with time_s, tag_id, pose_t and pose_R"
+                raise InvalidInput(where, found=found, expected=expected) from None
+
+
+def _detections(row: Any, topic: str) -> Iterator[Message]:
+    for seen in row.get("detections", [row]):
+        x, y, z = np.asarray(seen["pose_t"], dtype=np.float64).ravel().tolist()
+        q = scipy.spatial.transform.Rotation.from_matrix(seen["pose_R"]).as_quat().tolist()
+        pose = SimpleNamespace(
+            translation=SimpleNamespace(x=x, y=y, z=z),
+            rotation=SimpleNamespace(**dict(zip("xyzw", q, strict=True))),
+            timestamp=SimpleNamespace(sec=row["time_s"]),
+            frame_id="camera",
+            child_frame_id=f"{seen.get('tag_family', 'tag')}:{seen['tag_id']}",
+        )
+        yield Message("foxglove.FrameTransform", topic, row["time_s"], pose)

@@ -184,12 +184,10 @@ def _refuse_cropped(raw: dict[str, Any]) -> None:
     )
     binned = any((raw.get(key) or 0) not in (0, 1) for key in ("binning_x", "binning_y"))
     if cropped or binned:
-        raise InvalidInput(
-            "roi" if cropped else "binning_x",
-            found="a cropped picture" if cropped else "binned pixels",
-            expected="the calibration of whole pictures",
-            hint="calibrate at the picture size of the experiments",
-        )
+        where, found = ("roi", "a cropped picture") if cropped else ("binning_x", "binned pixels")
+        expected = "the calibration of whole pictures"
+        hint = "calibrate at the picture size of the experiments"
+        raise InvalidInput(where, found=found, expected=expected, hint=hint)
 
 
 def numbers(raw: Any, key: str, count: int | None, within_key: str = "") -> list[float]:

@@ -86,7 +86,7 @@ class CameraRecord(records.FileRecord):
 
 def load_camera(path: str | Path) -> MeasuredCamera:
     """Load a camera file: YAML, or JSON if the name ends in `.json`."""
-    with document(path) as raw:
+    with document(path, "camera file") as raw:
         if not isinstance(raw, dict) or "lens" not in raw:
             hint = "to import a file of MATLAB, OpenCV, Kalibr or ROS: fixel camera import FILE"
             raise InvalidInput("lens", found=None, hint=hint)
@@ -222,14 +222,14 @@ def has_plate(file: Path) -> bool:
     """Whether a rig file exists and has tags on its plate; its camera file is not read."""
     if not file.is_file():
         return False
-    raw = read_document(file)
+    raw = read_document(file, "rig file")
     return isinstance(raw, dict) and bool(raw.get("plate"))
 
 
 def camera_of(name: str) -> tuple[MeasuredCamera, Rig | None]:
     """Load the camera of a camera file, or that of a rig with its rig."""
     if name not in EXAMPLES:
-        raw = read_document(Path(name))
+        raw = read_document(Path(name), "camera or rig file")
         if not (isinstance(raw, dict) and "fixel_rig" in raw):
             return load_camera(name), None
     rig = rig_of(name)

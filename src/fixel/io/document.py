@@ -53,7 +53,7 @@ def read_document(path: Path, kind: str = "file") -> Any:
         hint = f"import its poses: fixel import {name}; or perform its rows: fixel bench {name}"
         expected = f"a {kind}, in YAML or JSON"
         raise InvalidInput(str(path), found="a table", expected=expected, hint=hint)
-    text = _text(path)
+    text = _text(path, kind)
     parse = parse_json if path.suffix.lower() == ".json" else parse_yaml
     return parse(text, str(path))
 
@@ -128,8 +128,8 @@ def plain_scalar(text: str) -> Any:
     return float(text) if _FLOAT.fullmatch(text) else text
 
 
-def _text(path: Path) -> str:
-    data = read_bounded(path, "a YAML or JSON file", MAX_BYTES, "resample measured paths")
+def _text(path: Path, kind: str) -> str:
+    data = read_bounded(path, f"a {kind}, in YAML or JSON", MAX_BYTES, "resample measured paths")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as problem:

@@ -97,7 +97,7 @@ class Site(BaseModel):
 
 def load_site(path: Path) -> Site:
     """Load a site template."""
-    return site_of(read_document(path_of(path, "site")), str(path))
+    return site_of(read_document(path_of(path, "site"), "site file"), str(path))
 
 
 def site_of(content: object, where: str) -> Site:

@@ -300,7 +300,7 @@ def _makers(
             experiment = store.experiment(store.find(source))
         _check_simulated(experiment)
         return [partial(_again, experiment)]
-    if "bodies" in read_document(path):
+    if "bodies" in read_document(path, "scene file"):
         return [partial(_as_written, path.stem, load_scene(path), seed)]
     bench = SimulatedTestbed(seed=seed)
     return [partial(_performed, planned, bench) for planned in load_plan(path).experiments[:limit]]

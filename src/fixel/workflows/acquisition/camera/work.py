@@ -179,12 +179,9 @@ def checked(asked: Any) -> CameraAnswer:
 
 def _moved(rig: Rig, tags: dict[int, float]) -> list[str]:
     if not tags:
-        raise InvalidInput(
-            "picture",
-            found="none of the tags on the plate",
-            expected="tags " + ", ".join(str(tag.id) for tag in rig.plate),
-            hint="check that the picture shows the bench of the rig",
-        )
+        expected = "tags " + ", ".join(str(tag.id) for tag in rig.plate)
+        found, hint = "none of the tags on the plate", "check that the picture shows the bench"
+        raise InvalidInput("picture", found=found, expected=expected, hint=hint)
     limits = {tag.id: moved_limit(rig, tag, MOVED) for tag in rig.plate}
     far = {number: off for number, off in tags.items() if off > limits[number]}
     if not far:
