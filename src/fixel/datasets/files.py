@@ -67,11 +67,9 @@ class CsvRows:
         """Return one column as numbers, (n,); with `blank`, empty cells become NaN."""
         self.require([name])
         cells = self.columns[name]
-        values = _fast_numbers(cells, blank=blank)
-        if values is None:
-            found = [self._number(name, row, cell, blank) for row, cell in enumerate(cells)]
-            values = np.array(found)
-        return values
+        if (values := _fast_numbers(cells, blank=blank)) is not None:
+            return values
+        return np.array([self._number(name, row, cell, blank) for row, cell in enumerate(cells)])
 
     def whole_numbers(self, name: str, largest: int = MAX_WHOLE) -> NDArray[np.int64]:
         """Return one column as whole numbers (n,) from 0 to `largest`; raise for others."""

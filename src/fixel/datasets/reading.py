@@ -132,13 +132,12 @@ def _plan_table(
         if not table.is_file():
             raise InvalidInput(table.name, found="a folder", expected="one table")
         with guarded(table.name):
-            rows, source = read_table(table, torn=split_by is not None), table
-            provenance = origin_of(table)
-            return plan_table(rows, source, provenance, options, scene, split_by, **rest)
-    rows, source = table_rows(table), Path("table")
+            rows = read_table(table, torn=split_by is not None)
+            return plan_table(rows, table, origin_of(table), options, scene, split_by, **rest)
+    rows = table_rows(table)
     digest = hashlib.sha256(repr(rows.columns).encode()).hexdigest()
     provenance = Provenance(version=version("fixel"), source="table in memory", sha256=digest)
-    return plan_table(rows, source, provenance, options, scene, split_by, **rest)
+    return plan_table(rows, Path("table"), provenance, options, scene, split_by, **rest)
 
 
 def collected(

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from difflib import get_close_matches
 from pathlib import Path
-from typing import ClassVar, Final, NamedTuple, final
+from typing import Any, ClassVar, Final, NamedTuple, final
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from fixel.datasets.files import CsvRows, Problems, increasing, rate_of, read_ta
 from fixel.datasets.own_scene import WORDS, refuse_implausible, with_scene
 from fixel.errors import InvalidInput, check_name, unknown_name
 from fixel.model import Channel, Experiment, Flag, Provenance, Trajectory
+from fixel.model.fields import instance
 from fixel.model.scene import SceneChoice
 from fixel.progress import ProgressOption, show_progress
 from fixel.typing import FloatArray
@@ -127,7 +128,9 @@ class CsvTable(Importer):
     def _plan(self, source: Path, options: Mapping[str, object]) -> ImportPlan:
         if not source.is_file():
             raise InvalidInput(source.name, found="a folder", expected="one table")
-        texts = {name: _text_option(name, value) for name, value in options.items()}
+        texts: dict[str, Any] = dict(options)
+        for name, value in texts.items():
+            instance(value, str, f"option {name}", "a text")
         scene, split_by = texts.pop("scene", None), texts.pop("split_by", None)
         table = read_table(source, torn=split_by is not None)
         choice = None if scene is None else Path(scene)
@@ -283,12 +286,6 @@ def _with_ranges(alike: Sequence[str]) -> str:
     ends = ((min(own, key=float), max(own, key=float)) for own in columns)
     ranges = iter([low if low == high else f"{low} to {high}" for low, high in ends])
     return _NUMBER.sub(lambda _: next(ranges), alike[0])
-
-
-def _text_option(name: str, value: object) -> str:
-    if not isinstance(value, str):
-        raise InvalidInput(f"option {name}", found=value, expected="a text")
-    return value
 
 
 @dataclass

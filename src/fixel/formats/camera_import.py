@@ -96,12 +96,9 @@ def _kind_of(path: Path) -> str:
         return "kalibr"
     if b"distortion_model" in head:
         return "ros"
-    found, hint = (
-        "a file of unknown format",
-        "choose the format with --format " + " | ".join(FORMATS),
-    )
     expected = "Calib_Results.m or .mat, an OpenCV storage, a Kalibr camchain or a ROS camera"
-    raise InvalidInput(str(path), found=found, expected=expected, hint=hint)
+    hint = "choose the format with --format " + " | ".join(FORMATS)
+    raise InvalidInput(str(path), found="a file of unknown format", expected=expected, hint=hint)
 
 
 def _head(path: Path) -> bytes:
