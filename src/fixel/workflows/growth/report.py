@@ -13,7 +13,7 @@ from fixel.domain.along_axis import AxisEdges, AxisStudy
 from fixel.domain.growth import AVERAGED, STORED
 from fixel.drawing.growth import axis_chart, error_matrix, growth_matrix, growth_steps
 from fixel.errors import counted
-from fixel.table import Table
+from fixel.table import Column, Table
 from fixel.typing import FloatArray
 from fixel.units import displayed, unit_text
 from fixel.workflows.analysis import Analysis, AnalysisReport, Picture, StoredAnswer
@@ -161,17 +161,10 @@ def _methods(found: Exploration) -> tuple[str, ...]:
 
 def matrix_table(found: Exploration) -> Table:
     """Table of the largest errors, one row per group."""
-    unit = unit_text(found.unit)
-    n = found.growth.steps[0][-1].step
-    rows = [
-        (row[0].group.name, *("none" if s.largest is None else f"{s.largest:.3g}" for s in row))
-        for row in found.growth.steps
-    ]
-    return Table(
-        ("group", "nominal", *(f"step {k}" for k in range(1, n + 1))),
-        rows,
-        title=f"Largest error in the domain [{unit}]",
-    )
+    names = ["nominal", *(f"step {k + 1}" for k in range(found.growth.steps[0][-1].step))]
+    head = [Column("group"), *(Column(name, format=".3g") for name in names)]
+    rows = [(row[0].group.name, *(s.largest for s in row)) for row in found.growth.steps]
+    return Table(head, rows, title=f"Largest error in the domain [{unit_text(found.unit)}]")
 
 
 def _edges_table(found: Exploration) -> Table:
@@ -180,21 +173,12 @@ def _edges_table(found: Exploration) -> Table:
     rows = []
     for study in found.studies:
         k = int(np.flatnonzero(study.steps == 0)[0])
-        ratio = study.ratio[k]
-        rows.append(
-            (
-                study.shape,
-                study.axis,
-                str(study.size),
-                _edges_text(study.edges(found.threshold), study) or "none",
-                _edges_text(study.relative_edges(found.threshold), study) or "none",
-                f"{study.average[k]:.3g}" if math.isfinite(study.average[k]) else "none",
-                f"{ratio:.3g}" if math.isfinite(ratio) else "none",
-            )
-        )
+        edges = study.edges(found.threshold), study.relative_edges(found.threshold)
+        ends = [_edges_text(own, study) or "none" for own in edges]
+        rows.append((study.shape, study.axis, study.size, *ends, study.average[k], study.ratio[k]))
     head = (
         *("shape", "axis", "samples", "absolute error", "relative error"),
-        *(f"average at nominal [{unit}]", "over own best"),
+        *(Column("average at nominal", unit, ".3g"), Column("over own best", format=".3g")),
     )
     title = f"Domain along each axis at {found.threshold:.3g} {unit}"
     return Table(head, rows, title=title, left=2)
