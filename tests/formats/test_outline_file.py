@@ -130,7 +130,7 @@ def test_holes_and_several_outlines(tmp_path):
     plate = '<rect width="50" height="40"/>'
     hole = '<circle cx="20" cy="20" r="5"/>'
     path = svg(tmp_path / "hole.svg", plate + hole + plate)  # one drawn twice
-    refused(Polygon.from_file, path, match="1 holes, one of 10 by 10 mm")
+    refused(Polygon.from_file, path, match="1 hole, the largest of 10 by 10 mm")
     assert Polygon.from_file(path, fill_holes=True).area == pytest.approx(50 * 40 * 1e-6)
     two = svg(tmp_path / "two.svg", plate + '<rect id="b" x="60" width="7" height="8"/>')
     raised = refused(Polygon.from_file, two, match=r"2 separate outlines: 50 by 40 mm; 7 by 8 mm")

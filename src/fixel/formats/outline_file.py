@@ -17,7 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from fixel.errors import InvalidInput, check_name, require
+from fixel.errors import InvalidInput, check_name, counted, require
 from fixel.io.atomic import parsed, refuse_ending
 from fixel.model.fields import path_of, positive
 from fixel.typing import FloatArray
@@ -129,7 +129,9 @@ def _outline(region: Any, source: _OutlineSource, fill_holes: bool) -> FloatArra
     holes = [shapely.Polygon(ring) for ring in parts[0].interiors]
     holes = [hole for hole in holes if hole.area > tolerance**2]
     if holes and not fill_holes:
-        found = f"{len(holes)} holes, one of {_size(max(holes, key=shapely.area))}"
+        found = (
+            f"{counted(len(holes), 'hole')}, the largest of {_size(max(holes, key=shapely.area))}"
+        )
         hint = "fill_holes=True fills them; then give inertia= and centre_of_mass= of the body"
         raise InvalidInput(where, found=found, expected="an outline without holes", hint=hint)
     ring = shapely.Polygon(parts[0].exterior).simplify(0.5 * tolerance)
