@@ -470,17 +470,19 @@ def start_afresh(problem: Problem) -> bool:
     to: three linear equations. From their solution Newton's method arrives in two to six
     iterations.
 
-    The body stays at rest where its contact does not close. Returns False, without a change, for
-    other problems: with several contacts, drives or bodies, or inertia.
+    A drive holds its speed, and the body stays at rest where its contact does not close. Returns
+    False, without a change, for other problems: with several contacts, drives or bodies, or
+    inertia.
     """
+    drives = problem.size[N_DOF] - 3
     if (
-        problem.size[N_DOF] != 3
+        drives > 1
         or problem.size[N_FREE_DOF] != 3
         or problem.size[N_CONTACT] != 1
         or problem.inertia[0, 0] != 0.0
     ):
         return False
-    n_element = problem.size[N_ELEMENT]
+    n_element = problem.size[N_ELEMENT] - drives
     row = problem.element_row
     p = problem.element_impulse
     limit = problem.element_limit
@@ -521,8 +523,13 @@ def start_afresh(problem: Problem) -> bool:
     normal = 0.0
     tangential = 0.0
     closing = -problem.bias[0, 0]
+    along = -problem.bias[0, 1]
+    if drives == 1:
+        speed = -problem.element_bias[n_element, 0]
+        problem.velocity[3] = speed
+        closing -= n[3] * speed
+        along -= s[3] * speed
     if closing > 0.0:
-        along = -problem.bias[0, 1]
         free = nn * ss - ns * ns
         if not free > 0.0:
             return False
@@ -558,4 +565,6 @@ def start_afresh(problem: Problem) -> bool:
     share = lost / viscous if viscous > 0.0 else 0.0
     problem.impulse[0, 0] = share * normal
     problem.impulse[0, 1] = share * tangential
+    if drives == 1:
+        p[n_element, 0] = -share * (n[3] * normal + s[3] * tangential)
     return True

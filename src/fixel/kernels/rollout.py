@@ -10,36 +10,7 @@ import numpy as np
 
 from fixel.kernels import arrays as at
 from fixel.kernels import codes
-from fixel.kernels.arrays import (
-    BODY,
-    CONTACT_ROWS,
-    DRIVEN,
-    ELEMENT,
-    FALLBACKS,
-    FREE,
-    LANE_FIELDS,
-    MAP,
-    N_PLACE,
-    N_SIZE,
-    PAIR,
-    PATH,
-    PATH_START,
-    PIECE,
-    PIECE_START,
-    REACHED,
-    SAMPLES,
-    STEPS_TAKEN,
-    VERTEX,
-    WORST_RESIDUAL,
-    Batch,
-    BatchRecord,
-    Model,
-    Problem,
-    RolloutRecord,
-    State,
-    StepMethod,
-    Workspace,
-)
+from fixel.kernels.arrays import Batch, Model, Problem, State, Workspace
 from fixel.kernels.contacts import place_bodies
 from fixel.kernels.islands import island_room
 from fixel.kernels.jit import allocating_kernel, entry, kernel, large_kernel, spliced_kernel, view
@@ -79,7 +50,7 @@ def empty_problem(n_dof: int, n_contact: int, n_element: int) -> Problem:
     elements, none of them in use."""
     wide = n_dof + SPARE
     return Problem(
-        size=np.zeros(N_SIZE, np.int64),
+        size=np.zeros(at.N_SIZE, np.int64),
         inertia=np.zeros((wide, 3)),
         momentum=np.zeros(wide),
         velocity=np.zeros(wide),
@@ -87,7 +58,7 @@ def empty_problem(n_dof: int, n_contact: int, n_element: int) -> Problem:
         contact_dof=np.zeros((n_contact, 2), np.int64),
         contact_key=np.zeros(n_contact, np.int64),
         contact_body=np.zeros((n_contact, 2), np.int64),
-        contact_place=np.zeros((n_contact, N_PLACE)),
+        contact_place=np.zeros((n_contact, at.N_PLACE)),
         normal=np.zeros((n_contact, 6)),
         tangent=np.zeros((n_contact, 6)),
         bias=np.zeros((n_contact, 2)),
@@ -127,7 +98,7 @@ def empty_workspace(
         right=np.zeros(wide + SCRATCH),
         contact_change=np.zeros((n_contact, 24)),
         element_change=np.zeros((n_element, 21)),
-        lanes=np.zeros(LANE_FIELDS * n_element),
+        lanes=np.zeros(at.LANE_FIELDS * n_element),
         world=np.zeros((n_vertex, 2)),
         is_placed=np.zeros(n_piece, np.int64),
         frame=np.zeros((n_body, 4)),
@@ -183,9 +154,9 @@ def rollout(
     model: Model,
     start: FloatArray,
     velocity: FloatArray,
-    method: StepMethod,
+    method: at.StepMethod,
     settings: FloatArray,
-    record: RolloutRecord,
+    record: at.RolloutRecord,
     every_step: bool,
 ) -> int:
     """Simulate one scene; fills `record`, returns how it ended (codes.py).
@@ -245,8 +216,8 @@ def _run(
     rows: FloatArray,
     problem: Problem,
     work: Workspace,
-    method: StepMethod,
-    record: RolloutRecord,
+    method: at.StepMethod,
+    record: at.RolloutRecord,
     every_step: bool,
 ) -> int:
     control[at.ELASTIC] = 1.0 if is_elastic(model) and method.motion == codes.DYNAMIC else 0.0
@@ -271,16 +242,16 @@ def _run(
             take_back(control)
             _copy_state(before, state, model.mass.size)
             _copy_state(older, before, model.mass.size)
-            record.count[SAMPLES] = samples
-            record.count[CONTACT_ROWS] = contact_rows
+            record.count[at.SAMPLES] = samples
+            record.count[at.CONTACT_ROWS] = contact_rows
             continue
         if status != codes.CONVERGED:
             break
-        record.total[WORST_RESIDUAL] = max(record.total[WORST_RESIDUAL], residual)
+        record.total[at.WORST_RESIDUAL] = max(record.total[at.WORST_RESIDUAL], residual)
         _copy_state(before, older, model.mass.size)
         _copy_state(state, before, model.mass.size)
-        samples = record.count[SAMPLES]
-        contact_rows = record.count[CONTACT_ROWS]
+        samples = record.count[at.SAMPLES]
+        contact_rows = record.count[at.CONTACT_ROWS]
         keep_impulses(control, problem, work)
         move(model, state, control[at.TRIAL], problem, extrapolation(control))
         end_step(control)
@@ -299,13 +270,13 @@ def _run(
             _copy_state(state, before, model.mass.size)
     if status != codes.CONVERGED and not every_step and control[at.STEPS] > 0.0:
         _sample_stop(model, before, state, control, problem, record)
-    record.count[STEPS_TAKEN] = control[at.STEPS]
-    record.total[REACHED] = control[at.TIME]
+    record.count[at.STEPS_TAKEN] = control[at.STEPS]
+    record.total[at.REACHED] = control[at.TIME]
     return status
 
 
 @kernel
-def _early_end(control: FloatArray, record: RolloutRecord, max_steps: int) -> int:
+def _early_end(control: FloatArray, record: at.RolloutRecord, max_steps: int) -> int:
     """Status of a rollout that ends before its next step: stopped, or out of steps."""
     if record.total[at.STOP] > 0.0:
         return codes.INTERRUPTED
@@ -323,8 +294,8 @@ def _solve_trial(
     rows: FloatArray,
     problem: Problem,
     work: Workspace,
-    method: StepMethod,
-    record: RolloutRecord,
+    method: at.StepMethod,
+    record: at.RolloutRecord,
 ) -> tuple[int, float]:
     """Write and solve the problem of a trial; returns the status and residual for `judge_step`."""
     trial = control[at.TRIAL]
@@ -346,7 +317,7 @@ def _solve_trial(
         residual, fell_back = solve(
             problem, work, guess, method.solver, method.effort, max_attempts
         )
-        record.count[FALLBACKS] += fell_back
+        record.count[at.FALLBACKS] += fell_back
         if residual <= TOLERANCE:
             if not (elastic and creates_energy(model, state, problem)):
                 break
@@ -386,13 +357,13 @@ def _sample_stop(
     state: State,
     control: FloatArray,
     problem: Problem,
-    record: RolloutRecord,
+    record: at.RolloutRecord,
 ) -> None:
     """Write where a rollout stopped early as its last sample.
 
     Without contacts and forces: the problem holds what could not be solved.
     """
-    sample = record.count[SAMPLES]
+    sample = record.count[at.SAMPLES]
     if sample < record.time.size:
         record.time[sample] = control[at.TIME]
         write_samples(model, before, state, control, 0.0, control[at.LAST], problem, record, False)
@@ -417,33 +388,35 @@ def select(batch: Batch, r: int) -> Model:
     a = batch.begin[r]
     n = batch.count[r]
     m = batch.model
-    free, piece, vertex, body = n[FREE], n[PIECE], n[VERTEX], n[BODY]
-    element, driven, cells, e = n[ELEMENT], n[DRIVEN], batch.map_shape[r], a[ELEMENT]
+    free, piece, vertex, body = n[at.FREE], n[at.PIECE], n[at.VERTEX], n[at.BODY]
+    element, driven, cells, e = n[at.ELEMENT], n[at.DRIVEN], batch.map_shape[r], a[at.ELEMENT]
     return Model(
-        view(m.mass, a[FREE], (free,)), view(m.inertia, a[FREE], (free,)),
-        view(m.wrench, 3 * a[FREE], (free, 3)), view(m.spring, 3 * a[FREE], (free, 3)),
-        view(m.drag, 9 * a[FREE], (free, 3, 3)), view(m.piece_body, a[PIECE], (piece,)),
-        view(m.piece_start, a[PIECE_START], (n[PIECE_START],)),
-        view(m.piece_bound, 3 * a[PIECE], (piece, 3)), view(m.piece_radius, a[PIECE], (piece,)),
-        view(m.vertex, 2 * a[VERTEX], (vertex, 2)), view(m.edge_real, a[VERTEX], (vertex,)),
-        view(m.friction, a[PAIR], (body, body)), view(m.restitution, a[PAIR], (body, body)),
+        view(m.mass, a[at.FREE], (free,)), view(m.inertia, a[at.FREE], (free,)),
+        view(m.wrench, 3 * a[at.FREE], (free, 3)), view(m.spring, 3 * a[at.FREE], (free, 3)),
+        view(m.drag, 9 * a[at.FREE], (free, 3, 3)), view(m.piece_body, a[at.PIECE], (piece,)),
+        view(m.piece_start, a[at.PIECE_START], (n[at.PIECE_START],)),
+        view(m.piece_bound, 3 * a[at.PIECE], (piece, 3)),
+        view(m.piece_radius, a[at.PIECE], (piece,)),
+        view(m.vertex, 2 * a[at.VERTEX], (vertex, 2)), view(m.edge_real, a[at.VERTEX], (vertex,)),
+        view(m.friction, a[at.PAIR], (body, body)), view(m.restitution, a[at.PAIR], (body, body)),
         view(m.element_body, e, (element,)), view(m.element_kind, e, (element,)),
         view(m.element_point, 2 * e, (element, 2)), view(m.element_limit, e, (element,)),
-        view(m.element_ratio, e, (element,)), view(m.path_start, a[PATH_START], (n[PATH_START],)),
-        view(m.path, 4 * a[PATH], (n[PATH], 4)),
-        view(m.force_limit, a[DRIVEN], (driven,)), view(m.drive_dof, a[DRIVEN], (driven,)),
+        view(m.element_ratio, e, (element,)),
+        view(m.path_start, a[at.PATH_START], (n[at.PATH_START],)),
+        view(m.path, 4 * a[at.PATH], (n[at.PATH], 4)),
+        view(m.force_limit, a[at.DRIVEN], (driven,)), view(m.drive_dof, a[at.DRIVEN], (driven,)),
         view(m.plane, 3 * r, (3,)), view(m.map_frame, 4 * r, (4,)),
-        view(m.map_factor, a[MAP], (cells[0], cells[1])), batch.sides[r],
+        view(m.map_factor, a[at.MAP], (cells[0], cells[1])), batch.sides[r],
     )  # fmt: skip
 
 
 @spliced_kernel
 def _rollout_one(
-    batch: Batch, method: StepMethod, record: BatchRecord, every_step: bool, r: int
+    batch: Batch, method: at.StepMethod, record: at.BatchRecord, every_step: bool, r: int
 ) -> None:
     a = batch.begin[r]
     z = a + batch.count[r]
-    own = RolloutRecord(
+    own = at.RolloutRecord(
         record.time[r],
         record.pose[r],
         record.twist[r],
@@ -454,8 +427,8 @@ def _rollout_one(
     )
     record.status[r] = rollout(
         select(batch, r),
-        batch.pose[a[BODY] : z[BODY]],
-        batch.velocity[a[FREE] : z[FREE]],
+        batch.pose[a[at.BODY] : z[at.BODY]],
+        batch.velocity[a[at.FREE] : z[at.FREE]],
         method,
         batch.settings[r],
         own,
@@ -476,8 +449,9 @@ def select_one(batch: Batch, r: int) -> Model:
 
 @entry
 def rollout_batch(
-    batch: Batch, method: StepMethod, record: BatchRecord, every_step: bool, first: int, last: int
-) -> None:
+    batch: Batch, method: at.StepMethod, record: at.BatchRecord, every_step: bool,
+    first: int, last: int,
+) -> None:  # fmt: skip
     """Simulate rollouts `first` to ``last - 1`` without Python's lock, for use in threads."""
     for r in range(first, last):
         _rollout_one(batch, method, record, every_step, r)

@@ -1,20 +1,7 @@
 """Samples of a rollout: poses, velocities, drives and contacts, written into its record."""
 
 from fixel.kernels import arrays as at
-from fixel.kernels.arrays import (
-    CONTACT_ROWS,
-    N_CONTACT,
-    N_FREE_DOF,
-    NORMAL_X,
-    NORMAL_Y,
-    POINT_X,
-    POINT_Y,
-    SAMPLES,
-    Model,
-    Problem,
-    RolloutRecord,
-    State,
-)
+from fixel.kernels.arrays import Model, Problem, RolloutRecord, State
 from fixel.kernels.jit import kernel, large_kernel
 from fixel.kernels.path import path_direction
 from fixel.kernels.step import ALONG, place_pusher
@@ -27,7 +14,7 @@ SAMPLE_SLACK = 1e-12  # of the duration: sample times this close to a step's end
 @kernel
 def is_due(control: FloatArray, record: RolloutRecord, every_step: bool) -> bool:
     """Whether a sample is to be written at or before the present time."""
-    sample = record.count[SAMPLES]
+    sample = record.count[at.SAMPLES]
     due = control[at.TIME] + SAMPLE_SLACK * control[at.DURATION]
     return sample < record.time.size and (every_step or record.time[sample] <= due)
 
@@ -54,8 +41,8 @@ def write_samples(
     only_poses = record.twist.shape[0] == 0
     to_time = control[at.TIME]
     from_time = to_time - moved
-    while record.count[SAMPLES] < record.pose.shape[0]:
-        sample = record.count[SAMPLES]
+    while record.count[at.SAMPLES] < record.pose.shape[0]:
+        sample = record.count[at.SAMPLES]
         share = 1.0
         if every_step:
             record.time[sample] = to_time
@@ -76,12 +63,12 @@ def write_samples(
                     model, before, state, from_time, to_time, span, problem, record, d, share
                 )
             if record.total[at.LAST_CONTACTS] > 0.0:
-                record.count[CONTACT_ROWS] = 0
+                record.count[at.CONTACT_ROWS] = 0
             if to_time > from_time:
                 _sample_contacts(
                     before.velocity, problem, record, control[at.LAST], to_time - from_time, span
                 )
-        record.count[SAMPLES] += 1
+        record.count[at.SAMPLES] += 1
         if every_step:
             break
 
@@ -99,7 +86,7 @@ def _sample_driven(
     d: int,
     share: float,
 ) -> None:
-    sample = record.count[SAMPLES]
+    sample = record.count[at.SAMPLES]
     row = model.mass.size + d
     own = from_time + share * (to_time - from_time)
     own_start = from_time
@@ -120,16 +107,16 @@ def _sample_driven(
     record.twist[sample, row, 2] = speed * da
     force = 0.0
     if to_time > from_time:
-        for i in range(problem.size[N_CONTACT]):
+        for i in range(problem.size[at.N_CONTACT]):
             if problem.contact_body[i, 1] == row:
-                nx = problem.contact_place[i, NORMAL_X]
-                ny = problem.contact_place[i, NORMAL_Y]
+                nx = problem.contact_place[i, at.NORMAL_X]
+                ny = problem.contact_place[i, at.NORMAL_Y]
                 pn = problem.impulse[i, 0]
                 pt = problem.impulse[i, 1]
                 fx = pn * nx - pt * ny
                 fy = pn * ny + pt * nx
-                rx = problem.contact_place[i, POINT_X] - pose[0]
-                ry = problem.contact_place[i, POINT_Y] - pose[1]
+                rx = problem.contact_place[i, at.POINT_X] - pose[0]
+                ry = problem.contact_place[i, at.POINT_Y] - pose[1]
                 force += (fx * dx + fy * dy + (rx * fy - ry * fx) * da) / span
     record.drive[sample, d, 0] = force
     stalled = limited and command > 0.0 and speed < 0.01 * command
@@ -143,7 +130,7 @@ def _is_impact(velocity: FloatArray, problem: Problem, i: int, step: float) -> b
     size = 0.0
     for side in range(2):
         o = problem.contact_dof[i, side]
-        if 0 <= o < problem.size[N_FREE_DOF]:
+        if 0 <= o < problem.size[at.N_FREE_DOF]:
             changed = 0.0
             moving = 0.0
             for k in range(3):
@@ -169,8 +156,8 @@ def _sample_contacts(
     `velocity` is that at its start. Forces act on after `span`, also past the step where the bodies
     rest; an impact acts once.
     """
-    for i in range(problem.size[N_CONTACT]):
-        row = record.count[CONTACT_ROWS]
+    for i in range(problem.size[at.N_CONTACT]):
+        row = record.count[at.CONTACT_ROWS]
         if row == record.contact.shape[0]:
             return
         a = problem.contact_dof[i, 0]
@@ -186,7 +173,7 @@ def _sample_contacts(
         acted = span
         if span < step and _is_impact(velocity, problem, i, step):
             acted = step
-        record.contact[row, 0] = record.count[SAMPLES]
+        record.contact[row, 0] = record.count[at.SAMPLES]
         record.contact[row, 1] = problem.contact_body[i, 0]
         record.contact[row, 2] = problem.contact_body[i, 1]
         record.contact[row, 3] = gap
@@ -195,4 +182,4 @@ def _sample_contacts(
         record.contact[row, 8] = problem.impulse[i, 0] / acted
         record.contact[row, 9] = problem.impulse[i, 1] / acted
         record.contact[row, 10] = moved
-        record.count[CONTACT_ROWS] += 1
+        record.count[at.CONTACT_ROWS] += 1

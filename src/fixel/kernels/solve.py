@@ -149,7 +149,7 @@ def recover(
             return worst, 0
     else:
         restore(problem, work)
-        if start_afresh(problem):
+        if problem.size[N_DOF] == 3 and start_afresh(problem):
             worst = polish(problem, work, QUICK_ITERATIONS, 1.0)
             if worst <= TOLERANCE:
                 return worst, 1

@@ -4,27 +4,7 @@ bodies."""
 import math
 
 from fixel.kernels import arrays as at
-from fixel.kernels.arrays import (
-    DRIVEN_NORMAL,
-    GAP,
-    GIVEN_BACK,
-    HALVINGS,
-    N_CONTACT,
-    N_DOF,
-    N_ELEMENT,
-    N_FREE_DOF,
-    NORMAL_X,
-    NORMAL_Y,
-    OVERLAP,
-    POINT_X,
-    POINT_Y,
-    ROUND_A,
-    ROUND_B,
-    Model,
-    Problem,
-    State,
-    Workspace,
-)
+from fixel.kernels.arrays import Model, Problem, State, Workspace
 from fixel.kernels.assembly import (
     assemble_bodies,
     assemble_contact,
@@ -48,8 +28,8 @@ FAR = 3.0  # characteristic lengths: a body that reaches farther from its centre
 STILL = 1e-9  # velocity of a drive below which it does not slip
 # Columns of `contact_place` in which `_separate` stores how far a contact yields to an impulse, and
 # its inverse.
-WEIGHT = HALVINGS
-STIFFNESS = DRIVEN_NORMAL
+WEIGHT = at.HALVINGS
+STIFFNESS = at.DRIVEN_NORMAL
 SMALL_OVERLAP = 4.0  # tolerances: overlaps that remain where nothing else solves a step
 GENTLY = 0.01  # of the characteristic time: an overlap with a pusher is taken back no faster
 RECOVERY = 1.0  # of the characteristic speed: how fast an overlap is taken back, at most
@@ -165,8 +145,8 @@ def prepare_contacts(
         return False
     n_old = int(control[at.TAKEN_CONTACTS]) if ratio > 0.0 else 0
     warm_start(problem, n_contact, work.old_key, work.old_impulse, n_old, ratio)
-    problem.size[N_CONTACT] = n_contact
-    problem.size[N_FREE_DOF] = 3 * n_free
+    problem.size[at.N_CONTACT] = n_contact
+    problem.size[at.N_FREE_DOF] = 3 * n_free
     return True
 
 
@@ -199,15 +179,15 @@ def prepare_rows(
             _prepare_drive(model, state, control, d, problem, n_element, dof)
             n_element += 1
             dof += 1
-    problem.size[N_DOF] = dof
-    problem.size[N_ELEMENT] = n_element
+    problem.size[at.N_DOF] = dof
+    problem.size[at.N_ELEMENT] = n_element
     _expect_element_impulses(ratio, problem, work)
     set_stiffness(problem, n_support)
     for i in range(dof):
         problem.velocity[i] = guess[i]
     last = -1
     motion = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    for i in range(problem.size[N_CONTACT]):
+    for i in range(problem.size[at.N_CONTACT]):
         d = problem.contact_body[i, 1] - model.mass.size
         if d != last and 0 <= d < model.force_limit.size:
             motion = _pusher_motion(model, state, control, d)
@@ -298,9 +278,9 @@ def _bend(
     `lever` is the normal coordinate of the contact point from the second body's centre, `slip` the
     relative tangential velocity there.
     """
-    gap = problem.contact_place[i, GAP]
-    round_a = problem.contact_place[i, ROUND_A]
-    round_b = problem.contact_place[i, ROUND_B]
+    gap = problem.contact_place[i, at.GAP]
+    round_a = problem.contact_place[i, at.ROUND_A]
+    round_b = problem.contact_place[i, at.ROUND_B]
     # Centripetal acceleration of both points; below, that of their centres of curvature.
     bend = spin_b * spin_b * lever - spin_a * spin_a * problem.tangent[i, 2]
     turning = spin_a - spin_b
@@ -342,8 +322,8 @@ def _prepare_contact(
     dof = model.drive_dof[d] if driven else -1
     dx, dy, da, x0, y0, a0 = motion
     assemble_contact(problem, i, pose, n_free, dof, dx, dy, da)
-    nx = problem.contact_place[i, NORMAL_X]
-    ny = problem.contact_place[i, NORMAL_Y]
+    nx = problem.contact_place[i, at.NORMAL_X]
+    ny = problem.contact_place[i, at.NORMAL_Y]
     ahead = 0.0  # normal motion expected from the step's start to where the rows are taken
     before = 0.0  # normal velocity before the step
     first = problem.contact_dof[i, 0]
@@ -354,7 +334,7 @@ def _prepare_contact(
         if second >= 0:
             ahead += problem.normal[i, 3 + k] * guess[second + k]
             before += problem.normal[i, 3 + k] * state.velocity[second + k]
-    gap = problem.contact_place[i, GAP] - control[at.LEAD] * ahead  # at the step's start
+    gap = problem.contact_place[i, at.GAP] - control[at.LEAD] * ahead  # at the step's start
     driven_n = 0.0  # normal and tangential motion of a rigid pusher over the step
     driven_t = 0.0
     spin = 0.0  # of the second body, and its lever of the normal
@@ -365,8 +345,8 @@ def _prepare_contact(
         if second >= 0:
             slip += problem.tangent[i, 3 + k] * guess[second + k]
     if driven and dof < 0:
-        rx = problem.contact_place[i, POINT_X] - pose[b, 0]
-        ry = problem.contact_place[i, POINT_Y] - pose[b, 1]
+        rx = problem.contact_place[i, at.POINT_X] - pose[b, 0]
+        ry = problem.contact_place[i, at.POINT_Y] - pose[b, 1]
         mx = dx - ry * da
         my = dy + rx * da
         driven_n = nx * mx + ny * my
@@ -378,8 +358,8 @@ def _prepare_contact(
         lever = nx * rx + ny * ry
     elif driven:
         spin = da * guess[dof]
-        lever = nx * (problem.contact_place[i, POINT_X] - pose[b, 0]) + ny * (
-            problem.contact_place[i, POINT_Y] - pose[b, 1]
+        lever = nx * (problem.contact_place[i, at.POINT_X] - pose[b, 0]) + ny * (
+            problem.contact_place[i, at.POINT_Y] - pose[b, 1]
         )
     elif second >= 0:
         spin = guess[second + 2]
@@ -409,10 +389,10 @@ def _prepare_contact(
         # Newton's law of impact in place of the gap: leave with `bounce` times the approach.
         given_back = (bounce * approach - driven_n) - bias_n
         bias_n += given_back
-    problem.contact_place[i, OVERLAP] = overlap
-    problem.contact_place[i, GIVEN_BACK] = given_back
-    problem.contact_place[i, DRIVEN_NORMAL] = -driven_n
-    problem.contact_place[i, HALVINGS] = 0.0
+    problem.contact_place[i, at.OVERLAP] = overlap
+    problem.contact_place[i, at.GIVEN_BACK] = given_back
+    problem.contact_place[i, at.DRIVEN_NORMAL] = -driven_n
+    problem.contact_place[i, at.HALVINGS] = 0.0
     problem.bias[i, 0] = bias_n
     problem.bias[i, 1] = -driven_t
 
@@ -421,12 +401,12 @@ def _prepare_contact(
 def keep_impulses(control: FloatArray, problem: Problem, work: Workspace) -> None:
     """Store the impulses of a step that is taken, from which the trials of the next one start."""
     control[at.LAST_SPAN] = control[at.SPAN]
-    control[at.TAKEN_CONTACTS] = problem.size[N_CONTACT]
-    for i in range(problem.size[N_CONTACT]):
+    control[at.TAKEN_CONTACTS] = problem.size[at.N_CONTACT]
+    for i in range(problem.size[at.N_CONTACT]):
         work.old_key[i] = problem.contact_key[i]
         for k in range(2):
             work.old_impulse[i, k] = problem.impulse[i, k]
-    for e in range(problem.size[N_ELEMENT]):
+    for e in range(problem.size[at.N_ELEMENT]):
         for k in range(3):
             work.element_change[e, OLD_ELEMENT + k] = problem.element_impulse[e, k]
 
@@ -434,7 +414,7 @@ def keep_impulses(control: FloatArray, problem: Problem, work: Workspace) -> Non
 @kernel
 def _expect_element_impulses(ratio: float, problem: Problem, work: Workspace) -> None:
     """Set the impulses of supports and drives to those of the last step taken, times `ratio`."""
-    for e in range(problem.size[N_ELEMENT]):
+    for e in range(problem.size[at.N_ELEMENT]):
         for k in range(3):
             problem.element_impulse[e, k] = ratio * work.element_change[e, OLD_ELEMENT + k]
 
@@ -448,24 +428,24 @@ def leave_overlaps(model: Model, control: FloatArray, problem: Problem, work: Wo
     where it is all that bodies touch.
     """
     for d in range(model.force_limit.size):
-        for i in range(problem.size[N_CONTACT]):
+        for i in range(problem.size[at.N_CONTACT]):
             if model.drive_dof[d] < 0 and problem.contact_body[i, 1] != model.mass.size + d:
                 return False
     trial = control[at.TRIAL]
     room = max(trial, GENTLY) if control[at.INERTIAL] == 1.0 else trial
     found = False
-    for i in range(problem.size[N_CONTACT]):
+    for i in range(problem.size[at.N_CONTACT]):
         # Part of the bias that takes the overlap back.
-        back = problem.bias[i, 0] - problem.contact_place[i, DRIVEN_NORMAL]
+        back = problem.bias[i, 0] - problem.contact_place[i, at.DRIVEN_NORMAL]
         if back < 0.0 and -back * room < SMALL_OVERLAP * control[at.TOLERANCE]:
             problem.bias[i, 0] -= back
             found = True
     if not found:
         return False
-    for i in range(problem.size[N_DOF]):
+    for i in range(problem.size[at.N_DOF]):
         problem.velocity[i] = 0.0
     warm_start(
-        problem, problem.size[N_CONTACT], work.old_key, work.old_impulse,
+        problem, problem.size[at.N_CONTACT], work.old_key, work.old_impulse,
         int(control[at.TAKEN_CONTACTS]), control[at.RATIO],
     )  # fmt: skip
     _expect_element_impulses(control[at.RATIO], problem, work)
@@ -483,25 +463,25 @@ def creates_energy(model: Model, state: State, problem: Problem) -> bool:
     elastic = False
     energy = 0.0
     scale = 0.0
-    for i in range(problem.size[N_CONTACT]):
+    for i in range(problem.size[at.N_CONTACT]):
         p_n = problem.impulse[i, 0]
         p_t = problem.impulse[i, 1]
         if p_n <= 0.0:
             continue
-        elastic = elastic or problem.contact_place[i, GIVEN_BACK] != 0.0
+        elastic = elastic or problem.contact_place[i, at.GIVEN_BACK] != 0.0
         slip = problem.bias[i, 1]
         for side in range(2):
             dof = problem.contact_dof[i, side]
             if dof >= 0:
                 for k in range(3):
                     slip += problem.tangent[i, 3 * side + k] * problem.velocity[dof + k]
-        leaving = problem.contact_place[i, DRIVEN_NORMAL] - problem.bias[i, 0]
+        leaving = problem.contact_place[i, at.DRIVEN_NORMAL] - problem.bias[i, 0]
         energy += p_n * leaving + p_t * slip
         scale += p_n * (1e-7 * abs(leaving) + 1e-9)
     if not elastic:
         return False
-    n_free_dof = problem.size[N_FREE_DOF]
-    for e in range(problem.size[N_ELEMENT]):
+    n_free_dof = problem.size[at.N_FREE_DOF]
+    for e in range(problem.size[at.N_ELEMENT]):
         dof = problem.element_dof[e]
         if dof < n_free_dof:
             for j in range(3):
@@ -516,11 +496,11 @@ def creates_energy(model: Model, state: State, problem: Problem) -> bool:
         energy += 0.5 * change * (force - inertia * change)
     if energy <= scale:
         return False
-    for i in range(problem.size[N_CONTACT]):
-        kept = problem.contact_place[i, GIVEN_BACK]
-        approach = kept if problem.contact_place[i, HALVINGS] >= 2.0 else 0.5 * kept
-        problem.contact_place[i, HALVINGS] += 1.0
-        problem.contact_place[i, GIVEN_BACK] = kept - approach
+    for i in range(problem.size[at.N_CONTACT]):
+        kept = problem.contact_place[i, at.GIVEN_BACK]
+        approach = kept if problem.contact_place[i, at.HALVINGS] >= 2.0 else 0.5 * kept
+        problem.contact_place[i, at.HALVINGS] += 1.0
+        problem.contact_place[i, at.GIVEN_BACK] = kept - approach
         problem.bias[i, 0] -= approach
     return True
 
@@ -535,12 +515,12 @@ def _separate(model: Model, state: State, step: float, problem: Problem) -> None
     Source: Cline & Pai (2003), post-stabilisation.
     """
     overlapping = False
-    for i in range(problem.size[N_CONTACT]):
-        overlapping = overlapping or problem.contact_place[i, OVERLAP] > 0.0
-        problem.contact_place[i, GIVEN_BACK] = 0.0
+    for i in range(problem.size[at.N_CONTACT]):
+        overlapping = overlapping or problem.contact_place[i, at.OVERLAP] > 0.0
+        problem.contact_place[i, at.GIVEN_BACK] = 0.0
     if not overlapping:
         return
-    n_dof = problem.size[N_FREE_DOF]
+    n_dof = problem.size[at.N_FREE_DOF]
     shift = problem.momentum  # of this step; no longer needed
     mobility = problem.stiffness  # likewise
     place = problem.contact_place
@@ -549,9 +529,9 @@ def _separate(model: Model, state: State, step: float, problem: Problem) -> None
         for k in range(3):
             shift[o + k] = 0.0
             mobility[o + k] = 1.0 / (model.inertia[o // 3] if k == 2 else model.mass[o // 3])
-    for i in range(problem.size[N_CONTACT]):
+    for i in range(problem.size[at.N_CONTACT]):
         weight = 0.0
-        missing = place[i, OVERLAP] - step * problem.bias[i, 0]
+        missing = place[i, at.OVERLAP] - step * problem.bias[i, 0]
         for side in range(2):
             dof = problem.contact_dof[i, side]
             if dof >= 0:
@@ -560,26 +540,26 @@ def _separate(model: Model, state: State, step: float, problem: Problem) -> None
                     missing -= step * n * problem.velocity[dof + k]
                     if dof < n_dof:
                         weight += n * n * mobility[dof + k]
-        place[i, OVERLAP] = missing
+        place[i, at.OVERLAP] = missing
         place[i, WEIGHT] = weight
         place[i, STIFFNESS] = 1.0 / weight if weight > 0.0 else 0.0
     for _ in range(SWEEPS):
         largest = 0.0
-        for i in range(problem.size[N_CONTACT]):
+        for i in range(problem.size[at.N_CONTACT]):
             weight = place[i, WEIGHT]
             if weight == 0.0:
                 continue
-            missing = place[i, OVERLAP]
+            missing = place[i, at.OVERLAP]
             for side in range(2):
                 dof = problem.contact_dof[i, side]
                 if 0 <= dof < n_dof:
                     for k in range(3):
                         missing -= normal[i, 3 * side + k] * shift[dof + k]
-            push = max(0.0, place[i, GIVEN_BACK] + missing * place[i, STIFFNESS])
-            more = push - place[i, GIVEN_BACK]
+            push = max(0.0, place[i, at.GIVEN_BACK] + missing * place[i, STIFFNESS])
+            more = push - place[i, at.GIVEN_BACK]
             if more == 0.0:
                 continue
-            place[i, GIVEN_BACK] = push
+            place[i, at.GIVEN_BACK] = push
             largest = max(largest, abs(more) * weight)
             for side in range(2):
                 dof = problem.contact_dof[i, side]
@@ -603,7 +583,7 @@ def _extrapolate(state: State, problem: Problem, smooth: bool) -> None:
     the velocity; or by more than forces explain, unless `smooth`. Nor for a body on a contact that
     changed its velocity back: the error of one extrapolation would change its sign with each step.
     """
-    n_dof = problem.size[N_FREE_DOF]
+    n_dof = problem.size[at.N_FREE_DOF]
     v = problem.velocity
     scratch = problem.stiffness  # of this step; no longer needed. Size, impulse, mark.
     for o in range(0, n_dof, 3):
@@ -621,10 +601,10 @@ def _extrapolate(state: State, problem: Problem, smooth: bool) -> None:
         for o in range(0, n_dof, 3):
             if scratch[o] > 2.0 * scratch[o + 1] / problem.inertia[o, 0]:
                 scratch[o + 2] = BLOCKED
-    for i in range(problem.size[N_CONTACT]):
+    for i in range(problem.size[at.N_CONTACT]):
         if problem.impulse[i, 0] <= 0.0:
             continue
-        along = math.inf if problem.contact_place[i, GIVEN_BACK] != 0.0 else 0.0
+        along = math.inf if problem.contact_place[i, at.GIVEN_BACK] != 0.0 else 0.0
         for side in range(2):
             o = problem.contact_dof[i, side]
             if o >= 0:
@@ -651,7 +631,7 @@ def _extrapolate(state: State, problem: Problem, smooth: bool) -> None:
     spreading = True
     while spreading:  # from body to body: only together do they keep from gaining energy
         spreading = False
-        for i in range(problem.size[N_CONTACT]):
+        for i in range(problem.size[at.N_CONTACT]):
             o = problem.contact_dof[i, 0]
             other = problem.contact_dof[i, 1]
             if problem.impulse[i, 0] <= 0.0 or not 0 <= other < n_dof:
@@ -687,8 +667,8 @@ def move(model: Model, state: State, step: float, problem: Problem, extrapolatio
     first = 0
     if extrapolation > 0:
         _extrapolate(state, problem, extrapolation == 2)
-        first = problem.size[N_FREE_DOF]
-    for i in range(problem.size[N_DOF]):
+        first = problem.size[at.N_FREE_DOF]
+    for i in range(problem.size[at.N_DOF]):
         state.middle[i] = v[i]
         if i >= first:
             state.velocity[i] = v[i]

@@ -8,26 +8,7 @@ import math
 
 from fixel.kernels import arrays as at
 from fixel.kernels import codes
-from fixel.kernels.arrays import (
-    DRIVEN_NORMAL,
-    GAP,
-    GIVEN_BACK,
-    N_CONTACT,
-    N_DOF,
-    N_ELEMENT,
-    N_FREE_DOF,
-    NORMAL_X,
-    NORMAL_Y,
-    OVERLAP,
-    POINT_X,
-    POINT_Y,
-    TO_END,
-    TO_START,
-    Model,
-    Problem,
-    State,
-    Workspace,
-)
+from fixel.kernels.arrays import Model, Problem, State, Workspace
 from fixel.kernels.gap import FEATURES
 from fixel.kernels.jit import kernel, large_kernel
 from fixel.kernels.path import path_direction, path_pose, straight_time
@@ -240,7 +221,7 @@ def judge_step(
         control[at.RESUMED] = max(control[at.RESUMED], trial)
         time = control[at.CLOSING] * (1.0 - 1e-6)
         near = FIRST * tolerance / max(1.0, largest_speed(problem))
-        if time > 4.0 * near and problem.size[N_DOF] <= FEW:
+        if time > 4.0 * near and problem.size[at.N_DOF] <= FEW:
             # What else happens before shows in the next step, as after any other.
             return _try_next(control, time - near, APPROACH, False)
         return _try_next(control, max(time, smallest), CUT, False)
@@ -331,7 +312,7 @@ def propose_step(control: FloatArray, problem: Problem, velocity: FloatArray, er
         following = 2.0 * first
     elif control[at.RESUMED] > 0.0 and (trial <= control[at.SMALLEST] or was_cut):
         following = control[at.RESUMED]
-    if was_cut and problem.size[N_DOF] <= FEW:
+    if was_cut and problem.size[at.N_DOF] <= FEW:
         # Half way through a longer step another contact may have taken its place, or none.
         following = min(following, first)
         if control[at.STAGGERED] == 1.0:
@@ -406,8 +387,8 @@ def event_time(
     have passed another, minus the length of a step that is worth another look.
     """
     earliest = math.inf
-    few = problem.size[N_DOF] <= FEW
-    for i in range(problem.size[N_CONTACT]):
+    few = problem.size[at.N_DOF] <= FEW
+    for i in range(problem.size[at.N_CONTACT]):
         a = problem.contact_dof[i, 0]
         b = problem.contact_dof[i, 1]
         motion = 0.0
@@ -420,14 +401,14 @@ def event_time(
                 slide += problem.tangent[i, 3 + k] * guess[b + k]
         if few and problem.impulse[i, 0] > 0.0:
             earliest = min(earliest, _leaving_time(problem, i, slide, step, lead, min_gap))
-        given_back = problem.contact_place[i, GIVEN_BACK]
+        given_back = problem.contact_place[i, at.GIVEN_BACK]
         normal_bias = problem.bias[i, 0] - given_back
         # The gap at both ends of the step and where the rows are taken give a parabola.
-        start = step * (normal_bias - problem.contact_place[i, DRIVEN_NORMAL])
+        start = step * (normal_bias - problem.contact_place[i, at.DRIVEN_NORMAL])
         end = step * (motion + normal_bias)
-        gap = problem.contact_place[i, GAP]
+        gap = problem.contact_place[i, at.GAP]
         speed = math.hypot(
-            motion + problem.contact_place[i, DRIVEN_NORMAL], slide + problem.bias[i, 1]
+            motion + problem.contact_place[i, at.DRIVEN_NORMAL], slide + problem.bias[i, 1]
         )
         ahead = lead * step
         looks_back = few or ahead * speed > MAX_MOTION
@@ -436,13 +417,13 @@ def event_time(
         spin = abs(guess[a + 2])
         along, across = problem.normal[i, 2], problem.tangent[i, 2]
         arm = math.sqrt(along * along + across * across)
-        if 0 <= b < problem.size[N_FREE_DOF]:
+        if 0 <= b < problem.size[at.N_FREE_DOF]:
             spin += abs(guess[b + 2])
             along, across = problem.normal[i, 5], problem.tangent[i, 5]
             arm += math.sqrt(along * along + across * across)
         # Of the third order, what bends away from the parabola.
         bent = 0.5 * (ahead * (ahead * ahead)) * spin * spin * (spin * arm + 2.0 * abs(slide))
-        deep = problem.contact_place[i, OVERLAP] - start
+        deep = problem.contact_place[i, at.OVERLAP] - start
         looks_back = looks_back and problem.impulse[i, 0] <= 0.0
         if looks_back and EVENT * min_gap + bent < deep < ahead * speed:
             # From its far side, a path through a corner or past it looks like an overlap at the
@@ -474,12 +455,12 @@ def _leaving_time(
     slide += problem.bias[i, 1]
     if abs(slide) * step <= min_gap:
         return math.inf
-    for k in range(max(0, i - 1), min(problem.size[N_CONTACT], i + 2)):
+    for k in range(max(0, i - 1), min(problem.size[at.N_CONTACT], i + 2)):
         pair = problem.contact_key[k] // FEATURES
         if k != i and pair == problem.contact_key[i] // FEATURES and problem.impulse[k, 0] > 0.0:
             return math.inf
-    behind = problem.contact_place[i, TO_START if slide > 0.0 else TO_END] / abs(slide)
-    left = problem.contact_place[i, TO_END if slide > 0.0 else TO_START] / abs(slide)
+    behind = problem.contact_place[i, at.TO_START if slide > 0.0 else at.TO_END] / abs(slide)
+    left = problem.contact_place[i, at.TO_END if slide > 0.0 else at.TO_START] / abs(slide)
     shortest = min_gap / abs(slide)
     time = lead * step - behind
     if not time > shortest:
@@ -495,7 +476,7 @@ def bounces(model: Model, state: State, control: FloatArray, problem: Problem) -
     time = control[at.TIME]
     step = control[at.TRIAL]
     n_free = model.mass.size
-    for i in range(problem.size[N_CONTACT]):
+    for i in range(problem.size[at.N_CONTACT]):
         a = problem.contact_body[i, 0]
         b = problem.contact_body[i, 1]
         if problem.impulse[i, 0] <= 0.0 or model.restitution[a, b] == 0.0:
@@ -510,10 +491,10 @@ def bounces(model: Model, state: State, control: FloatArray, problem: Problem) -
         if second < 0 and d < model.force_limit.size:
             dx, dy, da, speed = path_direction(model.path_start, model.path, d, time, step)
             x, y, _ = path_pose(model.path_start, model.path, d, time)
-            rx = problem.contact_place[i, POINT_X] - x
-            ry = problem.contact_place[i, POINT_Y] - y
-            nx = problem.contact_place[i, NORMAL_X]
-            ny = problem.contact_place[i, NORMAL_Y]
+            rx = problem.contact_place[i, at.POINT_X] - x
+            ry = problem.contact_place[i, at.POINT_Y] - y
+            nx = problem.contact_place[i, at.NORMAL_X]
+            ny = problem.contact_place[i, at.NORMAL_Y]
             before -= speed * (nx * (dx - ry * da) + ny * (dy + rx * da))
         if before < -BOUNCE:
             return True
@@ -524,10 +505,10 @@ def bounces(model: Model, state: State, control: FloatArray, problem: Problem) -
 def parts(control: FloatArray, problem: Problem, work: Workspace) -> bool:
     """Whether a pair of pieces that pressed on each other in the last step taken no longer does;
     never among many bodies, where contacts come off all the time."""
-    if problem.size[N_DOF] > FEW:
+    if problem.size[at.N_DOF] > FEW:
         return False
     k = 0
-    n = problem.size[N_CONTACT]
+    n = problem.size[at.N_CONTACT]
     pressed = -1  # pair that does press in this step
     for i in range(int(control[at.TAKEN_CONTACTS])):
         if work.old_impulse[i, 0] <= 0.0:
@@ -556,14 +537,14 @@ def rests(model: Model, before: State, state: State, control: FloatArray, proble
         or left < control[at.LAST]
     ):
         return False
-    for i in range(problem.size[N_DOF]):
+    for i in range(problem.size[at.N_DOF]):
         ends = max(abs(before.velocity[i]), abs(state.velocity[i]))
         if max(ends, abs(problem.velocity[i])) > STILL_VELOCITY:
             return False
     for d in range(model.force_limit.size):
         own = control[at.TIME] if model.drive_dof[d] < 0 else state.path_time[d]
         stalls = False
-        for e in range(problem.size[N_ELEMENT]):
+        for e in range(problem.size[at.N_ELEMENT]):
             if problem.element_dof[e] == model.drive_dof[d]:
                 stalls = problem.element_bias[e, 0] < 0.0
         if not (stalls or own >= model.path[model.path_start[d + 1] - 1, 0]):
@@ -602,7 +583,7 @@ def fastest_in_sight(
     """Largest speed that bodies had, that forces give them over the step, that pushers prescribe,
     or at which overlaps are taken back."""
     fastest = RECOVERY
-    for i in range(problem.size[N_FREE_DOF]):
+    for i in range(problem.size[at.N_FREE_DOF]):
         own = abs(state.velocity[i])
         inertia = problem.inertia[i, i % 3]
         if inertia > 0.0:
@@ -621,14 +602,14 @@ def largest_change(problem: Problem, guess: FloatArray) -> float:
     largest = 0.0
     squares = 0.0
     v = problem.velocity
-    for o in range(0, problem.size[N_FREE_DOF], 3):
+    for o in range(0, problem.size[at.N_FREE_DOF], 3):
         dx = v[o] - guess[o]
         dy = v[o + 1] - guess[o + 1]
         change = math.sqrt(dx * dx + dy * dy) + abs(v[o + 2] - guess[o + 2])
         largest = max(largest, change)
         squares += change * change
     largest = _of_crowd(problem, largest, squares)
-    for o in range(problem.size[N_FREE_DOF], problem.size[N_DOF]):
+    for o in range(problem.size[at.N_FREE_DOF], problem.size[at.N_DOF]):
         largest = max(largest, abs(v[o] - guess[o]))
     return largest
 
@@ -636,7 +617,7 @@ def largest_change(problem: Problem, guess: FloatArray) -> float:
 @kernel
 def _of_crowd(problem: Problem, largest: float, squares: float) -> float:
     """Limit a largest change to that of a crowd with this sum of squares."""
-    n = problem.size[N_FREE_DOF] // 3
+    n = problem.size[at.N_FREE_DOF] // 3
     return min(largest, math.sqrt(CROWD * squares / n)) if n > CROWD else largest
 
 
@@ -645,10 +626,10 @@ def largest_speed(problem: Problem) -> float:
     """Largest speed of the solved velocity, over bodies and drives."""
     largest = 0.0
     v = problem.velocity
-    for o in range(0, problem.size[N_FREE_DOF], 3):
+    for o in range(0, problem.size[at.N_FREE_DOF], 3):
         speed = math.sqrt(v[o] * v[o] + v[o + 1] * v[o + 1])
         largest = max(largest, speed + abs(v[o + 2]))
-    for o in range(problem.size[N_FREE_DOF], problem.size[N_DOF]):
+    for o in range(problem.size[at.N_FREE_DOF], problem.size[at.N_DOF]):
         largest = max(largest, abs(v[o]))
     return largest
 
@@ -659,14 +640,14 @@ def untouched_change(problem: Problem, guess: FloatArray) -> float:
     largest = squares = 0.0
     v = problem.velocity
     touched = problem.stiffness  # of this step; from here on only the first of each body counts
-    for o in range(0, problem.size[N_FREE_DOF], 3):
+    for o in range(0, problem.size[at.N_FREE_DOF], 3):
         touched[o + 2] = 0.0
-    for i in range(problem.size[N_CONTACT]):
+    for i in range(problem.size[at.N_CONTACT]):
         for side in range(2):
             o = problem.contact_dof[i, side]
-            if problem.impulse[i, 0] > 0.0 and 0 <= o < problem.size[N_FREE_DOF]:
+            if problem.impulse[i, 0] > 0.0 and 0 <= o < problem.size[at.N_FREE_DOF]:
                 touched[o + 2] = 1.0
-    for o in range(0, problem.size[N_FREE_DOF], 3):
+    for o in range(0, problem.size[at.N_FREE_DOF], 3):
         dx = v[o] - guess[o]
         dy = v[o + 1] - guess[o + 1]
         change = math.sqrt(dx * dx + dy * dy) + abs(v[o + 2] - guess[o + 2])
@@ -688,14 +669,14 @@ def forced_change(problem: Problem, before: FloatArray) -> tuple[float, float]:
     most = 1e-30
     v = problem.velocity
     e = 0  # elements are in the order of the bodies
-    for o in range(0, problem.size[N_FREE_DOF], 3):
+    for o in range(0, problem.size[at.N_FREE_DOF], 3):
         dx = v[o] - before[o]
         dy = v[o + 1] - before[o + 1]
         change = math.sqrt(dx * dx + dy * dy) + abs(v[o + 2] - before[o + 2])
         impulse = 0.0
         for k in range(o, o + 3):
             impulse += abs(problem.momentum[k] - problem.inertia[k, k - o] * before[k])
-        while e < problem.size[N_ELEMENT] and problem.element_dof[e] == o:
+        while e < problem.size[at.N_ELEMENT] and problem.element_dof[e] == o:
             impulse += problem.element_limit[e]
             e += 1
         caused = 2.0 * impulse / problem.inertia[o, 0]

@@ -71,7 +71,7 @@ def end_slopes(
         modes = walk.ModeRecord._make(array[k : k + PASS] for array in record)
         part, good = _slopes(packed, method, widths, pose[rows], modes, threads)
         good &= ended[rows]
-        slope[:, rows[good]] = np.moveaxis(part[good][..., place], 2, 0)
+        slope[:, rows[good]] = part[good].transpose(2, 0, 1)[place]
     return dict(zip(names, slope, strict=True)), ~np.isnan(slope[..., 0]).any(axis=0), record
 
 
@@ -177,14 +177,16 @@ def _refer_to_frames(
 ) -> None:
     """Convert derivatives of and by poses of the centre of mass to those of the frame of poses,
     whose angle is `angle` (n, n_time)."""
-    n_own = widths.shape[1]
-    outline = np.zeros((len(packed.batch.count), 3)) if packed.outline is None else packed.outline
-    centre = composed(outline, np.append(packed.com[0], 0.0))
-    own = centre[::stride]
+    own = np.append(packed.com, 0.0)[None]
+    if packed.outline is not None:
+        centre = composed(packed.outline, own)
+        own = centre[::stride]
+    elif not own.any():
+        return
     heading = packed.batch.pose[packed.batch.begin[::stride, BODY], 2] - own[:, 2]
     slope[..., 2] += np.einsum("ntij,nj->nti", slope[..., :2], rotated(own, heading + 0.5 * np.pi))
     lever = rotated(own[:, None], angle + 0.5 * np.pi)
-    for j in range(n_own):
+    for j in range(0 if packed.outline is None else widths.shape[1]):
         moved = (centre[1 + j :: stride] - own) / widths[:, j, None]
         slope[..., 2, 3 + j] -= moved[:, None, 2]
         slope[..., :2, 3 + j] -= rotated(moved[:, None], angle)

@@ -110,6 +110,18 @@ def _load_unknowns(mode: ContactMode, flow: Flow, k: int) -> None:
 
 
 @kernel
+def _extrapolate(mode: ContactMode, flow: Flow, k: int) -> None:
+    """Set the unknowns of state k on a line with those of two states before, of one pole."""
+    pole = mode.size[geometry.POLE]
+    if flow.pole[k - 1] == pole and flow.pole[k - 2] == pole:
+        last = flow.state[k - 1, 3]
+        part = (flow.state[k, 3] - last) / (last - flow.state[k - 2, 3])
+        for i in range(9):
+            now = flow.unknown[k - 1, i]
+            mode.unknown[i] = now + part * (now - flow.unknown[k - 2, i])
+
+
+@kernel
 def _respond(flow: Flow, k: int, column: int, change: FloatArray, n: int) -> None:
     """Add what a change of n residuals makes of the velocity to a column of its derivative."""
     for i in range(3):
@@ -179,7 +191,8 @@ def _linearise_state(model: Model, mode: ContactMode, flow: Flow, k: int) -> boo
     flow.pole[k] = mode.size[geometry.POLE]
     for i in range(9):
         flow.unknown[k, i] = mode.unknown[i]
-    assemble(model, mode, n, True)
+    if n == 3:
+        assemble(model, mode, n, True)  # Newton's method left the slopes of the others
     if not reduce_balance(mode, n):
         return False
     for i in range(3):
@@ -373,16 +386,17 @@ def _divisor(slope: FloatArray, k: int, length: float) -> int:
 
 @large_kernel
 def _linearise_step(
-    model: Model, mode: ContactMode, own: FloatArray, flow: Flow, k: int, room: int, begins: bool
+    model: Model, mode: ContactMode, own: FloatArray, flow: Flow, k: int, room: int, first: int
 ) -> tuple[int, bool]:
     """Write the states of a step of the tape, from state `k` on.
 
-    A step is as long as the motion allows, and is divided where neighbouring motions bend. The
-    first state is known unless a mode `begins`. Returns the place after the last, negative where
-    there is none, and whether the velocity vanishes at the end.
+    A step is as long as the motion allows, and is divided where neighbouring motions bend. Its
+    first state is known unless it is the `first` of its mode. Returns the place after the last,
+    negative where there is none, and whether the velocity vanishes at the end.
     """
     q = mode.point[1]
     _load_step(mode, own, q)
+    begins = k == first
     k -= 0 if begins else 1
     n = 0
     pieces = 1
@@ -392,6 +406,8 @@ def _linearise_step(
         for i in range(0 if begins else 1, 3):
             x = own[walk.PART] * (n + 0.5 * i) / pieces
             walk.dense(mode, q, own[walk.LENGTH], x, flow.state[k + i])
+            if k + i > first + 1:
+                _extrapolate(mode, flow, k + i)
             if _linearise_state(model, mode, flow, k + i):
                 continue
             if i < 2 or pieces > 1:
@@ -449,7 +465,7 @@ def _linearise(model: Model, mode: ContactMode, tape: Tape, flow: Flow) -> bool:
                 return False
         while step < n_step and tape.step[step, walk.OF_MODE] == number:
             own = tape.step[step]
-            k, folds = _linearise_step(model, mode, own, flow, k, room, k == span[ONWARD])
+            k, folds = _linearise_step(model, mode, own, flow, k, room, span[ONWARD])
             if k < 0:
                 return False
             if folds:

@@ -143,28 +143,33 @@ def _slide(
 
 
 @large_kernel
-def seed(model: Model, mode: ContactMode, velocity: FloatArray) -> None:
-    """Start Newton's unknowns at a velocity, about its slowest support point."""
-    size = mode.size
-    size[POLE] = -1
+def seed(model: Model, mode: ContactMode, always: bool) -> bool:
+    """Start Newton's unknowns at the velocity, about its slowest support point; unless `always`,
+    only where that is another one now. Returns whether it did."""
+    y = mode.unknown
+    velocity = mode.velocity
+    pole = -1
     slowest = math.inf
+    ux, uy = velocity[0], velocity[1]
     for e in range(model.element_body.size):
         if model.element_kind[e] == codes.ELLIPSOID:
-            size[POLE] = -1
+            pole = -1
+            ux, uy = velocity[0], velocity[1]
             break
         rx, ry = lever(model, mode, e)
-        ux = velocity[0] - velocity[2] * ry
-        uy = velocity[1] + velocity[2] * rx
-        slip = math.sqrt(ux * ux + uy * uy)
-        if slip < slowest:
-            slowest = slip
-            size[POLE] = e
-            mode.unknown[0] = slip
-            mode.unknown[1] = math.atan2(uy, ux)
-    if size[POLE] < 0:
-        mode.unknown[0] = velocity[0]
-        mode.unknown[1] = velocity[1]
-    mode.unknown[2] = velocity[2]
+        wx = velocity[0] - velocity[2] * ry
+        wy = velocity[1] + velocity[2] * rx
+        if wx * wx + wy * wy < slowest:
+            slowest = wx * wx + wy * wy
+            pole = e
+            ux, uy = wx, wy
+    if not always and pole == mode.size[POLE] and (pole < 0 or y[0] >= 0.0):
+        return False
+    mode.size[POLE] = pole
+    y[0] = ux if pole < 0 else math.sqrt(slowest)
+    y[1] = uy if pole < 0 else math.atan2(uy, ux)
+    y[2] = velocity[2]
+    return True
 
 
 @kernel
@@ -269,9 +274,10 @@ def write_dual(rows: FloatArray, dual: FloatArray) -> bool:
     volume = rows[0, 0] * dual[0, 0] + rows[0, 1] * dual[0, 1] + rows[0, 2] * dual[0, 2]
     if not abs(volume) > 0.0:
         return False
+    share = 1.0 / volume
     for k in range(3):
         for i in range(3):
-            dual[k, i] /= volume
+            dual[k, i] *= share
     return True
 
 
@@ -355,7 +361,7 @@ def _solve_sliding(model: Model, mode: ContactMode, n: int) -> bool:
             return False
         # It converges as the square: the next residual is known well enough not to be computed.
         rate = CAUTIOUS if math.isinf(last) else max(1.0, worst / (last * last))
-        if rate * worst * worst < 1e-2 * SOLVED:
+        if rate * worst * worst < SOLVED:
             write_velocity(model, mode)
             worst = SOLVED
             break

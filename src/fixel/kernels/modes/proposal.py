@@ -40,7 +40,7 @@ from fixel.kernels.modes.geometry import (
     set_frame,
     vertex_at,
 )
-from fixel.kernels.newton import newton
+from fixel.kernels.newton import newton, start_afresh
 from fixel.kernels.solve import (
     MAX_ATTEMPTS_EARLY,
     NEWTON_TOLERANCE,
@@ -171,6 +171,8 @@ def propose(
     control[at.RATIO] = ahead / control[at.LAST_SPAN] if control[at.LAST_SPAN] > 0.0 else 0.0
     if not prepare_step(model, state, control, codes.QUASI_STATIC, guess, rows, problem, work):
         return False
+    if problem.impulse[0, 0] == 0.0:
+        start_afresh(problem)
     save(problem, work)
     residual = newton(problem, work, NEWTON_TOLERANCE, QUICK_ITERATIONS)
     if not residual <= TOLERANCE:
@@ -248,7 +250,7 @@ def read_mode(
             return UNKNOWN
     for i in range(3):
         mode.velocity[i] = v[i]
-    seed(model, mode, mode.velocity)
+    seed(model, mode, True)
     for e in range(model.element_body.size):
         if model.element_kind[e] != codes.POINT:
             continue
@@ -289,7 +291,7 @@ def mend(model: Model, mode: ContactMode, which: int) -> bool:
             fy = mode.force[k + 1]
             pole = size[PIVOT]
             size[PIVOT] = -1
-            seed(model, mode, mode.velocity)
+            seed(model, mode, True)
             if size[POLE] == pole:
                 mode.unknown[1] = math.atan2(-fy, -fx)
         elif size[ROWS] == 1:
@@ -312,7 +314,7 @@ def mend(model: Model, mode: ContactMode, which: int) -> bool:
             own[SLIP] = 0
         else:
             own[SLIP] = 1 if kind == 1 else -1
-        seed(model, mode, mode.velocity)
+        seed(model, mode, True)
     else:
         return False
     k = 3

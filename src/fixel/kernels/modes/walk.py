@@ -14,7 +14,7 @@ import numpy as np
 from fixel.kernels import arrays as at
 from fixel.kernels.arrays import Batch, Model, Problem, State, StepMethod, Workspace
 from fixel.kernels.jit import allocating_kernel, entry, kernel, large_kernel
-from fixel.kernels.modes.equation import project, seed, solve_mode
+from fixel.kernels.modes.equation import seed, solve_mode
 from fixel.kernels.modes.geometry import (
     CLOCK_END,
     DRIVE,
@@ -202,26 +202,33 @@ def dense(mode: ContactMode, q: FloatArray, h: float, x: float, out: FloatArray)
 
 
 @kernel
-def try_step(model: Model, mode: ContactMode, q: FloatArray, h: float) -> tuple[float, bool]:
-    """Take a step of Dormand and Prince from the first slopes; returns its error, infinite where
-    the mode could not be solved, and whether a margin was broken at a stage."""
+def try_step(
+    model: Model, mode: ContactMode, q: FloatArray, h: float, last: float
+) -> tuple[float, bool]:
+    """Take a step of Dormand and Prince from the first slopes, after one of the length `last`, or
+    zero for none; returns its error, infinite where the mode could not be solved, and whether a
+    margin was broken at a stage."""
     slope = mode.slope
     stage = mode.point[1]
     broken = False
     for s in range(6):
-        # Newton's method starts where the unknowns would be if they changed evenly.
+        # Newton's method starts where the unknowns would be if they changed evenly. The unknowns
+        # before those of a step are of its fourth stage.
+        part = _R[s]
+        if s == 0:
+            part = 1.8 * h / last if last > 0.0 else 0.0
         for i in range(9):
             now = mode.unknown[i]
-            if s > 0:
-                mode.unknown[i] += _R[s] * (now - mode.before[i])
-            mode.before[i] = now
+            mode.unknown[i] += part * (now - mode.before[i])
+            if s < 5:
+                mode.before[i] = now
         for i in range(3):
             change = 0.0
             for j in range(s + 1):
                 change += _A[s, j] * slope[j, i]
             stage[i] = q[i] + h * change
         stage[3] = q[3] + _C[s] * h
-        if not solve_mode(model, mode, stage):
+        if not (settle(model, mode, stage) if s == 5 else solve_mode(model, mode, stage)):
             return math.inf, broken
         low, _ = least(mode)
         broken = broken or low < 0.0
@@ -300,7 +307,7 @@ def find_end(
         dense(mode, q, h, x, point)
         value, which = look(model, mode, point, pieces, True)
         a, above, b, below, side = tighten(a, above, b, below, side, x, value)
-        if -1e-13 < value < 0.0:
+        if -1e-11 < value < 0.0:
             break
     if x != b:
         dense(mode, q, h, b, point)
@@ -359,6 +366,7 @@ def follow(
     point = mode.point[2]
     slope = mode.slope
     h = number[STEP_LENGTH]
+    before = 0.0
     for i in range(3):
         slope[0, i] = mode.velocity[i]
     was_open = mode.margin[OPEN]
@@ -370,7 +378,8 @@ def follow(
         h = min(h, left)
         for i in range(9):
             mode.saved[i] = mode.unknown[i]
-        error, broken = try_step(model, mode, q, h)
+        error, broken = try_step(model, mode, q, h, before)
+        before = 0.0
         if not error <= ACCURACY:
             for i in range(9):
                 mode.unknown[i] = mode.saved[i]
@@ -423,11 +432,6 @@ def follow(
         for i in range(4):
             q[i] = end[i]
         # The last stage was solved there.
-        if doubtful:
-            if not settle(model, mode, q):
-                return FOLDED
-        elif project(mode, q) and not solve_mode(model, mode, q):
-            return FOLDED
         mode.margin[OPEN] = now_open
         was_open = now_open
         for i in range(N_MARGIN):
@@ -435,10 +439,8 @@ def follow(
                 mode.floor[i] = 0.0
         for i in range(3):
             slope[0, i] = mode.velocity[i]
-        if mode.size[ROWS] < 3:
-            seed(model, mode, mode.velocity)
-            for i in range(mode.size[ROWS]):
-                mode.unknown[3 + i] = mode.force[i]
+        if (mode.size[ROWS] == 3 or not seed(model, mode, False)) and not doubtful:
+            before = h
         h = min(LONGEST, h * min(5.0, max(0.2, 0.9 * (ACCURACY / max(error, 1e-14)) ** 0.2)))
         number[STEP_LENGTH] = h
 
