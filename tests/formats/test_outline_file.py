@@ -177,6 +177,16 @@ def test_turned_and_skewed_shapes_of_svg(tmp_path, round_part, how, matrix):
     assert off.min(axis=0) == pytest.approx(0.0, abs=1e-6)
 
 
+def test_points_of_svg_that_would_be_lost_are_refused(tmp_path):
+    def drawn(points):
+        return svg(tmp_path / "odd.svg", f'<polygon points="{points}"/>')
+
+    for points in ("0,0 40,0 40,30 0,30", "0 0 40 0 40 30 0 30", "0 0 4e1-0 40 30-0 30"):
+        assert Polygon.from_file(drawn(points)).area == pytest.approx(1200 * mm**2, rel=1e-6)
+    for points in ("0,0 40,0 40,30 0", "0,0 40,0 40,30 .5.3"):
+        refused(Polygon.from_file, drawn(points), match="unclear list of points: 0,0 4")
+
+
 def test_unit_of_svg(tmp_path):
     square = '<path d="M0 0H10V10H0Z"/>'
     plain = svg(tmp_path / "plain.svg", square, "")

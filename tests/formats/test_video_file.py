@@ -99,6 +99,8 @@ def test_mp4_without_its_index_is_refused(tmp_path):
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
     refused(open_video, path, match="no index")
+    path.write_text("<html>404</html>")
+    refused(open_video, path, match="no video")
 
 
 @pytest.mark.parametrize(

@@ -190,6 +190,9 @@ def _joined(pieces: list[FloatArray], where: str, tolerance: float) -> list[Floa
     return [*map(shapely.get_coordinates, shapely.get_parts(merged))]
 
 
+_NUMBER: Final = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+
+
 def _from_svg(source: _OutlineSource) -> list[FloatArray]:
     require("svgelements", "an outline in SVG", extra="files")
     import svgelements
@@ -217,6 +220,10 @@ def _from_svg(source: _OutlineSource) -> list[FloatArray]:
         found = [*named[source.part].select()] if group else [named[source.part]]
     lines = []
     for shape in (one for one in found if isinstance(one, svgelements.Shape)):
+        written = str(shape.values.get("points") or "")
+        if len(_NUMBER.findall(written)) != 2 * len(getattr(shape, "points", ())):
+            unclear = f"an odd or unclear list of points: {written[:60]}"  # some would be lost
+            raise InvalidInput(where, found=unclear, expected="x,y x,y ...")
         path = svgelements.Path(shape)
         for own in path.as_subpaths():
             points = [_sampled(step, path.transform, source, scale) for step in own if step.end]

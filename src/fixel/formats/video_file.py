@@ -319,7 +319,8 @@ def _opened(path: Path) -> Any:
     try:
         return av.open(str(path.absolute()), metadata_errors="replace")
     except av.FFmpegError:
-        mp4 = path.suffix.lower() in (".mp4", ".mov")
+        with path.open("rb") as stream:
+            mp4 = b"ftyp" in stream.read(16)
         raise InvalidInput(
             str(path),
             found="no index, since the recording was interrupted" if mp4 else "no video",
