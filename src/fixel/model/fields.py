@@ -246,7 +246,7 @@ def floats(value: ArrayLike, where: str, expected: str) -> FloatArray:
     """Return an array of numbers; raise for other content."""
     try:
         raw = np.asarray(value)
-        if raw.dtype.kind not in "iuf" and raw.size:
+        if (raw.dtype.kind not in "iuf" and raw.size) or np.ma.is_masked(value):
             raise TypeError
         return raw.astype(np.float64)
     except (TypeError, ValueError, OverflowError):
