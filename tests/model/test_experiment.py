@@ -2,6 +2,7 @@
 
 import json
 import math
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -35,7 +36,9 @@ def test_conditions_are_texts_and_numbers_that_can_be_stored():
         refused(experiment, conditions={"a": wrong}, match="conditions 'a'.* a text or a number")
         plan = {"name": "1", "scene": grasp("seated"), "conditions": {"a": wrong}}
         refused(PlannedExperiment, **plan, match="conditions 'a'.* a text or a number")
-    for wrong in (float("nan"), np.float32("inf")):
+    exact = experiment(conditions={"third": Fraction(1, 3), "wide": np.longdouble(0.5)}).conditions
+    assert json.loads(json.dumps(dict(exact))) == {"third": 1 / 3, "wide": 0.5}
+    for wrong in (float("nan"), np.float32("inf"), 10**400, np.timedelta64(5, "s")):
         refused(experiment, conditions={"a": wrong}, match="conditions 'a'.* a finite number")
     refused(experiment, conditions={1: 2.0}, match="a name of printable characters")
     refused(experiment, conditions=[("a", 1)], match="values by name")
@@ -77,6 +80,42 @@ def test_channels_check_their_arrays():
         Channel(name="force", time=[1.0, 0.0], columns=("fx_n",), values=[[1.0], [1.0]])
     with pytest.raises(InvalidInput, match="infinite"):
         Channel(name="force", time=[1.0], columns=("fx_n",), values=[[math.inf]])
+
+
+def test_readings_with_times_of_a_clock_are_refused_and_masked_ones_are_none():
+    clock = np.array([0, 500], "timedelta64[ms]")
+    given = {"name": "force", "time": [0.0, 0.5], "columns": "fx_n", "values": [[1.0], [2.0]]}
+    assert Channel(**given).columns == ("fx_n",)
+    for wrong in (clock, np.datetime64("2026-01-01", "ns") + clock, ["0", "1"], [0j, 1j]):
+        refused(Channel, **given | {"time": wrong}, match="channel 'force'.time")
+        refused(Channel, **given | {"values": np.array(wrong)[:, None]}, match="numbers, or NaN")
+    refused(Channel, **given | {"columns": [1]}, match="channel.columns")
+    refused(Channel, **given | {"time": np.ma.masked_greater([0.0, 0.5], 0.2)}, match="masked")
+    lost = np.ma.masked_array([[1.0], [2.0]], mask=[[False], [True]])
+    for values in (lost, [[1.0], [None]], [[True], [np.nan]]):
+        found = Channel(**given | {"values": values}).values
+        np.testing.assert_array_equal(found, [[1.0], [np.nan]])
+    touch = Channel.of_fixels([0.0, 0.5], np.ma.masked_array([[1, 1], [1, 0]], [[0, 1], [0, 0]]))
+    np.testing.assert_array_equal(touch.values, [[1.0, np.nan], [1.0, 0.0]])
+    refused(Channel.of_fixels, [0.0, 0.5], [1, 0], match="a row of 2 values")
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [("pusher", np.zeros((2, 3))), ("provenance", {"version": "1"}), ("real", "no"), ("real", None),
+     ("object_name", None), ("video", 1), ("contact_mode", 10), ("contact_mode", None),
+     ("flags", ["late"]), ("channels", {"force": 1}), ("effective", 1.0), ("effective", (0, 1, 2)),
+     ("effective", (None, 1.0)), ("effective", np.array([0, 1], "timedelta64[s]"))],
+)  # fmt: skip
+def test_parts_of_another_type_are_refused_by_their_name(name, wrong):
+    place = f"experiment lab/1.{name}"
+    assert refused(experiment, **{name: wrong}).where.partition("[")[0] == place
+
+
+def test_truth_values_of_numpy_and_one_flag_are_read():
+    found = experiment(real=np.bool_(True), flags=Flag("late"))
+    assert found.real is True
+    assert found.flags == (Flag("late"),)
 
 
 def test_scene_and_contact_mode_agree():

@@ -1,5 +1,6 @@
 """One contract for all fields with a `Value`: constructors and files refuse the same."""
 
+from fractions import Fraction
 from math import inf, nan
 
 import numpy as np
@@ -30,6 +31,7 @@ from fixel.model import (
     Pusher,
     Scene,
     Spring,
+    SupportPoints,
     Tripod,
     UniformPressure,
 )
@@ -76,7 +78,7 @@ def _masked(*shape):
     return array
 
 
-NOT_A_NUMBER = (nan, "1", True, 10**400)
+NOT_A_NUMBER = (nan, "1", True, 10**400, np.timedelta64(1, "s"), np.timedelta64(1, "ns"))
 BAD = {
     finite: (*NOT_A_NUMBER, inf),
     positive: (*NOT_A_NUMBER, 0.0, -1.0),
@@ -100,6 +102,25 @@ def test_a_value_that_cannot_be_is_refused_at_its_field(kind, name, check):
     kind(**GIVEN[kind])
     for bad in BAD[check]:
         assert refused(kind, **{**GIVEN[kind], name: bad}).where.partition("[")[0].endswith(name)
+
+
+def test_a_masked_number_is_refused_and_numbers_of_any_kind_are_read():
+    corners = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]])
+    lost = np.ma.masked_array(corners, mask=corners == 2.0)
+    refused(Polygon, lost, match="polygon.* masked values")
+    refused(SupportPoints, points=corners, friction=np.ma.masked_less([0.2, 0.3, 0.2, -1.0], 0.0),
+            match="friction.* masked values")  # fmt: skip
+    halves = np.vectorize(Fraction, otypes=[object])(corners)
+    assert Polygon(halves) == Polygon(np.ma.masked_array(corners)) == SQUARE
+    for wrong in (None, "0", True, 1j, np.timedelta64(0, "s")):
+        refused(Polygon, np.where(corners == 0.0, wrong, halves), match="x .m., y .m.")
+
+
+def test_nullable_numbers_of_pandas_are_read_and_missing_ones_refused():
+    pandas = pytest.importorskip("pandas")
+    corners = pandas.DataFrame([[0, 0], [2, 0], [2, 2], [0, 2]], index=list("abcd"))
+    assert Polygon(corners.astype("Float64")) == SQUARE
+    refused(Polygon, corners.astype("Int64").replace(2, pandas.NA), match="rows of 2 numbers")
 
 
 def test_values_are_stored_as_floats_and_frozen_arrays():

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from math import degrees, isfinite
+from math import degrees
 from numbers import Real
 from types import MappingProxyType
 from typing import Any, Final, final
@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput, counted
-from fixel.model.fields import Comparable, frozen, instance, name_of, optional_positive, settle
+from fixel.model import fields
+from fixel.model.fields import Comparable, instance, name_of, settle
 from fixel.model.scene import Scene
 from fixel.model.trajectory import Trajectory
 from fixel.registry import offered
@@ -63,16 +64,15 @@ class Channel(Comparable):
 
     def __post_init__(self) -> None:
         where = f"channel {name_of(self.name, 'channel.name')!r}"
-        columns = tuple(self.columns)
-        time, values = frozen(self.time), frozen(self.values)
+        columns = fields.texts(self.columns, "channel.columns")
+        time = fields.frozen(fields.floats(self.time, f"{where}.time", "instants [s]"))
+        values = fields.readings(self.values, where)
         for column in columns:
             unit_of(column)
         if time.ndim != 1 or values.shape != (len(time), len(columns)):
-            raise InvalidInput(
-                where,
-                found=f"values of shape {values.shape} for times of shape {time.shape}",
-                expected=f"a row of {len(columns)} values for each time",
-            )
+            found = f"values of shape {values.shape} for times of shape {time.shape}"
+            expected = f"a row of {len(columns)} values for each time"
+            raise InvalidInput(where, found=found, expected=expected)
         if not np.isfinite(time).all() or (np.diff(time) < 0.0).any():
             raise InvalidInput(f"{where}.time", found="decreasing times", expected="instants [s]")
         if np.isinf(values).any():
@@ -82,8 +82,9 @@ class Channel(Comparable):
     @classmethod
     def of_fixels(cls, time: ArrayLike, values: ArrayLike) -> Channel:
         """Return the readings (n, n_fixel) of contact sensors: 1 with contact, 0 without."""
-        columns = tuple(f"fixel_{k + 1}_bool" for k in range(np.shape(values)[1]))
-        return cls(name="tactile", time=frozen(time), columns=columns, values=frozen(values))
+        columns = tuple(f"fixel_{k + 1}_bool" for k in range(np.shape(values)[-1]))
+        time, values = np.asanyarray(time), np.asanyarray(values)
+        return cls(name="tactile", time=time, columns=columns, values=values)
 
 
 def unit_of(column: str) -> str:
@@ -91,11 +92,8 @@ def unit_of(column: str) -> str:
     for ending in sorted(UNITS, key=len, reverse=True):
         if re.fullmatch(rf"\w+_{ending}", column):
             return UNITS[ending]
-    raise InvalidInput(
-        "channel.columns",
-        found=repr(column),
-        expected="a name with its unit as suffix, one of _" + ", _".join(UNITS),
-    )
+    expected = "a name with its unit as suffix, one of _" + ", _".join(UNITS)
+    raise InvalidInput("channel.columns", found=repr(column), expected=expected)
 
 
 @final
@@ -157,10 +155,11 @@ def conditions_of(values: Mapping[str, Any], where: str) -> Mapping[str, str | f
     for name, value in values.items():
         place = f"{where} {name_of(name, where)!r}"
         instance(value, str | Real, place, "a text or a number")
-        if not isinstance(value, str) and not isfinite(value):
-            raise InvalidInput(place, found=value, expected="a finite number")
-    plain = {k: v.item() if isinstance(v, np.generic) else v for k, v in values.items()}
-    return MappingProxyType(dict(sorted(plain.items())))
+        if not isinstance(value, str | bool):
+            fields.finite(value, place)
+    plain = {k: v.item() if isinstance(v, np.str_ | np.integer) else v for k, v in values.items()}
+    exact = {k: v if isinstance(v, str | int) else float(v) for k, v in plain.items()}
+    return MappingProxyType(dict(sorted(exact.items())))
 
 
 @final
@@ -240,48 +239,44 @@ class Experiment(Comparable, Result):
     def __post_init__(self) -> None:
         name_of(self.dataset, "experiment.dataset")
         where = f"experiment {self.dataset}/{name_of(self.name, 'experiment.name')}"
-        instance(self.trajectory, Trajectory, f"{where}.trajectory", "a Trajectory")
-        instance(self.scene, Scene | None, f"{where}.scene", "a Scene")
+        for part, (kind, expected) in _KINDS.items():
+            instance(getattr(self, part), kind, f"{where}.{part}", expected)
         if self.real == bool(self.simulated_by):
-            raise InvalidInput(
-                f"{where}.simulated_by",
-                found=repr(self.simulated_by),
-                expected="empty for a real experiment, or the name of the simulator",
-            )
+            expected = "empty for a real experiment, or the name of the simulator"
+            found = repr(self.simulated_by)
+            raise InvalidInput(f"{where}.simulated_by", found=found, expected=expected)
         for label in ("height", "pusher_height", "fixel_height"):
-            settle(self, **{label: optional_positive(getattr(self, label), label, "m")})
+            settle(self, **{label: fields.optional_positive(getattr(self, label), label, "m")})
         if not re.fullmatch(r"[01]*", self.contact_mode):
             found, expected = repr(self.contact_mode), "a digit 0 or 1 for each fixel"
             raise InvalidInput(f"{where}.contact_mode", found=found, expected=expected)
         if self.scene is not None:
             self._check_scene(where, self.scene)
         if self.effective is not None:
-            first, last = (float(instant) for instant in self.effective)
+            place, labels = f"{where}.effective", "first time [s], last time [s]"
+            first, last = fields.vector(self.effective, place, labels).tolist()
             if not first <= last:
-                raise InvalidInput(
-                    f"{where}.effective", found=(first, last), expected="in increasing order"
-                )
+                raise InvalidInput(place, found=(first, last), expected="in increasing order")
             settle(self, effective=(first, last))
         settle(
             self,
-            channels=tuple(self.channels),
+            real=bool(self.real),
+            channels=_several(self.channels, Channel, f"{where}.channels"),
             conditions=conditions_of(self.conditions, f"{where}.conditions"),
-            flags=tuple(sorted(self.flags)),
+            flags=tuple(sorted(_several(self.flags, Flag, f"{where}.flags"))),
         )
 
     def _check_scene(self, where: str, scene: Scene) -> None:
         if self.object_name not in [body.name for body in scene.bodies]:
-            raise InvalidInput(
-                f"{where}.object_name",
-                found=repr(self.object_name),
-                expected="a body of the scene: " + ", ".join(body.name for body in scene.bodies),
-            )
+            found = repr(self.object_name)
+            expected = "a body of the scene: " + ", ".join(body.name for body in scene.bodies)
+            raise InvalidInput(f"{where}.object_name", found=found, expected=expected)
         if self.contact_mode and len(self.contact_mode) != len(scene.fixels):
-            raise InvalidInput(
-                f"{where}.contact_mode",
-                found=f"{len(self.contact_mode)} digits",
-                expected=f"{len(scene.fixels)}, one per fixel",
+            found, expected = (
+                f"{len(self.contact_mode)} digits",
+                f"{len(scene.fixels)}, one per fixel",
             )
+            raise InvalidInput(f"{where}.contact_mode", found=found, expected=expected)
 
     @property
     def key(self) -> str:
@@ -352,6 +347,21 @@ class Experiment(Comparable, Result):
     def flagged(self, *flags: Flag) -> Experiment:
         """Return the experiment with flags added."""
         return replace(self, flags=(*self.flags, *flags))
+
+
+_KINDS: Final[Mapping[str, tuple[Any, str]]] = {
+    "trajectory": (Trajectory, "a Trajectory"), "pusher": (Trajectory | None, "a Trajectory"),
+    "scene": (Scene | None, "a Scene"), "provenance": (Provenance, "a Provenance"),
+    "real": (bool | np.bool_, "True or False"),
+    **dict.fromkeys(("object_name", "simulated_by", "contact_mode", "video"), (str, "a text")),
+}  # fmt: skip
+
+
+def _several(value: Any, kind: type, where: str) -> tuple[Any, ...]:
+    found = tuple(value) if isinstance(value, Iterable) else (value,)
+    for k, one in enumerate(found):
+        instance(one, kind, f"{where}[{k}]", f"a {kind.__name__}")
+    return found
 
 
 @final

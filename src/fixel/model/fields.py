@@ -120,9 +120,8 @@ def pose_of(text: str, where: str) -> FloatArray:
     try:
         x, y, angle = (number_of(part, where) for part in text.split(","))
     except ValueError:
-        raise InvalidInput(
-            where, found=repr(text), expected="x,y,angle in mm, mm and degrees: 120.5,3,-10"
-        ) from None
+        expected = "x,y,angle in mm, mm and degrees: 120.5,3,-10"
+        raise InvalidInput(where, found=repr(text), expected=expected) from None
     return np.array([x / 1e3, y / 1e3, math.radians(angle)])
 
 
@@ -231,10 +230,10 @@ def frozen(array: ArrayLike) -> FloatArray:
 def _number(value: object, where: str, expected: str, fits: Callable[[float], bool]) -> float:
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
-    if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
+    if not _is_real(value):
         raise InvalidInput(where, found=quoted(value), expected=expected)
     try:
-        number = float(value)
+        number = float(value)  # type: ignore[arg-type]
     except OverflowError:
         number = math.inf
     if not math.isfinite(number) or not fits(number):
@@ -243,14 +242,32 @@ def _number(value: object, where: str, expected: str, fits: Callable[[float], bo
 
 
 def floats(value: ArrayLike, where: str, expected: str) -> FloatArray:
-    """Return an array of numbers; raise for other content."""
+    """Return an array of numbers; raise for other content, also behind a mask."""
+    found = "masked values" if np.ma.is_masked(value) else quoted(value)
     try:
         raw = np.asarray(value)
-        if (raw.dtype.kind not in "iuf" and raw.size) or np.ma.is_masked(value):
+        if np.ma.is_masked(value) or not (raw.dtype.kind in "iuf" or all(map(_is_real, raw.flat))):
             raise TypeError
         return raw.astype(np.float64)
     except (TypeError, ValueError, OverflowError):
+        raise InvalidInput(where, found=found, expected=expected) from None
+
+
+def readings(value: ArrayLike, where: str) -> FloatArray:
+    """Return a read-only array of numbers or truth values; NaN where one is missing or masked."""
+    try:
+        if np.asarray(value).dtype.kind in "cmMSU":
+            raise TypeError
+        lost = np.ma.getmaskarray(value)  # type: ignore[arg-type]
+        array = np.where(lost, np.nan, np.asarray(value, np.float64))
+    except (TypeError, ValueError):
+        expected = "numbers, or NaN for none"
         raise InvalidInput(where, found=quoted(value), expected=expected) from None
+    return frozen(array)
+
+
+def _is_real(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool | np.bool_ | np.timedelta64)
 
 
 def _check_finite(row: FloatArray, where: str, labels: str) -> None:

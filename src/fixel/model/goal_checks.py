@@ -57,11 +57,9 @@ def check_goal(goal: goals.Goal, scene: Scene, field: Polygon | None = None) -> 
         if field is not None and not _possible(
             [clause, goals.Inside(field, body=clause.body)], scene
         ):
-            raise InvalidInput(
-                "goal",
-                found=f"{clause}, which is outside the field",
-                expected=f"a goal within {goals.box_text(field)}",
-            )
+            found = f"{clause}, which is outside the field"
+            expected = f"a goal within {goals.box_text(field)}"
+            raise InvalidInput("goal", found=found, expected=expected)
     _check_together(goal, scene)
     for event in _events(goal):
         _check_start(event, scene)
@@ -108,11 +106,9 @@ def _check_fixels_clear(clause: goals.PoseRegion, body: Body, scene: Scene) -> N
             for target in clause.targets(body)
         ]
         if min(depths) > moved:
-            raise InvalidInput(
-                "goal.pose",
-                found=f"a pose that overlaps {fixel.name!r} by {1e3 * min(depths):.3g} mm",
-                expected="a pose clear of the fixels",
-            )
+            found = f"a pose that overlaps {fixel.name!r} by {1e3 * min(depths):.3g} mm"
+            expected = "a pose clear of the fixels"
+            raise InvalidInput("goal.pose", found=found, expected=expected)
 
 
 # --- positions that clauses allow -----------------------------------------------------------------
@@ -203,11 +199,9 @@ def _check_together(goal: goals.Goal, scene: Scene) -> None:
     contradictions = [_contradiction(list(way), scene) for way in ways]
     if all(contradictions):
         pair = contradictions[0]
-        raise InvalidInput(
-            "goal",
-            found=f"clauses that no pose meets together: {'; '.join(map(str, pair))}",
-            expected="clauses that one pose can meet",
-        )
+        found = f"clauses that no pose meets together: {'; '.join(map(str, pair))}"
+        expected = "clauses that one pose can meet"
+        raise InvalidInput("goal", found=found, expected=expected)
 
 
 def _alternatives(goal: goals.Goal) -> list[tuple[goals.Clause, ...]]:
@@ -259,8 +253,6 @@ def _check_start(event: goals.Clause, scene: Scene) -> None:
         return
     body = goals.body_of(scene, event.body)
     if not event.met(scene, goals.BodyTrack.of_ends(body.pose))[0]:
-        raise InvalidInput(
-            "goal.never",
-            found=f"{event}, which the start already does",
-            expected="an event that has not happened at the start",
-        )
+        found = f"{event}, which the start already does"
+        expected = "an event that has not happened at the start"
+        raise InvalidInput("goal.never", found=found, expected=expected)

@@ -203,9 +203,8 @@ class PoseRegion(Clause):
         check_fields(self, "goal")
         settle(self, symmetry=whole(self.symmetry, "goal.symmetry"))
         if self.position is None and self.angle is None:
-            raise InvalidInput(
-                "goal.pose", found="a pose without tolerances", expected="position=, angle= or both"
-            )
+            found, expected = "a pose without tolerances", "position=, angle= or both"
+            raise InvalidInput("goal.pose", found=found, expected=expected)
 
     def targets(self, body: Body) -> FloatArray:
         """Return the poses (symmetry, 3) that look like the goal's [m, m, rad]."""
@@ -305,9 +304,8 @@ class Seated(Clause):
             return margin
         stalled = track_of(scene, self.body, track).stalled
         if stalled is None:
-            raise InvalidInput(
-                "track", found="no stalls of the drive", expected="those of simulations"
-            )
+            found, expected = "no stalls of the drive", "those of simulations"
+            raise InvalidInput("track", found=found, expected=expected)
         return np.minimum(margin, np.where(stalled, 1.0, -1.0))
 
     def _margins(

@@ -299,7 +299,6 @@ def _checked(name: str, value: float) -> float:
     if number < info.lowest or (info.above and number == info.lowest):
         relation = "greater than" if info.above else "of at least"
         unit = f" [{info.unit}]" if info.unit != "-" else ""
-        raise InvalidInput(
-            name, found=number, expected=f"a number {relation} {info.lowest:g}{unit}"
-        )
+        found, expected = number, f"a number {relation} {info.lowest:g}{unit}"
+        raise InvalidInput(name, found=found, expected=expected)
     return number

@@ -56,11 +56,9 @@ class Evaluations(Comparable):
         values, error = frozen(self.values), frozen(self.error)
         reasons = tuple(self.reasons) or ("",) * len(error)
         if values.shape != (len(error), len(self.names)) or len(reasons) != len(error):
-            raise InvalidInput(
-                "evaluations",
-                found=f"values of shape {values.shape} for {len(error)} errors",
-                expected=f"a row of {len(self.names)} values and a reason for each error",
-            )
+            found = f"values of shape {values.shape} for {len(error)} errors"
+            expected = f"a row of {len(self.names)} values and a reason for each error"
+            raise InvalidInput("evaluations", found=found, expected=expected)
         settle(self, names=tuple(self.names), values=values, error=error, reasons=reasons)
 
 
@@ -310,9 +308,8 @@ class CalibrationRecord(Comparable):
     def __post_init__(self) -> None:
         name_of(self.name, "calibration.name")
         if not self.members:
-            raise InvalidInput(
-                f"calibration {self.name!r}", found="no members", expected="at least one experiment"
-            )
+            found, expected = "no members", "at least one experiment"
+            raise InvalidInput(f"calibration {self.name!r}", found=found, expected=expected)
         settle(
             self,
             members=tuple(self.members),
@@ -398,9 +395,7 @@ class FilterRecord(Comparable):
         values = frozen(self.estimates)
         n = len(self.trajectory.time) if self.estimate_names else 0
         if values.shape != (n, len(self.estimate_names)):
-            raise InvalidInput(
-                "filter_run.estimates",
-                found=f"an array of shape {values.shape}",
-                expected=f"{n} rows of {len(self.estimate_names)} values",
-            )
+            found = f"an array of shape {values.shape}"
+            expected = f"{n} rows of {len(self.estimate_names)} values"
+            raise InvalidInput("filter_run.estimates", found=found, expected=expected)
         settle(self, estimates=values, estimate_names=tuple(self.estimate_names))

@@ -53,9 +53,8 @@ class PairFriction(fields.Comparable):
     def __post_init__(self) -> None:
         first, second = _two_names(self.pair)
         if first == second and not _is_pattern(first):
-            raise InvalidInput(
-                "contact_friction.pair", found=f"{first!r} twice", expected="two different names"
-            )
+            found, expected = f"{first!r} twice", "two different names"
+            raise InvalidInput("contact_friction.pair", found=found, expected=expected)
         restitution = self.restitution
         where = f"contact_friction of {first!r} and {second!r}"
         fields.settle(
@@ -248,11 +247,8 @@ class Scene(fields.Comparable):
         fixels = [fixel for fixel in self.fixels if fixel.name in (a, b)]
         obstacles: list[Pusher | Fixel] = [*pushers, *fixels]
         if a == b or len(obstacles) != 1:
-            raise InvalidInput(
-                f"the pair {a!r} and {b!r}",
-                found=f"{len(obstacles)} obstacles",
-                expected="one free body and one pusher or fixel",
-            )
+            found, expected = f"{len(obstacles)} obstacles", "one free body and one pusher or fixel"
+            raise InvalidInput(f"the pair {a!r} and {b!r}", found=found, expected=expected)
         return obstacles[0]
 
 
@@ -294,11 +290,9 @@ def _check_unique_names(names: Sequence[str]) -> None:
     seen: set[str] = set()
     for name in names:
         if name in seen:
-            raise InvalidInput(
-                "scene",
-                found=f"the name {name!r} twice",
-                expected="different names for all bodies, pushers and fixels",
-            )
+            found = f"the name {name!r} twice"
+            expected = "different names for all bodies, pushers and fixels"
+            raise InvalidInput("scene", found=found, expected=expected)
         seen.add(name)
 
 

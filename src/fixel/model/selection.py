@@ -180,9 +180,8 @@ def parse_filter(*filters: str, **options: Any) -> ExperimentQuery:
 def _tokens(text: str) -> list[str]:
     instance(text, str, "filter", "a text")
     if len(text) > MAX_FILTER:
-        raise InvalidInput(
-            "filter", found=f"{len(text)} characters", expected=f"at most {MAX_FILTER}"
-        )
+        found, expected = f"{len(text)} characters", f"at most {MAX_FILTER}"
+        raise InvalidInput("filter", found=found, expected=expected)
     # Spaces around a relation are allowed, where they are not in quotes.
     parts = text.split('"')
     parts[::2] = [re.sub(rf"\s*{_RELATION}\s*", r"\1", part) for part in parts[::2]]

@@ -284,9 +284,8 @@ def rotated(points: FloatArray, angle: FloatArray) -> FloatArray:
 def _simple_outline(given: FloatArray) -> FloatArray:
     vertices = _without_repeats(given)
     if len(vertices) < 3:
-        raise InvalidInput(
-            "polygon", found=f"{len(vertices)} distinct vertices", expected="at least 3 vertices"
-        )
+        found, expected = f"{len(vertices)} distinct vertices", "at least 3 vertices"
+        raise InvalidInput("polygon", found=found, expected=expected)
     size = float(np.ptp(vertices, axis=0).max())
     _check_size(size, "polygon")
     scaled = (vertices - vertices.mean(axis=0)) / size

@@ -83,11 +83,9 @@ class Parameter:
         if self.prior is not None:
             mean, sd = vector(self.prior, "parameter.prior", "mean, standard deviation").tolist()
             if self.start not in (None, mean):
-                raise InvalidInput(
-                    "parameter.start",
-                    found=f"{self.start:g}, and a prior about {mean:g}",
-                    expected="one of them, since the search starts at the mean of the prior",
-                )
+                found = f"{self.start:g}, and a prior about {mean:g}"
+                expected = "one of them, since the search starts at the mean of the prior"
+                raise InvalidInput("parameter.start", found=found, expected=expected)
             settle(self, start=mean, prior=(mean, positive(sd, "parameter.prior")))
 
 
@@ -264,11 +262,9 @@ class ParameterSpace(Comparable):
         check_once("space", labels)
         check_supports(u.name for u in self.unknowns if not u.where)
         if not self.free:
-            raise InvalidInput(
-                "space",
-                found="no parameter that is free" if labels else "no parameter",
-                expected="at least one free parameter",
-            )
+            found = "no parameter that is free" if labels else "no parameter"
+            expected = "at least one free parameter"
+            raise InvalidInput("space", found=found, expected=expected)
 
     @property
     def free(self) -> tuple[Unknown, ...]:

@@ -21,6 +21,7 @@ from fixel.model.fields import (
     Value,
     check_fields,
     finite,
+    floats,
     frozen,
     inner_share,
     instance,
@@ -280,9 +281,8 @@ class UniformPressure(Comparable):
     def __post_init__(self) -> None:
         n_points = finite(self.n_points, "uniform.n_points")
         if n_points != int(n_points) or not 3 <= n_points <= 100_000:
-            raise InvalidInput(
-                "uniform.n_points", found=self.n_points, expected="a whole number from 3 to 100000"
-            )
+            found, expected = self.n_points, "a whole number from 3 to 100000"
+            raise InvalidInput("uniform.n_points", found=found, expected=expected)
         check_fields(self, "uniform")
         settle(self, n_points=int(n_points))
 
@@ -461,11 +461,10 @@ def times_each(rows: FloatArray, matrix: FloatArray) -> FloatArray:
 
 
 def _one_per_point(value: ArrayLike, n: int, where: str, what: str) -> FloatArray:
-    row = np.asarray(value)
-    if row.shape != (n,) or row.dtype.kind not in "iuf":
-        raise InvalidInput(
-            where, found=f"{row.size} values", expected=f"one {what} for each of the {n} points"
-        )
+    expected = f"one {what} for each of the {n} points"
+    row = floats(value, where, expected)
+    if row.shape != (n,):
+        raise InvalidInput(where, found=f"{row.size} values", expected=expected)
     return frozen([non_negative(x, f"{where}[{k}]") for k, x in enumerate(row.tolist())])
 
 

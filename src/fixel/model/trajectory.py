@@ -71,11 +71,8 @@ class Trajectory(Comparable):
             found = f"an array of shape {time.shape}"
             raise InvalidInput("trajectory.time", found=found, expected=expected)
         if not (np.isfinite(time).all() and (np.diff(time) > 0.0).all()):
-            raise InvalidInput(
-                "trajectory.time",
-                found="times that do not increase",
-                expected="finite, increasing times [s]",
-            )
+            found, expected = "times that do not increase", "finite, increasing times [s]"
+            raise InvalidInput("trajectory.time", found=found, expected=expected)
         settle(self, time=frozen(time), pose=pose)
 
     @property
