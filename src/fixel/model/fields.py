@@ -243,13 +243,13 @@ def _number(value: object, where: str, expected: str, fits: Callable[[float], bo
 
 def floats(value: ArrayLike, where: str, expected: str) -> FloatArray:
     """Return an array of numbers; raise for other content, also behind a mask."""
-    found = "masked values" if np.ma.is_masked(value) else quoted(value)
     try:
         raw = np.asarray(value)
         if np.ma.is_masked(value) or not (raw.dtype.kind in "iuf" or all(map(_is_real, raw.flat))):
             raise TypeError
         return raw.astype(np.float64)
     except (TypeError, ValueError, OverflowError):
+        found = "masked values" if np.ma.is_masked(value) else quoted(value)
         raise InvalidInput(where, found=found, expected=expected) from None
 
 
