@@ -8,7 +8,7 @@ import pytest
 from tests.fixtures import refused
 
 from fixel.errors import InvalidInput
-from fixel.model import Disk, Fixel, LineDrive, PathDrive, PlannedExperiment, Polygon, Scene
+from fixel.model import Disk, Fixel, LineDrive, PathDrive, PlannedExperiment, Polygon, Scene, Spring
 from fixel.sampling import about_part, eight_push_plan, table_plan, thesis_plan
 from fixel.sampling.plan import scene_problems
 from fixel.sampling.rows import moved, moved_onto, row_scene
@@ -48,14 +48,16 @@ def test_a_moved_scene_has_the_same_poses_within_it(pose):
     assert math.remainder(angle - pose[2], math.tau) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_paths_velocities_and_forces_are_moved_too():
+def test_paths_velocities_forces_and_springs_are_moved_too():
     path = PathDrive([(0.0, 0.0, 0.0, 0.0), (1.0, 0.05, 0.0, 0.1)])
-    body = replace(PUSH.bodies[0], velocity=(0.01, 0.0, 2.0), force=(0.0, 3.0, 0.5))
+    spring = Spring(stiffness=2.0, anchor=(0.03, 0.01))
+    body = replace(PUSH.bodies[0], velocity=(0.01, 0.0, 2.0), force=(0.0, 3.0, 0.5), spring=spring)
     scene = replace(PUSH, bodies=(body,), pushers=(replace(PUSH.pushers[0], drive=path),))
     new = moved(scene, (0.1, 0.2, math.pi / 2))
 
     np.testing.assert_allclose(new.bodies[0].velocity, [0.0, 0.01, 2.0], atol=1e-12)
     np.testing.assert_allclose(new.bodies[0].force, [-3.0, 0.0, 0.5], atol=1e-12)
+    np.testing.assert_allclose(new.bodies[0].spring.anchor, [0.09, 0.23], atol=1e-12)
     np.testing.assert_allclose(
         new.pushers[0].drive.waypoints,
         [[0.0, 0.1, 0.2, math.pi / 2], [1.0, 0.1, 0.25, math.pi / 2 + 0.1]],

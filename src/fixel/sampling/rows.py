@@ -63,16 +63,16 @@ def moved(scene: Scene, place: ArrayLike) -> Scene:
         if isinstance(drive, LineDrive):
             new["drive"] = replace(drive, direction=placed(drive.direction, turn))
         elif isinstance(drive, PathDrive):
-            time, *_, angle = drive.waypoints.T
-            path = placed(drive.waypoints[:, 1:3], place)
-            path = np.column_stack((time, path, angle + place[2]))
+            path = np.add(drive.waypoints, (0.0, 0.0, 0.0, place[2]))
+            path[:, 1:3] = placed(path[:, 1:3], place)
             new["drive"] = replace(drive, waypoints=path)
+        if spring := getattr(own, "spring", None):
+            new["spring"] = replace(spring, anchor=placed(spring.anchor, place))
         return replace(own, **new)
 
-    bodies, pushers, fixels = (
-        tuple(map(at, own)) for own in (scene.bodies, scene.pushers, scene.fixels)
-    )
-    return replace(scene, bodies=bodies, pushers=pushers, fixels=fixels)
+    kinds = ("bodies", "pushers", "fixels")
+    new: dict[str, Any] = {kind: tuple(map(at, getattr(scene, kind))) for kind in kinds}
+    return replace(scene, **new)
 
 
 def moved_onto(scene: Scene, before: ArrayLike, after: ArrayLike) -> Scene:
