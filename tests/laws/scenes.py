@@ -11,12 +11,17 @@ from fixel.model import (
     Disk,
     Ellipsoid,
     Fixel,
+    FrictionMap,
     LineDrive,
+    LoadMap,
     NoSupport,
     PairFriction,
+    PathDrive,
+    Plane,
     Polygon,
     Pusher,
     Scene,
+    Spring,
     SupportPoints,
     Tripod,
     UniformPressure,
@@ -118,6 +123,53 @@ def scenes(draw, none: bool = False, drive: bool = True, thrown: bool = False, e
     )
 
 
+def table_push(seed: int) -> Scene:
+    """Turning tool on a path with corners and reversals, on an uneven table with a grain."""
+    rng = np.random.default_rng([32, seed])
+    steps = rng.uniform([0.1, -0.01, -0.008, -0.3], [0.2, 0.02, 0.008, 0.3], (8, 4))
+    path = np.vstack(((0.0, -0.045, 0.003, 0.0), steps)).cumsum(axis=0)
+    grid = {"origin": (-0.12, -0.1), "cell": (0.05, 0.06)}
+    spots = rng.normal(size=(2, 4, 5))
+    feet = rng.dirichlet(np.ones(5)) * 0.1 * 9.81
+    points = rng.uniform(-0.012, 0.012, (5, 2))
+    shape = Polygon(_L_SHAPE)
+    points += shape.centroid - feet @ points / feet.sum()
+    return Scene(
+        Body(
+            "part", shape, mass=0.1, pose=(0.0, 0.0, rng.uniform(-3.0, 3.0)),
+            support=SupportPoints(points=points, friction=0.3, loads=feet),
+            spring=Spring(stiffness=0.5, anchor=(0.02, 0.05)),
+        ),
+        Pusher(
+            "tool", box(0.02, 0.03), friction=rng.uniform(0.0, 0.6),
+            drive=PathDrive(path, force_limit=(None, 1.0, 0.3)[seed % 3]),
+        ),
+        Fixel("peg", Disk(0.005), pose=(0.06, 0.01, 0.0), friction=0.3),
+        plane=Plane(
+            anisotropy=(1.2, 0.8), axis=0.4,
+            friction_map=FrictionMap(**grid, factor=np.exp(0.3 * spots[0])),
+            load_map=LoadMap(**grid, log_load=0.3 * spots[1]),
+        ),
+        duration=1.2,
+    )  # fmt: skip
+
+
+def quarter_turned(plane: Plane) -> Plane:
+    """The table turned by 90 degrees about the origin."""
+
+    def turned(old, name):
+        values = getattr(old, name)
+        origin = (-old.origin[1] - old.cell[1] * (len(values) - 1), old.origin[0])
+        return replace(old, origin=origin, cell=old.cell[::-1], **{name: values[::-1].T})
+
+    return replace(
+        plane,
+        axis=plane.axis + pi / 2,
+        friction_map=turned(plane.friction_map, "factor"),
+        load_map=turned(plane.load_map, "log_load"),
+    )
+
+
 def mirrored(scene: Scene) -> Scene:
     """The scene reflected in the x axis."""
     flip = np.array([1.0, -1.0])
@@ -133,6 +185,19 @@ def mirrored(scene: Scene) -> Scene:
             return replace(old, points=old.points * flip)
         return replace(old, centre=old.centre * flip) if isinstance(old, Ellipsoid) else old
 
+    def drive(old):
+        if isinstance(old, PathDrive):
+            return replace(old, waypoints=old.waypoints * [1.0, 1.0, -1.0, -1.0])
+        return replace(old, direction=old.direction * flip)
+
+    def spots(old, name):
+        if old is None:
+            return None
+        values = getattr(old, name)
+        origin = (old.origin[0], -old.origin[1] - old.cell[1] * (len(values) - 1))
+        return replace(old, origin=origin, **{name: values[::-1]})
+
+    plane = scene.plane
     return replace(
         scene,
         bodies=tuple(
@@ -142,19 +207,21 @@ def mirrored(scene: Scene) -> Scene:
                 pose=b.pose * turn,
                 velocity=b.velocity * turn,
                 support=support(b.support),
+                spring=b.spring and replace(b.spring, anchor=b.spring.anchor * flip),
             )
             for b in scene.bodies
         ),
         pushers=tuple(
-            replace(
-                p,
-                shape=shape(p.shape),
-                pose=p.pose * turn,
-                drive=replace(p.drive, direction=p.drive.direction * flip),
-            )
+            replace(p, shape=shape(p.shape), pose=p.pose * turn, drive=drive(p.drive))
             for p in scene.pushers
         ),
         fixels=tuple(replace(f, shape=shape(f.shape), pose=f.pose * turn) for f in scene.fixels),
+        plane=replace(
+            plane,
+            axis=-plane.axis,
+            friction_map=spots(plane.friction_map, "factor"),
+            load_map=spots(plane.load_map, "log_load"),
+        ),
     )
 
 
@@ -172,7 +239,8 @@ def rescaled(scene: Scene, length: float, mass: float, time: float) -> Scene:
         if isinstance(old, Tripod):
             return replace(old, radius=length * old.radius)
         if isinstance(old, SupportPoints):
-            return replace(old, points=length * old.points)
+            loads = None if old.loads is None else force * old.loads
+            return replace(old, points=length * old.points, loads=loads)
         if isinstance(old, Ellipsoid):
             return Ellipsoid(
                 force=force * old.force,
@@ -183,8 +251,17 @@ def rescaled(scene: Scene, length: float, mass: float, time: float) -> Scene:
 
     def drive(old):
         limit = None if old.force_limit is None else force * old.force_limit
+        if isinstance(old, PathDrive):
+            return PathDrive(old.waypoints * [time, length, length, 1.0], force_limit=limit)
         return replace(old, speed=speed * old.speed, travel=length * old.travel, force_limit=limit)
 
+    def spring(old):
+        return old and Spring(stiffness=force / length * old.stiffness, anchor=length * old.anchor)
+
+    def spots(old):
+        return old and replace(old, origin=length * old.origin, cell=length * old.cell)
+
+    plane = scene.plane
     return replace(
         scene,
         bodies=tuple(
@@ -196,6 +273,7 @@ def rescaled(scene: Scene, length: float, mass: float, time: float) -> Scene:
                 velocity=b.velocity * rate,
                 force=b.force * [force, force, force * length],
                 support=support(b.support),
+                spring=spring(b.spring),
             )
             for b in scene.bodies
         ),
@@ -204,6 +282,9 @@ def rescaled(scene: Scene, length: float, mass: float, time: float) -> Scene:
             for p in scene.pushers
         ),
         fixels=tuple(replace(f, shape=shape(f.shape), pose=f.pose * stretch) for f in scene.fixels),
+        plane=replace(
+            plane, friction_map=spots(plane.friction_map), load_map=spots(plane.load_map)
+        ),
         gravity=scene.gravity * length / time**2,
         duration=scene.duration * time,
     )

@@ -1,12 +1,13 @@
 """Moving, turning, mirroring, renaming or rescaling a scene does so to its motion (A22)."""
 
 from dataclasses import replace
+from math import pi
 
 import numpy as np
 import pytest
 from hypothesis import given, reject, settings
 from hypothesis import strategies as st
-from tests.laws.scenes import SIZE, mirrored, rescaled, scenes
+from tests.laws.scenes import SIZE, mirrored, quarter_turned, rescaled, scenes, table_push
 
 from fixel.simulation import Adaptive, Dynamic, FirstOrder, QuasiStatic, StewartTrinkle, simulate
 from fixel.testing.scenes import grasp, micro_push, moved
@@ -86,6 +87,22 @@ def test_change_of_units_changes_nothing(motion, scene, length, mass, time):
     scaled = {k: v / [length, length, 1.0] for k, v in other.items()}
     # The kernels see the same numbers but for rounding.
     _same(base, scaled, close=1e-9)
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("seed", range(6))
+def test_a_push_on_a_table_turns_mirrors_and_scales_with_all_that_is_on_it(motion, seed):
+    """Paths, force limits, springs, loads of feet, grain and maps of the table, by every step."""
+    scene = table_push(seed)
+    base = _poses(scene, motion)
+    turned = replace(moved(scene, (0.0, 0.0), pi / 2), plane=quarter_turned(scene.plane))
+    back = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    ends = _poses(turned, motion)
+    _same(base, {k: v @ back.T - [0.0, 0.0, pi / 2] for k, v in ends.items()})
+    flipped = _poses(mirrored(scene), motion)
+    _same(base, {k: v * [1.0, -1.0, -1.0] for k, v in flipped.items()})
+    large = _poses(rescaled(scene, 10.0, 7.0, 0.3), motion, StewartTrinkle(step=0.005 * 0.3))
+    _same(base, {k: v / [10.0, 10.0, 1.0] for k, v in large.items()})
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
