@@ -86,11 +86,9 @@ def useful_poses(experiment: Experiment) -> BoolArray:
     useful = np.asarray((time >= first - ON_CLOCK) & (time <= last + ON_CLOCK))
     useful[0] = False
     if not useful.any():
-        raise InvalidInput(
-            f"experiment {experiment.key}.effective",
-            found=f"no measured pose from {first:g} to {last:g} s",
-            expected="at least one pose after the first",
-        )
+        found = f"no measured pose from {first:g} to {last:g} s"
+        expected = "at least one pose after the first"
+        raise InvalidInput(f"experiment {experiment.key}.effective", found=found, expected=expected)
     return useful
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from fixel import model
 from fixel.calibration.target import Target
 from fixel.errors import InvalidInput, number_of, unknown_name
-from fixel.model.fields import instance, texts
+from fixel.model.fields import finite, instance, texts
 from fixel.model.parameters import KNOWN_PARAMETERS, in_si, info_of
 from fixel.model.space import Parameter, ParameterSpace, Unknown, check_once, split_label
 from fixel.simulation.load_profile import TABLE_NAMES
@@ -169,7 +169,7 @@ def search_space(
         scenes = [target.case.scene for target in targets]
         space = ParameterSpace(unknowns=tuple(default_unknowns(scenes)))
     else:
-        is_mapping = isinstance(parameters, Mapping)
+        is_mapping = isinstance(parameters, Mapping) or hasattr(parameters, "columns")
         named: Any = parameters if is_mapping else dict.fromkeys(texts(parameters, "parameters"))
         space = ParameterSpace(
             unknowns=tuple(u for key, own in named.items() for u in _unknowns(key, own, targets))
@@ -189,8 +189,8 @@ def _started(space: ParameterSpace, start: Mapping[str, float]) -> ParameterSpac
 def _unknowns(key: str, entry: Bounds, targets: Sequence[Target]) -> list[Unknown]:
     """Return the unknowns of an entry of a space; several where conditions have their own."""
     name, where = _named(key, targets)
-    if isinstance(entry, int | float):
-        return [Unknown.fixed(name, float(entry), where)]
+    if isinstance(entry, int | float | np.number):
+        return [Unknown.fixed(name, finite(entry, key), where)]
     if isinstance(entry, tuple | list):
         if len(entry) != 2:
             raise InvalidInput(key, found=f"{len(entry)} numbers", expected="two bounds")
@@ -207,11 +207,9 @@ def _unknowns(key: str, entry: Bounds, targets: Sequence[Target]) -> list[Unknow
     )
     if not groups:
         conditions = sorted({name for target in targets for name in target.conditions})
-        raise InvalidInput(
-            key,
-            found=f"no experiment with {', '.join(by) or key}",
-            expected=f"an experiment that depends on it, with {', '.join(conditions)}",
-        )
+        found = f"no experiment with {', '.join(by) or key}"
+        expected = f"an experiment that depends on it, with {', '.join(conditions)}"
+        raise InvalidInput(key, found=found, expected=expected)
     return [_unknown(name, entry, where | dict(group), targets) for group in groups]
 
 

@@ -73,9 +73,8 @@ class FrameTrack:
         table = table[np.unique(table[:, 0], return_index=True)[1]]
         length = np.linalg.norm(table[:, 5:], axis=1)
         if not np.isfinite(table).all() or (np.abs(length - 1.0) > 0.1).any():
-            raise InvalidInput(
-                name, found="a pose without a place or rotation", expected="finite, unit rotations"
-            )
+            found, expected = "a pose without a place or rotation", "finite, unit rotations"
+            raise InvalidInput(name, found=found, expected=expected)
         self.time, self.logged, self.position = table[:, 0], table[:, 1], table[:, 2:5]
         self.rotation = scipy.spatial.transform.Rotation.from_quat(table[:, 5:])
         # AprilTag 3 has z into the tag, as the camera looks; others have it out of the tag.

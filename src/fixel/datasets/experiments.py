@@ -347,3 +347,15 @@ _FACTS = {
 
 def _root(square: float | None) -> float | None:
     return None if square is None else square**0.5
+
+
+def different(experiments: Experiment | Iterable[Experiment]) -> Experiments:
+    """Return experiments, checked that those in memory with the same full name are equal."""
+    several, known = Experiments.of(experiments), dict[str, Experiment]()
+    for one in (entry.experiment for entry in several.entries):
+        first = one and known.setdefault(one.key, one)
+        if one and first is not one and first != one:
+            found, expected = f"two that differ, both named {one.key}", "a name for each"
+            hint = "name one with dataclasses.replace(experiment, dataset=...)"
+            raise InvalidInput("experiments", found=found, expected=expected, hint=hint)
+    return several

@@ -203,13 +203,11 @@ def _rows(path: Path, key: str, given: Any) -> FloatArray:
     width = _KEYS[key]
     if rows.ndim != 2 or not len(rows) or not width <= rows.shape[1] <= 4:
         found = "nothing" if given is None else f"shape {rows.shape}"
-        raise InvalidInput(
-            f"{path.name}: {key}", found=found, expected=f"rows of {width} numbers, time first"
-        )
+        found, expected = found, f"rows of {width} numbers, time first"
+        raise InvalidInput(f"{path.name}: {key}", found=found, expected=expected)
     if not np.isfinite(rows).all() or np.abs(rows).max() > LARGEST_NUMBER:
-        raise InvalidInput(
-            f"{path.name}: {key}", found="implausible numbers", expected="finite readings"
-        )
+        found, expected = "implausible numbers", "finite readings"
+        raise InvalidInput(f"{path.name}: {key}", found=found, expected=expected)
     return rows
 
 

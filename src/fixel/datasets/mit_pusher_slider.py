@@ -59,9 +59,8 @@ class MitPusherSlider(Importer):
         tip = Disk(tables.member(shapes, "pusher_radius_m", SHAPES))
         outlines = {name: value for name, value in shapes.items() if isinstance(value, list)}
         if OUTLINE not in outlines:
-            raise InvalidInput(
-                SHAPES, found=", ".join(outlines), expected=f"an outline of {OUTLINE}"
-            )
+            found, expected = ", ".join(outlines), f"an outline of {OUTLINE}"
+            raise InvalidInput(SHAPES, found=found, expected=expected)
         shape = Polygon(np.asarray(outlines[OUTLINE], dtype=np.float64))
         runs: list[_Run] = []
         problems: tables.Problems = {}

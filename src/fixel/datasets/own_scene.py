@@ -199,9 +199,8 @@ def _object_of(scene: Scene, source: str, name: str | None) -> Any:
 def _pusher_of(scene: Scene, source: str) -> Pusher:
     if len(scene.pushers) != 1:
         expected = "one pusher, since the table has the path of one"
-        raise InvalidInput(
-            f"{source}: pushers", found=f"{len(scene.pushers)} pushers", expected=expected
-        )
+        found, expected = f"{len(scene.pushers)} pushers", expected
+        raise InvalidInput(f"{source}: pushers", found=found, expected=expected)
     return scene.pushers[0]
 
 

@@ -430,9 +430,8 @@ def _time(frame: NDArray[np.int64], first: int) -> FloatArray:
 
 def _effective(frame: NDArray[np.int64], start: int, end: int) -> tuple[float, float]:
     if not frame[0] <= start <= end:
-        raise InvalidInput(
-            EXPERIMENTS, found=f"frames {start} to {end}", expected=f"frames from {frame[0]} on"
-        )
+        found, expected = f"frames {start} to {end}", f"frames from {frame[0]} on"
+        raise InvalidInput(EXPERIMENTS, found=found, expected=expected)
     return float((start - frame[0]) / FRAME_RATE), float((end - frame[0]) / FRAME_RATE)
 
 

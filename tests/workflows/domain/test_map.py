@@ -171,3 +171,25 @@ def test_the_call_that_works_keeps_what_was_given(pushes):
     one = map_domain(pushes, SPACE, axes=["offset_m"], facets=["side"], folds=2, **QUIET)
     with pytest.raises(InvalidInput, match=r"\.at\(scene, side='left', offset_m=[-0-9.]+\)"):
         one.at(pushes[0].scene, side="left")
+
+
+def test_an_experiment_counts_once_and_names_differ(pushes):
+    """Five experiments of a cell are no ten, and namesakes are no repetitions."""
+    asked = {"axes": ["side"], "threshold": 2e-4, "folds": 2, **QUIET}
+    refused(map_domain, [*pushes, *pushes], SPACE, **asked, match="twice.* different names")
+    second = replace(pushes[1], dataset=pushes[0].dataset, name=pushes[0].name)
+    refused(map_domain, [*pushes[:1], second, *pushes[2:]], SPACE, **asked, match="twice")
+
+
+@pytest.mark.parametrize("number", [np.float32(0.5), np.int64(1), np.float64(0.25)])
+def test_numbers_of_numpy_fix_a_parameter(pushes, number):
+    space = search_space({"mu_pusher": (0, 1), "mu_support": number}, targets_of(pushes))
+    assert [u.nominal for u in space.unknowns if u.frozen] == [float(number)]
+
+
+def test_a_table_of_bounds_is_no_list_of_names(pushes):
+    pandas = pytest.importorskip("pandas")
+    table = pandas.DataFrame({"mu_pusher": [0.1, 0.6]})
+    for wrong in (table, {"mu_pusher": np.bool_(True)}, {"mu_pusher": np.array([0.1, 0.6])}):
+        problem = refused(search_space, wrong, targets_of(pushes), match=r"be \(low, high\)")
+        assert problem.where == "mu_pusher"

@@ -131,3 +131,16 @@ def test_simulations_of_the_laboratory_are_compared_next_to_ours(data_root):
         turned = (path["theta_rad"] - own["theta_rad"] + np.pi) % (2.0 * np.pi) - np.pi
         squares = (path["x_mm"] - own["x_mm"]) ** 2 + (path["y_mm"] - own["y_mm"]) ** 2
         assert row.run.error_mm2 == pytest.approx(np.mean(squares + (35.0 * turned) ** 2), rel=1e-6)
+
+
+def test_different_experiments_of_the_same_name_are_refused(pushes, tmp_path):
+    """Errors by name and stored experiments of one would count for the other."""
+    one, other = pushes[0], replace(pushes[1], dataset=pushes[0].dataset, name=pushes[0].name)
+    for experiments in ([one, other], fixel.Experiments.of([one, other])):
+        refused(compare, experiments, progress=False, match=f"both named {one.key}.* dataset=")
+        refused(fixel.export, experiments, tmp_path / "both.zip", match=f"both named {one.key}")
+    named = [one, replace(other, dataset="second")]
+    assert len(compare(named, progress=False).experiments) == 2
+    assert len(compare([one, replace(one)], progress=False).rows) == 2
+    written = fixel.export(named, tmp_path / "both.zip", progress=False)
+    assert written.counts["experiments"] == len(fixel.read_experiments(written.target)) == 2

@@ -118,6 +118,9 @@ def check(targets: Sequence[Target], asked: Any) -> None:
     """Raise if no map can be made with these axes, before anything is fitted."""
     rows = [coordinates_of(target) for target in targets]
     keys = [target.key for target in targets]
+    if len({*keys}) < len(keys):
+        found = f"{next(key for key in keys if keys.count(key) > 1)} twice"
+        raise InvalidInput("experiments", found=found, expected="different names")
     zeros = [0] * len(rows)
     content = {"keys": keys, "ids": zeros, "coordinates": rows, "error": zeros, "fold": zeros,
                "configuration": keys}  # fmt: skip
@@ -147,12 +150,10 @@ def _usual_axes(errors: HeldOutErrors, asked: Any) -> list[str]:
     offsets = varying(errors, OFFSETS)
     others = [name for name in varying(errors, USUAL) if name not in asked.facets]
     if not (offsets or others):
-        raise InvalidInput(
-            "axes",
-            found="no offset, surface, shape or contact that differs",
-            expected=" or ".join(varying(errors, sorted(errors.coordinates)))
-            or "experiments that differ in a condition",
-        )
+        known = varying(errors, sorted(errors.coordinates))
+        found = "no offset, surface, shape or contact that differs"
+        expected = " or ".join(known) or "experiments that differ in a condition"
+        raise InvalidInput("axes", found=found, expected=expected)
     return offsets or others[:2]
 
 
@@ -175,8 +176,6 @@ def _refuse_empty_nominal(domain: DomainMap) -> None:
     if (domain.counts[:, cells.nominal] == 0).all():
         filled = np.flatnonzero(domain.counts.sum(axis=0))
         names = "; ".join(cells.text(int(c)) for c in filled[:MAX_EXAMPLES])
-        raise InvalidInput(
-            "nominal",
-            found=f"no experiment at {cells.text(cells.nominal)}",
-            expected=f"a cell with experiments, such as {names}",
-        )
+        found = f"no experiment at {cells.text(cells.nominal)}"
+        expected = f"a cell with experiments, such as {names}"
+        raise InvalidInput("nominal", found=found, expected=expected)

@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
-from fixel.datasets.experiments import Experiments
+from fixel.datasets.experiments import Experiments, different
 from fixel.errors import InvalidInput, counted
 from fixel.kernels import codes
 from fixel.model import Experiment, Parameters
@@ -249,7 +249,7 @@ def compare(
     """
     permit(motion)
     named = _named(models)
-    several = Experiments.of(experiments)
+    several = different(experiments)
     rows: list[ComparedModel] = []
     skipped: list[str] = []
     total = len(several) * len(named)

@@ -16,7 +16,8 @@ import numpy as np
 from fixel.database.bundle import export_bundle, import_bundle, record_counts
 from fixel.database.bundle_file import opened_bundle
 from fixel.database.project import Project, stored_experiments
-from fixel.datasets import IMPORTERS, Experiments
+from fixel.datasets import IMPORTERS
+from fixel.datasets.experiments import Experiments, different
 from fixel.datasets.table import CsvTable
 from fixel.drawing.chart import require_file
 from fixel.errors import LIST_EXPERIMENTS, InvalidInput, NotStored, check_name, require
@@ -120,7 +121,7 @@ def export(
     _check_arguments(target, format, fps)
     started = time.perf_counter()
     left_out: dict[str, int] = {}
-    source = what if isinstance(what, Project) else Experiments.of(what)
+    source = what if isinstance(what, Project) else different(what)
     if isinstance(source, Experiments) and dataset is not None:
         source = source.where(f'"dataset:{dataset}"')
     if format == "bundle":
