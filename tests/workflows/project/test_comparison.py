@@ -144,3 +144,13 @@ def test_different_experiments_of_the_same_name_are_refused(pushes, tmp_path):
     assert len(compare([one, replace(one)], progress=False).rows) == 2
     written = fixel.export(named, tmp_path / "both.zip", progress=False)
     assert written.counts["experiments"] == len(fixel.read_experiments(written.target)) == 2
+
+
+def test_an_experiment_of_the_same_name_as_a_fitted_one_is_held_out(pushes):
+    """As of a second table in memory; a fitted one stays so where its useful times change."""
+    fit = fixel.calibrate(pushes[:1], ["mu_pusher"], max_evaluations=5, verdicts=False,
+                          progress=False)  # fmt: skip
+    namesake = replace(pushes[1], dataset=pushes[0].dataset, name=pushes[0].name)
+    for experiment, use in ((pushes[0], "fitted"), (namesake, "held out"),
+                            (replace(pushes[0], effective=(1.0, 3.0)), "fitted")):  # fmt: skip
+        assert [row.use for row in compare(experiment, fit, progress=False).rows] == ["", use]

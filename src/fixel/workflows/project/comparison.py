@@ -306,7 +306,7 @@ def _compared(
     if fitted is None:
         return ComparedModel(name, "", compare_run(experiment, Parameters(model or {}), chosen))
     values = Parameters(fitted.values_for(experiment))
-    use = "fitted" if experiment.key in fitted.keys_of_experiments else "held out"
-    return ComparedModel(
-        name, use, compare_run(experiment, values, chosen), fitted.unseen(experiment)
-    )
+    ends = [own.pose[-1] for own in fitted.targets if own.key == experiment.key]
+    known = any((experiment.trajectory.pose == end).all(axis=1).any() for end in ends)
+    run = compare_run(experiment, values, chosen)
+    return ComparedModel(name, "fitted" if known else "held out", run, fitted.unseen(experiment))
