@@ -156,3 +156,9 @@ def test_plots_return_axes_and_change_no_settings(pushes):
     assert dict(mpl.rcParams) == before
     refused(pushes.plot, "tracks", match="kind is 'tracks'")
     pyplot.close("all")
+
+
+def test_a_share_may_be_a_number_of_numpy(pushes):
+    assert [len(part) for part in pushes.split(np.float32(0.25))] == [
+        len(part) for part in pushes.split(0.25)
+    ]

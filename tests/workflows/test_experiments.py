@@ -285,3 +285,10 @@ def test_a_public_dataset_is_recognised(data_root):
     assert found[0].dataset == "rpi-2dgad"
     with pytest.raises(InvalidInput, match="scene: found a source read as rpi-2dgad"):
         read_experiments(folder, scene=template())
+
+
+@pytest.mark.parametrize("option", ["columns", "units"])
+def test_roles_and_units_of_another_type_are_refused_by_name(option):
+    pandas = pytest.importorskip("pandas")
+    for wrong in (pandas.Series({"time": "time_s"}), [("time", "time_s")], "time_s"):
+        refused(read, columns(0.01), **{option: wrong}, match=f"{option}.* texts by name")

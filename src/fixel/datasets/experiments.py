@@ -205,7 +205,7 @@ class Experiments(Result, Sequence[Experiment]):
             Both in the order of the experiments.
         """
         groups = [*self.groupby(by).values()] if by else [self._with([e]) for e in self.entries]
-        is_share = isinstance(test, float) and 0.0 < test < 1.0
+        is_share = isinstance(test, float | np.floating) and 0.0 < test < 1.0
         wanted: Any = max(1, round(test * len(groups))) if is_share else test
         is_number = isinstance(wanted, int | np.integer) and not isinstance(test, bool)
         if not is_number or not 0 < wanted < len(groups):

@@ -24,6 +24,7 @@ from fixel.datasets.table import CsvTable, plan_table
 from fixel.errors import DatasetMissing, InvalidInput, check_name
 from fixel.io.atomic import refuse_device
 from fixel.model import Body, Disk, Polygon, Provenance, Pusher, Scene, Tripod
+from fixel.model.fields import instance
 from fixel.model.scene import SceneChoice
 from fixel.progress import ProgressOption, show_progress
 
@@ -92,6 +93,8 @@ def plan_import(
     of `read_experiments`, for tables of one's own.
     """
     known: dict[str, Any] = dict(options or {})
+    for place, texts in (("columns", columns), ("units", units)):
+        instance(texts, Mapping | None, place, "texts by name")
     in_memory = not isinstance(source, Path)
     if in_memory and format not in (None, TABLE):
         raise InvalidInput("format", found=repr(format), expected=f"{TABLE!r}, for a table")
