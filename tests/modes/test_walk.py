@@ -1,5 +1,7 @@
 """Motion from contact mode to contact mode, against small fixed steps, which know no modes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from benchmarks.seated import seated_grasp
@@ -8,9 +10,17 @@ from tests.simulation.random_grasps import random_grasp
 
 from fixel import load
 from fixel.errors import InvalidInput
-from fixel.model import Body, Disk, LineDrive, Polygon, Pusher, Scene, Tripod
-from fixel.simulation import Accuracy, Adaptive, Midpoint, QuasiStatic, simulate, simulate_batch
-from fixel.testing.scenes import free_push, grasp, heap, pushed_square
+from fixel.model import Body, Disk, LineDrive, PathDrive, Polygon, Pusher, Scene, Tripod
+from fixel.simulation import (
+    Accuracy,
+    Adaptive,
+    Midpoint,
+    QuasiStatic,
+    StewartTrinkle,
+    simulate,
+    simulate_batch,
+)
+from fixel.testing.scenes import box, free_push, grasp, heap, pushed_square
 
 # In 729 and 821 the default stepper misses an event; 28 leaves a part which the head slides past,
 # 245 ends with a flush edge, 545 where the velocity vanishes.
@@ -102,6 +112,40 @@ def test_two_motions_between_two_pushers_are_flagged_from_either():
         assert push.accuracy.verdict == "uncertain"
         assert push.accuracy.distance > 2.5e-3
     assert _apart(*ends)[0] > 2.5
+
+
+def test_a_fork_that_only_midpoint_steps_leave_by_the_other_way_is_flagged():
+    """A part between two fingers that yield turns flush at a reversal. Motion with a thousandth of
+    the mass ends where midpoint steps do; Stewart-Trinkle's of 20 microseconds do not."""
+    star = [(2.861, 0.0), (1.093, 0.794), (0.884, 2.721), (-0.417, 1.285), (-2.314, 1.682)]
+    star += [(-1.351, 0.0), *((x, -y) for x, y in star[:0:-1])]
+    path = [
+        (0.0, -0.07571, 0.01618, -0.25389), (0.39045, 0.0032, -0.00326, -0.25389),
+        (0.77563, -0.00609, -0.01717, -0.25389), (1.14501, 0.07974, -0.01724, -0.25389),
+        (1.51878, 0.06135, -0.01866, -0.25389),
+    ]  # fmt: skip
+    scene = Scene(
+        Body("part", Polygon(0.01 * np.array(star)), mass=0.4471, pose=(0.0, 0.0, 1.38247),
+             support=Tripod(radius=0.00743, friction=0.4099, angle=-1.3035)),
+        [
+            Pusher("tool", box(0.0133, 0.02534), friction=0.31,
+                   drive=PathDrive(path, force_limit=5.2)),
+            Pusher("other", box(0.00936, 0.07918), pose=(0.06941, -0.01491, -0.34018),
+                   drive=LineDrive((-0.996974, -0.07774), speed=0.07361, travel=0.1,
+                                   force_limit=2.637), friction=0.3),
+        ],
+        duration=2.16,
+    )  # fmt: skip
+    push = simulate(scene, motion="quasistatic", accuracy=True)
+    body = replace(scene.bodies[0], mass=4.471e-4)
+    light = simulate(replace(scene, bodies=(body,), gravity=9810.0), motion="dynamic")
+    fixed = simulate(scene, motion="quasistatic", stepper=StewartTrinkle(step=2e-5))
+    ends = [np.array(run.final["part"]) for run in (push, light, fixed)]
+    assert np.hypot(*(ends[1] - ends[0])[:2]) > 2e-3
+    assert np.hypot(*(ends[2] - ends[0])[:2]) < 1e-4
+    assert push.accuracy.verdict == "uncertain"
+    assert np.hypot(*(ends[1] - push.accuracy.other[0])[:2]) < 1e-4
+    assert push.accuracy.parted_at == pytest.approx(1.15, abs=0.02)
 
 
 def test_two_motions_are_reported_where_two_ways_differ():

@@ -31,8 +31,8 @@ MOST_STEPS: Final = 100_000  # of fixed length, at least, whatever the limit of 
 # Shifts of the start, of that length and in rad: every step size may choose the same motion.
 SHIFTS: Final = 2e-6 * np.array([[1, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1]])
 # Ways to solve a rollout; from SHIFTED, the stepper from each shift.
-STEPPER, MODES, FIXED, FINER, FINEST, MIDPOINT, SHIFTED = range(7)
-STEPS: Final = ((1.0, 0.0), (0.25, 0.0), (0.125, 0.0), (0.25, 0.5))  # from FIXED: length, lead
+STEPPER, MODES, FIXED, FINER, FINEST, MIDPOINT, COARSE, SHIFTED = range(8)
+STEPS: Final = ((1.0, 0.0), (0.25, 0.0), (0.125, 0.0), (0.25, 0.5), (1.0, 0.5))  # length, lead
 LOOKS: Final = np.arange(1, 33) / 32  # of a span, to find where two ways part
 
 _LOST: Final = {
@@ -86,8 +86,8 @@ def confirm(
     for k in (FINER, MIDPOINT, FINEST):
         solve(k, unsure)
         unsure = unsure[_compare(packed, ends[k, unsure] - final[unsure])[2]]
-    for k in range(len(SHIFTS)):
-        solve(SHIFTED + k, again[packed.batch.count[again, at.DRIVEN] > 1])
+    for k in range(COARSE + (method.motion != codes.QUASI_STATIC), SHIFTED + len(SHIFTS)):
+        solve(k, again[packed.batch.count[again, at.DRIVEN] > 1])  # COARSE errs with inertia
     # The end that is farthest away counts; a radian counts as 10 cm.
     way = (np.abs(ends - final).max(axis=2) @ [1.0, 1.0, 0.1]).argmax(axis=0)
     other = ends[way, np.arange(n)]
