@@ -203,7 +203,7 @@ def _rows(path: Path, key: str, given: Any) -> FloatArray:
     width = _KEYS[key]
     if rows.ndim != 2 or not len(rows) or not width <= rows.shape[1] <= 4:
         found = "nothing" if given is None else f"shape {rows.shape}"
-        found, expected = found, f"rows of {width} numbers, time first"
+        expected = f"rows of {width} numbers, time first"
         raise InvalidInput(f"{path.name}: {key}", found=found, expected=expected)
     if not np.isfinite(rows).all() or np.abs(rows).max() > LARGEST_NUMBER:
         found, expected = "implausible numbers", "finite readings"

@@ -199,7 +199,7 @@ def _object_of(scene: Scene, source: str, name: str | None) -> Any:
 def _pusher_of(scene: Scene, source: str) -> Pusher:
     if len(scene.pushers) != 1:
         expected = "one pusher, since the table has the path of one"
-        found, expected = f"{len(scene.pushers)} pushers", expected
+        found = f"{len(scene.pushers)} pushers"
         raise InvalidInput(f"{source}: pushers", found=found, expected=expected)
     return scene.pushers[0]
 

@@ -240,11 +240,8 @@ def three_points(scene: Scene, values: Values) -> tuple[FloatArray, FloatArray]:
     body = scene.bodies[0]
     support = body.support
     if len(scene.bodies) != 1 or not isinstance(support, SupportPoints) or len(support.points) != 3:
-        raise InvalidInput(
-            "parameters.support_1_x",
-            found="no body on three support points",
-            expected="a body on three support points",
-        )
+        found, expected = "no body on three support points", "a body on three support points"
+        raise InvalidInput("parameters.support_1_x", found=found, expected=expected)
     n = next(len(values[name]) for name in _CORNERS if name in values)
     points = np.array(np.broadcast_to(support.points, (n, 3, 2)))
     for place, name in enumerate(_CORNERS):
@@ -279,11 +276,8 @@ def _under_loads(scene: Scene, elements: Elements, values: Values) -> Elements:
         )
     given = {int(name[5:]): v for name, v in values.items() if name.startswith("load_")}
     if max(given) > len(support.points):
-        raise InvalidInput(
-            f"parameters.load_{max(given)}",
-            found=f"{len(support.points)} support points",
-            expected="a load for one of them",
-        )
+        found, expected = f"{len(support.points)} support points", "a load for one of them"
+        raise InvalidInput(f"parameters.load_{max(given)}", found=found, expected=expected)
     n = len(next(iter(given.values())))
     load = np.array(_own(elements.load, n, 1))
     load /= load.mean(axis=1, keepdims=True)
@@ -367,11 +361,8 @@ def redistributed(load: FloatArray, height: FloatArray, place: FloatArray) -> Fl
 def _at_radius(elements: Elements, radius: FloatArray) -> Elements:
     tripod = np.any(elements.unit != 0.0, axis=1)
     if not tripod.any():
-        raise InvalidInput(
-            "parameters.tripod_radius",
-            found="no body on a tripod",
-            expected="a tripod support, whose radius is changed",
-        )
+        found, expected = "no body on a tripod", "a tripod support, whose radius is changed"
+        raise InvalidInput("parameters.tripod_radius", found=found, expected=expected)
     moved = radius[:, None, None] * elements.unit
     return elements._replace(point=np.where(tripod[:, None], moved, elements.point))
 
@@ -591,11 +582,8 @@ def variation_of(
         check_one_pusher(scene, "waypoints")
         _check_shape("waypoints", path, (path.shape[1] if path.ndim == 3 else 0, 4))
         if np.any(np.diff(path[:, :, 0], axis=1) <= 0.0):
-            raise InvalidInput(
-                "waypoints",
-                found="a time that does not increase",
-                expected="times in increasing order",
-            )
+            found, expected = "a time that does not increase", "times in increasing order"
+            raise InvalidInput("waypoints", found=found, expected=expected)
         lengths["waypoints"] = len(path)
     if len(set(lengths.values())) > 1 or 0 in lengths.values():
         found = ", ".join(f"{name}: {n}" for name, n in lengths.items())
