@@ -154,8 +154,8 @@ def _after(folder: Path) -> str:
     files = {"RIG": RIG_FILE, "SCENE": SCENE_FILE}
     missing = [name for name, file in files.items() if not (folder / file).is_file()]
     options = "".join(f" --{name.lower()} {name}" for name in missing)
-    yours = missing and ", with your own files for " + " and ".join(missing)
-    return f"Next: {command_of('track', folder)}{options}{yours or ''}"
+    yours = f", with your own files for {' and '.join(missing)}" if missing else ""
+    return f"Next: {command_of('track', folder)}{options}{yours}"
 
 
 def _checked(recording: "Recording") -> CommandAnswer:

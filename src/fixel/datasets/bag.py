@@ -84,11 +84,9 @@ class _Roles(NamedTuple):
         if part is None or not bag.tracks:
             if len(moving) != 1:
                 found = f"poses of {', '.join(moving[:20])}" if moving else "no poses"
-                hint = "record /tf; AprilTagDetectionArray of apriltag_msgs has no poses"
-                if moving:
-                    hint = (
-                        "add --option part=NAME, in Python columns={'part': NAME}; and the pusher"
-                    )
+                hint = "add --option part=NAME, in Python columns={'part': NAME}; and the pusher"
+                if not moving:
+                    hint = "record /tf; AprilTagDetectionArray of apriltag_msgs has no poses"
                 expected = "the topic or frame of the part"
                 raise InvalidInput(where, found=found, expected=expected, hint=hint)
             part = moving[0]

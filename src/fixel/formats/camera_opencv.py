@@ -17,8 +17,8 @@ from fixel.vision.frame import opencv
 from fixel.vision.lens import Lens
 
 MATRIX: Final = (
-    *("camera_matrix", "cameraMatrix", "Camera_Matrix", "intrinsic_matrix", "K", "M1", "mtx"),
-)
+    "camera_matrix", "cameraMatrix", "Camera_Matrix", "intrinsic_matrix", "K", "M1", "mtx",
+)  # fmt: skip
 DISTORTION: Final = (
     *("distortion_coefficients", "Distortion_Coefficients", "dist_coeffs", "distCoeffs"),
     *("dist_coeff", "dist", "D", "D1"),

@@ -272,10 +272,8 @@ class Experiment(Comparable, Result):
             expected = "a body of the scene: " + ", ".join(body.name for body in scene.bodies)
             raise InvalidInput(f"{where}.object_name", found=found, expected=expected)
         if self.contact_mode and len(self.contact_mode) != len(scene.fixels):
-            found, expected = (
-                f"{len(self.contact_mode)} digits",
-                f"{len(scene.fixels)}, one per fixel",
-            )
+            found = f"{len(self.contact_mode)} digits"
+            expected = f"{len(scene.fixels)}, one per fixel"
             raise InvalidInput(f"{where}.contact_mode", found=found, expected=expected)
 
     @property

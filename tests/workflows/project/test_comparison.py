@@ -147,7 +147,7 @@ def test_different_experiments_of_the_same_name_are_refused(pushes, tmp_path):
 
 
 def test_an_experiment_of_the_same_name_as_a_fitted_one_is_held_out(pushes):
-    """As of a second table in memory; a fitted one stays so where its useful times change."""
+    """Tables in memory give equal names. A fitted experiment stays so with other useful times."""
     fit = fixel.calibrate(pushes[:1], ["mu_pusher"], max_evaluations=5, verdicts=False,
                           progress=False)  # fmt: skip
     namesake = replace(pushes[1], dataset=pushes[0].dataset, name=pushes[0].name)
