@@ -49,6 +49,17 @@ def test_a_line_that_ends_leaves_the_part_there():
     assert _final(scene, motion=QuasiStatic())[0] == pytest.approx(FACE + 0.01234, abs=1e-7)
 
 
+@pytest.mark.parametrize("motion", [QuasiStatic(), Dynamic()])
+@pytest.mark.parametrize("corner", [(0.0, 0.06, 0.0), (0.06, 0.06, 0.0), (-0.06, 0.0, 0.0)])
+def test_a_stalled_finger_pushes_as_hard_as_it_can_whatever_corner_lies_ahead(corner, motion):
+    """Friction holds the square with up to 0.59 N, more than the finger has."""
+    path = [[0, 0, 0, 0], [1.0, 0.04, 0, 0], [1.2, *corner]]
+    run = simulate(_pushed(path, 0.2, duration=3.0), motion=motion, output_interval=0.1)
+    finger = run.pushers["finger"]
+    assert finger.stalled[1:].all()
+    assert finger.force[1:] == pytest.approx(np.full(30, 0.2), rel=1e-9)
+
+
 def _polyline(seed: int, n: int = 9) -> np.ndarray:
     """Random turns with reversals, standstills and changes of speed, in and out of contact."""
     rng = np.random.default_rng(seed)

@@ -41,6 +41,7 @@ def write_samples(
     only_poses = record.twist.shape[0] == 0
     to_time = control[at.TIME]
     from_time = to_time - moved
+    solved = control[at.LAST] if to_time > from_time else span  # shorter than `moved` at rest
     while record.count[at.SAMPLES] < record.pose.shape[0]:
         sample = record.count[at.SAMPLES]
         share = 1.0
@@ -60,13 +61,14 @@ def write_samples(
         if not only_poses:
             for d in range(model.force_limit.size):
                 _sample_driven(
-                    model, before, state, from_time, to_time, span, problem, record, d, share
-                )
+                    model, before, state, from_time, to_time, solved, span, problem, record, d,
+                    share,
+                )  # fmt: skip
             if record.total[at.LAST_CONTACTS] > 0.0:
                 record.count[at.CONTACT_ROWS] = 0
             if to_time > from_time:
                 _sample_contacts(
-                    before.velocity, problem, record, control[at.LAST], to_time - from_time, span
+                    before.velocity, problem, record, solved, to_time - from_time, span
                 )
         record.count[at.SAMPLES] += 1
         if every_step:
@@ -80,6 +82,7 @@ def _sample_driven(
     state: State,
     from_time: float,
     to_time: float,
+    step: float,
     span: float,
     problem: Problem,
     record: RolloutRecord,
@@ -90,7 +93,6 @@ def _sample_driven(
     row = model.mass.size + d
     own = from_time + share * (to_time - from_time)
     own_start = from_time
-    step = to_time - from_time if to_time > from_time else span
     limited = model.drive_dof[d] >= 0
     slip = 0.0
     if limited:
