@@ -238,7 +238,6 @@ class DatasetMissing(FixelError, LookupError):
         super().__init__(sentence + (f"; {hint}" if hint else ""))
 
 
-@final
 class NotStored(FixelError, LookupError):
     """Exception raised when a project has no such record.
 
@@ -288,7 +287,6 @@ class StoreRefused(_WithHint):
     """
 
 
-@final
 class JobRefused(_WithHint):
     """Exception raised when a job cannot be started, continued or read.
 
@@ -301,7 +299,6 @@ class JobRefused(_WithHint):
     """
 
 
-@final
 class DeviceFailed(_WithHint):
     """Exception raised when a device stopped, or was stopped, before it had finished.
 

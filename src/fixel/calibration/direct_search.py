@@ -101,7 +101,6 @@ class PatternSearch(AbstractOptimiser):
         return PatternSearchSearch(box, self)
 
 
-@final
 class PatternSearchSearch(GeneratorSearch):
     """Running pattern search."""
 
@@ -289,7 +288,6 @@ class NelderMead(AbstractOptimiser):
         return NelderMeadSearch(box, self, stepped_simplex(box, self.step))
 
 
-@final
 class NelderMeadSearch(GeneratorSearch):
     """Running Nelder-Mead search."""
 

@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, NamedTuple, Self, final
+from typing import Final, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,7 +79,6 @@ def contacts_of(asked: Configurations, speed: FloatArray) -> TouchedPlaces:
     return TouchedPlaces(np.arctan2(normal[:, 1], normal[:, 0]), place, np.asarray(speed))
 
 
-@final
 class PushedContacts:
     """Contacts that have been pushed, by the label of their part.
 
@@ -183,7 +182,6 @@ class Trait(NamedTuple):
     is_given: bool = True  # false for a condition that the experiments have and the push lacks
 
 
-@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class KnownPushes(Comparable):
     """Parts, surfaces, laboratories, contacts, speeds and travels of experiments."""

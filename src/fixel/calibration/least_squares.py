@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Final, Literal, NamedTuple, final, get_args
+from typing import Annotated, ClassVar, Final, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,7 +32,6 @@ LOSSES: Final[tuple[Loss, ...]] = get_args(Loss)
 MIN_CURVATURE: Final = 0.5
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NormalPrior:
     """Prior of the parameters: independent normal distributions."""
@@ -82,7 +81,6 @@ class Quadratic(NamedTuple):
         return float(-(2.0 * self.gradient + self.hessian @ step) @ step)
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cost:
     """Deviance: sum of the losses of residuals, and of the squares of the prior.
@@ -193,7 +191,6 @@ NOTHING_FREE: Final = "no parameter is free"
 EXHAUSTED: Final = "the maximum number of iterations was reached"
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LeastSquares:
     """Levenberg-Marquardt method with bounds, robust loss, priors and several starts.
@@ -298,7 +295,6 @@ class LeastSquaresFit(NamedTuple):
     reason: str
 
 
-@final
 class LeastSquaresSearch:
     """Running descents from all starts, advanced by the residuals of the points they request."""
 
@@ -372,7 +368,6 @@ def fit(search: LeastSquaresSearch, residuals: Residuals) -> LeastSquaresFit:
     return search.fits[0]
 
 
-@final
 class Descent:
     """Least-squares fit of some parameters from one start, or from the best of several (c, n).
 
@@ -626,7 +621,6 @@ def bounded_step(model: Quadratic, damping: float, low: FloatArray, high: FloatA
 # --- derivatives by differences -----------------------------------------------------------------
 
 
-@final
 class Differences:
     """Finite-difference derivatives at one point after another.
 

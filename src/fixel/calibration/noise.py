@@ -102,7 +102,6 @@ class Noise:
         return f"noise {1e3 * self.position_m:.3g} mm, {1e3 * self.angle_rad:.3g} mrad ({how})"
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Dispersion:
     """Mean deviance of one independent measurement, with its degrees of freedom."""

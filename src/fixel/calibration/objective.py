@@ -7,7 +7,7 @@ import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Final, NamedTuple, final
+from typing import ClassVar, Final, NamedTuple
 
 import numpy as np
 
@@ -46,7 +46,6 @@ class AbstractError(abc.ABC):
         poses: x, y [m], angle within half a turn [rad]."""
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeanSquare(AbstractError):
     """Error E of the thesis: mean squared distance of poses, angles times a length [mm^2].
@@ -62,7 +61,6 @@ class MeanSquare(AbstractError):
         return np.asarray(_squares(difference, self.angle_scale).mean(axis=1))
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RootMeanSquare(AbstractError):
     """Error f of the ASME paper: norm of the root mean squares of x, y and L theta [mm].
@@ -77,7 +75,6 @@ class RootMeanSquare(AbstractError):
         return np.asarray(np.sqrt(_squares(difference, self.angle_scale).mean(axis=1)))
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EndPose(AbstractError):
     """Squared distance of the last poses, for data with few other poses [mm^2]."""
@@ -89,7 +86,6 @@ class EndPose(AbstractError):
         return _squares(difference[:, -1:], self.angle_scale)[:, 0]
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Robust(AbstractError):
     """Mean square error that grows linearly above a distance, robust to outliers [mm^2].
@@ -124,7 +120,6 @@ class Evaluation(NamedTuple):
     reasons: list[str]  # reason of a failure, else empty
 
 
-@final
 class Comparer:
     """Comparison of experiments with simulations at points of a parameter space.
 

@@ -269,7 +269,6 @@ class MultiStart(AbstractOptimiser):
         )
 
 
-@final
 class MultiStartSearch(Search):
     """Parallel searches that are running."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -107,7 +107,6 @@ class Profiles(NamedTuple):
         )
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProfileLikelihood:
     """Fix an unknown, fit the others, step outwards until the deviance has risen by the threshold.
@@ -161,7 +160,6 @@ class ProfileLikelihood:
         return ProfileSearch(self, box, given, threshold, self.descent.cost(prior), fitted)
 
 
-@final
 class ProfileSearch:
     """Running profiles, advanced by residuals; the same residuals give the same points."""
 
@@ -481,7 +479,6 @@ def _run(descent: Descent) -> Task:
         descent.tell((yield descent.ask()))
 
 
-@final
 class Tasks:
     """Several tasks whose points are combined into batches of at most `most` points.
 

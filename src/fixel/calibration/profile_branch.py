@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -62,7 +62,6 @@ class Node(NamedTuple):
     point: FloatArray  # (n,) point of the minimum
 
 
-@final
 class ProfileBranch:
     """Fixed values of one unknown on one side of the optimum, upwards (sign +1) or downwards (-1).
 
@@ -250,7 +249,6 @@ class Slice(NamedTuple):
     high: float | None
 
 
-@final
 class Slicer:
     """Computation of a slice in both directions, in a few rounds.
 

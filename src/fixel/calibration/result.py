@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from functools import cached_property
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -49,7 +49,6 @@ class FitKind(StrEnum):
         return self in (FitKind.ALONE, FitKind.NEIGHBOUR)
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParameterSet:
     """Set of parameters for one experiment or for several."""
@@ -96,7 +95,6 @@ class ParameterSet:
         return found if len(found) > 1 else []
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CalibrationResult:
     """Complete result of a calibration."""
@@ -346,7 +344,6 @@ def near_best(tried: Evaluations, series: Sequence[FloatArray]) -> NearOptimal |
     return near_optimal(np.array(tried.values), np.array(tried.error), rise, names=tried.names)
 
 
-@final
 @dataclass(frozen=True)
 class CalibratedValues:
     """Calibrated parameters with the method that found them."""

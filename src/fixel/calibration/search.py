@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Final, NamedTuple, TypeVar, final
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -102,7 +102,6 @@ class Question(NamedTuple):
 Steps = Generator[Question, Sequence[PartAnswer], T]
 
 
-@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CalibrationTask:
     """Experiments to calibrate, and the method; what answers to questions depend on.
@@ -157,7 +156,6 @@ class CalibrationTask:
         )
 
 
-@final
 class CalibrationSearch:
     """Search for the parameters of a task, its used budget, and the best point found so far.
 

@@ -19,7 +19,7 @@ import zlib
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final, final
+from typing import Any, Final
 
 import sqlalchemy as sa
 
@@ -189,7 +189,6 @@ def _copy_video(digest: str, source: Store, target: Store) -> None:
 # --- records ------------------------------------------------------------------------------------
 
 
-@final
 class _Copy:
     """Copy of records from one store to another, each in its own transaction.
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, Concatenate, Final, NamedTuple, ParamSpec, Protocol, TypeVar, final
+from typing import Any, Concatenate, Final, NamedTuple, ParamSpec, Protocol, TypeVar
 
 import numpy as np
 import sqlalchemy as sa
@@ -71,7 +71,6 @@ class AddResult(NamedTuple):
     replaced: int | None = None  # earlier experiment of the same name
 
 
-@final
 class Store:
     """Experiments, simulations, parameters, calibrations and filter runs of one project.
 

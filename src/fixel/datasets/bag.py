@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar, Final, NamedTuple, final
+from typing import Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 import scipy  # which loads `scipy.spatial` when it is used
@@ -33,7 +33,6 @@ _OPTIONS: Final = {
 }
 
 
-@final
 class BagImporter(Importer):
     """Importer of poses in MCAP files and bags; one experiment for each push."""
 

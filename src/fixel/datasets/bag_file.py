@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import scipy  # which loads `scipy.spatial` when it is used
@@ -52,7 +52,6 @@ class Message(NamedTuple):
     content: Any
 
 
-@final
 @dataclass
 class FrameTrack:
     """Poses of a frame, or of a topic, in its parent frame."""
@@ -83,7 +82,6 @@ class FrameTrack:
             self.rotation, self.turned = self.rotation * self.rotation.from_quat(_FLIP), True
 
 
-@final
 @dataclass
 class Bag:
     """Tracks by the name of their frame or topic, and texts by topic with their log times."""

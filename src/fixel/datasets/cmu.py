@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +58,6 @@ FINGER_POSE = ("t", "x_mm", "y_mm", "qz", "qw")
 POSES = tuple(f"obj_{axis}{end}" for end in "01" for axis in ("x", "y", "th"))
 
 
-@final
 class CmuTripod(Importer):
     """Importer of pushes with force, of a block on three machined points or on its face."""
 
@@ -253,7 +252,6 @@ UNKNOWN = (
 NO_SUPPORT = remark("no-support", "the positions of the three support points were not recorded")
 
 
-@final
 class CmuTwoPoint(Importer):
     """Importer of stable pushes by two parallel fingers, with repeated starts."""
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from datetime import timedelta
 from itertools import chain
 from pathlib import Path
-from typing import Any, Final, TextIO, final
+from typing import Any, Final, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +43,6 @@ _MISSING: Final = ("None", "nan", "NaT", "<NA>", "--")  # as NumPy and pandas pr
 _USUAL: Final = re.compile(r"[-+.0-9eE ]*")  # characters of numbers, but not of `nan` or `1_0`
 
 
-@final
 @dataclass(frozen=True, slots=True)
 class CsvRows:
     """Rows of a CSV file, stored as text and converted to numbers on request."""

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
-from typing import ClassVar, Final, final
+from typing import ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +45,6 @@ NOMINAL: Final = {
 }
 
 
-@final
 class MitPush(Importer):
     """Importer of straight pushes of steel plates by a round tip."""
 
@@ -79,7 +78,6 @@ def has_pushes(folder: Path) -> bool:
     return has_files(folder, TABLES, (records.SHAPES,))
 
 
-@final
 @dataclass(frozen=True, kw_only=True)
 class MitPushes:
     """Pushes of the end-point set; every array has one row for each."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -38,7 +38,6 @@ MAX_LOST = 0.05
 STANDSTILL = 0.02
 
 
-@final
 class MitPusherSlider(Importer):
     """Importer of runs of a round pusher that steers a steel square, at full rate."""
 

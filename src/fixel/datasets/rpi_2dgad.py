@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +44,6 @@ INVALID_MODE = 8
 OUTLINE_UNKNOWN = 17
 
 
-@final
 class Rpi2dgad(base.Importer):
     """Importer of grasp acquisition trials filmed from above."""
 

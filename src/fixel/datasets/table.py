@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, ClassVar, Final, NamedTuple, final
+from typing import Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 
@@ -102,7 +102,6 @@ _SETTABLE = ("length", "angle", "speed", "turning", "ratio", "count")
 _GROUPS = {"force": "force", "torque": "force", "bool": "tactile"}
 
 
-@final
 class CsvTable(Importer):
     """Importer of any table with time and pose of one object; one experiment per file."""
 

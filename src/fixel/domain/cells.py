@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, Final, final
+from typing import Any, Final
 
 import numpy as np
 
@@ -105,7 +105,6 @@ MAX_CELLS: Final = 2500
 SAME_VALUE: Final = 1e-9  # difference of values that count as equal, over the extent
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellAxis:
     """Coordinate divided into cells."""
@@ -258,7 +257,6 @@ def _ranges(name: str, edges: FloatArray) -> CellAxis:
     return CellAxis(name=name, centres=tuple(centres.tolist()), edges=tuple(edges.tolist()))
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cells:
     """Cells of a map."""

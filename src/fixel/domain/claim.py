@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple
 
 from fixel.domain.evidence import Measure, threshold_score
 from fixel.errors import InvalidInput
@@ -19,7 +19,6 @@ PREDICTED: Final = "predicted"  # no data, but a predicted bound below the thres
 COLOURS: Final = (TRUSTED, DOUBTFUL, NOT_TRUSTED, NO_DATA, PREDICTED)
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Claim:
     """Claim that is true for trusted (blue) cells."""

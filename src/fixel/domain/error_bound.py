@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -57,7 +57,6 @@ TINY: Final = 1e-300
 Labels = Sequence[Hashable]
 
 
-@final
 @dataclass(frozen=True, slots=True, eq=False)
 class ConformalBound:
     """Bounds on errors that hold with a stated probability; made by `ConformalBound.fit`."""

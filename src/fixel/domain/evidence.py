@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final, Literal, final
+from typing import Final, Literal
 
 import numpy as np
 
@@ -23,7 +23,6 @@ FOLDS: Final = 5
 MANY: Final = 2000  # experiments above which two folds are sufficient
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HeldOutErrors(Comparable):
     """Held-out errors, one row per experiment."""

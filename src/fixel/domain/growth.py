@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Final, Literal, NamedTuple, final
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -104,7 +104,6 @@ def along(axis: str, step: int) -> AxisPlace:
     return AxisPlace(axis, step) if step else NOMINAL
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExperimentGroup:
     """Experiments of one shape and layout."""
@@ -143,7 +142,6 @@ class ExperimentGroup:
         return [place for place in dict.fromkeys(places) if place not in self.at]
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SingleCalibrations:
     """Results of the calibrations of single experiments."""
@@ -252,7 +250,6 @@ class Step(NamedTuple):
         return None if self.reason else float(self.errors.max())
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Growth:
     """Growth of the domains of all groups."""

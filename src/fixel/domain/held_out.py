@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -56,7 +56,6 @@ class Apart(NamedTuple):
     seed: int = 0
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationModel:
     """Parameters to calibrate, and the method of simulation."""

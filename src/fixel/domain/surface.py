@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -41,7 +41,6 @@ class CellObservations(NamedTuple):
     squares: FloatArray  # (m,) sum of squared deviations from the mean
 
 
-@final
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
     """Posterior of the scores of every cell of every map, in several versions."""

@@ -12,7 +12,7 @@ from itertools import chain, zip_longest
 from operator import methodcaller
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -51,7 +51,6 @@ vline = partial(methodcaller, "axvline")
 vspan = partial(methodcaller, "axvspan")
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Chart:
     """Figure with its data as a table."""

@@ -12,7 +12,7 @@ import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import Any, Final, final
+from typing import Any, Final
 
 import numpy as np
 
@@ -54,7 +54,6 @@ USUAL_SPEED: Final = 15.0  # radii a second of the agent, for the units of the s
 _pools: dict[tuple[int, int], ThreadPoolExecutor] = {}
 
 
-@final
 class PushMotion:
     """Quasi-static motion of n bodies under n round agents, in a unit of length of their own.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Final, final
+from typing import Final
 
 import numpy as np
 import shapely
@@ -27,7 +27,6 @@ MARGIN: Final = 8.0  # [px] between a start of a push and the border of the tabl
 CHOOSE, LEAVE, TURN, ENTER, PUSH = range(5)
 
 
-@final
 class PushTPlanner:
     """Policy that simulates many pushes in a world, and carries out the best one.
 

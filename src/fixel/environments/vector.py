@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any, ClassVar, Final, TypedDict, final
+from typing import Any, ClassVar, Final, TypedDict
 
 import gymnasium as gym
 import numpy as np
@@ -343,7 +343,6 @@ _OF_EXPERIMENTS: Final = ("registration_", "outline_", "start_")
 _OF_ONE_PART: Final = ("tripod_", "support_", "ellipsoid_")
 
 
-@final
 class WorldDraws:
     """Parameters of a scene in n environments, drawn again for each episode.
 

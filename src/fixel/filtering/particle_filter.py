@@ -16,7 +16,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Annotated, Final, NamedTuple, final
+from typing import Annotated, Final, NamedTuple
 
 import numpy as np
 
@@ -38,7 +38,6 @@ from fixel.simulation import AbstractMotionModel, FirstOrder, QuasiStatic
 from fixel.typing import BoolArray, FloatArray
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParticleFilter:
     """Options of a particle filter.
@@ -131,7 +130,6 @@ MAX_WALK: Final = 5e-4
 RIGHT: Final = 0.5  # [-]
 
 
-@final
 @dataclass(frozen=True, slots=True)
 class UniformPrior:
     """Independent uniform beliefs about parameters.

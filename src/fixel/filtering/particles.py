@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -63,7 +63,6 @@ def gathered(sights: Sequence[FrameMeasurement]) -> FrameMeasurement:
     return last
 
 
-@final
 @dataclass(slots=True)
 class Particles:
     """Particles at one instant. Arrays have one row for each particle."""
@@ -108,7 +107,6 @@ class Particles:
             setattr(self, name, column)
 
 
-@final
 class Mechanics:
     """Mechanics that move particles through frames of a scene with a drive that stalls."""
 
@@ -282,7 +280,6 @@ def reading_likelihood(
     return np.asarray(np.sum(np.log(both), axis=1)), np.asarray(likely / both)
 
 
-@final
 class FixelGaps:
     """Distances from the one free body of a scene to every fixel, for many poses at a time."""
 

@@ -390,7 +390,6 @@ STEP: Final = 5e-4  # [m] of the pusher's way in one step of these simulations
 KNOWN: Final = 1e-9  # [m], [rad]: deviations below it say that the noise is not known
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FilterMisfit:
     """Residuals of a simulation without correction by the camera, and the noise of the camera."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from itertools import pairwise
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -72,7 +72,6 @@ class Move(NamedTuple):
     prior_ratio: FloatArray  # (n,) see `Unknowns.proposed`
 
 
-@final
 class RunningFilter:
     """A particle filter at work: `step` once a frame.
 

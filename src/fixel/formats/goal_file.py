@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, Final, Literal, final
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
@@ -146,7 +146,6 @@ class GoalFileRecord(records.FileRecord):
     want: WantRecord = Field(WantRecord(success=0.95, confidence=0.95), description="wanted")
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GoalFile:
     """Content of a goal file."""

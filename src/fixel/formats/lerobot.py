@@ -12,7 +12,7 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +61,6 @@ PUSH_T_FPS: Final = 10
 PUSH_T_TASK: Final = "Push the T-shaped block onto the T-shaped target."
 
 
-@final
 @dataclass(slots=True)
 class _Dataset:
     """Counts and metadata of the episodes written so far."""

@@ -20,7 +20,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Final, final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,7 +69,6 @@ RIG_FILE: Final = "rig.yaml"
 SCENE_FILE: Final = "scene.yaml"
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Recording:
     """Recording that has been loaded and checked."""
@@ -227,7 +226,6 @@ RESERVED: Final = 65536  # [bytes]
 FOLDER: Final = "a folder that can be created and written to"
 
 
-@final
 class RecordingWriter:
     """Writer of a recording, frame by frame and without buffering, into a new folder.
 

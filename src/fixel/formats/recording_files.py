@@ -16,7 +16,7 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple
 
 from fixel.errors import InvalidInput, check_name
 from fixel.io.atomic import usable, write_whole
@@ -35,7 +35,6 @@ MICRO: Final = 1_000_000
 MAX_PIXELS: Final = 89_000_000  # of a picture; decoders take more for an attack
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingHeader:
     """Header of a recording, written before the first frame."""

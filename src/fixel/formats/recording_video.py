@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -133,7 +133,6 @@ LOSSLESS: Final = "magicyuv"
 StoredPacket = tuple[int, int, int]
 
 
-@final
 class VideoSink:
     """Writer of pictures of (width, height) [px] to a new video, without buffering in the process.
 

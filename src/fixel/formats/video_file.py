@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final
 
 import numpy as np
 
@@ -44,7 +44,6 @@ BRIGHT_FIRST: Final = frozenset(
 )
 
 
-@final
 @dataclass(slots=True, kw_only=True)
 class VideoFile:
     """Video file that can be read frame by frame."""
@@ -107,7 +106,6 @@ def open_video(path: str | Path, *, threads: int = 0) -> VideoFile:
         )
 
 
-@final
 class VideoWriter:
     """Writer of a video file; the file appears only when it is complete.
 
@@ -193,7 +191,6 @@ class VideoWriter:
             self.abandon()
 
 
-@final
 class _FilmCheck:
     """Check of time stamps, which must increase, and count of what could not be decoded."""
 

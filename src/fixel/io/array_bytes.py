@@ -13,7 +13,7 @@ import zipfile
 from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -80,7 +80,6 @@ def stored_in(folder: str | PathLike[str] | None) -> Path | None:
     return path
 
 
-@final
 class ResultCache:
     """Results by name in a folder, each with a checksum of its inputs; without one, not stored."""
 

@@ -18,7 +18,7 @@ import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import BinaryIO, Final, NamedTuple, Self, final
+from typing import BinaryIO, Final, NamedTuple, Self
 
 from fixel.errors import FULL, InvalidInput, JobRefused, os_reason
 from fixel.io.atomic import sync_folder, written_whole
@@ -39,7 +39,6 @@ class _Position(NamedTuple):
     length: int
 
 
-@final
 class Journal:
     """Journal that is open for writing, by this process only; its file is created if missing.
 

@@ -14,7 +14,7 @@ import socket
 import sys
 import time
 from pathlib import Path
-from typing import Final, NamedTuple, Self, final
+from typing import Final, NamedTuple, Self
 
 from fixel.errors import JobRefused
 
@@ -38,7 +38,6 @@ class Owner(NamedTuple):
 UNKNOWN: Final = Owner("", 0)
 
 
-@final
 class FileLock:
     """Lock on a file of its own, until `release` or the end of the process.
 

@@ -18,7 +18,7 @@ from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path, PurePath
 from types import MappingProxyType, UnionType
-from typing import Any, Final, Literal, Union, final, get_args, get_origin, get_type_hints
+from typing import Any, Final, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -268,7 +268,6 @@ def _sequence_of(kind: type) -> str:
     return next((own.name for own in parameters if own.kind is own.VAR_POSITIONAL), "")
 
 
-@final
 class _Decoder:
     """Inverse of `_encoded`; each array is loaded once."""
 

@@ -14,7 +14,7 @@ import time
 import traceback
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final
 
 from fixel.errors import FixelError, JobRefused, counted
 from fixel.io.atomic import write_whole
@@ -154,7 +154,6 @@ def _check_unchanged(folder: Path, job: Job, run: RunSettings) -> None:
         )
 
 
-@final
 class _StateWriter:
     """Writer of the state and the log of a job."""
 

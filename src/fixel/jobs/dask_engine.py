@@ -19,7 +19,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Self, final
+from typing import Any, Final, NamedTuple, Self
 
 from fixel.errors import JobRefused
 from fixel.jobs import link, work
@@ -32,7 +32,6 @@ MAX_BACK_OFF_S: Final = 60.0
 MAX_REFUSALS: Final = 3
 
 
-@final
 class DaskEngine(work.AbstractEngine):
     """Engine that answers chunks on several workers, which share the folder of the job.
 
@@ -182,7 +181,6 @@ class DaskEngine(work.AbstractEngine):
             self._cluster = None
 
 
-@final
 class _RoundState:
     """Chunks of a round: waiting ones, those with workers, and those without an answer."""
 
@@ -258,7 +256,6 @@ class Event(NamedTuple):
     version: str = ""  # fixel of the worker, if it is not this one
 
 
-@final
 class Cluster:
     """Connection to one Dask scheduler, from its start to its end.
 

@@ -19,7 +19,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple
 
 from fixel.errors import InvalidInput, JobRefused
 from fixel.jobs import link
@@ -54,7 +54,6 @@ class AbstractPool(abc.ABC):
         return ""
 
 
-@final
 class LocalPool(AbstractPool):
     """Pool of `size` worker processes on this machine; they end with this process.
 
@@ -285,7 +284,6 @@ def _slurm_job() -> Any:
     return SLURMJob
 
 
-@final
 class SlurmPool(AbstractPool):
     """Pool of `size` workers as SLURM jobs; takes over those of an interrupted session.
 

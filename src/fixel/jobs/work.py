@@ -19,7 +19,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Final, NamedTuple, Self, final
+from typing import Final, NamedTuple, Self
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -249,7 +249,6 @@ def _check_stop(stop: Stop | None) -> None:
 _STAGE: ContextVar[Callable[[Progress], None] | None] = ContextVar("stage", default=None)
 
 
-@final
 class _Tally:
     """Counter of chunks and of the rate at which they are answered."""
 
@@ -334,7 +333,6 @@ running = threading.Event()  # a chunk is being computed
 lost = threading.Event()  # no scheduler listens
 
 
-@final
 class LocalEngine(AbstractEngine):
     """Engine that computes one chunk after the other in this process; functions use all cores."""
 

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection, wait
-from typing import Any, Final, final
+from typing import Any, Final
 
 from fixel.errors import JobRefused
 
@@ -27,7 +27,6 @@ class CallCancellation(Exception):
     """Exception raised when the caller does not wait for the answer any more."""
 
 
-@final
 class WorkerProcess:
     """Process that calls a function, one call at a time, each within a time limit [s].
 

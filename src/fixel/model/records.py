@@ -20,7 +20,6 @@ from fixel.typing import FloatArray
 from fixel.units import displayed
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SimulationRecord(Comparable):
     """Simulation of a stored experiment."""
@@ -41,7 +40,6 @@ class SimulationRecord(Comparable):
         settle(self, method=MappingProxyType(dict(sorted(self.method.items()))))
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Evaluations(Comparable):
     """All parameter sets that a calibration evaluated, in order."""
@@ -62,7 +60,6 @@ class Evaluations(Comparable):
         settle(self, names=tuple(self.names), values=values, error=error, reasons=reasons)
 
 
-@final
 @dataclass(frozen=True, slots=True)
 class Member:
     """Experiment used in a calibration."""
@@ -261,7 +258,6 @@ _STORED: Final = (
 )
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProfileRecord:
     """Profile likelihood of one parameter, as stored with the result of a calibration."""
@@ -288,7 +284,6 @@ class ProfileRecord:
         return float(self.values[int(np.argmin(self.deviances))])
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CalibrationRecord(Comparable):
     """Finished calibration."""
@@ -359,7 +354,6 @@ class CalibrationRecord(Comparable):
         return max(member.error_mm2 for member in self.members)
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FilterParameters(Comparable):
     """Settings of a filter that estimates poses and parameters during a run."""
@@ -374,7 +368,6 @@ class FilterParameters(Comparable):
         settle(self, values=MappingProxyType(dict(sorted(self.values.items()))))
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FilterRecord(Comparable):
     """Result of a filter for a stored experiment."""

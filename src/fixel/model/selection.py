@@ -12,7 +12,7 @@ import re
 import shlex
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal, NamedTuple, cast, final
+from typing import Any, Final, Literal, NamedTuple, cast
 
 from fixel.errors import InvalidInput, check_name, closest, number_of, unknown_name
 from fixel.model.experiment import Experiment, Flag
@@ -87,7 +87,6 @@ class Bound(NamedTuple):
         return self.value * abs(self.value) if self.name in SQUARES else self.value
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExperimentQuery:
     """Criteria that select experiments, their order, and one page of them."""
@@ -281,7 +280,6 @@ def described(experiment: Experiment, number: int) -> tuple[ExperimentRow, Exper
     return row, ExperimentDetails(has_scene=experiment.scene is not None, flags=experiment.flags)
 
 
-@final
 @dataclass(frozen=True, slots=True)
 class KnownNames:
     """Datasets, flags, and conditions with their texts, which filters may name."""

@@ -89,7 +89,6 @@ class Parameter:
             settle(self, start=mean, prior=(mean, positive(sd, "parameter.prior")))
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Unknown(Comparable):
     """Value to calibrate.
@@ -241,7 +240,6 @@ def values_under(
     return found
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ParameterSpace(Comparable):
     """Unknowns of a calibration with their bounds.

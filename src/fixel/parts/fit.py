@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -52,7 +52,6 @@ UNPUSHED: Final[Mapping[str, Marginal]] = {
 NAMES: Final = tuple(UNPUSHED)
 
 
-@final
 @dataclass(frozen=True, slots=True, eq=False)
 class SupportPrior:
     """Normal distribution of the support parameters of a part."""
@@ -288,7 +287,6 @@ STEP: Final = 0.1  # [s]
 LOST_PUSH: Final = 20e-3  # distance that a push counts that cannot be simulated [m]
 
 
-@final
 class PartPushes:
     """Pushes of one part on one surface, each of one free body by one round pusher."""
 

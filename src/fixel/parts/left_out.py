@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Final
 
 import numpy as np
 
@@ -25,7 +25,6 @@ LADDER: Final = (0, 1, 2, 3, 5, 10, 20, 40)
 Groups = Mapping[tuple[str, str], fit.PartPushes]  # by surface and part
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LeftOutEnds:
     """Predictions of parts that were left out as a whole."""

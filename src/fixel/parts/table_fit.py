@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple
 
 import numpy as np
 import scipy.sparse
@@ -55,7 +55,6 @@ SMALLEST: Final = 1e-4  # share of the largest variance, below which directions 
 _OF_LOADS: Final = ("load_", "pressure_", "table_", "support_", "tripod_")
 
 
-@final
 class StandingPart:
     """Pushes of one part with its calibrated values, and derivatives of their ends by loads.
 
@@ -182,7 +181,6 @@ class StandingPart:
         return np.asarray(factor - np.einsum("pi,nim->npm", plane, np.linalg.solve(square, right)))
 
 
-@final
 class MapGrid(NamedTuple):
     """Nodes of a map, with the square root of the prior covariance of their values."""
 

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,7 +33,6 @@ MIN_SHARE: Final = 0.01  # share explained from which an unknown has a region of
 TOLERANCES: Final = (0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0)
 
 
-@final
 @dataclass(frozen=True, slots=True)
 class FailureRegion:
     """Values of an unknown where a plan fails most."""
@@ -46,7 +45,6 @@ class FailureRegion:
     scenarios: float  # share of these scenarios that lie there
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UnknownEffect:
     """Effect of one unknown on the success of a plan."""
@@ -68,7 +66,6 @@ class UnknownEffect:
     success: tuple[Probability, ...]
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False, eq=False)
 class Explanation(Result):
     """Reasons why a plan fails, from its margins in scenarios with known unknowns.

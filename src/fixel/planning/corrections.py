@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -77,7 +77,6 @@ class Correction(NamedTuple):
         return self.at((np.arange(len(order))[:, None], order))
 
 
-@final
 @dataclass(frozen=True, eq=False)
 class CorrectionTable:
     """Pushes of a part away from fixels, simulated in samples of what is unknown."""

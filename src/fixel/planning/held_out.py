@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final, final
+from typing import Final
 
 import numpy as np
 
@@ -42,7 +42,6 @@ BINS: Final = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 1.0)
 Fit = Callable[[Sequence[Experiment], int], CalibratedModel]
 
 
-@final
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class HeldSuccess(Result):
     """Stated success of chosen pushes, and whether their recorded ends met the goals."""

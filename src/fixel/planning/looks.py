@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -70,7 +70,6 @@ class Walk(NamedTuple):
     probability: FloatArray  # (n,) stated then for that push
 
 
-@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Looks:
     """Looks at the part after the planned pushes, each with a correction, and their worth.
@@ -122,7 +121,6 @@ class Looks:
         ]
 
 
-@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Policy:
     """Planned pushes, and corrections from a table, in one simulator."""

@@ -23,7 +23,6 @@ from fixel.typing import FloatArray, IntArray
 SAME: Final = 1e-7
 
 
-@final
 @dataclass(frozen=True, slots=True, eq=False)
 class PushFunction(Comparable):
     """Angles at which a part comes to rest on a wide fence that pushes it.

@@ -44,7 +44,6 @@ ARC: Final = 8  # waypoints of a push on which the tool turns
 CLEARANCE: Final = 0.25  # from the part where the tool is put down, relative to the part's radius
 
 
-@final
 @dataclass(frozen=True, slots=True)
 class PlanPush:
     """Push of a part by a free tool, relative to the part."""
@@ -68,7 +67,6 @@ class PlanPush:
         )
 
 
-@final
 @dataclass(frozen=True, slots=True)
 class RigPush:
     """Push on a rig with one straight axis: where the part is placed, and the stroke."""

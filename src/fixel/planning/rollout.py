@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -80,7 +80,6 @@ class PlannedMotions(NamedTuple):
         return own
 
 
-@final
 @dataclass(kw_only=True, eq=False)
 class PlanSimulator:
     """Simulates plans of one scene."""

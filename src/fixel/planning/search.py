@@ -8,7 +8,7 @@ from collections.abc import Callable, Generator, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from importlib import import_module
-from typing import Final, NamedTuple, TypeVar, final
+from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 from scipy.special import expit
@@ -115,7 +115,6 @@ class Views(NamedTuple):
 UNSEEN: Final = Views()  # no look
 
 
-@final
 @dataclass(kw_only=True, eq=False)
 class PlanSearch:
     """Search for the plan that most often reaches a goal."""
@@ -505,7 +504,6 @@ def soft_score(margins: FloatArray, worlds: int) -> FloatArray:
 WIDTH: Final = 0.05  # standard deviation of the first plans, in shares of the ranges
 
 
-@final
 class PlanRefinement:
     """Search by CMA-ES about one plan (k, d), with the best plan so far and its score.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -94,7 +94,6 @@ def rate_quantile(
     return np.asarray(np.quantile(moved, at, axis=-1, method="weibull"))
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False, eq=False)
 class SuccessProbability(Result):
     """Success probability of one plan, from scenarios that were not used to find it.

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cache
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.special import betainc, betaincinv, betaln
@@ -35,7 +35,6 @@ MET: Final = "met"
 PoseTuple = tuple[float, float, float]
 
 
-@final
 @dataclass(frozen=True, slots=True)
 class PlanTrial:
     """One execution of a plan.
@@ -82,7 +81,6 @@ class PlanTrial:
                 settle(self, **{where: tuple(vector(pose, where, POSE).tolist())})
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False, eq=False)
 class Trials(Result):
     """Executed trials of one plan, and the success probability stated before them.

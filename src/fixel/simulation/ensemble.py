@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
-from typing import Any, final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +38,6 @@ MAX_BARE_POSES = 5 * MAX_POSES
 _Use = Callable[[IntArray, PackedBatch, BatchRecord], None]
 
 
-@final
 class Ensemble:
     """Set of scenes that are simulated many times, each with one free body and at most one pusher.
 

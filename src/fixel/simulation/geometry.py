@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple
 
 import numpy as np
 import shapely
@@ -30,7 +30,6 @@ MAX_KEPT: Final = 64  # simplified outlines that are stored
 POSE: Final = "x [m], y [m], angle [rad]"
 
 
-@final
 @dataclass(frozen=True, slots=True)
 class Gap:
     """Signed distance of two shapes with normal and witness points.

@@ -149,7 +149,6 @@ class FirstOrder(_BuiltInMotion):
     kind: ClassVar[int] = codes.FIRST_ORDER
 
 
-@final
 @dataclass(frozen=True, slots=True)
 class OtherEngine(AbstractMotionModel):
     """Another simulator, instead of fixel's own equations of motion.

@@ -11,7 +11,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from statistics import median
-from typing import Any, NamedTuple, TypeVar, final
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -196,7 +196,6 @@ def _items(scene: Scene) -> list[Body | Pusher | Fixel]:
     return [*scene.bodies, *scene.pushers, *scene.fixels]
 
 
-@final
 class _Same:
     """Objects as the key of a cache: themselves, since hashing their arrays takes longer than
     packing them. No array of a scene can be written to."""
@@ -475,7 +474,6 @@ def _scaled_poses(pose: FloatArray, com: FloatArray, length: float) -> FloatArra
     return np.ascontiguousarray(pose.reshape(-1, 3) / np.array([length, length, 1.0]))
 
 
-@final
 class Template:
     """Scene as arrays, to be completed by the quantities that vary between rollouts, for a method
     and a characteristic speed [m/s], by default the scene's own."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Final, final
+from typing import Final
 
 WRAP: Final = 2**32  # the device counts microseconds in 32 bits: 71.6 minutes
 BIN: Final = 0.5  # [s] the shortest exchange of each such interval is stored
@@ -17,7 +17,6 @@ DELAY: Final = 1.0  # [s] largest age of a stamp of this computer's clock
 RESET: Final = 5.0  # [s] of change in the delay: the camera's clock was set
 
 
-@final
 @dataclass(slots=True)
 class DeviceClock:
     """Offset and drift between the clock of a device and that of the host.
@@ -104,7 +103,6 @@ class DeviceClock:
         self.room = min(half for _, _, half in self._kept)
 
 
-@final
 class CaptureClock:
     """Conversion of a camera's time stamps to `time.monotonic`.
 

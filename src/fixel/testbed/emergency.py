@@ -19,7 +19,7 @@ import tempfile
 import threading
 import time
 from pathlib import Path
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple
 
 from fixel.errors import DeviceFailed, InvalidInput
 from fixel.io.lock import is_running
@@ -38,7 +38,6 @@ class Running(NamedTuple):
     guard: int  # process id of its guard; 0 without a guard
 
 
-@final
 class StopGuard:
     """Separate process that stops the drive when this one cannot.
 

@@ -10,7 +10,7 @@ from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Final, final
+from typing import Final
 from urllib.parse import quote
 
 import numpy as np
@@ -30,7 +30,6 @@ STAMP: Final = "X-Timestamp"  # capture time of a part [s], as mjpg-streamer sen
 SIMULATED: Final = "X-Fixel-Simulated-By"  # marks rendered films as simulated
 
 
-@final
 class FileSource(FrameSource):
     """File played at the rate of its recording, or as fast as it is read.
 
@@ -110,7 +109,6 @@ class FileSource(FrameSource):
             yield frame.time, CameraPicture(0.0, pixels=frame.picture)
 
 
-@final
 class PlayedTactile:
     """Readings of a recording, as if its fixels were read while it is played.
 
@@ -144,7 +142,6 @@ class PlayedTactile:
         return TactileReading(bits=bits, time=now)
 
 
-@final
 class LoopbackCamera:
     """Server that plays a film to every client from its beginning, at its own rate.
 

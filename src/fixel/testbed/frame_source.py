@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Final, NamedTuple, NoReturn, final
+from typing import Final, NamedTuple, NoReturn
 
 from fixel.errors import FixelError, InvalidInput
 from fixel.formats.recording_video import REDUCED, brightness, decoded, jpeg_size, shrunk
@@ -29,7 +29,6 @@ class Stream(NamedTuple):
     simulated_by: str = ""  # program that rendered the pictures; empty for a camera
 
 
-@final
 @dataclass(slots=True)
 class CameraPicture:
     """Picture as it arrived."""
@@ -110,7 +109,6 @@ CATCHING_UP: Final = 0.15  # [s] for which pictures may be late after a delay
 ENDS_WITHIN: Final = 5.0  # [s]
 
 
-@final
 class FrameQueue:
     """Pictures of a source, in order; those that are dropped are counted.
 
@@ -217,7 +215,6 @@ MISSING: Final = 5.0  # pictures that are missing then, at the measured rate
 RECENT: Final = 0.1  # weight of the newest picture in the measured interval
 
 
-@final
 class SharedCamera:
     """Camera that stays open; `view` returns a source of its pictures from now on.
 
@@ -301,7 +298,6 @@ class SharedCamera:
             view.put(picture)
 
 
-@final
 class CameraView(FrameSource):
     """Pictures of a shared camera for one reader."""
 

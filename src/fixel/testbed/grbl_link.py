@@ -9,7 +9,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
-from typing import TYPE_CHECKING, Final, NamedTuple, final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from fixel.errors import DeviceFailed, InvalidInput
 from fixel.testbed.serial_port import arrived_within, refusal, resets_on_opening
@@ -208,7 +208,6 @@ PATIENCE: Final = 0.25  # [s] between two attempts
 QUESTIONS: Final = 4
 
 
-@final
 class GrblLink:
     """Lines to a controller and its answers; every method may be called from any thread.
 

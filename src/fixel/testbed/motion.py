@@ -7,7 +7,7 @@ import abc
 import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import ClassVar, Final, NamedTuple, Self, final
+from typing import ClassVar, Final, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -347,7 +347,6 @@ class _AimedActuator(AbstractActuator):
         return self.line.along(self.place())
 
 
-@final
 class ManualActuator(_AimedActuator):
     """Actuator that prompts a person to set and start the drive, and relies on the answers.
 
@@ -434,7 +433,6 @@ class ManualActuator(_AimedActuator):
             ) from None
 
 
-@final
 class SimulatedActuator(_AimedActuator):
     """Actuator that moves as in the simulated testbed: at its own speed, with a ripple.
 

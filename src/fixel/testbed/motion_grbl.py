@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 import threading
-from typing import ClassVar, Final, Self, final
+from typing import ClassVar, Final, Self
 
 import numpy as np
 
@@ -30,7 +30,6 @@ NO_HOMING: Final = (
 SHORT: Final = 0.5  # [s] at rest before the target after which the move has failed
 
 
-@final
 class GrblActuator(motion.AbstractActuator):
     """Axes of a GRBL controller, version 0.9 or 1.1, or of grblHAL or FluidNC.
 

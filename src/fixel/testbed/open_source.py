@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from threading import Event, Timer
-from typing import Any, Final, final
+from typing import Any, Final
 from urllib.parse import SplitResult, unquote, urlsplit
 
 import numpy as np
@@ -61,7 +61,6 @@ TRIES: Final = 10  # failed pictures in a row after which a camera counts as sen
 Capture = Callable[[int | str], Any]
 
 
-@final
 class DeviceSource(FrameSource):
     """Camera selected by number or by device file, such as `"0"` or `"/dev/video0"`.
 
@@ -202,7 +201,6 @@ GARBAGE: Final = 10  # unreadable pictures in a row after which the stream ends
 OPENS_WITHIN: Final = 10.0  # [s] in which the first picture must be complete
 
 
-@final
 class UrlSource(FrameSource):
     """Camera that sends JPEG pictures over HTTP as `multipart/x-mixed-replace`.
 

@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Final, NamedTuple, Protocol, final
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -59,7 +59,6 @@ class RecordingStatus(NamedTuple):
 Watch = Callable[[CameraPicture, RecordingStatus], None]
 
 
-@final
 class FrameRate:
     """Running measurement of the rate of frames and of gaps between them."""
 
@@ -116,7 +115,6 @@ class RecordingSummary(NamedTuple):
         return (self.frames - 1) / self.seconds if self.seconds > 0.0 else 0.0
 
 
-@final
 @dataclass(slots=True, kw_only=True)
 class Recorder:
     """Recorder of one experiment."""
@@ -360,7 +358,6 @@ CHANGE: Final = 6  # [grey levels] of a cell of 8 x 8 pixels: noise is less than
 CELLS: Final = 3  # must change for motion; a part of one centimetre is about two cells wide
 
 
-@final
 class Seating:
     """Detector of a part seated in a contact mode (bits); without one, only pictures decide."""
 

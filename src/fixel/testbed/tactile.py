@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from statistics import median
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self, final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
 from fixel.errors import InvalidInput
 from fixel.model.fields import positive
@@ -30,7 +30,6 @@ COLOURS: Final = ("blue", "red", "green")  # bits 0, 1, 2
 FIXELS: Final = ("green", "red", "blue")  # fixels 1, 2, 3
 
 
-@final
 class TactileReader:
     """Reader of the tactile board, one reading per request.
 
@@ -299,7 +298,6 @@ def _missing(time: float, problem: str) -> TactileReading:
     return TactileReading(bits=None, time=time, problem=problem)
 
 
-@final
 @dataclass(slots=True, kw_only=True)
 class Statistics:
     """Statistics of the communication with the board."""

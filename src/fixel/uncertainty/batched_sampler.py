@@ -14,7 +14,7 @@ random walks in an ellipsoid of the bound.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any, Final, final
+from typing import Any, Final
 
 import numpy as np
 
@@ -26,7 +26,6 @@ Batched = Callable[[FloatArray], FloatArray]
 WORTH: Final = 16
 
 
-@final
 class BatchedSampler:
     """Pool with the interface that dynesty expects.
 

@@ -155,7 +155,6 @@ MIN_DISCREPANCY: Final = 5e-5  # [m]
 MAX_DISCREPANCY: Final = 2e-2  # [m]
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelError:
     """Prior of the standard deviation tau of model error.

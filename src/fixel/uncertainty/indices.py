@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -55,7 +55,6 @@ class Factor(NamedTuple):
         return np.asarray(middle + deviation * ndtri(np.clip(share, 1e-9, 1.0 - 1e-9)))
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Indices:
     """Sobol indices of the outcomes of a model."""

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import partial
-from typing import Final, final
+from typing import Final
 
 import numpy as np
 
@@ -94,7 +94,6 @@ class ParameterPrior:
         return self.transform(rng.random((count, len(self.labels))))
 
 
-@final
 class LogLikelihood:
     """Log likelihood of points for one or several members of a comparer.
 

@@ -44,7 +44,6 @@ MEANING: Final[Mapping[str, str]] = {
 }
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PoseSpread:
     """Size of a cloud of poses."""

@@ -276,7 +276,6 @@ class Posterior(Result):
         return Table(columns, self.points.tolist())
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NestedSampling:
     """Settings of nested sampling."""

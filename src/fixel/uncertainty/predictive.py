@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Protocol, final, runtime_checkable
+from typing import Final, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -41,7 +41,6 @@ REGION: Final = 0.9  # probability that a region is stated to have
 TINY: Final = 1e-6  # deviation that no region is below [m]
 
 
-@final
 @dataclass(frozen=True, slots=True)
 class EndError:
     """Error of predicted ends, by the motion of the part and the spread of its ends.
@@ -73,7 +72,6 @@ class EndError:
         return np.asarray(normal / np.sqrt(rng.exponential(size=(*shape, 1))))
 
 
-@final
 @dataclass(frozen=True, slots=True, eq=False)
 class Predictive:
     """Equally likely parameter sets of a calibration, and the error of ends that they leave."""

@@ -344,7 +344,6 @@ def learn_run_to_run(
     return scatter.with_remainder(left, ends.drawn(scatter, seed), effects.turned)
 
 
-@final
 class _ExperimentEnds:
     """Simulated ends of experiments: positions in radii of gyration, angles in radians."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +51,6 @@ class UsedView(NamedTuple):
     tilt: float  # tilt of its board against the sensor [rad]
 
 
-@final
 @dataclass(frozen=True, slots=True)
 class LensCalibration:
     """Result of a lens calibration."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, Final, final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,7 +28,6 @@ def turned(rotations: FloatArray, angles: FloatArray) -> FloatArray:
     return np.asarray(flat.reshape(*angles.shape[:-1], 3, 3) @ rotations)
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Camera(fields.Comparable):
     """Lens at a place above the plane; projects points to pixels and back.
@@ -158,7 +157,6 @@ class Camera(fields.Comparable):
         return math.sqrt(abs(across[0] * down[1] - across[1] * down[0]))
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeasuredCamera(fields.Comparable):
     """Lens with its place, if known, and the covariance of their errors.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from typing import Any, final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,6 @@ Gray = NDArray[np.uint8]
 LUMA = np.array([0.114, 0.587, 0.299])
 
 
-@final
 class Frame:
     """Picture of a film with its time as recorded in the film [s].
 

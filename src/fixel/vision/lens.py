@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Annotated, final
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,7 +26,6 @@ LOST = 1e-11  # [-] residual from which no direction was found
 FARTHEST_STEP = 0.5  # [-] of Newton's method, for lens models that fold the picture nearby
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lens(Comparable):
     """Lens and sensor.

@@ -11,7 +11,7 @@ import math
 import re
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Annotated, Any, Final, NamedTuple, final
+from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +53,6 @@ KNOWN_FAMILIES: Final = _FAMILIES | {
 COLOURS: Final = ("red", "orange", "yellow", "green", "cyan", "blue", "magenta")
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tag(Comparable):
     """Square tag that encodes a number.
@@ -86,7 +85,6 @@ class Tag(Comparable):
         check_fields(self, "tag")
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sticker(Comparable):
     """Round sticker of one colour.
@@ -116,7 +114,6 @@ class Sticker(Comparable):
 Mark = Tag | Sticker
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MarkedPart(Comparable):
     """Part of the scene with its markers.
@@ -140,7 +137,6 @@ class MarkedPart(Comparable):
         check_fields(self, "part")
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Rig(Comparable):
     """Camera over a plate, with the markers of parts and plate.
@@ -232,7 +228,6 @@ class Corners(NamedTuple):
     pixels: FloatArray  # (n, 2)
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Board:
     """Checkerboard, with or without tags."""

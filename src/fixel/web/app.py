@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final
 from urllib.parse import urlencode
 
 import jinja2
@@ -41,7 +41,6 @@ MOVED: Final = {"/calibrations/new": "/run/calibrate", "/next": "/run/next"}
 _log = logging.getLogger("fixel.web")
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Page:
     """Page of the interface, with its template, context and routes."""

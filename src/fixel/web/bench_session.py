@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from contextlib import AbstractContextManager
-from typing import Final, final
+from typing import Final
 
 from fixel.errors import FixelError, JobRefused, machine_failure
 from fixel.web.live import LiveView
@@ -15,7 +15,6 @@ GLANCE: Final = 0.01  # [s]
 LOST: Final = 3.0  # [s] without a sign of life after which a page counts as lost
 
 
-@final
 class BenchSession:
     """Campaign that the server performs."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Annotated, Any, Final, final
+from typing import Annotated, Any, Final
 
 from fastapi import Depends, Request
 
@@ -21,7 +21,6 @@ MAX_MAPS: Final = 12  # domain maps in memory
 MAX_THUMBNAILS: Final = 5000  # in memory; about 2 kB each
 
 
-@final
 class ProjectContext:
     """Project, its store, and what is computed from them for more than one request."""
 

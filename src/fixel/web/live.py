@@ -8,7 +8,7 @@ import json
 import threading
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import suppress
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple
 
 from fastapi import APIRouter
 from fastapi.responses import JSONResponse, Response, StreamingResponse
@@ -50,7 +50,6 @@ class LiveFrame(NamedTuple):
     report: str
 
 
-@final
 class LiveView:
     """Live view of a camera.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Callable, Sequence
-from typing import Final, final
+from typing import Final
 
 from fastapi import APIRouter
 from fastapi.responses import JSONResponse
@@ -21,7 +21,6 @@ FIXELS = ("blue", "red", "green")
 NOTHING: Final[dict[str, list[str]]] = {"problems": [], "remarks": [], "parts": [], "tactile": []}
 
 
-@final
 class RecordPreview:
     """Live page of a recording, with a button that ends it.
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import secrets
 from dataclasses import dataclass, field
-from typing import Final, final
+from typing import Final
 from urllib.parse import parse_qs, parse_qsl, urlencode
 
 from starlette.datastructures import Headers, MutableHeaders
@@ -51,7 +51,6 @@ def _secret() -> str:
     return secrets.token_urlsafe(32)
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gate:
     """Secrets of one running server."""

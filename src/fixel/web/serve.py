@@ -7,7 +7,7 @@ import socket
 import threading
 import time
 from collections.abc import Sequence
-from typing import Final, final
+from typing import Final
 
 import uvicorn
 from fastapi import FastAPI
@@ -27,7 +27,6 @@ ENDS_WITHIN: Final = 1  # [s] for answers to browsers that do not read
 SEND_BUFFER: Final = 256 * 1024  # [byte]
 
 
-@final
 class WebServer:
     """Server of pages, and of an API for programs, on a port of this machine.
 
@@ -130,7 +129,6 @@ class WebServer:
         self.stop()
 
 
-@final
 class _Server(uvicorn.Server):
     """Server that signals when it is ready, and ends with no connection open."""
 

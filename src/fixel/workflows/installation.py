@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final
 
 import numpy as np
 
@@ -41,7 +41,6 @@ def cache_size() -> int:
     return sum(f.stat().st_size for f in Path(cache_folder()).rglob("*") if f.is_file())
 
 
-@final
 @dataclass(frozen=True, slots=True)
 class CompiledPart:
     """Part of the numerical code, compiled in a process of its own."""
@@ -135,7 +134,6 @@ CLOSED_FORM = 2e-3
 Found = tuple[bool, str, float | None]
 
 
-@final
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
     """Result of checking the installation."""
@@ -235,7 +233,6 @@ def _bench_check() -> SelfCheck:
     return SelfCheck("cameras and serial ports", True, ", ".join(found) or "none; optional")
 
 
-@final
 @dataclass(frozen=True, slots=True)
 class SelfCheck:
     """Result of one check of the self-test."""

@@ -20,7 +20,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
-from typing import Any, Final, final
+from typing import Any, Final
 
 from pydantic import Field, computed_field
 
@@ -48,7 +48,6 @@ _MAX_BYTES: Final = 50_000_000_000
 prepare_job: Final = files.prepare
 
 
-@final
 class JobStatus(JobProgress):
     """State and progress of a job, as found in its folder."""
 

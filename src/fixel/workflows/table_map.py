@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from fixel.capability.capability import Capability
 from fixel.capability.options import TABLE, ConditionName, Dataset, Door, Flagged, Threads, Where
@@ -232,7 +232,6 @@ TABLE_MAP: Final = Capability(
 # --- experiments of a project on a mapped table -------------------------------------------------
 
 
-@final
 @dataclass(slots=True, eq=False)
 class TableView:
     """Function that puts experiments that name a table on the map of it."""

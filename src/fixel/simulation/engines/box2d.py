@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, final
+from typing import ClassVar
 
 import numpy as np
 
@@ -24,7 +24,6 @@ with warnings.catch_warnings():
 MAX_CORNERS = 16  # of one polygon
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Box2D(AbstractPhysicsEngine):
     """Engine Box2D.

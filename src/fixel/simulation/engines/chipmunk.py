@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, final
+from typing import ClassVar
 
 import numpy as np
 import pymunk
@@ -16,7 +16,6 @@ from fixel.simulation.engines.task import PlainTask, planar_refusal
 from fixel.typing import FloatArray
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Chipmunk(AbstractPhysicsEngine):
     """Engine pymunk.

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from importlib.metadata import version as version_of
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import ClassVar, final
+from typing import ClassVar
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from fixel.simulation.engines.task import PlainTask, planar_refusal
 from fixel.typing import FloatArray
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drake(AbstractPhysicsEngine):
     """Engine Drake, by default with the contacts that it is shipped with.

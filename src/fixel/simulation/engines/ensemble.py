@@ -9,7 +9,7 @@ from collections import defaultdict, deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from queue import SimpleQueue
-from typing import Any, final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,6 @@ PER_PASS = 256  # rollouts whose poses are held at once
 SAMPLES = 100  # where no output interval is given: an engine's own steps are not known
 
 
-@final
 class EngineEnsemble:
     """Set of scenes that another engine simulates, with the interface of `Ensemble`.
 

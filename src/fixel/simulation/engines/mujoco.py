@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from importlib.resources import files
 from string import Template
-from typing import Any, ClassVar, Final, final
+from typing import Any, ClassVar, Final
 
 import mujoco
 import numpy as np
@@ -19,7 +19,6 @@ from fixel.simulation.engines.task import PlainOutline, PlainTask, drive_refusal
 from fixel.typing import FloatArray
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MuJoCo(AbstractPhysicsEngine):
     """Engine MuJoCo, by default with the contacts that it is shipped with.

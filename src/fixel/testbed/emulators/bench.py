@@ -17,7 +17,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Self, final
+from typing import TYPE_CHECKING, Final, Self
 
 import numpy as np
 
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from fixel.testbed.motion import AbstractActuator
 
 
-@final
 class EmulatedBench:
     """Camera, fixels and drive for a recorder, without hardware."""
 
@@ -139,7 +138,6 @@ def built(folder: Path) -> Path:
     return folder
 
 
-@final
 class EmulatedMega:
     """Emulated Mega 2560 that runs the tactile firmware of a `built` folder in real time."""
 

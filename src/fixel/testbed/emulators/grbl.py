@@ -22,7 +22,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple, Self, final
+from typing import Final, NamedTuple, Self
 
 from fixel.errors import InvalidInput
 
@@ -95,7 +95,6 @@ class PlannerBlock(NamedTuple):
         return min(full, slower * JUNCTION * half / (1.0 - half))
 
 
-@final
 class EmulatedGrbl:
     """Emulated controller of a drive with 1 to 4 axes.
 

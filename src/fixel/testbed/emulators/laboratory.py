@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import Annotated, Final, NamedTuple, final
+from typing import Annotated, Final, NamedTuple
 
 import numpy as np
 
@@ -52,7 +52,6 @@ WAITING: Final = 200  # frames that may wait for their reader
 MOMENTS: Final = 20_000  # frames whose truth is stored
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Faults:
     """Faults of a laboratory; those of single rows occur at the first push of the row only."""
@@ -87,7 +86,6 @@ class Moment(NamedTuple):
     lost: bool  # whether the frame was lost
 
 
-@final
 class EmulatedLaboratory:
     """Laboratory whose true scene is simulated while its drive moves the head.
 
@@ -340,7 +338,6 @@ class EmulatedLaboratory:
         return TactileReading(near.bits, near.time)
 
 
-@final
 class LaboratoryCamera(FrameSource):
     """Camera of an emulated laboratory."""
 

@@ -82,7 +82,6 @@ class AbstractTracking(ABC):
         """
 
 
-@final
 class PartPrediction:
     """Prediction of the pose of a part from its last sightings.
 
@@ -192,7 +191,6 @@ class PartFollower(ABC):
         return MARGIN + SPREADS * self._lost
 
 
-@final
 class PartFollowers(AbstractFollower):
     """Follower of several parts, each by itself."""
 

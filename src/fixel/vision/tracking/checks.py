@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Final, final
+from typing import Final
 
 import numpy as np
 
@@ -64,7 +64,6 @@ def check_orientation(rig: Rig, picture: Gray) -> None:
         raise mirrored("a mirrored picture, whose tags can be read only after mirroring")
 
 
-@final
 class PlateWatch:
     """Monitor that checks regularly, and at the end of a film, whether the camera has moved."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final, final
+from typing import Final
 
 import numpy as np
 
@@ -229,7 +229,6 @@ MIN_FRAMES: Final = 3  # least number of frames for a place
 Ring = tuple[float, bool]  # share of the radius, and whether it is dark inside
 
 
-@final
 class FixelFinder:
     """Measurement of fixels in some frames of a film.
 
@@ -311,7 +310,6 @@ def _wider(edges: OutlineEdges, fit: PoseFit) -> float:
 NOW_AND_THEN: Final = 15
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FramePoses:
     """Poses and places in one frame."""
@@ -323,7 +321,6 @@ class FramePoses:
     remarks: tuple[str, ...] = ()  # further remarks
 
 
-@final
 class Locator:
     """Locator of parts and fixels in live pictures; frames without any raise nothing.
 

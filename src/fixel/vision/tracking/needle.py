@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,6 @@ class NeedleShape(NamedTuple):
     taper: float  # its growth with the distance from there [-]
 
 
-@final
 @dataclass(slots=True, kw_only=True)
 class NeedleFollower:
     """Follower of the tip of a probe.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +34,6 @@ WHOLE: Final = 0.8  # of the edges: with fewer, spread and shift are indistingui
 SETTLED: Final = 0.35  # [px] of movement at which the rounds end
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OutlineEdges(Comparable):
     """Points on the edges of a flat thing."""

@@ -79,7 +79,6 @@ class Silhouette(AbstractTracking):
         return _OutlineFollower(rig, part, things[part], {name: things[name] for name in probe})
 
 
-@final
 class _OutlineFollower(AbstractFollower):
     """Follower of the outline of a part, and of the needle of a probe, if there is one."""
 

@@ -64,7 +64,6 @@ def _stickers(rig: Rig, name: str) -> tuple[Sticker, ...]:
     return tuple(mark for mark in rig.parts[name].marks if isinstance(mark, Sticker))
 
 
-@final
 class _StickeredPart(base.PartFollower):
     """Follower of one part from frame to frame."""
 

@@ -82,7 +82,6 @@ class Tags(base.AbstractTracking):
         )
 
 
-@final
 class _TaggedPart(base.PartFollower):
     """Follower of one part from frame to frame."""
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
-from typing import Annotated, Any, Final, final
+from typing import Annotated, Any, Final
 
 import numpy as np
 from pydantic import BeforeValidator, Field
@@ -331,7 +331,6 @@ class LiveProgress(Answer):
     )
 
 
-@final
 class ProgressReader:
     """Reader of the progress of a project's calibrations, which reads only what is new."""
 

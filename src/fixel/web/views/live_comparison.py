@@ -7,7 +7,7 @@ import threading
 from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Final, Literal, final
+from typing import Final, Literal
 
 import numpy as np
 from pydantic import Field
@@ -96,7 +96,6 @@ class NewSimulations(Answer):
     refused: dict[int, str] = Field(description="reason by experiment that could not be simulated")
 
 
-@final
 class LiveComparison:
     """Experiments in memory, and simulations of them at once; any thread may use it."""
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, final
+from typing import TYPE_CHECKING, Annotated, Final
 
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door, Seed
@@ -30,7 +30,6 @@ Camera = Annotated[
 ENDS: Final = ("key", "limit", "seated")
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordPlan:
     """Source, destination and end of a recording.

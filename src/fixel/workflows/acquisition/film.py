@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -252,7 +252,6 @@ SAME_END: Final = 2e-4  # [m]
 FILES: Final = (".yaml", ".yml", ".json")
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FilmScene:
     """Scene to film, with its true motion."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -47,7 +47,6 @@ SILENT: Final = STALLED + 1.0  # [s] without pictures; most sources report the c
 Show = Callable[[Callable[[], Picture], dict[str, Any]], None]
 
 
-@final
 class Overlay:
     """Comparison of pictures with the wanted poses of a scene, of which the rig has a part.
 
@@ -219,7 +218,6 @@ ARROW: Final = (45.0, 130.0)  # [px] shortest and longest arrow of a push
 EXAGGERATED: Final = 8.0  # drawn length of a push over its true length
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tolerance:
     """Largest allowed deviation of a part from its place."""

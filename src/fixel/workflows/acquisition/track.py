@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -35,7 +35,6 @@ ACROSS: Final = 2  # frames side by side
 WIDTH: Final = 960  # [px] largest width of a frame on a sheet
 
 
-@final
 @dataclass(slots=True, kw_only=True)
 class Film:
     """Video file or recording, with its metadata."""

@@ -12,7 +12,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple, final
+from typing import Any, Final, Literal, NamedTuple
 
 from fixel.errors import InvalidInput
 from fixel.formats.scene_file import SceneFile, scene_dict
@@ -45,7 +45,6 @@ class Attempt(NamedTuple):
         return f"{self.row}-{self.number}"
 
 
-@final
 @dataclass(eq=False)
 class Campaign:
     """Campaign of experiments at the bench in a folder, open in this process only.

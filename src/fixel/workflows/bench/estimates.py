@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Final, NamedTuple, Self, final
+from typing import Final, NamedTuple, Self
 
 import numpy as np
 from scipy.special import ndtri, stdtrit
@@ -88,7 +88,6 @@ class _Scatter(NamedTuple):
         return np.asarray(stdtrit(np.maximum(effective - 1.0, MIN_FREEDOM), tail) * sd)
 
 
-@final
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class LiveEstimates:
     """Parameters after the experiments so far."""
@@ -293,7 +292,6 @@ def _target_of(planned: PlannedExperiment) -> Target:
     return Target(planned.name, conditions, RolloutCase(scene, times), pose)
 
 
-@final
 @dataclass(frozen=True, kw_only=True)
 class Choice:
     """Experiment to perform next."""
@@ -336,7 +334,6 @@ def choose(
     return Choice(index=None, half_widths=now, reason=f"{why} {shown}")
 
 
-@final
 @dataclass(frozen=True)
 class Until:
     """Half-widths of intervals at which a campaign ends, by name in SI units."""

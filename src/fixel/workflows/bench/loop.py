@@ -12,7 +12,7 @@ from contextlib import closing
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple, final
+from typing import Any, Final, Literal, NamedTuple
 
 from fixel.calibration.usual_parameters import searched_unknowns
 from fixel.database.project import Project
@@ -62,7 +62,6 @@ class BenchCheck(NamedTuple):
     words: str
 
 
-@final
 class Background:
     """Calls of a function in a process of its own, one after the other, without waiting."""
 
@@ -104,7 +103,6 @@ def _called(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
     return function(*arguments)
 
 
-@final
 @dataclass(eq=False)
 class BenchLoop:
     """Loop over the rows of a campaign: `run` in one thread, `ask` from any.

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any
 
 from fixel.calibration.result import FitKind, ParameterSet, found_of
 from fixel.calibration.search import VERDICTS, CalibrationSearch, CalibrationTask
@@ -94,7 +94,6 @@ def _job(plan: CalibrationPlan) -> tuple[Any, BaseModel]:
     return capability, capability.request(plan.asked or options_of(plan.request, ()))
 
 
-@final
 class LiveSearch:
     """Search of a calibration with what it has found so far, here or in the journal of its job."""
 
@@ -200,7 +199,6 @@ def _watched(
 # --- experiments of a project -------------------------------------------------------------------
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExperimentSelection:
     """Experiments to calibrate."""

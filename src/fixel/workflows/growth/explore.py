@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -294,7 +294,6 @@ class SingleMethod(NamedTuple):
         return f"{self.motion}, {self.error} [{self.unit}{at}] of {', '.join(self.names)}"
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredSets:
     """Sets of parameters of one method."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple
 
 from fixel.calibration.target import Target, target_of
 from fixel.database.project import known_names
@@ -35,7 +35,6 @@ class _Seat(NamedTuple):
         return f"{self.shape} {self.layout} {self.place.name}"
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GrowthSamples:
     """Experiments of an exploration."""

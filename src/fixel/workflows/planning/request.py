@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from os import PathLike
 from pathlib import Path
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -38,7 +38,6 @@ from fixel.workflows.calibration.calibration import Calibration
 from fixel.workflows.calibration.stored import newest_calibration, stored_calibration
 
 
-@final
 class PlanRequest(dict[str, Any]):
     """Request of a found plan: the content of the goal file, and options of `plan_goal` by name."""
 
@@ -59,7 +58,6 @@ class PlanInputs(NamedTuple):
         return self.scene, self.file.goal, self.file.choose or FreePushes(), self.belief
 
 
-@final
 @dataclass(frozen=True, kw_only=True)
 class FoundPlan:
     """Plan with the request that it answers."""
@@ -227,7 +225,6 @@ def _run_to_run(calibration: Calibration, experiments: list[Experiment]) -> tupl
 JOURNAL: Final = "answers.journal"
 
 
-@final
 @dataclass(frozen=True, kw_only=True)
 class PlanFile:
     """Content of a plan file."""
@@ -293,7 +290,6 @@ def add_trials(path: Path, file: PlanFile, *trials: PlanTrial) -> Trials:
     return append_trials(where, *trials, plan=file.id)
 
 
-@final
 class StoredAnswers(dict[str, FloatArray]):
     """Arrays by name, each durable in a journal once it is set."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
-from typing import Any, Final, final
+from typing import Any, Final
 
 import numpy as np
 
@@ -91,7 +91,6 @@ class PathComparison:
         }
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunComparison(PathComparison):
     """Simulation of an experiment by fixel, compared with the measurement."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Any, Final
 
 import numpy as np
 
@@ -29,7 +29,6 @@ def view_of(filter: str = "", **options: Any) -> ExperimentQuery:
 # --- values to filter by ------------------------------------------------------------------------
 
 
-@final
 @dataclass(frozen=True, slots=True)
 class Values:
     """Values of a condition among all experiments."""
@@ -40,7 +39,6 @@ class Values:
     total: int  # number of experiments with the condition
 
 
-@final
 @dataclass(frozen=True, slots=True)
 class Vocabulary:
     """Names and values that a filter can use."""
@@ -62,7 +60,6 @@ def vocabulary(store: Store) -> Vocabulary:
 # --- coverage -----------------------------------------------------------------------------------
 
 
-@final
 @dataclass(frozen=True, slots=True)
 class CoverageAxis:
     """Axis of the coverage: places, each from one edge to the next."""
@@ -72,7 +69,6 @@ class CoverageAxis:
     centres: list[float]  # n
 
 
-@final
 @dataclass(frozen=True, slots=True)
 class Coverage:
     """Number of experiments at each place of a plane of configurations."""

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -200,7 +200,6 @@ MAX_VALUES: Final = 8  # values of one condition that are written out
 FEW_EXPERIMENTS: Final = 10  # number of experiments below which little can be concluded
 
 
-@final
 @dataclass(frozen=True)
 class ReportData:
     """Experiments of a report."""
