@@ -22,6 +22,7 @@ from typing import Annotated, Any, Final, cast
 import typer
 from typer.core import TyperGroup
 
+from fixel import errors
 from fixel.capability.capability import Capability
 from fixel.cli import (
     bench,
@@ -39,15 +40,6 @@ from fixel.cli import (
 )
 from fixel.cli.capability import NOT_SOLVED, typer_command, typer_commands
 from fixel.cli.screen import notify
-from fixel.errors import (
-    DatasetMissing,
-    FixelError,
-    Interrupted,
-    InvalidInput,
-    NotStored,
-    SolveFailed,
-    machine_failure,
-)
 from fixel.workflows.acquisition.camera import CAMERA
 from fixel.workflows.capabilities import CAPABILITIES
 
@@ -222,14 +214,14 @@ def run(
             sys.exit()
         # With --json, errors in options come here too.
         code = program(arguments, prog_name=name, standalone_mode=not as_json)
-    except (InvalidInput, DatasetMissing, NotStored, ClickException) as error:
+    except (errors.InvalidInput, errors.DatasetMissing, errors.NotStored, ClickException) as error:
         _exit(BAD_INPUT, error, as_json)
-    except SolveFailed as error:
+    except errors.SolveFailed as error:
         _exit(NOT_SOLVED, error, as_json)
-    except FixelError as error:
+    except errors.FixelError as error:
         _exit(BAD_INPUT if getattr(error, "is_input", False) else 1, error, as_json)
     except OSError as error:
-        failure = machine_failure(error)
+        failure = errors.machine_failure(error)
         if failure is None:
             raise
         _exit(1, failure, as_json)
@@ -247,7 +239,7 @@ def run(
 def _exit(code: int, error: BaseException | None, as_json: bool) -> None:
     if code == INTERRUPTED:
         hint = getattr(error, "hint", "")
-        error = Interrupted(hint=hint)
+        error = errors.Interrupted(hint=hint)
         sentence = f"stopped; {hint}" if hint else "stopped."
     else:
         message = getattr(error, "format_message", error.__str__)

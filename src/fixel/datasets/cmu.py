@@ -13,15 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fixel import model
-from fixel.datasets.base import (
-    Importer,
-    ImportPlan,
-    collected,
-    named,
-    origin_of,
-    remark,
-    trajectory_of,
-)
+from fixel.datasets import base
 from fixel.datasets.contact import FADE, pushed_scene
 from fixel.datasets.files import (
     MM,
@@ -58,7 +50,7 @@ FINGER_POSE = ("t", "x_mm", "y_mm", "qz", "qw")
 POSES = tuple(f"obj_{axis}{end}" for end in "01" for axis in ("x", "y", "th"))
 
 
-class CmuTripod(Importer):
+class CmuTripod(base.Importer):
     """Importer of pushes with force, of a block on three machined points or on its face."""
 
     name = DATASET
@@ -73,13 +65,13 @@ class CmuTripod(Importer):
         """Whether a folder has pushes.csv, setup.json, and tables of force and robot."""
         return has_files(source, (PUSHES,), (SETUP,), FORCE, ROBOT)
 
-    def _plan(self, source: Path, options: Mapping[str, object]) -> ImportPlan:
+    def _plan(self, source: Path, options: Mapping[str, object]) -> base.ImportPlan:
         data = _read(source)
         pushes = data.table
-        provenance = cache(lambda: origin_of(source / PUSHES))
+        provenance = cache(lambda: base.origin_of(source / PUSHES))
         force, robot = (rate_of(own[data.names[0]][:, 0]) for own in (data.force, data.robot))
         n_force, n_robot = (sum(map(len, own.values())) for own in (data.force, data.robot))
-        return ImportPlan(
+        return base.ImportPlan(
             DATASET,
             source,
             (
@@ -97,7 +89,7 @@ class CmuTripod(Importer):
             ),
             [f"{DATASET}/{name}" for name in data.names],
             lambda row: _push(data, row, provenance()),
-            named(DATASET, data.problems),
+            base.named(DATASET, data.problems),
         )
 
 
@@ -131,7 +123,7 @@ def _read(folder: Path) -> _TripodData:
     bodies: dict[tuple[str, str], model.Body] = {}
     for name, *key in zip(*(table.columns[c] for c in (PUSH, "surface", "support")), strict=True):
         kind = (key[0], key[1])
-        with collected(problems, name, SETUP):
+        with base.collected(problems, name, SETUP):
             if kind not in bodies:
                 bodies[kind] = _body(setup, *kind)
     kept = [row for row, name in enumerate(table.columns[PUSH]) if name not in problems]
@@ -226,14 +218,14 @@ def _push(data: _TripodData, row: int, provenance: model.Provenance) -> model.Ex
 
 
 def _doubts(data: _TripodData, row: int, dropped: int) -> Iterator[model.Flag]:
-    yield remark("no-pose-during-push", "poses before and after, once the arm is away")
+    yield base.remark("no-pose-during-push", "poses before and after, once the arm is away")
     gap = float(data.gaps[row, 1])
     if abs(gap) > LARGEST_GAP:
         yield model.Flag("tip-gap", f"the finger ends {gap / MM:.3g} mm from the outline")
     if "mixed" in data.table.columns["source_log"][row]:
-        yield remark("joined-sessions", "the log was combined from two sessions")
+        yield base.remark("joined-sessions", "the log was combined from two sessions")
     if dropped:
-        yield remark("repeated-times", f"{dropped} rows of the finger dropped")
+        yield base.remark("repeated-times", f"{dropped} rows of the finger dropped")
 
 
 TWO_POINT: Final = "cmu-two-point"
@@ -246,13 +238,15 @@ MEASURED = ("t", "obj_x_mm", "obj_y_mm", "obj_th", "pusher_x_mm", "pusher_y_mm",
 
 # Missing data, without which no scene can be built.
 UNKNOWN = (
-    remark("no-mass", "masses of the blocks were not recorded: no scene"),
-    remark("pusher-offset", "the frame of the fingers is off by millimetres in each action"),
+    base.remark("no-mass", "masses of the blocks were not recorded: no scene"),
+    base.remark("pusher-offset", "the frame of the fingers is off by millimetres in each action"),
 )
-NO_SUPPORT = remark("no-support", "the positions of the three support points were not recorded")
+NO_SUPPORT = base.remark(
+    "no-support", "the positions of the three support points were not recorded"
+)
 
 
-class CmuTwoPoint(Importer):
+class CmuTwoPoint(base.Importer):
     """Importer of stable pushes by two parallel fingers, with repeated starts."""
 
     name = TWO_POINT
@@ -266,7 +260,7 @@ class CmuTwoPoint(Importer):
         """Whether a folder has runs.csv and poses.csv.gz or poses.csv."""
         return has_files(source, (RUNS,), POSE_FILES)
 
-    def _plan(self, source: Path, options: Mapping[str, object]) -> ImportPlan:
+    def _plan(self, source: Path, options: Mapping[str, object]) -> base.ImportPlan:
         runs, problems = read_table(only_file(source, RUNS), torn=True).sound(
             "run_id", (), once=True
         )
@@ -281,7 +275,7 @@ class CmuTwoPoint(Importer):
         problems |= missing_rows(rows, table.source, runs, "run_id", least=2) | damaged
         listed = [k for k, name in enumerate(runs.columns["run_id"]) if name not in problems]
         names = [runs.columns["run_id"][k] for k in listed]
-        provenance = cache(lambda: origin_of(file))
+        provenance = cache(lambda: base.origin_of(file))
 
         def build(k: int) -> model.Experiment:
             own = rows[names[k]][1:]  # the first row belongs to the previous action
@@ -289,7 +283,7 @@ class CmuTwoPoint(Importer):
             return _run(names[k], about, readings[own], lost[own], action[own], provenance())
 
         rate = rate_of(readings[rows[names[0]], 0]) if names else 0.0
-        return ImportPlan(
+        return base.ImportPlan(
             TWO_POINT,
             source,
             (
@@ -304,7 +298,7 @@ class CmuTwoPoint(Importer):
             ),
             [f"{TWO_POINT}/{name}" for name in names],
             build,
-            named(TWO_POINT, problems),
+            base.named(TWO_POINT, problems),
         )
 
 
@@ -328,8 +322,8 @@ def _run(
         real=True,
         provenance=provenance,
         object_name=about["object"],
-        trajectory=trajectory_of(time[seen], readings[seen, 1:4]),
-        pusher=trajectory_of(time, readings[:, 4:7]),
+        trajectory=base.trajectory_of(time[seen], readings[seen, 1:4]),
+        pusher=base.trajectory_of(time, readings[:, 4:7]),
         channels=(
             model.Channel(
                 name="action",
@@ -352,4 +346,6 @@ def _lost_doubts(kind: str, lost: NDArray[np.bool_]) -> Iterator[model.Flag]:
     if kind.endswith("3pts"):
         yield NO_SUPPORT
     if lost.any():
-        yield remark("tracking-lost", f"{int(lost.sum())} of {len(lost)} rows without the object")
+        yield base.remark(
+            "tracking-lost", f"{int(lost.sum())} of {len(lost)} rows without the object"
+        )

@@ -14,14 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fixel.calibration.known_pushes import (
-    MIN_EXPERIMENTS,
-    PART,
-    SIDE,
-    SPEED,
-    PushedContacts,
-    TouchedPlaces,
-)
+from fixel.calibration import known_pushes
 from fixel.calibration.mixed import numbered
 from fixel.domain.features import Scale, ScaleModel, default_model, fitted_model, powered, unpowered
 from fixel.errors import InvalidInput, counted
@@ -73,7 +66,7 @@ class ConformalBound:
     _near: _Near
     _unit: IntArray | None = None  # (n,) number of the unit that was left out as a whole
     _sizes: _Sizes | None = None  # of the errors of these units
-    _pushed: PushedContacts | None = None
+    _pushed: known_pushes.PushedContacts | None = None
     _beyond: ConformalBound | None = None
     _part: ConformalBound | None = None
     # Rule for new units, if it was fitted with `units`: `"guaranteed"`, `"typical"` or
@@ -188,7 +181,7 @@ class ConformalBound:
 
     def for_contacts(
         self,
-        contacts: TouchedPlaces | None = None,
+        contacts: known_pushes.TouchedPlaces | None = None,
         groups: Labels | None = None,
         beyond: ConformalBound | None = None,
         part: ConformalBound | None = None,
@@ -217,14 +210,14 @@ class ConformalBound:
                 )
         pushed = None
         if contacts is not None:
-            pushed = PushedContacts(contacts, _labels(groups, len(contacts.normal)))
+            pushed = known_pushes.PushedContacts(contacts, _labels(groups, len(contacts.normal)))
         return replace(self, _pushed=pushed, _beyond=beyond, _part=part)
 
     def bounds(
         self,
         features: ArrayLike,
         groups: Labels | None = None,
-        contacts: TouchedPlaces | None = None,
+        contacts: known_pushes.TouchedPlaces | None = None,
     ) -> FloatArray:
         """Return bounds on the errors of new configurations (m,).
 
@@ -238,7 +231,7 @@ class ConformalBound:
         features: ArrayLike,
         groups: Labels | None,
         levels: Sequence[float],
-        contacts: TouchedPlaces | None = None,
+        contacts: known_pushes.TouchedPlaces | None = None,
     ) -> FloatArray:
         """Return bounds at several levels (n_level, m), for features (m, f).
 
@@ -260,7 +253,7 @@ class ConformalBound:
         self,
         features: ArrayLike,
         groups: Labels | None = None,
-        contacts: TouchedPlaces | None = None,
+        contacts: known_pushes.TouchedPlaces | None = None,
     ) -> tuple[str, ...]:
         """Return reasons (m,) why new configurations have no data; empty for those that have."""
         table = self._table(features)
@@ -275,7 +268,7 @@ class ConformalBound:
         return tuple(answer)
 
     def unseen(
-        self, groups: Labels | None = None, contacts: TouchedPlaces | None = None
+        self, groups: Labels | None = None, contacts: known_pushes.TouchedPlaces | None = None
     ) -> tuple[str, ...]:
         """Return what is new about configurations (m,): a group, a side, a speed; else empty.
 
@@ -289,12 +282,12 @@ class ConformalBound:
     ) -> Sequence[tuple[BoolArray, ConformalBound | None]]:
         """Return masks (m,) of the configurations whose bounds come from left-out units."""
         return (
-            (np.isin(kind, (SIDE, SPEED)), self._beyond),
-            (np.asarray(kind == PART, bool), self._part),
+            (np.isin(kind, (known_pushes.SIDE, known_pushes.SPEED)), self._beyond),
+            (np.asarray(kind == known_pushes.PART, bool), self._part),
         )
 
     def _novelty(
-        self, contacts: TouchedPlaces | None, labels: list[Hashable]
+        self, contacts: known_pushes.TouchedPlaces | None, labels: list[Hashable]
     ) -> list[tuple[str, str]]:
         """Return the kind of novelty of each configuration, and its reason."""
         if (self._pushed is None) != (contacts is None):
@@ -308,7 +301,7 @@ class ConformalBound:
             count = dict(zip(self._groups, np.bincount(self._group).tolist(), strict=True))
             count[None] = self.n  # a label that is not given
             new = [_few(label, count.get(label, 0)) for label in labels]
-        return [(PART if reason else "", reason) for reason in new]
+        return [(known_pushes.PART if reason else "", reason) for reason in new]
 
     def _table(self, features: ArrayLike) -> FloatArray:
         table = _table(features, "features")
@@ -565,7 +558,9 @@ def _few(label: Hashable, n: int) -> str:
     """Return why a group counts as unseen; empty if it has enough experiments."""
     if not n:
         return f"no experiment with {label}"
-    return "" if n >= MIN_EXPERIMENTS else f"only {counted(n, 'experiment')} with {label}"
+    return (
+        "" if n >= known_pushes.MIN_EXPERIMENTS else f"only {counted(n, 'experiment')} with {label}"
+    )
 
 
 def _check_units(rule: str, level: float, n_unit: int) -> None:

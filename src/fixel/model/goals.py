@@ -13,21 +13,8 @@ import shapely
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput, check_name
+from fixel.model import fields
 from fixel.model.bodies import POSE, Body
-from fixel.model.fields import (
-    Comparable,
-    Value,
-    check_fields,
-    instance,
-    numbers,
-    optional_positive,
-    positive,
-    settle,
-    table,
-    texts,
-    vector,
-    whole,
-)
 from fixel.model.overlap import overlaps
 from fixel.model.scene import Scene
 from fixel.model.shape import Disk, Polygon, placed, rotated
@@ -63,13 +50,13 @@ class BodyTrack(NamedTuple):
     @classmethod
     def of_ends(cls, poses: ArrayLike) -> BodyTrack:
         """Return the track of end poses (n, 3) alone [m, m, rad]."""
-        return cls(numbers(poses, "poses").reshape(-1, 1, 3))
+        return cls(fields.numbers(poses, "poses").reshape(-1, 1, 3))
 
 
 Tracks = BodyTrack | Mapping[str, BodyTrack]
 
 
-class Goal(Comparable, ABC):
+class Goal(fields.Comparable, ABC):
     """Base class of goals: a condition with a signed margin.
 
     `margin` is 1 at the target, 0 at the tolerance and negative beyond it; always finite.
@@ -120,7 +107,7 @@ class Goal(Comparable, ABC):
 
 def as_goal(goal: Goal) -> Goal:
     """Return a goal; raise for another type."""
-    instance(goal, Goal, "goal", "a goal, such as PoseRegion or Seated")
+    fields.instance(goal, Goal, "goal", "a goal, such as PoseRegion or Seated")
     return goal
 
 
@@ -193,15 +180,15 @@ class PoseRegion(Clause):
     False
     """
 
-    pose: Annotated[FloatArray, Value(vector, POSE)]
-    position: Annotated[float | None, Value(positive, "m")] = None
-    angle: Annotated[float | None, Value(positive, "rad")] = None
+    pose: Annotated[FloatArray, fields.Value(fields.vector, POSE)]
+    position: Annotated[float | None, fields.Value(fields.positive, "m")] = None
+    angle: Annotated[float | None, fields.Value(fields.positive, "rad")] = None
     symmetry: int = 1
     body: str | None = None
 
     def __post_init__(self) -> None:
-        check_fields(self, "goal")
-        settle(self, symmetry=whole(self.symmetry, "goal.symmetry"))
+        fields.check_fields(self, "goal")
+        fields.settle(self, symmetry=fields.whole(self.symmetry, "goal.symmetry"))
         if self.position is None and self.angle is None:
             found, expected = "a pose without tolerances", "position=, angle= or both"
             raise InvalidInput("goal.pose", found=found, expected=expected)
@@ -267,7 +254,7 @@ class Seated(Clause):
     fixels: tuple[str, ...]
     only: bool = False
     stalled: bool = False
-    tolerance: Annotated[float | None, Value(positive, "m")] = None
+    tolerance: Annotated[float | None, fields.Value(fields.positive, "m")] = None
     body: str | None = None
 
     def __init__(
@@ -280,9 +267,11 @@ class Seated(Clause):
     ) -> None:
         if not fixels or not all(fixels):
             raise InvalidInput("fixels", found=repr(fixels), expected="names of fixels")
-        fixels = texts(fixels, "fixels")
-        tolerance = optional_positive(tolerance, "goal.tolerance", "m")
-        settle(self, fixels=fixels, only=only, stalled=stalled, tolerance=tolerance, body=body)
+        fixels = fields.texts(fixels, "fixels")
+        tolerance = fields.optional_positive(tolerance, "goal.tolerance", "m")
+        fields.settle(
+            self, fixels=fixels, only=only, stalled=stalled, tolerance=tolerance, body=body
+        )
 
     def __repr__(self) -> str:
         named = {"only": self.only, "stalled": self.stalled}
@@ -349,13 +338,13 @@ class Inside(Clause):
     """
 
     region: Polygon
-    tolerance: Annotated[float | None, Value(positive, "m")] = None
+    tolerance: Annotated[float | None, fields.Value(fields.positive, "m")] = None
     body: str | None = None
 
     def __post_init__(self) -> None:
         region: Any = self.region
-        settle(self, region=region if isinstance(region, Polygon) else Polygon(region))
-        check_fields(self, "goal")
+        fields.settle(self, region=region if isinstance(region, Polygon) else Polygon(region))
+        fields.check_fields(self, "goal")
 
     def _margins(
         self, scene: Scene, body: Body, poses: FloatArray, fixels: FloatArray | None
@@ -393,13 +382,13 @@ class Beyond(Clause):
     True
     """
 
-    line: Annotated[FloatArray, Value(table, "x [m], y [m]")]
-    feature: Annotated[FloatArray | None, Value(vector, "x [m], y [m]")] = None
-    tolerance: Annotated[float | None, Value(positive, "m")] = None
+    line: Annotated[FloatArray, fields.Value(fields.table, "x [m], y [m]")]
+    feature: Annotated[FloatArray | None, fields.Value(fields.vector, "x [m], y [m]")] = None
+    tolerance: Annotated[float | None, fields.Value(fields.positive, "m")] = None
     body: str | None = None
 
     def __post_init__(self) -> None:
-        check_fields(self, "goal")
+        fields.check_fields(self, "goal")
         if self.line.shape != (2, 2) or not np.ptp(self.line, axis=0).any():
             found = self.line.tolist()
             raise InvalidInput("goal.line", found=found, expected="two different points")
@@ -452,11 +441,11 @@ class Contact(Clause):
 
     whole_motion: ClassVar[bool] = True
     fixel: str
-    tolerance: Annotated[float | None, Value(positive, "m")] = None
+    tolerance: Annotated[float | None, fields.Value(fields.positive, "m")] = None
     body: str | None = None
 
     def __post_init__(self) -> None:
-        check_fields(self, "goal")
+        fields.check_fields(self, "goal")
 
     def _margins(
         self, scene: Scene, body: Body, poses: FloatArray, fixels: FloatArray | None
@@ -494,12 +483,12 @@ class Exit(Clause):
 
     whole_motion: ClassVar[bool] = True
     region: Polygon
-    tolerance: Annotated[float | None, Value(positive, "m")] = None
+    tolerance: Annotated[float | None, fields.Value(fields.positive, "m")] = None
     body: str | None = None
 
     def __post_init__(self) -> None:
         inside = Inside(self.region, self.tolerance)
-        settle(self, region=inside.region, tolerance=inside.tolerance)
+        fields.settle(self, region=inside.region, tolerance=inside.tolerance)
 
     def _margins(
         self, scene: Scene, body: Body, poses: FloatArray, fixels: FloatArray | None
@@ -531,11 +520,11 @@ class ForceAbove(Clause):
     """
 
     whole_motion: ClassVar[bool] = True
-    newton: Annotated[float, Value(positive, "N")]
+    newton: Annotated[float, fields.Value(fields.positive, "N")]
     body: str | None = None
 
     def __post_init__(self) -> None:
-        settle(self, newton=positive(self.newton, "goal.force_above", "N"))
+        fields.settle(self, newton=fields.positive(self.newton, "goal.force_above", "N"))
 
     def margin(self, scene: Scene, track: Tracks) -> FloatArray:
         """Compute signed margins (n,) in units of the limit, as `Goal.margin`."""
@@ -577,13 +566,13 @@ class AllOf(Goal):
     def __init__(
         self, *goals: Goal, never: Clause | tuple[Clause, ...] | list[Clause] = ()
     ) -> None:
-        instance(never, Goal | tuple | list, "goal.never", "events")
+        fields.instance(never, Goal | tuple | list, "goal.never", "events")
         never = (never,) if isinstance(never, Goal) else tuple(never)
         for index, event in enumerate(never):
             if not isinstance(event, Contact | Exit | ForceAbove):
                 expected = "Contact, Exit or ForceAbove"
                 raise InvalidInput(f"goal.never[{index}]", found=repr(event), expected=expected)
-        settle(self, goals=_wanted(goals), never=never)
+        fields.settle(self, goals=_wanted(goals), never=never)
 
     @property
     def clauses(self) -> tuple[Clause, ...]:
@@ -628,7 +617,7 @@ class AnyOf(Goal):
     goals: tuple[Goal, ...]
 
     def __init__(self, *goals: Goal) -> None:
-        settle(self, goals=_wanted(goals))
+        fields.settle(self, goals=_wanted(goals))
 
     @property
     def clauses(self) -> tuple[Clause, ...]:

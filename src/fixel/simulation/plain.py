@@ -12,15 +12,9 @@ from fixel.kernels import arrays as at
 from fixel.kernels.rollout import select_one
 from fixel.kernels.solve import TOLERANCE
 from fixel.kernels.step_control import AT_ONCE
+from fixel.simulation import stepping
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.pack import PackedBatch
-from fixel.simulation.stepping import (
-    AbstractSolver,
-    AbstractStepper,
-    StepHistory,
-    StepLimits,
-    StepTrial,
-)
 from fixel.typing import FloatArray
 
 
@@ -31,8 +25,8 @@ class _Loop:
         self,
         packed: PackedBatch,
         motion: AbstractMotionModel,
-        stepper: AbstractStepper,
-        solver: AbstractSolver,
+        stepper: stepping.AbstractStepper,
+        solver: stepping.AbstractSolver,
         max_contacts: int,
     ) -> None:
         batch = packed.batch
@@ -63,13 +57,13 @@ class _Loop:
         guess: FloatArray,
         min_gap: float = math.inf,
         give_up_early: int = 0,
-    ) -> StepTrial:
+    ) -> stepping.StepTrial:
         """Try one step: contacts, the model's rows, the shared rows, the solver."""
         model, state, problem, work = self.model, self.state, self.problem, self.work
         control = self.control
         entries.start_trial(control, step, lead)
         if not entries.contacts(model, state, control, guess, self.pose, problem, work):
-            return StepTrial(codes.CONTACT_OVERFLOW, math.inf)
+            return stepping.StepTrial(codes.CONTACT_OVERFLOW, math.inf)
         span = float(control[at.SPAN])
         n_support = self.motion.assemble(model, state, span, self.pose, problem)
         if self.motion.kind == codes.EXTERNAL:
@@ -78,7 +72,7 @@ class _Loop:
         if min_gap < math.inf:
             closing = float(entries.event_time(problem, guess, step, lead, min_gap))
             if closing < math.inf:
-                return StepTrial(codes.CONVERGED, math.inf, closing=closing)
+                return stepping.StepTrial(codes.CONVERGED, math.inf, closing=closing)
         leaves = give_up_early == AT_ONCE
         give_up = int(AT_ONCE) if control[at.WEDGED] and not give_up_early else give_up_early
         while True:
@@ -95,27 +89,29 @@ class _Loop:
         control[at.WEDGED] = float(leaves and not give_up_early)
         if not residual <= TOLERANCE:
             if give_up_early != AT_ONCE and entries.may_jam(problem, work, give_up_early > 0):
-                return StepTrial(codes.JAMMED, residual)
+                return stepping.StepTrial(codes.JAMMED, residual)
             failed = codes.NON_FINITE if math.isinf(residual) else codes.MAX_ITERATIONS
-            return StepTrial(failed, residual)
+            return stepping.StepTrial(failed, residual)
         if entries.is_thrown(model, state, control, problem):
-            return StepTrial(codes.THROWN, residual)
+            return stepping.StepTrial(codes.THROWN, residual)
         bounces = entries.bounces(model, state, control, problem)
         parted = bool(entries.parts(control, problem, work))
-        return StepTrial(codes.CONVERGED, residual, bounces, parted=parted)
+        return stepping.StepTrial(codes.CONVERGED, residual, bounces, parted=parted)
 
-    def past(self, before: arrays.State, older: arrays.State) -> StepHistory:
+    def past(self, before: arrays.State, older: arrays.State) -> stepping.StepHistory:
         """Return the last three steps."""
         state, control = self.state, self.control
         last, earlier, earliest = control[[at.LAST, at.EARLIER, at.EARLIEST]].tolist()
         middle, reached = state.middle.copy(), state.velocity.copy()
-        return StepHistory(middle, before.middle, last, earlier, reached, older.middle, earliest)
+        return stepping.StepHistory(
+            middle, before.middle, last, earlier, reached, older.middle, earliest
+        )
 
-    def limits(self) -> StepLimits:
+    def limits(self) -> stepping.StepLimits:
         """Return the bounds on the next step."""
         control = self.control
         entries.limit_step(self.model, self.state, control)
-        return StepLimits(
+        return stepping.StepLimits(
             left=float(control[at.LEFT]),
             tolerance=float(control[at.TOLERANCE]),
             smallest=float(control[at.SMALLEST]),
@@ -128,8 +124,8 @@ class _Loop:
 def rollout_in_python(
     packed: PackedBatch,
     motion: AbstractMotionModel,
-    stepper: AbstractStepper,
-    solver: AbstractSolver,
+    stepper: stepping.AbstractStepper,
+    solver: stepping.AbstractSolver,
     method: arrays.StepMethod,
     times: FloatArray | None,
 ) -> arrays.BatchRecord:

@@ -20,15 +20,7 @@ from fixel.model import Body, Disk, Parameters, Pusher, Scene, SupportPoints, Un
 from fixel.model.fields import floats, instance
 from fixel.model.parameters import check_supports, info_of
 from fixel.model.support import LOAD_ROUNDING, cells, tilted_shares, times_each, triangle_shares
-from fixel.simulation.load_profile import (
-    MAX_TABLE_EXPONENT,
-    PROFILE_NAMES,
-    TABLE_NAMES,
-    LoadNet,
-    balance,
-    can_balance,
-    factors_on_table,
-)
+from fixel.simulation import load_profile
 from fixel.typing import FloatArray, IntArray
 
 Values = Mapping[str, FloatArray]  # name -> (n,)
@@ -143,9 +135,9 @@ def varied_elements(
         elements = _on_three_points(scene, elements, values)
     if any(name.startswith("load_") for name in values):
         elements = _under_loads(scene, elements, values)
-    if any(name in values for name in PROFILE_NAMES):
+    if any(name in values for name in load_profile.PROFILE_NAMES):
         elements = _on_net(scene, elements, values, start)
-    elif any(name in values for name in TABLE_NAMES):
+    elif any(name in values for name in load_profile.TABLE_NAMES):
         elements = _on_table(scene, elements, values, start)
     elements = on_load_map(scene, elements, start)
     if "tripod_radius" in values:
@@ -187,7 +179,9 @@ def pressure_shares(scene: Scene, spread: FloatArray) -> tuple[FloatArray, Float
     square = ((points - body.shape.centroid) ** 2).sum(axis=1)
     exponent = 0.5 * spread[:, None] * (square / (share @ square) - 1.0)
     # Larger exponents would have no further effect.
-    load = share * np.exp(np.clip(exponent, -MAX_TABLE_EXPONENT, MAX_TABLE_EXPONENT))
+    load = share * np.exp(
+        np.clip(exponent, -load_profile.MAX_TABLE_EXPONENT, load_profile.MAX_TABLE_EXPONENT)
+    )
     load /= load.sum(axis=1, keepdims=True)
     return points - body.com, tilted_shares(load, points - body.com)
 
@@ -210,8 +204,8 @@ def _on_net(scene: Scene, elements: Elements, values: Values, start: FloatArray 
     An uneven table changes the loads before the balance.
     """
     body = _only_body(scene, "pressure_rim")
-    net = LoadNet.of(body.shape)
-    n = next(len(values[name]) for name in PROFILE_NAMES if name in values)
+    net = load_profile.LoadNet.of(body.shape)
+    n = next(len(values[name]) for name in load_profile.PROFILE_NAMES if name in values)
     angle = np.broadcast_to(body.pose[2] if start is None else start[:, 0, 2], n)
     shares = net.shares(values, body.com, angle, body.shape.centroid)
     return _pressing(scene, elements, net.points - body.com, shares)
@@ -307,10 +301,10 @@ def _on_table(
             expected="a body on four or more support points, or with uniform pressure",
             hint="the loads of three points are the same on every table",
         )
-    n = next(len(values[name]) for name in TABLE_NAMES if name in values)
+    n = next(len(values[name]) for name in load_profile.TABLE_NAMES if name in values)
     angle = np.broadcast_to(body.pose[2] if start is None else start[:, 0, 2], n)
     away = elements.point + body.com - body.shape.centroid
-    load = elements.load * factors_on_table(away, angle, values)
+    load = elements.load * load_profile.factors_on_table(away, angle, values)
     total, now = elements.load.sum(axis=-1), load.sum(axis=-1)
     # Without gravity there is no load to distribute.
     ratio = np.divide(total, now, out=np.ones(n), where=now > 0.0)
@@ -353,7 +347,7 @@ def redistributed(load: FloatArray, height: FloatArray, place: FloatArray) -> Fl
     away = (place - place.mean(axis=0)) / float(np.ptp(place, axis=0).max())
     # Points without load keep next to none, and those of a body without weight none.
     exponent = np.log(np.maximum(share, NO_LOAD)) + height
-    exponent += times_each(balance(exponent, away, times_each(share, away)), away.T)
+    exponent += times_each(load_profile.balance(exponent, away, times_each(share, away)), away.T)
     bare = np.exp(exponent - exponent.max(axis=1, keepdims=True))
     return np.asarray(total * bare / bare.sum(axis=1, keepdims=True))
 
@@ -524,9 +518,9 @@ def infeasible(scene: Scene, values: Values) -> list[str]:
         _, share = pressure_shares(scene, values["pressure_spread"])
         tips = "the centre of mass too far from the centroid for positive pressure everywhere"
         _note(reasons, np.any(share < -LOAD_ROUNDING, axis=1), tips)
-    if any(name in values for name in PROFILE_NAMES) and len(scene.bodies) == 1:
+    if any(name in values for name in load_profile.PROFILE_NAMES) and len(scene.bodies) == 1:
         body = scene.bodies[0]
-        if not can_balance(LoadNet.of(body.shape).points - body.com):
+        if not load_profile.can_balance(load_profile.LoadNet.of(body.shape).points - body.com):
             _note(reasons, np.ones(n, bool), "the centre of mass is not above the support points")
     loads = [v for name, v in values.items() if name.startswith("load_")]
     if loads:

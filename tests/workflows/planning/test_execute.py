@@ -301,6 +301,6 @@ def test_the_present_belief_of_a_part_that_was_seen_starts_where_it_was_seen(mon
     found = FoundPlan(plan=replace(square_plan(), belief=seen), request=request, calibration=4)
     for number, parameters in ((4, {}), (5, {"mass": 0.2})):
         own = SimpleNamespace(belief=first, calibration=number)
-        monkeypatch.setattr("fixel.workflows.planning.execute.inputs_of", lambda *a, own=own: own)
+        monkeypatch.setattr("fixel.workflows.planning.request.inputs_of", lambda *a, own=own: own)
         belief, found_number = present_belief(object(), found)
         assert (belief.start, belief.parameters, found_number) == (seen.start, parameters, number)

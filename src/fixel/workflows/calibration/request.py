@@ -12,17 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Self, TypeVar, get_args
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, PlainValidator, create_model
 
-from fixel.calibration import OPTIMISERS, AbstractOptimiser, MultiStart, PatternSearch
+from fixel.calibration import OPTIMISERS, AbstractOptimiser, MultiStart, PatternSearch, objective
 from fixel.calibration.least_squares import LeastSquares
 from fixel.calibration.noise import Noise
-from fixel.calibration.objective import (
-    ERRORS,
-    AbstractError,
-    EndPose,
-    Robust,
-    RootMeanSquare,
-    lengths_of,
-)
 from fixel.calibration.target import Target
 from fixel.errors import InvalidInput, check_name
 from fixel.formats.scene_file import SceneRecord, scene_content, scene_of
@@ -38,7 +30,7 @@ from fixel.typing import FloatArray
 
 Error = TypeVar("Error", float, FloatArray)
 Search = AbstractOptimiser | LeastSquares
-Method = TypeVar("Method", bound=AbstractError | Search)
+Method = TypeVar("Method", bound=objective.AbstractError | Search)
 
 AUTO: Final = "auto"
 SEARCHES: Final[tuple[type[Search], ...]] = (LeastSquares, *OPTIMISERS)
@@ -83,7 +75,7 @@ def named_options(choice: Any, where: str) -> NamedOptions:
     if isinstance(choice, Mapping) and "name" in choice:
         options = {key: value for key, value in choice.items() if key != "name"}
         return NamedOptions(name=str(choice["name"]), options=options)
-    if isinstance(choice, AbstractError | AbstractOptimiser):
+    if isinstance(choice, objective.AbstractError | AbstractOptimiser):
         names = [own.name for own in dataclasses.fields(choice)]  # type: ignore[arg-type]
         options = {name: getattr(choice, name) for name in names}
         return NamedOptions(name=choice.name, options=options)
@@ -150,9 +142,9 @@ class CalibrationRequest(_Fields):
         return ParameterSpace(unknowns=tuple(self.unknowns))
 
     @property
-    def made_error(self) -> AbstractError:
+    def made_error(self) -> objective.AbstractError:
         """The error of one experiment."""
-        return _made(ERRORS, self.error)
+        return _made(objective.ERRORS, self.error)
 
     @property
     def made_search(self) -> Search:
@@ -160,7 +152,7 @@ class CalibrationRequest(_Fields):
         choice, error = self.optimiser, self.made_error
         if choice.name == LeastSquares.name:
             options: dict[str, Any] = {"starts": self.starts}
-            if isinstance(error, Robust):
+            if isinstance(error, objective.Robust):
                 # Residuals are in millimetres.
                 options |= {"loss": "soft_l1", "width": 1e3 * error.distance}
             choice = NamedOptions(name=choice.name, options=options | choice.options)
@@ -172,7 +164,7 @@ class CalibrationRequest(_Fields):
     @property
     def sums_squares(self) -> bool:
         """Whether one set of parameters is searched whose error is a sum of squares."""
-        sums = self.combine != "largest" and self.error.name != RootMeanSquare.name
+        sums = self.combine != "largest" and self.error.name != objective.RootMeanSquare.name
         return bool(sums and self.mode == "joint")
 
     def with_usual_search(self, targets: Sequence[Target]) -> Self:
@@ -184,7 +176,7 @@ class CalibrationRequest(_Fields):
         """
         if self.optimiser.name != AUTO:
             return self
-        ends = self.error.name == EndPose.name
+        ends = self.error.name == objective.EndPose.name
         n_residuals = 3 * sum(1 if ends else len(target.pose) for target in targets)
         enough = len(targets) > 1 and n_residuals >= ENOUGH * len(self.space.free)
         name = (LeastSquares if self.sums_squares and enough else PatternSearch).name
@@ -209,7 +201,7 @@ class CalibrationRequest(_Fields):
 
     def lengths(self, errors: FloatArray, n: int = 1) -> FloatArray:
         """Return combined errors of n experiments as lengths of one [mm], for charts and tables."""
-        return lengths_of(self.error_of_one(errors, n), self.made_error.unit)
+        return objective.lengths_of(self.error_of_one(errors, n), self.made_error.unit)
 
     def listed(self) -> dict[str, str | float]:
         """Return the values that records have for lists, by name; without the parameters."""
@@ -257,7 +249,7 @@ NAMED: Final = tuple(
 
 def _made(family: Sequence[type[Method]], choice: NamedOptions) -> Method:
     """A member of a family, by its name and options."""
-    where = "error" if family is ERRORS else "optimiser"
+    where = "error" if family is objective.ERRORS else "optimiser"
     known: dict[str, Any] = {member.name: member for member in family}
     check_name(where, choice.name, known)
     member = known[choice.name]

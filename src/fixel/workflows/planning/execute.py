@@ -39,15 +39,7 @@ from fixel.workflows.acquisition.track import track_film
 from fixel.workflows.calibration.calibration import Calibration
 from fixel.workflows.calibration.run import calibrate
 from fixel.workflows.calibration.stored import newest_calibration
-from fixel.workflows.planning.request import (
-    FoundPlan,
-    add_trials,
-    inputs_of,
-    load_plan,
-    load_trials,
-    warnings_of,
-    with_experiments,
-)
+from fixel.workflows.planning import request
 
 # Standard deviations of the start by which a seen start may differ from the planned one; more
 # would carry out a plan for another start.
@@ -85,11 +77,11 @@ def run_on_testbed(path: str | Path, *, trials: int = 1, seed: int = 1) -> Trial
     2
     """
     path, trials = path_of(path, "path"), whole(trials, "trials")
-    file = load_plan(path)
+    file = request.load_plan(path)
     plan = file.found.plan
     _check_pushes(plan)
     # Trials after others have their own starts and conditions: the same runs would count twice.
-    before = load_trials(path, file).n
+    before = request.load_trials(path, file).n
     rng, error = np.random.default_rng([seed, 18, before]), plan.belief.start
     own, name = (int(rng.integers(2**31)), f"{file.id}-{before}") if before else (seed, file.id)
     drawn = np.zeros((trials, 3)) if error is None else error.samples(trials, own)
@@ -112,7 +104,7 @@ def run_on_testbed(path: str | Path, *, trials: int = 1, seed: int = 1) -> Trial
     failure = tuple(own or event for own, event in zip(failure, events, strict=True))
     by = f"simulated testbed, seed {seed}"
     runs = zip(starts, ends, met, failure, strict=True)
-    return add_trials(path, file, *(_trial(*run, by) for run in runs))
+    return request.add_trials(path, file, *(_trial(*run, by) for run in runs))
 
 
 def _carried_out(
@@ -180,7 +172,7 @@ def run_on_drive(
     in the project. All trials of the plan are returned, each with the person or program that
     carried it out (`by`). If the drive fails after the part was pushed, the trial is a failure.
     """
-    file = load_plan(path)
+    file = request.load_plan(path)
     plan = file.found.plan
     push = _straight(plan)
     x, y, angle = plan.start[0]
@@ -202,7 +194,7 @@ def run_on_drive(
             why = "Ctrl-C" if isinstance(problem, KeyboardInterrupt) else str(problem)
             if _moved(actuator, begun):
                 why = f"drive stopped: {why}"[:200]
-                add_trials(path, file, _trial(start, None, False, why, by))
+                request.add_trials(path, file, _trial(start, None, False, why, by))
             raise
     if recording is not None and recording.rig is not None:
         end = _tracked_end(plan, recording, project)
@@ -212,7 +204,7 @@ def run_on_drive(
     fixels = None if plan.fixels is None else plan.fixels[None]
     track = BodyTrack(end[None, None], np.array([True]), np.zeros(1), fixels)
     met = bool(plan.goal.met(plan.scene, track)[0])
-    return add_trials(path, file, _trial(start, end, met, "", by))
+    return request.add_trials(path, file, _trial(start, end, met, "", by))
 
 
 @contextmanager
@@ -319,7 +311,7 @@ def _trial(
 class CheckedPlan(NamedTuple):
     """Plan with its success probability under the present calibration, and its trials."""
 
-    found: FoundPlan
+    found: request.FoundPlan
     id: str
     now: SuccessProbability
     calibration: int | None  # id of the present calibration
@@ -353,8 +345,8 @@ class CheckedPlan(NamedTuple):
 
 def check_plan(project: Project | None, path: Path) -> CheckedPlan:
     """Compute the success probability of a stored plan under the present calibration."""
-    file = load_plan(path)
-    trials = load_trials(path, file)
+    file = request.load_plan(path)
+    trials = request.load_trials(path, file)
     belief, number = present_belief(project, file.found)
     return CheckedPlan(
         found=file.found,
@@ -366,13 +358,13 @@ def check_plan(project: Project | None, path: Path) -> CheckedPlan:
     )
 
 
-def present_belief(project: Project | None, found: FoundPlan) -> tuple[Belief, int | None]:
+def present_belief(project: Project | None, found: request.FoundPlan) -> tuple[Belief, int | None]:
     """Return the belief of a plan with the present calibration of its project, and its id."""
     if project is None or found.calibration is None:
         return found.plan.belief, found.calibration
     given = found.request
     scene = Path(given["scene"]) if given.get("scene") else None
-    own = inputs_of(
+    own = request.inputs_of(
         project, given["goal"], Path(given["folder"]), scene, given.get("experiment", "")
     )
     if own.calibration == found.calibration:  # also of a part that was seen on its way
@@ -405,7 +397,7 @@ def stored_held_success(project: Project, number: int | None = None, **options: 
         if number is None:
             hint = "fixel calibrate makes one"
             raise InvalidInput("project", found="no calibration", expected="one", hint=hint)
-    calibration, experiments = with_experiments(project, number)
+    calibration, experiments = request.with_experiments(project, number)
     return held_out_success(calibration, experiments, **options)
 
 
@@ -447,7 +439,7 @@ def next_step(path: Path, seen: Sequence[FloatArray], done: int = 0) -> NextStep
     after each correction, else once, after `done` pushes. None is returned where an open-loop plan
     must be made again, see `next_plan`.
     """
-    plan = load_plan(path).found.plan
+    plan = request.load_plan(path).found.plan
     most = 1 if plan.looks is None else plan.looks.most
     if not 1 <= len(seen) <= most:
         raise InvalidInput(
@@ -464,16 +456,16 @@ def next_step(path: Path, seen: Sequence[FloatArray], done: int = 0) -> NextStep
 
 def next_plan(
     project: Project | None, path: Path, seen: FloatArray, done: int = 0, **options: Any
-) -> FoundPlan:
+) -> request.FoundPlan:
     """Plan again from a seen pose (3,) of the part [m, m, rad], with the pushes that are left.
 
     Of the plan, `done` pushes were carried out. Options are those of `plan_again`.
     """
-    found = load_plan(path).found
+    found = request.load_plan(path).found
     belief, number = present_belief(project, found)
     old = found.plan.under(belief)
     with show_progress(None, "planning") as report:
         asked = {name: x for name, x in found.request.items() if name == "untrusted"}
         again, note = plan_again(old, seen, done, **{**asked, **options}, report=report.show)
-    warnings = (*warnings_of(again, found.wanted), *filter(None, [note]))
+    warnings = (*request.warnings_of(again, found.wanted), *filter(None, [note]))
     return replace(found, plan=again, calibration=number, warnings=warnings)

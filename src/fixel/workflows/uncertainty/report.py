@@ -12,13 +12,7 @@ import numpy as np
 
 from fixel.calibration.result import CalibratedValues, NearOptimal
 from fixel.database.project import Project
-from fixel.drawing.uncertainty import (
-    bands_chart,
-    corner_chart,
-    coverage_chart,
-    final_pose_chart,
-    label_text,
-)
+from fixel.drawing import uncertainty
 from fixel.engine_names import compare_words
 from fixel.filtering.particle_filter import UniformPrior
 from fixel.table import Column, Table
@@ -314,7 +308,7 @@ MIN_FOR_CURVE: Final = 5
 
 def pictures_of(found: Uncertainty) -> Iterator[Picture]:
     """Yield charts of the posterior, of the first predictions, and of their coverage."""
-    corner = corner_chart(found.posterior, f"Posterior of {what_of(found)}")
+    corner = uncertainty.corner_chart(found.posterior, f"Posterior of {what_of(found)}")
     yield Picture("corner", corner, _banner(found.predicted),
                   f"Samples of the posterior. The prior was uniform: {_priors(found.posterior)}."
                   )  # fmt: skip
@@ -334,7 +328,7 @@ def _priors(posterior: Posterior) -> str:
         unit = displayed(posterior.units[k])
         ends = f"{unit.text(posterior.low[k])} to {unit.text(posterior.high[k])} {unit.name}"
         log = " (of its logarithm)" * (label == LABEL)
-        parts.append(f"{label_text(label)} {ends.rstrip()}{log}")
+        parts.append(f"{uncertainty.label_text(label)} {ends.rstrip()}{log}")
     return ", ".join(parts)
 
 
@@ -345,12 +339,12 @@ def _of_experiment(one: ExperimentPrediction, number: int) -> Iterator[Picture]:
     # Angles on the same turn as the simulated ones.
     off = prediction.nominal[:, 2] - measured[:, 2]
     measured[:, 2] += 2.0 * np.pi * np.round(off / (2.0 * np.pi))
-    path = bands_chart(time=prediction.time, measured=measured, best=prediction.nominal,
+    path = uncertainty.bands_chart(time=prediction.time, measured=measured, best=prediction.nominal,
                       bands=[prediction.bands(level) for level in LEVELS], title=what)  # fmt: skip
     yield Picture(f"bands-{number}", path, banner,
                   f"Trajectory of {what} with bands of 50 and 90 %, frame by frame.")  # fmt: skip
     body = one.target.case.scene.bodies[0]
-    final = final_pose_chart(
+    final = uncertainty.final_pose_chart(
         outline=body.shape.outline,
         start=body.pose,
         measured=measured[-1],
@@ -364,7 +358,7 @@ def _of_experiment(one: ExperimentPrediction, number: int) -> Iterator[Picture]:
 
 def _curve_picture(found: Uncertainty, both: tuple[CoverageCurve, CoverageCurve]) -> Picture:
     curves = dict(zip(("final position", "final angle"), both, strict=True))
-    chart = coverage_chart(curves, "Coverage of the bounds by held-out experiments")
+    chart = uncertainty.coverage_chart(curves, "Coverage of the bounds by held-out experiments")
     return Picture("coverage", chart, _banner(found.held_out),
                    "Share of held-out final poses within the bounds of each level.")  # fmt: skip
 
