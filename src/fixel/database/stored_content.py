@@ -8,8 +8,9 @@ import re
 import shlex
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import sqlalchemy as sa
 
@@ -27,7 +28,8 @@ FOLDERS: Final = (MEDIA, ANALYSES, "backups", "bench", "cache", "jobs", "rigs") 
 CHANGED: Final = "has changed: its checksum differs"
 
 
-class Trouble(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Trouble:
     """Fault found in a database."""
 
     where: str

@@ -34,18 +34,17 @@ def replay_dataset(
     begun = clock.perf_counter()
     folder = Path(folder)
     replay = _replay_of(folder)(folder, request or ReplayRequest())
-    parts = replay.parts
-    total = sum(part.n for part in parts)
+    total = sum(n for _, n, _ in replay.parts)
 
     read = clock.perf_counter()
-    replay.simulate(parts[0].item)  # compile, or load compiled code
+    replay.simulate(replay.parts[0][2])  # compile, or load compiled code
     started = clock.perf_counter()
     outcomes, done = [], 0
-    for part in parts:
-        outcomes.append(replay.simulate(part.item))
-        done += part.n
+    for name, n, item in replay.parts:
+        outcomes.append(replay.simulate(item))
+        done += n
         if progress is not None:
-            progress(done, total, part.name)
+            progress(done, total, name)
     ended = clock.perf_counter()
 
     answer = replay.result(outcomes)

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -68,18 +68,11 @@ class Replay:
         return {name: getattr(self, name) for name in (*names, "pushes")}
 
 
-class ReplayPart(NamedTuple):
-    """Part of a replay that is simulated at once."""
-
-    name: str
-    n: int  # number of its records
-    item: Any
-
-
 class AbstractReplay(ABC):
     """Base class of replays, which read a dataset and simulate the requested records."""
 
-    parts: list[ReplayPart]
+    # Parts that are simulated at once: name, number of records, and what `simulate` takes.
+    parts: list[tuple[str, int, Any]]
 
     @abstractmethod
     def __init__(self, folder: Path, request: ReplayRequest) -> None:

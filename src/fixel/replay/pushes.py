@@ -41,7 +41,7 @@ class PushReplay(base.AbstractReplay):
             pace = speed * 1e-3  # [m/s]
             scene = base.template(self.data.bodies[shape], TIP, self.settings, pace, STROKE / pace)
             name = f"{surface} {shape} {speed:g} mm/s"
-            self.parts.append(base.ReplayPart(name, len(rows), (rows, scene)))
+            self.parts.append((name, len(rows), (rows, scene)))
 
     def simulate(self, item: tuple[IntArray, Scene]) -> BatchResult:
         """Simulate pushes that share a scene, in one compiled call."""

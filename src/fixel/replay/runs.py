@@ -101,7 +101,7 @@ class RunReplay(base.AbstractReplay):
         windows = [windows[k] for k in base.spread(len(windows), request.limit)]
         if not windows:
             raise base.only_doubtful("windows")
-        self.parts = [base.ReplayPart(window.run.name, 1, window) for window in windows]
+        self.parts = [(window.run.name, 1, window) for window in windows]
 
     def simulate(self, item: RunWindow) -> WindowOutcome:
         """Simulate one window and compare all measured poses."""

@@ -64,7 +64,7 @@ class TrialReplay(base.AbstractReplay):
             )
         self.left_out = int(fits[n:].sum())
         chosen = [chosen[k] for k in base.spread(len(chosen), request.limit)]
-        self.parts = [base.ReplayPart(f"experiment {trial.name}", 1, trial) for trial in chosen]
+        self.parts = [(f"experiment {trial.name}", 1, trial) for trial in chosen]
 
     def simulate(self, item: Experiment) -> TrialOutcome:
         """Simulate a trial along both recorded paths of the actuator, and as the laboratory did."""

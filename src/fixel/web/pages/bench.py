@@ -7,22 +7,20 @@ from typing import Any, Literal
 
 from fastapi import APIRouter, Request
 from fastapi.responses import JSONResponse
-from pydantic import BaseModel, ConfigDict
 
 from fixel.database.project import SETTINGS
 from fixel.errors import FixelError, InvalidInput
 from fixel.web.context import ProjectContext
 from fixel.web.pages.run import filled_form, texts_of
+from fixel.web.values import RequestBody
 from fixel.workflows.bench.campaign import campaigns
 from fixel.workflows.bench.run import BENCH
 
 PATH = "/bench"
 
 
-class BenchWish(BaseModel):
+class BenchWish(RequestBody):
     """Wish of a page, such as a push or a stop."""
-
-    model_config = ConfigDict(extra="forbid")
 
     do: Literal["push", "stop", "place", "skip", "again", "end", "accept", "repeat"]
     row: str = ""

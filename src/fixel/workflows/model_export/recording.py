@@ -37,15 +37,11 @@ class BodyMotion(NamedTuple):
     pose: FloatArray  # (n, 3) [m, m, rad]
 
 
-class Motion(NamedTuple):
-    """Motion of everything in a scene, and what it lacks."""
+def motion_of(source: ModelSource) -> tuple[list[BodyMotion], list[str]]:
+    """Return the motions in the first case of a source, and what they lack.
 
-    things: list[BodyMotion]
-    lost: list[str]
-
-
-def motion_of(source: ModelSource) -> Motion:
-    """Return the motion of the first case of a source, which is simulated unless it is known."""
+    The case is simulated unless its motion is known.
+    """
     case = source.cases[0]
     runs = source.runs or (
         simulate(
@@ -66,7 +62,7 @@ def motion_of(source: ModelSource) -> Motion:
         for run in runs
         if run.stopped_at is not None
     ]
-    return Motion(found, ["masses, friction and forces", *lost])
+    return found, ["masses, friction and forces", *lost]
 
 
 def _joined(runs: tuple[Simulation, ...]) -> Iterator[BodyMotion]:

@@ -34,7 +34,7 @@ from fixel.simulation.rollouts import RolloutCase, ensemble_of
 from fixel.typing import FloatArray, ProgressCallback
 from fixel.uncertainty.error_terms import StartError
 from fixel.uncertainty.start_ensemble import simulate_starts
-from fixel.workflows.model_export.recording import WRITERS, motion_of
+from fixel.workflows.model_export.recording import WRITERS, BodyMotion, motion_of
 from fixel.workflows.model_export.source import Exportable, ModelSource, SourceCase, source_of, urdf
 
 TARGETS: Final = ("mujoco", "drake", "pymunk", "box2d", "urdf", *WRITERS)
@@ -135,9 +135,9 @@ def export_model(
         raise _refused(wanted.name, f"a {source.kind}" if source.runs else found)
     # A recording, and a description of a body, have no motion of their own to compare.
     stated, judged = wanted.name, {"to": wanted.name, "distance_from_fixel": None}
-    motion = motion_of(source) if recorded else None
-    if motion is not None:
-        texts, lost = dict[str, str](), motion.lost
+    texts, motions = dict[str, str](), list[BodyMotion]()
+    if recorded:
+        motions, lost = motion_of(source)
     elif wanted.name == "urdf":
         texts, lost = _urdf(exported)
     else:
@@ -150,9 +150,9 @@ def export_model(
     with folder_whole(target) as unfinished:
         for name, text in contents.items():
             (unfinished / name).write_text(text, encoding="utf-8")
-        if motion is not None:
+        if recorded:
             name, write = WRITERS[wanted.name]
-            write(unfinished / name, motion.things)
+            write(unfinished / name, motions)
             contents[name] = ""
     return ModelExport(folder=target, to=stated, files=tuple(sorted(contents)), card=card)
 
