@@ -10,7 +10,8 @@ defaults; appendix C.7 of the thesis (RPI).
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -124,7 +125,7 @@ class DakotaFile(NamedTuple):
 class _Token(NamedTuple):
     kind: str  # name of a group of _TOKEN; empty at the end of the text
     text: str
-    line: int
+    where: str  # its file and line
 
 
 def load_dakota(path: str | Path) -> DakotaFile:
@@ -147,16 +148,15 @@ def dakota_from_text(text: str, where: str = "dakota") -> DakotaFile:
 
 @dataclass
 class _Block:
-    """Keywords of one block, with their values and lines."""
+    """Keywords of one block, with their values and places."""
 
     name: str
     where: str
-    line: int
     values: dict[str, Any] = field(default_factory=dict)
-    lines: dict[str, int] = field(default_factory=dict)
+    places: dict[str, str] = field(default_factory=dict)
 
     def at(self, keyword: str) -> str:
-        return f"{self.where}, line {self.lines.get(keyword, self.line)}"
+        return self.places.get(keyword, self.where)
 
     def need(self, keyword: str) -> Any:
         if keyword not in self.values:
@@ -167,126 +167,103 @@ class _Block:
 
 
 def _blocks(text: str, where: str) -> tuple[dict[str, _Block], list[str]]:
-    tokens = _Tokens(text, where)
+    tokens = deque(_tokens(text, where))
     blocks: dict[str, _Block] = {}
     notes: list[str] = []
-    while (token := tokens.take()).kind:
+    while (token := tokens.popleft()).kind:
         name = token.text.lower()
         if token.kind != "word" or name not in BLOCKS:
-            raise tokens.refused(token, "a block: " + ", ".join(BLOCKS), BLOCKS)
+            raise _refused(token, "a block: " + ", ".join(BLOCKS), BLOCKS)
         if name in blocks:
-            raise tokens.refused(token, f"one {name} block")
-        blocks[name] = _Block(name, where, token.line)
+            raise _refused(token, f"one {name} block")
+        blocks[name] = _Block(name, token.where)
         if name in _SKIPPED:
-            tokens.skip_block()
+            while not _at_block(tokens):
+                tokens.popleft()
             notes.append(f"the block {name} was skipped: fixel evaluates the error itself")
         else:
             _read_block(tokens, blocks[name])
     return blocks, notes
 
 
-def _read_block(tokens: _Tokens, block: _Block) -> None:
+def _at_block(tokens: deque[_Token]) -> bool:
+    """Whether the next token begins a block, or is the end."""
+    token = tokens[0]
+    return not token.kind or (token.kind == "word" and token.text.lower() in BLOCKS)
+
+
+def _read_block(tokens: deque[_Token], block: _Block) -> None:
     known = _KNOWN[block.name]
-    while not tokens.at_block():
-        token = tokens.take()
+    while not _at_block(tokens):
+        token = tokens.popleft()
         keyword = token.text.lower()
         keyword = _OTHER_NAMES.get(keyword, keyword)
         if token.kind != "word" or keyword not in known:
             names = [*known, *(old for old, new in _OTHER_NAMES.items() if new in known)]
-            raise tokens.refused(token, "one of " + ", ".join(names), names)
+            raise _refused(token, "one of " + ", ".join(names), names)
         if keyword in block.values:
-            raise tokens.refused(token, "each keyword once")
-        block.lines[keyword] = token.line
+            raise _refused(token, "each keyword once")
+        block.places[keyword] = token.where
         block.values[keyword] = _value(tokens, token, known[keyword])
 
 
-def _value(tokens: _Tokens, keyword: _Token, kind: object) -> Any:
+def _value(tokens: deque[_Token], keyword: _Token, kind: object) -> Any:
     if isinstance(kind, tuple):
-        token = tokens.take()
+        token = tokens.popleft()
         if token.text.lower() not in kind:
-            raise tokens.refused(token, f"{keyword.text} to be {' or '.join(kind)}", kind)
+            raise _refused(token, f"{keyword.text} to be {' or '.join(kind)}", kind)
         return token.text.lower()
     if kind == _FLAG:
         return True
     if kind == _STRINGS:
-        texts = tokens.strings()
+        texts = []
+        while tokens[0].kind == "text":
+            texts.append(tokens.popleft().text[1:-1])
         if not texts:
-            raise tokens.refused(tokens.peek(), f"{kind} in quotes after {keyword.text}")
+            raise _refused(tokens[0], f"{kind} in quotes after {keyword.text}")
         return texts
-    numbers = tokens.numbers()
+    numbers = _numbers(tokens)
     single = kind in (_NUMBER, _COUNT)
     if not numbers or (single and len(numbers) > 1):
-        raise tokens.refused(tokens.peek(), f"{kind} after {keyword.text}")
+        raise _refused(tokens[0], f"{kind} after {keyword.text}")
     if kind == _COUNT and not numbers[0].is_integer():
-        raise tokens.refused(keyword, f"{kind} after {keyword.text}")
+        raise _refused(keyword, f"{kind} after {keyword.text}")
     return int(numbers[0]) if kind == _COUNT else numbers[0] if single else numbers
 
 
-class _Tokens:
-    """Stream of the words, numbers and strings of a text."""
-
-    def __init__(self, text: str, where: str) -> None:
-        self._where = where
-        self._rest = list(_tokens(text))
-        self._next = 0
-
-    def peek(self) -> _Token:
-        return self._rest[self._next]
-
-    def take(self) -> _Token:
-        token = self.peek()
-        self._next += bool(token.kind)
-        return token
-
-    def at_block(self) -> bool:
-        token = self.peek()
-        return not token.kind or (token.kind == "word" and token.text.lower() in BLOCKS)
-
-    def skip_block(self) -> None:
-        while not self.at_block():
-            self.take()
-
-    def strings(self) -> list[str]:
-        found = []
-        while self.peek().kind == "text":
-            found.append(self.take().text[1:-1])
-        return found
-
-    def numbers(self) -> list[float]:
-        """Take the next numbers; `3*0.5` stands for 0.5 three times."""
-        found: list[float] = []
-        while self.peek().kind == "number":
-            token = self.take()
-            value, count = float(token.text), 1
-            if self.peek().text == "*":
-                self.take()
-                if not (value.is_integer() and 0 < value <= 1000 and self.peek().kind == "number"):
-                    raise self.refused(token, "a count before * and a number after it")
-                value, count = float(self.take().text), int(value)
-            found.extend([value] * count)
-        if self.peek().kind == "endless":
-            raise self.refused(self.peek(), "a finite number, since fixel searches within bounds")
-        return found
-
-    def refused(
-        self, token: _Token, expected: str, names: tuple[str, ...] | list[str] = ()
-    ) -> InvalidInput:
-        return InvalidInput(
-            f"{self._where}, line {token.line}",
-            found=token.text if token.kind else "the end of the file",
-            expected=expected,
-            hint=did_you_mean(token.text, names),
-        )
+def _numbers(tokens: deque[_Token]) -> list[float]:
+    """Take the next numbers; `3*0.5` stands for 0.5 three times."""
+    found: list[float] = []
+    while tokens[0].kind == "number":
+        token = tokens.popleft()
+        value, count = float(token.text), 1
+        if tokens[0].text == "*":
+            tokens.popleft()
+            if not (value.is_integer() and 0 < value <= 1000 and tokens[0].kind == "number"):
+                raise _refused(token, "a count before * and a number after it")
+            value, count = float(tokens.popleft().text), int(value)
+        found.extend([value] * count)
+    if tokens[0].kind == "endless":
+        raise _refused(tokens[0], "a finite number, since fixel searches within bounds")
+    return found
 
 
-def _tokens(text: str) -> Iterator[_Token]:
+def _refused(token: _Token, expected: str, names: Sequence[str] = ()) -> InvalidInput:
+    found, hint = (
+        token.text if token.kind else "the end of the file",
+        did_you_mean(token.text, names),
+    )
+    return InvalidInput(token.where, found=found, expected=expected, hint=hint)
+
+
+def _tokens(text: str, where: str) -> Iterator[_Token]:
     line = 1
     for match in _TOKEN.finditer(text):
         kind = str(match.lastgroup)
         if kind != "blank":
-            yield _Token(kind, match.group(), line)
+            yield _Token(kind, match.group(), f"{where}, line {line}")
         line += match.group().count("\n")
-    yield _Token("", "", line)
+    yield _Token("", "", f"{where}, line {line}")
 
 
 # --- from keywords to objects ---------------------------------------------------------------------
