@@ -685,6 +685,13 @@ _SHARED: Final = ("scene", "parameters", "time", "derivatives", "version")
 PER_RUN: Final = tuple(own.name for own in fields(BatchResult) if own.name not in _SHARED)
 
 
+def finite_track(simulation: Simulation, name: str, start: float = 0.0) -> Trajectory:
+    """Return the poses of a body or pusher until the simulation ended, from a time [s] on."""
+    pose = simulation.pose[name]
+    known = np.isfinite(pose).all(axis=1)
+    return Trajectory(time=start + simulation.time[known], pose=pose[known])
+
+
 def _known(name: str, names: Sequence[str]) -> str:
     check_name("name", name, names)
     return name

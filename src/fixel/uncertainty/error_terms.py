@@ -25,6 +25,7 @@ import numpy as np
 from fixel.calibration.objective import ANGLE_SCALE
 from fixel.errors import InvalidInput, check_name
 from fixel.model.fields import Value, check_fields, non_negative, positive, whole
+from fixel.model.goals import length
 from fixel.typing import FloatArray
 
 Kind = Literal["uniform", "normal"]
@@ -106,7 +107,7 @@ class StartError:
         return np.asarray(self.size * ndtri(np.clip(even, 1e-9, 1.0 - 1e-9)))
 
     def __str__(self) -> str:
-        x, y, theta = _length(self.x), _length(self.y), f"{math.degrees(self.theta):.3g} deg"
+        x, y, theta = length(self.x), length(self.y), f"{math.degrees(self.theta):.3g} deg"
         places = [x] * (self.x > 0.0)
         if self.x != self.y:
             places = [f"{x} (x)"] * (self.x > 0.0) + [f"{y} (y)"] * (self.y > 0.0)
@@ -114,10 +115,6 @@ class StartError:
         if self.kind == "normal":
             return f"start: {', '.join(sizes)} standard deviation"
         return f"start: {', '.join(f'+-{size}' for size in sizes)} uniform"
-
-
-def _length(metres: float) -> str:
-    return f"{1e6 * metres:.3g} um" if 0.0 < metres < 1e-4 else f"{1e3 * metres:.3g} mm"
 
 
 # Experimental errors of the ASME paper: +-1 pixel in x and y; 0.5 deg is read from its figure of

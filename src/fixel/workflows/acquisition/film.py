@@ -25,6 +25,7 @@ from fixel.io.document import read_document
 from fixel.model import Body, Experiment, PlannedExperiment, Pusher, Scene, Trajectory, pose_error
 from fixel.model.probability import stream
 from fixel.simulation import Simulation, simulate
+from fixel.simulation.result import finite_track
 from fixel.simulation.simulate import get_ready
 from fixel.testbed.imperfections import felt, touching
 from fixel.testbed.simulated import TRUTH, SimulatedTestbed
@@ -159,11 +160,7 @@ def _render(
 def tracks_of(subject: FilmScene, lead: float) -> dict[str, Trajectory]:
     """Return the true trajectories on the clock of a film that begins with a rest [s]."""
     simulation = subject.simulation
-    tracks = {}
-    for name, pose in simulation.pose.items():
-        known = np.isfinite(pose).all(axis=1)
-        tracks[name] = Trajectory(time=lead + simulation.time[known], pose=pose[known])
-    return tracks
+    return {name: finite_track(simulation, name, lead) for name in simulation.pose}
 
 
 def truth_of(

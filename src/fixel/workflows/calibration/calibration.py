@@ -36,6 +36,7 @@ from fixel.calibration.target import Target, target_of
 from fixel.engine_names import EngineName
 from fixel.errors import InvalidInput, counted, some_of
 from fixel.io.atomic import readable
+from fixel.io.document import plain_numbers
 from fixel.jobs import folder as files
 from fixel.model import Experiment, Parameters, Scene
 from fixel.model.records import Estimate, estimate_table
@@ -664,7 +665,7 @@ class Calibrations(CalibrationPlan, Result, Sequence[Calibration]):
             "sample_of": self.request.sample_of,
             "error": self.request.error.name,
             "unit": self.request.made_error.unit,
-            "nominal_error": [finite(error) for error in outcome.nominal.tolist()],
+            "nominal_error": plain_numbers(outcome.nominal),
             "found": [_plain(fit, number) for fit, number in zip(self, self.ids, strict=True)],
         }
 
@@ -765,18 +766,13 @@ def _plain(fit: Calibration, calibration_id: int | None) -> dict[str, Any]:
         **{name: getattr(one, name) for name in PLAIN if name not in ("members", "profiles")},
         "experiments": list(fit.keys_of_experiments),
         "misfit": list(one.misfit),
-        "misfit_ratio": finite(one.misfit_ratio),
+        "misfit_ratio": plain_numbers(one.misfit_ratio),
         "parameters": {label: fit.estimates[label].value for label in labels},
         "best_fit": dict(zip(labels, one.point.tolist(), strict=True)),
-        "errors": [finite(error) for error in one.errors.tolist()],
+        "errors": plain_numbers(one.errors),
         "evaluations": fit.evaluations,
         "ended": one.ended,
         "prediction_check": fit.prediction_check and fit.prediction_check._asdict(),
         "solutions": [dict(zip(labels, s, strict=True)) for s in one.solutions.tolist()],
         "estimates": [estimate.stored() for estimate in one.estimates],
     }
-
-
-def finite(error: float) -> float | None:
-    """Return a number for JSON, which has none that is infinite."""
-    return error if math.isfinite(error) else None

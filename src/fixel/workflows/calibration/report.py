@@ -32,6 +32,7 @@ from fixel.drawing.searches import SearchPanel, search_chart, starts_chart
 from fixel.errors import InvalidInput
 from fixel.model import Parameters, placed
 from fixel.simulation import Simulation, simulate
+from fixel.simulation.result import finite_track
 from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.workflows.analysis import AnalysisReport, Picture, StoredAnswer, banner_of
@@ -397,16 +398,14 @@ def _simulated(fit: Calibration, target: Target, point: FloatArray) -> Simulatio
 
 def _track(simulation: Simulation, error: float) -> Track:
     """Simulated track until the simulation ended."""
-    pose = simulation.pose[simulation.scene.bodies[0].name]
-    known = np.isfinite(pose).all(axis=1)
-    return Track(simulation.time[known], pose[known], error if math.isfinite(error) else None)
+    own = finite_track(simulation, simulation.scene.bodies[0].name)
+    return Track(own.time, own.pose, error if math.isfinite(error) else None)
 
 
 def _pusher(simulation: Simulation) -> list[FloatArray]:
     """Outlines of the pusher at the start and at the end."""
     outlines = []
     for pusher in simulation.scene.pushers[:1]:
-        pose = simulation.pose[pusher.name]
-        known = pose[np.isfinite(pose).all(axis=1)]
-        outlines += [placed(pusher.shape.outline, known[k]) for k in (0, -1)]
+        pose = finite_track(simulation, pusher.name).pose
+        outlines += [placed(pusher.shape.outline, pose[k]) for k in (0, -1)]
     return outlines

@@ -34,6 +34,7 @@ from fixel.database.store import Store
 from fixel.engine_names import EngineName
 from fixel.errors import InvalidInput, NotStored, StoreRefused, reason_of
 from fixel.io.atomic import INVALID_CONTENT, readable
+from fixel.io.document import plain_numbers
 from fixel.jobs.work import Answers, Round
 from fixel.model import LoadMap, Parameters, Provenance, Scene
 from fixel.model.records import CalibrationRecord, Evaluations, Member
@@ -41,7 +42,7 @@ from fixel.model.space import ParameterSpace, Unknown, split_label
 from fixel.table import Column, Table
 from fixel.trust import repeatable
 from fixel.typing import FloatArray
-from fixel.workflows.calibration.calibration import Calibration, Calibrations, finite
+from fixel.workflows.calibration.calibration import Calibration, Calibrations
 from fixel.workflows.calibration.plan import load_task, outcome_bytes, outcome_of, plan_in, rounds
 from fixel.workflows.calibration.request import (
     NAMED,
@@ -386,7 +387,7 @@ def _records(run: Calibrations, experiments: Sequence[int]) -> Iterator[Calibrat
             result={
                 "place": place,
                 "set": set_content(replace(one, members=tuple(range(len(one.members))))),
-                "nominal": [finite(error) for error in fit.nominal_errors.tolist()],
+                "nominal": plain_numbers(fit.nominal_errors),
                 "source": run.source,
                 "asked": dict(run.asked),
                 "left_out": dict(run.left_out),

@@ -14,6 +14,7 @@ from fixel.model import Channel, Experiment, Parameters, Provenance, Trajectory
 from fixel.model.experiment import unit_of
 from fixel.model.records import SimulationRecord
 from fixel.simulation import AbstractMotionModel, AbstractStepper, Simulation, simulate
+from fixel.simulation.result import finite_track
 from fixel.testbed.imperfections import touching
 from fixel.typing import FloatArray
 
@@ -162,7 +163,7 @@ def compare_run(
         duration=duration,
         output_interval=_interval(experiment.trajectory.time, duration),
     )
-    simulated = _track(simulation, experiment.object_name, start)
+    simulated = finite_track(simulation, experiment.object_name, start)
     contacts = _contacts(simulation, experiment.object_name, start)
     last = [] if contacts is None else contacts.values[-1]
     time, position, angle = errors_of(experiment, simulated)
@@ -172,7 +173,7 @@ def compare_run(
         parameters=parameters,
         simulation=simulation,
         simulated=simulated,
-        pusher=_track(simulation, scene.pushers[0].name, start) if scene.pushers else None,
+        pusher=finite_track(simulation, scene.pushers[0].name, start) if scene.pushers else None,
         contacts=contacts,
         contact_mode="".join(str(int(touch)) for touch in last),
         time=time,
@@ -201,13 +202,6 @@ def _interval(time: FloatArray, duration: float) -> float:
     """Interval between samples of the simulation [s]: a frame, or less if frames are few."""
     frame = float(np.median(np.diff(time))) if len(time) > 1 else duration
     return min(frame, duration / SAMPLES) if len(time) < SAMPLES // 10 else min(frame, duration)
-
-
-def _track(simulation: Simulation, name: str, start: float) -> Trajectory:
-    """Return the finite poses of one body, on the experiment's clock."""
-    pose = simulation.pose[name]
-    known = np.isfinite(pose).all(axis=1)
-    return Trajectory(time=start + simulation.time[known], pose=pose[known])
 
 
 def _contacts(simulation: Simulation, name: str, start: float) -> Channel | None:
