@@ -16,8 +16,7 @@ from fixel.workflows.calibration.execution import (
 from fixel.workflows.calibration.plan import CalibrationPlan, plan_in
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions, options_of
 from fixel.workflows.calibration.stored import add_to_project
-from fixel.workflows.capabilities import CAPABILITIES
-from fixel.workflows.capabilities import prepare as prepare_job
+from fixel.workflows.capabilities import CAPABILITIES, prepare as prepare_job
 
 __all__ = ["ExperimentSelection", "draw_sample", "select_experiments"]
 

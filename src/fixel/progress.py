@@ -161,8 +161,7 @@ def _terminal_bar() -> _Bar | None:
     if not sys.stderr.isatty():
         return None
     from rich.console import Console
-    from rich.progress import BarColumn, TextColumn
-    from rich.progress import Progress as RichProgress
+    from rich.progress import BarColumn, Progress as RichProgress, TextColumn
 
     columns = (BarColumn(WIDTH), TextColumn("{task.description}", markup=False))
     rich = RichProgress(*columns, console=Console(stderr=True), transient=True)

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import benchmarks
 import pytest
-from benchmarks import __main__ as command
-from benchmarks import report, web_load, work_precision
+from benchmarks import __main__ as command, report, web_load, work_precision
 from benchmarks.figures import FULL, SMALL, Figure, at_least, at_most
 
 pytestmark = pytest.mark.system

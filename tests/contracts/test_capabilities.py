@@ -16,8 +16,7 @@ from typing import Annotated, Literal, get_args, get_origin
 
 import pytest
 import typer
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from tests import laboratories
 from tests.equal_pushes import over_a_table
 from tests.filtering.recordings import push

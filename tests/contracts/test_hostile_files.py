@@ -49,8 +49,7 @@ from fixel.workflows import jobs
 from fixel.workflows.calibration.calibration import collect
 from fixel.workflows.calibration.plan import plan_in
 from fixel.workflows.calibration.stored import list_calibrations, load_values, stored_calibration
-from fixel.workflows.planning.request import load_plan as load_saved_plan
-from fixel.workflows.planning.request import load_trials
+from fixel.workflows.planning.request import load_plan as load_saved_plan, load_trials
 
 SPACE = {"mu_pusher": (0.0, 1.0), "tripod_radius": 0.038}
 ENGINE = """

@@ -9,8 +9,7 @@ from tests.fixtures import refused
 from tests.jobs.fake_slurm import VARIABLE, FakeSlurm
 
 from fixel.errors import JobRefused
-from fixel.jobs import link
-from fixel.jobs import pool as slurm
+from fixel.jobs import link, pool as slurm
 from fixel.jobs.pool import SlurmPool, require_slurm
 from fixel.jobs.site import Site, trust_site
 

@@ -5,8 +5,7 @@ Tolerances: coordinates of order one, so 1e-12 is a thousand roundings.
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from tests.fixtures import refused
 from tests.kernels.entries import measure_contacts
 from tests.kernels.test_contacts import regular

@@ -5,8 +5,7 @@ from math import pi
 
 import numpy as np
 import pytest
-from hypothesis import given, reject, settings
-from hypothesis import strategies as st
+from hypothesis import given, reject, settings, strategies as st
 from tests.laws.scenes import SIZE, mirrored, quarter_turned, rescaled, scenes, table_push
 
 from fixel.simulation import Adaptive, Dynamic, FirstOrder, QuasiStatic, StewartTrinkle, simulate

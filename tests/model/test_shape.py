@@ -5,8 +5,7 @@ from math import pi
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from tests.fixtures import refused
 
 from fixel.errors import InvalidInput

@@ -9,8 +9,7 @@ from timeit import repeat
 import numpy as np
 import pytest
 import shapely
-from hypothesis import assume, given
-from hypothesis import strategies as st
+from hypothesis import assume, given, strategies as st
 from tests.fixtures import refused
 
 from fixel import (

@@ -4,8 +4,7 @@ from math import pi
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from tests.fixtures import refused
 
 from fixel.model import Trajectory, pose_error, wrapped

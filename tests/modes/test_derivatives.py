@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.seated import free_push as any_push
-from benchmarks.seated import seated_grasp
+from benchmarks.seated import free_push as any_push, seated_grasp
 
 from fixel.errors import InvalidInput
 from fixel.model import (

@@ -19,8 +19,7 @@ from fixel.datasets.files import read_table, table_rows
 from fixel.datasets.mit_push import MitPush
 from fixel.datasets.mit_pusher_slider import MitPusherSlider
 from fixel.datasets.rpi_2dgad import Rpi2dgad
-from fixel.datasets.table import DATASET as TABLE
-from fixel.datasets.table import CsvTable, plan_table
+from fixel.datasets.table import DATASET as TABLE, CsvTable, plan_table
 from fixel.errors import DatasetMissing, InvalidInput, check_name
 from fixel.io.atomic import refuse_device
 from fixel.model import Body, Disk, Polygon, Provenance, Pusher, Scene, Tripod

@@ -8,8 +8,7 @@ import math
 
 import numpy as np
 
-from fixel.kernels import arrays as at
-from fixel.kernels import codes
+from fixel.kernels import arrays as at, codes
 from fixel.kernels.arrays import Batch, Model, Problem, State, Workspace
 from fixel.kernels.contacts import place_bodies
 from fixel.kernels.islands import island_room

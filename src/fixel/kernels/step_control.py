@@ -6,8 +6,7 @@ that nothing is decided twice. docs/theory/stepping.md explains the rules.
 
 import math
 
-from fixel.kernels import arrays as at
-from fixel.kernels import codes
+from fixel.kernels import arrays as at, codes
 from fixel.kernels.arrays import Model, Problem, State, Workspace
 from fixel.kernels.gap import FEATURES
 from fixel.kernels.jit import kernel, large_kernel

@@ -14,8 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.kernels import arrays as at
-from fixel.kernels import codes
+from fixel.kernels import arrays as at, codes
 from fixel.kernels.arrays import StepMethod
 from fixel.kernels.modes import walk
 from fixel.simulation.pack import PackedBatch

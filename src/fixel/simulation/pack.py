@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fixel.errors import InvalidInput
-from fixel.kernels import arrays as at
-from fixel.kernels import codes
+from fixel.kernels import arrays as at, codes
 from fixel.kernels.arrays import Batch, Model
 from fixel.model import (
     Body,

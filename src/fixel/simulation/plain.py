@@ -7,8 +7,7 @@ import math
 
 import numpy as np
 
-from fixel.kernels import arrays, codes, entries
-from fixel.kernels import arrays as at
+from fixel.kernels import arrays, arrays as at, codes, entries
 from fixel.kernels.rollout import select_one
 from fixel.kernels.solve import TOLERANCE
 from fixel.kernels.step_control import AT_ONCE

@@ -10,8 +10,7 @@ from typing import ClassVar, NamedTuple, Protocol, final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.kernels import arrays as at
-from fixel.kernels import codes, entries
+from fixel.kernels import arrays as at, codes, entries
 from fixel.kernels.arrays import Problem, Workspace
 from fixel.kernels.solve import MAX_ATTEMPTS, MAX_ATTEMPTS_EARLY, TOLERANCE
 from fixel.kernels.step_control import AT_ONCE

@@ -18,8 +18,7 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
-from fixel.kernels import codes
-from fixel.kernels import rollout as kernel
+from fixel.kernels import codes, rollout as kernel
 from fixel.kernels.arrays import (
     BODY,
     DRIVEN,

@@ -11,8 +11,7 @@ import numpy as np
 
 from fixel.errors import DeviceFailed, InvalidInput
 from fixel.model.fields import optional_positive
-from fixel.testbed import grbl_link as grbl
-from fixel.testbed import motion
+from fixel.testbed import grbl_link as grbl, motion
 from fixel.testbed.emergency import StopGuard
 from fixel.testbed.grbl_link import ASKING, AxisSettings, GrblLink, greet
 from fixel.testbed.serial_port import chosen_port, closed_on_failure, open_port

@@ -6,8 +6,7 @@ until it holds there.
 
 import math
 
-from fixel.kernels import arrays as at
-from fixel.kernels import codes
+from fixel.kernels import arrays as at, codes
 from fixel.kernels.arrays import N_CONTACT, NORMAL_X, NORMAL_Y, Model, Problem, State, Workspace
 from fixel.kernels.gap import FEATURES, FIRST_VERTEX, VERTEX_VERTEX
 from fixel.kernels.jit import kernel, large_kernel, spliced_kernel

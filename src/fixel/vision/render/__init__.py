@@ -8,24 +8,13 @@
 Motion is a `Simulation` or a trajectory for each body and pusher, on the film's clock.
 """
 
-from fixel.vision.render.film import film_scene
+from fixel.vision.render.film import film_scene as film_scene
 from fixel.vision.render.looks import (
-    LIGHTINGS,
-    MICROSCOPE,
-    PRESETS,
-    CameraEffects,
-    changed,
-    frame_times,
-    looks_named,
+    LIGHTINGS as LIGHTINGS,
+    MICROSCOPE as MICROSCOPE,
+    PRESETS as PRESETS,
+    CameraEffects as CameraEffects,
+    changed as changed,
+    frame_times as frame_times,
+    looks_named as looks_named,
 )
-
-__all__ = [
-    "LIGHTINGS",
-    "MICROSCOPE",
-    "PRESETS",
-    "CameraEffects",
-    "changed",
-    "film_scene",
-    "frame_times",
-    "looks_named",
-]

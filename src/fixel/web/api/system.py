@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final
 
 import sqlalchemy as sa
-from fastapi import APIRouter
-from fastapi import Path as InPath
+from fastapi import APIRouter, Path as InPath
 from fastapi.responses import FileResponse, Response
 from pydantic import Field
 

@@ -14,8 +14,7 @@ from pydantic import Field
 
 from fixel.errors import JobRefused, NotStored
 from fixel.io.lock import UNKNOWN, Owner, is_running
-from fixel.jobs import folder as files
-from fixel.jobs import link
+from fixel.jobs import folder as files, link
 from fixel.web.values import Answer
 from fixel.workflows import jobs
 from fixel.workflows.jobs import JobStatus

@@ -125,8 +125,7 @@ def open_bench(
         performs this campaign.
     """
     call = locals()
-    from fixel.sampling import about_part as pushes_about_part
-    from fixel.sampling import thesis_plan
+    from fixel.sampling import about_part as pushes_about_part, thesis_plan
     from fixel.sampling.rig import plain_name
     from fixel.workflows.bench.devices import SETTINGS, emulated_devices, open_devices, settings_of
     from fixel.workflows.bench.estimates import check_wishes
@@ -154,8 +153,7 @@ def _opened(
     options: Mapping[str, Any],
 ) -> Iterator[BenchLoop]:
     from fixel.vision.tracking.follow import Locator
-    from fixel.workflows.bench.campaign import BENCH as FOLDER
-    from fixel.workflows.bench.campaign import Campaign
+    from fixel.workflows.bench.campaign import BENCH as FOLDER, Campaign
     from fixel.workflows.bench.loop import BenchLoop
 
     with devices as opened:
